@@ -1,0 +1,65 @@
+// How values cross between the callback thread, the control thread and the publisher thread without
+// the control thread ever waiting.
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <mutex>
+#include <vector>
+
+namespace surg_control {
+
+/// Single-producer single-consumer ring, preallocated. Neither side blocks; push says no when full.
+template <typename T>
+class SpscRing {
+ public:
+  /// Room for 'capacity' values.
+  explicit SpscRing(std::size_t capacity) : slots_(capacity + 1) {}
+
+  bool push(const T& value) {
+    const std::size_t tail = tail_.load(std::memory_order_relaxed);
+    const std::size_t next = (tail + 1) % slots_.size();
+    if (next == head_.load(std::memory_order_acquire)) return false;
+    slots_[tail] = value;
+    tail_.store(next, std::memory_order_release);
+    return true;
+  }
+
+  bool pop(T& value) {
+    const std::size_t head = head_.load(std::memory_order_relaxed);
+    if (head == tail_.load(std::memory_order_acquire)) return false;
+    value = slots_[head];
+    head_.store((head + 1) % slots_.size(), std::memory_order_release);
+    return true;
+  }
+
+ private:
+  std::vector<T> slots_;
+  alignas(64) std::atomic<std::size_t> head_{0};
+  alignas(64) std::atomic<std::size_t> tail_{0};
+};
+
+/// The newest value of something. The reader only tries: when the writer is at it, the reader keeps
+/// what it had and looks again in the next cycle.
+template <typename T>
+class LatestBox {
+ public:
+  void put(const T& value) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    value_ = value;
+  }
+
+  /// Copies the newest value into 'value'; false when the writer holds the box.
+  bool try_get(T& value) {
+    const std::unique_lock<std::mutex> lock(mutex_, std::try_to_lock);
+    if (!lock.owns_lock()) return false;
+    value = value_;
+    return true;
+  }
+
+ private:
+  std::mutex mutex_;
+  T value_{};
+};
+
+}  // namespace surg_control

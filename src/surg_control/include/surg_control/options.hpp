@@ -1,0 +1,35 @@
+// The node's parameters: read once at start, checked, frozen.
+#pragma once
+
+#include <ros/ros.h>
+
+#include <string>
+#include <vector>
+
+#include "surg_control/config_loader.hpp"
+#include "surg_core/controller.hpp"
+
+namespace surg_control {
+
+/// What a person may choose at start.
+struct Options {
+  std::string cell;                       ///< ~cell: cell folder or cell.yaml
+  std::string arm;                        ///< ~arm: CRTK name; empty: the cell's only arm
+  bool lockstep = true;                   ///< ~mode: lockstep (default) or freerun
+  std::vector<std::string> participants;  ///< ~participants: commanders to wait for, lock-step only
+  surg::Law law = surg::Law::kOurs;       ///< ~law: ours or paper
+  std::string link;           ///< ~link: joint or twist; empty: as the robot's YAML says
+  double feedback_gain = -1;  ///< ~feedback_gain [1/s]; negative: as the robot's YAML says
+  bool realtime = false;      ///< ~realtime: SCHED_FIFO and locked memory, free-run only
+};
+
+/// Reads the private parameters. Throws surg::ConfigError for an unknown name or a wrong value.
+Options read_options(const ros::NodeHandle& private_node);
+
+/// Refuses what only a simulator may do (~law paper, ~feedback_gain). Throws surg::ConfigError.
+void check_for_arm(const Options& options, const ArmSetup& setup);
+
+/// Whether the arm is commanded by flange twists (robot/servo_cv) instead of joint velocities.
+bool commands_twist(const Options& options, const ArmSetup& setup);
+
+}  // namespace surg_control

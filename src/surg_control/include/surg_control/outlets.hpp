@@ -1,0 +1,102 @@
+// Everything an arm tells the world except the robot command: CRTK feedback, state, cycle, tf,
+// diagnostics and texts, each made from a CycleRecord. Lives in one thread.
+#pragma once
+
+#include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/TransformStamped.h>
+#include <geometry_msgs/TwistStamped.h>
+#include <ros/ros.h>
+#include <sensor_msgs/JointState.h>
+#include <surg_msgs/Cycle.h>
+#include <surg_msgs/ScalarStamped.h>
+
+#include <string>
+#include <vector>
+
+#include "surg_control/announcer.hpp"
+#include "surg_control/command_item.hpp"
+#include "surg_control/config_loader.hpp"
+#include "surg_control/source_table.hpp"
+
+namespace surg_control {
+
+/// A feedback topic that follows CRTK's rule for data that is not valid: stamp 0 once, then
+/// silence.
+template <typename Message>
+class Feedback {
+ public:
+  Feedback(ros::NodeHandle& node, const std::string& topic)
+      : publisher_(node.advertise<Message>(topic, 100)) {}
+
+  /// 'fill(message)' sets everything but the stamp and runs only when somebody listens.
+  template <typename Fill>
+  void publish(bool valid, const ros::Time& stamp, Fill fill) {
+    if (!valid && said_invalid_) return;
+    said_invalid_ = !valid;
+    if (publisher_.getNumSubscribers() == 0) return;
+    fill(message_);
+    message_.header.stamp = valid ? stamp : ros::Time();
+    publisher_.publish(message_);
+  }
+
+ private:
+  ros::Publisher publisher_;
+  Message message_;
+  bool said_invalid_ = false;
+};
+
+/// The arm's publishers.
+class Outlets {
+ public:
+  /// What the diagnostics say of the configuration.
+  struct Facts {
+    bool lockstep;
+    bool twist;
+    std::string law;
+    std::string limits_hash;
+  };
+
+  Outlets(ros::NodeHandle& node, const ArmSetup& setup, const Facts& facts,
+          const SourceTable& sources, Announcer& announcer);
+
+  /// The cycle message, every tick; first, because participants wait for it.
+  void publish_cycle(const CycleRecord& record);
+  /// All other topics, each at its own rate, and the words about what happened. 'now' [s] as for
+  /// Announcer.
+  void publish_rest(const CycleRecord& record, double now);
+
+ private:
+  void publish_feedback(const CycleRecord& record);
+  void publish_rcm(const CycleRecord& record);
+  void publish_state(const CycleRecord& record, bool changed);
+  void publish_tf(const CycleRecord& record);
+  void publish_diagnostics(const CycleRecord& record, double now);
+  void say_changes(const CycleRecord& record, double now);
+  void say_answers(const CycleRecord& record, double now);
+  void say_verdicts(const CycleRecord& record, double now);
+  geometry_msgs::TransformStamped transform(const CycleRecord& record, const std::string& child,
+                                            const surg::Pose& X, const std::string& parent) const;
+
+  std::string arm_, base_, flange_, tool_, rcm_;
+  surg::Limits limits_;
+  surg::Vector3 p_FTip_;
+  Facts facts_;
+  const SourceTable& sources_;
+  Announcer& announcer_;
+
+  ros::Publisher cycle_, operating_state_, tf_, tf_static_, diagnostics_, rcm_limit_;
+  Feedback<sensor_msgs::JointState> measured_js_, setpoint_js_, jaw_measured_js_, jaw_setpoint_js_;
+  Feedback<geometry_msgs::PoseStamped> measured_cp_, setpoint_cp_, goal_cp_, rcm_measured_cp_;
+  Feedback<geometry_msgs::TwistStamped> measured_cv_;
+  Feedback<surg_msgs::ScalarStamped> rcm_error_;
+
+  surg_msgs::Cycle cycle_message_;
+  surg::State state_ = surg::State::kDisabled;
+  surg::Reason reason_ = surg::Reason::kNone;
+  bool homed_ = false, busy_ = false, first_ = true;
+  std::vector<double> compute_us_;
+  double diagnosed_at_ = 0;
+  std::uint64_t diagnosed_tick_ = 0;
+};
+
+}  // namespace surg_control

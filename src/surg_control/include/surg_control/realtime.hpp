@@ -1,0 +1,33 @@
+// The free-run thread's clock and its optional privileges.
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+namespace surg_control {
+
+/// Nanoseconds of the steady clock (CLOCK_MONOTONIC): no step of the wall clock moves it.
+std::int64_t steady_ns();
+
+/// Wakes up every period on the steady clock.
+class Metronome {
+ public:
+  explicit Metronome(std::int64_t period_ns) : period_(period_ns), next_(steady_ns()) {}
+
+  /// Sleeps until the next beat and returns the nanoseconds since the last one was returned (one
+  /// period at the first). After a beat that comes more than a period late the count starts anew
+  /// from now: a thread that was frozen must not catch up in a burst.
+  std::int64_t wait();
+  /// Whether the last beat came more than one period late.
+  bool late() const { return late_; }
+
+ private:
+  std::int64_t period_, next_, last_ = 0;
+  bool late_ = false;
+};
+
+/// Locks the process's memory and puts the calling thread under SCHED_FIFO. Empty when done,
+/// otherwise what was refused and how to allow it; the thread goes on without.
+std::string become_realtime();
+
+}  // namespace surg_control

@@ -1,0 +1,197 @@
+#include "surg_control/config_loader.hpp"
+
+#include <yaml-cpp/yaml.h>
+
+#include <algorithm>
+#include <cctype>
+#include <charconv>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <optional>
+#include <sstream>
+
+namespace surg_control {
+namespace {
+
+namespace fs = std::filesystem;
+
+// A configuration is a page of text. The bounds keep a wrong path (a video, /dev/zero) and nested
+// nonsense from taking the machine down before the schema is asked.
+constexpr std::uintmax_t kMaxBytes = 1 << 20;
+constexpr int kMaxDepth = 16;
+constexpr std::size_t kMaxKeys = 10000;
+
+int line_of(const YAML::Node& node) { return node.Mark().line + 1; }
+
+[[noreturn]] void refuse(const std::string& file, int line, const std::string& what) {
+  throw surg::ConfigError(file + (line > 0 ? ":" + std::to_string(line) : "") + ": " + what);
+}
+
+/// A plain scalar as a number: decimal, with or without exponent, or YAML's .inf and .nan.
+std::optional<double> as_number(std::string_view text) {
+  const bool negative = !text.empty() && text.front() == '-';
+  if (text == ".nan" || text == ".NaN" || text == ".NAN") {
+    return std::numeric_limits<double>::quiet_NaN();
+  }
+  if (!text.empty() && (text.front() == '+' || negative)) text.remove_prefix(1);
+  // from_chars would also take "inf" and "nan", which are words in YAML.
+  if (text.empty() || (text.front() != '.' && (text.front() < '0' || text.front() > '9')))
+    return {};
+  double value = 0;
+  if (text == ".inf" || text == ".Inf" || text == ".INF") {
+    value = std::numeric_limits<double>::infinity();
+  } else {
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (error == std::errc::invalid_argument || end != text.data() + text.size()) return {};
+    // Beyond any double: infinite here, so that the schema refuses it with the key's own range.
+    if (error == std::errc::result_out_of_range) value = std::numeric_limits<double>::infinity();
+  }
+  return negative ? -value : value;
+}
+
+/// A scalar by the rules that surg_core's Python reader has too: one file means one thing.
+surg::Value as_scalar(const YAML::Node& node) {
+  const std::string& text = node.Scalar();
+  if (node.Tag() == "!") return text;  // quoted: a string, whatever it looks like
+  std::string lower = text;
+  std::transform(lower.begin(), lower.end(), lower.begin(),
+                 [](unsigned char c) { return static_cast<char>(std::tolower(c)); });
+  if (lower == "true" || lower == "false") return lower == "true";
+  if (const std::optional<double> number = as_number(text)) return *number;
+  return text;
+}
+
+surg::Value as_sequence(const YAML::Node& node, const std::string& file, const std::string& key) {
+  std::vector<double> numbers;
+  std::vector<std::string> strings;
+  for (const YAML::Node& item : node) {
+    const surg::Value value = item.IsScalar() ? as_scalar(item) : surg::Value(false);
+    if (const double* number = std::get_if<double>(&value)) numbers.push_back(*number);
+    if (const std::string* text = std::get_if<std::string>(&value)) strings.push_back(*text);
+  }
+  if (numbers.size() == node.size()) return numbers;
+  if (strings.size() == node.size()) return strings;
+  refuse(file, line_of(node), key + ": a list may hold numbers or texts, all of one kind");
+}
+
+void flatten(const YAML::Node& node, const std::string& prefix, int depth, surg::Document& out) {
+  if (depth > kMaxDepth) refuse(out.file, line_of(node), "nested more than 16 levels deep");
+  for (const auto& entry : node) {
+    if (!entry.first.IsScalar() || entry.first.Scalar().empty()) {
+      refuse(out.file, line_of(entry.first), "a key must be a word");
+    }
+    const std::string& word = entry.first.Scalar();
+    const std::string key = prefix.empty() ? word : prefix + "." + word;
+    const int line = line_of(entry.first);
+    if (word.find('.') != std::string::npos) {
+      refuse(out.file, line,
+             word + ": a key must be a text without dots; write nested keys instead");
+    }
+    if (out.lines.count(key) != 0) {
+      refuse(out.file, line,
+             key + ": is said twice; first in line " + std::to_string(out.lines[key]));
+    }
+    if (out.lines.size() >= kMaxKeys) refuse(out.file, line, "more than 10000 keys");
+    out.lines[key] = line;
+    const YAML::Node& value = entry.second;
+    if (value.IsMap()) {
+      flatten(value, key, depth + 1, out);
+    } else if (value.IsSequence()) {
+      out.values[key] = as_sequence(value, out.file, key);
+    } else if (value.IsScalar()) {
+      out.values[key] = as_scalar(value);
+    } else {
+      refuse(out.file, line, key + ": is empty; a value is needed");
+    }
+  }
+}
+
+std::string read_text(const std::string& path) {
+  std::error_code error;
+  const fs::file_status status = fs::status(path, error);
+  if (!fs::exists(status)) refuse(path, 0, "no such file");
+  if (!fs::is_regular_file(status)) refuse(path, 0, "is not a file");
+  const std::uintmax_t size = fs::file_size(path, error);
+  if (error || size > kMaxBytes) refuse(path, 0, "is larger than 1 MiB: not a configuration");
+  std::ifstream stream(path, std::ios::binary);
+  std::ostringstream text;
+  text << stream.rdbuf();
+  if (!stream) refuse(path, 0, "cannot be read");
+  return text.str();
+}
+
+/// 'path' as seen from the folder of 'file'.
+std::string beside(const std::string& file, const std::string& path) {
+  return (fs::path(file).parent_path() / path).lexically_normal().string();
+}
+
+surg::Pose pose_from_xyz_rpy(const surg::Vector3& xyz, const surg::Vector3& rpy) {
+  surg::Pose X = surg::Pose::Identity();
+  X.linear() = (Eigen::AngleAxisd(rpy.z(), surg::Vector3::UnitZ()) *
+                Eigen::AngleAxisd(rpy.y(), surg::Vector3::UnitY()) *
+                Eigen::AngleAxisd(rpy.x(), surg::Vector3::UnitX()))
+                   .toRotationMatrix();
+  X.translation() = xyz;
+  return X;
+}
+
+surg::CellArm find_arm(const surg::CellConfig& cell, const std::string& name) {
+  std::string known;
+  for (const surg::CellArm& arm : cell.arms) {
+    if (arm.name == name || (name.empty() && cell.arms.size() == 1)) return arm;
+    known += (known.empty() ? "" : ", ") + arm.name;
+  }
+  if (name.empty()) refuse(cell.file, 0, "has several arms (" + known + "): name the one to drive");
+  refuse(cell.file, 0, "has no arm '" + name + "'; it has: " + known);
+}
+
+}  // namespace
+
+surg::Document load_document(const std::string& path) {
+  surg::Document document;
+  document.file = path;
+  std::vector<YAML::Node> roots;
+  try {
+    roots = YAML::LoadAll(read_text(path));
+    if (roots.empty() || roots.front().IsNull()) refuse(path, 0, "is empty");
+    if (roots.size() > 1) refuse(path, 0, "holds several YAML documents: keep one");
+    if (!roots.front().IsMap()) refuse(path, 1, "is not a mapping; 'key: value' lines are needed");
+    flatten(roots.front(), "", 0, document);
+  } catch (const YAML::Exception& error) {
+    refuse(path, error.mark.is_null() ? 0 : error.mark.line + 1, "YAML syntax: " + error.msg);
+  }
+  return document;
+}
+
+ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
+  if (cell.empty()) throw surg::ConfigError("no cell given: name a cell folder or its cell.yaml");
+  std::error_code error;
+  const fs::path path = fs::absolute(cell).lexically_normal();
+  const std::string cell_file =
+      fs::is_directory(path, error) ? (path / "cell.yaml").string() : path.string();
+  const surg::CellConfig config = surg::parse_cell(load_document(cell_file));
+
+  ArmSetup setup;
+  setup.cell_name = config.name;
+  setup.arm = find_arm(config, arm_name);
+  const std::string& name = setup.arm.name;
+  setup.X_WB = pose_from_xyz_rpy(setup.arm.base_xyz, setup.arm.base_rpy);
+  const std::string robot_file = beside(cell_file, setup.arm.robot);
+  const std::string instrument_file = beside(cell_file, setup.arm.instrument);
+  setup.robot = surg::parse_robot(load_document(robot_file));
+  setup.instrument = surg::parse_instrument(load_document(instrument_file));
+  setup.limits = surg::tighten(setup.robot.limits, setup.arm, cell_file);
+  setup.tool =
+      surg::parse_tool(load_document(beside(cell_file, "calibration/tool_" + name + ".yaml")));
+  setup.trocar =
+      surg::parse_trocar(load_document(beside(cell_file, "calibration/trocar_" + name + ".yaml")));
+  setup.robot_urdf = beside(robot_file, setup.robot.urdf);
+  setup.instrument_urdf = beside(instrument_file, setup.instrument.urdf);
+  if (!fs::is_regular_file(setup.instrument_urdf, error)) {
+    refuse(instrument_file, 0, "urdf: " + setup.instrument_urdf + " is not a file");
+  }
+  return setup;
+}
+
+}  // namespace surg_control

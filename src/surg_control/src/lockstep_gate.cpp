@@ -1,0 +1,66 @@
+#include "surg_control/lockstep_gate.hpp"
+
+#include <algorithm>
+#include <tuple>
+
+namespace surg_control {
+
+LockstepGate::LockstepGate(const std::vector<std::string>& participants) {
+  for (const std::string& name : participants) participants_[name] = {};
+}
+
+void LockstepGate::received(const std::string& sender) {
+  const auto found = participants_.find(sender);
+  if (found != participants_.end()) ++found->second.received;
+}
+
+void LockstepGate::push(const std::string& sender, const std::string& topic,
+                        const CommandItem& item) {
+  const bool known = declared(sender);
+  inbox_.push_back({known, known ? sender : "", known ? topic : "", ++count_, item});
+}
+
+void LockstepGate::ready(const std::string& participant, std::uint64_t tick, std::uint64_t sent) {
+  const auto found = participants_.find(participant);
+  if (found == participants_.end() || tick < found->second.ready_tick) return;
+  found->second.ready_tick = tick;
+  found->second.sent = sent;
+}
+
+bool LockstepGate::due(std::uint64_t tick) const {
+  return std::all_of(participants_.begin(), participants_.end(), [tick](const auto& entry) {
+    return entry.second.ready_tick == tick && entry.second.received >= entry.second.sent;
+  });
+}
+
+std::string LockstepGate::missing(std::uint64_t tick) const {
+  std::string text;
+  for (const auto& [name, participant] : participants_) {
+    std::string why;
+    if (participant.ready_tick != tick) {
+      why = "is not ready for tick " + std::to_string(tick) +
+            " (its last: " + std::to_string(participant.ready_tick) + ")";
+    } else if (participant.received < participant.sent) {
+      why = "has sent " + std::to_string(participant.sent) + " messages of which " +
+            std::to_string(participant.received) + " arrived";
+    }
+    if (!why.empty()) text += (text.empty() ? "" : "; ") + name + " " + why;
+  }
+  return text;
+}
+
+const std::vector<CommandItem>& LockstepGate::take() {
+  std::sort(inbox_.begin(), inbox_.end(), [](const Letter& a, const Letter& b) {
+    return std::make_tuple(a.item.kind, !a.declared, std::cref(a.sender), std::cref(a.topic),
+                           a.number) < std::make_tuple(b.item.kind, !b.declared,
+                                                       std::cref(b.sender), std::cref(b.topic),
+                                                       b.number);
+  });
+  const std::size_t n = std::min<std::size_t>(inbox_.size(), surg::kMaxCommands);
+  taken_.clear();
+  for (std::size_t i = 0; i < n; ++i) taken_.push_back(inbox_[i].item);
+  inbox_.erase(inbox_.begin(), inbox_.begin() + static_cast<std::ptrdiff_t>(n));
+  return taken_;
+}
+
+}  // namespace surg_control

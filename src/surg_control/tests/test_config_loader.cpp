@@ -1,0 +1,164 @@
+// F15: a broken, missing or out-of-range file ends in one text with file, line, key and what is
+// allowed.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <filesystem>
+#include <random>
+#include <string>
+#include <vector>
+
+#include "small_cell.hpp"
+#include "surg_control/config_loader.hpp"
+
+namespace surg_control {
+namespace {
+
+using surg_control_test::SmallCell;
+
+std::string error_of(const SmallCell& cell, const std::string& arm = "PSM1") {
+  try {
+    load_arm(cell.cell(), arm);
+  } catch (const surg::ConfigError& error) {
+    return error.what();
+  }
+  return "";
+}
+
+void expect_parts(const std::string& text, const std::vector<std::string>& parts) {
+  for (const std::string& part : parts) {
+    EXPECT_NE(text.find(part), std::string::npos) << "'" << part << "' missing in: " << text;
+  }
+}
+
+TEST(ConfigLoader, FlattensWithLines) {
+  SmallCell cell;
+  cell.write("x.yaml",
+             "a: 1\nb:\n  c: [1, 2.5, -3e-2]\n  d: {e: text, f: \"12\"}\nt: TRUE\n"
+             "words: [x, \"2\"]\nempty: []\ninf: -.inf\nnan: .NaN\nodd: 1_0\nhuge: 1e999\n"
+             "none: {}\nzero: 010\n");
+  const surg::Document document = load_document(cell.path("x.yaml"));
+  EXPECT_EQ(std::get<double>(document.values.at("a")), 1);
+  EXPECT_EQ(std::get<std::vector<double>>(document.values.at("b.c")),
+            (std::vector<double>{1, 2.5, -0.03}));
+  EXPECT_EQ(std::get<std::string>(document.values.at("b.d.e")), "text");
+  EXPECT_EQ(std::get<std::string>(document.values.at("b.d.f")), "12");
+  EXPECT_TRUE(std::get<bool>(document.values.at("t")));
+  EXPECT_EQ(std::get<std::vector<std::string>>(document.values.at("words")),
+            (std::vector<std::string>{"x", "2"}));
+  EXPECT_TRUE(std::get<std::vector<double>>(document.values.at("empty")).empty());
+  EXPECT_EQ(std::get<double>(document.values.at("inf")), -INFINITY);
+  EXPECT_TRUE(std::isnan(std::get<double>(document.values.at("nan"))));
+  EXPECT_EQ(std::get<std::string>(document.values.at("odd")), "1_0");
+  EXPECT_EQ(std::get<double>(document.values.at("huge")), INFINITY);
+  EXPECT_EQ(std::get<double>(document.values.at("zero")), 10);
+  EXPECT_EQ(document.values.count("none"), 0U);
+  EXPECT_EQ(document.lines.at("a"), 1);
+  EXPECT_EQ(document.lines.at("b.c"), 3);
+  EXPECT_EQ(document.lines.at("b.d.f"), 4);
+}
+
+TEST(ConfigLoader, LoadsWholeArm) {
+  SmallCell cell;
+  for (const std::string& path : {cell.cell(), cell.path("cell/cell.yaml")}) {
+    for (const std::string arm : {"PSM1", ""}) {
+      const ArmSetup setup = load_arm(path, arm);
+      EXPECT_EQ(setup.cell_name, "small_cell");
+      EXPECT_EQ(setup.arm.name, "PSM1");
+      EXPECT_EQ(setup.robot.name, "small");
+      EXPECT_EQ(setup.limits.tip_velocity, 0.2);  // tightened
+      EXPECT_EQ(setup.robot.limits.tip_velocity, 0.25);
+      EXPECT_EQ(setup.tool.p_FTip, surg::Vector3(0.06, 0, 0.3));
+      EXPECT_EQ(setup.trocar.p_BRcm, surg::Vector3(0.5, 0.1, 0.2));
+      EXPECT_EQ(setup.robot_urdf, cell.path("robot.urdf"));
+      EXPECT_EQ(setup.instrument_urdf, cell.path("tool.urdf"));
+      EXPECT_TRUE((setup.X_WB * surg::Vector3::UnitX()).isApprox(surg::Vector3(0.1, 1.2, 0.3)));
+    }
+  }
+}
+
+TEST(ConfigLoader, RefusesWithFileAndLine) {
+  struct Case {
+    const char* file;
+    const char* old_text;
+    const char* new_text;
+    std::vector<std::string> parts;
+  };
+  const std::vector<Case> cases{
+      {"robot.yaml", "name: small\n", "name: small\nname: other\n", {"robot.yaml:3", "twice"}},
+      {"robot.yaml", "cone: 1.0471975512", "cone: [1", {"robot.yaml", "YAML syntax"}},
+      {"robot.yaml", "tip_velocity: 0.25", "tip_velocity: 25", {"robot.yaml:15", "tip_velocity"}},
+      {"robot.yaml", "tip_velocity: 0.25", "tip_velocity: .nan", {"robot.yaml:15"}},
+      {"robot.yaml", "tip_velocity: 0.25", "tip_velocity:", {"robot.yaml:15", "empty"}},
+      {"robot.yaml", "tip_velocity: 0.25", "tip_velocty: 0.25", {"robot.yaml", "tip_velocity"}},
+      {"robot.yaml", "tip_velocity: 0.25", "tip.velocity: 0.25", {"robot.yaml:15", "dots"}},
+      {"robot.yaml", "[1, 1, 1, 1, 1, 1]", "[1, a, 1, 1, 1, 1]", {"robot.yaml:12", "one kind"}},
+      {"robot.yaml", "[1, 1, 1, 1, 1, 1]", "[[1], 1, 1]", {"robot.yaml:12", "one kind"}},
+      {"robot.yaml", "surg_robot/1", "surg_robot/2", {"robot.yaml:1", "surg_robot/1"}},
+      {"cell/cell.yaml", "tip_velocity: 0.2", "tip_velocity: 0.3", {"cell.yaml", "tip_velocity"}},
+      {"cell/cell.yaml", "../robot.yaml", "../none.yaml", {"none.yaml", "no such file"}},
+      {"cell/cell.yaml", "../robot.yaml", "..", {"is not a file"}},
+      {"instrument.yaml", "tool.urdf", "none.urdf", {"instrument.yaml", "none.urdf"}},
+      {"cell/calibration/tool_PSM1.yaml", "[0, 0, 1]", "[0, 0, 0.5]", {"tool_PSM1.yaml:2"}},
+  };
+  for (const Case& one : cases) {
+    SmallCell cell;
+    cell.replace(one.file, one.old_text, one.new_text);
+    const std::string error = error_of(cell);
+    ASSERT_NE(error, "") << one.file << ": " << one.new_text << " was accepted";
+    expect_parts(error, one.parts);
+  }
+}
+
+TEST(ConfigLoader, NamesArmsAndMissingFiles) {
+  SmallCell cell;
+  expect_parts(error_of(cell, "PSM9"), {"cell.yaml", "PSM9", "PSM1"});
+  std::filesystem::remove(cell.path("cell/calibration/trocar_PSM1.yaml"));
+  expect_parts(error_of(cell), {"trocar_PSM1.yaml", "no such file"});
+  cell.write("cell/cell.yaml", "");
+  expect_parts(error_of(cell), {"cell.yaml", "empty"});
+  cell.write("cell/cell.yaml", "a: 1\n---\nb: 2\n");
+  expect_parts(error_of(cell), {"cell.yaml", "several"});
+  cell.write("cell/cell.yaml", std::string(2 << 20, 'x'));
+  expect_parts(error_of(cell), {"cell.yaml", "1 MiB"});
+  cell.write("cell/cell.yaml", "- 1\n");
+  expect_parts(error_of(cell), {"cell.yaml:1", "mapping"});
+  cell.write("cell/cell.yaml", "a: &x\n  b: *x\n");
+  EXPECT_NE(error_of(cell), "");
+}
+
+TEST(ConfigLoader, NeverCrashesOnBrokenBytes) {
+  // Mutated and truncated files: accepted or refused by ConfigError, nothing else.
+  const int count = std::getenv("SURG_TEST_FULL") != nullptr ? 20000 : 300;
+  std::mt19937 random(7);
+  SmallCell cell;
+  const std::string good = cell.read("robot.yaml");
+  int refused = 0;
+  for (int i = 0; i < count; ++i) {
+    std::string text = good;
+    for (unsigned k = 0; k <= random() % 3; ++k) {
+      const std::size_t at = random() % text.size();
+      switch (random() % 4) {
+        case 0:
+          text[at] = static_cast<char>(random() % 256);
+          break;
+        case 1:
+          text.erase(at, random() % 20);
+          break;
+        case 2:
+          text.insert(at, 1, "{}[]:&*!|>'\"\t-#%@`\n"[random() % 19]);
+          break;
+        default:
+          text.resize(std::max<std::size_t>(at, 1));
+      }
+    }
+    cell.write("robot.yaml", text);
+    if (!error_of(cell).empty()) ++refused;
+  }
+  std::printf("%d mutated files, %d refused\n", count, refused);
+  EXPECT_GT(refused, count / 3);
+  EXPECT_LT(refused, count);
+}
+
+}  // namespace
+}  // namespace surg_control

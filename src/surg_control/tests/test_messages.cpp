@@ -1,0 +1,135 @@
+// Messages to values: wrong forms are refused with words, NaN passes through to the controller
+// (F01).
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <string>
+
+#include "surg_control/messages.hpp"
+
+namespace surg_control {
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+geometry_msgs::PoseStamped pose(const std::string& frame = "PSM1_rcm") {
+  geometry_msgs::PoseStamped message;
+  message.header.frame_id = frame;
+  message.pose.position.z = 0.12;
+  message.pose.orientation.w = 1;
+  return message;
+}
+
+TEST(Messages, PoseInItsFrame) {
+  for (const std::string frame : {"PSM1_rcm", ""}) {
+    const Decoded decoded = decode_pose(pose(frame), surg::Motion::kMoveCp, "PSM1_rcm");
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_EQ(decoded.item.motion.motion, surg::Motion::kMoveCp);
+    EXPECT_EQ(decoded.item.motion.p, surg::Vector3(0, 0, 0.12));
+    EXPECT_EQ(decoded.ignored, "");
+  }
+  const Decoded wrong = decode_pose(pose("world"), surg::Motion::kServoCp, "PSM1_rcm");
+  EXPECT_EQ(wrong.reason, surg::Reason::kWrongFrame);
+  EXPECT_NE(wrong.detail.find("'world'"), std::string::npos);
+  EXPECT_NE(wrong.detail.find("PSM1_rcm"), std::string::npos);
+}
+
+TEST(Messages, QuaternionMustBeUnit) {
+  geometry_msgs::PoseStamped message = pose();
+  message.pose.orientation.w = 1.0005;
+  const Decoded near = decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm");
+  EXPECT_EQ(near.reason, surg::Reason::kNone);
+  EXPECT_NEAR(near.item.motion.rotation.norm(), 1.0, 1e-15);
+  for (const double w : {0.0, 0.9, 1.1, 1e200, 1e308}) {
+    message.pose.orientation.w = w;
+    EXPECT_NE(decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm").reason, surg::Reason::kNone)
+        << w;
+  }
+}
+
+TEST(Messages, NotFinitePassesToTheController) {
+  for (const double bad : {kNan, HUGE_VAL, -HUGE_VAL}) {
+    geometry_msgs::PoseStamped message = pose();
+    message.pose.position.x = bad;
+    Decoded decoded = decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm");
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_FALSE(decoded.item.motion.p.allFinite());
+
+    message = pose();
+    message.pose.orientation.y = bad;
+    decoded = decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm");
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_FALSE(decoded.item.motion.p.allFinite());
+
+    sensor_msgs::JointState joints;
+    joints.position = {0, bad, 0.1, 0};
+    decoded = decode_joints(joints, surg::Motion::kServoJp);
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_FALSE(decoded.item.motion.joints.allFinite());
+
+    geometry_msgs::TwistStamped twist;
+    twist.twist.angular.z = bad;
+    decoded = decode_twist(twist, "PSM1_rcm");
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_FALSE(decoded.item.angular.allFinite());
+  }
+}
+
+TEST(Messages, SizesAndNames) {
+  sensor_msgs::JointState joints;
+  joints.position = {1, 2, 3};
+  EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kWrongSize);
+  joints.position = {1, 2, 3, 4};
+  EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).item.motion.joints,
+            surg::Vector4(1, 2, 3, 4));
+  EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJv).reason, surg::Reason::kWrongSize);
+  joints.name = {"pitch", "yaw", "insertion", "roll"};
+  EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kWrongSize);
+  joints.name = {"yaw", "pitch", "insertion", "roll"};
+  EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kNone);
+  EXPECT_EQ(decode_jaw(joints).reason, surg::Reason::kWrongSize);
+  joints.position = {0.5};
+  EXPECT_EQ(decode_jaw(joints).item.motion.jaw, 0.5);
+}
+
+TEST(Messages, StateWords) {
+  crtk_msgs::StringStamped message;
+  for (const char* word : {"enable", "disable", "pause", "resume", "home", "unhome"}) {
+    message.string = word;
+    const Decoded decoded = decode_state(message);
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_STREQ(word_of(decoded.item.state), word);
+  }
+  message.string = "Enable";
+  EXPECT_NE(decode_state(message).detail.find("allowed"), std::string::npos);
+}
+
+TEST(Messages, SaysOnceThatTiltIsIgnored) {
+  geometry_msgs::PoseStamped message = pose();
+  message.pose.orientation.w = std::cos(0.2);
+  message.pose.orientation.z = std::sin(0.2);  // roll only
+  EXPECT_EQ(decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm").ignored, "");
+  message.pose.orientation.z = 0;
+  message.pose.orientation.x = std::sin(0.2);  // tilt
+  EXPECT_NE(decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm").ignored, "");
+}
+
+TEST(Messages, RobotStateByName) {
+  sensor_msgs::JointState message;
+  message.name = {"a", "b"};
+  message.position = {1, kNan};
+  message.velocity = {3, 4};
+  message.header.stamp = to_time(123'002'000'000ULL);
+  LinkState link;
+  EXPECT_EQ(decode_state_of_robot(message, {"a", "b"}, link), "");
+  EXPECT_EQ(link.stamp_ns, 123'002'000'000ULL);
+  EXPECT_EQ(link.qd[1], 4);
+  EXPECT_TRUE(std::isnan(link.q[1]));  // F02 is the controller's
+  EXPECT_NE(decode_state_of_robot(message, {"b", "a"}, link), "");
+  message.velocity.pop_back();
+  EXPECT_NE(decode_state_of_robot(message, {"a", "b"}, link), "");
+}
+
+}  // namespace
+}  // namespace surg_control

@@ -1,0 +1,132 @@
+// What a YAML file may say: every key with its unit, range and reason lives in config.cpp, once, for C++
+// and Python alike. The files are parsed elsewhere (yaml-cpp, PyYAML) into a flat Document; this checks it
+// and returns frozen values, or throws a ConfigError that says file, key, value and what is allowed.
+#pragma once
+
+#include <map>
+#include <stdexcept>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "surg_core/types.hpp"
+
+namespace surg {
+
+/// A value of a flat document.
+using Value =
+    std::variant<bool, double, std::string, std::vector<double>, std::vector<std::string>>;
+
+/// A YAML file flattened: nested keys joined by '.', for example "limits.tip_velocity".
+struct Document {
+  std::string file;                   ///< shown in every error
+  std::map<std::string, Value> values;
+  std::map<std::string, int> lines;   ///< 1-based line of each key where known
+};
+
+/// A configuration that must not be used: file, key, value, what is allowed.
+class ConfigError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// Every limit of an arm. The ceiling of each is compiled into the schema; a cell may only tighten.
+struct Limits {
+  double tip_velocity;        ///< [m/s] per axis
+  double tip_acceleration;    ///< [m/s^2] per axis
+  double tip_jerk;            ///< [m/s^3] per axis
+  double pivot_velocity;      ///< [rad/s] yaw and pitch, spherical mode
+  double pivot_acceleration;  ///< [rad/s^2]
+  double pivot_jerk;          ///< [rad/s^3]
+  double roll_velocity;       ///< [rad/s]
+  double roll_acceleration;   ///< [rad/s^2]
+  double roll_jerk;           ///< [rad/s^3]
+  double flange_velocity;     ///< [m/s] speed of the flange origin
+  double cone;                ///< [rad] largest angle between shaft and home axis
+  double depth_min;           ///< [m] below: only axial motion and roll
+  double depth_slow;          ///< [m] lateral motion fades from here to depth_min
+  double depth_max;           ///< [m]
+  double stop_deceleration;   ///< [m/s^2] of the tip when a stream falls silent
+  double step_slack;          ///< [m] servo_cp step <= tip_velocity dt + this
+  double step_roll_slack;     ///< [rad] and roll step <= roll_velocity dt + this
+  double step_dt_max;         ///< [s] largest dt that counts in the step test
+  double rcm_error_warn;      ///< [m]
+  double rcm_error_fault;     ///< [m] F23
+  double joint_margin;        ///< [rad] joints slow down from this distance to their limit
+};
+
+/// Gains and times of the controller.
+struct Tuning {
+  double rcm_gain;           ///< [1/s] k of the lateral feedback
+  double tip_gain;           ///< [1/s] tip set-point tracking
+  double roll_gain;          ///< [1/s] absolute roll
+  double posture_gain;       ///< [1/s] null-space pull to the home posture (redundant arms)
+  double profiler_duration;  ///< [s] the paper's d
+  double servo_timeout;      ///< [s] F03
+  double link_timeout;       ///< [s] F10, free-run
+};
+
+/// What a robot link obeys.
+enum class Command { kJointVelocity, kCartesianVelocity };
+
+/// One robot: its YAML.
+struct RobotConfig {
+  std::string file, name, urdf, base_link, flange_link;
+  Command command;
+  std::vector<std::string> joint_names;
+  JointVector home, position_min, position_max, velocity, acceleration;
+  Limits limits;
+  Tuning tuning;
+};
+
+/// One instrument: its YAML. Jaw angles [rad]; 'closed' is jaw_min.
+struct InstrumentConfig {
+  std::string file, name, urdf, mount_link, tip_link;
+  double jaw_min, jaw_max, jaw_velocity;
+};
+
+/// Calibrated tool: shaft axis and tip in the flange frame F, with the evidence for it.
+struct ToolCalibration {
+  Vector3 s_F, p_FTip;
+  double residual, condition;
+  int n;
+  std::string date;
+};
+
+/// Taught trocar point in the robot base frame B.
+struct TrocarCalibration {
+  Vector3 p_BRcm;
+  double residual, condition;
+  int n;
+  std::string date;
+};
+
+/// One arm of a cell, as cell.yaml states it.
+struct CellArm {
+  std::string name;        ///< CRTK name, e.g. "PSM1"
+  std::string robot;       ///< path of the robot YAML, relative to the cell file
+  std::string instrument;  ///< path of the instrument YAML, relative to the cell file
+  std::string link;        ///< "simulator"
+  Vector3 base_xyz, base_rpy;  ///< X_WB
+  std::map<std::string, double> limits;  ///< tightened limits by name
+};
+
+/// A user's whole system.
+struct CellConfig {
+  std::string file, name, network;
+  std::vector<CellArm> arms;
+};
+
+RobotConfig parse_robot(const Document& document);
+InstrumentConfig parse_instrument(const Document& document);
+ToolCalibration parse_tool(const Document& document);
+TrocarCalibration parse_trocar(const Document& document);
+CellConfig parse_cell(const Document& document);
+
+/// Limits with a cell's values put in. Throws when a value would loosen one.
+Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file);
+
+/// SHA-256-free fingerprint of everything above that moves the arm: FNV-1a over the values, as 16 hex digits.
+std::string limits_hash(const RobotConfig& robot, const Limits& limits);
+
+}  // namespace surg

@@ -1,0 +1,134 @@
+// The only place where the parts meet; 'step' reads like the data line of docs/architecture.md:
+// gate -> profiler -> rcm -> limits -> guard. Pure: time and ids are arguments. No allocation, lock or I/O.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "surg_core/config.hpp"
+#include "surg_core/kinematics.hpp"
+#include "surg_core/operating_state.hpp"
+#include "surg_core/profiler.hpp"
+#include "surg_core/rcm.hpp"
+#include "surg_core/stream.hpp"
+#include "surg_core/types.hpp"
+
+namespace surg {
+
+/// Motion commands, in the numbering of surg_msgs/Cycle.
+enum class Motion : std::uint8_t {
+  kNone = 0,
+  kServoCp = 1,
+  kServoJp = 2,
+  kServoCv = 3,
+  kServoJv = 4,
+  kInterpolateCp = 5,
+  kMoveCp = 6,
+  kHold = 7,
+  kJawServoJp = 8,
+};
+
+/// One decoded command. Which members count depends on 'motion'.
+struct MotionCommand {
+  Motion motion = Motion::kNone;
+  std::uint32_t source = 0;  ///< id of the sender (the node maps caller ids to numbers)
+  Vector3 p = Vector3::Zero();                                       ///< cp: p_RcmTip; cv: v_Tip, in the rcm frame
+  Eigen::Quaterniond rotation = Eigen::Quaterniond::Identity();      ///< cp: R_RcmTool (only roll is used)
+  double roll_rate = 0;                                              ///< cv: about the shaft [rad/s]
+  Vector4 joints = Vector4::Zero();                                  ///< jp / jv: yaw, pitch, insertion, roll
+  double jaw = 0;                                                    ///< jaw angle [rad]
+};
+
+/// What became of a command.
+struct Verdict {
+  Reason reason = Reason::kNone;  ///< kNone: accepted
+  std::uint32_t source = 0;
+  Motion motion = Motion::kNone;
+};
+
+/// Most commands one cycle looks at; more wait for the next cycle (the node's business).
+constexpr int kMaxCommands = 64;
+
+/// Everything one cycle may look at.
+struct Inputs {
+  bool state_valid = false;       ///< q, qd hold a joint state
+  double state_age = 0;           ///< [s] since it was received (0 in lock-step)
+  JointVector q, qd;              ///< measured [rad, rad/s]
+  double jaw = 0;                 ///< measured jaw [rad]
+  int n_commands = 0;
+  std::array<MotionCommand, kMaxCommands> commands;
+};
+
+/// Everything one cycle decided: becomes the robot command and surg_msgs/Cycle.
+struct Outputs {
+  State state = State::kDisabled;
+  Reason reason = Reason::kNone;  ///< why PAUSED, FAULT, or why held
+  bool homed = false, busy = false;
+  Motion motion = Motion::kNone;  ///< obeyed in this cycle
+  std::uint32_t source = 0;       ///< its sender
+  std::uint32_t accepted = 0, refused = 0;
+  int n_verdicts = 0;
+  std::array<Verdict, kMaxCommands> verdicts;  ///< one per command of this cycle, in order
+  bool warn_rcm = false;                       ///< rcm error above the warn level
+  // geometry, in B
+  Pose X_BF = Pose::Identity();
+  Vector3 p_BTip = Vector3::Zero(), s_B = Vector3::UnitZ(), p_BRcm = Vector3::Zero();
+  Vector3 v_BTip = Vector3::Zero();  ///< measured tip velocity
+  double roll = 0, depth = 0, rcm_error = 0;
+  Vector4 virtual_q = Vector4::Zero();   ///< measured yaw, pitch, insertion, roll
+  Vector4 virtual_qd = Vector4::Zero();  ///< their measured rates
+  Vector4 virtual_set = Vector4::Zero();
+  // set-point and goal, in B
+  Vector3 p_goal = Vector3::Zero(), p_set = Vector3::Zero(), v_set = Vector3::Zero();
+  double roll_goal = 0, roll_set = 0;
+  double jaw_set = 0, jaw = 0;
+  // output
+  double scale = 1;                  ///< alpha
+  const char* limited_by = "";       ///< static string
+  JointVector qd_command;            ///< [rad/s]
+  Vector6 twist_command = Vector6::Zero();
+};
+
+enum class Law { kOurs, kPaper };
+
+/// One arm's controller. Construct once (may allocate), then call step() every dt.
+class Controller {
+ public:
+  struct Options {
+    Law law = Law::kOurs;
+    double dt = 0.002;          ///< [s] control period
+    double feedback_gain = -1;  ///< [1/s] overrides tuning.rcm_gain when >= 0; simulator only
+  };
+  Controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
+             const InstrumentConfig& instrument, const ToolCalibration& tool, const Options& options);
+
+  /// State machine. Takes effect at once; uses the joint state of the last step. kNone: done.
+  Reason request(StateCommand command);
+  /// Teaches the trocar point in B; only DISABLED or PAUSED (F23).
+  Reason set_rcm(const Vector3& p_BRcm);
+  /// FAULT from outside (node: overrun and the like).
+  void fault(Reason reason);
+  void pause(Reason reason);
+
+  /// One control cycle: the whole data line. Never throws, never allocates.
+  const Outputs& step(const Inputs& inputs);
+
+  /// X_BR: the rcm frame (origin trocar, z home shaft axis into the patient, x = base x made
+  /// perpendicular to z). Commands and measured_cp are in it. Identity rotation until homed.
+  const Pose& X_BR() const;
+  /// R_RcmTool of a shaft direction and roll: what measured_cp reports as orientation.
+  Eigen::Quaterniond tool_orientation(const Vector3& s_B, double roll) const;
+  bool rcm_set() const;
+  double dt() const;
+
+ private:
+  struct Impl;
+  Impl* impl_;
+
+ public:
+  ~Controller();
+  Controller(const Controller&) = delete;
+  Controller& operator=(const Controller&) = delete;
+};
+
+}  // namespace surg

@@ -1,0 +1,47 @@
+// The serial chain from base to flange: forward kinematics, geometric Jacobian, inverse velocity.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "surg_core/types.hpp"
+
+namespace surg {
+
+/// A revolute joint: pose of the joint frame in the previous one at q = 0, and its unit axis.
+struct Joint {
+  std::string name;
+  Pose X_PJ = Pose::Identity();
+  Vector3 axis = Vector3::UnitZ();
+};
+
+/// A serial chain of revolute joints with a fixed flange behind the last one.
+class Chain {
+ public:
+  Chain() = default;
+  /// Throws std::invalid_argument for 0 or more than kMaxJoints joints, non-unit axes or non-finite poses.
+  Chain(std::vector<Joint> joints, const Pose& X_LF);
+
+  int dof() const { return static_cast<int>(joints_.size()); }
+  const std::vector<Joint>& joints() const { return joints_; }
+  const Pose& X_LF() const { return X_LF_; }
+
+  /// X_BF at joint positions q [rad].
+  Pose forward(const JointVector& q) const;
+  /// X_BF and the geometric Jacobian of the flange origin, rows v then omega, in B.
+  void forward(const JointVector& q, Pose& X_BF, Jacobian& J) const;
+
+ private:
+  std::vector<Joint> joints_;
+  Pose X_LF_ = Pose::Identity();
+};
+
+/// Joint velocities that give a flange twist: J^-1 for six joints; for more, the pseudo-inverse plus
+/// 'posture' [rad/s] projected into the null space. For fewer than six joints: not supported.
+struct InverseVelocity {
+  JointVector qd;
+  double conditioning = 0;  ///< smallest pivot ratio seen, 0: singular; qd is zero then
+};
+InverseVelocity inverse_velocity(const Jacobian& J, const Vector6& twist, const JointVector& posture);
+
+}  // namespace surg

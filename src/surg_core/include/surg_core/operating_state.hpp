@@ -1,0 +1,69 @@
+// The CRTK operating state with latched reasons (docs/topics.md, "State").
+#pragma once
+
+#include <cstdint>
+
+namespace surg {
+
+enum class State : std::uint8_t { kDisabled = 0, kEnabled = 1, kPaused = 2, kFault = 3 };
+
+/// Why the arm does not do what was asked. 'sentence' turns one into words with the cure.
+enum class Reason : std::uint8_t {
+  kNone = 0,
+  kNotHomed,           // motion before home
+  kNotEnabled,         // motion while not ENABLED
+  kNotFinite,          // F01 NaN or infinity in a command
+  kStateNotFinite,     // F02 NaN or infinity in the measured state
+  kStale,              // F03 stream fell silent
+  kLinkLost,           // F10 no joint state
+  kRcmUnset,           // F22
+  kRcmError,           // F23
+  kRcmWhileEnabled,    // F23 rcm/set_cp refused
+  kStepTooLarge,       // servo step gate
+  kStreamStartTooFar,  // a new pose stream must start near the set-point
+  kOutsideWorkspace,   // target outside depth or cone
+  kWrongFrame,         // frame_id is not the expected one
+  kWrongSize,          // wrong number of joints
+  kNoAuthority,        // F26 somebody else holds the arm
+  kRefusedTransition,  // state command not possible from here
+  kOverrun,            // F27
+  kJointLimit,         // F20
+  kOperator,           // asked for by a person (pause, disable)
+};
+
+/// One sentence for people: what was wrong and what to do.
+const char* sentence(Reason reason);
+/// The short name used in FAULT(name), logs and summary.json.
+const char* name(Reason reason);
+const char* name(State state);
+
+enum class StateCommand : std::uint8_t { kEnable, kDisable, kPause, kResume, kHome, kUnhome };
+
+/// Facts that a transition may depend on.
+struct Conditions {
+  bool state_valid = false;  ///< a fresh, finite joint state is there
+  bool rcm_set = false;      ///< a trocar point is known
+  bool rcm_near = false;     ///< the shaft passes within rcm_error_fault of it
+};
+
+/// CRTK state machine. Nothing resumes by itself.
+class OperatingState {
+ public:
+  State state() const { return state_; }
+  Reason reason() const { return reason_; }
+  bool homed() const { return homed_; }
+
+  /// Asks for a transition. Returns kNone when done, otherwise why it was refused.
+  Reason request(StateCommand command, const Conditions& now);
+  /// Latches FAULT with its cause; the first cause stays.
+  void fault(Reason reason);
+  /// ENABLED -> PAUSED with a reason.
+  void pause(Reason reason);
+
+ private:
+  State state_ = State::kDisabled;
+  Reason reason_ = Reason::kNone;
+  bool homed_ = false;
+};
+
+}  // namespace surg

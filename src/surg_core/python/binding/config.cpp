@@ -1,0 +1,239 @@
+#include "surg_core/config.hpp"
+
+#include <pybind11/stl.h>
+
+#include "convert.hpp"
+#include "surg_core/limits.hpp"
+
+namespace surg::python {
+namespace {
+
+double to_number(const py::handle& item) { return item.cast<double>(); }
+
+bool is_number(const py::handle& item) {
+  return (PyFloat_Check(item.ptr()) || PyLong_Check(item.ptr())) && !PyBool_Check(item.ptr());
+}
+
+// By hand, because pybind11's variant would take the integer 1 for 'true'.
+Value to_value(const std::string& key, const py::handle& item) {
+  if (PyBool_Check(item.ptr())) return item.cast<bool>();
+  if (is_number(item)) return to_number(item);
+  if (py::isinstance<py::str>(item)) return item.cast<std::string>();
+  if (py::isinstance<py::list>(item) || py::isinstance<py::tuple>(item)) {
+    std::vector<double> numbers;
+    std::vector<std::string> words;
+    for (const py::handle& part : item) {
+      if (is_number(part)) {
+        numbers.push_back(to_number(part));
+      } else if (py::isinstance<py::str>(part)) {
+        words.push_back(part.cast<std::string>());
+      } else {
+        throw py::type_error(key + ": a list may hold numbers or texts");
+      }
+    }
+    if (words.empty()) return numbers;
+    if (numbers.empty()) return words;
+    throw py::type_error(key + ": a list may hold numbers or texts, not both");
+  }
+  throw py::type_error(key + ": a bool, number, text or list of numbers or texts is needed");
+}
+
+Document to_document(const std::string& file, const py::dict& values,
+                     const std::map<std::string, int>& lines) {
+  Document document{file, {}, lines};
+  for (const auto& [key, value] : values) {
+    const auto name = key.cast<std::string>();
+    document.values[name] = to_value(name, value);
+  }
+  return document;
+}
+
+template <typename T, typename Member>
+struct Field {
+  const char* name;
+  Member T::*member;
+};
+
+constexpr Field<Limits, double> kLimits[] = {
+    {"tip_velocity", &Limits::tip_velocity},
+    {"tip_acceleration", &Limits::tip_acceleration},
+    {"tip_jerk", &Limits::tip_jerk},
+    {"pivot_velocity", &Limits::pivot_velocity},
+    {"pivot_acceleration", &Limits::pivot_acceleration},
+    {"pivot_jerk", &Limits::pivot_jerk},
+    {"roll_velocity", &Limits::roll_velocity},
+    {"roll_acceleration", &Limits::roll_acceleration},
+    {"roll_jerk", &Limits::roll_jerk},
+    {"flange_velocity", &Limits::flange_velocity},
+    {"cone", &Limits::cone},
+    {"depth_min", &Limits::depth_min},
+    {"depth_slow", &Limits::depth_slow},
+    {"depth_max", &Limits::depth_max},
+    {"stop_deceleration", &Limits::stop_deceleration},
+    {"step_slack", &Limits::step_slack},
+    {"step_roll_slack", &Limits::step_roll_slack},
+    {"step_dt_max", &Limits::step_dt_max},
+    {"rcm_error_warn", &Limits::rcm_error_warn},
+    {"rcm_error_fault", &Limits::rcm_error_fault},
+    {"joint_margin", &Limits::joint_margin},
+};
+// A limit added to the struct must appear here too.
+static_assert(sizeof(Limits) == sizeof(kLimits) / sizeof(kLimits[0]) * sizeof(double));
+
+constexpr Field<Tuning, double> kTuning[] = {
+    {"rcm_gain", &Tuning::rcm_gain},
+    {"tip_gain", &Tuning::tip_gain},
+    {"roll_gain", &Tuning::roll_gain},
+    {"posture_gain", &Tuning::posture_gain},
+    {"profiler_duration", &Tuning::profiler_duration},
+    {"servo_timeout", &Tuning::servo_timeout},
+    {"link_timeout", &Tuning::link_timeout},
+};
+static_assert(sizeof(Tuning) == sizeof(kTuning) / sizeof(kTuning[0]) * sizeof(double));
+
+template <typename T, std::size_t n>
+py::class_<T> bind_numbers(py::module_& m, const char* name, const char* text,
+                           const Field<T, double> (&fields)[n]) {
+  py::class_<T> type(m, name, text);
+  for (const auto& field : fields) type.def_readonly(field.name, field.member);
+  const Field<T, double>* first = fields;  // static storage
+  type.def(
+      "as_dict",
+      [first](const T& self) {
+        py::dict values;
+        for (std::size_t i = 0; i < n; ++i) values[first[i].name] = self.*first[i].member;
+        return values;
+      },
+      "Name -> value, SI.");
+  type.def("__repr__", [name, first](const T& self) {
+    std::string text = std::string(name) + "(";
+    for (std::size_t i = 0; i < n; ++i) {
+      text += (i ? ", " : "") + std::string(first[i].name) + "=" +
+              py::repr(py::float_(self.*first[i].member)).cast<std::string>();
+    }
+    return text + ")";
+  });
+  return type;
+}
+
+void bind_robot(py::module_& m) {
+  py::enum_<Command>(m, "Command", "What a robot link obeys.")
+      .value("JOINT_VELOCITY", Command::kJointVelocity)
+      .value("CARTESIAN_VELOCITY", Command::kCartesianVelocity);
+
+  const auto joints = [](JointVector RobotConfig::*member) {
+    return [member](const RobotConfig& self) { return frozen(from_matrix(self.*member)); };
+  };
+  py::class_<RobotConfig>(m, "RobotConfig", "One robot's YAML. Arrays have one value per joint.")
+      .def_readonly("file", &RobotConfig::file)
+      .def_readonly("name", &RobotConfig::name)
+      .def_readonly("urdf", &RobotConfig::urdf, "As written: relative to the file's folder.")
+      .def_readonly("base_link", &RobotConfig::base_link)
+      .def_readonly("flange_link", &RobotConfig::flange_link)
+      .def_readonly("command", &RobotConfig::command)
+      .def_property_readonly(
+          "joint_names",
+          [](const RobotConfig& self) { return py::tuple(py::cast(self.joint_names)); })
+      .def_property_readonly("home", joints(&RobotConfig::home), "[rad]")
+      .def_property_readonly("position_min", joints(&RobotConfig::position_min), "[rad]")
+      .def_property_readonly("position_max", joints(&RobotConfig::position_max), "[rad]")
+      .def_property_readonly("velocity", joints(&RobotConfig::velocity), "[rad/s]")
+      .def_property_readonly("acceleration", joints(&RobotConfig::acceleration), "[rad/s^2]")
+      .def_property_readonly("limits", [](const RobotConfig& self) { return self.limits; })
+      .def_property_readonly("tuning", [](const RobotConfig& self) { return self.tuning; });
+}
+
+void bind_calibrations(py::module_& m) {
+  py::class_<InstrumentConfig>(m, "InstrumentConfig", "One instrument's YAML. Jaw angles [rad].")
+      .def_readonly("file", &InstrumentConfig::file)
+      .def_readonly("name", &InstrumentConfig::name)
+      .def_readonly("urdf", &InstrumentConfig::urdf, "As written: relative to the file's folder.")
+      .def_readonly("mount_link", &InstrumentConfig::mount_link)
+      .def_readonly("tip_link", &InstrumentConfig::tip_link)
+      .def_readonly("jaw_min", &InstrumentConfig::jaw_min, "Closed.")
+      .def_readonly("jaw_max", &InstrumentConfig::jaw_max)
+      .def_readonly("jaw_velocity", &InstrumentConfig::jaw_velocity, "[rad/s]");
+
+  py::class_<ToolCalibration>(m, "ToolCalibration", "Shaft axis and tip in the flange frame.")
+      .def_property_readonly(
+          "s_F", [](const ToolCalibration& t) { return frozen(from_matrix(t.s_F)); }, "Unit, (3,).")
+      .def_property_readonly(
+          "p_FTip", [](const ToolCalibration& t) { return frozen(from_matrix(t.p_FTip)); },
+          "[m] (3,)")
+      .def_readonly("residual", &ToolCalibration::residual, "[m]")
+      .def_readonly("condition", &ToolCalibration::condition)
+      .def_readonly("n", &ToolCalibration::n)
+      .def_readonly("date", &ToolCalibration::date);
+
+  py::class_<TrocarCalibration>(m, "TrocarCalibration", "Taught trocar point in the robot base.")
+      .def_property_readonly(
+          "p_BRcm", [](const TrocarCalibration& t) { return frozen(from_matrix(t.p_BRcm)); },
+          "[m] (3,)")
+      .def_readonly("residual", &TrocarCalibration::residual, "[m]")
+      .def_readonly("condition", &TrocarCalibration::condition)
+      .def_readonly("n", &TrocarCalibration::n)
+      .def_readonly("date", &TrocarCalibration::date);
+}
+
+void bind_cell(py::module_& m) {
+  py::class_<CellArm>(m, "CellArm", "One arm as cell.yaml states it.")
+      .def_readonly("name", &CellArm::name)
+      .def_readonly("robot", &CellArm::robot, "As written: relative to the cell file's folder.")
+      .def_readonly("instrument", &CellArm::instrument)
+      .def_readonly("link", &CellArm::link)
+      .def_property_readonly(
+          "base_xyz", [](const CellArm& a) { return frozen(from_matrix(a.base_xyz)); }, "[m] (3,)")
+      .def_property_readonly(
+          "base_rpy", [](const CellArm& a) { return frozen(from_matrix(a.base_rpy)); },
+          "[rad] (3,)")
+      .def_property_readonly("limits", [](const CellArm& a) { return a.limits; });
+
+  py::class_<CellConfig>(m, "CellConfig", "A user's whole system: cell.yaml.")
+      .def_readonly("file", &CellConfig::file)
+      .def_readonly("name", &CellConfig::name)
+      .def_readonly("network", &CellConfig::network)
+      .def_property_readonly("arms",
+                             [](const CellConfig& c) { return py::tuple(py::cast(c.arms)); });
+}
+
+}  // namespace
+
+void bind_config(py::module_& m) {
+  py::register_exception<ConfigError>(m, "ConfigError", PyExc_ValueError).doc() =
+      "A configuration that must not be used: file, key, value, what is allowed.";
+
+  py::class_<Document>(m, "Document", "A YAML file flattened to dotted keys.")
+      .def(py::init(&to_document), py::arg("file"), py::arg("values"),
+           py::arg("lines") = std::map<std::string, int>(),
+           "file: shown in errors; values: key -> bool, number, text or list of numbers or texts;\n"
+           "lines: key -> line, from 1.")
+      .def_readonly("file", &Document::file)
+      .def_property_readonly("values", [](const Document& d) { return d.values; })
+      .def_property_readonly("lines", [](const Document& d) { return d.lines; });
+
+  bind_numbers(m, "Limits", "Every limit of an arm, SI (docs/safety.md).", kLimits);
+  bind_numbers(m, "Tuning", "Gains [1/s] and times [s] of the controller.", kTuning);
+  bind_robot(m);
+  bind_calibrations(m);
+  bind_cell(m);
+
+  const char* text = "Checks the document against the schema. Raises ConfigError.";
+  m.def("parse_robot", &parse_robot, py::arg("document"), text);
+  m.def("parse_instrument", &parse_instrument, py::arg("document"), text);
+  m.def("parse_tool", &parse_tool, py::arg("document"), text);
+  m.def("parse_trocar", &parse_trocar, py::arg("document"), text);
+  m.def("parse_cell", &parse_cell, py::arg("document"), text);
+  m.def("tighten", &tighten, py::arg("limits"), py::arg("arm"), py::arg("cell_file"),
+        "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");
+  m.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),
+        "16 hex digits over every value that moves the arm (FNV-1a).");
+  m.def(
+      "inside_workspace",
+      [](const Limits& limits, const Array& p_RTip) {
+        return inside_workspace(limits, to_vector3(p_RTip, "p_RTip"));
+      },
+      py::arg("limits"), py::arg("p_RTip"),
+      "Whether a tip target (3,) in the rcm frame lies within the depth range and the cone.");
+}
+
+}  // namespace surg::python

@@ -1,0 +1,63 @@
+// numpy <-> Eigen for the binding. Every shape is checked here: Eigen itself would not, in a
+// Release build.
+#pragma once
+
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+
+#include <initializer_list>
+#include <string>
+
+#include "surg_core/types.hpp"
+
+namespace surg::python {
+
+namespace py = pybind11;
+
+/// float64, C order; made from whatever numpy understands.
+using Array = py::array_t<double, py::array::c_style | py::array::forcecast>;
+
+std::string shape_of(const Array& array);
+/// Throws ValueError naming the argument unless the array has this shape.
+void check_shape(const Array& array, std::initializer_list<py::ssize_t> shape, const char* name);
+
+Vector3 to_vector3(const Array& array, const char* name);
+Vector4 to_vector4(const Array& array, const char* name);
+Vector6 to_vector6(const Array& array, const char* name);
+Matrix3 to_matrix3(const Array& array, const char* name);
+/// (n,) with n == size.
+JointVector to_joints(const Array& array, int size, const char* name);
+/// (6, n) with n <= kMaxJoints.
+Jacobian to_jacobian(const Array& array, const char* name);
+/// (4, 4) homogeneous, with a rotation in it and 0 0 0 1 below.
+Pose to_pose(const Array& array, const char* name);
+
+Array from_pose(const Pose& X);
+
+/// A new array of the matrix's own shape: (n,) for a vector, (rows, cols) otherwise.
+template <typename Derived>
+Array from_matrix(const Eigen::MatrixBase<Derived>& matrix) {
+  if constexpr (Derived::ColsAtCompileTime == 1) {
+    Array array(matrix.rows());
+    for (Eigen::Index i = 0; i < matrix.rows(); ++i) array.mutable_at(i) = matrix(i);
+    return array;
+  } else {
+    Array array({matrix.rows(), matrix.cols()});
+    for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
+      for (Eigen::Index k = 0; k < matrix.cols(); ++k) array.mutable_at(i, k) = matrix(i, k);
+    }
+    return array;
+  }
+}
+
+/// The array, no longer writeable: for the attributes of frozen objects.
+Array frozen(Array array);
+
+// One per file of the binding.
+void bind_kinematics(py::module_& m);
+void bind_motion(py::module_& m);
+void bind_rcm(py::module_& m);
+void bind_config(py::module_& m);
+void bind_controller(py::module_& m);
+
+}  // namespace surg::python

@@ -1,0 +1,74 @@
+#include "surg_core/kinematics.hpp"
+
+#include <pybind11/stl.h>
+
+#include <optional>
+
+#include "convert.hpp"
+
+namespace surg::python {
+
+void bind_kinematics(py::module_& m) {
+  m.attr("MAX_JOINTS") = kMaxJoints;
+
+  py::class_<Joint>(m, "Joint",
+                    "A revolute joint: its frame in the previous one at q = 0, its axis.")
+      .def(py::init([](std::string name, const Array& X_PJ, const Array& axis) {
+             return Joint{std::move(name), to_pose(X_PJ, "X_PJ"), to_vector3(axis, "axis")};
+           }),
+           py::arg("name"), py::arg("X_PJ"), py::arg("axis"),
+           "name, X_PJ (4, 4), unit axis (3,) in the joint frame.")
+      .def_readonly("name", &Joint::name)
+      .def_property_readonly("X_PJ", [](const Joint& j) { return frozen(from_pose(j.X_PJ)); })
+      .def_property_readonly("axis", [](const Joint& j) { return frozen(from_matrix(j.axis)); });
+
+  py::class_<Chain>(m, "Chain", "A serial chain of revolute joints with a fixed flange at its end.")
+      .def(py::init([](std::vector<Joint> joints, const Array& X_LF) {
+             return Chain(std::move(joints), to_pose(X_LF, "X_LF"));
+           }),
+           py::arg("joints"), py::arg("X_LF"),
+           "joints in order from the base; X_LF (4, 4): flange in the last joint's frame.\n\n"
+           "Raises ValueError for no joint, too many, a non-unit axis or a broken pose.")
+      .def_property_readonly("dof", &Chain::dof)
+      .def_property_readonly("joints", [](const Chain& chain) { return chain.joints(); })
+      .def_property_readonly("X_LF", [](const Chain& c) { return frozen(from_pose(c.X_LF())); })
+      .def(
+          "forward",
+          [](const Chain& chain, const Array& q) {
+            return from_pose(chain.forward(to_joints(q, chain.dof(), "q")));
+          },
+          py::arg("q"), "X_BF (4, 4): the flange in the base at joint positions q (n,) [rad].")
+      .def(
+          "jacobian",
+          [](const Chain& chain, const Array& q) {
+            Pose X_BF;
+            Jacobian J;
+            chain.forward(to_joints(q, chain.dof(), "q"), X_BF, J);
+            return from_matrix(J);
+          },
+          py::arg("q"),
+          "Geometric Jacobian (6, n) of the flange origin in the base: rows v, then omega.");
+
+  py::class_<InverseVelocity>(m, "InverseVelocity", "Result of inverse_velocity.")
+      .def_property_readonly("qd", [](const InverseVelocity& r) { return from_matrix(r.qd); })
+      .def_readonly("conditioning", &InverseVelocity::conditioning,
+                    "Smallest over largest pivot; 0: singular, and qd is zero.");
+
+  m.def(
+      "inverse_velocity",
+      [](const Array& J_array, const Array& twist, const std::optional<Array>& posture) {
+        const Jacobian J = to_jacobian(J_array, "J");
+        const int n = static_cast<int>(J.cols());
+        if (n < 6) throw py::value_error("J: at least six joints are needed");
+        JointVector pull = JointVector::Zero(n);
+        if (posture) pull = to_joints(*posture, n, "posture");
+        return inverse_velocity(J, to_vector6(twist, "twist"), pull);
+      },
+      py::arg("J"), py::arg("twist"), py::arg("posture") = py::none(),
+      "Joint velocities (n,) [rad/s] for a flange twist (6,), v then omega.\n\n"
+      "Six joints: the inverse. More: the pseudo-inverse plus 'posture' (n,) [rad/s] projected "
+      "into\n"
+      "the null space. Fewer: ValueError.");
+}
+
+}  // namespace surg::python

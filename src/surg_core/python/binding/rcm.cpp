@@ -1,0 +1,133 @@
+#include "surg_core/rcm.hpp"
+
+#include "convert.hpp"
+
+namespace surg::python {
+namespace {
+
+void bind_law(py::module_& m) {
+  py::class_<ShaftState>(m, "ShaftState", "Where the instrument is relative to its trocar, in B.")
+      .def_property_readonly("p_BF", [](const ShaftState& s) { return from_matrix(s.p_BF); })
+      .def_property_readonly("p_BTip", [](const ShaftState& s) { return from_matrix(s.p_BTip); })
+      .def_property_readonly(
+          "s", [](const ShaftState& s) { return from_matrix(s.s); }, "Unit shaft axis, to the tip.")
+      .def_property_readonly(
+          "e", [](const ShaftState& s) { return from_matrix(s.e); },
+          "Lateral vector from the shaft to the trocar; |e| is the RCM deviation [m].")
+      .def_property_readonly("p_BNear", [](const ShaftState& s) { return from_matrix(s.p_BNear); })
+      .def_readonly("depth", &ShaftState::depth, "Insertion depth [m], positive inside.")
+      .def("__repr__", [](const ShaftState& s) {
+        return py::str("ShaftState(depth={!r} m, deviation={!r} m)").format(s.depth, s.e.norm());
+      });
+
+  m.def(
+      "shaft_state",
+      [](const Array& X_BF, const Array& s_F, const Array& p_FTip, const Array& p_BRcm) {
+        return shaft_state(to_pose(X_BF, "X_BF"),
+                           {to_vector3(s_F, "s_F"), to_vector3(p_FTip, "p_FTip")},
+                           to_vector3(p_BRcm, "p_BRcm"));
+      },
+      py::arg("X_BF"), py::arg("s_F"), py::arg("p_FTip"), py::arg("p_BRcm"),
+      "Shaft and trocar from the flange pose (4, 4), the tool calibration (3,), (3,) in F and the\n"
+      "trocar (3,) in B.");
+  m.def(
+      "rcm_twist",
+      [](const ShaftState& shaft, const Array& v_BTip, double roll_rate, const Array& v_BRcm,
+         double gain, double depth_floor) {
+        return from_matrix(rcm_twist(shaft, to_vector3(v_BTip, "v_BTip"), roll_rate,
+                                     to_vector3(v_BRcm, "v_BRcm"), gain, depth_floor));
+      },
+      py::arg("shaft"), py::arg("v_BTip"), py::arg("roll_rate"), py::arg("v_BRcm"), py::arg("gain"),
+      py::arg("depth_floor"),
+      "Flange twist (6,), v then omega in B, for a tip velocity (3,) [m/s], a roll rate about the\n"
+      "shaft [rad/s], the trocar's velocity (3,), lateral feedback [1/s]; depth_floor > 0 [m] "
+      "bounds\n"
+      "1/depth.");
+  m.def(
+      "paper_cartesian_twist",
+      [](const Array& p_ee, const Array& p_tip, const Array& p_rcm, const Array& v_tip,
+         double roll_rate) {
+        return from_matrix(paper_cartesian_twist(
+            to_vector3(p_ee, "p_ee"), to_vector3(p_tip, "p_tip"), to_vector3(p_rcm, "p_rcm"),
+            to_vector3(v_tip, "v_tip"), roll_rate));
+      },
+      py::arg("p_ee"), py::arg("p_tip"), py::arg("p_rcm"), py::arg("v_tip"), py::arg("roll_rate"),
+      "The paper's equations (1)-(7) exactly as printed: twist (6,), v then omega.");
+  m.def(
+      "paper_spherical_twist",
+      [](const Array& p_ee, const Array& p_rcm, double pitch_rate, double yaw_rate,
+         double roll_rate, double v_trans) {
+        return from_matrix(paper_spherical_twist(to_vector3(p_ee, "p_ee"),
+                                                 to_vector3(p_rcm, "p_rcm"), pitch_rate, yaw_rate,
+                                                 roll_rate, v_trans));
+      },
+      py::arg("p_ee"), py::arg("p_rcm"), py::arg("pitch_rate"), py::arg("yaw_rate"),
+      py::arg("roll_rate"), py::arg("v_trans"),
+      "The paper's equations (8)-(9) exactly as printed: twist (6,), v then omega.");
+}
+
+void bind_angles(py::module_& m) {
+  m.def(
+      "shaft_direction",
+      [](double yaw, double pitch) { return from_matrix(shaft_direction(yaw, pitch)); },
+      py::arg("yaw"), py::arg("pitch"),
+      "(sin yaw cos pitch, sin pitch, cos yaw cos pitch) in the rcm frame.");
+  m.def(
+      "shaft_angles",
+      [](const Array& s_R) {
+        const Eigen::Vector2d angles = shaft_angles(to_vector3(s_R, "s_R"));
+        return py::make_tuple(angles[0], angles[1]);
+      },
+      py::arg("s_R"), "(yaw, pitch) [rad] of a unit direction (3,) in the rcm frame.");
+  m.def(
+      "shaft_direction_rate",
+      [](double yaw, double pitch, double yaw_rate, double pitch_rate) {
+        return from_matrix(shaft_direction_rate(yaw, pitch, yaw_rate, pitch_rate));
+      },
+      py::arg("yaw"), py::arg("pitch"), py::arg("yaw_rate"), py::arg("pitch_rate"),
+      "d(shaft_direction)/dt (3,) for given rates [rad/s].");
+  m.def(
+      "rcm_frame",
+      [](const Array& s_home, const Array& p_BRcm) {
+        return from_pose(rcm_frame(to_vector3(s_home, "s_home"), to_vector3(p_BRcm, "p_BRcm")));
+      },
+      py::arg("s_home"), py::arg("p_BRcm"),
+      "X_BR (4, 4): origin at the trocar, z = the home shaft axis into the patient, x = base x "
+      "made\n"
+      "perpendicular to z (base y where base x runs along the shaft).");
+}
+
+void bind_roll(py::module_& m) {
+  m.def(
+      "minimal_rotation",
+      [](const Array& a, const Array& b) {
+        return from_matrix(minimal_rotation(to_vector3(a, "a"), to_vector3(b, "b")));
+      },
+      py::arg("a"), py::arg("b"), "Rotation (3, 3) of least angle taking unit a to unit b.");
+  m.def(
+      "absolute_roll",
+      [](const Array& R, const Array& R_home, const Array& s_home, const Array& s) {
+        return absolute_roll(to_matrix3(R, "R"), to_matrix3(R_home, "R_home"),
+                             to_vector3(s_home, "s_home"), to_vector3(s, "s"));
+      },
+      py::arg("R"), py::arg("R_home"), py::arg("s_home"), py::arg("s"),
+      "psi in R = minimal_rotation(s_home, s) exp(psi s_home) R_home, in (-pi, pi].");
+  m.def(
+      "roll_holonomy_rate",
+      [](const Array& s_home, const Array& s, const Array& s_dot) {
+        return roll_holonomy_rate(to_vector3(s_home, "s_home"), to_vector3(s, "s"),
+                                  to_vector3(s_dot, "s_dot"));
+      },
+      py::arg("s_home"), py::arg("s"), py::arg("s_dot"),
+      "omega . s [rad/s] that keeps psi constant while the shaft turns with s_dot.");
+}
+
+}  // namespace
+
+void bind_rcm(py::module_& m) {
+  bind_law(m);
+  bind_angles(m);
+  bind_roll(m);
+}
+
+}  // namespace surg::python

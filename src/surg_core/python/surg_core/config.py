@@ -1,0 +1,270 @@
+"""Reads robot, instrument, calibration and cell files; the schema itself is C++ (``config.cpp``).
+
+A file is parsed into PyYAML's node tree (no objects are ever constructed) and flattened to dotted
+keys, with the line of each key. Plain scalars are read by the rules of YAML 1.2, as the C++ nodes
+read them: numbers are numbers also in the form ``1e-3``, ``true`` and ``false`` are truth values,
+everything else is text, dates included.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import yaml  # type: ignore[import]
+
+from surg_core._core import (
+    CellConfig,
+    Chain,
+    ConfigError,
+    Document,
+    InstrumentConfig,
+    Limits,
+    RobotConfig,
+    ToolCalibration,
+    TrocarCalibration,
+    parse_cell,
+    parse_instrument,
+    parse_robot,
+    parse_tool,
+    parse_trocar,
+    tighten,
+)
+from surg_core.transforms import FloatArray, make_pose
+from surg_core.urdf import chain_from_urdf, fixed_transform
+
+PathLike = str | os.PathLike[str]
+Value = bool | float | str | list[float] | list[str]
+
+_MOST_KEYS = 10_000  # a few nested aliases could otherwise unfold without end
+_NUMBER = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
+_NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm of a cell with everything that its nodes need.
+
+    Attributes:
+        name: CRTK name, for example ``PSM1``.
+        link: what moves it, for example ``simulator``.
+        robot: the robot's YAML.
+        instrument: the instrument's YAML.
+        limits: the robot's limits with the cell's tightened ones put in.
+        tool: calibrated shaft axis and tip in the flange frame.
+        trocar: taught trocar point in the robot base frame.
+        X_WB: ``(4, 4)`` robot base in the world, read-only.
+        chain: joints from base link to flange link.
+        urdf_path: the robot's URDF, absolute.
+        instrument_urdf: the instrument's URDF, absolute.
+    """
+
+    name: str
+    link: str
+    robot: RobotConfig
+    instrument: InstrumentConfig
+    limits: Limits
+    tool: ToolCalibration
+    trocar: TrocarCalibration
+    X_WB: FloatArray
+    chain: Chain
+    urdf_path: Path
+    instrument_urdf: Path
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A user's whole system, read once.
+
+    Attributes:
+        config: what cell.yaml states.
+        arms: arms by name, in the file's sorted order.
+        folder: the cell's folder, absolute.
+    """
+
+    config: CellConfig
+    arms: Mapping[str, Arm]
+    folder: Path
+
+
+def load_robot(path: PathLike) -> RobotConfig:
+    """Reads a robot YAML.
+
+    Raises:
+        ConfigError: with file, line, key, value and what is allowed.
+    """
+    return parse_robot(read_document(path))
+
+
+def load_instrument(path: PathLike) -> InstrumentConfig:
+    """Reads an instrument YAML; errors as :func:`load_robot`."""
+    return parse_instrument(read_document(path))
+
+
+def load_tool(path: PathLike) -> ToolCalibration:
+    """Reads a tool calibration; errors as :func:`load_robot`."""
+    return parse_tool(read_document(path))
+
+
+def load_trocar(path: PathLike) -> TrocarCalibration:
+    """Reads a trocar calibration; errors as :func:`load_robot`."""
+    return parse_trocar(read_document(path))
+
+
+def load_cell(path: PathLike) -> Cell:
+    """Reads a cell with everything it refers to.
+
+    Args:
+        path: the cell's folder, or its cell.yaml.
+
+    Raises:
+        ConfigError: as :func:`load_robot`, for the cell or any file it names.
+    """
+    file = Path(path)
+    if file.is_dir():
+        file = file / "cell.yaml"
+    file = file.absolute()
+    config = parse_cell(read_document(file))
+    arms: dict[str, Arm] = {}
+    for stated in config.arms:
+        robot_file = _beside(file, stated.robot)
+        instrument_file = _beside(file, stated.instrument)
+        robot = load_robot(robot_file)
+        instrument = load_instrument(instrument_file)
+        urdf = _beside(robot_file, robot.urdf)
+        instrument_urdf = _beside(instrument_file, instrument.urdf)
+        try:
+            chain = chain_from_urdf(urdf, robot.base_link, robot.flange_link, robot.joint_names)
+        except ConfigError as error:
+            raise ConfigError(f"{robot_file}: urdf: {error}") from error
+        try:
+            fixed_transform(instrument_urdf, instrument.mount_link, instrument.tip_link)
+        except ConfigError as error:
+            raise ConfigError(f"{instrument_file}: urdf: {error}") from error
+        X_WB = make_pose(stated.base_xyz, stated.base_rpy)
+        X_WB.setflags(write=False)
+        arms[stated.name] = Arm(
+            name=stated.name,
+            link=stated.link,
+            robot=robot,
+            instrument=instrument,
+            limits=tighten(robot.limits, stated, str(file)),
+            tool=load_tool(file.parent / "calibration" / f"tool_{stated.name}.yaml"),
+            trocar=load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml"),
+            X_WB=X_WB,
+            chain=chain,
+            urdf_path=urdf,
+            instrument_urdf=instrument_urdf,
+        )
+    return Cell(config=config, arms=MappingProxyType(arms), folder=file.parent)
+
+
+def _beside(file: Path, name: str) -> Path:
+    """A path that a file states relative to its own folder."""
+    return (file.parent / name).resolve()
+
+
+def read_document(path: PathLike) -> Document:
+    """Reads and flattens a YAML file.
+
+    Raises:
+        ConfigError: for a file that is missing, unreadable, no YAML, not a mapping, or that says
+            a key twice.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not UTF-8 text: {error.reason}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    values, lines = flatten(text, str(path))
+    return Document(str(path), values, lines)
+
+
+def flatten(text: str, file: str) -> tuple[dict[str, Value], dict[str, int]]:
+    """YAML text as ``{"limits.cone": 1.0, ...}`` and the line, from 1, of each key.
+
+    Args:
+        text: one YAML document.
+        file: named in errors.
+
+    Raises:
+        ConfigError: see :func:`read_document`.
+    """
+    try:
+        root = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"{file}:{mark.line + 1}" if mark else file
+        raise ConfigError(f"{where}: is not YAML: {error.problem or error}") from error
+    except yaml.YAMLError as error:  # characters that YAML does not allow
+        raise ConfigError(f"{file}: is not YAML: {error}") from error
+    except RecursionError as error:
+        raise ConfigError(f"{file}: is nested too deeply") from error
+    if not isinstance(root, yaml.MappingNode):
+        raise ConfigError(f"{file}: is not a mapping; 'key: value' lines are needed")
+    values: dict[str, Value] = {}
+    lines: dict[str, int] = {}
+    _flatten(root, "", file, values, lines, [])
+    return values, lines
+
+
+def _flatten(
+    node: yaml.MappingNode,
+    prefix: str,
+    file: str,
+    values: dict[str, Value],
+    lines: dict[str, int],
+    above: list[yaml.Node],
+) -> None:
+    for key_node, value_node in node.value:
+        line = key_node.start_mark.line + 1
+        name = key_node.value if isinstance(key_node, yaml.ScalarNode) else ""
+        if not name or "." in name:
+            raise ConfigError(f"{file}:{line}: {prefix}{name}: a key must be a text without dots")
+        key = prefix + name
+        if key in lines:
+            raise ConfigError(f"{file}:{line}: {key}: is said twice; first in line {lines[key]}")
+        if len(lines) >= _MOST_KEYS:
+            raise ConfigError(f"{file}:{line}: {key}: more than {_MOST_KEYS} keys")
+        lines[key] = line
+        if isinstance(value_node, yaml.MappingNode):
+            if value_node in above:
+                raise ConfigError(f"{file}:{line}: {key}: contains itself")
+            _flatten(value_node, key + ".", file, values, lines, [*above, node, value_node])
+        elif isinstance(value_node, yaml.SequenceNode):
+            values[key] = _list(value_node, f"{file}:{line}: {key}")
+        else:
+            values[key] = _scalar(value_node, f"{file}:{line}: {key}")
+
+
+def _list(node: yaml.SequenceNode, where: str) -> list[float] | list[str]:
+    items = [
+        _scalar(item, where) if isinstance(item, yaml.ScalarNode) else None for item in node.value
+    ]
+    numbers = [item for item in items if isinstance(item, float)]
+    texts = [item for item in items if isinstance(item, str)]
+    if len(numbers) == len(items):
+        return numbers
+    if len(texts) == len(items):
+        return texts
+    raise ConfigError(f"{where}: a list may hold numbers or texts, all of one kind")
+
+
+def _scalar(node: yaml.ScalarNode, where: str) -> bool | float | str:
+    text: str = node.value
+    if node.style is not None:  # quoted or block: text, whatever it looks like
+        return text
+    if text in ("", "~", "null", "Null", "NULL"):
+        raise ConfigError(f"{where}: is empty; a value is needed")
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    if _NUMBER.fullmatch(text):
+        return float(text)
+    if _NOT_FINITE.fullmatch(text):
+        return float(text.replace(".", "", 1))
+    return text

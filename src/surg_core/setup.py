@@ -1,0 +1,11 @@
+"""Tells catkin where the pure Python part is. pip does not use this file: see pyproject.toml."""
+
+from setuptools import setup
+
+setup(
+    name="surg_core",
+    version="0.1.0",
+    packages=["surg_core"],
+    package_dir={"": "python"},
+    package_data={"surg_core": ["py.typed", "*.pyi"]},
+)

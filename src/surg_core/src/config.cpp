@@ -1,0 +1,435 @@
+#include "surg_core/config.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstring>
+#include <initializer_list>
+#include <limits>
+#include <set>
+
+namespace surg {
+namespace {
+
+constexpr double kInf = std::numeric_limits<double>::infinity();
+
+/// Which direction makes a limit tighter.
+enum class Tighter { kSmaller, kLarger };
+
+/// One limit: its name, where it lives, the compiled-in range and unit. No YAML can exceed the range.
+struct LimitKey {
+  const char* name;
+  double Limits::*member;
+  double lowest, highest;
+  const char* unit;
+  Tighter tighter = Tighter::kSmaller;
+};
+
+constexpr LimitKey kLimitKeys[] = {
+    {"tip_velocity", &Limits::tip_velocity, 1e-3, 0.5, "m/s"},
+    {"tip_acceleration", &Limits::tip_acceleration, 1e-2, 10.0, "m/s^2"},
+    {"tip_jerk", &Limits::tip_jerk, 0.1, 400.0, "m/s^3"},
+    {"pivot_velocity", &Limits::pivot_velocity, 1e-2, 3.0, "rad/s"},
+    {"pivot_acceleration", &Limits::pivot_acceleration, 0.1, 80.0, "rad/s^2"},
+    {"pivot_jerk", &Limits::pivot_jerk, 1.0, 3000.0, "rad/s^3"},
+    {"roll_velocity", &Limits::roll_velocity, 1e-2, 6.0, "rad/s"},
+    {"roll_acceleration", &Limits::roll_acceleration, 0.1, 100.0, "rad/s^2"},
+    {"roll_jerk", &Limits::roll_jerk, 1.0, 5000.0, "rad/s^3"},
+    {"flange_velocity", &Limits::flange_velocity, 1e-3, 0.5, "m/s"},
+    {"cone", &Limits::cone, 0.05, 1.3, "rad"},
+    {"depth_min", &Limits::depth_min, 0.01, 0.1, "m", Tighter::kLarger},
+    {"depth_slow", &Limits::depth_slow, 0.015, 0.15, "m", Tighter::kLarger},
+    {"depth_max", &Limits::depth_max, 0.05, 0.4, "m"},
+    {"stop_deceleration", &Limits::stop_deceleration, 0.5, 20.0, "m/s^2", Tighter::kLarger},
+    {"step_slack", &Limits::step_slack, 1e-4, 0.005, "m"},
+    {"step_roll_slack", &Limits::step_roll_slack, 1e-3, 0.1, "rad"},
+    {"step_dt_max", &Limits::step_dt_max, 0.002, 0.2, "s"},
+    {"rcm_error_warn", &Limits::rcm_error_warn, 1e-5, 0.002, "m"},
+    {"rcm_error_fault", &Limits::rcm_error_fault, 1e-4, 0.005, "m"},
+    {"joint_margin", &Limits::joint_margin, 0.01, 0.5, "rad", Tighter::kLarger},
+};
+
+struct TuningKey {
+  const char* name;
+  double Tuning::*member;
+  double lowest, highest;
+  const char* unit;
+};
+
+constexpr TuningKey kTuningKeys[] = {
+    // 150 /s diverged against 10 ms of delay; the ceiling leaves a factor of two.
+    {"rcm_gain", &Tuning::rcm_gain, 1.0, 75.0, "1/s"},
+    {"tip_gain", &Tuning::tip_gain, 0.0, 50.0, "1/s"},
+    {"roll_gain", &Tuning::roll_gain, 0.0, 50.0, "1/s"},
+    {"posture_gain", &Tuning::posture_gain, 0.0, 10.0, "1/s"},
+    {"profiler_duration", &Tuning::profiler_duration, 0.05, 5.0, "s"},
+    {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
+    {"link_timeout", &Tuning::link_timeout, 0.01, 0.2, "s"},
+};
+
+std::string number(double value) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%.6g", value);
+  return text;
+}
+
+std::string show(const Value& value) {
+  if (const auto* b = std::get_if<bool>(&value)) return *b ? "true" : "false";
+  if (const auto* d = std::get_if<double>(&value)) return number(*d);
+  if (const auto* s = std::get_if<std::string>(&value)) return "'" + *s + "'";
+  std::string text = "[";
+  if (const auto* list = std::get_if<std::vector<double>>(&value)) {
+    for (double item : *list) text += (text.size() > 1 ? ", " : "") + number(item);
+  } else {
+    for (const auto& item : std::get<std::vector<std::string>>(value)) {
+      text += (text.size() > 1 ? ", '" : "'") + item + "'";
+    }
+  }
+  return text + "]";
+}
+
+/// Reads a document key by key, remembers what was asked for, and refuses what was not.
+class Reader {
+ public:
+  Reader(const Document& document, const char* format) : document_(document) {
+    choice("format", {format});
+  }
+
+  [[noreturn]] void fail(const std::string& key, const std::string& problem) const {
+    std::string where = document_.file;
+    const auto line = document_.lines.find(key);
+    if (line != document_.lines.end()) where += ":" + std::to_string(line->second);
+    throw ConfigError(where + ": " + key + ": " + problem);
+  }
+
+  double real(const std::string& key, double lowest, double highest, const char* unit) {
+    const double value = get<double>(key, "a number");
+    // Written so that NaN fails too.
+    if (!(value >= lowest && value <= highest)) {
+      fail(key, number(value) + " " + unit + " is out of range; allowed is " + number(lowest) +
+                    " to " + number(highest) + " " + unit);
+    }
+    return value;
+  }
+
+  std::string word(const std::string& key) {
+    const std::string value = get<std::string>(key, "a non-empty text");
+    if (value.empty()) fail(key, "is empty; a non-empty text is needed");
+    return value;
+  }
+
+  std::string choice(const std::string& key, std::initializer_list<const char*> allowed) {
+    const std::string value = get<std::string>(key, "a text");
+    std::string list;
+    for (const char* item : allowed) {
+      if (value == item) return value;
+      list += (list.empty() ? "'" : ", '") + std::string(item) + "'";
+    }
+    fail(key, "'" + value + "' is not known; allowed: " + list);
+  }
+
+  JointVector joints(const std::string& key, std::size_t n, double lowest, double highest,
+                     const char* unit) {
+    const auto list = get<std::vector<double>>(key, "a list of numbers, one per joint");
+    if (list.size() != n) {
+      fail(key, "has " + std::to_string(list.size()) + " values; joints.names has " +
+                    std::to_string(n));
+    }
+    JointVector values(static_cast<int>(n));
+    for (std::size_t i = 0; i < n; ++i) {
+      if (!(list[i] >= lowest && list[i] <= highest)) {
+        fail(key, "value " + std::to_string(i + 1) + ", " + number(list[i]) + " " + unit +
+                      ", is out of range; allowed is " + number(lowest) + " to " +
+                      number(highest) + " " + unit);
+      }
+      values[static_cast<int>(i)] = list[i];
+    }
+    return values;
+  }
+
+  Vector3 vector(const std::string& key, double largest, const char* unit) {
+    const auto list = get<std::vector<double>>(key, "a list of three numbers");
+    if (list.size() != 3) {
+      fail(key, "has " + std::to_string(list.size()) + " values; three are needed");
+    }
+    for (double item : list) {
+      if (!(std::abs(item) <= largest)) {
+        fail(key, number(item) + " " + unit + " is out of range; allowed is -" + number(largest) +
+                      " to " + number(largest) + " " + unit);
+      }
+    }
+    return {list[0], list[1], list[2]};
+  }
+
+  std::vector<std::string> words(const std::string& key) {
+    return get<std::vector<std::string>>(key, "a list of texts");
+  }
+
+  /// Refuses keys that nobody asked for: a misspelt limit must not pass for a set one.
+  void finish() const {
+    for (const auto& [key, value] : document_.values) {
+      if (known_.count(key)) continue;
+      std::string near;
+      for (const auto& candidate : known_) {
+        const auto dot = key.rfind('.');
+        const std::string section = dot == std::string::npos ? "" : key.substr(0, dot + 1);
+        const auto known_dot = candidate.rfind('.');
+        const std::string known_section =
+            known_dot == std::string::npos ? "" : candidate.substr(0, known_dot + 1);
+        if (section == known_section) near += (near.empty() ? "" : ", ") + candidate;
+      }
+      fail(key, "is not a known key" + (near.empty() ? "" : "; known here: " + near));
+    }
+  }
+
+ private:
+  template <typename T>
+  T get(const std::string& key, const char* wanted) {
+    known_.insert(key);
+    const auto found = document_.values.find(key);
+    if (found == document_.values.end()) {
+      const bool nested = std::any_of(
+          document_.values.begin(), document_.values.end(),
+          [&](const auto& item) { return item.first.rfind(key + ".", 0) == 0; });
+      fail(key, nested ? "is a section; " + std::string(wanted) + " is needed"
+                       : "is missing; " + std::string(wanted) + " is needed");
+    }
+    if (const T* value = std::get_if<T>(&found->second)) return *value;
+    fail(key, show(found->second) + " is not " + wanted);
+  }
+
+  const Document& document_;
+  std::set<std::string> known_;
+};
+
+const LimitKey* find_limit(const std::string& name) {
+  for (const auto& key : kLimitKeys) {
+    if (name == key.name) return &key;
+  }
+  return nullptr;
+}
+
+std::string limit_names() {
+  std::string list;
+  for (const auto& key : kLimitKeys) list += (list.empty() ? "" : ", ") + std::string(key.name);
+  return list;
+}
+
+/// Relations that must hold between limits, whoever set them.
+void check_limits(const Limits& limits, const std::string& file) {
+  if (!(limits.depth_min < limits.depth_slow && limits.depth_slow < limits.depth_max)) {
+    throw ConfigError(file + ": limits: depth_min " + number(limits.depth_min) + ", depth_slow " +
+                      number(limits.depth_slow) + ", depth_max " + number(limits.depth_max) +
+                      " m must increase in this order");
+  }
+  if (!(limits.rcm_error_warn < limits.rcm_error_fault)) {
+    throw ConfigError(file + ": limits: rcm_error_warn " + number(limits.rcm_error_warn) +
+                      " m must be below rcm_error_fault " + number(limits.rcm_error_fault) + " m");
+  }
+}
+
+struct Evidence {
+  double residual, condition;
+  int n;
+  std::string date;
+};
+
+/// What every calibration file carries beside its value. A bad calibration is refused here.
+Evidence read_evidence(Reader& reader) {
+  Evidence evidence;
+  evidence.residual = reader.real("residual", 0.0, 0.002, "m");
+  evidence.condition = reader.real("condition", 1.0, 1e4, "");
+  evidence.n = static_cast<int>(reader.real("n", 1, 1e6, "samples"));
+  evidence.date = reader.word("date");
+  return evidence;
+}
+
+}  // namespace
+
+RobotConfig parse_robot(const Document& document) {
+  Reader reader(document, "surg_robot/1");
+  RobotConfig robot;
+  robot.file = document.file;
+  robot.name = reader.word("name");
+  robot.urdf = reader.word("urdf");
+  robot.base_link = reader.word("base_link");
+  robot.flange_link = reader.word("flange_link");
+  robot.command = reader.choice("command", {"joint_velocity", "cartesian_velocity"}) ==
+                          "joint_velocity"
+                      ? Command::kJointVelocity
+                      : Command::kCartesianVelocity;
+  robot.joint_names = reader.words("joints.names");
+  const std::size_t n = robot.joint_names.size();
+  if (n < 6 || n > kMaxJoints) {
+    reader.fail("joints.names", std::to_string(n) + " joints; allowed is 6 to " +
+                                    std::to_string(kMaxJoints));
+  }
+  if (std::set<std::string>(robot.joint_names.begin(), robot.joint_names.end()).size() != n) {
+    reader.fail("joints.names", "names a joint twice");
+  }
+  robot.position_min = reader.joints("joints.position_min", n, -7.0, 7.0, "rad");
+  robot.position_max = reader.joints("joints.position_max", n, -7.0, 7.0, "rad");
+  robot.velocity = reader.joints("joints.velocity", n, 0.01, 6.5, "rad/s");
+  robot.acceleration = reader.joints("joints.acceleration", n, 0.1, 50.0, "rad/s^2");
+  robot.home = reader.joints("joints.home", n, -7.0, 7.0, "rad");
+  for (int i = 0; i < static_cast<int>(n); ++i) {
+    const std::string& joint = robot.joint_names[i];
+    if (!(robot.position_min[i] < robot.position_max[i])) {
+      reader.fail("joints.position_min", joint + ": " + number(robot.position_min[i]) +
+                                             " rad is not below position_max " +
+                                             number(robot.position_max[i]) + " rad");
+    }
+    if (!(robot.home[i] > robot.position_min[i] && robot.home[i] < robot.position_max[i])) {
+      reader.fail("joints.home", joint + ": " + number(robot.home[i]) +
+                                     " rad is outside its limits " +
+                                     number(robot.position_min[i]) + " to " +
+                                     number(robot.position_max[i]) + " rad");
+    }
+  }
+  for (const auto& key : kLimitKeys) {
+    robot.limits.*key.member =
+        reader.real(std::string("limits.") + key.name, key.lowest, key.highest, key.unit);
+  }
+  for (const auto& key : kTuningKeys) {
+    robot.tuning.*key.member =
+        reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
+  }
+  reader.finish();
+  check_limits(robot.limits, document.file);
+  return robot;
+}
+
+InstrumentConfig parse_instrument(const Document& document) {
+  Reader reader(document, "surg_instrument/1");
+  InstrumentConfig instrument;
+  instrument.file = document.file;
+  instrument.name = reader.word("name");
+  instrument.urdf = reader.word("urdf");
+  instrument.mount_link = reader.word("mount_link");
+  instrument.tip_link = reader.word("tip_link");
+  instrument.jaw_min = reader.real("jaw.min", -0.5, 3.2, "rad");
+  instrument.jaw_max = reader.real("jaw.max", -0.5, 3.2, "rad");
+  instrument.jaw_velocity = reader.real("jaw.velocity", 0.05, 20.0, "rad/s");
+  if (!(instrument.jaw_min < instrument.jaw_max)) {
+    reader.fail("jaw.min", number(instrument.jaw_min) + " rad is not below jaw.max " +
+                               number(instrument.jaw_max) + " rad");
+  }
+  reader.finish();
+  return instrument;
+}
+
+ToolCalibration parse_tool(const Document& document) {
+  Reader reader(document, "surg_tool/1");
+  ToolCalibration tool;
+  tool.s_F = reader.vector("shaft_axis", 1.0 + 1e-9, "");
+  if (!(std::abs(tool.s_F.norm() - 1.0) < 1e-6)) {
+    reader.fail("shaft_axis", "has length " + number(tool.s_F.norm()) + "; a unit vector is needed");
+  }
+  tool.s_F.normalize();
+  tool.p_FTip = reader.vector("tip", 1.0, "m");
+  const Evidence evidence = read_evidence(reader);
+  tool.residual = evidence.residual;
+  tool.condition = evidence.condition;
+  tool.n = evidence.n;
+  tool.date = evidence.date;
+  reader.finish();
+  return tool;
+}
+
+TrocarCalibration parse_trocar(const Document& document) {
+  Reader reader(document, "surg_trocar/1");
+  TrocarCalibration trocar;
+  trocar.p_BRcm = reader.vector("point", 2.0, "m");
+  const Evidence evidence = read_evidence(reader);
+  trocar.residual = evidence.residual;
+  trocar.condition = evidence.condition;
+  trocar.n = evidence.n;
+  trocar.date = evidence.date;
+  reader.finish();
+  return trocar;
+}
+
+CellConfig parse_cell(const Document& document) {
+  Reader reader(document, "surg_cell/1");
+  CellConfig cell;
+  cell.file = document.file;
+  cell.name = reader.word("name");
+  cell.network = reader.choice("network", {"loopback", "isolated"});
+  std::set<std::string> names;
+  for (const auto& [key, value] : document.values) {
+    if (key.rfind("arms.", 0) != 0) continue;
+    const auto dot = key.find('.', 5);
+    names.insert(key.substr(5, dot == std::string::npos ? dot : dot - 5));
+  }
+  if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
+  for (const auto& name : names) {
+    const std::string prefix = "arms." + name + ".";
+    const bool plain = std::all_of(name.begin(), name.end(), [](unsigned char c) {
+      return std::isalnum(c) || c == '_';
+    });
+    if (!plain || !std::isalpha(static_cast<unsigned char>(name[0]))) {
+      reader.fail("arms." + name, "an arm's name becomes a ROS namespace: letters, digits and _ "
+                                  "only, a letter first");
+    }
+    CellArm arm;
+    arm.name = name;
+    arm.robot = reader.word(prefix + "robot");
+    arm.instrument = reader.word(prefix + "instrument");
+    arm.link = reader.choice(prefix + "link", {"simulator"});
+    arm.base_xyz = reader.vector(prefix + "base.xyz", 10.0, "m");
+    arm.base_rpy = reader.vector(prefix + "base.rpy", 6.3, "rad");
+    for (const auto& [key, value] : document.values) {
+      if (key.rfind(prefix + "limits.", 0) != 0) continue;
+      const std::string limit = key.substr(prefix.size() + std::strlen("limits."));
+      if (!find_limit(limit)) reader.fail(key, "is not a limit; known are " + limit_names());
+      arm.limits[limit] = reader.real(key, -kInf, kInf, "");
+    }
+    cell.arms.push_back(arm);
+  }
+  reader.finish();
+  return cell;
+}
+
+Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file) {
+  Limits result = limits;
+  for (const auto& [limit, value] : arm.limits) {
+    const std::string where = cell_file + ": arms." + arm.name + ".limits." + limit + ": ";
+    const LimitKey* key = find_limit(limit);
+    if (!key) throw ConfigError(where + "is not a limit; known are " + limit_names());
+    const double present = limits.*key->member;
+    const bool smaller = key->tighter == Tighter::kSmaller;
+    const double lowest = smaller ? key->lowest : present;
+    const double highest = smaller ? present : key->highest;
+    if (!(value >= lowest && value <= highest)) {
+      throw ConfigError(where + number(value) + " " + key->unit +
+                        " would loosen the robot's limit or leave its range; a cell may only "
+                        "tighten: allowed is " +
+                        number(lowest) + " to " + number(highest) + " " + key->unit);
+    }
+    result.*key->member = value;
+  }
+  check_limits(result, cell_file);
+  return result;
+}
+
+std::string limits_hash(const RobotConfig& robot, const Limits& limits) {
+  std::uint64_t hash = 1469598103934665603ULL;  // FNV-1a, 64 bit
+  const auto mix = [&hash](double value) {
+    unsigned char bytes[sizeof value];
+    std::memcpy(bytes, &value, sizeof value);
+    for (unsigned char byte : bytes) hash = (hash ^ byte) * 1099511628211ULL;
+  };
+  for (const auto& key : kLimitKeys) mix(limits.*key.member);
+  for (const auto& key : kTuningKeys) mix(robot.tuning.*key.member);
+  for (const JointVector* values :
+       {&robot.position_min, &robot.position_max, &robot.velocity, &robot.acceleration}) {
+    for (int i = 0; i < values->size(); ++i) mix((*values)[i]);
+  }
+  char text[17];
+  std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(hash));
+  return text;
+}
+
+}  // namespace surg

@@ -1,0 +1,142 @@
+#include "surg_core/operating_state.hpp"
+
+namespace surg {
+namespace {
+
+struct Text {
+  const char* name;
+  const char* sentence;
+};
+
+Text text(Reason reason) {
+  switch (reason) {
+    case Reason::kNone:
+      return {"none", ""};
+    case Reason::kNotHomed:
+      return {"not_homed", "the arm is not homed: send 'home' on state_command first"};
+    case Reason::kNotEnabled:
+      return {"not_enabled", "the arm is not ENABLED: send 'enable' on state_command first"};
+    case Reason::kNotFinite:
+      return {"not_finite", "the command holds NaN or infinity: send finite numbers"};
+    case Reason::kStateNotFinite:
+      return {"state_not_finite",
+              "the measured joint state holds NaN or infinity: check the robot link"};
+    case Reason::kStale:
+      return {"stale", "the command stream fell silent: the arm stopped and holds"};
+    case Reason::kLinkLost:
+      return {"link", "no joint state from the robot link: check that it runs"};
+    case Reason::kRcmUnset:
+      return {"rcm_unset", "no trocar point is known: publish one on rcm/set_cp"};
+    case Reason::kRcmError:
+      return {"rcm_error",
+              "the shaft is too far from the trocar point: move the trocar or the arm, or teach "
+              "the point again on rcm/set_cp"};
+    case Reason::kRcmWhileEnabled:
+      return {"rcm_while_enabled",
+              "the trocar point may only be taught while DISABLED or PAUSED: send 'pause' first"};
+    case Reason::kStepTooLarge:
+      return {"step_too_large",
+              "the step from the last accepted pose is too large: send smaller steps, or use "
+              "move_cp for a distant target"};
+    case Reason::kStreamStartTooFar:
+      return {"stream_start_too_far",
+              "a pose stream must start within 2 mm and 2 degrees of the set-point: start from "
+              "setpoint_cp, or use move_cp to get there"};
+    case Reason::kOutsideWorkspace:
+      return {"outside_workspace",
+              "the target is outside the allowed depth or cone: see limits.depth_min, depth_max "
+              "and cone of the robot's YAML"};
+    case Reason::kWrongFrame:
+      return {"wrong_frame",
+              "frame_id is not the arm's rcm frame: leave it empty or use <arm>_rcm; nothing is "
+              "converted"};
+    case Reason::kWrongSize:
+      return {"wrong_size",
+              "wrong number of joints: yaw, pitch, insertion, roll (4) or one jaw angle"};
+    case Reason::kNoAuthority:
+      return {"no_authority",
+              "another node holds the arm: wait until it has rested 0.5 s without a command"};
+    case Reason::kRefusedTransition:
+      return {"refused_transition",
+              "not possible from this operating state: DISABLED -enable-> ENABLED -pause-> PAUSED "
+              "-resume-> ENABLED; any -disable-> DISABLED; FAULT -enable-> ENABLED"};
+    case Reason::kOverrun:
+      return {"overrun", "the control loop missed its deadlines: free the CPU, then send 'resume'"};
+    case Reason::kJointLimit:
+      return {"joint_limit", "a joint is at its limit: move the tip back"};
+    case Reason::kOperator:
+      return {"operator", "asked for on state_command"};
+  }
+  return {"unknown", ""};
+}
+
+}  // namespace
+
+const char* name(Reason reason) { return text(reason).name; }
+const char* sentence(Reason reason) { return text(reason).sentence; }
+
+const char* name(State state) {
+  switch (state) {
+    case State::kDisabled:
+      return "DISABLED";
+    case State::kEnabled:
+      return "ENABLED";
+    case State::kPaused:
+      return "PAUSED";
+    case State::kFault:
+      return "FAULT";
+  }
+  return "UNKNOWN";
+}
+
+Reason OperatingState::request(StateCommand command, const Conditions& now) {
+  const Reason obstacle = !now.state_valid ? Reason::kLinkLost
+                          : !now.rcm_set   ? Reason::kRcmUnset
+                          : !now.rcm_near  ? Reason::kRcmError
+                                           : Reason::kNone;
+  const bool may_enter = command == StateCommand::kEnable
+                             ? state_ == State::kDisabled || state_ == State::kFault
+                             : state_ == State::kPaused;
+  switch (command) {
+    case StateCommand::kDisable:
+      state_ = State::kDisabled;
+      reason_ = Reason::kOperator;
+      return Reason::kNone;
+    case StateCommand::kPause:
+      if (state_ == State::kPaused) return Reason::kNone;
+      if (state_ != State::kEnabled) return Reason::kRefusedTransition;
+      pause(Reason::kOperator);
+      return Reason::kNone;
+    case StateCommand::kEnable:
+    case StateCommand::kResume:
+      if (state_ == State::kEnabled) return Reason::kNone;
+      if (!may_enter) return Reason::kRefusedTransition;
+      if (obstacle != Reason::kNone) return obstacle;
+      state_ = State::kEnabled;
+      reason_ = Reason::kNone;
+      return Reason::kNone;
+    case StateCommand::kHome:
+      if (obstacle != Reason::kNone) return obstacle;
+      homed_ = true;
+      return Reason::kNone;
+    case StateCommand::kUnhome:
+      if (state_ == State::kEnabled) return Reason::kRefusedTransition;
+      homed_ = false;
+      return Reason::kNone;
+  }
+  return Reason::kRefusedTransition;
+}
+
+void OperatingState::fault(Reason reason) {
+  if (state_ == State::kFault) return;
+  state_ = State::kFault;
+  reason_ = reason;
+}
+
+void OperatingState::pause(Reason reason) {
+  if (state_ != State::kEnabled) return;
+  state_ = State::kPaused;
+  reason_ = reason;
+}
+
+}  // namespace surg

@@ -1,0 +1,211 @@
+#include "surg_core/setpoint.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "surg_core/limits.hpp"
+#include "surg_core/rcm.hpp"
+
+namespace surg {
+namespace {
+
+Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
+Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
+
+}  // namespace
+
+Dofs to_spherical(const Dofs& cartesian) {
+  const Vector3 p = position(cartesian), v = velocity(cartesian);
+  const double depth = std::max(p.norm(), 1e-6);
+  const Vector3 s = p / depth;
+  const Vector3 s_dot = (v - s * s.dot(v)) / depth;
+  const Eigen::Vector2d angles = shaft_angles(s);
+  const double cos_pitch = std::max(std::cos(angles[1]), 1e-6);
+  Dofs out{};
+  out[0] = {angles[0], (s_dot.x() * s.z() - s.x() * s_dot.z()) / (cos_pitch * cos_pitch), 0};
+  out[1] = {angles[1], s_dot.y() / cos_pitch, 0};
+  out[2] = {depth, s.dot(v), 0};
+  out[3] = {cartesian[3].x, cartesian[3].v, 0};
+  return out;
+}
+
+Dofs to_cartesian(const Dofs& spherical) {
+  const auto& [yaw, pitch, insertion, roll] = spherical;
+  const Vector3 s = shaft_direction(yaw.x, pitch.x);
+  const Vector3 s_dot = shaft_direction_rate(yaw.x, pitch.x, yaw.v, pitch.v);
+  const Vector3 p = insertion.x * s;
+  const Vector3 v = insertion.v * s + insertion.x * s_dot;
+  return {Kinematic{p.x(), v.x(), 0}, Kinematic{p.y(), v.y(), 0}, Kinematic{p.z(), v.z(), 0},
+          Kinematic{roll.x, roll.v, 0}};
+}
+
+Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper)
+    : limits_(limits), paper_(paper), duration_(profiler_duration) {
+  profiler_ = Profiler(dof_limits(Space::kCartesian), duration_);
+}
+
+std::array<DofLimits, 4> Setpoint::dof_limits(Space space) const {
+  const DofLimits tip{limits_.tip_velocity, limits_.tip_acceleration, limits_.tip_jerk};
+  const DofLimits pivot{limits_.pivot_velocity, limits_.pivot_acceleration, limits_.pivot_jerk};
+  const DofLimits roll{limits_.roll_velocity, limits_.roll_acceleration, limits_.roll_jerk};
+  return space == Space::kCartesian ? std::array<DofLimits, 4>{tip, tip, tip, roll}
+                                    : std::array<DofLimits, 4>{pivot, pivot, tip, roll};
+}
+
+void Setpoint::reset(const Vector3& p_RTip, double roll) {
+  mode_ = Mode::kRest;
+  space_ = Space::kCartesian;
+  dofs_ = {Kinematic{p_RTip.x(), 0, 0}, Kinematic{p_RTip.y(), 0, 0}, Kinematic{p_RTip.z(), 0, 0},
+           Kinematic{roll, 0, 0}};
+}
+
+void Setpoint::enter(Space space) {
+  if (space != space_) {
+    dofs_ = space == Space::kSpherical ? to_spherical(dofs_) : to_cartesian(dofs_);
+    space_ = space;
+  }
+  const auto limits = dof_limits(space);
+  for (int i = 0; i < 4; ++i) {
+    filters_[i] = StreamFilter(limits[i]);
+    filters_[i].reset(dofs_[i]);
+  }
+}
+
+void Setpoint::follow(Space space, const std::array<double, 4>& target, double T) {
+  const bool first = mode_ != Mode::kStream || space != space_;
+  if (first) {
+    enter(space);
+    if (paper_) profiler_ = Profiler(dof_limits(space), duration_);
+    mode_ = Mode::kStream;
+  }
+  for (int i = 0; i < 4; ++i) {
+    if (first) {
+      estimates_[i].reset(target[i]);
+    } else {
+      estimates_[i].update(target[i], std::max(age_, T));
+    }
+  }
+  target_ = target;
+  age_ = 0;
+}
+
+void Setpoint::drive(Space space, const std::array<double, 4>& rate) {
+  if (mode_ != Mode::kVelocity || space != space_) {
+    enter(space);
+    mode_ = Mode::kVelocity;
+  }
+  // Too fast a wish keeps its direction: one factor for all.
+  const auto limits = dof_limits(space);
+  double factor = 1;
+  for (int i = 0; i < 4; ++i) {
+    if (std::abs(rate[i]) > limits[i].velocity) {
+      factor = std::min(factor, limits[i].velocity / std::abs(rate[i]));
+    }
+  }
+  for (int i = 0; i < 4; ++i) rate_[i] = factor * rate[i];
+}
+
+void Setpoint::go_to(const std::array<double, 4>& target) {
+  // An interrupted profile hands its acceleration on, a stream's or a stop's is handed on as well.
+  if (space_ != Space::kCartesian) enter(Space::kCartesian);
+  profiler_ = Profiler(dof_limits(Space::kCartesian), duration_);
+  profiler_.reset(dofs_);
+  profiler_.plan(target);
+  mode_ = Mode::kProfile;
+}
+
+void Setpoint::stop() {
+  if (mode_ == Mode::kRest || mode_ == Mode::kStopping) return;
+  enter(Space::kCartesian);
+  mode_ = Mode::kStopping;
+}
+
+void Setpoint::advance(double dt) {
+  if (!(dt > 0)) return;
+  switch (mode_) {
+    case Mode::kRest:
+      break;
+    case Mode::kStream:
+      advance_stream(dt);
+      break;
+    case Mode::kVelocity:
+      advance_velocity(dt);
+      break;
+    case Mode::kProfile:
+      profiler_.advance(dt);
+      dofs_ = profiler_.state();
+      if (profiler_.done()) {
+        for (auto& dof : dofs_) dof.v = dof.a = 0;
+        mode_ = Mode::kRest;
+      }
+      break;
+    case Mode::kStopping:
+      advance_stopping(dt);
+      break;
+  }
+}
+
+void Setpoint::advance_stream(double dt) {
+  if (paper_) {
+    profiler_.reset(dofs_);
+    profiler_.plan_fixed(target_, duration_);
+    profiler_.advance(dt);
+    dofs_ = profiler_.state();
+    return;
+  }
+  for (int i = 0; i < 4; ++i) {
+    filters_[i].step(estimates_[i].predict(age_ + dt), dt);
+    dofs_[i] = filters_[i].state();
+  }
+}
+
+void Setpoint::advance_velocity(double dt) {
+  // Where the tip would stand if it braked now, with a quarter of the acceleration limit to spare for
+  // the jerk-limited onset: outside the workspace and further out than now means brake.
+  std::array<double, 4> rate = rate_;
+  const Vector3 p = p_RTip(), v = v_RTip();
+  const double speed = v.norm();
+  const Vector3 p_stop =
+      p + v * (0.05 + speed / (2 * 0.5 * limits_.tip_acceleration)) +
+      (speed < 1e-4 && space_ == Space::kCartesian ? Vector3(1e-3 * Vector3(rate[0], rate[1], rate[2]))
+                                                   : Vector3(Vector3::Zero()));
+  if (!inside_workspace(limits_, p_stop) && (inside_workspace(limits_, p) || speed > 1e-4)) {
+    const Vector3 centre(0, 0, 0.5 * (limits_.depth_slow + limits_.depth_max));
+    if ((p_stop - centre).norm() > (p - centre).norm()) rate[0] = rate[1] = rate[2] = 0;
+  }
+  for (int i = 0; i < 4; ++i) {
+    const Kinematic& now = dofs_[i];
+    // The position error that the filter sees is zero: only the velocity is followed.
+    const Kinematic target{now.x + now.v * dt + 0.5 * now.a * dt * dt, rate[i], 0};
+    filters_[i].step(target, dt);
+    dofs_[i] = filters_[i].state();
+  }
+}
+
+void Setpoint::advance_stopping(double dt) {
+  const Vector3 v = velocity(dofs_);
+  const double speed = v.norm();
+  const double slower = std::max(0.0, speed - limits_.stop_deceleration * dt);
+  const double keep = speed > 0 ? slower / speed : 0.0;
+  for (int i = 0; i < 3; ++i) {
+    dofs_[i].x += 0.5 * (1 + keep) * dofs_[i].v * dt;
+    dofs_[i].v *= keep;
+    dofs_[i].a = 0;
+  }
+  Kinematic& roll = dofs_[3];
+  const double roll_speed = std::max(0.0, std::abs(roll.v) - limits_.roll_acceleration * dt);
+  const double roll_next = std::copysign(roll_speed, roll.v);
+  roll.x += 0.5 * (roll.v + roll_next) * dt;
+  roll = {roll.x, roll_next, 0};
+  if (slower == 0 && roll_speed == 0) mode_ = Mode::kRest;
+}
+
+Vector3 Setpoint::p_RTip() const {
+  return position(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
+}
+
+Vector3 Setpoint::v_RTip() const {
+  return velocity(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
+}
+
+}  // namespace surg

@@ -1,0 +1,118 @@
+#include "surg_core/stream.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+namespace surg {
+namespace {
+
+// Tuned on surgeons' motion: pole [1/s], and the share of acceleration and jerk that the
+// square-root approach counts on (the rest is left for the moving target).
+constexpr double kPole = 60;
+constexpr double kAccelerationShare = 0.3;
+constexpr double kJerkShare = 0.7;
+
+// Alpha-beta gains found best at the two rates that matter, and the spacing they belong to.
+constexpr double kFastSpacing = 0.002, kFastAlpha = 0.612, kFastBeta = 0.279;
+constexpr double kSlowSpacing = 1.0 / 30, kSlowAlpha = 0.852, kSlowBeta = 0.703;
+
+double clamp_to(double value, double bound) { return std::clamp(value, -bound, bound); }
+
+// The rate at which an error e may be closed: proportional with gain g near zero, and from there on
+// the speed from which a deceleration of l still stops in time.
+double approach(double e, double g, double l) {
+  const double magnitude = std::abs(e);
+  if (magnitude <= l / (g * g)) return g * e;
+  return std::copysign(std::sqrt(2 * l * (magnitude - 0.5 * l / (g * g))), e);
+}
+
+// The largest jerk over one tick of T from which velocity V can still be kept by ticks of jerk >=
+// -J. The lower bound is the mirrored call, with v and a negated.
+//
+// Braking a' = (n + r) J T to zero, n ticks of -J and one that ends at a = 0 exactly, adds J T^2
+// (n^2 / 2 + n r + r / 2) to the velocity, and the tick before adds (a + a') T / 2. Both together
+// grow piecewise linearly with a'; at r = 0 they are J T^2 n (n + 1) / 2 more than a T / 2. The
+// ticks matter: with the continuous a'^2 / 2 J the filter would hammer between +J and -J at the
+// limit.
+double largest_jerk(double v, double a, double V, double J, double T) {
+  const double spare = V - (v + 0.5 * a * T);  // what is left after a tick that ends at a = 0
+  if (spare > -1e-12 * V) {
+    const double c = std::max(spare, 0.0) / (J * T * T);
+    const double n = std::floor(0.5 * (std::sqrt(1 + 8 * c) - 1));
+    const double r = (c - 0.5 * n * (n + 1)) / (n + 1);
+    return ((n + r) * J * T - a) / T;
+  }
+  // Only after a reset to a state that ticks cannot keep: let a change its sign inside the tick,
+  // where the peak is v + a^2 / 2|j|; beyond even that, brake as hard as allowed.
+  const double room = V - v;
+  return a > 0 && 2 * room * J > a * a ? -0.5 * a * a / room : -J;
+}
+
+}  // namespace
+
+void AlphaBeta::reset(double x, double v) {
+  x_ = x;
+  v_ = v;
+}
+
+void AlphaBeta::update(double x, double spacing) {
+  if (!(spacing > 0)) {  // a second sample for the same instant: the later one counts
+    x_ = x;
+    return;
+  }
+  double alpha, beta;
+  if (spacing < kFastSpacing) {
+    // Same bandwidth in seconds, so that two samples delivered back to back do not become a
+    // velocity.
+    const double share = spacing / kFastSpacing;
+    alpha = kFastAlpha * share;
+    beta = kFastBeta * share * share;
+  } else {
+    const double share = std::clamp(
+        std::log(spacing / kFastSpacing) / std::log(kSlowSpacing / kFastSpacing), 0.0, 1.0);
+    alpha = kFastAlpha + share * (kSlowAlpha - kFastAlpha);
+    beta = kFastBeta + share * (kSlowBeta - kFastBeta);
+  }
+  const double predicted = x_ + v_ * spacing;
+  const double innovation = x - predicted;
+  x_ = predicted + alpha * innovation;
+  v_ += beta / spacing * innovation;
+}
+
+Kinematic AlphaBeta::predict(double age) const { return {x_ + v_ * age, v_, 0}; }
+
+StreamFilter::StreamFilter(const DofLimits& limits) : limits_(limits) {
+  if (!(limits.velocity > 0 && limits.acceleration > 0 && limits.jerk > 0)) {
+    throw std::invalid_argument(
+        "stream filter: velocity, acceleration and jerk limits must be > 0");
+  }
+}
+
+void StreamFilter::reset(const Kinematic& state) { state_ = state; }
+
+void StreamFilter::step(const Kinematic& target, double T) {
+  if (!(T > 0) || !(limits_.velocity > 0)) return;
+  const double V = limits_.velocity, A = limits_.acceleration, J = limits_.jerk;
+  Kinematic& own = state_;
+
+  const double x1 = own.x + T * (own.v + 0.5 * T * own.a);
+  const double v1 = own.v + T * own.a;
+  const double vc =
+      clamp_to(target.v + approach(target.x - x1, kPole / 3, kAccelerationShare * A), V);
+  const double ac = clamp_to(approach(vc - v1, kPole, kJerkShare * J), A);
+  double j = 3 * kPole * (ac - own.a) / (1 + 1.5 * kPole * T);
+
+  // Where a tick is long against the limits, only this much jerk can be undone within one tick.
+  const double usable = std::min({J, A / T, 2 * V / (T * T)});
+  j = std::min(j, largest_jerk(own.v, own.a, V, usable, T));
+  j = std::max(j, -largest_jerk(-own.v, -own.a, V, usable, T));
+  j = std::clamp(j, (-A - own.a) / T, (A - own.a) / T);
+  j = clamp_to(j, J);
+
+  own.x += T * (own.v + T * (own.a / 2 + T * j / 6));
+  own.v += T * (own.a + T * j / 2);
+  own.a += T * j;
+}
+
+}  // namespace surg

@@ -1,0 +1,1 @@
+"""Robots and instruments as files, and the generator that writes a cell from them."""

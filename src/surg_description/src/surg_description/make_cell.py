@@ -1,0 +1,192 @@
+"""Writes a cell folder round a robot: the generator behind the bundled cells.
+
+The trocar point is put on the instrument's shaft at the robot's home posture, and the tool
+calibration is taken from the URDFs, so a written cell is calibrated exactly.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml  # type: ignore[import]
+
+from surg_description.urdf_chain import Matrix, UrdfError, read_chain
+
+CALIBRATION_DATE = "2026-11-21"
+"""Date of a generated calibration: a constant, so that the same input gives the same file."""
+
+
+@dataclass(frozen=True)
+class HomePose:
+    """Where the instrument is when the robot is at home; vectors in the robot base frame B.
+
+    Attributes:
+        X_BF: (4, 4) flange pose.
+        s_F: (3,) unit shaft axis in the flange frame.
+        p_FTip: (3,) tip in the flange frame [m].
+        s_B: (3,) unit shaft axis.
+        p_BTip: (3,) tip [m].
+        p_BRcm: (3,) trocar point on the shaft [m].
+    """
+
+    X_BF: Matrix
+    s_F: Matrix
+    p_FTip: Matrix
+    s_B: Matrix
+    p_BTip: Matrix
+    p_BRcm: Matrix
+
+
+def home_pose(robot_yaml: Path, instrument_yaml: Path, depth: float = 0.120) -> HomePose:
+    """Pose of the instrument at the robot's home posture, with the trocar on its shaft.
+
+    Args:
+        robot_yaml: A robots/<name>.yaml.
+        instrument_yaml: An instruments/<name>.yaml.
+        depth: Insertion depth of the tip at home [m], 0.005 to 0.5.
+
+    Returns:
+        The pose.
+
+    Raises:
+        UrdfError: A URDF does not hold what the YAML names.
+        ValueError: A YAML lacks a key, or depth is out of range.
+    """
+    if not 0.005 <= depth <= 0.5:
+        raise ValueError(f"depth: {depth} m; allowed: 0.005 to 0.5 m")
+    robot, instrument = _load(robot_yaml), _load(instrument_yaml)
+    joints = _get(robot_yaml, robot, "joints")
+    names = list(_get(robot_yaml, joints, "names", "joints."))
+    home = [float(value) for value in _get(robot_yaml, joints, "home", "joints.")]
+    if len(names) != len(home):
+        raise ValueError(
+            f"{robot_yaml}: joints.home: {len(home)} values; allowed: {len(names)}, one per name"
+        )
+    arm = read_chain(
+        robot_yaml.parent / _get(robot_yaml, robot, "urdf"),
+        _get(robot_yaml, robot, "base_link"),
+        _get(robot_yaml, robot, "flange_link"),
+    )
+    unknown = sorted(set(arm.names) ^ set(names))
+    if unknown:
+        raise UrdfError(
+            f"{robot_yaml}: joints.names: {', '.join(unknown)} not both here and in the URDF's "
+            f"chain; allowed: exactly {', '.join(arm.names)}"
+        )
+    tool = read_chain(
+        instrument_yaml.parent / _get(instrument_yaml, instrument, "urdf"),
+        _get(instrument_yaml, instrument, "mount_link"),
+        _get(instrument_yaml, instrument, "tip_link"),
+    )
+    X_BF = arm.forward(dict(zip(names, home, strict=True)))
+    X_FTip = tool.forward()
+    X_BTip = X_BF @ X_FTip
+    s_B = X_BTip[:3, 2]
+    return HomePose(
+        X_BF=X_BF,
+        s_F=X_FTip[:3, 2],
+        p_FTip=X_FTip[:3, 3],
+        s_B=s_B,
+        p_BTip=X_BTip[:3, 3],
+        p_BRcm=X_BTip[:3, 3] - depth * s_B,
+    )
+
+
+def make_cell(
+    robot_yaml: Path,
+    out_dir: Path,
+    instrument_yaml: Path,
+    depth: float = 0.120,
+    arm: str = "PSM1",
+) -> Path:
+    """Writes a one-arm cell for a robot: cell.yaml and its two calibrations.
+
+    Args:
+        robot_yaml: The robot's YAML, from anywhere.
+        out_dir: Folder to write; made if missing, its files replaced. Its name is the cell's name.
+        instrument_yaml: The instrument's YAML.
+        depth: Insertion depth of the tip at home [m].
+        arm: CRTK name of the arm.
+
+    Returns:
+        The path of the written cell.yaml.
+
+    Raises:
+        UrdfError: A URDF does not hold what the YAML names.
+        ValueError: A YAML lacks a key, or depth is out of range.
+        OSError: The folder cannot be written.
+    """
+    pose = home_pose(robot_yaml, instrument_yaml, depth)
+    calibration = out_dir / "calibration"
+    calibration.mkdir(parents=True, exist_ok=True)
+    cell = out_dir / "cell.yaml"
+    cell.write_text(
+        "# One simulated arm. Written by surg_description.make_cell.\n"
+        "format: surg_cell/1\n"
+        f"name: {out_dir.resolve().name}\n"
+        "network: loopback  # every port stays on this machine\n"
+        "arms:\n"
+        f"  {arm}:\n"
+        f"    robot: {_relative(robot_yaml, out_dir)}\n"
+        f"    instrument: {_relative(instrument_yaml, out_dir)}\n"
+        "    link: simulator\n"
+        "    base:  # pose of the robot base in the world [m, rad]\n"
+        "      xyz: [0.0, 0.0, 0.0]\n"
+        "      rpy: [0.0, 0.0, 0.0]\n"
+        "    limits: {}  # a cell may only tighten\n",
+        encoding="utf-8",
+    )
+    (calibration / f"tool_{arm}.yaml").write_text(
+        "# Shaft axis and tip in the flange frame, taken from the URDFs: exact, not measured.\n"
+        "format: surg_tool/1\n"
+        f"shaft_axis: {_numbers(pose.s_F)}  # unit vector, flange to tip\n"
+        f"tip: {_numbers(pose.p_FTip)}  # m\n" + _evidence(),
+        encoding="utf-8",
+    )
+    (calibration / f"trocar_{arm}.yaml").write_text(
+        f"# Trocar point in the robot base frame: on the shaft at home, the tip {depth:g} m deep.\n"
+        "format: surg_trocar/1\n"
+        f"point: {_numbers(pose.p_BRcm)}  # m\n" + _evidence(),
+        encoding="utf-8",
+    )
+    return cell
+
+
+def _evidence() -> str:
+    return (
+        "residual: 0.0  # m; computed, not measured\n"
+        "n: 1\n"
+        "condition: 1.0\n"
+        f'date: "{CALIBRATION_DATE}"\n'
+    )
+
+
+def _numbers(vector: Matrix) -> str:
+    # 12 decimals: 1e-12 m. Adding 0.0 turns -0.0 into 0.0.
+    return "[" + ", ".join(f"{round(float(value), 12) + 0.0:.12f}" for value in vector) + "]"
+
+
+def _relative(path: Path, folder: Path) -> str:
+    return os.path.relpath(path.resolve(), folder.resolve())
+
+
+def _load(path: Path) -> Mapping[str, Any]:
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not valid YAML: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path}: holds no keys; allowed: a mapping of keys to values")
+    return content
+
+
+def _get(path: Path, mapping: Any, key: str, prefix: str = "") -> Any:
+    if not isinstance(mapping, Mapping) or key not in mapping:
+        raise ValueError(f"{path}: {prefix}{key}: missing")
+    return mapping[key]

@@ -1,0 +1,78 @@
+"""Columns of the CSV tables of an episode, format version 1, and the kind of each.
+
+The tables are written by ``rows`` and read by ``episode``; docs/recording.md lists the columns with
+unit and frame. Vectors are in the arm's base frame unless the name or that page says otherwise.
+"""
+
+from __future__ import annotations
+
+import re
+
+
+def _xyz(prefix: str) -> list[str]:
+    return [f"{prefix}_{axis}" for axis in "xyz"]
+
+
+def _numbered(prefix: str, n: int) -> list[str]:
+    return [f"{prefix}{i}" for i in range(n)]
+
+
+def cycle(joints: int) -> list[str]:
+    """Columns of ``cycle_<arm>.csv`` for an arm with this many joints."""
+    return [
+        *("stamp_ns", "receive_ns", "tick", "state", "homed", "busy", "reason"),
+        *("command", "source", "accepted", "refused"),
+        *_numbered("q", joints),
+        *_numbered("qd", joints),
+        *(*_xyz("p_goal"), "roll_goal", *_xyz("p_tip"), *_xyz("s"), *_xyz("p_rcm")),
+        *("q_br_x", "q_br_y", "q_br_z", "q_br_w", "roll", "depth", "rcm_error"),
+        *(*_xyz("p_set"), *_xyz("v_set"), "roll_set", "jaw_set", "jaw"),
+        *("scale", "limited_by"),
+        *_numbered("qd_command", joints),
+        *_numbered("twist_command_", 6),
+        *("compute_us", "period_us", "overruns"),
+    ]
+
+
+GROUND_TRUTH: list[str] = [
+    *("stamp_ns", "receive_ns", "tick"),
+    *(*_xyz("shaft"), *_xyz("axis"), *_xyz("tip"), "tip_vx", "tip_vy", "tip_vz"),
+    *(*_xyz("trocar"), *_xyz("trocar_loaded"), *_xyz("force"), "jaw"),
+]
+"""Columns of ``ground_truth_<arm>.csv``."""
+
+COMMAND: list[str] = [
+    *("stamp_ns", "receive_ns", "topic", "source"),
+    *("x", "y", "z", "qx", "qy", "qz", "qw"),
+    *("yaw", "pitch", "insertion", "roll"),
+    *("vx", "vy", "vz", "wx", "wy", "wz"),
+    *("yaw_rate", "pitch_rate", "insertion_rate", "roll_rate", "jaw"),
+]
+"""Columns of ``command_<arm>.csv``; a command fills its own group and leaves the others empty."""
+
+EVENTS: list[str] = ["stamp_ns", "receive_ns", "topic", "source", "text"]
+"""Columns of ``events.csv``."""
+
+VIDEO: list[str] = ["frame", "stamp_ns", "receive_ns", "pts", "dropped"]
+"""Columns of the sidecar ``<camera>.csv`` of a video."""
+
+_INTEGERS = frozenset(
+    (
+        *("stamp_ns", "receive_ns", "tick", "state", "homed", "busy", "command", "accepted"),
+        *("refused", "overruns", "frame", "pts", "dropped"),
+    )
+)
+_STRINGS = frozenset(("reason", "source", "limited_by", "topic", "text"))
+_JOINT = re.compile(r"^q(\d+)$")
+
+
+def kind(column: str) -> type:
+    """What a column holds: ``int``, ``float`` or ``str``; unknown columns are numbers."""
+    if column in _INTEGERS:
+        return int
+    return str if column in _STRINGS else float
+
+
+def joint_count(names: list[str]) -> int:
+    """How many joints a cycle table describes (columns q0, q1, …)."""
+    return sum(1 for name in names if _JOINT.match(name))

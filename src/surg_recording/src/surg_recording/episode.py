@@ -1,0 +1,253 @@
+"""Reading an episode folder. Writing one is ``episode_writer``.
+
+A folder holds ``manifest.json``, CSV tables, and per camera an MP4 with a sidecar CSV. The format
+is versioned: a reader for every version that was ever written stays here (docs/recording.md).
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording import columns
+from surg_recording.errors import EpisodeError
+
+FORMAT = "surg_episode/1"
+"""The version written today."""
+
+MANIFEST = "manifest.json"
+PARTIAL = ".partial"
+"""Suffix of a folder whose recording has not been finished."""
+
+Column = npt.NDArray[Any]
+
+
+class Table:
+    """One CSV table as numpy arrays by column name.
+
+    Integer columns (all stamps) are int64, so a nanosecond stamp keeps every digit; text columns
+    are object arrays; the rest is float64, an empty field NaN. The arrays are read-only.
+    """
+
+    def __init__(self, name: str, arrays: Mapping[str, Column]) -> None:
+        self.name = name
+        self._arrays = dict(arrays)
+        for array in self._arrays.values():
+            array.setflags(write=False)
+
+    @property
+    def columns(self) -> list[str]:
+        """Names in file order."""
+        return list(self._arrays)
+
+    def __len__(self) -> int:
+        return len(next(iter(self._arrays.values()), ()))
+
+    def __contains__(self, column: str) -> bool:
+        return column in self._arrays
+
+    def __getitem__(self, column: str) -> Column:
+        try:
+            return self._arrays[column]
+        except KeyError:
+            raise EpisodeError(
+                f"table {self.name} has no column {column!r}; it has {', '.join(self._arrays)}"
+            ) from None
+
+    def vector(self, prefix: str, axes: str = "xyz") -> npt.NDArray[np.float64]:
+        """Columns ``<prefix>_x``, ``_y``, … as (N, len(axes)); no prefix: ``x``, ``y``."""
+        names = [f"{prefix}_{axis}" if prefix else axis for axis in axes]
+        return np.stack([self[name] for name in names], axis=1)
+
+    def joints(self, prefix: str = "q") -> npt.NDArray[np.float64]:
+        """Columns ``<prefix>0``, ``<prefix>1``, … as (N, joints)."""
+        count = columns.joint_count(self.columns)
+        return np.stack([self[f"{prefix}{i}"] for i in range(count)], axis=1)
+
+    def select(self, rows: npt.NDArray[Any] | slice) -> Table:
+        """The table with only these rows (a mask, indices or a slice)."""
+        return Table(self.name, {name: array[rows].copy() for name, array in self._arrays.items()})
+
+
+@dataclasses.dataclass(frozen=True)
+class Video:
+    """One camera of an episode."""
+
+    name: str
+    path: Path
+    frames: Table
+    """The sidecar: frame, stamp_ns, receive_ns, pts, dropped."""
+
+
+class Episode:
+    """A finished episode folder. Tables are read when they are asked for, and kept."""
+
+    def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
+        self.folder = folder
+        self.manifest = manifest
+        self._tables: dict[str, Table] = {}
+
+    @property
+    def arms(self) -> list[str]:
+        """Names of the recorded arms."""
+        return list(self.manifest.get("arms", []))
+
+    @property
+    def tables(self) -> list[str]:
+        """Names of the tables, e.g. ``cycle_PSM1``."""
+        return list(self.manifest["tables"])
+
+    @property
+    def cameras(self) -> list[str]:
+        """Names of the videos, e.g. ``endoscope_left``."""
+        return list(self.manifest["videos"])
+
+    @property
+    def complete(self) -> bool:
+        """True when the recording ended as it should and nothing was lost on the way."""
+        return self.manifest.get("outcome") == "complete"
+
+    def table(self, name: str) -> Table:
+        """Read a table.
+
+        Raises:
+            EpisodeError: no such table, or a broken file (named with its line).
+        """
+        if name not in self._tables:
+            if name not in self.manifest["tables"]:
+                why = self.manifest.get("reason")
+                raise EpisodeError(
+                    f"{self.folder}: no table {name!r}; there are {', '.join(self.tables)}"
+                    + (f" (the recording is incomplete: {why})" if why else "")
+                )
+            self._tables[name] = read_table(self.folder / f"{name}.csv")
+        return self._tables[name]
+
+    def cycle(self, arm: str) -> Table:
+        """The control cycles of an arm."""
+        return self.table(f"cycle_{arm}")
+
+    def ground_truth(self, arm: str) -> Table | None:
+        """The simulator's truth of an arm, or None where there was no simulator."""
+        name = f"ground_truth_{arm}"
+        if name not in self.manifest["tables"]:
+            return None
+        table = self.table(name)
+        return table if len(table) else None
+
+    def video(self, name: str) -> Video:
+        """A camera's video with its sidecar.
+
+        Raises:
+            EpisodeError: no such camera, or a file is missing.
+        """
+        if name not in self.manifest["videos"]:
+            raise EpisodeError(
+                f"{self.folder}: no video {name!r}; there are {', '.join(self.cameras) or 'none'}"
+            )
+        path = self.folder / f"{name}.mp4"
+        if not path.exists():
+            raise EpisodeError(f"{path}: the manifest names this video, but the file is missing")
+        return Video(name, path, read_table(path.with_suffix(".csv")))
+
+
+def read(folder: Path | str) -> Episode:
+    """Open an episode folder of any version.
+
+    Raises:
+        EpisodeError: when it is no finished episode, with what to do.
+    """
+    folder = Path(folder)
+    path = folder / MANIFEST
+    if folder.name.endswith(PARTIAL):
+        raise EpisodeError(
+            f"{folder}: this recording was never finished; the next recorder start mends it, or"
+            " surg_recording.episode_writer.recover(parent folder)"
+        )
+    if not folder.is_dir():
+        raise EpisodeError(f"{folder}: no such folder")
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise EpisodeError(f"{folder}: no episode, {MANIFEST} is missing") from None
+    except ValueError as problem:
+        raise EpisodeError(f"{path}: not valid JSON ({problem})") from problem
+    name = manifest.get("format") if isinstance(manifest, dict) else None
+    if name not in _READERS:
+        raise EpisodeError(
+            f"{path}: format is {name!r}; this version reads {', '.join(_READERS)}."
+            " A newer format needs a newer surg_recording"
+        )
+    return _READERS[name](folder, manifest)
+
+
+def _read_1(folder: Path, manifest: dict[str, Any]) -> Episode:
+    for key in ("tables", "videos"):
+        if not isinstance(manifest.get(key), dict):
+            raise EpisodeError(f"{folder / MANIFEST}: key {key!r} is missing or no object")
+    return Episode(folder, manifest)
+
+
+_READERS: dict[str, Callable[[Path, dict[str, Any]], Episode]] = {"surg_episode/1": _read_1}
+
+
+def read_table(path: Path) -> Table:
+    """Read one CSV table.
+
+    Raises:
+        EpisodeError: missing or empty file, a line with another number of fields, or a value that
+            does not fit its column, with file, line, column and value.
+    """
+    try:
+        with open(path, newline="", encoding="utf-8") as file:
+            lines = list(csv.reader(file))
+    except FileNotFoundError:
+        raise EpisodeError(f"{path}: the file is missing") from None
+    except (csv.Error, UnicodeDecodeError) as problem:
+        raise EpisodeError(f"{path}: not a CSV file ({problem})") from problem
+    if not lines or not lines[0]:
+        raise EpisodeError(f"{path}: empty, not even a header line")
+    header = lines[0]
+    if len(set(header)) != len(header):
+        raise EpisodeError(f"{path}, line 1: a column name occurs twice")
+    for number, line in enumerate(lines[1:], start=2):
+        if len(line) != len(header):
+            raise EpisodeError(
+                f"{path}, line {number}: {len(line)} fields, the header has {len(header)}"
+            )
+    fields = list(zip(*lines[1:], strict=True)) or [()] * len(header)
+    return Table(
+        path.stem,
+        {name: _convert(path, name, text) for name, text in zip(header, fields, strict=True)},
+    )
+
+
+def _convert(path: Path, name: str, text: tuple[str, ...]) -> Column:
+    kind = columns.kind(name)
+    if kind is str:
+        array = np.empty(len(text), dtype=object)
+        array[:] = text
+        return array
+    try:
+        if kind is int:
+            return np.array(list(map(int, text)), dtype=np.int64)
+        if "" in text:
+            text = tuple(value or "nan" for value in text)
+        return np.array(list(map(float, text)), dtype=np.float64)
+    except (ValueError, OverflowError):
+        for number, value in enumerate(text, start=2):
+            try:
+                np.int64(int(value)) if kind is int else float(value)
+            except (ValueError, OverflowError):
+                raise EpisodeError(
+                    f"{path}, line {number}, column {name}: {value!r} is not"
+                    f" {'a 64-bit integer' if kind is int else 'a number'}"
+                ) from None
+        raise

@@ -1,0 +1,457 @@
+"""The figures of a run: PNG files for people, papers and the report. One style for all."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from surg_recording import metrics
+from surg_recording.summary import Run, rotate
+
+Array = npt.NDArray[np.float64]
+
+INK, FAINT, GRID = "#1f2933", "#7b8794", "#e4e7eb"
+INPUT, EXECUTED, TRUE, LIMIT, GOOD = "#8a94a0", "#1d6fb8", "#d9762b", "#c62f3b", "#2f8f5b"
+JOINTS = ("#1d6fb8", "#d9762b", "#2f8f5b", "#8a5cb8", "#c62f3b", "#4a5568", "#b8a11d")
+
+_STYLE: dict[str, Any] = {
+    "figure.facecolor": "white",
+    "figure.dpi": 100,
+    "savefig.dpi": 150,
+    "font.family": "DejaVu Sans",
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelcolor": INK,
+    "axes.edgecolor": FAINT,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.8,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "text.color": INK,
+    "lines.linewidth": 1.1,
+    "legend.frameon": False,
+    "legend.fontsize": 9,
+    "path.simplify_threshold": 0.5,
+}
+
+WIDTH = 9.0
+"""Of every figure [inch]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Drawn:
+    """One figure that was written."""
+
+    name: str
+    title: str
+    caption: str
+    path: Path
+
+
+@dataclasses.dataclass(frozen=True)
+class Subject:
+    """What the figures draw."""
+
+    run: Run
+    summary: Mapping[str, Any]
+    robot: Mapping[str, Any]
+    """The robot's YAML from the manifest; empty when unknown."""
+
+
+def rcm_deviation(subject: Subject) -> Figure:
+    """Distance between pivot and shaft over time, with its distribution."""
+    run, figure = subject.run, _figure(3.4)
+    over_time, spread = figure.subplots(1, 2, width_ratios=[4.2, 1], sharey=True)
+    series = [("kinematic", run.t, run.rcm_kinematic, EXECUTED)]
+    if run.truth is not None:
+        series.insert(0, ("true", run.t_truth, run.rcm_true, TRUE))
+    floor = 1e-4
+    top = max(float(np.nanmax(d)) for _, _, d, _ in series) * 1e3
+    for name, t, deviation, colour in series:
+        mm = np.maximum(deviation * 1e3, floor)
+        over_time.plot(t, mm, color=colour, linewidth=0.8)
+        levels = metrics.percentiles(mm, *np.linspace(0, 100, 201))
+        mean = float(np.mean(mm))
+        spread.plot(np.linspace(0, 100, 201), levels, color=colour, linewidth=1.6)
+        over_time.plot([], [], color=colour, linewidth=2.5, label=f"{name}: mean {mean:.3f} mm")
+    bounds = {limit["name"]: limit["bound"] for limit in subject.summary["limits"]}
+    for axes in (over_time, spread):
+        for name, style in (("rcm_kinematic_max", "--"), ("rcm_true_max", ":")):
+            if name in bounds:
+                axes.axhline(bounds[name], color=LIMIT, linewidth=1.0, linestyle=style)
+    for name, text in (("rcm_kinematic_max", "kinematic"), ("rcm_true_max", "true")):
+        if name in bounds:
+            over_time.text(
+                run.t[-1] * 0.995,
+                bounds[name] * 1.06,
+                f"{text} max allowed",
+                color=LIMIT,
+                fontsize=8,
+                ha="right",
+                va="bottom",
+            )
+    over_time.set_yscale("log")
+    low = float(np.percentile(np.concatenate([d for _, _, d, _ in series]), 1)) * 1e3
+    over_time.set_ylim(max(floor, low / 2), max(1.2, top * 2.5))
+    over_time.yaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda y, _: f"{y:g}"))
+    over_time.set(title="Distance between pivot and shaft", xlabel="time [s]", ylabel="mm")
+    over_time.legend(loc="upper left", ncols=2)
+    over_time.set_xlim(0, run.t[-1])
+    spread.set(title="Distribution", xlabel="% of samples below")
+    spread.set_xlim(0, 100)
+    return figure
+
+
+def tip_path(subject: Subject) -> Figure:
+    """Input and executed tip path about the trocar, with the shaft's fan."""
+    run, figure = subject.run, _figure(5.2)
+    figure.set_layout_engine("none")  # a 3D axes reserves far more room than it draws
+    space = figure.add_axes((0.02, 0.1, 0.36, 0.8), projection="3d")
+    side = figure.add_axes((0.44, 0.11, 0.2, 0.82))
+    top = figure.add_axes((0.69, 0.4, 0.29, 0.53))
+    given, done = _in_rcm(run, run.t_input, run.input), _in_rcm(run, run.t_executed, run.executed)
+    inside = (run.t_input >= run.t[0]) & (run.t_input <= run.t[-1])
+    given = given[inside]
+    fan = _fan(run)
+    for line in fan:
+        space.plot(*_plotted(line), color=FAINT, linewidth=0.5, alpha=0.45)
+        side.plot(line[:, 0], line[:, 2], color=FAINT, linewidth=0.5, alpha=0.45)
+    space.plot(*_plotted(given), color=INPUT, linewidth=2.2)
+    space.plot(*_plotted(done), color=EXECUTED, linewidth=0.8)
+    space.scatter([0], [0], [0], color=TRUE, s=30, depthshade=False)
+    _equal_box(space, np.concatenate([done, given, *fan]))
+    space.view_init(elev=14, azim=-60)
+    for axes, (i, j), names in ((side, (0, 2), ("x", "depth")), (top, (0, 1), ("x", "y"))):
+        axes.plot(given[:, i], given[:, j], color=INPUT, linewidth=2.2, label="input")
+        axes.plot(done[:, i], done[:, j], color=EXECUTED, linewidth=0.8, label="executed")
+        axes.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
+        axes.set_aspect("equal", adjustable="box")
+        axes.set_anchor("NW")
+    side.plot([0], [0], "o", color=TRUE, markersize=5, label="trocar")
+    side.invert_yaxis()
+    side.set_title("From the side")
+    figure.text(0.02, 0.945, "Shaft fan through the trocar", fontweight="bold", size=10.5)
+    for artist in (*space.lines, *space.collections):
+        artist.set_clip_on(False)  # the box is drawn larger than its axes
+    top.set_title("Along the home axis")
+    handles, labels = side.get_legend_handles_labels()
+    top.legend(handles, labels, loc="upper left", bbox_to_anchor=(0.0, -0.16))
+    return figure
+
+
+def tip_error(subject: Subject) -> Figure:
+    """Distance between executed tip and input over time, lag removed."""
+    run, figure = subject.run, _figure(3.0)
+    axes = figure.subplots()
+    tracking = run.tracking
+    assert tracking is not None
+    mm = tracking.error * 1e3
+    axes.plot(run.t_executed, mm, color=EXECUTED, linewidth=0.8)
+    axes.axhline(tracking.rms * 1e3, color=INK, linewidth=1.0)
+    bound = {limit["name"]: limit["bound"] for limit in subject.summary["limits"]}["tip_error_rms"]
+    top = max(1.15 * float(np.nanmax(mm)), 1e-3)
+    if bound < 4 * top:
+        top = max(top, 1.1 * bound)
+        axes.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0)
+        axes.text(0, bound, " rms allowed", color=LIMIT, fontsize=8, va="bottom")
+    axes.set_ylim(0, top)
+    axes.set_xlim(0, run.t[-1])
+    lag = tracking.lag * 1e3
+    rms, most = tracking.rms * 1e3, tracking.max * 1e3
+    title = f"Tip error:  rms {rms:.3f} mm (line),  max {most:.3f} mm,  after {lag:.1f} ms lag"
+    axes.set(title=title, xlabel="time [s]", ylabel="mm")
+    return figure
+
+
+def speed(subject: Subject) -> Figure:
+    """Tip speed of input and executed motion, at loop rate and at the metrics' rate."""
+    run, figure = subject.run, _figure(3.6)
+    axes = figure.subplots()
+    fs = round(1.0 / float(np.median(np.diff(run.t))), 6)
+    smoothness = subject.summary["smoothness"]
+    preset = metrics.PRESETS[smoothness["preset"]]
+    executed = metrics.uniform(run.t_executed, run.executed, fs)
+    given = metrics.uniform(run.t, metrics.interpolate(run.t, run.t_input, run.input), fs)
+    velocity = metrics.differentiate(executed[1], fs)
+    axes.plot(
+        executed[0],
+        np.linalg.norm(velocity, axis=1) * 1e3,
+        color="#bcd3e8",
+        linewidth=0.6,
+        label=f"executed, {fs:g} Hz",
+    )
+    for name, (grid, path), colour, width in (
+        ("input", given, INPUT, 2.4),
+        ("executed", executed, EXECUTED, 1.2),
+    ):
+        slow = metrics.downsample(metrics.differentiate(path, fs), fs, preset.fs)
+        t = grid[0] + np.arange(len(slow)) / preset.fs
+        axes.plot(
+            t,
+            np.linalg.norm(slow, axis=1) * 1e3,
+            color=colour,
+            linewidth=width,
+            label=f"{name}, {preset.fs:g} Hz",
+        )
+    first = smoothness["presets"][smoothness["preset"]]
+    axes.set_title(
+        f"Tip speed    SPARC {_value(first['sparc'])} (input {_value(first['input']['sparc'])}),"
+        f"  LDLJ {_value(first['ldlj'])} (input {_value(first['input']['ldlj'])})"
+    )
+    axes.set(xlabel=f"time [s]\n{preset.label()}", ylabel="mm/s")
+    axes.set_xlim(0, run.t[-1])
+    axes.set_ylim(bottom=0)
+    axes.margins(y=0.12)
+    axes.legend(loc="upper right", ncols=3)
+    return figure
+
+
+def joints(subject: Subject) -> Figure:
+    """Joint positions and velocities beside their limits."""
+    run, figure = subject.run, _figure(5.2)
+    position, velocity = figure.subplots(2, 1, sharex=True)
+    stated = subject.robot.get("joints") or {}
+    q, qd = run.cycle.joints("q"), run.cycle.joints("qd")
+    names = stated.get("names") or [f"q{i}" for i in range(q.shape[1])]
+    low, high = _numbers(stated, "position_min", q), _numbers(stated, "position_max", q)
+    fastest = _numbers(stated, "velocity", q)
+    known = low is not None and high is not None
+    for i in range(q.shape[1]):
+        colour = JOINTS[i % len(JOINTS)]
+        share = q[:, i]
+        if low is not None and high is not None:
+            share = 200.0 * (q[:, i] - low[i]) / (high[i] - low[i]) - 100.0
+        position.plot(run.t, share, color=colour, label=str(names[i]))
+        velocity.plot(
+            run.t,
+            qd[:, i] if fastest is None else 100.0 * qd[:, i] / fastest[i],
+            color=colour,
+            linewidth=0.8,
+        )
+    fast = None if fastest is None else 100.0 * float(np.max(np.abs(qd) / fastest))
+    position.set_title("Joint positions within their range" if known else "Joint positions")
+    position.set_ylabel("% of range (±100: limit)" if known else "rad")
+    velocity.set_title(
+        "Joint velocities"
+        if fast is None
+        else f"Joint velocities: at most {fast:.0f} % of their limits"
+    )
+    velocity.set_ylabel("rad/s" if fastest is None else "% of limit")
+    velocity.set_xlabel("time [s]")
+    if known:
+        for bound in (-100, 100):
+            position.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0)
+        position.set_ylim(-112, 112)
+    if fast is not None and fast > 50.0:
+        for bound in (-100, 100):
+            velocity.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0)
+    velocity.set_xlim(0, run.t[-1])
+    position.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.2)
+    return figure
+
+
+def trocar(subject: Subject) -> Figure:
+    """Force on the wall and how far it gave way."""
+    run, figure = subject.run, _figure(3.8)
+    force, moved = figure.subplots(2, 1, sharex=True)
+    truth = run.truth
+    assert truth is not None
+    newtons = np.linalg.norm(truth.vector("force"), axis=1)
+    mm = np.linalg.norm(truth.vector("trocar_loaded") - truth.vector("trocar"), axis=1) * 1e3
+    for axes, values, title, unit in (
+        (force, newtons, "Force of the shaft on the trocar", "N"),
+        (moved, mm, "Displacement of the trocar (loaded − undisturbed)", "mm"),
+    ):
+        axes.plot(run.t_truth, values, color=TRUE, linewidth=0.9)
+        mean, most = float(np.mean(values)), float(np.max(values))
+        axes.set_title(f"{title}:  mean {mean:.3g} {unit},  max {most:.3g} {unit}")
+        axes.set_ylabel(unit)
+        axes.set_ylim(0, max(1.15 * most, 1e-6))
+    moved.set_xlabel("time [s]")
+    moved.set_xlim(0, run.t[-1])
+    return figure
+
+
+def timing(subject: Subject) -> Figure:
+    """How long a cycle computes and, in free-run, how regular the cycles are."""
+    controller = subject.summary["controller"]
+    period = controller["period_us"]
+    figure = _figure(2.9)
+    drawn = figure.subplots(1, 2 if period else 1)
+    panels: Sequence[Axes] = list(np.atleast_1d(drawn))
+    compute = subject.run.cycle["compute_us"]
+    _histogram(
+        panels[0],
+        compute,
+        controller["compute_us"],
+        f"Compute time of {len(compute)} cycles",
+    )
+    if period:
+        periods = subject.run.cycle["period_us"]
+        rate = controller["rate_hz"]
+        title = f"Period between cycles, mean rate {rate:.2f} Hz"
+        _histogram(panels[1], periods[periods > 0], period, title)
+    return figure
+
+
+FIGURES: dict[str, tuple[str, str, Callable[[Subject], Figure]]] = {
+    "rcm_deviation": (
+        "Does the shaft stay in the trocar?",
+        "Kinematic: from the commanded pivot to the shaft line computed from the joints. True: from"
+        " the trocar's undisturbed point to the simulator's shaft axis. Logarithmic scale.",
+        rcm_deviation,
+    ),
+    "tip_path": (
+        "Where does the tip go?",
+        "Tip path in the rcm frame: the trocar is the origin, depth points into the patient along"
+        " the shaft's home axis. Thin grey lines: the shaft at regular times.",
+        tip_path,
+    ),
+    "tip_error": (
+        "How closely does the tip follow its input?",
+        "Distance between the executed tip and the input, shifted by the one constant lag at which"
+        " the rms distance is smallest.",
+        tip_error,
+    ),
+    "speed": (
+        "How smooth is the motion?",
+        "Speed of the tip at loop rate and downsampled as the smoothness metrics see it.",
+        speed,
+    ),
+    "joints": (
+        "What do the joints do?",
+        "Measured joint positions and velocities as a share of the robot's limits.",
+        joints,
+    ),
+    "trocar": (
+        "How hard is the wall loaded?",
+        "From the simulator: size of the contact force and distance between the loaded and the"
+        " undisturbed hole.",
+        trocar,
+    ),
+    "timing": (
+        "How fast is the controller?",
+        "Duration of one control step; in free-run also the time between the starts of two cycles."
+        " Wall clock, logarithmic counts.",
+        timing,
+    ),
+}
+"""Name → question it answers, caption, function."""
+
+
+def save_all(
+    run: Run, summary: Mapping[str, Any], robot: Mapping[str, Any], folder: Path
+) -> list[Drawn]:
+    """Draw every figure that this run has data for as ``<folder>/<name>.png``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    subject, drawn = Subject(run, summary, robot), []
+    for name, (title, caption, draw) in FIGURES.items():
+        if (name == "trocar" and run.truth is None) or (
+            name == "tip_error" and run.tracking is None
+        ):
+            continue
+        path = folder / f"{name}.png"
+        with matplotlib.rc_context(_STYLE):
+            figure = draw(subject)
+            figure.savefig(path, metadata={"Software": None})
+        drawn.append(Drawn(name, title, caption, path))
+    return drawn
+
+
+# --- helpers ------------------------------------------------------------------------------------
+
+
+def _figure(height: float) -> Figure:
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    figure.get_layout_engine().set(w_pad=0.09, h_pad=0.09)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _in_rcm(run: Run, t: Array, p_B: Array) -> Array:
+    """Positions in the rcm frame [mm], by the frame of the cycle nearest in time."""
+    row = np.clip(np.searchsorted(run.t, t), 0, len(run.t) - 1)
+    q = run.cycle.vector("q_br", "xyzw")[row] * np.array([-1.0, -1.0, -1.0, 1.0])
+    return np.asarray(rotate(q, p_B - run.p_rcm[row]) * 1e3)
+
+
+def _fan(run: Run, count: int = 24) -> list[Array]:
+    """Shaft segments in the rcm frame, from 40 mm outside the trocar to the tip [mm]."""
+    rows = np.linspace(0, len(run.t_executed) - 1, count).astype(int)
+    t = run.t_executed[rows]
+    tips, axes = run.executed[rows], run.shaft[rows]
+    row = np.clip(np.searchsorted(run.t, t), 0, len(run.t) - 1)
+    depth = np.sum((tips - run.p_rcm[row]) * axes, axis=1)
+    outside = tips - axes * (depth + 0.04)[:, None]
+    ends = np.stack([_in_rcm(run, t, outside), _in_rcm(run, t, tips)], axis=1)
+    return list(ends)
+
+
+def _plotted(points: Array) -> tuple[Array, Array, Array]:
+    """For a 3D axes whose vertical axis shows depth downwards."""
+    return points[:, 0], points[:, 1], -points[:, 2]
+
+
+def _equal_box(axes: Any, points: Array) -> None:
+    """Equal scales in a 3D axes; depth is written as a positive number, downwards."""
+    x, y, z = _plotted(points)
+    spans = [max(float(np.ptp(v)), 1.0) for v in (x, y, z)]
+    width = max(spans[0], spans[1])
+    for set_limits, v in ((axes.set_xlim, x), (axes.set_ylim, y)):
+        middle = (float(v.min()) + float(v.max())) / 2
+        set_limits(middle - width / 2, middle + width / 2)
+    axes.set_zlim(float(z.min()), max(float(z.max()), 20.0))
+    axes.set_box_aspect((width, width, spans[2]), zoom=1.16)
+    axes.zaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{0 - v:g}"))
+    axes.set_xlabel("x [mm]", labelpad=-2)
+    axes.set_ylabel("y [mm]", labelpad=-2)
+    axes.set_zlabel("depth [mm]", labelpad=4)
+    axes.tick_params(labelsize=8, pad=0)
+    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
+        axis.pane.set_facecolor("#f7f8fa")
+        axis.pane.set_edgecolor(GRID)
+        axis._axinfo["grid"].update(color=GRID, linewidth=0.6)
+        axis.set_major_locator(matplotlib.ticker.MaxNLocator(3 if axis is not axes.zaxis else 5))
+
+
+def _numbers(stated: Mapping[str, Any], key: str, q: Array) -> Array | None:
+    values = stated.get(key)
+    if not isinstance(values, list) or len(values) != q.shape[1]:
+        return None
+    return np.array(values, dtype=float)
+
+
+def _histogram(axes: Axes, values: Array, levels: Mapping[str, float], title: str) -> None:
+    top = float(np.percentile(values, 99.9)) if len(values) else 1.0
+    low = min(float(values.min()), top) if len(values) else 0.0
+    span = max(top - low, 1e-3 * max(top, 1.0))
+    edges = np.linspace(max(0.0, low - 0.05 * span), top + 0.1 * span, 80)
+    axes.hist(np.minimum(values, edges[-1]), edges, color=EXECUTED, log=True)
+    for name, colour in (("p50", INK), ("p99", TRUE)):
+        axes.axvline(levels[name], ymax=0.8, color=colour, linewidth=1.2)
+        axes.plot([], [], color=colour, label=f"{name} {levels[name]:.1f} µs")
+    worst = f"max {float(values.max()):.0f} µs" if len(values) else ""
+    axes.plot([], [], " ", label=worst)
+    axes.set_ylim(0.7, axes.get_ylim()[1] ** 1.6)  # logarithmic: room for the legend
+    axes.legend(loc="upper right", ncols=3, columnspacing=1.0, handlelength=1.2)
+    axes.set(title=title, xlabel="µs", ylabel="cycles")
+
+
+def _value(value: float | None) -> str:
+    return "–" if value is None or not np.isfinite(value) else f"{value:.2f}"

@@ -1,0 +1,274 @@
+"""The recorder without ROS: messages go in, an episode folder comes out.
+
+``Recording`` is one episode. It never raises on what a disk or a camera does: ``problem`` says why
+the episode will be incomplete, and the rest goes on.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from surg_recording import columns, rows
+from surg_recording.csv_sink import CsvTable, CsvWriter
+from surg_recording.episode_writer import MIN_FREE_BYTES, EpisodeWriter
+from surg_recording.errors import EpisodeError
+from surg_recording.video_sink import VideoSink
+
+FREERUN_QUEUE = 5000
+"""Rows per table that may wait in free-run: 10 s at 500 Hz."""
+
+DISK_CHECK_S = 0.5
+"""Free space is looked at this often [s]."""
+
+STOP_FREE_BYTES = 32 << 20
+"""A recording ends by itself when less than this is left [bytes]: room to finish it properly."""
+
+
+class Recording:
+    """One episode being recorded. All methods may be called from any thread."""
+
+    def __init__(
+        self,
+        final: Path,
+        *,
+        mode: str,
+        arms: Sequence[str],
+        cameras: Sequence[str],
+        manifest: Mapping[str, Any],
+        min_free_bytes: int = MIN_FREE_BYTES,
+        video_preset: str = "ultrafast",
+        stop_free_bytes: int = STOP_FREE_BYTES,
+    ) -> None:
+        """Create the folder and start writing.
+
+        Args:
+            final: the episode folder.
+            mode: ``lockstep`` (nothing is dropped, senders wait) or ``freerun`` (bounded queues).
+            arms: names of the arms.
+            cameras: names of the cameras.
+            manifest: what is known of the run.
+            min_free_bytes: free space needed to start [bytes].
+            video_preset: of x264.
+            stop_free_bytes: free space at which recording ends by itself [bytes].
+
+        Raises:
+            EpisodeError: when the folder cannot be made.
+        """
+        self.mode, self.arms, self.cameras = mode, list(arms), list(cameras)
+        self._lockstep = mode == "lockstep"
+        self._preset = video_preset
+        self._stop_free = min(stop_free_bytes, min_free_bytes)
+        self._folder = EpisodeWriter(
+            final,
+            {"mode": mode, "arms": self.arms, "cameras": self.cameras, **manifest},
+            min_free_bytes,
+        )
+        self._limit = None if self._lockstep else FREERUN_QUEUE
+        self._writer = CsvWriter()
+        self._tables: dict[str, CsvTable] = {}
+        self._videos: dict[str, VideoSink] = {}
+        self._lock = threading.Lock()
+        self._problems: list[str] = []
+        self._disk_checked = 0.0
+        self._disk_full = False
+        self._orphans: dict[str, int] = {}
+        for arm in self.arms:
+            self._table(f"command_{arm}", columns.COMMAND)
+        self._table("events", columns.EVENTS)
+
+    @property
+    def folder(self) -> Path:
+        """Where files are being written now."""
+        return self._folder.folder
+
+    @property
+    def problem(self) -> str | None:
+        """Why this episode will be incomplete; None while all is well."""
+        found = list(self._problems)
+        if self._writer.error:
+            found.append(f"rows lost: {self._writer.error}")
+        for name, video in list(self._videos.items()):
+            if video.error:
+                found.append(f"{name}: {video.error}")
+        return "; ".join(dict.fromkeys(found)) or None
+
+    @property
+    def failed(self) -> bool:
+        """True when going on is pointless: the disk is full or broken."""
+        if not self._disk_full and time.monotonic() - self._disk_checked > DISK_CHECK_S:
+            self._disk_checked = time.monotonic()
+            try:
+                free = self._folder.free_bytes()
+            except OSError as problem:
+                self._disk_full = True
+                self._problems.append(f"disk lost: {problem.strerror}")
+            else:
+                if free < self._stop_free:
+                    self._disk_full = True
+                    self._problems.append(f"disk full: {free / 2**20:.0f} MiB left")
+        return self._disk_full or self._writer.error is not None
+
+    def cycle(self, arm: str, message: Any, receive_ns: int) -> None:
+        """Record a surg_msgs/Cycle."""
+        name = f"cycle_{arm}"
+        table = self._tables.get(name)
+        if table is None:
+            table = self._table(name, columns.cycle(len(message.q)))
+        row = rows.cycle(message, receive_ns)
+        if table is not None and len(row) != len(table.columns):
+            self._problems.append(f"{name}: a cycle with another number of joints")
+            table.dropped += 1
+            return
+        self._put(table, row)
+
+    def ground_truth(self, message: Any, receive_ns: int) -> None:
+        """Record a surg_msgs/GroundTruth, arm by arm."""
+        stamp = rows.nanoseconds(message.header.stamp)
+        for arm in message.arms:
+            name = f"ground_truth_{arm.arm}"
+            table = self._tables.get(name) or self._table(name, columns.GROUND_TRUTH)
+            self._put(table, rows.ground_truth(stamp, message.tick, arm, receive_ns))
+
+    def command(self, arm: str, topic: str, message: Any, source: str, receive_ns: int) -> None:
+        """Record a motion command sent to an arm."""
+        self._put(
+            self._tables.get(f"command_{arm}"), rows.command(topic, message, source, receive_ns)
+        )
+
+    def event(self, topic: str, source: str, text: str, receive_ns: int, stamp_ns: int = 0) -> None:
+        """Record a text: a state, a warning, an error. ``stamp_ns`` 0: the message has none."""
+        self._put(self._tables.get("events"), (stamp_ns, receive_ns, topic, source, text))
+
+    def image(self, camera: str, message: Any, receive_ns: int) -> None:
+        """Record a sensor_msgs/Image. Blocks in lock-step when the encoder is behind."""
+        video = self._videos.get(camera) or self._video(camera)
+        if video is None:
+            self._orphans[camera] = self._orphans.get(camera, 0) + 1
+            return
+        video.put(
+            message.data,
+            width=message.width,
+            height=message.height,
+            step=message.step,
+            encoding=message.encoding,
+            stamp_ns=rows.nanoseconds(message.header.stamp),
+            receive_ns=receive_ns,
+        )
+
+    def written_tick(self) -> int:
+        """Newest tick whose cycles (of every arm) and ground truths are with the kernel."""
+        ticks = []
+        for arm in self.arms:
+            for name in (f"cycle_{arm}", f"ground_truth_{arm}"):
+                table = self._tables.get(name)
+                column = 2  # both tables: stamp_ns, receive_ns, tick
+                ticks.append(table.last[column] if table is not None and table.last else 0)
+        return min(ticks, default=0)
+
+    def newest_image(self, camera: str) -> tuple[int, int]:
+        """Stamp of the newest image of a camera and its distance to the one before [ns]; 0: none."""
+        video = self._videos.get(camera)
+        return (video.last_stamp_ns, video.period_ns) if video else (0, 0)
+
+    def note(self, problem: str) -> None:
+        """Say why this episode is incomplete."""
+        self._problems.append(problem)
+
+    def encoder_pids(self) -> dict[str, int]:
+        """Process ids of the encoders by camera."""
+        return {name: video.pid for name, video in self._videos.items()}
+
+    def status(self) -> dict[str, Any]:
+        """Counters for people: rows, frames, drops, backlog."""
+        tables, videos = dict(self._tables), dict(self._videos)
+        return {
+            "folder": str(self._folder.final),
+            "rows": {name: table.rows for name, table in tables.items()},
+            "frames": {name: video.frames for name, video in videos.items()},
+            "drops": self._drops(),
+            "backlog": {
+                "rows": sum(table.backlog for table in tables.values()),
+                "frames": sum(video.backlog for video in videos.values()),
+            },
+            "problem": self.problem,
+        }
+
+    def close(self, manifest: Mapping[str, Any], video_timeout_s: float = 60.0) -> Path:
+        """Write every backlog, finish the videos and the folder.
+
+        Args:
+            manifest: what has become known since the start.
+            video_timeout_s: how long a video's backlog may take [s].
+
+        Returns:
+            The finished folder.
+
+        Raises:
+            EpisodeError: the folder could not be finished; it is mended at the next start.
+        """
+        self._writer.close()
+        for video in self._videos.values():
+            video.close(video_timeout_s)
+        missing = [name for name in self.cameras if name not in self._videos]
+        problems = [self.problem] if self.problem else []
+        problems += [f"{name}: no image was received" for name in missing]
+        for arm in self.arms:
+            if f"cycle_{arm}" not in self._tables:
+                problems.append(f"{arm}: no cycle was received")
+        drops = self._drops()
+        problems += [f"{name}: {count} dropped" for name, count in drops.items() if count]
+        cameras = {
+            name: {"size": video.size, "encoding": video.encoding, "last_skip": video.last_skip}
+            for name, video in self._videos.items()
+        }
+        return self._folder.finalise(
+            {**manifest, "camera_streams": cameras}, drops, "; ".join(problems) or None
+        )
+
+    def _drops(self) -> dict[str, int]:
+        drops = {name: table.dropped for name, table in list(self._tables.items())}
+        drops.update({name: video.dropped for name, video in list(self._videos.items())})
+        for name, count in list(self._orphans.items()):
+            drops[name] = drops.get(name, 0) + count
+        return drops
+
+    def _put(self, table: CsvTable | None, row: rows.Row) -> None:
+        if table is not None:
+            self._writer.put(table, row)
+
+    def _table(self, name: str, names: Sequence[str]) -> CsvTable | None:
+        with self._lock:
+            if name not in self._tables:
+                try:
+                    self._tables[name] = self._writer.table(
+                        self.folder / f"{name}.csv", names, self._limit
+                    )
+                except OSError as problem:
+                    self._problems.append(f"{name}: {problem.strerror}")
+                    return None
+            return self._tables[name]
+
+    def _video(self, camera: str) -> VideoSink | None:
+        with self._lock:
+            if camera not in self._videos:
+                if camera in self._orphans:  # failed before: once is enough
+                    return None
+                try:
+                    self._videos[camera] = VideoSink(
+                        self.folder,
+                        camera,
+                        block=self._lockstep,
+                        preset=self._preset,
+                        keep_open=(self._folder.lock,),
+                    )
+                except OSError as problem:
+                    self._problems.append(f"{camera}: no encoder ({problem.strerror})")
+                    return None
+            return self._videos[camera]
+
+
+__all__ = ["DISK_CHECK_S", "FREERUN_QUEUE", "EpisodeError", "Recording"]

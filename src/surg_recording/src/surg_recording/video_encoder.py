@@ -1,0 +1,185 @@
+"""The encoder of one camera: a process of its own that reads frames from standard input.
+
+Started by ``video_sink.VideoSink``; needs PyAV and numpy only. It ends when its input ends, also
+when the recorder was killed, and then leaves a finished file. It answers on standard output, one
+line each: ``frame N``, ``skip REASON`` for a frame it could not take, ``error REASON`` before it
+gives up, ``end`` after a clean finish.
+
+Input: per frame ``HEADER`` and then the image rows as they came in the message.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fractions
+import os
+import signal
+import struct
+import sys
+from typing import BinaryIO
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+HEADER = struct.Struct("<qqqIIIIQ")
+"""stamp_ns, receive_ns, frames dropped before this one, width, height, bytes per row, encoding
+(index into ``ENCODINGS``), number of bytes that follow."""
+
+ENCODINGS: dict[str, tuple[str, int]] = {
+    "rgb8": ("rgb24", 3),
+    "bgr8": ("bgr24", 3),
+    "mono8": ("gray", 1),
+}
+"""ROS image encoding → PyAV pixel format and channels."""
+
+_FORMATS = list(ENCODINGS.values())
+
+MICROSECONDS = fractions.Fraction(1, 1_000_000)
+
+CONTAINER_OPTIONS = {
+    # A fragment every 0.2 s, handed to the kernel at once: what a kill -9 can lose.
+    "movflags": "empty_moov+default_base_moof",
+    "frag_duration": "200000",
+    "flush_packets": "1",
+    "video_track_timescale": "1000000",
+}
+
+
+class Encoder:
+    """One MP4 file (H.264, variable frame rate, microseconds) and its sidecar CSV."""
+
+    def __init__(self, path: str, sidecar: str, preset: str, crf: int) -> None:
+        self._container = av.open(path, "w", format="mp4", options=CONTAINER_OPTIONS)
+        self._sidecar = os.open(sidecar, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        os.write(self._sidecar, b"frame,stamp_ns,receive_ns,pts,dropped\n")
+        self._options = {
+            "preset": preset,
+            "crf": str(crf),
+            "tune": "zerolatency",  # no look-ahead: a frame that went in comes out at once
+            "bf": "0",
+        }
+        self._stream: av.video.stream.VideoStream | None = None
+        self._first_stamp = 0
+        self._last_pts = -1
+        self._size = (0, 0)
+        self._missing = 0
+        self.frames = 0
+
+    def add(
+        self,
+        image: npt.NDArray[np.uint8],
+        pixels: str,
+        stamp_ns: int,
+        receive_ns: int,
+        dropped: int,
+    ) -> str | None:
+        """Encode one image; returns why it was skipped, or None.
+
+        ``dropped`` counts the frames that were lost before this one; the sidecar adds those that
+        were skipped here.
+        """
+        self._missing += dropped
+        height, width = image.shape[:2]
+        if self._stream is None:
+            self._open(width, height, stamp_ns)
+        if (width, height) != self._size:
+            self._missing += 1
+            return (
+                f"the camera changed its size from {self._size[0]}x{self._size[1]}"
+                f" to {width}x{height}"
+            )
+        pts = (stamp_ns - self._first_stamp) // 1000
+        if pts <= self._last_pts:
+            self._missing += 1
+            return f"stamp {stamp_ns} is not later than the frame before"
+        self._last_pts = pts
+        # H.264 4:2:0 has even sizes: an odd last row or column is cut off.
+        frame = av.VideoFrame.from_ndarray(
+            np.ascontiguousarray(image[: height & ~1, : width & ~1]), format=pixels
+        )
+        frame.pts = pts
+        frame.time_base = MICROSECONDS
+        assert self._stream is not None
+        packets = self._stream.encode(frame)
+        os.write(
+            self._sidecar, f"{self.frames},{stamp_ns},{receive_ns},{pts},{self._missing}\n".encode()
+        )
+        self.frames += 1
+        self._missing = 0
+        self._container.mux(packets)
+        return None
+
+    def close(self) -> None:
+        """Flush the encoder and finish the file."""
+        try:
+            if self._stream is not None:
+                self._container.mux(self._stream.encode())
+        finally:
+            self._container.close()
+            os.fsync(self._sidecar)
+            os.close(self._sidecar)
+
+    def _open(self, width: int, height: int, stamp_ns: int) -> None:
+        if width < 2 or height < 2:
+            raise ValueError(f"image of {width}x{height} pixels")
+        stream = self._container.add_stream("libx264", rate=60, options=self._options)
+        stream.width, stream.height = width & ~1, height & ~1
+        stream.pix_fmt = "yuv420p"
+        stream.time_base = MICROSECONDS
+        stream.codec_context.time_base = MICROSECONDS
+        stream.codec_context.gop_size = 20
+        stream.codec_context.thread_count = 1
+        self._stream, self._size, self._first_stamp = stream, (width, height), stamp_ns
+
+
+def _read_exactly(source: BinaryIO, count: int) -> bytes | None:
+    data = source.read(count)
+    return data if data is not None and len(data) == count else None
+
+
+def _say(text: str) -> None:
+    # When the recorder is gone nobody listens: the file is finished all the same.
+    with contextlib.suppress(OSError):
+        os.write(1, (text.replace("\n", " ") + "\n").encode())
+
+
+def run(source: BinaryIO, encoder: Encoder) -> None:
+    """Encode frames from ``source`` until it ends."""
+    while True:
+        head = _read_exactly(source, HEADER.size)
+        if head is None:
+            return
+        stamp, received, dropped, width, height, step, code, size = HEADER.unpack(head)
+        data = _read_exactly(source, size)
+        if data is None:
+            return
+        pixels, channels = _FORMATS[code]
+        image = np.frombuffer(data, np.uint8).reshape(height, step)[:, : width * channels]
+        image = image.reshape(height, width, channels) if channels > 1 else image
+        skipped = encoder.add(image, pixels, stamp, received, dropped)
+        _say(f"skip {skipped}" if skipped else f"frame {encoder.frames}")
+
+
+def main(arguments: list[str]) -> int:
+    """``video_encoder.py VIDEO SIDECAR PRESET CRF``; returns the exit code."""
+    # Ctrl-C reaches the whole terminal group: the end of the input is the only stop.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    av.logging.set_level(av.logging.FATAL)
+    path, sidecar, preset, crf = arguments
+    try:
+        encoder = Encoder(path, sidecar, preset, int(crf))
+        try:
+            run(sys.stdin.buffer, encoder)
+        finally:
+            encoder.close()
+    except Exception as problem:  # whatever it is: one line for the recorder instead of a trace
+        _say(f"error {type(problem).__name__}: {problem}")
+        return 1
+    _say("end")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

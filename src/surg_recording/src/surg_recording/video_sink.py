@@ -1,0 +1,240 @@
+"""The recorder's end of a camera: a queue in front of an encoder process.
+
+``put`` is what a callback calls. In free-run it never blocks: a full queue drops the frame and
+counts it. In lock-step it waits for room, so that the camera, and by it the simulator, waits too
+and no frame is lost.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+
+from surg_recording import video_encoder
+
+QUEUE_LIMIT = 40
+"""Frames that may wait for the encoder: 2 s at 20 fps."""
+
+STALL_S = 10.0
+"""An encoder that takes no frame for this long has failed [s]."""
+
+_LARGE_PIPE = 1 << 20
+
+
+class VideoSink:
+    """Writes one camera to ``<folder>/<name>.mp4`` and ``<folder>/<name>.csv``."""
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        *,
+        block: bool,
+        preset: str = "ultrafast",
+        crf: int = 23,
+        queue_limit: int = QUEUE_LIMIT,
+        keep_open: tuple[int, ...] = (),
+    ) -> None:
+        """Start the encoder process.
+
+        Args:
+            folder: where the files go.
+            name: of the camera; both files are named after it.
+            block: wait for room instead of dropping (lock-step).
+            preset: of x264: ``ultrafast`` (13 ms per 2×720p pair) or ``veryfast`` (23 ms, smaller).
+            crf: x264's constant quality, 0–51, smaller is better.
+            queue_limit: frames that may wait.
+            keep_open: file descriptors the encoder inherits (the episode's lock).
+        """
+        self.path, self.sidecar = folder / f"{name}.mp4", folder / f"{name}.csv"
+        self.name = name
+        self.received = 0
+        self.dropped = 0
+        """Frames not written: queue full, not usable, or after a failure."""
+        self.frames = 0
+        """Frames the encoder has written."""
+        self.error: str | None = None
+        """Why this video stopped; None while all is well."""
+        self.last_skip: str | None = None
+        """Why the newest unusable frame was skipped."""
+        self.encoding = self.size = ""
+        self.last_stamp_ns = self.period_ns = 0
+        self._block, self._limit = block, queue_limit
+        self._queue: deque[tuple[bytes, bytes]] = deque()
+        self._room = threading.Condition()
+        self._ending = False
+        self._dropped_since = 0
+        self._process = subprocess.Popen(
+            [
+                *(sys.executable, video_encoder.__file__),
+                *(str(self.path), str(self.sidecar), preset, str(crf)),
+            ],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=keep_open,
+            start_new_session=True,
+            bufsize=0,
+        )
+        assert self._process.stdin is not None
+        with contextlib.suppress(OSError):  # only speed
+            fcntl.fcntl(self._process.stdin, fcntl.F_SETPIPE_SZ, _LARGE_PIPE)
+        self._feeder = threading.Thread(target=self._feed, name=f"video_{name}", daemon=True)
+        self._listener = threading.Thread(target=self._listen, name=f"answers_{name}", daemon=True)
+        self._feeder.start()
+        self._listener.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id of the encoder."""
+        return self._process.pid
+
+    @property
+    def backlog(self) -> int:
+        """Frames received and neither written nor dropped yet."""
+        return self.received - self.frames - self.dropped
+
+    def put(
+        self,
+        data: bytes,
+        *,
+        width: int,
+        height: int,
+        step: int,
+        encoding: str,
+        stamp_ns: int,
+        receive_ns: int,
+    ) -> bool:
+        """Queue one image as it came in a sensor_msgs/Image; False when it was dropped."""
+        problem = _unusable(data, width, height, step, encoding)
+        with self._room:
+            self.received += 1
+            if stamp_ns > self.last_stamp_ns:
+                self.period_ns = stamp_ns - self.last_stamp_ns if self.last_stamp_ns else 0
+                self.last_stamp_ns = stamp_ns
+            if problem is not None:
+                self.last_skip = problem
+                return self._drop()
+            deadline = time.monotonic() + STALL_S
+            while self._block and len(self._queue) >= self._limit and not self._over():
+                if not self._room.wait(max(0.0, deadline - time.monotonic())):
+                    self.error = f"the encoder took no frame for {STALL_S:g} s"
+            if self._over() or len(self._queue) >= self._limit:
+                return self._drop()
+            code = list(video_encoder.ENCODINGS).index(encoding)
+            head = video_encoder.HEADER.pack(
+                *(stamp_ns, receive_ns, self._dropped_since),
+                *(width, height, step, code, len(data)),
+            )
+            self._dropped_since = 0
+            self.encoding, self.size = encoding, f"{width}x{height}"
+            self._queue.append((head, data))
+            self._room.notify_all()
+            return True
+
+    def close(self, timeout_s: float = 60.0) -> None:
+        """Write the backlog and finish the file, within ``timeout_s``. Safe to call twice."""
+        with self._room:
+            self._ending = True
+            self._room.notify_all()
+        deadline = time.monotonic() + timeout_s
+        self._feeder.join(timeout_s)
+        try:
+            self._process.wait(max(0.1, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            self.error = self.error or f"the encoder did not finish within {timeout_s:g} s"
+            self._process.kill()
+            self._process.wait()
+        self._listener.join(5.0)
+        if self._process.returncode != 0 and self.error is None:
+            self.error = f"the encoder ended with code {self._process.returncode}"
+        with self._room:  # what never came out
+            self.dropped = max(self.dropped, self.received - self.frames)
+
+    def _over(self) -> bool:
+        return self.error is not None or self._ending
+
+    def _drop(self) -> bool:
+        self.dropped += 1
+        self._dropped_since += 1
+        return False
+
+    def _feed(self) -> None:
+        """Thread: queue → pipe."""
+        pipe = self._process.stdin
+        assert pipe is not None
+        try:
+            while True:
+                with self._room:
+                    while not self._queue and not self._over():
+                        self._room.wait()
+                    if self.error is not None or not self._queue:
+                        break
+                    head, data = self._queue[0]
+                _write_all(pipe.fileno(), head)
+                _write_all(pipe.fileno(), data)
+                with self._room:
+                    self._queue.popleft()
+                    self._room.notify_all()
+        except OSError as problem:
+            with self._room:
+                self.error = self.error or f"the encoder is gone ({problem.strerror})"
+        finally:
+            with self._room:
+                lost = len(self._queue)
+                self._queue.clear()
+                self.dropped += lost
+                self._dropped_since += lost
+                self._room.notify_all()
+            with contextlib.suppress(OSError):
+                pipe.close()
+
+    def _listen(self) -> None:
+        """Thread: the encoder's answers."""
+        answers = self._process.stdout
+        assert answers is not None
+        ended = False
+        with os.fdopen(os.dup(answers.fileno()), encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                word, _, rest = line.rstrip("\n").partition(" ")
+                with self._room:
+                    if word == "frame":
+                        self.frames = int(rest)
+                    elif word == "skip":
+                        self.last_skip = rest
+                        self.dropped += 1
+                    elif word == "error":
+                        self.error = rest
+                    elif word == "end":
+                        ended = True
+                    self._room.notify_all()
+        with self._room:
+            if not ended and self.error is None:
+                self.error = "the encoder was killed or ended early"
+            self._room.notify_all()
+        answers.close()
+
+
+def _unusable(data: bytes, width: int, height: int, step: int, encoding: str) -> str | None:
+    """Why an image cannot be encoded, or None."""
+    if encoding not in video_encoder.ENCODINGS:
+        return f"encoding {encoding!r}; allowed: {', '.join(video_encoder.ENCODINGS)}"
+    channels = video_encoder.ENCODINGS[encoding][1]
+    if width < 2 or height < 2 or step < width * channels or len(data) != step * height:
+        return (
+            f"image of {width}x{height} pixels, {step} bytes per row and {len(data)} bytes"
+            " does not add up"
+        )
+    return None
+
+
+def _write_all(fd: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(fd, view) :]

@@ -1,0 +1,8 @@
+"""The simulated operating room: MuJoCo arms, trocars and an endoscope behind the link contract.
+
+Pure modules (no ROS): ``scene``, ``arm``, ``jaw``, ``trocar``, ``truth``, ``world``, ``lockstep``,
+``wire``, ``settings``, ``render``, ``picture``, ``anatomy``, ``textures``. Nodes: ``bridge_node``
+(``/sim``) and ``endoscope_node`` (``/endoscope``).
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,326 @@
+"""A velocity-commanded industrial arm in MuJoCo: the simulated half of the robot-link contract.
+
+The joint drive is an integrator position servo (stiffness kp, critically damped) behind a
+first-order lag and a command delay of whole ticks; the arm's weight is compensated. The link
+converts a flange twist to joint velocities itself and has its own dead-man, counted in ticks.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import surg_core
+
+Array = NDArray[np.float64]
+
+TICK = 0.002
+"""Duration of one tick [s]."""
+SUBSTEPS = 2
+"""MuJoCo steps per tick."""
+
+
+@dataclass(frozen=True)
+class ActuatorParameters:
+    """What a velocity-commanded arm does to its commands. Fixed before any deviation is looked at.
+
+    Attributes:
+        stiffness: Servo stiffness of a joint [N m/rad]; assumed: 2e4 deflects visibly under a
+            surgeon's accelerations, which industrial arms do not.
+        small_share: Share of the stiffness (and armature) that the last ``small_joints`` joints
+            have; assumed from the sizes of a six-axis arm's joints.
+        small_joints: Number of small joints at the wrist.
+        damping_ratio: Damping of the servo relative to critical at the home posture; assumed.
+        armature: Reflected rotor inertia of a large joint [kg m^2]; assumed.
+        lag: Time constant of the velocity servo [s]; assumed, of the order reported for
+            velocity interfaces of collaborative arms.
+        delay: Ticks between receipt and execution of a command; assumed (one for the network, one
+            for the robot's own cycle).
+        dead_man: Ticks without a command after which the arm stops by itself (F10: 100 ms in the
+            simulator's free-run).
+        posture_gain: Pull of a redundant arm to its home posture behind a twist command [1/s].
+    """
+
+    stiffness: float = 1e5
+    small_share: float = 0.35
+    small_joints: int = 3
+    damping_ratio: float = 1.0
+    armature: float = 0.3
+    lag: float = 0.008
+    delay: int = 2
+    dead_man: int = 50
+    posture_gain: float = 1.0
+
+    def stiffnesses(self, dof: int) -> Array:
+        """Stiffness per joint [N m/rad], (dof,)."""
+        return self.stiffness * self._sizes(dof)
+
+    def armatures(self, dof: int) -> Array:
+        """Armature per joint [kg m^2], (dof,)."""
+        return self.armature * self._sizes(dof)
+
+    def _sizes(self, dof: int) -> Array:
+        sizes = np.ones(dof)
+        sizes[max(dof - self.small_joints, 0) :] = self.small_share
+        return sizes
+
+
+@dataclass(frozen=True)
+class ArmCommand:
+    """What arrives at the links of one arm in one tick; ``None`` means nothing did.
+
+    Attributes:
+        velocity: (n,) joint velocities [rad/s], or None.
+        twist: (6,) flange twist v [m/s], omega [rad/s] in the base frame at the flange origin, or
+            None. At most one of velocity and twist is given.
+        jaw: Jaw angle [rad], or None.
+    """
+
+    velocity: Array | None = None
+    twist: Array | None = None
+    jaw: float | None = None
+
+
+def add_arm(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: ActuatorParameters) -> None:
+    """Put a robot and its instrument, both from URDF, into the scene.
+
+    Names in the scene carry the prefix ``<arm>_``. The instrument's mount link is attached to the
+    robot's flange link with equal frames.
+
+    Args:
+        spec: The scene.
+        arm: The cell's arm.
+        parameters: Drive parameters.
+
+    Raises:
+        ValueError: A link or joint of the YAML is not in the URDF.
+    """
+    prefix = f"{arm.name}_"
+    robot = _load_urdf(arm.urdf_path)
+    instrument = _load_urdf(arm.instrument_urdf)
+    base = _find_body(robot, arm.robot.base_link, arm.urdf_path)
+    _find_body(robot, arm.robot.flange_link, arm.urdf_path)
+    mount = _find_body(instrument, arm.instrument.mount_link, arm.instrument_urdf)
+    _find_body(instrument, arm.instrument.tip_link, arm.instrument_urdf)
+
+    missing = set(arm.robot.joint_names) - {joint.name for joint in robot.joints}
+    if missing:
+        raise ValueError(
+            f"{arm.urdf_path}: joints {sorted(missing)} of the robot YAML are not in the URDF; "
+            f"it has {[joint.name for joint in robot.joints]}"
+        )
+    pose = spec.worldbody.add_frame(
+        pos=arm.X_WB[:3, 3].tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
+    )
+    root = pose.attach_body(base, prefix, "")
+    spec.body(prefix + arm.robot.flange_link).add_frame().attach_body(mount, prefix, "")
+    for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
+        body.gravcomp = 1.0
+
+    dof = len(arm.robot.joint_names)
+    stiffness, armature = parameters.stiffnesses(dof), parameters.armatures(dof)
+    for i, name in enumerate(arm.robot.joint_names):
+        joint = spec.joint(prefix + name)
+        joint.armature = armature[i]
+        _add_servo(spec, prefix + name, stiffness[i])
+
+
+def _load_urdf(path: str) -> mujoco.MjSpec:
+    with open(path, encoding="utf-8") as file:
+        return mujoco.MjSpec.from_string(file.read())
+
+
+def _find_body(spec: mujoco.MjSpec, name: str, path: str) -> mujoco.MjsBody:
+    body = spec.body(name)
+    if body is None:
+        raise ValueError(
+            f"{path}: no link '{name}'; the URDF has {[b.name for b in spec.bodies[1:]]}"
+        )
+    return body
+
+
+def _add_servo(spec: mujoco.MjSpec, joint: str, stiffness: float) -> None:
+    """Torque = kp (integral of u - q) + kd (u - qd), kd being set after compilation."""
+    spring = spec.add_actuator(
+        name=f"{joint}_servo",
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        dyntype=mujoco.mjtDyn.mjDYN_INTEGRATOR,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+    )
+    spring.gainprm[0] = stiffness
+    spring.biasprm[1] = -stiffness
+    damper = spec.add_actuator(
+        name=f"{joint}_damper",
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+    )
+    damper.gainprm[0] = 1.0
+    damper.biasprm[2] = -1.0
+
+
+def quaternion(R: Array) -> Array:
+    """Rotation matrix (3, 3) to quaternion w, x, y, z (MuJoCo's order)."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R, dtype=np.float64).ravel())
+    return quat
+
+
+class ArmLink:
+    """One arm of a compiled scene: takes commands, reports its state.
+
+    Args:
+        model: The compiled scene.
+        data: Its state.
+        arm: The cell's arm.
+        parameters: The drive parameters that ``add_arm`` was given.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        arm: surg_core.Arm,
+        parameters: ActuatorParameters,
+    ) -> None:
+        prefix = f"{arm.name}_"
+        self._model, self._data, self._parameters = model, data, parameters
+        self.name: str = arm.name
+        self._home = np.asarray(arm.robot.home, dtype=np.float64)
+        self._velocity_limit = np.asarray(arm.robot.velocity, dtype=np.float64)
+        self._acceleration_limit = np.asarray(arm.robot.acceleration, dtype=np.float64)
+        self.dof = len(self._home)
+        joints = [model.joint(prefix + name) for name in arm.robot.joint_names]
+        self._qpos = np.array([j.qposadr[0] for j in joints])
+        self._qvel = np.array([j.dofadr[0] for j in joints])
+        springs = [model.actuator(f"{prefix}{n}_servo") for n in arm.robot.joint_names]
+        dampers = [model.actuator(f"{prefix}{n}_damper") for n in arm.robot.joint_names]
+        self._act = np.array([s.actadr[0] for s in springs])
+        self._spring_ctrl = np.array([s.id for s in springs])
+        self._damper_ctrl = np.array([d.id for d in dampers])
+        self._flange = model.body(prefix + arm.robot.flange_link).id
+        self._R_BW = np.asarray(arm.X_WB[:3, :3], dtype=np.float64).T
+        self._filter = 1.0 - np.exp(-TICK / SUBSTEPS / parameters.lag)
+        self._jacobian = np.empty((2, 3, model.nv))
+        self._standstill = ArmCommand(velocity=np.zeros(self.dof))
+        self._damp()
+        self.reset()
+
+    def _damp(self) -> None:
+        """Choose the damping that is critical for the inertia at the home posture."""
+        self._data.qpos[self._qpos] = self._home
+        mujoco.mj_forward(self._model, self._data)
+        mass = np.empty((self._model.nv, self._model.nv))
+        mujoco.mj_fullM(self._model, self._data, mass)
+        stiffness = self._parameters.stiffnesses(self.dof)
+        inertia = np.diag(mass)[self._qvel]
+        damping = 2 * self._parameters.damping_ratio * np.sqrt(stiffness * inertia)
+        self._model.actuator_gainprm[self._damper_ctrl, 0] = damping
+        self._model.actuator_biasprm[self._damper_ctrl, 2] = -damping
+
+    def reset(self) -> None:
+        """Home posture at rest, nothing commanded."""
+        self._data.qpos[self._qpos] = self._home
+        self._data.qvel[self._qvel] = 0.0
+        self._data.act[self._act] = self._home
+        self._target = np.zeros(self.dof)
+        self._filtered = np.zeros(self.dof)
+        self._pending: deque[ArmCommand] = deque([self._standstill] * self._parameters.delay)
+        self._latest = self._standstill
+        self._silent = 0
+        self._heard = False
+        self.dead_man = False
+        self.fault = ""
+
+    @property
+    def q(self) -> Array:
+        """Joint positions [rad], (n,), a copy."""
+        return np.asarray(self._data.qpos[self._qpos])
+
+    @property
+    def qd(self) -> Array:
+        """Joint velocities [rad/s], (n,), a copy."""
+        return np.asarray(self._data.qvel[self._qvel])
+
+    def accept(self, command: ArmCommand | None) -> None:
+        """Take what arrived in this tick and decide what the drives shall follow.
+
+        A command that is not finite or has the wrong length counts as no command and is named in
+        ``fault`` until a good one arrives.
+
+        Args:
+            command: Joint velocities or a flange twist; None or an empty one: nothing arrived.
+        """
+        usable = command is not None and self._usable(command)
+        if usable:
+            assert command is not None
+            self._latest, self._silent, self._heard = command, 0, True
+            self.dead_man, self.fault = False, ""
+        else:
+            self._silent += 1
+            if self._heard and self._silent > self._parameters.dead_man:
+                self.dead_man, self._latest = True, self._standstill
+        self._pending.append(self._latest)
+        due = self._pending.popleft()
+        if self.dead_man:
+            self._target = self._ramped(self._target)
+        else:
+            self._target = self._joint_velocity(due)
+
+    def _usable(self, command: ArmCommand) -> bool:
+        values, n = (command.velocity, self.dof) if command.twist is None else (command.twist, 6)
+        if values is None:
+            return False
+        if len(values) != n:
+            self.fault = f"command has {len(values)} values, {n} are needed"
+            return False
+        if not np.isfinite(values).all():
+            self.fault = "command is not finite"
+            return False
+        return True
+
+    def _ramped(self, target: Array) -> Array:
+        """One tick of a stop in which no joint exceeds its acceleration and the direction stays."""
+        left = float(np.max(np.abs(target) / self._acceleration_limit))
+        return target * max(0.0, 1.0 - TICK / left) if left > 0.0 else target
+
+    def _joint_velocity(self, command: ArmCommand) -> Array:
+        """Joint velocities of a command, uniformly scaled into the joints' velocity limits."""
+        if command.twist is not None:
+            qd = self._resolve(command.twist)
+        else:
+            assert command.velocity is not None
+            qd = command.velocity
+        excess = float(np.max(np.abs(qd) / self._velocity_limit))
+        if excess > 1.0 + 1e-9:
+            self.fault = f"joint velocity limit exceeded by a factor {excess:.2f}: scaled down"
+            return np.asarray(qd / excess)
+        return qd
+
+    def _resolve(self, twist: Array) -> Array:
+        """Joint velocities J^+ twist + (I - J^+ J) k (q_home - q), J^+ = J^T (J J^T)^-1."""
+        linear, angular = self._jacobian
+        origin = self._data.xpos[self._flange]
+        mujoco.mj_jac(self._model, self._data, linear, angular, origin, self._flange)
+        J = np.vstack([self._R_BW @ linear[:, self._qvel], self._R_BW @ angular[:, self._qvel]])
+        posture = np.zeros(self.dof)
+        if self.dof > 6:
+            posture = self._parameters.posture_gain * (self._home - self.q)
+        try:
+            return posture + J.T @ np.linalg.solve(J @ J.T, twist - J @ posture)
+        except np.linalg.LinAlgError:
+            self.fault = "the arm is singular: it cannot follow a flange twist here"
+            return np.zeros(self.dof)
+
+    def substep(self) -> None:
+        """Before each MuJoCo step: advance the lag and hand the velocity to the drives."""
+        self._filtered += self._filter * (self._target - self._filtered)
+        self._data.ctrl[self._spring_ctrl] = self._filtered
+        self._data.ctrl[self._damper_ctrl] = self._filtered

@@ -1,0 +1,428 @@
+"""The node ``/sim``: the world behind the robot-link contract, in lock-step or in real time.
+
+In lock-step the thread that receives the last missing answer executes the tick and publishes the
+next state itself: no timer, no hand-over. In free-run one loop ticks at 500 Hz by the steady clock.
+Nothing is ever rendered here.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import select
+import struct
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import rospy
+from geometry_msgs.msg import TwistStamped
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+import surg_core
+from surg_msgs.msg import GroundTruth, LinkStatus, Ready, SimSnapshot
+from surg_sim import wire
+from surg_sim.arm import ArmCommand
+from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
+from surg_sim.settings import BridgeSettings, SettingsError
+from surg_sim.world import TICK_NS, World
+
+SNAPSHOT_TICKS = 25
+"""A snapshot every 25th tick: 20 Hz."""
+_STATUS_PERIOD = 0.2  # [s] wall
+_LATE = 0.05  # [s] free-run gives up catching up when it is later than this
+
+
+class _RawJointState(JointState):  # type: ignore[misc]
+    """A JointState that keeps its bytes; ``wire`` reads what the bridge needs of them."""
+
+    def __init__(self) -> None:
+        self.data = b""
+
+    def deserialize(self, data: bytes) -> _RawJointState:
+        self.data = data
+        return self
+
+
+class _RawTwist(TwistStamped):  # type: ignore[misc]
+    """A TwistStamped that keeps its bytes."""
+
+    def __init__(self) -> None:
+        self.data = b""
+
+    def deserialize(self, data: bytes) -> _RawTwist:
+        self.data = data
+        return self
+
+
+class _Output:
+    """A publisher of ready-made bytes, sent by the calling thread.
+
+    Args:
+        topic: Its name.
+        kind: Its message class.
+        patient: True: waits for a slow subscriber, nothing is ever lost (lock-step). False: a
+            subscriber whose socket is full misses the message, so that none can stop the arm
+            (free-run).
+    """
+
+    def __init__(self, topic: str, kind: type, patient: bool) -> None:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SyntaxWarning)  # rospy's hint on queue_size=None
+            self.publisher = rospy.Publisher(topic, kind, tcp_nodelay=True, queue_size=None)
+        self._message = rospy.AnyMsg()
+        self._patient = patient
+
+    @property
+    def connections(self) -> int:
+        return int(self.publisher.get_num_connections())
+
+    def send(self, data: bytes) -> None:
+        self._message._buff = data
+        if self._patient:
+            self.publisher.publish(self._message)
+            return
+        topic = self.publisher.impl
+        topic.acquire()
+        try:
+            for connection in topic.connections:
+                if _writable(connection.socket):
+                    topic.publish(self._message, connection)
+        finally:
+            topic.release()
+
+
+def _writable(socket: Any) -> bool:
+    """Whether a socket takes a small message at once (a third of its buffer is free)."""
+    try:
+        return socket is not None and bool(select.select((), (socket,), (), 0)[1])
+    except (OSError, ValueError):  # closed meanwhile
+        return False
+
+
+class _ArmTopics:
+    """Topics of one arm, and the commands that wait for their tick."""
+
+    def __init__(self, bridge: Bridge, arm: surg_core.Arm) -> None:
+        patient = bridge.lockstep
+        self.name: str = arm.name
+        self.command = arm.robot.command.name.lower()
+        self.layout = wire.JointStateLayout(list(arm.robot.joint_names))
+        self.velocity: Any = None
+        self.twist: Any = None
+        self.jaw: float | None = None
+        self.last_command_ns = 0
+        root = f"/{arm.name}"
+        self.state = _Output(f"{root}/robot/measured_js", JointState, patient)
+        self.status = _Output(f"{root}/robot/status", LinkStatus, patient)
+        self.tool = _Output(f"{root}/tool/measured_js", JointState, patient)
+
+        def listen(topic: str, kind: type, take: Callable[[_ArmTopics, bytes], None]) -> Any:
+            def callback(message: Any) -> None:
+                try:
+                    take(self, message.data)
+                except struct.error as error:
+                    rospy.logwarn_throttle(1.0, f"{root}/{topic}: unreadable message: {error}")
+
+            return rospy.Subscriber(f"{root}/{topic}", kind, callback, tcp_nodelay=True)
+
+        self.inputs = [
+            listen("robot/servo_jv", _RawJointState, bridge.on_velocity),
+            listen("robot/servo_cv", _RawTwist, bridge.on_twist),
+        ]
+        self.tool_input = listen("tool/servo_jp", _RawJointState, bridge.on_jaw)
+
+    def take_commands(self) -> ArmCommand:
+        """What has arrived since the last tick."""
+        command = ArmCommand(self.velocity, self.twist, self.jaw)
+        self.velocity = self.twist = self.jaw = None
+        return command
+
+    def unconnected(self) -> list[str]:
+        """Sentences about who is not there yet."""
+        root = f"/{self.name}"
+        missing = []
+        if not self.state.connections:
+            missing.append(f"nobody subscribes {root}/robot/measured_js (the controller)")
+        if not self.tool.connections:
+            missing.append(f"nobody subscribes {root}/tool/measured_js (the controller)")
+        if not any(subscriber.get_num_connections() for subscriber in self.inputs):
+            missing.append(f"nobody publishes {root}/robot/servo_jv or servo_cv (the controller)")
+        if not self.tool_input.get_num_connections():
+            missing.append(f"nobody publishes {root}/tool/servo_jp (the controller)")
+        return missing
+
+
+class Bridge:
+    """Wires the world to the graph.
+
+    Args:
+        settings: The node's parameters.
+        cell: The loaded cell.
+        world: Its world.
+    """
+
+    def __init__(self, settings: BridgeSettings, cell: surg_core.Cell, world: World) -> None:
+        self._settings, self._world = settings, world
+        self.lockstep = settings.mode == "lockstep"
+        self._lock = threading.Lock()
+        self._book = Lockstep(
+            world.arms,
+            settings.participants,
+            {name: OBSERVER_WINDOWS[name] for name in settings.observers},
+            republish=settings.abort_timeout / 5,
+            abort=settings.abort_timeout,
+        )
+        self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1000
+        self._deterministic = self.lockstep
+        self._done = False
+        self._aborted: str | None = None
+        self._start_ns = 0
+        self._overruns = 0
+        self._truth = _Output("/sim/ground_truth/state", GroundTruth, self.lockstep)
+        self._clock = _Output("/clock", Clock, self.lockstep)
+        self._snapshot = rospy.Publisher(
+            "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
+        )
+        self._status = rospy.Publisher("/sim/status", String, queue_size=10, latch=True)
+        self._ready = rospy.Subscriber("/sim/ready", Ready, self._on_ready, tcp_nodelay=True)
+        rospy.Subscriber("/sim/undeclared", String, self._on_undeclared)
+        self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
+
+    # --- what arrives -----------------------------------------------------------------------
+
+    def on_velocity(self, arm: _ArmTopics, data: bytes) -> None:
+        """``robot/servo_jv``."""
+        stamp_ns, _, velocity = wire.unpack_joint_state(data)
+        with self._lock:
+            if self._admit(arm, "robot", stamp_ns):
+                arm.velocity, arm.twist, arm.command = velocity, None, "joint_velocity"
+                arm.last_command_ns = stamp_ns
+                self._advance()
+
+    def on_twist(self, arm: _ArmTopics, data: bytes) -> None:
+        """``robot/servo_cv``."""
+        stamp_ns, twist = wire.unpack_twist(data)
+        with self._lock:
+            if self._admit(arm, "robot", stamp_ns):
+                arm.velocity, arm.twist, arm.command = None, twist, "cartesian_velocity"
+                arm.last_command_ns = stamp_ns
+                self._advance()
+
+    def on_jaw(self, arm: _ArmTopics, data: bytes) -> None:
+        """``tool/servo_jp``."""
+        stamp_ns, position, _ = wire.unpack_joint_state(data)
+        with self._lock:
+            if self._admit(arm, "tool", stamp_ns):
+                arm.jaw = float(position[0]) if len(position) else None
+                self._advance()
+
+    def _admit(self, arm: _ArmTopics, link: str, stamp_ns: int) -> bool:
+        """In lock-step only the first answer to the present tick counts."""
+        if not self.lockstep:
+            return True
+        tick, rest = divmod(stamp_ns, TICK_NS)
+        return rest == 0 and self._book.answer(arm.name, link, tick)
+
+    def _on_ready(self, message: Ready) -> None:
+        with self._lock:
+            self._book.ready(message.participant, message.tick, message.done)
+            if self.lockstep:
+                self._advance()
+
+    def _on_undeclared(self, message: String) -> None:
+        if self._deterministic:
+            rospy.logwarn(f"'{message.data}' is not a declared participant: not deterministic")
+        self._deterministic = False
+
+    # --- what goes out ----------------------------------------------------------------------
+
+    def _advance(self) -> None:
+        """Lock-step, with the lock held: execute the tick if everything for it is here."""
+        if self._done or self._aborted or not self._book.may_step():
+            return
+        last = self._book.finished()
+        self._step()
+        if last:
+            self._done = True
+            self._publish_status()
+            return
+        if self._jitter:
+            time.sleep(random.uniform(0.0, self._jitter))
+        self._publish_state(self._world.tick * TICK_NS)
+        self._book.publish(self._world.tick, time.monotonic())
+
+    def _step(self) -> None:
+        self._world.step({arm.name: arm.take_commands() for arm in self._arms})
+
+    def _publish_state(self, stamp_ns: int) -> None:
+        tick, world = self._world.tick, self._world
+        if self._clock.connections:
+            self._clock.send(struct.pack("<2I", *divmod(stamp_ns, wire.NS)))
+        for arm in self._arms:
+            state, link = world.state(arm.name), world.link(arm.name)
+            arm.tool.send(_JAW.pack(tick, stamp_ns, _one(state.jaw), _one(state.jaw_velocity)))
+            arm.status.send(
+                wire.pack_link_status(
+                    stamp_ns,
+                    tick,
+                    arm.command,
+                    arm.last_command_ns,
+                    link.dead_man,
+                    self.lockstep,
+                    link.fault,
+                )
+            )
+        if self._truth.connections:
+            truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
+            self._truth.send(wire.pack_ground_truth(stamp_ns, tick, truths))
+        if tick % SNAPSHOT_TICKS == 0:
+            snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
+            snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, wire.NS))
+            self._snapshot.publish(snapshot)
+        # The joint states go last: their arrival starts the controller's work.
+        for arm in self._arms:
+            state = world.state(arm.name)
+            arm.state.send(arm.layout.pack(tick, stamp_ns, state.q, state.qd))
+
+    def _publish_status(self) -> None:
+        tick = self._world.tick
+        # At the end the last executed tick counts; while running, the one whose state is out.
+        status = {
+            "tick": tick - 1 if self._done else tick,
+            "sim_time_s": (tick - 1 if self._done else tick) * TICK_NS / wire.NS,
+            "mode": self._settings.mode,
+            "deterministic": self._deterministic,
+            "state_hash": self._world.hash if self.lockstep else None,
+            "done": self._done,
+            "aborted": self._aborted,
+            "overruns": self._overruns,
+        }
+        self._status.publish(String(json.dumps(status)))
+
+    # --- the two modes ----------------------------------------------------------------------
+
+    def run(self, view: Callable[[], None]) -> int:
+        """Serve until shutdown.
+
+        Args:
+            view: Called with the lock held a few times a second; shows the world.
+
+        Returns:
+            Exit code: 1 after an aborted lock-step run, else 0.
+        """
+        work = self._watch_lockstep if self.lockstep else self._free_run
+        worker = threading.Thread(target=work, daemon=True)
+        worker.start()
+        due = 0.0
+        while not rospy.is_shutdown() and not self._aborted:
+            with self._lock:
+                view()
+                if time.monotonic() >= due:
+                    due = time.monotonic() + _STATUS_PERIOD
+                    self._publish_status()
+            time.sleep(0.04)
+        worker.join(1.0)
+        if self._aborted:
+            with self._lock:
+                self._publish_status()
+            print(f"surg_sim: lock-step aborted: {self._aborted}", file=sys.stderr, flush=True)
+            time.sleep(0.5)  # let the last status reach its subscribers
+        return 1 if self._aborted else 0
+
+    def _unconnected(self) -> list[str]:
+        missing = [sentence for arm in self._arms for sentence in arm.unconnected()]
+        expected = len(self._settings.participants) + len(self._settings.observers)
+        here = self._ready.get_num_connections()
+        if here < expected:
+            names = [*self._settings.participants, *self._settings.observers]
+            missing.append(f"{here} of {expected} ({', '.join(names)}) publish /sim/ready")
+        if "recorder" in self._settings.observers and not self._truth.connections:
+            missing.append("nobody subscribes /sim/ground_truth/state (the recorder)")
+        if "endoscope" in self._settings.observers and not self._snapshot.get_num_connections():
+            missing.append("nobody subscribes /sim/snapshot (the endoscope)")
+        return missing
+
+    def _watch_lockstep(self) -> None:
+        """Start when everybody is connected; then ask again or give up when nothing comes."""
+        give_up = time.monotonic() + self._settings.connect_timeout
+        while (missing := self._unconnected()) and not rospy.is_shutdown():
+            if time.monotonic() > give_up:
+                self._aborted = f"not everybody connected: {'; '.join(missing)}"
+                return
+            time.sleep(0.02)
+        with self._lock:
+            self._publish_state(self._world.tick * TICK_NS)
+            self._book.publish(self._world.tick, time.monotonic())
+        while not rospy.is_shutdown() and not self._done:
+            time.sleep(0.1)
+            with self._lock:
+                action = Action.WAIT if self._done else self._book.poll(time.monotonic())
+                if action is Action.REPUBLISH:
+                    self._publish_state(self._world.tick * TICK_NS)
+                elif action is Action.ABORT:
+                    self._aborted = "; ".join(self._book.missing()) or "nothing happened"
+                    return
+
+    def _free_run(self) -> None:
+        """500 Hz by the steady clock; stamps are start + k * 2 ms of wall time."""
+        self._start_ns = time.time_ns() - self._world.tick * TICK_NS
+        deadline = time.monotonic()
+        period = TICK_NS / wire.NS
+        while not rospy.is_shutdown():
+            deadline += period
+            left = deadline - time.monotonic()
+            if left > 0:
+                time.sleep(left)
+            elif left < -_LATE:
+                # The machine stood still: drop the backlog, in time and in stamps.
+                self._overruns += 1
+                deadline -= left
+                self._start_ns -= int(left * wire.NS)
+            with self._lock:
+                self._step()
+                self._publish_state(self._start_ns + self._world.tick * TICK_NS)
+
+
+_JAW = wire.JointStateLayout(["jaw"])
+
+
+def _one(value: float) -> Any:
+    return wire.np.array([value])
+
+
+def _viewer(world: World) -> Callable[[], None]:
+    """Opens a passive viewer and returns what refreshes it; says so where there is no display."""
+    if not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        rospy.logwarn("~view: this session has no display (DISPLAY is not set): no viewer window")
+        return lambda: None
+    import mujoco.viewer
+
+    viewer = mujoco.viewer.launch_passive(world.model, world.data, show_left_ui=False)
+    return lambda: viewer.sync() if viewer.is_running() else None
+
+
+def main() -> int:
+    """Entry point; returns the exit code (0 done, 1 aborted, 2 broken configuration)."""
+    rospy.init_node("sim")
+    try:
+        settings = BridgeSettings.read(lambda name, default: rospy.get_param(f"~{name}", default))
+        cell = surg_core.load_cell(settings.cell)
+        world = World(cell, settings.seed, looks=settings.view, arms=settings.arms)
+    except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
+        print(f"surg_sim: {error}", file=sys.stderr, flush=True)
+        return 2
+    # Hand the interpreter over quickly: answers arrive on threads of their own.
+    sys.setswitchinterval(1e-4)
+    bridge = Bridge(settings, cell, world)
+    return bridge.run(_viewer(world) if settings.view else lambda: None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

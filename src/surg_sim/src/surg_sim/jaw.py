@@ -1,0 +1,100 @@
+"""The instrument drive: a jaw that follows ``tool/servo_jp`` with a rate limit.
+
+The jaw angle is a state of the drive. Where the instrument's URDF has a joint named ``jaw`` (and
+joints that mimic it), stiff position servos show the angle on these joints.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from surg_sim.arm import TICK
+
+if TYPE_CHECKING:
+    import surg_core
+
+JOINT = "jaw"
+"""Name of the jaw joint in an instrument's URDF."""
+_STIFFNESS = 5.0  # [N m/rad] assumed: strong against a finger of a few grams
+_ARMATURE = 1e-3  # [kg m^2] assumed: the drive's rotor
+
+
+def jaw_joints(urdf_path: str) -> list[tuple[str, float, float]]:
+    """The joints that show the jaw: (name, multiplier, offset [rad]), the jaw itself first.
+
+    Empty when the URDF has no joint named ``jaw``.
+    """
+    joints = ElementTree.parse(urdf_path).getroot().findall("joint")
+    found = [(JOINT, 1.0, 0.0) for joint in joints if joint.get("name") == JOINT]
+    for joint in joints:
+        mimic = joint.find("mimic")
+        if found and mimic is not None and mimic.get("joint") == JOINT:
+            multiplier = float(mimic.get("multiplier", "1"))
+            found.append((joint.get("name", ""), multiplier, float(mimic.get("offset", "0"))))
+    return found
+
+
+def add_jaw(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
+    """Put a position servo on every jaw joint of the arm's instrument."""
+    for name, _, _ in jaw_joints(arm.instrument_urdf):
+        joint = spec.joint(f"{arm.name}_{name}")
+        joint.armature = _ARMATURE
+        servo = spec.add_actuator(
+            name=f"{arm.name}_{name}_servo",
+            target=joint.name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+        )
+        damping = 2.0 * np.sqrt(_STIFFNESS * _ARMATURE)
+        servo.gainprm[0] = _STIFFNESS
+        servo.biasprm[1:3] = [-_STIFFNESS, -damping]
+
+
+class JawLink:
+    """The jaw of one arm in a compiled scene.
+
+    Args:
+        model: The compiled scene.
+        data: Its state.
+        arm: The cell's arm.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, arm: surg_core.Arm) -> None:
+        self._data = data
+        self._min, self._max = float(arm.instrument.jaw_min), float(arm.instrument.jaw_max)
+        self._step = float(arm.instrument.jaw_velocity) * TICK
+        self._shown = [
+            (
+                int(model.actuator(f"{arm.name}_{name}_servo").id),
+                int(model.joint(f"{arm.name}_{name}").qposadr[0]),
+                multiplier,
+                offset,
+            )
+            for name, multiplier, offset in jaw_joints(arm.instrument_urdf)
+        ]
+        self.reset()
+
+    def reset(self) -> None:
+        """Closed."""
+        self.angle = self._goal = self._min
+        self.velocity = 0.0
+        for actuator, qpos, multiplier, offset in self._shown:
+            self._data.qpos[qpos] = self._data.ctrl[actuator] = multiplier * self.angle + offset
+
+    def accept(self, angle: float | None) -> None:
+        """Take this tick's jaw command [rad] (None: none) and move by at most one rate step.
+
+        A command that is not finite is ignored; one outside the jaw's range is clipped, as the
+        drive's mechanical stop would.
+        """
+        if angle is not None and np.isfinite(angle):
+            self._goal = min(max(angle, self._min), self._max)
+        before = self.angle
+        self.angle += min(max(self._goal - self.angle, -self._step), self._step)
+        self.velocity = (self.angle - before) / TICK
+        for actuator, _, multiplier, offset in self._shown:
+            self._data.ctrl[actuator] = multiplier * self.angle + offset

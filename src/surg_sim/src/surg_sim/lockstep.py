@@ -1,0 +1,156 @@
+"""Lock-step bookkeeping: when a tick may be executed, when to ask again, when to give up.
+
+Pure: times are arguments (seconds of any steady clock). One ``Lockstep`` follows one run:
+
+* tick k may be executed when every arm has answered k on both links, every participant has sent
+  Ready for k (the controller waited for it too, but its ``done`` must be known here before the tick
+  is executed), and no observer is further behind than its window;
+* nothing for ``republish`` seconds: publish state k again (receivers answer a tick once only);
+* nothing for ``abort`` seconds: give up and name who is missing;
+* every declared participant has said ``done``: tick k is the last one that is executed.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+LINKS = ("robot", "tool")
+"""The links of an arm; each must be answered in every tick."""
+
+OBSERVER_WINDOWS = {"recorder": 500, "endoscope": 1000}
+"""Ticks that each kind of observer may lag behind; queues are unbounded, so nothing is lost."""
+
+
+class Action(enum.Enum):
+    """What ``poll`` wants done."""
+
+    WAIT = enum.auto()
+    REPUBLISH = enum.auto()
+    ABORT = enum.auto()
+
+
+@dataclass
+class _Participant:
+    tick: int = 0
+    done: bool = False
+
+
+class Lockstep:
+    """The state of one lock-step run.
+
+    Args:
+        arms: Names of the arms, each answered by a controller.
+        participants: Declared commanders.
+        observers: Observers by name with the window of each [ticks].
+        republish: Silence after which a state is published again [s].
+        abort: Silence after which the run is given up [s].
+    """
+
+    def __init__(
+        self,
+        arms: Iterable[str],
+        participants: Iterable[str] = (),
+        observers: Mapping[str, int] | None = None,
+        republish: float = 2.0,
+        abort: float = 10.0,
+    ) -> None:
+        self._answered = {(arm, link): 0 for arm in arms for link in LINKS}
+        self._participants = {name: _Participant() for name in participants}
+        self._observers = dict.fromkeys(observers or {}, 0)
+        self._windows = dict(observers or {})
+        self._republish, self._abort = republish, abort
+        self._waiting_since = self._asked_at = 0.0
+        self.tick = 0
+        """The tick whose state is out; 0 before ``publish``."""
+
+    def publish(self, tick: int, now: float) -> None:
+        """State ``tick`` has been published for the first time at ``now``."""
+        self.tick = tick
+        self._waiting_since = self._asked_at = now
+
+    def answer(self, arm: str, link: str, tick: int) -> bool:
+        """A link command stamped with ``tick`` has arrived.
+
+        Returns:
+            True when it is the first answer to the present state; a late, repeated or early one
+            must not be used.
+        """
+        key = (arm, link)
+        if tick != self.tick or self._answered[key] == tick:
+            return False
+        self._answered[key] = tick
+        return True
+
+    def ready(self, name: str, tick: int, done: bool) -> None:
+        """A ``Ready`` has arrived; strangers are ignored."""
+        if name in self._participants:
+            participant = self._participants[name]
+            participant.tick = max(participant.tick, tick)
+            participant.done = participant.done or done
+        elif name in self._observers:
+            self._observers[name] = max(self._observers[name], tick)
+
+    def may_step(self) -> bool:
+        """True when the present tick may be executed."""
+        return (
+            self.tick > 0
+            and all(tick == self.tick for tick in self._answered.values())
+            and all(self._spoken(p) for p in self._participants.values())
+            and not self._late_observers()
+        )
+
+    def _spoken(self, participant: _Participant) -> bool:
+        """Whether a participant's Ready for the present tick is here, or cannot come.
+
+        A Ready sent before this side was connected is lost: one never heard of is not waited for;
+        the controller, which needs its commands, waits for it.
+        """
+        return participant.done or participant.tick == 0 or participant.tick >= self.tick
+
+    def finished(self) -> bool:
+        """True when the answer to the present tick is the last one to execute."""
+        return bool(self._participants) and all(
+            p.done and p.tick <= self.tick for p in self._participants.values()
+        )
+
+    def _late_observers(self) -> list[str]:
+        return [
+            name for name, tick in self._observers.items() if self.tick - tick > self._windows[name]
+        ]
+
+    def missing(self) -> list[str]:
+        """Whom the present tick waits for, one sentence each."""
+        sentences = [
+            f"participant '{name}' has not sent Ready for tick {self.tick} (last: {p.tick})"
+            for name, p in self._participants.items()
+            if p.tick < self.tick and not p.done
+        ]
+        topics = {"robot": "a robot command", "tool": "tool/servo_jp"}
+        sentences += [
+            f"the controller of {arm} has not answered tick {self.tick} with {topics[link]} "
+            f"(last: {tick})"
+            for (arm, link), tick in self._answered.items()
+            if tick < self.tick
+        ]
+        sentences += [
+            f"observer '{name}' is at tick {self._observers[name]}, more than "
+            f"{self._windows[name]} behind tick {self.tick}"
+            for name in self._late_observers()
+        ]
+        return sentences
+
+    def poll(self, now: float) -> Action:
+        """Look at the clock; call it a few times a second while waiting.
+
+        REPUBLISH is returned once per ``republish`` seconds.
+        """
+        if self.tick == 0:
+            return Action.WAIT
+        if now - self._waiting_since >= self._abort:
+            return Action.ABORT
+        if now - self._asked_at >= self._republish:
+            self._asked_at = now
+            return Action.REPUBLISH
+        return Action.WAIT

@@ -1,0 +1,266 @@
+"""Off-screen pictures of a scene: EGL, or OSMesa where there is no EGL.
+
+``mujoco.Renderer`` fixes the OpenGL platform when MuJoCo is imported; here it is chosen when a
+picture is first wanted, so that the physics modules stay free of OpenGL.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+APT_LINE = "sudo apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libgles2 libosmesa6"
+"""What brings off-screen OpenGL to a Debian machine."""
+
+BACKENDS = ("egl", "osmesa")
+"""Platforms in the order in which they are tried."""
+
+LAMPS = ("lamp", "fill")
+"""Lights of the room; the endoscope does not see them."""
+
+
+class NoOpenGL(RuntimeError):
+    """No way to render off screen on this machine; the message says what to install."""
+
+
+_PROBE = """
+import mujoco
+from surg_sim.render import context
+gl, mjr = context({backend!r}, mujoco.MjModel.from_xml_string("<mujoco/>"), 64, 64)
+mjr.free()
+gl.free()
+"""
+
+
+def context(
+    backend: str, model: mujoco.MjModel, width: int, height: int
+) -> tuple[Any, mujoco.MjrContext]:
+    """An OpenGL context of one platform, current in this thread, with the model's meshes in it.
+
+    A process can do this for one platform only: the libraries stay loaded, also after a failure.
+
+    Args:
+        backend: ``egl`` or ``osmesa``.
+        model: What will be drawn.
+        width: Of the largest picture [px].
+        height: Of the largest picture [px].
+    """
+    os.environ["PYOPENGL_PLATFORM"] = backend
+    if backend == "egl":
+        from mujoco.egl import GLContext
+    else:
+        from mujoco.osmesa import GLContext  # type: ignore[assignment]
+    gl = GLContext(width, height)
+    gl.make_current()
+    return gl, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+
+
+def probe(backend: str) -> str:
+    """Try a platform in a process of its own; returns why it does not work, or nothing."""
+    search = os.pathsep.join([p for p in sys.path if p])
+    result = subprocess.run(
+        [sys.executable, "-c", _PROBE.format(backend=backend)],
+        env={**os.environ, "PYTHONPATH": search, "MUJOCO_GL": backend},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    return (
+        "" if result.returncode == 0 else (result.stderr.strip() or "no message").splitlines()[-1]
+    )
+
+
+@functools.cache
+def choose_backend() -> str:
+    """The platform this process renders with: ``MUJOCO_GL`` if it names one, else egl, else osmesa.
+
+    Raises:
+        NoOpenGL: Neither works; the message gives the reason of each and the apt line.
+    """
+    wished = os.environ.get("MUJOCO_GL", "").lower()
+    reasons = []
+    for backend in (wished,) if wished in BACKENDS else BACKENDS:
+        reason = probe(backend)
+        if not reason:
+            return backend
+        reasons.append(f"{backend}: {reason}")
+    raise NoOpenGL(
+        f"No off-screen OpenGL ({'; '.join(reasons)}). The endoscope needs it: {APT_LINE}"
+    )
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Pinhole model of a rendered picture; pixel centres have integer coordinates.
+
+    Attributes:
+        width: [px].
+        height: [px].
+        f: Focal length, the same in x and y [px].
+        cx: Principal point [px].
+        cy: Principal point [px].
+    """
+
+    width: int
+    height: int
+    f: float
+    cx: float
+    cy: float
+
+    @classmethod
+    def from_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:
+        """From the vertical field of view [deg]: f = (height / 2) / tan(fovy / 2)."""
+        f = height / 2 / np.tan(np.radians(fovy) / 2)
+        return cls(width, height, float(f), (width - 1) / 2, (height - 1) / 2)
+
+    @property
+    def K(self) -> Array:
+        """Camera matrix, (3, 3)."""
+        return np.array([[self.f, 0, self.cx], [0, self.f, self.cy], [0, 0, 1]])
+
+    def project(self, point: Array) -> Array:
+        """Pixel (x, y) of a point in the optical frame (x right, y down, z away) [m], (2,)."""
+        return np.asarray((self.K @ point)[:2] / point[2])
+
+
+class Renderer:
+    """Renders one camera of a compiled scene. Use it from the thread that made it.
+
+    Args:
+        model: A scene built with ``looks=True``.
+        camera: Name of the camera.
+        width: [px].
+        height: [px].
+        vignette: Draw the round edge of an endoscope's picture.
+        hidden: Groups of geoms to leave out.
+
+    Raises:
+        NoOpenGL: No platform works.
+        ValueError: The picture is larger than the scene's off-screen buffer.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        camera: str,
+        width: int,
+        height: int,
+        vignette: bool = False,
+        hidden: Iterable[int] = (),
+    ) -> None:
+        limit = model.vis.global_
+        if width > limit.offwidth or height > limit.offheight or min(width, height) < 16:
+            raise ValueError(
+                f"picture {width} x {height}: allowed are 16 x 16 to "
+                f"{limit.offwidth} x {limit.offheight}"
+            )
+        self._model, self._data = model, mujoco.MjData(model)
+        self.backend = choose_backend()
+        self._gl, self._mjr = context(self.backend, model, width, height)
+        self._sharpen()
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
+        self._scene = mujoco.MjvScene(model, maxgeom=2000)
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
+        self._scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
+        self._option = mujoco.MjvOption()
+        for group in hidden:
+            self._option.geomgroup[group] = 0
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = model.camera(camera).id
+        self._rect = mujoco.MjrRect(0, 0, width, height)
+        self._upside_down = np.empty((height, width, 3), dtype=np.uint8)
+        self.intrinsics = Intrinsics.from_fovy(
+            width, height, float(model.cam_fovy[self._camera.fixedcamid])
+        )
+        self._round = _Vignette(width, height) if vignette else None
+        mujoco.mj_forward(model, self._data)
+
+    def _sharpen(self) -> None:
+        """Sample one mipmap level instead of two: a third less work without a GPU."""
+        from OpenGL import GL
+
+        for texture, kind in zip(self._mjr.texture, self._model.tex_type, strict=False):
+            if kind == mujoco.mjtTexture.mjTEXTURE_2D:
+                GL.glBindTexture(GL.GL_TEXTURE_2D, int(texture))
+                GL.glTexParameteri(
+                    GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST
+                )
+
+    def render(self, qpos: Array) -> Picture:
+        """The picture at joint positions qpos, (height, width, 3), rgb8, a new array.
+
+        Raises:
+            ValueError: qpos has the wrong length: the snapshot is of another scene.
+        """
+        if len(qpos) != self._model.nq:
+            raise ValueError(f"qpos has {len(qpos)} values, this scene has {self._model.nq}")
+        self._data.qpos[:] = qpos
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        mujoco.mjv_updateScene(
+            self._model,
+            self._data,
+            self._option,
+            None,
+            self._camera,
+            mujoco.mjtCatBit.mjCAT_ALL,
+            self._scene,
+        )
+        mujoco.mjr_render(self._rect, self._scene, self._mjr)
+        mujoco.mjr_readPixels(self._upside_down, None, self._rect, self._mjr)
+        picture = np.ascontiguousarray(self._upside_down[::-1])
+        if self._round is not None:
+            self._round.cut(picture)
+        return picture
+
+    def camera_pose(self) -> Array:
+        """Pose of the optical frame (x right, y down, z away) in the world, (4, 4)."""
+        pose = np.eye(4)
+        R = self._data.cam_xmat[self._camera.fixedcamid].reshape(3, 3)
+        pose[:3, :3] = R @ np.diag([1.0, -1.0, -1.0])
+        pose[:3, 3] = self._data.cam_xpos[self._camera.fixedcamid]
+        return pose
+
+    def close(self) -> None:
+        """Give the context back."""
+        self._mjr.free()
+        self._gl.free()
+
+
+def show_only(model: mujoco.MjModel, lamps: bool) -> None:
+    """Light the room (True) or leave only the endoscope's own light (False)."""
+    for name in LAMPS:
+        model.light_active[model.light(name).id] = lamps
+
+
+class _Vignette:
+    """The round edge of an endoscope's picture: black outside, soft over three pixels."""
+
+    def __init__(self, width: int, height: int) -> None:
+        x = np.arange(width) - (width - 1) / 2
+        y = np.arange(height) - (height - 1) / 2
+        inside = 0.56 * height - np.hypot(x[None, :], y[:, None])
+        self._keep = (inside > 0).astype(np.uint8)[..., None]
+        self._edge = np.nonzero((inside > 0) & (inside < 3))
+        self._weight = inside[self._edge][:, None] / 3
+
+    def cut(self, picture: Picture) -> None:
+        """Apply it in place to a (height, width, 3) picture."""
+        np.multiply(picture, self._keep, out=picture)
+        picture[self._edge] = picture[self._edge] * self._weight

@@ -1,0 +1,153 @@
+"""The bridge's and the endoscope's parameters: checked once, then frozen. No ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from surg_sim.lockstep import OBSERVER_WINDOWS
+
+MODES = ("lockstep", "freerun")
+
+
+class SettingsError(ValueError):
+    """A parameter that must not be used: name, value, what is allowed."""
+
+
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise SettingsError(f"parameter ~{name} is {value!r}: give a non-empty string")
+    return value
+
+
+def _texts(name: str, value: Any) -> tuple[str, ...]:
+    """A list of names, or one string with commas (what a rosrun line can pass)."""
+    items: Iterable[Any] = value.split(",") if isinstance(value, str) else value
+    if not isinstance(items, list):
+        raise SettingsError(f"parameter ~{name} is {value!r}: give a list of names, or 'a,b'")
+    stripped = [item.strip() if isinstance(item, str) else item for item in items]
+    return tuple(_text(name, item) for item in stripped if item != "")
+
+
+def _whole(name: str, value: Any, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise SettingsError(
+            f"parameter ~{name} is {value!r}: a whole number from {low} to {high} is allowed"
+        )
+    return value
+
+
+def _real(name: str, value: Any, low: float, high: float) -> float:
+    number = not isinstance(value, bool) and isinstance(value, int | float)
+    if not number or not low <= value <= high:
+        raise SettingsError(f"parameter ~{name} is {value!r}: {low} to {high} is allowed")
+    return float(value)
+
+
+def _mode(value: Any) -> str:
+    if value not in MODES:
+        raise SettingsError(f"parameter ~mode is {value!r}: allowed are {', '.join(MODES)}")
+    return str(value)
+
+
+Get = Callable[[str, Any], Any]
+"""Looks a private parameter up: (name without ~, default) -> value."""
+
+
+@dataclass(frozen=True)
+class BridgeSettings:
+    """Parameters of the node ``/sim``.
+
+    Attributes:
+        cell: Path of the cell.
+        mode: ``lockstep`` or ``freerun``.
+        participants: Declared commanders, waited for in every tick.
+        observers: Which of recorder and endoscope take part.
+        arms: Arms to simulate; empty: all of the cell.
+        seed: Seed of the world.
+        view: Open a viewer window where there is a display.
+        connect_timeout: Longest wait for everybody to connect in lock-step [s].
+        abort_timeout: Longest wait for the answer to a tick in lock-step [s].
+    """
+
+    cell: str
+    mode: str
+    participants: tuple[str, ...]
+    observers: tuple[str, ...]
+    arms: tuple[str, ...]
+    seed: int
+    view: bool
+    connect_timeout: float
+    abort_timeout: float
+
+    @classmethod
+    def read(cls, get: Get) -> BridgeSettings:
+        """Read and check all parameters.
+
+        Raises:
+            SettingsError: One is missing or out of range.
+        """
+        observers = _texts("observers", get("observers", []))
+        strangers = [name for name in observers if name not in OBSERVER_WINDOWS]
+        if strangers:
+            raise SettingsError(
+                f"parameter ~observers names {strangers}: allowed are {', '.join(OBSERVER_WINDOWS)}"
+            )
+        view = get("view", False)
+        if not isinstance(view, bool):
+            raise SettingsError(f"parameter ~view is {view!r}: true or false is allowed")
+        return cls(
+            cell=_text("cell", get("cell", "")),
+            mode=_mode(get("mode", "lockstep")),
+            participants=_texts("participants", get("participants", [])),
+            observers=observers,
+            arms=_texts("arms", get("arms", [])),
+            seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
+            view=view,
+            connect_timeout=_real("connect_timeout", get("connect_timeout", 60.0), 1.0, 3600.0),
+            abort_timeout=_real("abort_timeout", get("abort_timeout", 10.0), 1.0, 600.0),
+        )
+
+
+@dataclass(frozen=True)
+class EndoscopeSettings:
+    """Parameters of the node ``/endoscope``.
+
+    Attributes:
+        cell: Path of the cell, the same as the bridge's.
+        mode: ``lockstep`` (every snapshot) or ``freerun`` (the newest one only).
+        arms: As for the bridge.
+        seed: As for the bridge: it draws the tissue.
+        width: [px].
+        height: [px].
+        vignette: Draw the round edge of an endoscope's picture.
+    """
+
+    cell: str
+    mode: str
+    arms: tuple[str, ...]
+    seed: int
+    width: int
+    height: int
+    vignette: bool
+
+    @classmethod
+    def read(cls, get: Get) -> EndoscopeSettings:
+        """Read and check all parameters.
+
+        Raises:
+            SettingsError: One is missing or out of range.
+        """
+        vignette = get("vignette", True)
+        if not isinstance(vignette, bool):
+            raise SettingsError(f"parameter ~vignette is {vignette!r}: true or false is allowed")
+        return cls(
+            cell=_text("cell", get("cell", "")),
+            mode=_mode(get("mode", "lockstep")),
+            arms=_texts("arms", get("arms", [])),
+            seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
+            width=_whole("width", get("width", 640), 16, 1920),
+            height=_whole("height", get("height", 480), 16, 1080),
+            vignette=vignette,
+        )

@@ -1,0 +1,163 @@
+"""The compliant trocar: a sleeve that slides on the shaft, held by the abdominal wall's springs.
+
+The sleeve is a body on a slide joint along the shaft, with the seal's friction. A connect
+constraint between two *sites* ties it to a wall body on three spring-damper slides. (A body-based
+connect takes its anchor at qpos0 and throws the arm.) So the wall's displacement is read from its
+slides, and the force of the shaft on the wall from the constraint force on them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import quaternion
+
+if TYPE_CHECKING:
+    import surg_core
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrocarParameters:
+    """Mechanics of the wall at the trocar. Fixed before any deviation is looked at.
+
+    Attributes:
+        stiffness: Of the wall, in its plane and across it alike [N/m]; assumed.
+        mass: Of the wall and cannula that move along [kg]; assumed.
+        damping_ratio: Of the wall on its springs; assumed.
+        friction: Of the seal on the shaft [N]; assumed.
+    """
+
+    stiffness: float = 800.0
+    mass: float = 0.05
+    damping_ratio: float = 0.7
+    friction: float = 0.5
+
+    @property
+    def damping(self) -> float:
+        """Damping coefficient of each spring [N s/m]."""
+        return 2.0 * self.damping_ratio * float(np.sqrt(self.stiffness * self.mass))
+
+
+def shaft_in_flange(arm: surg_core.Arm) -> tuple[Array, Array]:
+    """The true tip point and unit shaft axis in the flange frame, from the URDF (not calibrated).
+
+    Returns:
+        p_FTip: (3,) [m].
+        s_F: (3,) unit vector, flange to tip.
+    """
+    import surg_core
+
+    X_FTip = surg_core.fixed_transform(
+        arm.instrument_urdf, arm.instrument.mount_link, arm.instrument.tip_link
+    )
+    return np.array(X_FTip[:3, 3]), np.array(X_FTip[:3, 2])
+
+
+def wall_frame(arm: surg_core.Arm) -> tuple[Array, Array]:
+    """The wall at rest, in the world: taught trocar point and home shaft axis.
+
+    Returns:
+        p_WRcm: (3,) [m].
+        s_W: (3,) unit vector into the patient.
+    """
+    p_WRcm = arm.X_WB[:3, :3] @ np.asarray(arm.trocar.p_BRcm) + arm.X_WB[:3, 3]
+    _, s_F = shaft_in_flange(arm)
+    R_BF = arm.chain.forward(np.asarray(arm.robot.home))[:3, :3]
+    return p_WRcm, arm.X_WB[:3, :3] @ R_BF @ s_F
+
+
+def add_trocar(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParameters) -> None:
+    """Put the sleeve, the wall and their connection into the scene.
+
+    The wall's axes are those of the arm's base, so that its slides are read in the base frame.
+    """
+    prefix = f"{arm.name}_"
+    p_WRcm, _ = wall_frame(arm)
+    wall = spec.worldbody.add_body(
+        name=f"{prefix}wall", pos=p_WRcm.tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
+    )
+    wall.gravcomp = 1.0
+    wall.mass = parameters.mass
+    wall.inertia = [1e-5] * 3
+    wall.explicitinertial = True
+    for axis, name in zip(np.eye(3), "xyz", strict=True):
+        wall.add_joint(
+            name=f"{prefix}wall_{name}",
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=axis.tolist(),
+            stiffness=[parameters.stiffness, 0, 0],
+            damping=[parameters.damping, 0, 0],
+        )
+    wall.add_site(name=f"{prefix}wall", size=[0.001] * 3, group=4)
+
+    p_FTip, s_F = shaft_in_flange(arm)
+    X_BF = arm.chain.forward(np.asarray(arm.robot.home))
+    depth = (X_BF[:3, :3] @ s_F) @ (
+        X_BF[:3, :3] @ p_FTip + X_BF[:3, 3] - np.asarray(arm.trocar.p_BRcm)
+    )
+    sleeve = spec.body(prefix + arm.robot.flange_link).add_body(
+        name=f"{prefix}sleeve", pos=(p_FTip - depth * s_F).tolist()
+    )
+    sleeve.gravcomp = 1.0
+    sleeve.mass = 0.01
+    sleeve.inertia = [1e-6] * 3
+    sleeve.explicitinertial = True
+    sleeve.add_joint(
+        name=f"{prefix}sleeve",
+        type=mujoco.mjtJoint.mjJNT_SLIDE,
+        axis=s_F.tolist(),
+        frictionloss=parameters.friction,
+        # Stiff, so that it is dry friction; the default is viscous for a sleeve of few grams.
+        solref_friction=[0.002, 1.0],
+        solimp_friction=[0.99, 0.999, 1e-4, 0.5, 2.0],
+    )
+    sleeve.add_site(name=f"{prefix}sleeve", size=[0.001] * 3, group=4)
+    spec.add_equality(
+        name=f"{prefix}trocar",
+        type=mujoco.mjtEq.mjEQ_CONNECT,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=f"{prefix}sleeve",
+        name2=f"{prefix}wall",
+        solref=[0.004, 1.0],
+        solimp=[0.99, 0.999, 1e-4, 0.5, 2.0],
+    )
+
+
+class Trocar:
+    """The trocar of one arm in a compiled scene: what the wall feels.
+
+    Args:
+        model: The compiled scene.
+        data: Its state.
+        arm: The cell's arm.
+    """
+
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, arm: surg_core.Arm) -> None:
+        self._data = data
+        joints = [model.joint(f"{arm.name}_wall_{name}") for name in "xyz"]
+        self._qpos = slice(joints[0].qposadr[0], joints[0].qposadr[0] + 3)
+        self._dofs = slice(joints[0].dofadr[0], joints[0].dofadr[0] + 3)
+        self.undisturbed: Array = np.array(arm.trocar.p_BRcm, dtype=np.float64)
+        """Where the wall's hole is when nothing pulls at it [m], base frame, (3,)."""
+
+    @property
+    def displacement(self) -> Array:
+        """Loaded minus undisturbed point [m], base frame, (3,)."""
+        return np.array(self._data.qpos[self._qpos])
+
+    @property
+    def loaded(self) -> Array:
+        """Where the wall's hole is now [m], base frame, (3,)."""
+        return self.undisturbed + self._data.qpos[self._qpos]
+
+    @property
+    def force(self) -> Array:
+        """Force of the shaft on the wall [N], base frame, (3,), of the last MuJoCo step."""
+        return np.array(self._data.qfrc_constraint[self._dofs])

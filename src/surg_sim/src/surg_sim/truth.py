@@ -1,0 +1,91 @@
+"""Ground truth of one arm: what the simulator knows and no controller may read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.trocar import Trocar
+
+if TYPE_CHECKING:
+    import surg_core
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ArmTruth:
+    """One arm at one tick; every vector in the arm's base frame, (3,), SI.
+
+    Attributes:
+        shaft_point: A point of the shaft axis (the tip) [m].
+        shaft_axis: Unit vector, flange to tip.
+        tip: Tip [m].
+        tip_velocity: [m/s].
+        trocar: Undisturbed trocar point [m].
+        trocar_loaded: The wall's hole under load [m].
+        trocar_force: Force of the shaft on the wall [N].
+        jaw: Opening angle [rad].
+    """
+
+    shaft_point: Array
+    shaft_axis: Array
+    tip: Array
+    tip_velocity: Array
+    trocar: Array
+    trocar_loaded: Array
+    trocar_force: Array
+    jaw: float
+
+    @property
+    def deviation(self) -> float:
+        """Distance of the undisturbed trocar point to the shaft axis [m]."""
+        d = self.trocar - self.shaft_point
+        return float(np.linalg.norm(d - (d @ self.shaft_axis) * self.shaft_axis))
+
+    @property
+    def displacement(self) -> Array:
+        """Loaded minus undisturbed trocar point [m], (3,)."""
+        return self.trocar_loaded - self.trocar
+
+
+class TruthReader:
+    """Reads the truth of one arm out of a scene whose kinematics are up to date.
+
+    Args:
+        model: The compiled scene.
+        data: Its state.
+        arm: The cell's arm.
+        trocar: Its trocar.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, arm: surg_core.Arm, trocar: Trocar
+    ) -> None:
+        self._model, self._data, self._trocar = model, data, trocar
+        self._tip = model.body(f"{arm.name}_{arm.instrument.tip_link}").id
+        self._R_BW = np.array(arm.X_WB[:3, :3].T, dtype=np.float64)
+        self._p_WB = np.array(arm.X_WB[:3, 3], dtype=np.float64)
+        self._velocity = np.empty(6)
+
+    def read(self, jaw: float) -> ArmTruth:
+        """The truth now, with the jaw angle that the instrument drive reports [rad]."""
+        tip = self._R_BW @ (self._data.xpos[self._tip] - self._p_WB)
+        axis = self._R_BW @ self._data.xmat[self._tip].reshape(3, 3)[:, 2]
+        mujoco.mj_objectVelocity(
+            self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, self._tip, self._velocity, 0
+        )
+        return ArmTruth(
+            shaft_point=tip,
+            shaft_axis=axis,
+            tip=tip,
+            tip_velocity=self._R_BW @ self._velocity[3:],
+            trocar=self._trocar.undisturbed,
+            trocar_loaded=self._trocar.loaded,
+            trocar_force=self._trocar.force,
+            jaw=jaw,
+        )

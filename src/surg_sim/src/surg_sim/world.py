@@ -1,0 +1,153 @@
+"""The simulated world: one tick in, one state out. No ROS, no clock, no threads.
+
+Tick k lasts 2 ms; its stamp is exactly k * 2,000,000 ns. After ``reset`` the world is at tick 1.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim import scene
+from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink
+from surg_sim.jaw import JawLink
+from surg_sim.trocar import Trocar, TrocarParameters
+from surg_sim.truth import ArmTruth, TruthReader
+
+if TYPE_CHECKING:
+    import surg_core
+
+Array = NDArray[np.float64]
+
+TICK_NS = 2_000_000
+"""Duration of one tick [ns]."""
+
+_NOTHING = ArmCommand()
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """What an arm's links measure at one tick.
+
+    Attributes:
+        q: (n,) joint positions [rad].
+        qd: (n,) joint velocities [rad/s].
+        jaw: Jaw angle [rad].
+        jaw_velocity: [rad/s].
+    """
+
+    q: Array
+    qd: Array
+    jaw: float
+    jaw_velocity: float
+
+
+@dataclass
+class _Member:
+    """The parts of one arm."""
+
+    link: ArmLink
+    jaw: JawLink
+    trocar: Trocar
+    truth: TruthReader
+
+
+class World:
+    """A cell in MuJoCo, advanced tick by tick; the same commands give the same bits.
+
+    Args:
+        cell: A loaded cell.
+        seed: Seeds whatever is drawn at random (in this version the look of the tissue).
+        looks: True: with patient and room, for pictures; False: what moves only (same physics).
+        arms: Names of the arms to simulate; default: all of the cell.
+        actuators: Drive parameters.
+        trocar: Wall parameters.
+
+    Raises:
+        ValueError: An arm is not in the cell, or a URDF does not fit its YAML.
+    """
+
+    def __init__(
+        self,
+        cell: surg_core.Cell,
+        seed: int = 0,
+        looks: bool = False,
+        arms: Iterable[str] | None = None,
+        actuators: ActuatorParameters | None = None,
+        trocar: TrocarParameters | None = None,
+    ) -> None:
+        actuators, trocar = actuators or ActuatorParameters(), trocar or TrocarParameters()
+        chosen = scene.choose_arms(cell, arms)
+        self.model = scene.build(chosen, seed, looks, actuators, trocar)
+        self.data = mujoco.MjData(self.model)
+        self._members: dict[str, _Member] = {}
+        for arm in chosen:
+            sleeve = Trocar(self.model, self.data, arm)
+            self._members[arm.name] = _Member(
+                link=ArmLink(self.model, self.data, arm, actuators),
+                jaw=JawLink(self.model, self.data, arm),
+                trocar=sleeve,
+                truth=TruthReader(self.model, self.data, arm, sleeve),
+            )
+        self.reset()
+
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """Names of the simulated arms."""
+        return tuple(self._members)
+
+    def reset(self) -> None:
+        """Home posture at rest, tick 1, fresh hash."""
+        mujoco.mj_resetData(self.model, self.data)
+        for member in self._members.values():
+            member.link.reset()
+            member.jaw.reset()
+        mujoco.mj_forward(self.model, self.data)
+        self.tick = 1
+        self._hash = hashlib.sha256()
+
+    def step(self, commands: Mapping[str, ArmCommand]) -> None:
+        """One tick: take the commands that answer this tick's state, then 2 x 1 ms of physics.
+
+        Args:
+            commands: By arm name; an arm that is not named received nothing.
+        """
+        for name, member in self._members.items():
+            command = commands.get(name, _NOTHING)
+            member.link.accept(command)
+            member.jaw.accept(command.jaw)
+        # mj_step is step1 (positions, velocities) then step2 (forces, integration). Ending on step1
+        # leaves kinematics that belong to the new state, at no extra cost.
+        for _ in range(SUBSTEPS):
+            for member in self._members.values():
+                member.link.substep()
+            mujoco.mj_step2(self.model, self.data)
+            mujoco.mj_step1(self.model, self.data)
+        self.tick += 1
+        self._hash.update(self.data.qpos.tobytes())
+        self._hash.update(self.data.qvel.tobytes())
+
+    def state(self, arm: str) -> ArmState:
+        """What the links of an arm measure now."""
+        member = self._members[arm]
+        return ArmState(member.link.q, member.link.qd, member.jaw.angle, member.jaw.velocity)
+
+    def truth(self, arm: str) -> ArmTruth:
+        """The truth of an arm now."""
+        member = self._members[arm]
+        return member.truth.read(member.jaw.angle)
+
+    def link(self, arm: str) -> ArmLink:
+        """The robot link of an arm: its dead-man and fault."""
+        return self._members[arm].link
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over float64 qpos, qvel of every tick since ``reset``, as hex digits."""
+        return self._hash.hexdigest()

@@ -1,0 +1,15 @@
+"""Build of surg_teleop, read by catkin and by pip alike."""
+
+import setuptools
+
+setuptools.setup(
+    name="surg_teleop",
+    version="0.1.0",
+    description="Recorded motions and the operator that plays them",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    packages=["surg_teleop"],
+    package_dir={"": "src"},
+    package_data={"surg_teleop": ["py.typed"]},
+    install_requires=["numpy>=1.24", "scipy>=1.10"],
+)

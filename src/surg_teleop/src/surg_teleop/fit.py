@@ -1,0 +1,100 @@
+"""Does a motion fit into an arm's workspace? Never rescaled: refused with the scale that would fit.
+
+Workspace in the rcm frame (origin at the trocar, z along the home shaft into the patient): depth
+|p| between two spheres, and inside a cone about z. The motion is scaled about its centre, which
+lies on the axis; so each sample leaves the workspace at one scale that has a closed form.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """Where the tip may be commanded.
+
+    Attributes:
+        depth_min: Shallowest depth of a motion [m]: where lateral motion starts to fade.
+        depth_max: Deepest [m].
+        cone: Largest angle between shaft and home axis [rad], below pi/2.
+    """
+
+    depth_min: float
+    depth_max: float
+    cone: float
+
+
+@dataclass(frozen=True)
+class Exit:
+    """Where a motion leaves the workspace first when it grows.
+
+    Attributes:
+        scale: The largest scale that fits; infinite if every scale does.
+        index: Sample that sets it.
+        wall: Which wall: ``depth_min``, ``depth_max`` or ``cone``.
+    """
+
+    scale: float
+    index: int
+    wall: str
+
+
+def box_centre(p: Array) -> Array:
+    """Centre (3,) [m] of the bounding box of positions (n, 3) [m]."""
+    centre: Array = (p.min(axis=0) + p.max(axis=0)) / 2.0
+    return centre
+
+
+def largest_scale(offsets: Array, depth: float, workspace: Workspace) -> Exit:
+    """Largest scale at which every sample stays inside.
+
+    A sample sits at c + scale d with c = (0, 0, depth) and d its offset from the box's centre. It
+    leaves through a wall at the smallest positive root of a quadratic in the scale:
+    |c + scale d|^2 = r^2 for a sphere, (c_z + scale d_z)^2 = cos^2(cone) |c + scale d|^2 for the
+    cone.
+
+    Args:
+        offsets: (n, 3) samples relative to the box's centre, in axes of the rcm frame [m].
+        depth: Depth of the box's centre on the axis [m]; must be inside the workspace.
+        workspace: The walls.
+
+    Returns:
+        The first exit over all samples.
+    """
+    d2 = np.einsum("ij,ij->i", offsets, offsets)
+    dz = offsets[:, 2]
+    cos2 = math.cos(workspace.cone) ** 2
+    roots = {
+        "depth_min": _first_root(d2, 2.0 * depth * dz, depth**2 - workspace.depth_min**2),
+        "depth_max": _first_root(d2, 2.0 * depth * dz, depth**2 - workspace.depth_max**2),
+        # The mirror image of the cone (z < 0) lies behind the trocar: the depth_min sphere is met
+        # or the near side of the cone is crossed before it, so the smallest root is the right one.
+        "cone": _first_root(
+            dz**2 - cos2 * d2, 2.0 * depth * dz * (1.0 - cos2), depth**2 * (1.0 - cos2)
+        ),
+    }
+    first = Exit(math.inf, 0, "none")
+    for wall, scales in roots.items():
+        index = int(np.argmin(scales))
+        if scales[index] < first.scale:
+            first = Exit(float(scales[index]), index, wall)
+    return first
+
+
+def _first_root(a: Array, b: Array, c: float) -> Array:
+    """Smallest positive root of a x^2 + b x + c per entry, infinite where there is none."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(b * b - 4.0 * a * c)
+        # Citardauq's form where the usual one would cancel.
+        q = -0.5 * (b + np.where(b < 0, -root, root))
+        candidates = np.stack((q / a, c / q))
+    candidates[~(candidates > 0) | ~np.isfinite(candidates)] = np.inf
+    first: Array = candidates.min(axis=0)
+    return first

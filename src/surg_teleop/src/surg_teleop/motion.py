@@ -1,0 +1,313 @@
+"""A recorded hand motion: read from CSV, checked, and smooth between its samples.
+
+File format: comma separated text with one header line. Required columns: ``t_s`` [s], ``x_m``,
+``y_m``, ``z_m`` [m]. Optional: ``roll_rad`` [rad] or the nine columns ``r11`` ... ``r33`` of a
+rotation matrix (row by row), and ``gripper_rad`` [rad]. Further columns are ignored and named.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from surg_teleop.errors import MotionError
+
+Array = NDArray[np.float64]
+
+REQUIRED = ("t_s", "x_m", "y_m", "z_m")
+ROTATION = tuple(f"r{row}{column}" for row in "123" for column in "123")
+KNOWN = (*REQUIRED, "roll_rad", *ROTATION, "gripper_rad")
+
+MIN_SAMPLES = 4
+"""A cubic spline needs that many."""
+MIN_DURATION = 0.5
+"""[s] Anything shorter is a fragment of a file, not a motion."""
+MAX_GAP = 0.5
+"""[s] Across a longer gap the spline would invent a motion that nobody made."""
+JUMP_SPEED = 1.0
+"""[m/s] Between samples. Four times the fastest tip of 37 recorded knot-tying trials (0.25 m/s):
+a faster "hand" is a glitch of the tracker or a file glued together."""
+JUMP_SLACK = 0.002
+"""[m] Sample noise that does not count as a jump, however short the time step."""
+ROLL_JUMP_SPEED = 20.0
+"""[rad/s] Between samples. A surgeon's wrist rolls at up to 5.7 rad/s."""
+ROLL_JUMP_SLACK = 0.1
+"""[rad] The same for roll."""
+ROTATION_TOLERANCE = 1e-2
+"""Largest entry of R R^T - I that still passes for a rotation printed with few digits."""
+MIN_TWIST = 1e-3
+"""|cos(swing / 2)| must exceed this: swing-twist has no answer where the handle points back."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion that passed every check of :func:`read_motion`.
+
+    Attributes:
+        file: Where it came from, for messages.
+        t: (n,) time since the first sample [s], strictly increasing from 0.
+        p: (n, 3) position as recorded [m].
+        roll: (n,) roll about the handle axis since the first sample [rad], unwrapped; zeros if the
+            file has none.
+        gripper: (n,) gripper opening [rad] or None.
+        lines: (n,) line of each sample in the file, for messages.
+        ignored: Columns of the file that nobody used.
+    """
+
+    file: str
+    t: Array
+    p: Array
+    roll: Array
+    gripper: Array | None
+    lines: NDArray[np.int64]
+    ignored: tuple[str, ...] = ()
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last sample [s]."""
+        return float(self.t[-1])
+
+    @property
+    def box(self) -> tuple[Array, Array]:
+        """Lowest and highest position per axis, each (3,) [m]."""
+        return self.p.min(axis=0), self.p.max(axis=0)
+
+    def cut(self, duration: float) -> Motion:
+        """The motion's first seconds.
+
+        Args:
+            duration: How much to keep [s]; at least MIN_DURATION. More than there is: all of it.
+
+        Returns:
+            The shorter motion; its last sample lies at or just before the given time.
+        """
+        if duration >= self.duration:
+            return self
+        n = max(int(np.searchsorted(self.t, duration, side="right")), MIN_SAMPLES)
+        gripper = None if self.gripper is None else self.gripper[:n]
+        return replace(
+            self,
+            t=self.t[:n],
+            p=self.p[:n],
+            roll=self.roll[:n],
+            gripper=gripper,
+            lines=self.lines[:n],
+        )
+
+    def spline(self) -> CubicSpline:
+        """Interpolant with continuous acceleration over (x, y, z [m], roll [rad]).
+
+        Natural ends: no acceleration at the first and the last sample. The file's samples are met
+        exactly.
+        """
+        return CubicSpline(self.t, np.column_stack((self.p, self.roll)), bc_type="natural")
+
+    def gripper_at(self, t: float) -> float | None:
+        """Gripper opening [rad] at a time [s], linear between samples, held beyond the ends."""
+        return None if self.gripper is None else float(np.interp(t, self.t, self.gripper))
+
+
+def read_motion(path: Path) -> Motion:
+    """Reads and checks a motion file.
+
+    Args:
+        path: The CSV file.
+
+    Returns:
+        The motion.
+
+    Raises:
+        MotionError: The file cannot be read, or is not a motion that an arm may follow.
+    """
+    header, rows, lines = _read_table(path)
+    column = {name: index for index, name in enumerate(header)}
+    t, p = rows[:, column["t_s"]], rows[:, [column[name] for name in REQUIRED[1:]]]
+    _check_time(path, t, lines)
+    _check_jumps(path, t, p, lines)
+    if "roll_rad" in column:
+        roll = np.unwrap(rows[:, column["roll_rad"]])
+    elif "r11" in column:
+        rotations = rows[:, [column[name] for name in ROTATION]].reshape(-1, 3, 3)
+        roll = _handle_roll(path, rotations, lines)
+    else:
+        roll = np.zeros(len(t))
+    _check_roll_jumps(path, t, roll, lines)
+    return Motion(
+        file=str(path),
+        t=t - t[0],
+        p=p,
+        roll=roll - roll[0],
+        gripper=rows[:, column["gripper_rad"]] if "gripper_rad" in column else None,
+        lines=np.array(lines, dtype=np.int64),
+        ignored=tuple(name for name in header if name not in KNOWN),
+    )
+
+
+def twist_angle(rotations: Array) -> tuple[Array, Array]:
+    """Roll of a handle about its own axis (z) since the first sample, by swing-twist.
+
+    R_0^T R = swing · twist(z), twist = 2 atan2(q_z, q_w) of that quaternion. Handle pitch and yaw
+    are the swing and are ignored.
+
+    Args:
+        rotations: (n, 3, 3) handle orientations, third column the handle axis.
+
+    Returns:
+        The unwrapped twist (n,) [rad] and its quality (n,): |cos(swing / 2)|, 0 where undefined.
+    """
+    relative = np.einsum("ji,njk->nik", rotations[0], rotations)
+    # tan(twist) from the matrix: q_z / q_w = (r21 - r12) / (1 + r11 + r22 + r33), and both are
+    # scaled by cos(swing / 2), so that 2 atan2 needs no normalisation:
+    # (r21 - r12, r11 + r22) = (1 + cos swing) (sin twist, cos twist).
+    sine = relative[:, 1, 0] - relative[:, 0, 1]
+    cosine = relative[:, 0, 0] + relative[:, 1, 1]
+    quality = np.sqrt(np.hypot(sine, cosine) / 2.0)
+    return np.unwrap(np.arctan2(sine, cosine)), quality
+
+
+def _read_table(path: Path) -> tuple[list[str], Array, list[int]]:
+    """The header, the numbers (n, columns), and the line of each row in the file."""
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file)
+            header = [name.strip() for name in next(reader, [])]
+            _check_header(path, header)
+            rows: list[list[float]] = []
+            lines: list[int] = []
+            for cells in reader:
+                if not any(cell.strip() for cell in cells):
+                    continue
+                rows.append(_numbers(path, reader.line_num, header, cells))
+                lines.append(reader.line_num)
+    except OSError as error:
+        raise MotionError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise MotionError(f"{path}: not a text file; allowed: CSV in UTF-8") from error
+    except csv.Error as error:
+        raise MotionError(f"{path}: not a CSV file: {error}") from error
+    if len(rows) < MIN_SAMPLES:
+        raise MotionError(
+            f"{path}: {len(rows)} samples; allowed: at least {MIN_SAMPLES}, over {MIN_DURATION} s"
+        )
+    return header, np.array(rows), lines
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    if not header:
+        raise MotionError(f"{path}: line 1: empty; allowed: a header with {','.join(REQUIRED)}")
+    missing = [name for name in REQUIRED if name not in header]
+    if missing:
+        raise MotionError(
+            f"{path}: line 1: column {', '.join(missing)} missing; the header is "
+            f"'{','.join(header)}'; allowed: {','.join(REQUIRED)} and optionally roll_rad or "
+            "r11 to r33, and gripper_rad"
+        )
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise MotionError(f"{path}: line 1: column {', '.join(twice)} stands there twice")
+    rotation = [name for name in ROTATION if name in header]
+    if rotation and len(rotation) < len(ROTATION):
+        absent = [name for name in ROTATION if name not in header]
+        raise MotionError(
+            f"{path}: line 1: column {', '.join(absent)} missing; allowed: all of r11 to r33, "
+            "or none of them"
+        )
+    if rotation and "roll_rad" in header:
+        raise MotionError(f"{path}: line 1: both roll_rad and r11 to r33; allowed: one of the two")
+
+
+def _numbers(path: Path, line: int, header: list[str], cells: list[str]) -> list[float]:
+    if len(cells) != len(header):
+        raise MotionError(
+            f"{path}: line {line}: {len(cells)} values; allowed: {len(header)}, one per column"
+        )
+    values: list[float] = []
+    for name, cell in zip(header, cells, strict=True):
+        if name not in KNOWN:
+            values.append(0.0)
+            continue
+        try:
+            value = float(cell)
+        except ValueError as error:
+            raise MotionError(
+                f"{path}: line {line}: {name} is '{cell}'; allowed: a number"
+            ) from error
+        if not np.isfinite(value):
+            raise MotionError(
+                f"{path}: line {line}: {name} is {cell.strip()}; allowed: a finite number"
+            )
+        values.append(value)
+    return values
+
+
+def _check_time(path: Path, t: Array, lines: list[int]) -> None:
+    steps = np.diff(t)
+    backwards = np.flatnonzero(~(steps > 0))
+    if backwards.size:
+        i = int(backwards[0]) + 1
+        raise MotionError(
+            f"{path}: line {lines[i]}: t_s is {t[i]:.6f} after {t[i - 1]:.6f}; allowed: time that "
+            "runs forwards"
+        )
+    gaps = np.flatnonzero(steps > MAX_GAP)
+    if gaps.size:
+        i = int(gaps[0]) + 1
+        raise MotionError(
+            f"{path}: line {lines[i]}: t_s is {t[i]:.6f}, {steps[i - 1]:.3f} s after the sample "
+            f"before; allowed: {MAX_GAP} s, or what happened in between would be guessed"
+        )
+    if t[-1] - t[0] < MIN_DURATION:
+        raise MotionError(
+            f"{path}: the motion lasts {t[-1] - t[0]:.3f} s; allowed: at least {MIN_DURATION} s"
+        )
+
+
+def _check_jumps(path: Path, t: Array, p: Array, lines: list[int]) -> None:
+    step = np.linalg.norm(np.diff(p, axis=0), axis=1)
+    allowed = JUMP_SPEED * np.diff(t) + JUMP_SLACK
+    jumps = np.flatnonzero(~(step <= allowed))
+    if jumps.size:
+        i = int(jumps[0])
+        raise MotionError(
+            f"{path}: line {lines[i + 1]}: the position jumps by {1e3 * step[i]:.1f} mm in "
+            f"{t[i + 1] - t[i]:.4f} s; allowed: {1e3 * allowed[i]:.1f} mm "
+            f"({JUMP_SPEED} m/s and {1e3 * JUMP_SLACK:.0f} mm)"
+        )
+
+
+def _check_roll_jumps(path: Path, t: Array, roll: Array, lines: list[int]) -> None:
+    step = np.abs(np.diff(roll))
+    allowed = ROLL_JUMP_SPEED * np.diff(t) + ROLL_JUMP_SLACK
+    jumps = np.flatnonzero(~(step <= allowed))
+    if jumps.size:
+        i = int(jumps[0])
+        raise MotionError(
+            f"{path}: line {lines[i + 1]}: the roll jumps by {step[i]:.3f} rad in "
+            f"{t[i + 1] - t[i]:.4f} s; allowed: {allowed[i]:.3f} rad "
+            f"({ROLL_JUMP_SPEED:.0f} rad/s and {ROLL_JUMP_SLACK} rad)"
+        )
+
+
+def _handle_roll(path: Path, rotations: Array, lines: list[int]) -> Array:
+    defect = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    bad = np.flatnonzero(~((defect <= ROTATION_TOLERANCE) & (np.linalg.det(rotations) > 0)))
+    if bad.size:
+        i = int(bad[0])
+        raise MotionError(
+            f"{path}: line {lines[i]}: r11 to r33 are no rotation (R R^T differs from 1 by "
+            f"{defect[i]:.3g}, determinant {np.linalg.det(rotations[i]):.3g}); allowed: "
+            f"{ROTATION_TOLERANCE} and a positive determinant"
+        )
+    roll, quality = twist_angle(rotations)
+    lost = np.flatnonzero(quality < MIN_TWIST)
+    if lost.size:
+        raise MotionError(
+            f"{path}: line {lines[int(lost[0])]}: the handle points against its direction in the "
+            "first sample, so its roll is undefined; allowed: any smaller turn"
+        )
+    return roll

@@ -1,0 +1,328 @@
+"""From a motion file to what an arm is told at every moment: the path in the rcm frame.
+
+Time line: a run-in from rest, the recorded motion (again and again, if a longer duration is asked
+for), a run-out to rest. The recorded motion itself is never altered. The run-in and run-out lie
+outside it: they bring the tip smoothly to the velocity that the first sample has and back from the
+last one. Without the run-in the jerk-limited filter of the controller would have to catch up with a
+target that is suddenly moving (4 mm behind at 0.1 m/s); with it the filter is in step when the
+recording starts. A recording that starts at rest has a run-in that does not move.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from surg_teleop.errors import MotionError
+from surg_teleop.fit import Workspace, box_centre, largest_scale
+from surg_teleop.mapping import Mapping
+from surg_teleop.motion import Motion
+
+Array = NDArray[np.float64]
+
+CENTRE_DEPTH = 0.120
+"""[m] Depth of the centre of a motion's box, on the home shaft axis."""
+RUN_MIN = 0.3
+"""[s] Shortest run-in and run-out."""
+RUN_ACCELERATION = 0.5
+"""[m/s^2] Mean acceleration of the run-in and run-out: a quarter of the tip's limit."""
+RETURN_SPEED = 0.05
+"""[m/s] Mean speed of the way back from the last to the first sample when a motion is repeated."""
+RETURN_MIN = 1.0
+"""[s] Shortest way back."""
+MIN_EXTENT = 1e-3
+"""[m] A motion whose box is smaller in every axis is constant: it would show nothing."""
+CHECK_STEP = 0.002
+"""[s] The path is checked at every control cycle."""
+MAX_SCALE, MIN_SCALE = 10.0, 0.01
+MAX_DURATION = 24 * 3600.0
+
+
+class ConstantMotionError(MotionError):
+    """A motion that does not move: nothing could be measured from it."""
+
+
+@dataclass(frozen=True)
+class Quintic:
+    """Quintic between two states (position, velocity, acceleration) of any number of axes.
+
+    Attributes:
+        coefficients: (6, axes), lowest power first, in time since its start.
+    """
+
+    coefficients: Array
+
+    @staticmethod
+    def between(
+        start: tuple[Array, Array, Array], end: tuple[Array, Array, Array], T: float
+    ) -> Quintic:
+        """The quintic that starts and ends in the given states T seconds apart."""
+        (x0, v0, a0), (x1, v1, a1) = start, end
+        h = x1 - x0 - v0 * T - a0 * T * T / 2.0
+        dv, da = v1 - v0 - a0 * T, a1 - a0
+        return Quintic(
+            np.stack(
+                (
+                    x0,
+                    v0,
+                    a0 / 2.0,
+                    10.0 * h / T**3 - 4.0 * dv / T**2 + da / (2.0 * T),
+                    -15.0 * h / T**4 + 7.0 * dv / T**3 - da / T**2,
+                    6.0 * h / T**5 - 3.0 * dv / T**4 + da / (2.0 * T**3),
+                )
+            )
+        )
+
+    def at(self, t: Array) -> Array:
+        """Positions (n, axes) at times (n,) since its start."""
+        powers = np.power.outer(t, np.arange(6))
+        positions: Array = powers @ self.coefficients
+        return positions
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What the arm is told over time, in the rcm frame. Make one with :func:`make_plan`.
+
+    Attributes:
+        motion: The motion that is played.
+        mapping: From the motion's own frame to the rcm frame.
+        run_in: Length of the run-in [s].
+        played: Length of the played window [s]: run_in to run_in + played is recorded motion.
+        run_out: Length of the run-out [s].
+        back: Length of the way back between two repetitions [s].
+    """
+
+    motion: Motion
+    mapping: Mapping
+    run_in: float
+    played: float
+    run_out: float
+    back: float
+    _spline: CubicSpline
+    _in: Quintic
+    _back: Quintic
+    _out: Quintic
+    _gripper_closed: float
+    _knots: list[float]
+    _pieces: list[Array]
+
+    @property
+    def duration(self) -> float:
+        """Length of everything [s]."""
+        return self.run_in + self.played + self.run_out
+
+    @property
+    def window(self) -> tuple[float, float]:
+        """Start and end of the recorded motion within the plan [s]."""
+        return self.run_in, self.run_in + self.played
+
+    def at(self, t: float) -> tuple[Array, float]:
+        """Tip (3,) [m] and roll [rad] at a time [s] since the start; rests beyond both ends."""
+        t = min(max(t, 0.0), self.duration)
+        start, end = self.window
+        if t < start:
+            state = _horner(self._in.coefficients, t)
+        elif t >= end:
+            state = _horner(self._out.coefficients, t - end)
+        else:
+            local = self._phase_at(t)
+            if local > self.motion.duration:
+                state = _horner(self._back.coefficients, local - self.motion.duration)
+            else:
+                piece = min(bisect.bisect_right(self._knots, local), len(self._knots) - 1) - 1
+                state = _horner(self._pieces[piece], local - self._knots[piece])
+        return self.mapping.position(state[:3]), self.mapping.roll(float(state[3]))
+
+    def path(self, t: Array) -> tuple[Array, Array]:
+        """The same for times (n,): tips (n, 3) [m] and rolls (n,) [rad]."""
+        t = np.clip(t, 0.0, self.duration)
+        state = np.empty((len(t), 4))
+        first = t < self.run_in
+        last = t >= self.run_in + self.played
+        middle = ~(first | last)
+        state[first] = self._in.at(t[first])
+        state[last] = self._out.at(t[last] - self.run_in - self.played)
+        local = self._phase(t[middle])
+        recorded = local <= self.motion.duration
+        inside = np.empty((len(local), 4))
+        inside[recorded] = self._spline(local[recorded])
+        inside[~recorded] = self._back.at(local[~recorded] - self.motion.duration)
+        state[middle] = inside
+        p = self.mapping.position(state[:, :3])
+        roll = state[:, 3] - self.mapping.roll_leader_0 + self.mapping.roll_arm_0
+        return p, roll
+
+    def opening(self, t: float) -> float | None:
+        """Gripper opening [rad] at a time [s] from the most closed of the motion; None without one.
+
+        Relative to the most closed sample, because recordings put their zero anywhere.
+        """
+        local = self._phase_at(min(max(t, 0.0), self.duration))
+        value = self.motion.gripper_at(min(local, self.motion.duration))
+        return None if value is None else value - self._gripper_closed
+
+    def _phase(self, t: Array) -> Array:
+        """Time within one repetition [s] for times since the start of the plan."""
+        window = np.clip(t - self.run_in, 0.0, self.played)
+        period = self.motion.duration + self.back
+        phase: Array = window - period * np.floor(window / period)
+        return phase
+
+    def _phase_at(self, t: float) -> float:
+        window = min(max(t - self.run_in, 0.0), self.played)
+        period = self.motion.duration + self.back
+        return window - period * math.floor(window / period)
+
+
+def make_plan(
+    motion: Motion, workspace: Workspace, scale: float = 1.0, duration: float | None = None
+) -> Plan:
+    """Centres a motion on the home shaft axis, checks that it fits, and lays out its time line.
+
+    Args:
+        motion: A checked motion.
+        workspace: Where the tip may be.
+        scale: Arm metres per recorded metre, MIN_SCALE to MAX_SCALE.
+        duration: How long to play [s]; None: the motion once. Shorter: its first seconds; longer:
+            again and again, with a smooth way back in between.
+
+    Returns:
+        The plan.
+
+    Raises:
+        ConstantMotionError: The motion does not move.
+        MotionError: The path does not fit (the message names the largest scale that does), or scale
+            or duration are out of range.
+    """
+    if not MIN_SCALE <= scale <= MAX_SCALE:
+        raise MotionError(f"--scale: {scale}; allowed: {MIN_SCALE} to {MAX_SCALE}")
+    if duration is not None and not 1.0 <= duration <= MAX_DURATION:
+        raise MotionError(f"--duration: {duration} s; allowed: 1 to {MAX_DURATION:.0f} s")
+    if not workspace.depth_min < CENTRE_DEPTH < workspace.depth_max:
+        raise MotionError(
+            f"the arm's depth range is {workspace.depth_min} to {workspace.depth_max} m; motions "
+            f"are centred at {CENTRE_DEPTH} m, which must lie inside"
+        )
+    played = motion.duration if duration is None else duration
+    motion = motion.cut(played)
+    if duration is not None and duration < motion.duration + CHECK_STEP:
+        played = motion.duration
+    extent = scale * np.ptp(motion.p, axis=0)
+    if extent.max() < MIN_EXTENT:
+        raise ConstantMotionError(
+            f"{motion.file}: the motion is constant: at scale {scale:g} its box is "
+            f"{_mm(extent)} mm; allowed: at least {1e3 * MIN_EXTENT:.0f} mm in one axis"
+        )
+    plan = _lay_out(motion, scale, played)
+    _check_fit(plan, workspace, scale)
+    return plan
+
+
+def _lay_out(motion: Motion, scale: float, played: float) -> Plan:
+    spline = motion.spline()
+    zero = np.zeros(4)
+
+    def state(t: float) -> tuple[Array, Array, Array]:
+        return spline(t), spline(t, 1), spline(t, 2)
+
+    first, last = state(0.0), state(motion.duration)
+    distance = scale * float(np.linalg.norm(last[0][:3] - first[0][:3]))
+    back = 0.0
+    if played > motion.duration:
+        back = max(RETURN_MIN, distance / RETURN_SPEED, abs(float(last[0][3] - first[0][3])))
+    way_back = Quintic.between(last, first, back or RETURN_MIN)
+    phase = math.fmod(played, motion.duration + back) if back else motion.duration
+    if phase <= motion.duration:
+        stop = state(phase)
+    else:  # the window ends on a way back: its derivatives by the polynomial itself
+        c, u = way_back.coefficients, phase - motion.duration
+        k = np.arange(6)[:, None]
+        velocity = (k[1:] * c[1:] * u ** (k[1:] - 1.0)).sum(axis=0)
+        acceleration = (k[2:] * (k[2:] - 1) * c[2:] * u ** (k[2:] - 2.0)).sum(axis=0)
+        stop = way_back.at(np.array([u]))[0], velocity, acceleration
+    run_in = max(RUN_MIN, scale * float(np.linalg.norm(first[1][:3])) / RUN_ACCELERATION)
+    run_out = max(RUN_MIN, scale * float(np.linalg.norm(stop[1][:3])) / RUN_ACCELERATION)
+    start = (first[0] - first[1] * run_in / 2.0, zero, zero)
+    end = (stop[0] + stop[1] * run_out / 2.0, zero, zero)
+    centre = box_centre(motion.p)
+    mapping = Mapping(
+        scale=scale,
+        p_leader_0=start[0][:3],
+        roll_leader_0=float(motion.roll[0]),
+        p_arm_0=np.array([0.0, 0.0, CENTRE_DEPTH]) + scale * (start[0][:3] - centre),
+        roll_arm_0=0.0,
+    )
+    return Plan(
+        motion=motion,
+        mapping=mapping,
+        run_in=run_in,
+        played=played,
+        run_out=run_out,
+        back=back,
+        _spline=spline,
+        _in=Quintic.between(start, first, run_in),
+        _back=way_back,
+        _out=Quintic.between(stop, end, run_out),
+        _gripper_closed=0.0 if motion.gripper is None else float(motion.gripper.min()),
+        _knots=motion.t.tolist(),
+        _pieces=list(spline.c[::-1].transpose(1, 0, 2)),
+    )
+
+
+def _horner(coefficients: Array, u: float) -> Array:
+    """Polynomials (k, axes), lowest power first, at u: what one control cycle can afford."""
+    value: Array = coefficients[-1]
+    for row in coefficients[-2::-1]:
+        value = value * u + row
+    return value
+
+
+def _check_fit(plan: Plan, workspace: Workspace, scale: float) -> None:
+    # One repetition shows the whole path; a window that ends on a way back adds its run-out.
+    window = min(plan.played, plan.motion.duration + plan.back)
+    times = np.concatenate(
+        (
+            np.arange(0.0, plan.run_in + window, CHECK_STEP),
+            np.arange(plan.run_in + plan.played, plan.duration, CHECK_STEP),
+            plan.run_in + plan.motion.t,
+        )
+    )
+    p, _ = plan.path(times)
+    offsets = (p - np.array([0.0, 0.0, CENTRE_DEPTH])) / scale
+    first = largest_scale(offsets, CENTRE_DEPTH, workspace)
+    if first.scale >= scale:
+        return
+    worst = p[first.index]
+    depth = float(np.linalg.norm(worst))
+    angle = math.degrees(math.acos(max(-1.0, min(1.0, worst[2] / depth))))
+    # Rounded down: the scale that the message names must fit.
+    fits = math.floor(1000.0 * first.scale) / 1000.0
+    box = _mm(scale * np.ptp(plan.motion.p, axis=0))
+    raise MotionError(
+        f"{plan.motion.file}: {_where(plan, float(times[first.index]))}: at scale {scale:g} the "
+        f"motion (box {box} mm, centred {1e3 * CENTRE_DEPTH:.0f} mm deep) does not fit: the tip "
+        f"would be {1e3 * depth:.1f} mm deep and {angle:.1f} degrees off the home axis; allowed: "
+        f"{1e3 * workspace.depth_min:.0f} to {1e3 * workspace.depth_max:.0f} mm and "
+        f"{math.degrees(workspace.cone):.0f} degrees. The largest scale that fits is {fits:.3f}"
+    )
+
+
+def _where(plan: Plan, t: float) -> str:
+    start, end = plan.window
+    if t < start:
+        return "on the way in"
+    if t > end:
+        return "on the way out"
+    motion = plan.motion
+    sample = int(np.argmin(np.abs(motion.t - (t - start))))
+    return f"line {motion.lines[sample]}, {t - start:.3f} s after the first sample"
+
+
+def _mm(extent: Array) -> str:
+    return " x ".join(f"{1e3 * value:.1f}" for value in extent)

@@ -1,0 +1,68 @@
+"""Fixtures and options of all tests."""
+
+from __future__ import annotations
+
+import os
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from helpers.ros import RosGraph, private_master
+from surg_cli import master
+from surg_cli.processes import Supervisor
+
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+ON_REQUEST = ("oracle", "vm", "mutants")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out the tiers that run on request only, unless `-m` names one."""
+    chosen = config.getoption("-m")
+    for item in items:
+        for tier in ON_REQUEST:
+            if tier in item.keywords and tier not in chosen:
+                item.add_marker(pytest.mark.skip(reason=f"./surg test --tier {tier}"))
+        if "full" in item.keywords and not FULL:
+            item.add_marker(pytest.mark.skip(reason="./surg test --full"))
+
+
+@pytest.fixture(scope="session")
+def full() -> bool:
+    """Whether the long counts are asked for (SURG_TEST_FULL=1)."""
+    return FULL
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> random.Random:
+    """A generator seeded by the test's own name: the same numbers in every run."""
+    return random.Random(request.node.nodeid)
+
+
+@pytest.fixture(scope="session")
+def ros_session(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Supervisor]:
+    """One private ROS master for the whole run."""
+    with private_master(tmp_path_factory.mktemp("ros")) as supervisor:
+        yield supervisor
+
+
+@pytest.fixture(scope="session")
+def rospy_node(ros_session: Supervisor) -> Iterator[str]:
+    """This process as a ROS node of the session's master; yields its name."""
+    import rospy
+
+    rospy.init_node("pytest", anonymous=True, disable_signals=True)
+    yield rospy.get_name()
+    rospy.signal_shutdown("tests are over")
+
+
+@pytest.fixture
+def ros_graph(ros_session: Supervisor, tmp_path: Path) -> Iterator[RosGraph]:
+    """The session's master with an empty parameter server; ends the test's nodes afterwards."""
+    uri = ros_session.env["ROS_MASTER_URI"]
+    for name in master.call(uri, "getParamNames"):
+        if not name.startswith(("/run_id", "/rosversion", "/rosdistro", "/roslaunch")):
+            master.call(uri, "deleteParam", name)
+    with Supervisor(dict(ros_session.env), tmp_path / "logs") as supervisor:
+        yield RosGraph(uri, supervisor.env, tmp_path, supervisor)

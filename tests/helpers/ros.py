@@ -1,0 +1,149 @@
+"""A private ROS graph for tests."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from surg_cli import master, paths
+from surg_cli.processes import Child, Supervisor, wait_until
+
+
+@dataclass
+class RosGraph:
+    """A running master and the nodes a test starts beside it.
+
+    Attributes:
+        uri: ROS_MASTER_URI of the private master.
+        env: Environment for further processes.
+        folder: The test's own folder; logs lie in `folder/logs`.
+        supervisor: Owner of the test's nodes.
+    """
+
+    uri: str
+    env: dict[str, str]
+    folder: Path
+    supervisor: Supervisor = field(repr=False)
+
+    def node(
+        self,
+        package: str,
+        executable: str,
+        name: str,
+        params: dict[str, object] | None = None,
+        env: dict[str, str] | None = None,
+        arguments: Sequence[str] = (),
+    ) -> Child:
+        """Start a node of the workspace.
+
+        Args:
+            package: ROS package.
+            executable: As `rosrun` takes it; `.py` may be left out.
+            name: Absolute node name, such as `/PSM1/controller`.
+            params: Private parameters.
+            env: Added to its environment.
+            arguments: Further words of its command line.
+
+        Returns:
+            The running child.
+        """
+        namespace, _, base = name.rpartition("/")
+        words = [str(find_executable(package, executable)), *arguments]
+        words += [f"__name:={base}", f"__ns:={namespace or '/'}"]
+        self.set_params(name, params or {})
+        return self.supervisor.start(name, words, extra_env=env)
+
+    def set_params(self, node: str, params: dict[str, object]) -> None:
+        """Set private parameters of a node, typed (a list stays a list)."""
+        for key, value in params.items():
+            plain = str(value) if isinstance(value, Path) else value
+            master.call(self.uri, "setParam", f"{node}/{key}", plain)
+
+    def wait_for(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+        """Wait for a condition; fail naming it, the dead child and its last words."""
+        ended: list[Child] = []
+
+        def met() -> bool:
+            dead = self.supervisor.first_dead()
+            if dead is not None and not ended:
+                ended.append(dead)
+            return condition()
+
+        if wait_until(met, timeout_s):
+            return
+        text = f"waited {timeout_s} s for {what}"
+        for child in self.supervisor.children:
+            state = "runs" if child.exit_code is None else f"ended with {child.exit_code}"
+            text += f"\n-- {child.name} {state}:\n{child.log_tail(8)}"
+        raise AssertionError(text)
+
+
+def find_executable(package: str, executable: str) -> Path:
+    """Find what `rosrun PACKAGE EXECUTABLE` would start.
+
+    Args:
+        package: ROS package.
+        executable: With or without `.py`.
+
+    Returns:
+        Its path in the devel space or the system.
+    """
+    prefixes = [Path(p) for p in os.environ.get("CMAKE_PREFIX_PATH", "").split(":") if p]
+    prefixes += [paths.DEVEL, Path("/usr")]
+    for prefix in prefixes:
+        for name in (executable, f"{executable}.py"):
+            candidate = prefix / "lib" / package / name
+            if os.access(candidate, os.X_OK) and candidate.is_file():
+                return candidate
+    raise FileNotFoundError(
+        f"no executable {executable!r} of package {package!r} in {[str(p) for p in prefixes]}; "
+        "build the workspace (./surg build) and run tests by ./surg test"
+    )
+
+
+@contextlib.contextmanager
+def private_master(folder: Path) -> Iterator[Supervisor]:
+    """Run a master on a free port with ROS_HOME and ROS_LOG_DIR of its own.
+
+    `os.environ` follows, so that rospy in the test process talks to the same master.
+
+    Args:
+        folder: For its logs.
+
+    Yields:
+        The supervisor that holds the master; `supervisor.env` is the nodes' environment.
+    """
+    env = dict(os.environ)
+    env.update(
+        ROS_HOME=str(folder / "ros"),
+        ROS_LOG_DIR=str(folder / "ros" / "log"),
+        ROS_IP="127.0.0.1",
+        ROS_HOSTNAME="localhost",
+        ROS_VERSION="1",
+        PYTHONUNBUFFERED="1",
+    )
+    env.setdefault("MUJOCO_GL", "egl")
+    with Supervisor(env, folder / "logs") as supervisor:
+        # Another process may take the port between the probe and the start.
+        for attempt in range(3):
+            try:
+                master.start(supervisor, master.free_port())
+                break
+            except Exception:
+                if attempt == 2:
+                    raise
+                time.sleep(0.1)
+        os.environ.update(supervisor.env)
+        yield supervisor
+
+
+def read_yaml(path: Path) -> Any:
+    """Load a YAML file of plain values."""
+    return yaml.safe_load(path.read_text("utf-8"))

@@ -1,0 +1,139 @@
+"""Rules for the whole tree that no linter knows."""
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from helpers.layering import FUNCTIONAL
+from surg_cli import paths, provision
+
+CODE = ("src", "tools", "tests", "benchmarks", "examples")
+# module -> functions that run or build objects from what a file or a peer says
+FORBIDDEN_CALLS = {
+    ("yaml", "load"): "yaml.safe_load",
+    ("yaml", "unsafe_load"): "yaml.safe_load",
+    ("yaml", "full_load"): "yaml.safe_load",
+    ("os", "system"): "subprocess with a list",
+    ("torch", "load"): "a format without code",
+}
+FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "marshal", "shelve", "joblib", "cloudpickle"}
+TIERS = {"unit", "ros", "faults", "e2e", "meta"}
+
+
+def tracked() -> list[Path]:
+    """Files of the project: tracked, or new and not ignored."""
+    argv = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
+    done = subprocess.run(argv, cwd=paths.ROOT, capture_output=True, check=False)
+    if done.returncode == 0:
+        names = done.stdout.decode().split("\0")
+        return [paths.ROOT / name for name in names if name and (paths.ROOT / name).is_file()]
+    folders = [paths.ROOT / name for name in (*CODE, "docs", "cells")]
+    return [file for folder in folders for file in folder.rglob("*") if file.is_file()]
+
+
+def dangers(source: str) -> list[str]:
+    """What must not be in a Python file, as `line: what`."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = {alias.name.split(".")[0] for alias in node.names}
+            found += [f"{node.lineno}: {name}" for name in names & FORBIDDEN_MODULES]
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            if node.module.split(".")[0] in FORBIDDEN_MODULES:
+                found.append(f"{node.lineno}: {node.module}")
+        elif isinstance(node, ast.Call):
+            function = node.func
+            if isinstance(function, ast.Name) and function.id in ("eval", "exec"):
+                found.append(f"{node.lineno}: {function.id}")
+            elif isinstance(function, ast.Attribute) and isinstance(function.value, ast.Name):
+                called = (function.value.id, function.attr)
+                if called in FORBIDDEN_CALLS:
+                    found.append(f"{node.lineno}: {'.'.join(called)}")
+            shell = [k for k in node.keywords if k.arg == "shell"]
+            if any(isinstance(k.value, ast.Constant) and k.value.value is True for k in shell):
+                found.append(f"{node.lineno}: shell=True")
+            pickled = [k for k in node.keywords if k.arg == "allow_pickle"]
+            if any(not (isinstance(k.value, ast.Constant) and not k.value.value) for k in pickled):
+                found.append(f"{node.lineno}: allow_pickle")
+    return found
+
+
+def test_no_code_from_data() -> None:
+    python = [file for file in tracked() if file.suffix == ".py"]
+    found = {str(file): dangers(file.read_text("utf-8")) for file in python}
+    assert {file: lines for file, lines in found.items() if lines} == {}
+    assert len(python) > 20
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "import pickle",
+        "from pickle import loads",
+        "eval('1')",
+        "exec('a = 1')",
+        "yaml.load(f)",
+        "os.system('ls')",
+        "subprocess.run('ls', shell=True)",
+        "np.load(f, allow_pickle=True)",
+    ],
+)
+def test_dangers_are_noticed(line: str) -> None:
+    assert len(dangers(line)) == 1
+
+
+def test_no_launch_files() -> None:
+    assert [str(f) for f in tracked() if f.suffix in (".launch", ".test", ".xacro")] == []
+    assert [str(f) for f in tracked() if f.name.endswith((".launch.py", ".launch.xml"))] == []
+
+
+def test_no_binding_to_one_machine_or_unsafe_maths() -> None:
+    pattern = re.compile(r"-march=native|-ffast-math|-Ofast|-funsafe-math")
+    cmake = [f for f in tracked() if f.name == "CMakeLists.txt" or f.suffix == ".cmake"]
+    commented = {f: re.sub(r"#.*", "", f.read_text("utf-8")) for f in cmake}
+    assert [str(f) for f, text in commented.items() if pattern.search(text)] == []
+    assert len(cmake) >= 5
+
+
+def test_every_test_has_a_tier() -> None:
+    tests = paths.ROOT / "tests"
+    stray = [
+        str(file)
+        for file in tests.rglob("test_*.py")
+        if file.relative_to(tests).parts[0] not in TIERS or len(file.relative_to(tests).parts) != 2
+    ]
+    assert stray == []
+
+
+def test_test_files_have_names_of_their_own() -> None:
+    names = [file.name for file in (paths.ROOT / "tests").rglob("test_*.py")]
+    assert sorted(names) == sorted(set(names))
+
+
+def test_packages_are_declared_and_have_one_licence() -> None:
+    for manifest in (paths.ROOT / "src").glob("*/package.xml"):
+        assert "<license>Apache-2.0</license>" in manifest.read_text("utf-8"), manifest
+    for name in FUNCTIONAL:
+        folder = paths.ROOT / "src" / name
+        if folder.is_dir():
+            assert (folder / "package.xml").exists(), folder
+
+
+def test_debian_package_list_is_sorted_out() -> None:
+    names = provision.listed_packages()
+    assert len(names) == len(set(names))
+    assert all(re.fullmatch(r"[a-z0-9][a-z0-9+.-]+", name) for name in names)
+    assert "libopencv-dev" not in names  # 581 MB that nothing needs
+
+
+def test_lock_file_names_no_index_and_hashes_everything() -> None:
+    text = paths.LOCK_FILE.read_text("utf-8")
+    lines = [line for line in text.replace("\\\n", " ").splitlines() if not line.startswith("#")]
+    entries = [line for line in lines if line.strip()]
+    assert "://" not in text
+    assert all(re.match(r"[a-z0-9-]+==[\w.]+\s.*--hash=sha256:[0-9a-f]{64}", e) for e in entries)
+    # Debian's numpy, OpenCV and pyzmq: PyPI's would break cv_bridge.
+    assert not re.search(r"^(numpy|opencv|pyzmq)", text, re.MULTILINE)

@@ -1,0 +1,187 @@
+"""The bridge node in lock-step and free-run, answered by a controller of a few lines."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from helpers.ros import RosGraph
+from surg_cli import paths
+
+pytestmark = pytest.mark.ros
+
+CELL = paths.ROOT / "cells" / "sim_ur5e"
+TICK_NS = 2_000_000
+
+
+class Controller:
+    """Answers every state with constant joint velocities, and speaks for participant `op`.
+
+    Args:
+        velocity: Of the first joint [rad/s].
+        last: The tick for which the participant says `done`.
+        jaw: Leave False to forget the tool link.
+    """
+
+    def __init__(self, velocity: float, last: int, jaw: bool = True) -> None:
+        import rospy
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import String
+
+        from surg_msgs.msg import GroundTruth, LinkStatus, Ready
+
+        self.velocity, self.last, self.jaw, self.silent = velocity, last, jaw, False
+        self.stamps: list[int] = []
+        self.truths: list[int] = []
+        self.links: list[LinkStatus] = []
+        self.repeats = 0
+        self.status: dict[str, object] = {}
+        keys = {"queue_size": 0, "tcp_nodelay": True}
+        self.robot = rospy.Publisher("/PSM1/robot/servo_jv", JointState, **keys)
+        self.tool = rospy.Publisher("/PSM1/tool/servo_jp", JointState, **keys)
+        self.ready = rospy.Publisher("/sim/ready", Ready, **keys)
+        self.topics = [
+            self.robot,
+            self.tool,
+            self.ready,
+            rospy.Subscriber(
+                "/PSM1/robot/measured_js", JointState, self.on_state, tcp_nodelay=True
+            ),
+            rospy.Subscriber("/PSM1/tool/measured_js", JointState, lambda _: None),
+            rospy.Subscriber("/PSM1/robot/status", LinkStatus, self.links.append),
+            rospy.Subscriber("/sim/ground_truth/state", GroundTruth, self.on_truth),
+            rospy.Subscriber("/sim/status", String, self.on_status),
+        ]
+
+    def on_truth(self, message: object) -> None:
+        self.truths.append(message.tick)
+
+    def on_status(self, message: object) -> None:
+        self.status = json.loads(message.data)
+
+    def on_state(self, state: object) -> None:
+        from sensor_msgs.msg import JointState
+
+        from surg_msgs.msg import Ready
+
+        stamp_ns = state.header.stamp.to_nsec()
+        if self.stamps and stamp_ns <= self.stamps[-1]:
+            self.repeats += 1
+        else:
+            self.stamps.append(stamp_ns)
+        if self.silent:
+            return
+        tick = stamp_ns // TICK_NS
+        self.ready.publish(Ready(tick=tick, participant="op", done=tick >= self.last))
+        answer = JointState(velocity=[self.velocity] + [0.0] * 5)
+        answer.header.stamp = state.header.stamp
+        self.robot.publish(answer)
+        if self.jaw:
+            jaw = JointState(name=["jaw"], position=[0.3])
+            jaw.header.stamp = state.header.stamp
+            self.tool.publish(jaw)
+
+    def close(self) -> None:
+        self.silent = True
+        for topic in self.topics:
+            topic.unregister()
+
+
+@contextmanager
+def running(
+    graph: RosGraph, controller: Controller, env: dict[str, str] | None = None, **params: object
+) -> Iterator[object]:
+    settings = {"cell": str(CELL), "participants": ["op"], **params}
+    child = graph.node("surg_sim", "bridge_node.py", "/sim", settings, env=env)
+    try:
+        yield child
+    finally:
+        graph.supervisor.stop([child])
+        controller.close()
+
+
+def lockstep(graph: RosGraph, velocity: float, last: int, jitter_ms: float = 0.0) -> dict:
+    controller = Controller(velocity, last)
+    env = {"SURG_TEST_JITTER_MS": str(jitter_ms)} if jitter_ms else None
+    with running(graph, controller, env):
+        graph.wait_for(lambda: bool(controller.status.get("done")), 60.0, "the end of the run")
+    assert controller.stamps == [TICK_NS * k for k in range(1, last + 1)]
+    assert controller.truths == list(range(1, last + 1))
+    return controller.status
+
+
+def test_two_runs_have_one_hash(ros_graph: RosGraph, rospy_node: str) -> None:
+    began = time.monotonic()
+    first = lockstep(ros_graph, 0.05, 500)
+    second = lockstep(ros_graph, 0.05, 500)
+    other = lockstep(ros_graph, 0.0, 500)
+    print(f"3 x 500 ticks in {time.monotonic() - began:.1f} s")
+    assert first["tick"] == 500
+    assert first["deterministic"] is True and first["aborted"] is None
+    assert first["state_hash"] == second["state_hash"] != other["state_hash"]
+
+
+def test_jitter_changes_nothing(ros_graph: RosGraph, rospy_node: str) -> None:
+    calm = lockstep(ros_graph, 0.05, 50)
+    nervous = lockstep(ros_graph, 0.05, 50, jitter_ms=5.0)
+    assert calm["state_hash"] == nervous["state_hash"]
+
+
+def test_the_package_steps_as_the_node_does(ros_graph: RosGraph, rospy_node: str) -> None:
+    import numpy as np
+
+    import surg_core
+    from surg_sim.arm import ArmCommand
+    from surg_sim.world import World
+
+    world = World(surg_core.load_cell(CELL))
+    for _ in range(50):
+        world.step({"PSM1": ArmCommand(velocity=np.array([0.05, 0, 0, 0, 0, 0]), jaw=0.3)})
+    assert lockstep(ros_graph, 0.05, 50)["state_hash"] == world.hash
+
+
+def test_abort_names_who_is_missing(ros_graph: RosGraph, rospy_node: str) -> None:
+    controller = Controller(0.0, 10_000, jaw=False)
+    with running(ros_graph, controller, abort_timeout=1.5) as child:
+        ros_graph.wait_for(lambda: child.exit_code is not None, 10.0, "the bridge to give up")
+        log = child.log_tail(20)
+    assert child.exit_code == 1
+    assert "the controller of PSM1 has not answered tick 1 with tool/servo_jp" in log
+    assert controller.repeats >= 3  # state 1 again, five times per time-out
+    assert "PSM1" in controller.status["aborted"]
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ({"mode": "fast"}, "~mode"),
+        ({"cell": "/nowhere"}, "/nowhere"),
+        ({"observers": ["spectator"]}, "spectator"),
+        ({"arms": ["PSM9"]}, "PSM9"),
+        ({"seed": -1}, "~seed"),
+    ],
+)
+def test_broken_configuration_ends_with_2(
+    ros_graph: RosGraph, rospy_node: str, params: dict, words: str
+) -> None:
+    child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", {"cell": str(CELL), **params})
+    ros_graph.wait_for(lambda: child.exit_code is not None, 10.0, "the bridge to refuse")
+    assert child.exit_code == 2
+    assert words in child.log_tail(20)
+
+
+def test_free_run_keeps_its_rate_and_its_dead_man(ros_graph: RosGraph, rospy_node: str) -> None:
+    controller = Controller(0.05, 10_000)
+    with running(ros_graph, controller, mode="freerun"):
+        ros_graph.wait_for(lambda: len(controller.stamps) > 600, 20.0, "600 ticks")
+        span_s = (controller.stamps[-1] - controller.stamps[0]) / 1e9
+        assert len(controller.stamps) / span_s == pytest.approx(500, rel=0.05)
+        assert abs(controller.stamps[-1] / 1e9 - time.time()) < 1.0
+        assert not controller.links[-1].dead_man and not controller.links[-1].lockstep
+        controller.silent = True
+        ros_graph.wait_for(lambda: controller.links[-1].dead_man, 5.0, "the dead-man")
+        assert controller.status["deterministic"] is False

@@ -1,0 +1,97 @@
+"""The endoscope node beside the bridge: every snapshot becomes one picture with its stamp."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from helpers.ros import RosGraph
+from surg_cli import paths
+
+pytestmark = pytest.mark.ros
+
+CELL = paths.ROOT / "cells" / "sim_ur5e"
+TICK_NS = 2_000_000
+
+
+class Listener:
+    """Publishes snapshots and keeps what comes back."""
+
+    def __init__(self) -> None:
+        import rospy
+        from sensor_msgs.msg import CameraInfo, Image
+
+        from surg_msgs.msg import Ready, SimSnapshot
+
+        self.images: list[Image] = []
+        self.infos: list[CameraInfo] = []
+        self.ready: list[Ready] = []
+        self.snapshots = rospy.Publisher("/sim/snapshot", SimSnapshot, queue_size=0)
+        self.topics = [
+            self.snapshots,
+            rospy.Subscriber("/endoscope/left/image_raw", Image, self.images.append),
+            rospy.Subscriber("/endoscope/left/camera_info", CameraInfo, self.infos.append),
+            rospy.Subscriber("/sim/ready", Ready, self.ready.append),
+        ]
+
+    def connected(self) -> bool:
+        return all(topic.get_num_connections() for topic in self.topics)
+
+    def close(self) -> None:
+        for topic in self.topics:
+            topic.unregister()
+
+
+def test_every_snapshot_is_rendered_in_lockstep(ros_graph: RosGraph, rospy_node: str) -> None:
+    import rospy
+
+    import surg_core
+    from surg_msgs.msg import SimSnapshot
+    from surg_sim.world import World
+
+    world = World(surg_core.load_cell(CELL))
+    listener = Listener()
+    params = {"cell": str(CELL), "mode": "lockstep", "width": 320, "height": 240}
+    child = ros_graph.node("surg_sim", "endoscope_node.py", "/endoscope", params)
+    try:
+        ros_graph.wait_for(
+            lambda: child.exit_code is not None or listener.connected(), 20.0, "the endoscope"
+        )
+        if child.exit_code == 1 and "OpenGL" in child.log_tail():
+            pytest.skip(child.log_tail())
+        ros_graph.wait_for(lambda: bool(listener.infos), 5.0, "the latched camera_info")
+        ticks = [25 * k for k in range(1, 31)]
+        began = time.monotonic()
+        for tick in ticks:
+            snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
+            snapshot.qpos[0] += 0.001 * tick / 25
+            snapshot.header.stamp = rospy.Time(*divmod(tick * TICK_NS, 10**9))
+            listener.snapshots.publish(snapshot)
+        ros_graph.wait_for(lambda: len(listener.ready) == len(ticks), 30.0, "30 pictures")
+        seconds = time.monotonic() - began
+        ros_graph.wait_for(lambda: len(listener.images) == len(ticks), 10.0, "30 images")
+    finally:
+        ros_graph.supervisor.stop([child])
+        listener.close()
+    print(f"{len(ticks) / seconds:.0f} frames/s at 320x240")
+    assert [m.tick for m in listener.ready] == ticks
+    assert {m.participant for m in listener.ready} == {"endoscope"}
+    assert [m.header.stamp.to_nsec() for m in listener.images] == [t * TICK_NS for t in ticks]
+    image, info = listener.images[0], listener.infos[-1]
+    assert (image.encoding, image.width, image.height, image.step) == ("rgb8", 320, 240, 960)
+    assert image.header.frame_id == info.header.frame_id == "endoscope_left"
+    pixels = np.frombuffer(image.data, np.uint8).reshape(240, 320, 3)
+    assert pixels.std() > 20
+    assert image.data != listener.images[-1].data
+    f = 120 / np.tan(np.radians(28))
+    assert list(info.K) == pytest.approx([f, 0, 159.5, 0, f, 119.5, 0, 0, 1])
+
+
+def test_a_picture_too_large_is_refused(ros_graph: RosGraph, rospy_node: str) -> None:
+    params = {"cell": str(CELL), "width": 5000}
+    child = ros_graph.node("surg_sim", "endoscope_node.py", "/endoscope", params)
+    ros_graph.wait_for(lambda: child.exit_code is not None, 15.0, "the endoscope to refuse")
+    assert child.exit_code == 2
+    assert "~width" in child.log_tail()

@@ -1,0 +1,153 @@
+"""The command line's own logic: commands, options, node lists, verdicts, running systems."""
+
+import argparse
+import json
+import os
+import socket
+from pathlib import Path
+
+import pytest
+
+from surg_cli import __main__ as cli
+from surg_cli import cells, demo, master, paths, processes, running, system, testing
+from surg_cli.processes import Supervisor
+from surg_cli.system import Plan
+from surg_cli.terminal import Problem, table
+
+
+def plan(tmp_path: Path, **changes: object) -> Plan:
+    values: dict[str, object] = {
+        "cell": tmp_path,
+        "arms": ("PSM1",),
+        "lockstep": True,
+        "video": True,
+        "out": tmp_path / "out",
+        "operator": {"cell": "c"},
+    }
+    return Plan(**{**values, **changes})
+
+
+def test_every_command_has_a_module_and_options() -> None:
+    for name, (module, _, text) in cli.COMMANDS.items():
+        parser = argparse.ArgumentParser()
+        loaded = __import__(f"surg_cli.{module}", fromlist=["main"])
+        loaded.add_arguments(parser, name)
+        assert callable(loaded.main)
+        assert text
+
+
+def test_an_unknown_command_names_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.run(["dance"]) == 2
+    assert "demo" in capsys.readouterr().err
+
+
+def test_nodes_of_a_lock_step_run(tmp_path: Path) -> None:
+    nodes = {node.name: node for node in system.nodes(plan(tmp_path))}
+    assert set(nodes) == {"/sim", "/endoscope", "/PSM1/controller", "/recorder"}
+    assert nodes["/sim"].params["participants"] == ["operator"]
+    assert nodes["/sim"].params["observers"] == ["recorder", "endoscope"]
+    assert nodes["/PSM1/controller"].params["participants"] == ["operator"]
+    assert "link" not in nodes["/PSM1/controller"].params
+    assert "feedback_gain" not in nodes["/PSM1/controller"].params
+
+
+def test_nodes_without_video_and_operator(tmp_path: Path) -> None:
+    nodes = {n.name: n for n in system.nodes(plan(tmp_path, video=False, operator=None))}
+    assert set(nodes) == {"/sim", "/PSM1/controller", "/recorder"}
+    assert nodes["/sim"].params["participants"] == []
+    assert nodes["/sim"].params["observers"] == ["recorder"]
+
+
+def test_options_reach_the_controller(tmp_path: Path) -> None:
+    wanted = plan(tmp_path, law="paper", link="twist", feedback_gain=0, lockstep=False)
+    params = {n.name: n for n in system.nodes(wanted)}["/PSM1/controller"].params
+    assert params["law"] == "paper"
+    assert params["link"] == "twist"
+    assert params["feedback_gain"] == 0.0
+    assert isinstance(params["feedback_gain"], float)
+    assert params["mode"] == "freerun"
+
+
+def test_rosrun_lines_name_node_and_params(tmp_path: Path) -> None:
+    line = system.nodes(plan(tmp_path))[0].rosrun_line()
+    assert line.startswith("rosrun surg_sim bridge_node.py __name:=sim __ns:=/ ")
+    assert "_mode:=lockstep" in line
+    assert "_participants:=operator" in line
+    assert "_observers:=recorder,endoscope" in line
+
+
+def test_an_unknown_cell_names_the_bundled_ones() -> None:
+    with pytest.raises(Problem, match="sim_ur5e"):
+        cells.find("nowhere")
+
+
+def test_an_unknown_robot_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(Problem, match="ur5e, panda"):
+        cells.for_robot("kuka", tmp_path)
+    with pytest.raises(Problem, match="no such file"):
+        cells.for_robot(str(tmp_path / "kuka.yaml"), tmp_path)
+
+
+@pytest.mark.parametrize("text", ["0", "-1", "nan", "inf"])
+def test_only_positive_numbers(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError):
+        demo._positive(text)
+
+
+@pytest.mark.parametrize("text", ["-1", "101", "nan"])
+def test_gain_range(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError):
+        demo._gain(text)
+
+
+def test_an_out_folder_with_content_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "old").write_text("")
+    with pytest.raises(Problem, match="not an empty folder"):
+        demo._run_folder(tmp_path)
+    assert demo._run_folder(tmp_path / "new") == tmp_path / "new"
+
+
+def test_a_taken_port_is_said_with_the_cure(tmp_path: Path) -> None:
+    with socket.socket() as holder, Supervisor(dict(os.environ), tmp_path) as supervisor:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        port = holder.getsockname()[1]
+        with pytest.raises(Problem, match="choose another with --port"):
+            master.start(supervisor, port)
+
+
+def test_a_dead_master_is_said_with_the_cure() -> None:
+    with pytest.raises(Problem, match=r"\./surg up CELL"):
+        master.nodes(f"http://localhost:{master.free_port()}")
+
+
+def test_a_missing_gl_library_is_said_with_the_cure(tmp_path: Path) -> None:
+    with Supervisor(dict(os.environ), tmp_path) as supervisor:
+        code = "echo \"ImportError: ('Unable to load EGL library', 'libEGL.so.1')\"; exit 1"
+        child = supervisor.start("/endoscope", ["/bin/sh", "-c", code])
+        assert processes.wait_until(lambda: child.exit_code is not None, 5.0)
+        text = demo.death_notice(child)
+    assert "/endoscope ended (1)" in text
+    assert "--no-video" in text
+
+
+def test_running_systems_forget_the_dead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(paths, "SYSTEMS", tmp_path)
+    with running.announced("up", 12345, Path("cell"), Path("logs")):
+        assert [s.port for s in running.systems()] == [12345]
+        # The same process id with another start is another process.
+        entry = json.loads((tmp_path / "12345.json").read_text())
+        (tmp_path / "1.json").write_text(json.dumps({**entry, "port": 1, "start_time": 7}))
+        assert [s.port for s in running.systems()] == [12345]
+        assert not (tmp_path / "1.json").exists()
+    assert running.systems() == []
+
+
+def test_counts_in_pytests_closing_line() -> None:
+    line = "==== 1 failed, 20 passed, 3 skipped, 2 errors in 1.23s ===="
+    assert testing.parse_counts(line) == {"failed": 1, "passed": 20, "skipped": 3, "errors": 2}
+
+
+def test_tables_line_up() -> None:
+    assert table([["a", "b"], ["ccc", "d"]], "") == "a    b\nccc  d"
+    assert table([]) == ""

@@ -1,0 +1,120 @@
+"""Setting a machine up: what is missing, who may install it, and when nothing is to be done."""
+
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from surg_cli import environment, paths, provision, workspace
+from surg_cli.terminal import Problem
+
+
+def test_package_list_ignores_comments(tmp_path: Path) -> None:
+    path = tmp_path / "list"
+    path.write_text("# heading\n\ncmake   # builds\nlibegl1\n")
+    assert provision.listed_packages(path) == ["cmake", "libegl1"]
+
+
+def test_missing_packages_are_those_dpkg_does_not_call_installed() -> None:
+    names = ["coreutils", "surely-no-such-package", "dpkg"]
+    assert provision.missing_packages(names) == ["surely-no-such-package"]
+
+
+def test_without_root_and_sudo_the_one_apt_line_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(provision, "missing_packages", lambda names: ["cmake", "libegl1"])
+    monkeypatch.setattr(provision.os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(provision.shutil, "which", lambda name, path=None: None)
+    with pytest.raises(Problem) as caught:
+        provision.install_packages(tmp_path / "log")
+    line = "apt-get update && apt-get install -y --no-install-recommends cmake libegl1\n"
+    assert line in str(caught.value)
+
+
+def test_a_sudo_that_asks_for_a_password_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sudo = tmp_path / "sudo"
+    sudo.write_text("#!/bin/sh\nexit 1\n")
+    sudo.chmod(0o755)
+    monkeypatch.setattr(provision, "missing_packages", lambda names: ["cmake"])
+    monkeypatch.setattr(provision.os, "geteuid", lambda: 1000)
+    monkeypatch.setattr(provision.shutil, "which", lambda name, path=None: str(sudo))
+    with pytest.raises(Problem, match="neither root nor passwordless sudo"):
+        provision.install_packages(tmp_path / "log")
+
+
+def test_nothing_is_done_when_nothing_is_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(provision, "missing_packages", lambda names: [])
+    monkeypatch.setattr(provision, "_logged", lambda *a, **k: pytest.fail("ran a program"))
+    assert not provision.install_packages(tmp_path / "log")
+
+
+def test_a_failing_step_shows_the_end_of_its_output(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    argv = ["/bin/sh", "-c", "echo the reason; exit 3"]
+    with pytest.raises(Problem, match="the reason") as caught:
+        provision._logged(argv, log, provision.Progress("x"), "w")
+    assert str(log) in str(caught.value)
+    assert "the reason" in log.read_text()
+
+
+def test_foreign_python_and_workspace_do_not_leak() -> None:
+    dirty = {
+        "PATH": "/home/me/.pyenv/shims:/opt/conda/bin:/usr/bin",
+        "PYTHONPATH": "/elsewhere",
+        "PYTHONHOME": "/elsewhere",
+        "CONDA_PREFIX": "/opt/conda",
+        "CMAKE_PREFIX_PATH": "/other/devel",
+        "ROS_PACKAGE_PATH": "/other/src",
+        "HOME": "/home/me",
+    }
+    env = environment.clean(dirty)
+    folders = env["PATH"].split(":")
+    assert folders[0] == str(paths.VENV / "bin")
+    assert folders.index("/usr/bin") < folders.index("/home/me/.pyenv/shims")
+    assert not {"PYTHONPATH", "PYTHONHOME", "CONDA_PREFIX", "CMAKE_PREFIX_PATH"} & set(env)
+    assert env["HOME"] == "/home/me"
+
+
+def test_another_python_first_on_path_changes_nothing(tmp_path: Path) -> None:
+    for name in ("python", "python3", "cmake"):
+        fake = tmp_path / name
+        fake.write_text("#!/bin/sh\necho foreign >&2\nexit 9\n")
+        fake.chmod(0o755)
+    env = {**os.environ, "PATH": f"{tmp_path}:{os.environ['PATH']}", "PYTHONHOME": "/nowhere"}
+    done = subprocess.run(
+        [str(paths.ROOT / "surg"), "help"], env=env, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "demo" in done.stdout
+    assert "foreign" not in done.stderr
+
+
+def test_fingerprint_follows_the_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    source = tmp_path / "src" / "package" / "a.cpp"
+    source.parent.mkdir(parents=True)
+    source.write_text("int a;")
+    (tmp_path / "CMakeLists.txt").write_text("")
+    monkeypatch.setattr(paths, "ROOT", tmp_path)
+    before = workspace.fingerprint()
+    cache = source.parent / "__pycache__" / "a.pyc"
+    cache.parent.mkdir()
+    cache.write_text("x")
+    assert workspace.fingerprint() == before
+    source.write_text("int ab;")
+    changed = workspace.fingerprint()
+    assert changed != before
+    source.with_name("b.cpp").write_text("")
+    assert workspace.fingerprint() not in (before, changed)
+
+
+def test_compiler_errors_come_before_the_last_lines(tmp_path: Path) -> None:
+    lines = ["[ 1%] Building", "a.cpp:3:1: error: no such type", *[f"noise {i}" for i in range(99)]]
+    text = workspace._failure(lines, tmp_path / "log")
+    assert "no such type" in text
+    assert "noise 98" not in text

@@ -1,0 +1,329 @@
+"""Configuration files: a valid set is read, and every broken one is refused with file and key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import surg_core
+from surg_core import ConfigError
+
+FILES = {
+    "robot.yaml": """\
+format: surg_robot/1
+name: six
+urdf: six.urdf
+base_link: l0
+flange_link: l6
+command: joint_velocity
+joints:
+  names: [j0, j1, j2, j3, j4, j5]
+  home: [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+  position_min: [-3, -3, -3, -3, -3, -3]
+  position_max: [3, 3, 3, 3, 3, 3.0]
+  velocity: [3, 3, 3, 3, 3, 3]
+  acceleration: [40, 40, 40, 40, 40, 40]
+limits:
+  tip_velocity: 0.25
+  tip_acceleration: 2
+  tip_jerk: 40.0
+  pivot_velocity: 1.5
+  pivot_acceleration: 16
+  pivot_jerk: 330
+  roll_velocity: 3.0
+  roll_acceleration: 40
+  roll_jerk: 800
+  flange_velocity: 0.25
+  cone: 1.0
+  depth_min: 0.02
+  depth_slow: 3e-2
+  depth_max: 0.22
+  stop_deceleration: 4
+  step_slack: 0.002
+  step_roll_slack: 0.03
+  step_dt_max: 0.1
+  rcm_error_warn: 1.0e-3
+  rcm_error_fault: 0.002
+  joint_margin: 0.1
+tuning:
+  rcm_gain: 40
+  tip_gain: 10
+  roll_gain: 10
+  posture_gain: 1
+  profiler_duration: 0.5
+  servo_timeout: 0.1
+  link_timeout: 0.05
+""",
+    "grasper.yaml": """\
+format: surg_instrument/1
+name: grasper
+urdf: grasper.urdf
+mount_link: mount
+tip_link: tip
+jaw: {min: 0.0, max: 1.0, velocity: 3.0}
+""",
+    "cell/cell.yaml": """\
+format: surg_cell/1
+name: test
+network: loopback
+arms:
+  PSM1:
+    robot: ../robot.yaml
+    instrument: ../grasper.yaml
+    link: simulator
+    base: {xyz: [0.1, 0, 0], rpy: [0, 0, 1.5707963267948966]}
+    limits: {tip_velocity: 0.1}
+""",
+    "cell/calibration/tool_PSM1.yaml": """\
+format: surg_tool/1
+shaft_axis: [0, 0, 1]
+tip: [0.06, 0, 0.3]
+residual: 0
+n: 12
+condition: 3.5
+date: 2026-11-21
+""",
+    "cell/calibration/trocar_PSM1.yaml": """\
+format: surg_trocar/1
+point: [0.5, 0.0, 0.2]
+residual: 1e-5
+n: 12
+condition: 3.5
+date: "2026-11-21"
+""",
+    "six.urdf": "<robot name='six'>"
+    + "".join(f"<link name='l{i}'/>" for i in range(7))
+    + "".join(
+        f"<joint name='j{i}' type='revolute'><parent link='l{i}'/><child link='l{i + 1}'/>"
+        f"<origin xyz='0 0 0.2'/><axis xyz='{'0 1 0' if i % 2 else '0 0 1'}'/></joint>"
+        for i in range(6)
+    )
+    + "</robot>",
+    "grasper.urdf": "<robot name='grasper'><link name='mount'/><link name='tip'/><joint name='s' "
+    "type='fixed'><parent link='mount'/><child link='tip'/></joint></robot>",
+}
+
+ROBOT, GRASPER, CELL = "robot.yaml", "grasper.yaml", "cell/cell.yaml"
+TOOL, TROCAR = "cell/calibration/tool_PSM1.yaml", "cell/calibration/trocar_PSM1.yaml"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A valid cell with everything it refers to."""
+    for name, text in FILES.items():
+        path = tmp_path / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    return tmp_path
+
+
+def test_a_valid_cell_is_read_whole(folder: Path) -> None:
+    cell = surg_core.load_cell(folder / "cell")
+    assert cell.config.name == "test"
+    assert list(cell.arms) == ["PSM1"]
+    arm = cell.arms["PSM1"]
+    assert arm.link == "simulator"
+    assert arm.robot.joint_names == ("j0", "j1", "j2", "j3", "j4", "j5")
+    assert arm.robot.command == surg_core.Command.JOINT_VELOCITY
+    np.testing.assert_array_equal(arm.robot.home, [0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    assert arm.robot.limits.tip_velocity == 0.25
+    assert arm.limits.tip_velocity == 0.1
+    assert arm.limits.depth_slow == 0.03
+    assert arm.tool.n == 12
+    assert arm.tool.date == arm.trocar.date == "2026-11-21"
+    np.testing.assert_array_equal(arm.trocar.p_BRcm, [0.5, 0.0, 0.2])
+    np.testing.assert_allclose(arm.X_WB[:3, 0], [0, 1, 0], atol=1e-15)
+    np.testing.assert_array_equal(arm.X_WB[:3, 3], [0.1, 0, 0])
+    assert arm.chain.dof == 6
+    assert arm.chain.forward(np.zeros(6))[2, 3] == pytest.approx(1.2)
+    assert arm.urdf_path == (folder / "six.urdf").resolve()
+    assert arm.instrument_urdf.is_absolute()
+    by_file = surg_core.load_cell(folder / "cell" / "cell.yaml")
+    assert by_file.arms["PSM1"].limits.as_dict() == arm.limits.as_dict()
+
+
+def test_what_was_read_is_frozen(folder: Path) -> None:
+    cell = surg_core.load_cell(folder / "cell")
+    arm = cell.arms["PSM1"]
+    with pytest.raises(AttributeError):
+        arm.name = "PSM2"  # type: ignore[misc]
+    with pytest.raises(TypeError):
+        cell.arms["PSM2"] = arm  # type: ignore[index]
+    with pytest.raises(AttributeError):
+        arm.limits.tip_velocity = 9.0  # type: ignore[misc]
+    for array in (arm.X_WB, arm.robot.home, arm.tool.s_F, arm.trocar.p_BRcm):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+
+
+# file, (text, replacement), words that the message must hold beside the file's name
+MUTANTS: list[tuple[str, tuple[str, str], list[str]]] = [
+    (ROBOT, ("format: surg_robot/1", "format: surg_robot/2"), ["format", "surg_robot/2", ":1:"]),
+    (ROBOT, ("format: surg_robot/1\n", ""), ["format", "missing"]),
+    (ROBOT, ("name: six", "name: ''"), ["name", "empty", ":2:"]),
+    (ROBOT, ("name: six", "name:"), ["name", "empty", ":2:"]),
+    (ROBOT, ("name: six", "name: 6"), ["name", "6 is not"]),
+    (ROBOT, ("urdf: six.urdf", "urdf: seven.urdf"), ["urdf", "seven.urdf", "cannot be"]),
+    (ROBOT, ("base_link: l0", "base_link: foot"), ["urdf", "six.urdf", "no link 'foot'"]),
+    (ROBOT, ("joint_velocity", "torque"), ["command", "torque", "joint_velocity"]),
+    (ROBOT, ("[j0, j1,", "[j1, j0,"), ["joints.names", "j1, j0"]),
+    (ROBOT, ("[j0, j1,", "[j0, j0,"), ["joints.names", "twice"]),
+    (ROBOT, ("[j0, j1,", "[j0, 1,"), ["joints.names", "one kind", ":8:"]),
+    (ROBOT, ("[j0, j1,", "[j0, [j1],"), ["joints.names", "list"]),
+    (ROBOT, ("home: [0.1,", "home: [0.1, 0.1,"), ["joints.home", "7 values", ":9:"]),
+    (ROBOT, ("home: [0.1,", "home: [3.5,"), ["joints.home", "j0", "outside"]),
+    (ROBOT, ("3.0]", ".nan]"), ["joints.position_max", "nan"]),
+    (ROBOT, ("velocity: [3,", "velocity: [0,"), ["joints.velocity", "out of range"]),
+    (ROBOT, ("tip_velocity: 0.25", "tip_velocity: 25"), ["limits.tip_velocity", "25 m/s", ":15:"]),
+    (ROBOT, ("tip_velocity: 0.25", "tip_velocity: -.inf"), ["limits.tip_velocity", "-inf"]),
+    (ROBOT, ("tip_velocity: 0.25", "tip_velocity: fast"), ["limits.tip_velocity", "'fast'"]),
+    (ROBOT, ("tip_velocity: 0.25", "tip_velocity: '0.25'"), ["limits.tip_velocity", "'0.25'"]),
+    (ROBOT, ("tip_velocity: 0.25", "tip_velocity: true"), ["limits.tip_velocity", "true"]),
+    (ROBOT, ("tip_velocity: 0.25", "tip_velocity: {a: 1}"), ["limits.tip_velocity", "section"]),
+    (ROBOT, ("tip_velocity: 0.25", "tip_veloctiy: 0.25"), ["limits.tip_velo", "limits."]),
+    (ROBOT, ("  cone: 1.0\n", "  cone: 1.0\n  cone: 0.9\n"), ["limits.cone", "twice", ":26:"]),
+    (ROBOT, ("depth_min: 0.02", "depth_min: 0.04"), ["limits", "depth_min", "depth_slow"]),
+    (ROBOT, ("rcm_error_fault: 0.002", "rcm_error_fault: 0.001"), ["rcm_error_fault"]),
+    (ROBOT, ("rcm_gain: 40", "rcm_gain: 150"), ["tuning.rcm_gain", "150", "75"]),
+    (ROBOT, ("  servo_timeout: 0.1\n", ""), ["tuning.servo_timeout", "missing"]),
+    (ROBOT, ("tuning:", "colour: red\ntuning:"), ["colour", "not a known key"]),
+    (ROBOT, ("tuning:", "tuning: [\n"), ["is not YAML"]),
+    (ROBOT, ("tuning:", "'a.b': 1\ntuning:"), ["a.b", "without dots"]),
+    (ROBOT, ("tuning:", "tuning: &t\n  again: *t"), ["tuning.again", "itself"]),
+    (GRASPER, ("max: 1.0", "max: -0.1"), ["jaw.min", "jaw.max"]),
+    (GRASPER, ("velocity: 3.0", "velocity: 300"), ["jaw.velocity", "300"]),
+    (GRASPER, ("urdf: grasper.urdf", "urdf: other.urdf"), ["urdf", "other.urdf", "cannot be"]),
+    (GRASPER, ("tip_link: tip", "tip_link: top"), ["urdf", "no link 'top'"]),
+    (CELL, ("network: loopback", "network: internet"), ["network", "internet", "isolated"]),
+    (CELL, ("robot: ../robot.yaml", "robot: ../robt.yaml"), ["robt.yaml", "cannot be read"]),
+    (CELL, ("link: simulator", "link: telepathy"), ["arms.PSM1.link", "telepathy"]),
+    (CELL, ("xyz: [0.1, 0, 0]", "xyz: [0.1, 0]"), ["arms.PSM1.base.xyz", "three"]),
+    (CELL, ("{tip_velocity: 0.1}", "{tip_velocity: 0.3}"), ["PSM1.limits.tip_velocity", "tighten"]),
+    (CELL, ("{tip_velocity: 0.1}", "{tip_speed: 0.1}"), ["PSM1.limits.tip_speed", "not a limit"]),
+    (CELL, ("  PSM1:", "  PSM 1:"), ["arms.PSM 1", "letters"]),
+    (CELL, ("    link: simulator\n", ""), ["arms.PSM1.link", "missing"]),
+    (TOOL, ("shaft_axis: [0, 0, 1]", "shaft_axis: [0, 0, 0.9]"), ["shaft_axis", "0.9", "unit"]),
+    (TOOL, ("residual: 0", "residual: 0.01"), ["residual", "0.01"]),
+    (TOOL, ("tip: [0.06, 0, 0.3]", "tip: [60, 0, 300]"), ["tip", "60 m"]),
+    (TROCAR, ("condition: 3.5", "condition: 1e9"), ["condition", "1e+09"]),
+    (TROCAR, ("n: 12", "n: 0"), ["n", "0"]),
+    (TROCAR, ("surg_trocar", "surg_tool"), ["format", "surg_tool/1"]),
+]
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"), MUTANTS, ids=[f"{k:02d}" for k in range(len(MUTANTS))]
+)
+def test_a_broken_file_is_refused_with_file_and_key(
+    folder: Path, file: str, change: tuple[str, str], words: list[str]
+) -> None:
+    path = folder / file
+    text = path.read_text(encoding="utf-8")
+    assert change[0] in text
+    path.write_text(text.replace(change[0], change[1], 1), encoding="utf-8")
+    with pytest.raises(ConfigError) as error:
+        surg_core.load_cell(folder / "cell")
+    message = str(error.value)
+    missing_robot = "robt.yaml" in words  # then that file is the one to be named
+    for word in [*words, "" if missing_robot else path.name]:
+        assert word in message, message
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "is not a mapping"),
+        ("- a\n- b\n", "is not a mapping"),
+        ("just text", "is not a mapping"),
+        ("a: 1\n\tb: 2\n", ":2: is not YAML"),
+        ("a: 1\n---\na: 2\n", "is not YAML"),
+        ("a: !!python/object/apply:os.system [echo]\n", "format"),
+        ("a: \x07\n", "is not YAML"),
+        ("[" * 5000, "is not YAML|nested too deeply"),
+        ("1: {2: {}}\n", "format"),
+    ],
+)
+def test_a_file_that_is_no_configuration(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "robot.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError, match=words) as error:
+        surg_core.load_robot(path)
+    assert str(path) in str(error.value)
+
+
+def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    for load in (surg_core.load_robot, surg_core.load_instrument, surg_core.load_cell):
+        with pytest.raises(ConfigError, match=r"none\.yaml: cannot be read: No such file"):
+            load(tmp_path / "none.yaml")
+    with pytest.raises(ConfigError, match=r"cell\.yaml: cannot be read"):
+        surg_core.load_cell(tmp_path)
+    latin = tmp_path / "latin.yaml"
+    latin.write_bytes("name: Müller".encode("latin-1"))
+    with pytest.raises(ConfigError, match=r"latin\.yaml: is not UTF-8"):
+        surg_core.load_robot(latin)
+
+
+def test_nested_aliases_do_not_unfold_without_end() -> None:
+    lines = ["a0: &a0 {x: 1, y: 2}"]
+    lines += [f"a{i}: &a{i} {{x: *a{i - 1}, y: *a{i - 1}}}" for i in range(1, 40)]
+    with pytest.raises(ConfigError, match="more than"):
+        surg_core.flatten("\n".join(lines), "bomb.yaml")
+
+
+def test_scalars_are_read_alike_in_both_languages() -> None:
+    text = """\
+a: 1
+b: 1e-3
+c: -.5
+d: 1_000
+e: 12:30
+f: yes
+g: 'true'
+h: False
+i: [1, 2.5]
+j: []
+"""
+    values, lines = surg_core.flatten(text, "x.yaml")
+    assert values == {
+        "a": 1.0,
+        "b": 1e-3,
+        "c": -0.5,
+        "d": "1_000",
+        "e": "12:30",
+        "f": "yes",
+        "g": "true",
+        "h": False,
+        "i": [1.0, 2.5],
+        "j": [],
+    }
+    assert type(values["a"]) is float
+    assert lines["j"] == 10
+
+
+def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
+    robot = surg_core.load_robot(folder / ROBOT)
+    seen = {surg_core.limits_hash(robot, robot.limits)}
+    text = (folder / ROBOT).read_text(encoding="utf-8")
+
+    section = text.split("limits:\n")[1]
+    lines = [line for line in section.splitlines() if line.startswith("  ")]
+    for line in lines:
+        key, value = line.split(": ")
+        (folder / ROBOT).write_text(
+            text.replace(line, f"{key}: {float(value) * 0.999:.9g}"), encoding="utf-8"
+        )
+        changed = surg_core.load_robot(folder / ROBOT)
+        seen.add(surg_core.limits_hash(changed, changed.limits))
+    assert len(seen) == len(lines) + 1 == 29
+    assert all(len(digest) == 16 for digest in seen)
+
+
+def test_limits_are_told_by_name(folder: Path) -> None:
+    robot = surg_core.load_robot(folder / ROBOT)
+    names = robot.limits.as_dict()
+    assert names["tip_jerk"] == 40.0
+    assert len(names) == 21
+    assert robot.tuning.as_dict()["rcm_gain"] == 40.0
+    assert "tip_jerk=40.0" in repr(robot.limits)

@@ -1,0 +1,163 @@
+"""The bundled cells: calibrated exactly, reproducible, and homes with room to work in."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from helpers.reach import sweep
+from helpers.third_arm import write_third_arm
+from surg_cli import paths
+from surg_description.make_cell import home_pose, make_cell
+from surg_description.urdf_chain import UrdfError, read_chain
+
+DESCRIPTION = paths.ROOT / "src/surg_description"
+GRASPER = DESCRIPTION / "instruments/grasper.yaml"
+ROBOTS = ("ur5e", "panda")
+DEPTH = 0.120
+
+
+def robot_yaml(name: str, tmp_path: Path) -> Path:
+    """A bundled robot's YAML, or the third arm's, written now."""
+    if name == "third_arm":
+        return write_third_arm(tmp_path / "third", DESCRIPTION / "robots/ur5e.yaml")
+    return DESCRIPTION / f"robots/{name}.yaml"
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_bundled_cell_is_what_the_generator_writes(name: str, tmp_path: Path) -> None:
+    bundled = paths.ROOT / f"cells/sim_{name}"
+    fresh = tmp_path / f"sim_{name}"
+    make_cell(robot_yaml(name, tmp_path), fresh, GRASPER)
+    for file in ("calibration/tool_PSM1.yaml", "calibration/trocar_PSM1.yaml"):
+        assert (fresh / file).read_text() == (bundled / file).read_text()
+
+    def without_paths(cell: Path) -> str:
+        return re.sub(r"(robot|instrument): .*", "", (cell / "cell.yaml").read_text())
+
+    assert without_paths(fresh) == without_paths(bundled)
+    arm = yaml.safe_load((bundled / "cell.yaml").read_text())["arms"]["PSM1"]
+    assert (bundled / arm["robot"]).resolve() == robot_yaml(name, tmp_path).resolve()
+    assert (bundled / arm["instrument"]).resolve() == GRASPER.resolve()
+
+
+@pytest.mark.parametrize("name", [*ROBOTS, "third_arm"])
+def test_core_reads_the_cell_and_the_shaft_meets_the_trocar(name: str, tmp_path: Path) -> None:
+    surg_core = pytest.importorskip("surg_core")
+    cell = paths.ROOT / f"cells/sim_{name}"
+    if name not in ROBOTS:
+        cell = tmp_path / "cell"
+        make_cell(robot_yaml(name, tmp_path), cell, GRASPER)
+    arm = surg_core.load_cell(cell).arms["PSM1"]
+    X_BF = np.asarray(arm.chain.forward(arm.robot.home))
+    shaft = surg_core.shaft_state(X_BF, arm.tool.s_F, arm.tool.p_FTip, arm.trocar.p_BRcm)
+    assert np.linalg.norm(shaft.e) < 1e-9
+    assert abs(shaft.depth - DEPTH) < 1e-9
+    X_FTip = read_chain(arm.instrument_urdf, "mount", "tip").forward()
+    assert np.array_equal(arm.tool.p_FTip, X_FTip[:3, 3])
+    assert np.array_equal(arm.tool.s_F, X_FTip[:3, 2])
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_yaml_and_urdf_state_the_same_limits(name: str, tmp_path: Path) -> None:
+    import xml.etree.ElementTree as ET
+
+    joints = yaml.safe_load(robot_yaml(name, tmp_path).read_text())["joints"]
+    limits = {
+        joint.get("name"): joint.find("limit")
+        for joint in ET.parse(DESCRIPTION / f"urdf/{name}.urdf").getroot().findall("joint")
+    }
+    for i, joint in enumerate(joints["names"]):
+        limit = limits[joint]
+        assert limit is not None
+        assert float(limit.get("lower", "nan")) == pytest.approx(
+            joints["position_min"][i], abs=1e-4
+        )
+        assert float(limit.get("upper", "nan")) == pytest.approx(
+            joints["position_max"][i], abs=1e-4
+        )
+        assert float(limit.get("velocity", "nan")) == pytest.approx(joints["velocity"][i], abs=1e-4)
+        assert float(limit.get("effort", "0")) > 0
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_number_of_a_robot_says_why(name: str, tmp_path: Path) -> None:
+    """Each limit and tuning value stands with a comment that holds its unit."""
+    section = ""
+    checked = 0
+    for line in robot_yaml(name, tmp_path).read_text().splitlines():
+        if re.fullmatch(r"\w+:", line):
+            section = line[:-1]
+        match = re.fullmatch(r"  \w+: [-\d.e]+\s*(#.*)?", line)
+        if section in ("limits", "tuning") and match:
+            assert match.group(1), line
+            assert re.search(r"\b(m|rad|s|1)\b", match.group(1)), line
+            checked += 1
+    assert checked == 28
+
+
+@pytest.mark.parametrize("name", [*ROBOTS, "third_arm"])
+def test_home_has_room_to_work(name: str, tmp_path: Path) -> None:
+    """Over ±35, ±35, ±30 mm round the home tip and ±57 degrees of roll: far from every limit."""
+    result = sweep(robot_yaml(name, tmp_path), GRASPER, DEPTH)
+    print(f"{name}: {result}")
+    assert result.tilt_deg < 50.0  # downwards rather than sideways
+    assert result.joint_margin > 0.3  # three times the margin at which joints slow down
+    assert result.singular_value > 0.10  # smallest of the flange Jacobian, m and rad mixed
+    assert result.velocity < 0.75  # of each joint's limit at 0.12 m/s and 1 rad/s of roll
+    assert result.flange_velocity < 0.25  # m/s at 0.12 m/s, 90 mm deep and deeper
+
+
+def test_home_posture_accelerations(tmp_path: Path) -> None:
+    """At the tip's own acceleration limit only the Panda's joints may need scaling."""
+    shares = {
+        name: sweep(robot_yaml(name, tmp_path), GRASPER, DEPTH).acceleration
+        for name in (*ROBOTS, "third_arm")
+    }
+    print(shares)
+    assert shares["ur5e"] < 1.0
+    assert shares["third_arm"] < 1.0
+    assert shares["panda"] < 2.5
+
+
+def test_home_pose_puts_the_trocar_on_the_shaft() -> None:
+    rng = np.random.default_rng(7)
+    for depth in rng.uniform(0.02, 0.22, 20):
+        pose = home_pose(DESCRIPTION / "robots/ur5e.yaml", GRASPER, depth)
+        assert np.linalg.norm(pose.p_BTip - pose.p_BRcm - depth * pose.s_B) < 1e-15
+        assert np.linalg.norm(pose.s_B) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("edit", "error", "words"),
+    [
+        (("name: ur5e\n", ""), None, ""),
+        (("urdf: ../urdf/ur5e.urdf\n", ""), ValueError, "urdf: missing"),
+        (("flange_link: flange", "flange_link: hand"), UrdfError, "no link 'hand'"),
+        (("elbow_joint", "knee_joint"), UrdfError, "elbow_joint, knee_joint"),
+        (("  home: [", "  home: [0.0, "), ValueError, "7 values; allowed: 6"),
+        (("joints:", "joints: ["), ValueError, "not valid YAML"),
+    ],
+)
+def test_broken_robots_are_refused(
+    edit: tuple[str, str], error: type[Exception] | None, words: str, tmp_path: Path
+) -> None:
+    text = (DESCRIPTION / "robots/ur5e.yaml").read_text()
+    assert edit[0] in text
+    text = text.replace("../urdf/", f"{DESCRIPTION}/urdf/") if "urdf" not in edit[0] else text
+    (tmp_path / "robot.yaml").write_text(text.replace(*edit))
+    if error is None:
+        make_cell(tmp_path / "robot.yaml", tmp_path / "cell", GRASPER)
+        return
+    with pytest.raises(error, match=re.escape(words)) as caught:
+        make_cell(tmp_path / "robot.yaml", tmp_path / "cell", GRASPER)
+    assert str(tmp_path / "robot.yaml") in str(caught.value) or "ur5e.urdf" in str(caught.value)
+    assert not (tmp_path / "cell").exists()
+
+
+@pytest.mark.parametrize("depth", [0.0, -0.1, 0.6, float("nan")])
+def test_depth_out_of_range_is_refused(depth: float) -> None:
+    with pytest.raises(ValueError, match=r"allowed: 0\.005 to 0\.5 m"):
+        home_pose(DESCRIPTION / "robots/ur5e.yaml", GRASPER, depth)

@@ -1,0 +1,123 @@
+"""The hand-packed messages against the generated classes, and the checked parameters."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+import pytest
+
+from surg_sim import wire
+from surg_sim.settings import BridgeSettings, EndoscopeSettings, SettingsError
+from surg_sim.truth import ArmTruth
+
+rospy = pytest.importorskip("rospy")
+
+STAMP_NS = 1_795_000_000_123_456_789
+
+
+def serialised(message: object) -> bytes:
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
+
+
+def test_joint_state() -> None:
+    from sensor_msgs.msg import JointState
+
+    rng = np.random.default_rng(3)
+    for n in (1, 6, 7):
+        names = [f"joint_{i}" for i in range(n)]
+        position, velocity = rng.normal(size=n), rng.normal(size=n)
+        data = wire.JointStateLayout(names).pack(9, STAMP_NS, position, velocity)
+        message = JointState(name=names, position=list(position), velocity=list(velocity))
+        message.header.seq = 9
+        message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+        assert data == serialised(message)
+        message.header.frame_id = "base"
+        message.effort = [1.0]
+        stamp_ns, p, v = wire.unpack_joint_state(serialised(message))
+        assert stamp_ns == STAMP_NS
+        assert np.array_equal(p, position) and np.array_equal(v, velocity)
+
+
+def test_link_status() -> None:
+    from surg_msgs.msg import LinkStatus
+
+    message = LinkStatus(
+        tick=2**40, command="joint_velocity", dead_man=True, lockstep=False, fault="no state"
+    )
+    message.header.seq = 2**40 & 0xFFFFFFFF
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+    message.last_command = rospy.Time(3, 4_000_000)
+    data = wire.pack_link_status(
+        STAMP_NS, 2**40, "joint_velocity", 3_004_000_000, True, False, "no state"
+    )
+    assert data == serialised(message)
+
+
+def test_ground_truth() -> None:
+    from geometry_msgs.msg import Point, Vector3
+
+    from surg_msgs.msg import ArmTruth as ArmTruthMessage
+    from surg_msgs.msg import GroundTruth
+
+    values = np.arange(21.0).reshape(7, 3)
+    kinds = (Point, Vector3, Point, Vector3, Point, Point, Vector3)
+    members = [kind(*row) for kind, row in zip(kinds, values, strict=True)]
+    message = GroundTruth(tick=5, arms=[ArmTruthMessage(n, *members, 0.5) for n in ("PSM1", "A")])
+    message.header.seq = 5
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+    truth = ArmTruth(*values, 0.5)
+    data = wire.pack_ground_truth(STAMP_NS, 5, [("PSM1", truth), ("A", truth)])
+    assert data == serialised(message)
+
+
+def test_twist() -> None:
+    from geometry_msgs.msg import TwistStamped
+
+    message = TwistStamped()
+    message.header.frame_id = "PSM1_base"
+    message.header.stamp = rospy.Time(7, 8)
+    message.twist.linear.y, message.twist.angular.z = 2.0, 6.0
+    stamp_ns, twist = wire.unpack_twist(serialised(message))
+    assert stamp_ns == 7_000_000_008
+    assert twist.tolist() == [0, 2, 0, 0, 0, 6]
+
+
+def test_garbage_is_refused_with_one_kind_of_error() -> None:
+    rng = np.random.default_rng(4)
+    refused = 0
+    for _ in range(2000):
+        data = rng.integers(0, 256, rng.integers(0, 80), dtype=np.uint8).tobytes()
+        for read in (wire.unpack_joint_state, wire.unpack_twist):
+            try:
+                read(data)
+            except struct.error:
+                refused += 1
+    print(f"{refused} of 4000 refused")
+    assert refused > 3900
+
+
+def test_settings_are_checked() -> None:
+    def read(kind: type, **given: object) -> object:
+        values = {"cell": "cells/sim_ur5e", **given}
+        return kind.read(lambda name, default: values.get(name, default))
+
+    settings = read(BridgeSettings, participants="operator, expert", mode="freerun")
+    assert settings.participants == ("operator", "expert")
+    assert settings.mode == "freerun" and settings.arms == ()
+    for kind, wrong in (
+        (BridgeSettings, {"cell": ""}),
+        (BridgeSettings, {"mode": "slow"}),
+        (BridgeSettings, {"participants": 3}),
+        (BridgeSettings, {"observers": ["nobody"]}),
+        (BridgeSettings, {"seed": True}),
+        (BridgeSettings, {"view": "yes"}),
+        (BridgeSettings, {"connect_timeout": float("nan")}),
+        (EndoscopeSettings, {"width": 4000}),
+        (EndoscopeSettings, {"vignette": 1}),
+    ):
+        with pytest.raises(SettingsError, match=f"~{next(iter(wrong))}"):
+            read(kind, **wrong)

@@ -1,0 +1,279 @@
+"""Motion files: what is read, what is refused and in which words."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+from scipy.spatial.transform import Rotation
+
+from surg_cli import paths
+from surg_teleop.errors import MotionError
+from surg_teleop.make_motion import DURATION, bundled_script, write_motion
+from surg_teleop.motion import JUMP_SPEED, Motion, read_motion, twist_angle
+
+BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+
+
+def table(n: int = 50, **columns: object) -> dict[str, list[object]]:
+    """A small good motion: a slow circle."""
+    t = np.arange(n) * 0.02
+    data: dict[str, list[object]] = {
+        "t_s": list(t),
+        "x_m": list(0.02 * np.cos(t)),
+        "y_m": list(0.02 * np.sin(t)),
+        "z_m": list(0.01 * t),
+    }
+    for name, values in columns.items():
+        data[name] = list(values)  # type: ignore[call-overload]
+    return data
+
+
+def write(path: Path, data: dict[str, list[object]]) -> Path:
+    rows = zip(*data.values(), strict=True)
+    lines = [",".join(data), *(",".join(str(value) for value in row) for row in rows)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def rotation_columns(rotations: np.ndarray) -> dict[str, list[object]]:
+    return {f"r{i + 1}{j + 1}": list(rotations[:, i, j]) for i in range(3) for j in range(3)}
+
+
+def test_a_good_file_is_read(tmp_path: Path) -> None:
+    data = table(gripper_rad=np.linspace(0, 0.4, 50), roll_rad=np.linspace(1, 2, 50), note=[7] * 50)
+    motion = read_motion(write(tmp_path / "m.csv", data))
+    assert motion.duration == pytest.approx(0.98)
+    assert motion.p.shape == (50, 3)
+    assert motion.roll[0] == 0.0
+    assert motion.roll[-1] == pytest.approx(1.0)
+    assert motion.gripper_at(0.98) == pytest.approx(0.4)
+    assert motion.ignored == ("note",)
+    assert motion.lines[0] == 2
+
+
+def test_windows_and_excel_habits_are_understood(tmp_path: Path) -> None:
+    text = write(tmp_path / "m.csv", table()).read_text()
+    spaced = text.replace("t_s,x_m", " t_s , x_m ").replace("\n", "\r\n") + "\r\n"
+    (tmp_path / "w.csv").write_bytes(b"\xef\xbb\xbf" + spaced.encode())
+    assert len(read_motion(tmp_path / "w.csv").t) == 50
+
+
+def spoil(column: str, row: int, value: object) -> dict[str, list[object]]:
+    data = table()
+    data[column][row] = value
+    return data
+
+
+def without(column: str) -> dict[str, list[object]]:
+    data = table()
+    del data[column]
+    return data
+
+
+REFUSED: dict[str, tuple[dict[str, list[object]], list[str]]] = {
+    "missing column": (
+        without("y_m"),
+        ["line 1", "column y_m missing", "allowed: t_s,x_m,y_m,z_m"],
+    ),
+    "NaN": (spoil("x_m", 10, "nan"), ["line 12", "x_m is nan", "a finite number"]),
+    "infinity": (spoil("t_s", 49, "inf"), ["line 51", "t_s is inf", "a finite number"]),
+    "no number": (spoil("z_m", 3, "three"), ["line 5", "z_m is 'three'", "a number"]),
+    "empty cell": (spoil("z_m", 3, ""), ["line 5", "z_m is ''", "a number"]),
+    "time backwards": (spoil("t_s", 20, 0.1), ["line 22", "t_s is 0.100000", "runs forwards"]),
+    "time stands": (spoil("t_s", 20, 0.38), ["line 22", "runs forwards"]),
+    "a gap in time": (
+        {**table(), "t_s": [0.02 * i + (0.6 if i > 9 else 0) for i in range(50)]},
+        ["line 12", "0.620 s after", "allowed: 0.5 s"],
+    ),
+    "a jump": (
+        spoil("x_m", 30, 0.09),
+        ["line 32", "jumps by", "mm in 0.0200 s", "allowed: 22.0 mm"],
+    ),
+    "a roll jump": (
+        table(roll_rad=[0.0] * 25 + [1.0] * 25),
+        ["line 27", "roll jumps by 1.000 rad", "allowed: 0.500 rad"],
+    ),
+    "one column twice": (
+        {**table(), " x_m": table()["x_m"]},
+        ["line 1", "column x_m stands there twice"],
+    ),
+    "half a rotation": (table(r11=[1.0] * 50), ["line 1", "column r12, r13", "all of r11 to r33"]),
+    "two rolls": (
+        table(roll_rad=[0.0] * 50, **rotation_columns(np.tile(np.eye(3), (50, 1, 1)))),
+        ["line 1", "both roll_rad and r11 to r33"],
+    ),
+    "no rotation": (
+        table(**rotation_columns(np.tile(np.eye(3) * 1.1, (50, 1, 1)))),
+        ["line 2", "no rotation"],
+    ),
+    "a mirror": (
+        table(**rotation_columns(np.tile(np.diag([1.0, 1.0, -1.0]), (50, 1, 1)))),
+        ["line 2", "no rotation", "determinant -1"],
+    ),
+    "a handle that turns round": (
+        table(
+            **rotation_columns(
+                Rotation.from_rotvec(np.outer(np.linspace(0, np.pi, 50), [1, 0, 0])).as_matrix()
+            )
+        ),
+        ["line 51", "its roll is undefined"],
+    ),
+    "too few samples": (table(3), ["3 samples", "at least 4"]),
+    "too short": (table(10), ["lasts 0.180 s", "at least 0.5 s"]),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_files_are_refused_with_file_line_value_and_what_is_allowed(
+    case: str, tmp_path: Path
+) -> None:
+    data, words = REFUSED[case]
+    path = write(tmp_path / "bad.csv", data)
+    with pytest.raises(MotionError) as caught:
+        read_motion(path)
+    for word in [str(path), *words]:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "line 1: empty"),
+        (b"t_s,x_m,y_m,z_m\n", "0 samples"),
+        (b"t_s,x_m,y_m,z_m\n0,1,2\n", "line 2: 3 values; allowed: 4"),
+        (bytes(range(256)), "not a text file"),
+        (None, "cannot be read: No such file"),
+    ],
+)
+def test_files_that_are_no_tables_are_refused(
+    content: bytes | None, words: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "bad.csv"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(MotionError, match=words):
+        read_motion(path)
+
+
+def test_a_fast_but_human_motion_passes(tmp_path: Path) -> None:
+    """Just below the jump's threshold; just above it is refused."""
+    for factor, good in ((0.99, True), (1.2, False)):
+        data = table()
+        data["x_m"] = [i * 0.02 * JUMP_SPEED * factor for i in range(50)]
+        data["y_m"] = data["z_m"] = [0.0] * 50
+        path = write(tmp_path / "m.csv", data)
+        if good:
+            assert read_motion(path).box[1][0] > 0.9
+        else:
+            with pytest.raises(MotionError, match="jumps"):
+                read_motion(path)
+
+
+def test_spline_meets_the_samples_and_is_smooth(tmp_path: Path) -> None:
+    motion = read_motion(write(tmp_path / "m.csv", table()))
+    spline = motion.spline()
+    assert np.abs(spline(motion.t)[:, :3] - motion.p).max() < 1e-15
+    for order in (1, 2):  # continuous velocity and acceleration at every sample
+        left, right = spline(motion.t[1:-1] - 1e-9, order), spline(motion.t[1:-1] + 1e-9, order)
+        assert np.abs(left - right).max() < 1e-6
+    fine = np.linspace(0.1, 0.9, 997)
+    assert np.abs(spline(fine)[:, 0] - 0.02 * np.cos(fine)).max() < 1e-7
+
+
+def test_roll_by_swing_twist_ignores_the_swing() -> None:
+    """Any swing about an axis across the handle leaves the twist that was put in."""
+    rng = np.random.default_rng(3)
+    families = 2_000 if FULL else 200
+    worst = 0.0
+    for _ in range(families):
+        twist = np.cumsum(rng.uniform(-0.4, 0.4, 60))
+        twist -= twist[0]
+        swing = np.cumsum(rng.uniform(-0.03, 0.03, (60, 3)), axis=0)
+        swing[:, 2] = 0.0
+        swing -= swing[0]
+        start = Rotation.random(random_state=int(rng.integers(1 << 30)))
+        turns = (
+            start * Rotation.from_rotvec(swing) * Rotation.from_rotvec(np.outer(twist, [0, 0, 1]))
+        )
+        roll, quality = twist_angle(turns.as_matrix())
+        worst = max(worst, float(np.abs(roll - twist).max()))
+        assert quality.min() > 0.5
+    print(f"{families} random handles: worst roll error {worst:.1e} rad")
+    assert worst < 1e-9
+
+
+def test_roll_beyond_half_a_turn_is_unwrapped(tmp_path: Path) -> None:
+    turn = np.linspace(0, 9.0, 50)
+    rotations = Rotation.from_rotvec(np.outer(turn, [0, 0, 1])).as_matrix()
+    by_matrix = read_motion(write(tmp_path / "a.csv", table(**rotation_columns(rotations))))
+    wrapped = np.angle(np.exp(1j * turn))
+    by_angle = read_motion(write(tmp_path / "b.csv", table(roll_rad=wrapped)))
+    assert by_matrix.roll[-1] == pytest.approx(9.0)
+    assert by_angle.roll[-1] == pytest.approx(9.0)
+
+
+def test_cut_keeps_the_first_seconds(tmp_path: Path) -> None:
+    motion = read_motion(write(tmp_path / "m.csv", table(gripper_rad=[0.1] * 50)))
+    short = motion.cut(0.5)
+    assert short.duration == pytest.approx(0.5)
+    assert short.gripper is not None
+    assert len(short.gripper) == len(short.lines) == 26
+    assert motion.cut(99.0) is motion
+
+
+def bundled() -> Motion:
+    return read_motion(BUNDLED)
+
+
+def test_bundled_motion_is_what_its_formula_writes(tmp_path: Path) -> None:
+    write_motion(tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_bytes() == BUNDLED.read_bytes()
+
+
+def test_bundled_motion_is_worth_playing() -> None:
+    motion = bundled()
+    assert motion.duration == 60.0 == DURATION
+    assert sum(segment.duration for segment in bundled_script().segments) == pytest.approx(60.0)
+    assert np.diff(motion.t) == pytest.approx(0.01)
+    extent = np.ptp(motion.p, axis=0)
+    spline = motion.spline()
+    fine = np.arange(0.0, motion.duration, 0.002)
+    v, a, j = (spline(fine, order)[:, :3] for order in (1, 2, 3))
+    speed = np.linalg.norm(v, axis=1)
+    print(
+        f"box {1e3 * extent} mm, peak {speed.max():.3f} m/s, {np.abs(a).max():.2f} m/s^2, "
+        f"{np.abs(j).max():.1f} m/s^3, path {speed.sum() * 0.002:.2f} m"
+    )
+    assert extent.min() >= 0.050
+    assert 0.10 <= speed.max() <= 0.20
+    assert np.abs(a).max() < 2.0
+    assert np.abs(j).max() < 40.0
+    assert motion.gripper is not None
+    assert np.ptp(motion.gripper) > 0.4
+    assert np.ptp(motion.roll) > 0.8
+
+
+def test_bundled_motion_trembles_like_a_hand() -> None:
+    motion = bundled()
+    band = butter(4, (8.0, 12.0), "bandpass", fs=100.0, output="sos")
+    trembling = sosfiltfilt(band, motion.p, axis=0)[100:-100]
+    per_axis = trembling.std(axis=0)
+    print(f"tremor rms per axis {1e3 * per_axis} mm")
+    assert (per_axis >= 0.045e-3).all()
+    assert (per_axis <= 0.1e-3).all()
+    total = np.sqrt((trembling**2).sum(axis=1).mean())
+    assert 0.05e-3 <= total <= 0.1e-3
+    below = sosfiltfilt(butter(4, (5.0, 7.0), "bandpass", fs=100.0, output="sos"), motion.p, axis=0)
+    assert below[100:-100].std() < 0.3 * per_axis.mean()
+
+
+def test_bundled_motion_starts_and_ends_at_rest_in_one_place() -> None:
+    motion = bundled()
+    spline = motion.spline()
+    for t in (0.0, motion.duration):
+        assert np.abs(spline(t, 1)).max() < 1e-3
+    assert np.linalg.norm(motion.p[0] - motion.p[-1]) < 1e-6
+    assert motion.roll[-1] == 0.0

@@ -1,0 +1,85 @@
+"""Finds the cell a command is about, and makes one for a robot from outside the tree."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from surg_cli import paths
+from surg_cli.terminal import Problem
+
+BUNDLED_ROBOTS = {"ur5e": "sim_ur5e", "panda": "sim_panda"}
+INSTRUMENT = paths.ROOT / "src" / "surg_description" / "instruments" / "grasper.yaml"
+ARM = "PSM1"
+DEPTH_M = 0.120
+
+
+def find(name: str) -> Path:
+    """A cell's folder, by its name in `cells/` or by path.
+
+    Args:
+        name: Such as `sim_ur5e`, or a path to a folder or its `cell.yaml`.
+
+    Raises:
+        Problem: When there is none; names the bundled ones.
+    """
+    for candidate in (Path(name), paths.CELLS / name):
+        folder = candidate.parent if candidate.name == "cell.yaml" else candidate
+        if (folder / "cell.yaml").is_file():
+            return folder.resolve()
+    known = sorted(path.parent.name for path in paths.CELLS.glob("*/cell.yaml"))
+    raise Problem(
+        f"no cell {name!r}: neither a folder with a cell.yaml nor one of {', '.join(known)}", 2
+    )
+
+
+def for_robot(robot: str, folder: Path) -> Path:
+    """The cell for `--robot`: a bundled one, or one made round a robot's YAML.
+
+    A made cell has the robot base at the world's origin, the bundled instrument, and the trocar on
+    the shaft at home with the tip 120 mm deep.
+
+    Args:
+        robot: `ur5e`, `panda`, or the path of a robot's YAML.
+        folder: Where a made cell is written.
+
+    Returns:
+        The cell's folder.
+
+    Raises:
+        Problem: When the robot is unknown or its files are wrong.
+    """
+    if robot in BUNDLED_ROBOTS:
+        return find(BUNDLED_ROBOTS[robot])
+    path = Path(robot)
+    if path.suffix not in (".yaml", ".yml"):
+        known = ", ".join(BUNDLED_ROBOTS)
+        raise Problem(f"--robot {robot}: neither {known} nor the path of a robot's YAML", 2)
+    if not path.is_file():
+        raise Problem(f"--robot {robot}: no such file", 2)
+    from surg_description.make_cell import make_cell
+
+    try:
+        return make_cell(path.resolve(), folder, INSTRUMENT, DEPTH_M, ARM).parent
+    except (ValueError, OSError) as error:
+        raise Problem(str(error), 2) from error
+
+
+def load(folder: Path) -> Any:
+    """Read and check a cell with everything it names.
+
+    Args:
+        folder: The cell's folder.
+
+    Returns:
+        A `surg_core` Cell.
+
+    Raises:
+        Problem: When anything in it is wrong: file, key, value, what is allowed.
+    """
+    import surg_core
+
+    try:
+        return surg_core.load_cell(str(folder))
+    except surg_core.ConfigError as error:
+        raise Problem(str(error), 2) from error

@@ -1,0 +1,170 @@
+"""`./surg doctor`: what is installed, missing, running; with the cure for what is not right."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+from surg_cli import environment, master, paths, provision, running, workspace
+from surg_cli.terminal import Problem, say
+
+FREE_GIB = 3.0
+# One triangle's worth of off-screen OpenGL, in a process of its own: a broken driver may crash it.
+RENDER = (
+    "import mujoco\n"
+    "xml = '<mujoco><worldbody><geom size=\".1\"/></worldbody></mujoco>'\n"
+    "model = mujoco.MjModel.from_xml_string(xml)\n"
+    "renderer = mujoco.Renderer(model, 32, 32)\n"
+    "data = mujoco.MjData(model)\n"
+    "mujoco.mj_forward(model, data)\n"
+    "renderer.update_scene(data)\n"
+    "assert renderer.render().shape == (32, 32, 3)\n"
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the diagnosis.
+
+    Attributes:
+        good: True, False, or None for mere information.
+        what: What was looked at.
+        text: What was found.
+        cure: What to do about it; empty when nothing.
+    """
+
+    good: bool | None
+    what: str
+    text: str
+    cure: str = ""
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """There are no options."""
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Print all findings; exit status 1 when one is bad."""
+    findings = [
+        _system(),
+        _packages(),
+        _python(),
+        _build(),
+        *_rendering(),
+        _space(),
+        _default_port(),
+        *_running(),
+    ]
+    for finding in findings:
+        sign = {True: "ok  ", False: "BAD ", None: "    "}[finding.good]
+        say(f"{sign} {finding.what}: {finding.text}")
+        if finding.cure:
+            say(f"       cure: {finding.cure}")
+    return 1 if any(finding.good is False for finding in findings) else 0
+
+
+def _system() -> Finding:
+    """Distribution, cores and memory."""
+    name = "unknown"
+    release = Path("/etc/os-release")
+    if release.exists():
+        pairs = dict(line.split("=", 1) for line in release.read_text().splitlines() if "=" in line)
+        name = pairs.get("PRETTY_NAME", name).strip('"')
+    good = "bookworm" in name or "GNU/Linux 12" in name
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    text = f"{name}, {len(os.sched_getaffinity(0))} cores, {memory:.1f} GiB"
+    return Finding(good, "system", text, "" if good else "use Debian 12 (bookworm)")
+
+
+def _packages() -> Finding:
+    """Debian packages."""
+    names = provision.listed_packages()
+    try:
+        missing = provision.missing_packages(names)
+    except Problem as problem:
+        return Finding(False, "Debian packages", str(problem))
+    if missing:
+        return Finding(False, "Debian packages", f"missing: {', '.join(missing)}", "./surg setup")
+    return Finding(True, "Debian packages", f"all {len(names)} installed")
+
+
+def _python() -> Finding:
+    """The virtual environment."""
+    if not paths.VENV_PYTHON.exists():
+        return Finding(False, "Python environment", f"{paths.VENV} is missing", "./surg setup")
+    stamp = provision.VENV_STAMP
+    if not stamp.exists() or stamp.read_text() != paths.file_digest(paths.LOCK_FILE):
+        return Finding(False, "Python environment", "older than requirements.lock", "./surg setup")
+    code = "import mujoco, numpy; print('mujoco', mujoco.__version__, 'numpy', numpy.__version__)"
+    done = _run([str(paths.VENV_PYTHON), "-s", "-c", code])
+    if done.returncode != 0:
+        return Finding(
+            False, "Python environment", done.stderr.strip()[-200:], "rm -r .venv; ./surg"
+        )
+    good = "numpy 1." in done.stdout
+    cure = "" if good else f"{paths.VENV_PYTHON} -m pip uninstall numpy (Debian's is needed)"
+    return Finding(good, "Python environment", done.stdout.strip(), cure)
+
+
+def _build() -> Finding:
+    """The devel space."""
+    if not (paths.DEVEL / "setup.bash").exists():
+        return Finding(False, "build", f"{paths.DEVEL} is missing", "./surg build")
+    if not workspace.is_current():
+        return Finding(None, "build", "sources have changed since; the next command builds")
+    return Finding(True, "build", f"{paths.DEVEL} is current")
+
+
+def _rendering() -> list[Finding]:
+    """Off-screen OpenGL with both drivers."""
+    if not paths.VENV_PYTHON.exists():
+        return []
+    found = []
+    for driver in ("egl", "osmesa"):
+        argv = [str(paths.VENV_PYTHON), "-s", "-c", RENDER]
+        done = _run(argv, {"MUJOCO_GL": driver})
+        if done.returncode == 0:
+            found.append(Finding(True, f"rendering by {driver}", "works"))
+        else:
+            lines = done.stderr.strip().splitlines()
+            text = lines[-1][:160] if lines else f"ended with {done.returncode}"
+            other = "osmesa" if driver == "egl" else "egl"
+            cure = f"./surg setup, or MUJOCO_GL={other}, or --no-video"
+            found.append(Finding(False, f"rendering by {driver}", text, cure))
+    return found
+
+
+def _space() -> Finding:
+    """Room for recordings."""
+    free = shutil.disk_usage(paths.ROOT).free / 2**30
+    good = free >= FREE_GIB
+    return Finding(good, "disk", f"{free:.1f} GiB free", "" if good else "remove old runs/ folders")
+
+
+def _default_port() -> Finding:
+    """Whether `up` can have ROS's usual port."""
+    taken = master.port_in_use(11311)
+    ours = any(system.port == 11311 for system in running.systems())
+    if taken and not ours:
+        answers = master.alive("http://localhost:11311")
+        who = "a ROS master" if answers else "another program"
+        return Finding(None, "port 11311", f"held by {who}", "./surg up CELL --port P")
+    return Finding(None, "port 11311", "held by a system of this checkout" if taken else "free")
+
+
+def _running() -> list[Finding]:
+    """Systems of this checkout."""
+    return [
+        Finding(None, "running", f"{s.command} of {s.cell} on port {s.port}, logs in {s.logs}")
+        for s in running.systems()
+    ] or [Finding(None, "running", "nothing of this checkout")]
+
+
+def _run(argv: list[str], extra: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a short program in a clean environment."""
+    env = {**environment.clean(), **(extra or {})}
+    return subprocess.run(argv, env=env, capture_output=True, text=True, check=False, timeout=60)

@@ -1,0 +1,44 @@
+"""`./surg down`: end what `./surg up` started."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+
+from surg_cli import processes, running
+from surg_cli.demo import tcp_port
+from surg_cli.terminal import Problem, say
+
+# Interrupt lets it stop its nodes in order; its children die with it when it must be killed.
+STAGES = ((signal.SIGINT, 20.0), (signal.SIGKILL, 5.0))
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    parser.add_argument("--port", type=tcp_port, metavar="P", help="only the system on this port")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """End the systems of this checkout."""
+    found = [s for s in running.systems() if options.port in (None, s.port)]
+    if not found:
+        say("down: no system of this checkout is running")
+        return 0
+    for system in found:
+        for number, grace in STAGES:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(system.pid, number)
+            if _gone(system, grace):
+                break
+        else:
+            raise Problem(f"process {system.pid} (port {system.port}) does not end")
+        system.file.unlink(missing_ok=True)
+        say(f"down: ended {system.command} of {system.cell} on port {system.port}")
+    return 0
+
+
+def _gone(system: running.System, grace_s: float) -> bool:
+    """Wait for a system's end; whether it came."""
+    return processes.wait_until(lambda: not system.alive, grace_s)

@@ -1,0 +1,127 @@
+"""The ROS master: a free port, `rosmaster --core`, and asking it what there is."""
+
+from __future__ import annotations
+
+import socket
+import xmlrpc.client
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from surg_cli.processes import Child, Supervisor, wait_until
+from surg_cli.terminal import Problem
+
+ROSMASTER = Path("/usr/bin/rosmaster")
+START_TIMEOUT_S = 15.0
+
+
+class _Transport(xmlrpc.client.Transport):
+    """Gives up after two seconds: a stopped master must not hang a command."""
+
+    def make_connection(self, host: Any) -> Any:
+        connection = super().make_connection(host)
+        connection.timeout = 2.0
+        return connection
+
+
+def free_port() -> int:
+    """A TCP port of the loopback interface that nobody uses now."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def port_in_use(port: int) -> bool:
+    """Whether something listens on a TCP port of this machine."""
+    with socket.socket() as probe:
+        probe.settimeout(1.0)
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+def call(uri: str, method: str, *arguments: object) -> Any:
+    """Call the master's XML-RPC interface.
+
+    Args:
+        uri: ROS_MASTER_URI.
+        method: Such as `getSystemState`.
+        *arguments: Behind the caller's name.
+
+    Returns:
+        The value of the answer.
+
+    Raises:
+        Problem: When no master answers there, or it refuses.
+    """
+    proxy = xmlrpc.client.ServerProxy(uri, transport=_Transport())
+    try:
+        code, text, value = getattr(proxy, method)("/surg_cli", *arguments)
+    except (OSError, xmlrpc.client.Error, ValueError) as error:
+        raise Problem(
+            f"no ROS master answers at {uri} ({error}); start a system with ./surg up CELL, "
+            "or name its port with --port"
+        ) from error
+    if code != 1:
+        raise Problem(f"the ROS master refused {method}{arguments}: {text}")
+    return value
+
+
+def alive(uri: str) -> bool:
+    """Whether a ROS master answers at `uri`."""
+    try:
+        call(uri, "getPid")
+    except Problem:
+        return False
+    return True
+
+
+def start(supervisor: Supervisor, port: int) -> Child:
+    """Start `rosmaster --core` and wait until it answers.
+
+    Sets ROS_MASTER_URI in the supervisor's environment.
+
+    Args:
+        supervisor: Takes the master in as its first child.
+        port: The port to listen on.
+
+    Returns:
+        The running master.
+
+    Raises:
+        Problem: When the port is taken or the master does not come up.
+    """
+    if port_in_use(port):
+        raise Problem(
+            f"port {port} is in use on this machine: choose another with --port, or end what "
+            f"holds it (ss -ltnp 'sport = :{port}' names it)"
+        )
+    uri = f"http://localhost:{port}"
+    supervisor.env["ROS_MASTER_URI"] = uri
+    child = supervisor.start("rosmaster", [*_python(), str(ROSMASTER), "--core", "-p", str(port)])
+    if not wait_until(lambda: alive(uri) or child.exit_code is not None, START_TIMEOUT_S):
+        raise Problem(f"the ROS master did not answer on port {port} within {START_TIMEOUT_S} s")
+    if child.exit_code is not None:
+        raise Problem(f"the ROS master ended at once:\n{child.log_tail()}")
+    return child
+
+
+def _python() -> list[str]:
+    """Debian's Python, named: the script's shebang may meet another one on PATH."""
+    return ["/usr/bin/python3", "-s"]
+
+
+def nodes(uri: str) -> list[str]:
+    """Names of all registered nodes, sorted."""
+    publishers, subscribers, services = call(uri, "getSystemState")
+    return sorted(
+        {
+            node
+            for group in (publishers, subscribers, services)
+            for _, names in group
+            for node in names
+        }
+    )
+
+
+def publications(uri: str) -> Mapping[str, list[str]]:
+    """Topic -> the nodes that publish it."""
+    return {topic: list(names) for topic, names in call(uri, "getSystemState")[0]}

@@ -1,0 +1,303 @@
+"""Child processes that cannot outlive their parent.
+
+Each child leads a session and a process group of its own, and the kernel kills it when its parent
+dies (`PR_SET_PDEATHSIG`, set by util-linux' `setpriv`, so no Python runs between fork and exec).
+Children are started from the main thread: the death signal follows the thread that forked.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+SETPRIV = "/usr/bin/setpriv"
+INTERRUPT_GRACE_S = 4.0
+TERMINATE_GRACE_S = 2.0
+PR_SET_CHILD_SUBREAPER = 36
+
+
+def session_members(session: int) -> list[int]:
+    """Ids of the live processes of a session: a child and whatever it has started.
+
+    Args:
+        session: The session's id, which is the process id of its leader.
+    """
+    members = []
+    for entry in os.scandir("/proc"):
+        if not entry.name.isdigit():
+            continue
+        fields = _stat_fields(int(entry.name))
+        if fields is not None and int(fields[3]) == session and fields[0] not in "ZX":
+            members.append(int(entry.name))
+    return members
+
+
+def start_time(pid: int) -> int | None:
+    """Start of a process in clock ticks since boot: with the id it names one process for good.
+
+    Args:
+        pid: The process.
+
+    Returns:
+        The value, or None when the process is gone.
+    """
+    fields = _stat_fields(pid)
+    return None if fields is None or fields[0] in "ZX" else int(fields[19])
+
+
+def _stat_fields(pid: int) -> list[str] | None:
+    """Fields 3 and up of /proc/PID/stat (state, parent, group, session, …), None when gone."""
+    try:
+        text = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
+    # The command name stands in parentheses and may hold blanks: split behind it.
+    return text.rpartition(")")[2].split()
+
+
+@dataclass
+class Child:
+    """One running program.
+
+    Attributes:
+        name: What people call it, such as a node's name.
+        argv: Its command line.
+        process: The handle of the started program.
+        log: The file its output goes to.
+        essential: Whether its end ends the run.
+    """
+
+    name: str
+    argv: tuple[str, ...]
+    process: subprocess.Popen[bytes]
+    log: Path
+    essential: bool = True
+
+    @property
+    def exit_code(self) -> int | None:
+        """Exit status, negative for a signal, None while it runs."""
+        return self.process.poll()
+
+    def log_tail(self, lines: int = 12) -> str:
+        """Return the last lines of its output."""
+        try:
+            text = self.log.read_text(encoding="utf-8", errors="replace")
+        except OSError:
+            return ""
+        return "\n".join(text.rstrip().splitlines()[-lines:])
+
+    @property
+    def alive(self) -> bool:
+        """Whether it, or anything it has started, still runs."""
+        return self.exit_code is None or bool(session_members(self.process.pid))
+
+    def send(self, number: signal.Signals) -> None:
+        """Signal the child and whatever it has started; nothing happens when all are gone."""
+        for pid in session_members(self.process.pid):
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(pid, number)
+
+
+def spawn(
+    name: str,
+    argv: Sequence[str | Path],
+    log: Path,
+    env: Mapping[str, str],
+    cwd: Path | None = None,
+    essential: bool = True,
+) -> Child:
+    """Start a program that dies with its parent.
+
+    Args:
+        name: What people call it.
+        argv: Program and arguments.
+        log: File for its output; replaced.
+        env: Its whole environment.
+        cwd: Its working folder; the parent's when None.
+        essential: Whether its end ends the run.
+
+    Returns:
+        The running child.
+
+    Raises:
+        OSError: When the program cannot be started.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    command = tuple(str(part) for part in argv)
+    with log.open("wb") as stream:
+        process = subprocess.Popen(
+            (SETPRIV, "--pdeathsig", "KILL", "--", *command),
+            stdin=subprocess.DEVNULL,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            env=dict(env),
+            cwd=cwd,
+            start_new_session=True,
+        )
+    return Child(name, command, process, log, essential)
+
+
+def stop_all(children: Sequence[Child]) -> list[str]:
+    """End children and everything in their groups: interrupt, terminate, kill.
+
+    The last started is asked first, all are waited for together.
+
+    Args:
+        children: In the order they were started.
+
+    Returns:
+        Names of those that had to be killed.
+    """
+    waiting = list(reversed(children))
+    stages = (
+        (signal.SIGINT, INTERRUPT_GRACE_S),
+        (signal.SIGTERM, TERMINATE_GRACE_S),
+        (signal.SIGKILL, TERMINATE_GRACE_S),
+    )
+    killed: list[str] = []
+    for number, grace in stages:
+        waiting = [c for c in waiting if c.alive]
+        if number is signal.SIGKILL:
+            killed = [child.name for child in waiting]
+        for child in waiting:
+            child.send(number)
+        deadline = time.monotonic() + grace
+        while waiting and time.monotonic() < deadline:
+            waiting = [c for c in waiting if c.alive]
+            if waiting:
+                time.sleep(0.02)
+        if not waiting:
+            break
+    return killed
+
+
+@dataclass
+class Supervisor:
+    """A set of children that lives and dies together; a context manager.
+
+    Attributes:
+        env: Environment given to every child.
+        logs: Folder of the log files, one per child.
+        children: Running and ended children in the order of their start.
+    """
+
+    env: dict[str, str]
+    logs: Path
+    children: list[Child] = field(default_factory=list)
+
+    def __enter__(self) -> Supervisor:
+        """Return itself; children are started by `start`."""
+        return self
+
+    def start(
+        self,
+        name: str,
+        argv: Sequence[str | Path],
+        essential: bool = True,
+        extra_env: Mapping[str, str] | None = None,
+    ) -> Child:
+        """Start one child; see `spawn`.
+
+        Args:
+            name: What people call it; names the log file too.
+            argv: Program and arguments.
+            essential: Whether its end ends the run.
+            extra_env: Added to `env` for this child.
+
+        Returns:
+            The running child.
+        """
+        log = self.logs / (name.strip("/").replace("/", "_") + ".log")
+        child = spawn(name, argv, log, {**self.env, **(extra_env or {})}, essential=essential)
+        self.children.append(child)
+        return child
+
+    def first_dead(self) -> Child | None:
+        """The first essential child that has ended, or None."""
+        for child in self.children:
+            if child.essential and child.exit_code is not None:
+                return child
+        return None
+
+    def stop(self, children: Sequence[Child] | None = None) -> list[str]:
+        """End the given children, or all; return the names of those that had to be killed."""
+        return stop_all(self.children if children is None else children)
+
+    def __exit__(self, kind: object, value: object, trace: object) -> None:
+        """End all; a second Ctrl-C meanwhile changes nothing."""
+        with signals_ignored():
+            self.stop()
+
+
+@contextlib.contextmanager
+def signals_ignored() -> Iterator[None]:
+    """Ignore the signals that end a command while something must be finished."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float, period_s: float = 0.02) -> bool:
+    """Poll a condition on the steady clock.
+
+    Args:
+        condition: Called until it is true.
+        timeout_s: How long to wait at most.
+        period_s: Pause between two calls.
+
+    Returns:
+        Whether the condition came true in time.
+    """
+    deadline = time.monotonic() + timeout_s
+    while True:
+        if condition():
+            return True
+        if time.monotonic() >= deadline:
+            return False
+        time.sleep(period_s)
+
+
+def adopt_orphans() -> None:
+    """Become the parent of orphaned descendants, so that `end_orphans` finds them."""
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def end_orphans(grace_s: float = 5.0) -> None:
+    """Wait for adopted processes (a video encoder that finishes its file), then kill them.
+
+    For a program that has no other children left: every child counts as adopted.
+
+    Args:
+        grace_s: How long they may take.
+    """
+    deadline = time.monotonic() + grace_s
+    while pids := _children_of(os.getpid()):
+        late = time.monotonic() > deadline
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError, ChildProcessError):
+                if late:
+                    os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0 if late else os.WNOHANG)
+        time.sleep(0.02)
+
+
+def _children_of(parent: int) -> list[int]:
+    """Ids of the processes, dead ones included, whose parent is `parent`."""
+    pids = [int(entry.name) for entry in os.scandir("/proc") if entry.name.isdigit()]
+    fields = {pid: _stat_fields(pid) for pid in pids}
+    return [pid for pid, found in fields.items() if found is not None and int(found[1]) == parent]

@@ -1,0 +1,88 @@
+"""The list of running systems: one small file per ROS master port in `.surg/run/`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from surg_cli import paths, processes
+
+
+@dataclass
+class System:
+    """What a running `up` or `demo` says of itself.
+
+    Attributes:
+        port: Port of its ROS master.
+        pid: The supervising process.
+        start_time: Of that process: a reused id is told apart by it.
+        command: `up` or `demo`.
+        cell: Folder of the cell.
+        logs: Folder of the nodes' output.
+        nodes: Node name -> process id.
+        last_errors: Arm -> its newest error.
+    """
+
+    port: int
+    pid: int
+    start_time: int
+    command: str
+    cell: str
+    logs: str
+    nodes: dict[str, int] = field(default_factory=dict)
+    last_errors: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def file(self) -> Path:
+        """Where it is written."""
+        return paths.SYSTEMS / f"{self.port}.json"
+
+    @property
+    def alive(self) -> bool:
+        """Whether the supervising process still runs."""
+        return processes.start_time(self.pid) == self.start_time
+
+    def save(self) -> None:
+        """Write or renew the file."""
+        paths.write_text(self.file, json.dumps(asdict(self), indent=1) + "\n")
+
+
+@contextlib.contextmanager
+def announced(command: str, port: int, cell: Path, logs: Path) -> Iterator[System]:
+    """List this process as the supervisor of a system while the context lasts.
+
+    Args:
+        command: `up` or `demo`.
+        port: Port of the ROS master.
+        cell: Folder of the cell.
+        logs: Folder of the nodes' output.
+
+    Yields:
+        The entry; change it and `save`.
+    """
+    pid = os.getpid()
+    system = System(port, pid, processes.start_time(pid) or 0, command, str(cell), str(logs))
+    system.save()
+    try:
+        yield system
+    finally:
+        system.file.unlink(missing_ok=True)
+
+
+def systems() -> list[System]:
+    """All running systems of this checkout, by port; entries of dead ones are removed."""
+    found = []
+    for file in sorted(paths.SYSTEMS.glob("*.json")):
+        try:
+            system = System(**json.loads(file.read_text("utf-8")))
+        except (OSError, ValueError, TypeError):
+            continue
+        if system.alive:
+            found.append(system)
+        else:
+            file.unlink(missing_ok=True)
+    return found

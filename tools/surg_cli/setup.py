@@ -1,0 +1,26 @@
+"""`./surg setup` and `./surg build`."""
+
+from __future__ import annotations
+
+import argparse
+
+from surg_cli import paths, provision, workspace
+from surg_cli.terminal import say
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options of the two commands."""
+    if command == "build":
+        parser.add_argument("--force", action="store_true", help="build even if nothing changed")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Set the machine up; build when asked to."""
+    logs = paths.STATE / "logs"
+    done = provision.install_packages(logs / "apt.log")
+    done |= provision.install_python(logs / "pip.log")
+    if command == "build":
+        done |= workspace.build(logs / "build.log", options.force)
+    if not done:
+        say(f"{command}: nothing to do")
+    return 0

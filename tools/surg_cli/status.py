@@ -1,0 +1,95 @@
+"""`./surg status`: every node, topic rate and last error of the running systems."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import threading
+import time
+from collections import defaultdict
+
+from surg_cli import master, processes, running
+from surg_cli.demo import tcp_port
+from surg_cli.terminal import say, table
+
+LISTEN_S = 2.0
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    parser.add_argument("--port", type=tcp_port, metavar="P", help="of the ROS master")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Describe one system; exit status 1 when there is none or a node is missing."""
+    systems = [s for s in running.systems() if options.port in (None, s.port)]
+    if not systems and options.port is None:
+        say("status: no system of this checkout is running (./surg up CELL starts one)")
+        return 1
+    for other in systems[1:]:
+        say(f"also running: {other.command} of {other.cell}, ./surg status --port {other.port}")
+    port = systems[0].port if systems else options.port
+    uri = f"http://localhost:{port}"
+    registered = master.nodes(uri)
+    healthy = _nodes(systems[0] if systems else None, registered, uri)
+    _topics(uri)
+    if systems:
+        _errors(systems[0])
+    return 0 if healthy else 1
+
+
+def _nodes(system: running.System | None, registered: list[str], uri: str) -> bool:
+    """Print every node; return whether all that were started are there."""
+    rows = []
+    healthy = True
+    started = dict(system.nodes) if system else {}
+    for name in sorted({*registered, *started} - {"rosmaster"}):
+        pid = started.get(name)
+        if pid is None:
+            state = "registered"
+        elif processes.start_time(pid) is None:
+            state, healthy = "DEAD", False
+        else:
+            state = "running" if name in registered else "not registered yet"
+        rows.append([name, state, "" if pid is None else f"pid {pid}"])
+    title = f"{system.command} of {system.cell}" if system else "a system of somebody else"
+    say(f"{title}, ROS master {uri}\nnodes:\n{table(rows)}")
+    return healthy
+
+
+def _topics(uri: str) -> None:
+    """Listen to every topic for two seconds and print its rate."""
+    os.environ["ROS_MASTER_URI"] = uri
+    import rospy
+
+    publications = master.publications(uri)
+    counts: dict[str, int] = defaultdict(int)
+    lock = threading.Lock()
+
+    def count(message: object, topic: str) -> None:
+        with lock:
+            counts[topic] += 1
+
+    rospy.init_node("surg_status", anonymous=True, disable_signals=True)
+    for topic in publications:
+        # Not decoded: only counted.
+        rospy.Subscriber(topic, rospy.AnyMsg, count, topic, queue_size=None, tcp_nodelay=True)
+    time.sleep(0.5)  # connections and latched messages
+    with lock:
+        before = dict(counts)
+    time.sleep(LISTEN_S)
+    with lock:
+        after = dict(counts)
+    rows = []
+    for topic in sorted(publications):
+        rate = (after.get(topic, 0) - before.get(topic, 0)) / LISTEN_S
+        shown = f"{rate:7.1f} Hz" if rate else ("  latched" if after.get(topic) else "   silent")
+        rows.append([topic, shown, ", ".join(publications[topic])])
+    say(f"topics:\n{table(rows)}")
+    rospy.signal_shutdown("done")
+
+
+def _errors(system: running.System) -> None:
+    """Print the newest error of every arm."""
+    rows = [[arm, text or "none"] for arm, text in system.last_errors.items()] or [["none", ""]]
+    say(f"last errors:\n{table(rows)}\nlogs: {system.logs}")

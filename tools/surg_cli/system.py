@@ -1,0 +1,242 @@
+"""Which nodes make up a running system, and their parameters.
+
+One `Plan` says what is wanted; `nodes` turns it into a list that `start` brings up. Every entry is
+also a `rosrun` line (`Node.rosrun_line`): there are no launch files.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from surg_cli import master, paths
+from surg_cli.processes import Child, Supervisor
+from surg_cli.terminal import Problem
+
+OPERATOR = "operator"
+RECORDER = "recorder"
+ENDOSCOPE = "endoscope"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A system to bring up.
+
+    Attributes:
+        cell: Folder of the cell.
+        arms: CRTK names of its arms.
+        lockstep: Step by step and reproducible, or in real time.
+        video: Whether the endoscope renders.
+        view: Whether the simulator opens its window.
+        law: "ours" or "paper".
+        link: "joint", "twist", or None for what the robot's YAML says.
+        feedback_gain: Lateral feedback [1/s], or None for what the robot's YAML says.
+        seed: Seed of the simulator's random numbers.
+        out: Folder of the run.
+        record: Whether a recorder runs.
+        operator: Parameters of the operator node, None for a system without one.
+        extra_participants: Nodes from elsewhere that a lock-step tick waits for.
+        run_info: What the recorder writes into the manifest.
+    """
+
+    cell: Path
+    arms: tuple[str, ...]
+    lockstep: bool
+    video: bool
+    out: Path
+    view: bool = False
+    law: str = "ours"
+    link: str | None = None
+    feedback_gain: float | None = None
+    seed: int = 0
+    record: bool = True
+    operator: dict[str, object] | None = None
+    extra_participants: tuple[str, ...] = ()
+    run_info: dict[str, object] = field(default_factory=dict)
+
+    @property
+    def mode(self) -> str:
+        """The word the nodes know the timing by."""
+        return "lockstep" if self.lockstep else "freerun"
+
+    @property
+    def participants(self) -> list[str]:
+        """Names of the nodes whose commands a lock-step tick waits for."""
+        ours = [OPERATOR] if self.operator is not None else []
+        return [*ours, *self.extra_participants]
+
+    @property
+    def observers(self) -> list[str]:
+        """Names of the nodes that may fall behind by a bounded number of ticks only."""
+        names = [RECORDER] if self.record else []
+        return [*names, ENDOSCOPE] if self.video else names
+
+
+@dataclass(frozen=True)
+class Node:
+    """One node to start.
+
+    Attributes:
+        name: Absolute node name.
+        package: ROS package of its executable.
+        executable: As `rosrun` takes it.
+        params: Private parameters.
+        arguments: Words behind the executable.
+        essential: Whether its end ends the system.
+    """
+
+    name: str
+    package: str
+    executable: str
+    params: dict[str, object] = field(default_factory=dict)
+    arguments: tuple[str, ...] = ()
+    essential: bool = True
+
+    def words(self) -> list[str]:
+        """Name and namespace in the form ROS nodes take on their command line."""
+        namespace, _, base = self.name.rpartition("/")
+        return [f"__name:={base}", f"__ns:={namespace or '/'}"]
+
+    def rosrun_line(self) -> str:
+        """The line a person types to start this node by hand."""
+        params = [f"_{key}:={_as_text(value)}" for key, value in self.params.items() if value != []]
+        words = [*self.arguments, *self.words(), *params]
+        return shlex.join(["rosrun", self.package, self.executable, *words])
+
+
+def nodes(plan: Plan) -> list[Node]:
+    """The nodes of a system in the order they are started, without the operator.
+
+    Args:
+        plan: What is wanted.
+    """
+    cell = str(plan.cell)
+    found = [
+        Node(
+            "/sim",
+            "surg_sim",
+            "bridge_node.py",
+            {
+                "cell": cell,
+                "mode": plan.mode,
+                "participants": plan.participants,
+                "observers": plan.observers,
+                "seed": plan.seed,
+                "arms": list(plan.arms),
+                **({"view": True} if plan.view else {}),
+            },
+        )
+    ]
+    if plan.video:
+        params: dict[str, object] = {
+            "cell": cell,
+            "mode": plan.mode,
+            "arms": list(plan.arms),
+            "seed": plan.seed,
+        }
+        found.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))
+    for arm in plan.arms:
+        params = {
+            "cell": cell,
+            "arm": arm,
+            "mode": plan.mode,
+            "participants": plan.participants,
+            "law": plan.law,
+        }
+        if plan.link is not None:
+            params["link"] = plan.link
+        if plan.feedback_gain is not None:
+            params["feedback_gain"] = float(plan.feedback_gain)
+        found.append(
+            Node(
+                f"/{arm}/controller",
+                "nodelet",
+                "nodelet",
+                params,
+                ("standalone", "surg_control/RcmNodelet"),
+            )
+        )
+    if plan.record:
+        params = {
+            "out": str(plan.out / "episode"),
+            "cell": cell,
+            "mode": plan.mode,
+            "arms": list(plan.arms),
+            "autostart": False,
+            "cameras": ["endoscope_left"] if plan.video else [],
+            "run_info": json.dumps(plan.run_info, sort_keys=True),
+        }
+        found.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
+    return found
+
+
+def operator_node(plan: Plan) -> Node:
+    """The operator's node.
+
+    Args:
+        plan: With `operator` set.
+    """
+    assert plan.operator is not None
+    return Node(f"/{OPERATOR}", "surg_teleop", "operator_node.py", dict(plan.operator))
+
+
+def robot_state_publisher(arm: str) -> Node:
+    """The node that puts an arm's links on /tf for rviz."""
+    remaps = (
+        "joint_states:=robot/measured_js",
+        f"robot_description:=/{arm}/robot_description",
+    )
+    return Node(
+        f"/{arm}/robot_state_publisher",
+        "robot_state_publisher",
+        "robot_state_publisher",
+        arguments=remaps,
+        essential=False,
+    )
+
+
+def start(supervisor: Supervisor, node: Node) -> Child:
+    """Set a node's parameters and start it.
+
+    Args:
+        supervisor: Takes it in; its environment names the master.
+        node: What to start.
+
+    Returns:
+        The running child.
+
+    Raises:
+        Problem: When its executable does not exist.
+    """
+    uri = supervisor.env["ROS_MASTER_URI"]
+    for key, value in node.params.items():
+        master.call(uri, "setParam", f"{node.name}/{key}", value)
+    argv = [str(executable(node.package, node.executable)), *node.arguments, *node.words()]
+    return supervisor.start(node.name, argv, essential=node.essential)
+
+
+def executable(package: str, name: str) -> Path:
+    """Find what `rosrun PACKAGE NAME` would start.
+
+    Args:
+        package: ROS package.
+        name: Name of its executable.
+
+    Raises:
+        Problem: When it is in neither the devel space nor the system.
+    """
+    for prefix in (paths.DEVEL, Path("/usr")):
+        candidate = prefix / "lib" / package / name
+        if candidate.is_file() and os.access(candidate, os.X_OK):
+            return candidate
+    raise Problem(f"no executable {name!r} of package {package!r}; run ./surg build --force")
+
+
+def _as_text(value: object) -> str:
+    """A parameter on a command line; a list as names with commas, which C++ nodes read too."""
+    if isinstance(value, list):
+        return ",".join(str(item) for item in value)
+    return value if isinstance(value, str) else json.dumps(value)

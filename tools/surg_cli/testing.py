@@ -1,0 +1,155 @@
+"""`./surg test`: the C++ tests of the core, then pytest."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import subprocess
+import sys
+
+from surg_cli import environment, paths, workspace
+from surg_cli.terminal import Problem, Progress, say, warn
+
+CORE_BUILD = paths.STATE / "core_tests"
+TIERS = ("oracle", "vm", "mutants")
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    parser.add_argument("--full", action="store_true", help="long counts (SURG_TEST_FULL=1)")
+    parser.add_argument("--tier", choices=TIERS, help="run only the tests of one extra tier")
+    parser.add_argument(
+        "pytest", nargs="*", metavar="PATH", help="pytest arguments; put options behind --"
+    )
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Run the tests and print their counts."""
+    env = environment.for_nodes()
+    env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{env.get('PYTHONPATH', '')}".rstrip(":")
+    if options.full:
+        env["SURG_TEST_FULL"] = "1"
+    whole = not options.pytest and options.tier is None
+    cpp_passed, cpp_failed = core_tests(env) if whole else (0, 0)
+    argv = [str(paths.VENV_PYTHON), "-m", "pytest"]
+    argv += options.pytest or [str(paths.ROOT / "tests")]
+    if options.tier is not None:
+        argv += ["-m", options.tier]
+    status, counts = run_pytest(argv, env)
+    passed = cpp_passed + counts.get("passed", 0)
+    failed = cpp_failed + counts.get("failed", 0) + counts.get("errors", counts.get("error", 0))
+    if status != 0 and failed == 0:
+        failed = 1  # pytest could not even collect
+    say(f"C++ tests: {cpp_passed} passed, {cpp_failed} failed; with pytest:")
+    say(f"{passed} passed, {failed} failed")
+    return 0 if failed == 0 else 1
+
+
+def core_tests(env: dict[str, str]) -> tuple[int, int]:
+    """Build surg_core by CMake alone, as on a machine without ROS, and run its tests.
+
+    Args:
+        env: The nodes' environment; SURG_TEST_FULL in it raises the counts.
+
+    Returns:
+        Numbers of passed and failed tests.
+
+    Raises:
+        Problem: When it does not build.
+    """
+    source = paths.ROOT / "src" / "surg_core"
+    if not (source / "CMakeLists.txt").exists():
+        warn("surg: src/surg_core has no CMakeLists.txt: no C++ tests")
+        return 0, 0
+    plain = environment.clean()
+    plain.update({k: v for k, v in env.items() if k.startswith("SURG_TEST")})
+    log = paths.STATE / "logs" / "core_tests.log"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with Progress("C++ tests: build"), log.open("w") as stream:
+        for argv in (
+            ["cmake", "-S", str(source), "-B", str(CORE_BUILD), *core_options()],
+            ["cmake", "--build", str(CORE_BUILD), f"-j{workspace.jobs()}"],
+        ):
+            done = subprocess.run(argv, env=plain, stdout=stream, stderr=subprocess.STDOUT)
+            if done.returncode != 0:
+                tail = "\n".join(log.read_text(errors="replace").splitlines()[-15:])
+                raise Problem(f"surg_core does not build by itself:\n{tail}\nSee {log}")
+    return run_core_tests(plain)
+
+
+def core_options() -> list[str]:
+    """CMake options of a stand-alone build of surg_core with its tests."""
+    return [
+        "-DCMAKE_BUILD_TYPE=Release",
+        "-DBUILD_TESTING=ON",
+        f"-DPython3_EXECUTABLE={paths.SYSTEM_PYTHON}",
+        f"-DPYTHON_EXECUTABLE={paths.SYSTEM_PYTHON}",
+    ]
+
+
+def run_core_tests(env: dict[str, str]) -> tuple[int, int]:
+    """Run every gtest program of the stand-alone build.
+
+    Args:
+        env: Their environment.
+
+    Returns:
+        Numbers of passed and failed tests.
+    """
+    listed = subprocess.run(
+        ["ctest", "--test-dir", str(CORE_BUILD), "--output-on-failure", "-V"],
+        env=env,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        check=False,
+    )
+    text = listed.stdout
+    passed = sum(int(n) for n in re.findall(r"\[  PASSED  \] (\d+) test", text))
+    failed = sum(int(n) for n in re.findall(r"\[  FAILED  \] (\d+) test", text))
+    if passed + failed == 0:  # the programs were registered test by test
+        summary = re.search(r"(\d+) tests failed out of (\d+)", text)
+        if summary:
+            failed = int(summary.group(1))
+            passed = int(summary.group(2)) - failed
+    if listed.returncode != 0:
+        failed = max(failed, 1)
+        say(text[-6000:])
+    (paths.STATE / "logs" / "core_tests_run.log").write_text(text)
+    if passed + failed == 0:
+        raise Problem("surg_core has no C++ tests: expected gtest programs under ctest")
+    return passed, failed
+
+
+def run_pytest(argv: list[str], env: dict[str, str]) -> tuple[int, dict[str, int]]:
+    """Run pytest with its output shown, and read the counts off its closing line.
+
+    Args:
+        argv: The command line.
+        env: Its environment.
+
+    Returns:
+        Exit status, and counts by word such as `passed`.
+    """
+    process = subprocess.Popen(
+        argv, env=env, cwd=paths.ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    assert process.stdout is not None
+    tail = b""
+    while chunk := os.read(process.stdout.fileno(), 4096):
+        sys.stdout.buffer.write(chunk)
+        sys.stdout.flush()
+        tail = (tail + chunk)[-4000:]
+    status = process.wait()
+    closing = [line for line in tail.decode(errors="replace").splitlines() if " in " in line]
+    return status, parse_counts(closing[-1] if closing else "")
+
+
+def parse_counts(line: str) -> dict[str, int]:
+    """Counts in pytest's closing line.
+
+    Args:
+        line: Such as `== 3 passed, 1 failed in 0.12s ==`.
+    """
+    return {word: int(number) for number, word in re.findall(r"(\d+) ([a-z]+)", line)}

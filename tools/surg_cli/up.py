@@ -1,0 +1,163 @@
+"""`./surg up CELL`: a whole system, kept until Ctrl-C."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import os
+import shlex
+import time
+from pathlib import Path
+
+from surg_cli import cells, environment, master, paths, processes, running, system
+from surg_cli.demo import death_notice, tcp_port
+from surg_cli.system import Plan
+from surg_cli.terminal import Problem, Progress, say
+from surg_cli.watch import Watch
+
+DEFAULT_PORT = 11311
+START_TIMEOUT_S = 60.0
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
+    add("--port", type=tcp_port, default=DEFAULT_PORT, metavar="P", help="of the ROS master")
+    add("--lock-step", action="store_true", help="step by step instead of in real time")
+    add(
+        "--participant",
+        action="append",
+        default=[],
+        metavar="NODE",
+        help="lock-step: a node whose commands every step waits for (may be repeated)",
+    )
+    add("--law", choices=("ours", "paper"), default="ours", help="the control law")
+    add("--link", choices=("joint", "twist"), help="what the robot obeys (default: its YAML)")
+    add("--seed", type=int, default=0, metavar="N", help="of the simulator's random numbers")
+    add("--no-video", action="store_true", help="without the endoscope camera")
+    add("--view", action="store_true", help="open the simulator's window (needs a display)")
+    add("--print", action="store_true", help="only print the rosrun line of every node")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Start everything, say what is there, wait."""
+    cell = cells.find(options.cell)
+    arms = tuple(str(name) for name in cells.load(cell).arms)
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
+    plan = Plan(
+        cell=cell,
+        arms=arms,
+        lockstep=options.lock_step,
+        video=not options.no_video,
+        view=options.view,
+        law=options.law,
+        link=options.link,
+        seed=options.seed,
+        out=paths.RUNS / now,
+        extra_participants=tuple(options.participant),
+        run_info={"task": "up", "cell": str(cell)},
+    )
+    if options.print:
+        return _print_lines(plan)
+    logs = paths.SYSTEMS / f"{options.port}_logs"
+    processes.adopt_orphans()
+    try:
+        return _keep(plan, options.port, logs)
+    finally:
+        with processes.signals_ignored():
+            processes.end_orphans()
+
+
+def _print_lines(plan: Plan) -> int:
+    """Print the command lines of all nodes."""
+    say("rosmaster --core")
+    for node in [*system.nodes(plan), *map(system.robot_state_publisher, plan.arms)]:
+        say(node.rosrun_line())
+    return 0
+
+
+def _keep(plan: Plan, port: int, logs: Path) -> int:
+    """Start all nodes and stay until a signal arrives or a node dies."""
+    env = environment.for_nodes(ros_home=logs / "ros")
+    with processes.Supervisor(env, logs) as supervisor:
+        master.start(supervisor, port)
+        with running.announced("up", port, plan.cell, logs) as entry:
+            for node in system.nodes(plan):
+                system.start(supervisor, node)
+            os.environ.update(supervisor.env)
+            with Watch(plan.arms) as watch:
+                with Progress("up") as progress:
+                    _await_arms(plan, watch, supervisor, progress)
+                for arm in plan.arms:
+                    system.start(supervisor, system.robot_state_publisher(arm))
+                entry.nodes = {child.name: child.process.pid for child in supervisor.children}
+                entry.save()
+                _greet(plan, port, logs)
+                while True:
+                    _stay(watch, supervisor, entry)
+
+
+def _stay(watch: Watch, supervisor: processes.Supervisor, entry: running.System) -> None:
+    """Pass on what the arms complain about, for a tenth of a second.
+
+    Raises:
+        Problem: When a node has died or the simulator has given up.
+    """
+    time.sleep(0.1)
+    dead = supervisor.first_dead()
+    if dead is not None:
+        raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+    aborted = watch.sim.get("aborted")
+    if aborted:
+        raise Problem(f"the simulator gave up: {aborted}")
+    news = watch.news()
+    for origin, text in news:
+        say(f"{origin}: {text}")
+        arm, _, kind = origin.partition(" ")
+        if kind == "error":
+            entry.last_errors[arm] = text
+    if news:
+        entry.save()
+
+
+def _await_arms(
+    plan: Plan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
+) -> None:
+    """Wait until every arm has published its state and its robot_description.
+
+    Raises:
+        Problem: When a node ends meanwhile, or after a minute.
+    """
+    uri = supervisor.env["ROS_MASTER_URI"]
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while True:
+        states = watch.states
+        missing = [arm for arm in plan.arms if arm not in states]
+        described = all(
+            master.call(uri, "hasParam", f"/{arm}/robot_description") for arm in plan.arms
+        )
+        if not missing and described:
+            return
+        dead = supervisor.first_dead()
+        if dead is not None:
+            raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+        if time.monotonic() > deadline:
+            raise Problem(
+                f"waited {START_TIMEOUT_S:.0f} s for {', '.join(missing) or 'robot_description'}; "
+                f"see {supervisor.logs}"
+            )
+        progress.update(None, f"waiting for {', '.join(missing) or 'robot_description'}")
+        time.sleep(0.05)
+
+
+def _greet(plan: Plan, port: int, logs: Path) -> None:
+    """Say what runs and how to reach it."""
+    arm = plan.arms[0]
+    say(f"{plan.cell.name} is up: {', '.join(plan.arms)}; every arm is DISABLED and not homed.")
+    say("In another terminal: ./surg status, ./surg shell, or by hand:")
+    say(f"  export ROS_MASTER_URI=http://localhost:{port}")
+    for word in ("enable", "home"):
+        message = shlex.quote(f"string: {word}")
+        say(f"  rostopic pub -1 /{arm}/state_command crtk_msgs/StringStamped {message}")
+    say(f"Logs: {logs}. Ctrl-C or ./surg down ends it.")

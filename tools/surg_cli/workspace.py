@@ -1,0 +1,143 @@
+"""Builds the catkin workspace, and only when its sources have changed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from surg_cli import paths
+from surg_cli.environment import clean
+from surg_cli.terminal import Problem, Progress, say
+
+STAMP = paths.STATE / "build.stamp"
+GIB_PER_JOB = 1.6  # one Eigen-heavy translation unit of the pybind11 binding at -O3
+
+
+def source_files() -> Iterator[Path]:
+    """Every file a build depends on, in a fixed order."""
+    yield paths.ROOT / "CMakeLists.txt"
+    for folder, folders, files in os.walk(paths.ROOT / "src"):
+        skip = {"__pycache__", "build", ".mypy_cache", ".ruff_cache", ".pytest_cache"}
+        folders[:] = sorted(
+            name for name in folders if name not in skip and not name.endswith(".egg-info")
+        )
+        for name in sorted(files):
+            if not name.endswith((".pyc", ".swp", "~")):
+                yield Path(folder, name)
+
+
+def fingerprint() -> str:
+    """Digest of the names, sizes and change times of all sources, and of the Python in use."""
+    digest = hashlib.sha256()
+    for path in source_files():
+        try:
+            info = path.stat()
+        except FileNotFoundError:  # an editor's file that has just gone
+            continue
+        digest.update(f"{path}|{info.st_size}|{info.st_mtime_ns}\n".encode())
+    digest.update(str(paths.VENV_PYTHON.exists()).encode())
+    return digest.hexdigest()
+
+
+def is_current() -> bool:
+    """Whether the devel space was built from the sources as they are."""
+    return (
+        (paths.DEVEL / "setup.bash").exists()
+        and STAMP.exists()
+        and STAMP.read_text() == fingerprint()
+    )
+
+
+def jobs() -> int:
+    """Parallel compilers: one per core, fewer where memory is short."""
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
+    return max(1, min(len(os.sched_getaffinity(0)), int(total / GIB_PER_JOB)))
+
+
+def build(log: Path, force: bool = False) -> bool:
+    """Configure and build into `build/` and `devel/`.
+
+    Args:
+        log: File for the output of CMake and the compilers.
+        force: Build even when nothing has changed.
+
+    Returns:
+        Whether anything had to be done.
+
+    Raises:
+        Problem: When a step fails; the text holds the last lines of its output.
+    """
+    before = fingerprint()
+    if not force and is_current():
+        return False
+    say(f"build: {paths.BUILD} -> {paths.DEVEL} (log: {log})")
+    log.parent.mkdir(parents=True, exist_ok=True)
+    _forget_moved_tree()
+    configure = [_cmake(), "-S", str(paths.ROOT), "-B", str(paths.BUILD)]
+    configure += ["-G", "Unix Makefiles", f"-DCATKIN_DEVEL_PREFIX={paths.DEVEL}"]
+    compile_ = [_cmake(), "--build", str(paths.BUILD), f"-j{jobs()}"]
+    with Progress("build") as progress, log.open("w", encoding="utf-8") as stream:
+        for argv in (configure, compile_):
+            stream.write("$ " + " ".join(argv) + "\n")
+            process = subprocess.Popen(
+                argv,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                env=clean(),
+            )
+            assert process.stdout is not None
+            fraction = 0.0
+            lines: list[str] = []
+            for line in process.stdout:
+                stream.write(line)
+                lines.append(line.rstrip())
+                done = re.match(r"\[\s*(\d+)%\]", line)
+                fraction = int(done.group(1)) / 100 if done else fraction
+                progress.update(fraction, "" if argv is configure else line[6:66].strip())
+            if process.wait() != 0:
+                raise Problem(_failure(lines, log))
+    # Sources may have changed meanwhile: the stamp says what was there at the start.
+    paths.write_text(STAMP, before)
+    return True
+
+
+def _cmake() -> str:
+    """Debian's cmake, whatever stands first on the caller's PATH."""
+    found = "/usr/bin/cmake"
+    if not os.access(found, os.X_OK):
+        raise Problem(f"{found} is missing; run ./surg setup")
+    return found
+
+
+def _forget_moved_tree() -> None:
+    """Remove a build folder that belongs to another path: CMake would refuse to use it."""
+    cache = paths.BUILD / "CMakeCache.txt"
+    if not cache.exists():
+        return
+    text = cache.read_text("utf-8", errors="replace")
+    home = re.search(r"^CMAKE_HOME_DIRECTORY:INTERNAL=(.*)$", text, re.MULTILINE)
+    python = re.search(r"^PYTHON_EXECUTABLE:[A-Z]*=(.*)$", text, re.MULTILINE)
+    wanted = paths.VENV_PYTHON if paths.VENV_PYTHON.exists() else paths.SYSTEM_PYTHON
+    moved = home is not None and Path(home.group(1)) != paths.ROOT
+    other_python = python is not None and Path(python.group(1)) != wanted
+    if moved or other_python:
+        shutil.rmtree(paths.BUILD)
+
+
+def _failure(lines: list[str], log: Path) -> str:
+    """The text for a failed build: the compiler's errors, else the last lines."""
+    errors = [
+        i
+        for i, line in enumerate(lines)
+        if re.search(r"\berror\b[: ]|undefined reference|CMake Error", line)
+    ]
+    shown = lines[errors[0] : errors[0] + 12] if errors else lines[-15:]
+    return "the build failed:\n" + "\n".join(shown) + f"\nThe whole output: {log}"
