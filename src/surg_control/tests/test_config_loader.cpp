@@ -136,7 +136,7 @@ TEST(ConfigLoader, NeverCrashesOnBrokenBytes) {
   int refused = 0;
   for (int i = 0; i < count; ++i) {
     std::string text = good;
-    for (unsigned k = 0; k <= random() % 3; ++k) {
+    for (unsigned k = 0; k <= random() % 3 && !text.empty(); ++k) {
       const std::size_t at = random() % text.size();
       switch (random() % 4) {
         case 0:

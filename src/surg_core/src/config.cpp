@@ -18,7 +18,8 @@ constexpr double kInf = std::numeric_limits<double>::infinity();
 /// Which direction makes a limit tighter.
 enum class Tighter { kSmaller, kLarger };
 
-/// One limit: its name, where it lives, the compiled-in range and unit. No YAML can exceed the range.
+/// One limit: its name, where it lives, the compiled-in range and unit. No YAML can exceed the
+/// range.
 struct LimitKey {
   const char* name;
   double Limits::*member;
@@ -134,15 +135,15 @@ class Reader {
                      const char* unit) {
     const auto list = get<std::vector<double>>(key, "a list of numbers, one per joint");
     if (list.size() != n) {
-      fail(key, "has " + std::to_string(list.size()) + " values; joints.names has " +
-                    std::to_string(n));
+      fail(key,
+           "has " + std::to_string(list.size()) + " values; joints.names has " + std::to_string(n));
     }
     JointVector values(static_cast<int>(n));
     for (std::size_t i = 0; i < n; ++i) {
       if (!(list[i] >= lowest && list[i] <= highest)) {
         fail(key, "value " + std::to_string(i + 1) + ", " + number(list[i]) + " " + unit +
-                      ", is out of range; allowed is " + number(lowest) + " to " +
-                      number(highest) + " " + unit);
+                      ", is out of range; allowed is " + number(lowest) + " to " + number(highest) +
+                      " " + unit);
       }
       values[static_cast<int>(i)] = list[i];
     }
@@ -190,9 +191,9 @@ class Reader {
     known_.insert(key);
     const auto found = document_.values.find(key);
     if (found == document_.values.end()) {
-      const bool nested = std::any_of(
-          document_.values.begin(), document_.values.end(),
-          [&](const auto& item) { return item.first.rfind(key + ".", 0) == 0; });
+      const bool nested =
+          std::any_of(document_.values.begin(), document_.values.end(),
+                      [&](const auto& item) { return item.first.rfind(key + ".", 0) == 0; });
       fail(key, nested ? "is a section; " + std::string(wanted) + " is needed"
                        : "is missing; " + std::string(wanted) + " is needed");
     }
@@ -256,15 +257,15 @@ RobotConfig parse_robot(const Document& document) {
   robot.urdf = reader.word("urdf");
   robot.base_link = reader.word("base_link");
   robot.flange_link = reader.word("flange_link");
-  robot.command = reader.choice("command", {"joint_velocity", "cartesian_velocity"}) ==
-                          "joint_velocity"
-                      ? Command::kJointVelocity
-                      : Command::kCartesianVelocity;
+  robot.command =
+      reader.choice("command", {"joint_velocity", "cartesian_velocity"}) == "joint_velocity"
+          ? Command::kJointVelocity
+          : Command::kCartesianVelocity;
   robot.joint_names = reader.words("joints.names");
   const std::size_t n = robot.joint_names.size();
   if (n < 6 || n > kMaxJoints) {
-    reader.fail("joints.names", std::to_string(n) + " joints; allowed is 6 to " +
-                                    std::to_string(kMaxJoints));
+    reader.fail("joints.names",
+                std::to_string(n) + " joints; allowed is 6 to " + std::to_string(kMaxJoints));
   }
   if (std::set<std::string>(robot.joint_names.begin(), robot.joint_names.end()).size() != n) {
     reader.fail("joints.names", "names a joint twice");
@@ -283,9 +284,8 @@ RobotConfig parse_robot(const Document& document) {
     }
     if (!(robot.home[i] > robot.position_min[i] && robot.home[i] < robot.position_max[i])) {
       reader.fail("joints.home", joint + ": " + number(robot.home[i]) +
-                                     " rad is outside its limits " +
-                                     number(robot.position_min[i]) + " to " +
-                                     number(robot.position_max[i]) + " rad");
+                                     " rad is outside its limits " + number(robot.position_min[i]) +
+                                     " to " + number(robot.position_max[i]) + " rad");
     }
   }
   for (const auto& key : kLimitKeys) {
@@ -325,7 +325,8 @@ ToolCalibration parse_tool(const Document& document) {
   ToolCalibration tool;
   tool.s_F = reader.vector("shaft_axis", 1.0 + 1e-9, "");
   if (!(std::abs(tool.s_F.norm() - 1.0) < 1e-6)) {
-    reader.fail("shaft_axis", "has length " + number(tool.s_F.norm()) + "; a unit vector is needed");
+    reader.fail("shaft_axis",
+                "has length " + number(tool.s_F.norm()) + "; a unit vector is needed");
   }
   tool.s_F.normalize();
   tool.p_FTip = reader.vector("tip", 1.0, "m");
@@ -366,12 +367,12 @@ CellConfig parse_cell(const Document& document) {
   if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
   for (const auto& name : names) {
     const std::string prefix = "arms." + name + ".";
-    const bool plain = std::all_of(name.begin(), name.end(), [](unsigned char c) {
-      return std::isalnum(c) || c == '_';
-    });
+    const bool plain = std::all_of(name.begin(), name.end(),
+                                   [](unsigned char c) { return std::isalnum(c) || c == '_'; });
     if (!plain || !std::isalpha(static_cast<unsigned char>(name[0]))) {
-      reader.fail("arms." + name, "an arm's name becomes a ROS namespace: letters, digits and _ "
-                                  "only, a letter first");
+      reader.fail("arms." + name,
+                  "an arm's name becomes a ROS namespace: letters, digits and _ "
+                  "only, a letter first");
     }
     CellArm arm;
     arm.name = name;

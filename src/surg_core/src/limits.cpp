@@ -60,7 +60,8 @@ Scale uniform_scale(const RobotConfig& robot, const Limits& limits, const JointV
     scale.alpha = soft.high;
     scale.limited_by = soft.high_by;
   } else if (soft.high < soft.low) {
-    // Joints pull apart: no alpha meets all accelerations. The middle shares the excess between them.
+    // Joints pull apart: no alpha meets all accelerations. The middle shares the excess between
+    // them.
     const double middle = std::clamp(0.5 * (soft.low + soft.high), 0.0, 1.0);
     if (middle < scale.alpha) {
       scale.alpha = middle;

@@ -26,8 +26,8 @@ Vector6 rcm_twist(const ShaftState& shaft, const Vector3& v_BTip, double roll_ra
                   const Vector3& v_BRcm, double gain, double depth_floor) {
   const Vector3& s = shaft.s;
   const double depth = std::max(shaft.depth, depth_floor);
-  // The shaft point at the trocar follows the trocar and closes the error at rate 'gain'; the paper's
-  // law is the case v_BRcm = 0, gain = 0, which never removes an error.
+  // The shaft point at the trocar follows the trocar and closes the error at rate 'gain'; the
+  // paper's law is the case v_BRcm = 0, gain = 0, which never removes an error.
   const Vector3 v_lateral = lateral(v_BRcm, s) + gain * shaft.e;
   const Vector3 s_dot = (lateral(v_BTip, s) - v_lateral) / depth;
   const Vector3 omega = s.cross(s_dot) + roll_rate * s;
@@ -40,12 +40,12 @@ Vector6 rcm_twist(const ShaftState& shaft, const Vector3& v_BTip, double roll_ra
 
 Vector6 paper_cartesian_twist(const Vector3& p_ee, const Vector3& p_tip, const Vector3& p_rcm,
                               const Vector3& v_tip, double roll_rate) {
-  const Vector3 r_ee = p_rcm - p_ee;                                            // (1)
-  const Vector3 r_shaft = p_tip - p_rcm;                                        // (2)
-  const Vector3 omega_pivot = r_shaft.cross(v_tip) / r_shaft.squaredNorm();     // (3)
-  const Vector3 r_hat = r_shaft.normalized();                                   // (4)
-  const Vector3 omega_ee = omega_pivot + roll_rate * r_hat;                     // (4), (5)
-  const Vector3 v_insertion = v_tip.dot(r_hat) * r_hat;                         // (6)
+  const Vector3 r_ee = p_rcm - p_ee;                                         // (1)
+  const Vector3 r_shaft = p_tip - p_rcm;                                     // (2)
+  const Vector3 omega_pivot = r_shaft.cross(v_tip) / r_shaft.squaredNorm();  // (3)
+  const Vector3 r_hat = r_shaft.normalized();                                // (4)
+  const Vector3 omega_ee = omega_pivot + roll_rate * r_hat;                  // (4), (5)
+  const Vector3 v_insertion = v_tip.dot(r_hat) * r_hat;                      // (6)
   Vector6 twist;
   twist.head<3>() = v_insertion - omega_ee.cross(r_ee);  // (7)
   twist.tail<3>() = omega_ee;
@@ -96,7 +96,8 @@ Matrix3 minimal_rotation(const Vector3& a, const Vector3& b) {
   const double c = a.dot(b);
   Matrix3 W;
   W << 0, -w.z(), w.y(), w.z(), 0, -w.x(), -w.y(), w.x(), 0;
-  // Opposite directions have no unique minimal rotation; the cone limit keeps the shaft far from there.
+  // Opposite directions have no unique minimal rotation; the cone limit keeps the shaft far from
+  // there.
   return Matrix3::Identity() + W + W * W / std::max(1.0 + c, 1e-9);
 }
 
@@ -109,8 +110,9 @@ double absolute_roll(const Matrix3& R, const Matrix3& R_home, const Vector3& s_h
 }
 
 double roll_holonomy_rate(const Vector3& s_home, const Vector3& s, const Vector3& s_dot) {
-  // The minimal rotation to s(t) turns about s at -(s_home . (s x s_dot)) / (1 + s_home . s): the solid
-  // angle that the shaft sweeps. Without this term every closed loop of the tip would roll the instrument.
+  // The minimal rotation to s(t) turns about s at -(s_home . (s x s_dot)) / (1 + s_home . s): the
+  // solid angle that the shaft sweeps. Without this term every closed loop of the tip would roll
+  // the instrument.
   return -s_home.dot(s.cross(s_dot)) / std::max(1.0 + s_home.dot(s), 1e-9);
 }
 

@@ -160,15 +160,15 @@ void Setpoint::advance_stream(double dt) {
 }
 
 void Setpoint::advance_velocity(double dt) {
-  // Where the tip would stand if it braked now, with a quarter of the acceleration limit to spare for
-  // the jerk-limited onset: outside the workspace and further out than now means brake.
+  // Where the tip would stand if it braked now, with a quarter of the acceleration limit to spare
+  // for the jerk-limited onset: outside the workspace and further out than now means brake.
   std::array<double, 4> rate = rate_;
   const Vector3 p = p_RTip(), v = v_RTip();
   const double speed = v.norm();
-  const Vector3 p_stop =
-      p + v * (0.05 + speed / (2 * 0.5 * limits_.tip_acceleration)) +
-      (speed < 1e-4 && space_ == Space::kCartesian ? Vector3(1e-3 * Vector3(rate[0], rate[1], rate[2]))
-                                                   : Vector3(Vector3::Zero()));
+  const Vector3 p_stop = p + v * (0.05 + speed / (2 * 0.5 * limits_.tip_acceleration)) +
+                         (speed < 1e-4 && space_ == Space::kCartesian
+                              ? Vector3(1e-3 * Vector3(rate[0], rate[1], rate[2]))
+                              : Vector3(Vector3::Zero()));
   if (!inside_workspace(limits_, p_stop) && (inside_workspace(limits_, p) || speed > 1e-4)) {
     const Vector3 centre(0, 0, 0.5 * (limits_.depth_slow + limits_.depth_max));
     if ((p_stop - centre).norm() > (p - centre).norm()) rate[0] = rate[1] = rate[2] = 0;

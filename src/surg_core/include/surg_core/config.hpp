@@ -1,6 +1,7 @@
-// What a YAML file may say: every key with its unit, range and reason lives in config.cpp, once, for C++
-// and Python alike. The files are parsed elsewhere (yaml-cpp, PyYAML) into a flat Document; this checks it
-// and returns frozen values, or throws a ConfigError that says file, key, value and what is allowed.
+// What a YAML file may say: every key with its unit, range and reason lives in config.cpp, once,
+// for C++ and Python alike. The files are parsed elsewhere (yaml-cpp, PyYAML) into a flat Document;
+// this checks it and returns frozen values, or throws a ConfigError that says file, key, value and
+// what is allowed.
 #pragma once
 
 #include <map>
@@ -19,9 +20,9 @@ using Value =
 
 /// A YAML file flattened: nested keys joined by '.', for example "limits.tip_velocity".
 struct Document {
-  std::string file;                   ///< shown in every error
+  std::string file;  ///< shown in every error
   std::map<std::string, Value> values;
-  std::map<std::string, int> lines;   ///< 1-based line of each key where known
+  std::map<std::string, int> lines;  ///< 1-based line of each key where known
 };
 
 /// A configuration that must not be used: file, key, value, what is allowed.
@@ -103,11 +104,11 @@ struct TrocarCalibration {
 
 /// One arm of a cell, as cell.yaml states it.
 struct CellArm {
-  std::string name;        ///< CRTK name, e.g. "PSM1"
-  std::string robot;       ///< path of the robot YAML, relative to the cell file
-  std::string instrument;  ///< path of the instrument YAML, relative to the cell file
-  std::string link;        ///< "simulator"
-  Vector3 base_xyz, base_rpy;  ///< X_WB
+  std::string name;                      ///< CRTK name, e.g. "PSM1"
+  std::string robot;                     ///< path of the robot YAML, relative to the cell file
+  std::string instrument;                ///< path of the instrument YAML, relative to the cell file
+  std::string link;                      ///< "simulator"
+  Vector3 base_xyz, base_rpy;            ///< X_WB
   std::map<std::string, double> limits;  ///< tightened limits by name
 };
 
@@ -126,7 +127,8 @@ CellConfig parse_cell(const Document& document);
 /// Limits with a cell's values put in. Throws when a value would loosen one.
 Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file);
 
-/// SHA-256-free fingerprint of everything above that moves the arm: FNV-1a over the values, as 16 hex digits.
+/// SHA-256-free fingerprint of everything above that moves the arm: FNV-1a over the values, as 16
+/// hex digits.
 std::string limits_hash(const RobotConfig& robot, const Limits& limits);
 
 }  // namespace surg

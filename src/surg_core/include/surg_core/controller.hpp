@@ -1,16 +1,16 @@
 // The only place where the parts meet; 'step' reads like the data line of docs/architecture.md:
-// gate -> profiler -> rcm -> limits -> guard. Pure: time and ids are arguments. No allocation, lock or I/O.
+// gate -> profiler -> rcm -> limits -> guard. Pure: time and ids are arguments. No allocation, lock
+// or I/O.
 #pragma once
 
 #include <array>
 #include <cstdint>
+#include <memory>
 
 #include "surg_core/config.hpp"
 #include "surg_core/kinematics.hpp"
 #include "surg_core/operating_state.hpp"
-#include "surg_core/profiler.hpp"
 #include "surg_core/rcm.hpp"
-#include "surg_core/stream.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
@@ -31,12 +31,13 @@ enum class Motion : std::uint8_t {
 /// One decoded command. Which members count depends on 'motion'.
 struct MotionCommand {
   Motion motion = Motion::kNone;
-  std::uint32_t source = 0;  ///< id of the sender (the node maps caller ids to numbers)
-  Vector3 p = Vector3::Zero();                                       ///< cp: p_RcmTip; cv: v_Tip, in the rcm frame
-  Eigen::Quaterniond rotation = Eigen::Quaterniond::Identity();      ///< cp: R_RcmTool (only roll is used)
-  double roll_rate = 0;                                              ///< cv: about the shaft [rad/s]
-  Vector4 joints = Vector4::Zero();                                  ///< jp / jv: yaw, pitch, insertion, roll
-  double jaw = 0;                                                    ///< jaw angle [rad]
+  std::uint32_t source = 0;     ///< id of the sender (the node maps caller ids to numbers)
+  Vector3 p = Vector3::Zero();  ///< cp: p_RcmTip; cv: v_Tip, in the rcm frame
+  Eigen::Quaterniond rotation =
+      Eigen::Quaterniond::Identity();  ///< cp: R_RcmTool (only roll is used)
+  double roll_rate = 0;                ///< cv: about the shaft [rad/s]
+  Vector4 joints = Vector4::Zero();    ///< jp / jv: yaw, pitch, insertion, roll
+  double jaw = 0;                      ///< jaw angle [rad]
 };
 
 /// What became of a command.
@@ -51,10 +52,10 @@ constexpr int kMaxCommands = 64;
 
 /// Everything one cycle may look at.
 struct Inputs {
-  bool state_valid = false;       ///< q, qd hold a joint state
-  double state_age = 0;           ///< [s] since it was received (0 in lock-step)
-  JointVector q, qd;              ///< measured [rad, rad/s]
-  double jaw = 0;                 ///< measured jaw [rad]
+  bool state_valid = false;  ///< q, qd hold a joint state
+  double state_age = 0;      ///< [s] since it was received (0 in lock-step)
+  JointVector q, qd;         ///< measured [rad, rad/s]
+  double jaw = 0;            ///< measured jaw [rad]
   int n_commands = 0;
   std::array<MotionCommand, kMaxCommands> commands;
 };
@@ -83,9 +84,9 @@ struct Outputs {
   double roll_goal = 0, roll_set = 0;
   double jaw_set = 0, jaw = 0;
   // output
-  double scale = 1;                  ///< alpha
-  const char* limited_by = "";       ///< static string
-  JointVector qd_command;            ///< [rad/s]
+  double scale = 1;             ///< alpha
+  const char* limited_by = "";  ///< static string
+  JointVector qd_command;       ///< [rad/s]
   Vector6 twist_command = Vector6::Zero();
 };
 
@@ -100,7 +101,9 @@ class Controller {
     double feedback_gain = -1;  ///< [1/s] overrides tuning.rcm_gain when >= 0; simulator only
   };
   Controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
-             const InstrumentConfig& instrument, const ToolCalibration& tool, const Options& options);
+             const InstrumentConfig& instrument, const ToolCalibration& tool,
+             const Options& options);
+  ~Controller();
 
   /// State machine. Takes effect at once; uses the joint state of the last step. kNone: done.
   Reason request(StateCommand command);
@@ -116,19 +119,15 @@ class Controller {
   /// X_BR: the rcm frame (origin trocar, z home shaft axis into the patient, x = base x made
   /// perpendicular to z). Commands and measured_cp are in it. Identity rotation until homed.
   const Pose& X_BR() const;
-  /// R_RcmTool of a shaft direction and roll: what measured_cp reports as orientation.
+  /// R_RTool of a shaft direction and roll, what measured_cp reports as orientation: the minimal
+  /// rotation from z to the shaft, after the roll about z; identity at home.
   Eigen::Quaterniond tool_orientation(const Vector3& s_B, double roll) const;
   bool rcm_set() const;
   double dt() const;
 
  private:
   struct Impl;
-  Impl* impl_;
-
- public:
-  ~Controller();
-  Controller(const Controller&) = delete;
-  Controller& operator=(const Controller&) = delete;
+  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace surg

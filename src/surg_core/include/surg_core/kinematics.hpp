@@ -19,7 +19,8 @@ struct Joint {
 class Chain {
  public:
   Chain() = default;
-  /// Throws std::invalid_argument for 0 or more than kMaxJoints joints, non-unit axes or non-finite poses.
+  /// Throws std::invalid_argument for 0 or more than kMaxJoints joints, non-unit axes or non-finite
+  /// poses.
   Chain(std::vector<Joint> joints, const Pose& X_LF);
 
   int dof() const { return static_cast<int>(joints_.size()); }
@@ -36,12 +37,13 @@ class Chain {
   Pose X_LF_ = Pose::Identity();
 };
 
-/// Joint velocities that give a flange twist: J^-1 for six joints; for more, the pseudo-inverse plus
-/// 'posture' [rad/s] projected into the null space. For fewer than six joints: not supported.
+/// Joint velocities that give a flange twist: J^-1 for six joints; for more, the pseudo-inverse
+/// plus 'posture' [rad/s] projected into the null space. For fewer than six joints: not supported.
 struct InverseVelocity {
   JointVector qd;
   double conditioning = 0;  ///< smallest pivot ratio seen, 0: singular; qd is zero then
 };
-InverseVelocity inverse_velocity(const Jacobian& J, const Vector6& twist, const JointVector& posture);
+InverseVelocity inverse_velocity(const Jacobian& J, const Vector6& twist,
+                                 const JointVector& posture);
 
 }  // namespace surg

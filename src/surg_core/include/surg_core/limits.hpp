@@ -14,8 +14,8 @@ struct Scale {
 };
 
 /// Largest alpha for which alpha * qd keeps every joint inside its velocity limit, its acceleration
-/// limit against the last command, the approach speed to its position limit (F20), and the flange inside
-/// its speed cap. Where velocity and acceleration cannot both be met, velocity wins.
+/// limit against the last command, the approach speed to its position limit (F20), and the flange
+/// inside its speed cap. Where velocity and acceleration cannot both be met, velocity wins.
 ///
 /// qd, qd_last, q: wanted, last commanded velocities [rad/s] and positions [rad]; T: period [s];
 /// flange_speed: of the unscaled command [m/s].

@@ -24,9 +24,9 @@ struct ShaftState {
 /// s = R s_F; L = s . (p_tip - p_rcm); e = p_rcm - p_tip + L s.
 ShaftState shaft_state(const Pose& X_BF, const Tool& tool, const Vector3& p_BRcm);
 
-/// Velocity form (docs/architecture.md, "The law"): flange twist (v, omega) in B for a tip velocity, a roll
-/// rate about the shaft, pivot velocity v_rcm and lateral feedback k [1/s]. Exact tip velocity; |e| decays
-/// at rate k. 'depth_floor' > 0 bounds 1/L near the trocar.
+/// Velocity form (docs/architecture.md, "The law"): flange twist (v, omega) in B for a tip
+/// velocity, a roll rate about the shaft, pivot velocity v_rcm and lateral feedback k [1/s]. Exact
+/// tip velocity; |e| decays at rate k. 'depth_floor' > 0 bounds 1/L near the trocar.
 Vector6 rcm_twist(const ShaftState& shaft, const Vector3& v_BTip, double roll_rate,
                   const Vector3& v_BRcm, double gain, double depth_floor);
 
@@ -37,7 +37,8 @@ Vector6 paper_cartesian_twist(const Vector3& p_ee, const Vector3& p_tip, const V
 Vector6 paper_spherical_twist(const Vector3& p_ee, const Vector3& p_rcm, double pitch_rate,
                               double yaw_rate, double roll_rate, double v_trans);
 
-/// The trocar frame's angles: s = (sin yaw cos pitch, sin pitch, cos yaw cos pitch), in the rcm frame.
+/// The trocar frame's angles: s = (sin yaw cos pitch, sin pitch, cos yaw cos pitch), in the rcm
+/// frame.
 Vector3 shaft_direction(double yaw, double pitch);
 /// (yaw, pitch) of a unit direction in the rcm frame.
 Eigen::Vector2d shaft_angles(const Vector3& s_R);
@@ -51,7 +52,8 @@ Pose rcm_frame(const Vector3& s_home, const Vector3& p_BRcm);
 /// Rotation of least angle taking unit a to unit b.
 Matrix3 minimal_rotation(const Vector3& a, const Vector3& b);
 /// Absolute roll psi in R = minimal_rotation(s_home, s) exp(psi s_home) R_home, in (-pi, pi].
-double absolute_roll(const Matrix3& R, const Matrix3& R_home, const Vector3& s_home, const Vector3& s);
+double absolute_roll(const Matrix3& R, const Matrix3& R_home, const Vector3& s_home,
+                     const Vector3& s);
 /// omega . s that keeps psi constant while the shaft turns with s_dot (the holonomy term).
 double roll_holonomy_rate(const Vector3& s_home, const Vector3& s, const Vector3& s_dot);
 

@@ -1,6 +1,7 @@
-// The moving set-point: what the instrument shall do next, from whichever kind of command came last.
-// Four degrees of freedom in the rcm frame: x, y, z, roll (Cartesian) or yaw, pitch, insertion, roll
-// (spherical). A plain value: copy it, advance the copy, keep the one whose step the limits allow.
+// The moving set-point: what the instrument shall do next, from whichever kind of command came
+// last. Four degrees of freedom in the rcm frame: x, y, z, roll (Cartesian) or yaw, pitch,
+// insertion, roll (spherical). A plain value: copy it, advance the copy, keep the one whose step
+// the limits allow.
 #pragma once
 
 #include <array>
@@ -17,7 +18,8 @@ enum class Space { kCartesian, kSpherical };
 /// Position and velocity of the four degrees of freedom in one space.
 using Dofs = std::array<Kinematic, Profiler::kDof>;
 
-/// The same tip motion in the other space; accelerations are dropped. The tip must be off the trocar.
+/// The same tip motion in the other space; accelerations are dropped. The tip must be off the
+/// trocar.
 Dofs to_spherical(const Dofs& cartesian);
 Dofs to_cartesian(const Dofs& spherical);
 

@@ -1,5 +1,5 @@
-// Stream filter: follows a stream of targets within velocity, acceleration and jerk limits, in closed form,
-// with no planning and no failure branch; and the alpha-beta estimate that feeds it.
+// Stream filter: follows a stream of targets within velocity, acceleration and jerk limits, in
+// closed form, with no planning and no failure branch; and the alpha-beta estimate that feeds it.
 #pragma once
 
 #include "surg_core/profiler.hpp"
@@ -12,8 +12,8 @@ class AlphaBeta {
  public:
   /// Forgets the past: position x, velocity v.
   void reset(double x, double v = 0);
-  /// A new sample 'spacing' seconds after the last one. Gains follow the spacing (30 Hz: 0.852 / 0.703;
-  /// 500 Hz: 0.612 / 0.279).
+  /// A new sample 'spacing' seconds after the last one. Gains follow the spacing (30 Hz: 0.852 /
+  /// 0.703; 500 Hz: 0.612 / 0.279).
   void update(double x, double spacing);
   /// Estimate 'age' seconds after the last sample.
   Kinematic predict(double age) const;
@@ -28,8 +28,8 @@ class StreamFilter {
   StreamFilter() = default;
   explicit StreamFilter(const DofLimits& limits);
   void reset(const Kinematic& state);
-  /// One tick of T seconds towards a target predicted one tick ahead (x and v are used). Never leaves
-  /// the velocity, acceleration and jerk limits.
+  /// One tick of T seconds towards a target predicted one tick ahead (x and v are used). Never
+  /// leaves the velocity, acceleration and jerk limits.
   void step(const Kinematic& target, double T);
   const Kinematic& state() const { return state_; }
 

@@ -1,7 +1,7 @@
 // Value types shared by the whole core: no ROS, no clock, no threads, no heap in the loop.
 //
-// Frames are in the names (docs/conventions.md): X_AB is the pose of frame B in frame A, p_BTip the tip
-// seen from and expressed in the base B. SI units throughout.
+// Frames are in the names (docs/conventions.md): X_AB is the pose of frame B in frame A, p_BTip the
+// tip seen from and expressed in the base B. SI units throughout.
 #pragma once
 
 #include <Eigen/Core>
@@ -20,7 +20,8 @@ using Matrix3 = Eigen::Matrix3d;
 using Pose = Eigen::Isometry3d;
 /// One number per joint, at most kMaxJoints of them, stored inline.
 using JointVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMaxJoints, 1>;
-/// Geometric Jacobian of the flange, 6 x n: rows 0-2 linear (flange origin), rows 3-5 angular, in B.
+/// Geometric Jacobian of the flange, 6 x n: rows 0-2 linear (flange origin), rows 3-5 angular, in
+/// B.
 using Jacobian = Eigen::Matrix<double, 6, Eigen::Dynamic, 0, 6, kMaxJoints>;
 
 }  // namespace surg

@@ -160,9 +160,6 @@ void bind_controller(py::module_& m) {
 
   py::enum_<Law>(m, "Law").value("OURS", Law::kOurs).value("PAPER", Law::kPaper);
 
-#ifdef SURG_CORE_WITHOUT_CONTROLLER
-  m.attr("Controller") = py::none();
-#else
   // The joint count stands beside the controller, so that every array can be checked against it.
   struct Owned {
     int dof;
@@ -223,7 +220,6 @@ void bind_controller(py::module_& m) {
                 o.controller->tool_orientation(to_vector3(s_B, "s_B"), roll).coeffs());
           },
           py::arg("s_B"), py::arg("roll"), "R_RcmTool as a quaternion x, y, z, w.");
-#endif
 }
 
 }  // namespace surg::python

@@ -170,7 +170,7 @@ class Recording:
         return min(ticks, default=0)
 
     def newest_image(self, camera: str) -> tuple[int, int]:
-        """Stamp of the newest image of a camera and its distance to the one before [ns]; 0: none."""
+        """Stamp of a camera's newest image and its distance to the one before [ns]; 0: none."""
         video = self._videos.get(camera)
         return (video.last_stamp_ns, video.period_ns) if video else (0, 0)
 

@@ -1,0 +1,42 @@
+// The gate: what may come in. Authority, finiteness, step size, workspace; nothing is clipped, a
+// command is taken or refused with a reason.
+#pragma once
+
+#include <cstdint>
+
+#include "surg_core/config.hpp"
+#include "surg_core/operating_state.hpp"
+#include "surg_core/types.hpp"
+
+namespace surg {
+
+/// Who may move the arm: the first accepted sender, until the arm has rested 0.5 s without a
+/// command (F26).
+class Authority {
+ public:
+  explicit Authority(double dt) : dt_(dt) {}
+  bool may_command(std::uint32_t source) const { return holder_ == 0 || holder_ == source; }
+  void taken(std::uint32_t source) {
+    holder_ = source;
+    silent_ = 0;
+  }
+  /// Once a cycle. resting: the set-point stands still; enabled: the arm is ENABLED.
+  void elapse(bool resting, bool enabled) {
+    silent_ += dt_;
+    if (!enabled || (resting && silent_ >= kRelease)) holder_ = 0;
+  }
+  std::uint32_t holder() const { return holder_; }
+
+ private:
+  static constexpr double kRelease = 0.5;  // [s]
+  double dt_;
+  double silent_ = 0;
+  std::uint32_t holder_ = 0;  // 0: nobody
+};
+
+/// Step test of a pose stream (servo_cp, servo_jp). Distances from the last accepted pose, or from
+/// the set-point where a stream begins; 'since' is the time since the last accepted one [s].
+Reason check_step(const Limits& limits, bool begins, double since, double distance,
+                  double roll_distance);
+
+}  // namespace surg

@@ -1,0 +1,18 @@
+#include "surg_core/gate.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+
+Reason check_step(const Limits& limits, bool begins, double since, double distance,
+                  double roll_distance) {
+  const double dt = begins ? 0.0 : std::min(since, limits.step_dt_max);
+  // Written so that NaN is refused.
+  const bool near = distance <= limits.tip_velocity * dt + limits.step_slack &&
+                    std::abs(roll_distance) <= limits.roll_velocity * dt + limits.step_roll_slack;
+  if (near) return Reason::kNone;
+  return begins ? Reason::kStreamStartTooFar : Reason::kStepTooLarge;
+}
+
+}  // namespace surg

@@ -1,0 +1,91 @@
+"""`./surg demo` refuses bad input before anything moves or is written."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.surg import surg
+from surg_cli import paths
+
+pytestmark = pytest.mark.ros
+
+ROBOTS = paths.ROOT / "src" / "surg_description" / "robots"
+
+
+def motion_lines(extent_m: float = 0.02) -> list[str]:
+    """A small circle of 4 s at 50 Hz, as the lines of a motion file."""
+    t = np.arange(0.0, 4.0, 0.02)
+    x, y = extent_m * np.cos(t), extent_m * np.sin(t)
+    rows = [f"{a:.3f},{b:.6f},{c:.6f},0.0" for a, b, c in zip(t, x, y, strict=True)]
+    return ["t_s,x_m,y_m,z_m", *rows]
+
+
+def changed(number: int, line: str) -> list[str]:
+    lines = motion_lines()
+    lines[number - 1] = line
+    return lines
+
+
+BAD_MOTIONS = {
+    "missing column": (changed(1, "t_s,x_m,y_m,depth"), ["line 1", "z_m"]),
+    "NaN": (changed(40, "0.760,nan,0.0,0.0"), ["line 40", "x_m", "nan"]),
+    "text": (changed(40, "0.760,left,0.0,0.0"), ["line 40", "x_m", "left"]),
+    "time backwards": (changed(40, "0.100,0.014,0.014,0.0"), ["line 40", "0.100"]),
+    "jump": (changed(40, "0.760,0.514,0.014,0.0"), ["line 40", "jump"]),
+    "does not fit": (motion_lines(0.3), ["scale", "fit"]),
+    "no data": (["t_s,x_m,y_m,z_m"], ["0 samples"]),
+}
+
+
+@pytest.mark.parametrize("what", BAD_MOTIONS)
+def test_bad_motion_is_refused(what: str, tmp_path: Path) -> None:
+    lines, words = BAD_MOTIONS[what]
+    file = tmp_path / "motion.csv"
+    file.write_text("\n".join(lines) + "\n")
+    done = surg("demo", "--motion", file, "--out", tmp_path / "run")
+    assert done.returncode == 2, done.stderr
+    for word in (str(file), *words):
+        assert word in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_constant_motion_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "motion.csv"
+    file.write_text("\n".join(motion_lines(1e-5)) + "\n")
+    done = surg("demo", "--motion", file, "--out", tmp_path / "run")
+    assert done.returncode == 1
+    assert "constant" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def broken_robot(folder: Path, old: str, new: str) -> Path:
+    """A copy of the UR5e's YAML with one text replaced."""
+    text = (ROBOTS / "ur5e.yaml").read_text("utf-8")
+    assert text.count(old) == 1
+    (folder / "robots").mkdir()
+    shutil.copytree(ROBOTS.parent / "urdf", folder / "urdf")
+    path = folder / "robots" / "broken.yaml"
+    path.write_text(text.replace(old, new))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("tip_velocity: 0.25", "tip_velocity: 25.0", ["limits.tip_velocity", "25"]),
+        ("tip_velocity: 0.25", "tip_velocity: fast", ["limits.tip_velocity", "fast"]),
+        ("rcm_gain: 20.0", "rcm_gian: 20.0", ["rcm_gian"]),
+        ("flange_link: flange", "flange_link: hand", ["hand"]),
+        ("urdf: ../urdf/ur5e.urdf", "urdf: ../urdf/none.urdf", ["none.urdf"]),
+    ],
+)
+def test_broken_robot_is_refused(old: str, new: str, words: list[str], tmp_path: Path) -> None:
+    robot = broken_robot(tmp_path, old, new)
+    done = surg("demo", "--robot", robot, "--out", tmp_path / "run")
+    assert done.returncode == 2, done.stderr
+    for word in words:
+        assert word in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,107 @@
+"""Systems come up, say what they are, and leave nothing behind however they end."""
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from helpers.surg import start, surg
+from surg_cli import master, processes, running
+
+pytestmark = pytest.mark.ros
+
+START_S = 90.0
+
+
+def entry_of(pid: int) -> running.System | None:
+    """The list entry of a running command."""
+    return next((s for s in running.systems() if s.pid == pid and s.nodes), None)
+
+
+def wait_for_entry(pid: int, log: Path) -> running.System:
+    """Wait until a system has started all its nodes."""
+    up = processes.wait_until(lambda: entry_of(pid) is not None, START_S, 0.1)
+    assert up, log.read_text()
+    found = entry_of(pid)
+    assert found is not None
+    return found
+
+
+def all_gone(pids: list[int]) -> bool:
+    return all(processes.start_time(pid) is None for pid in pids)
+
+
+def test_up_status_down(tmp_path: Path) -> None:
+    port, log = master.free_port(), tmp_path / "up.log"
+    with start(log, "up", "sim_ur5e", "--no-video", "--port", port) as process:
+        system = wait_for_entry(process.pid, log)
+        assert {"/sim", "/PSM1/controller", "/recorder"} <= set(system.nodes)
+        status = surg("status", "--port", port)
+        assert status.returncode == 0, status.stdout + status.stderr
+        for word in ("/PSM1/controller", "/PSM1/cycle", " Hz", "last errors", "running"):
+            assert word in status.stdout
+        again = surg("up", "sim_ur5e", "--no-video", "--port", port)
+        assert again.returncode == 1
+        assert "--port" in again.stderr
+        down = surg("down", "--port", port)
+        assert down.returncode == 0
+        assert process.wait(10) == 130
+    assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
+    assert not system.file.exists()
+
+
+def test_a_dying_node_ends_the_system_and_is_named(tmp_path: Path) -> None:
+    port, log = master.free_port(), tmp_path / "up.log"
+    with start(log, "up", "sim_ur5e", "--no-video", "--port", port) as process:
+        system = wait_for_entry(process.pid, log)
+        os.kill(system.nodes["/PSM1/controller"], signal.SIGKILL)
+        assert process.wait(30) == 1
+    text = log.read_text()
+    assert "/PSM1/controller was killed by signal 9" in text
+    assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_demo_leaves_nothing_behind(number: signal.Signals, tmp_path: Path) -> None:
+    log = tmp_path / "demo.log"
+    with start(log, "demo", "--no-video", "--out", tmp_path / "run") as process:
+        system = wait_for_entry(process.pid, log)
+        process.send_signal(number)
+        expected = -number if number is signal.SIGKILL else 130
+        assert process.wait(30) == expected
+    # Also after SIGKILL, when nobody is left to stop the nodes: the kernel does.
+    assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
+    assert not master.port_in_use(system.port)
+
+
+def test_a_broken_cell_is_refused_by_up(tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text("format: surg_cell/1\nname: x\nnetwork: internet\n")
+    done = surg("up", tmp_path)
+    assert done.returncode == 2
+    assert "network" in done.stderr
+
+
+def test_status_without_a_system_says_how_to_start_one() -> None:
+    port = master.free_port()
+    done = surg("status", "--port", port)
+    assert done.returncode == 1
+    assert "./surg up CELL" in done.stderr
+
+
+def test_print_gives_every_rosrun_line() -> None:
+    done = surg("up", "sim_panda", "--print")
+    assert done.returncode == 0
+    lines = done.stdout.splitlines()
+    assert lines[0] == "rosmaster --core"
+    assert sum(line.startswith("rosrun ") for line in lines) == 5
+
+
+def test_running_list_is_plain_json(tmp_path: Path) -> None:
+    port, log = master.free_port(), tmp_path / "up.log"
+    with start(log, "up", "sim_panda", "--no-video", "--port", port) as process:
+        system = wait_for_entry(process.pid, log)
+        assert json.loads(system.file.read_text())["command"] == "up"
+        process.send_signal(signal.SIGINT)
+        process.wait(30)

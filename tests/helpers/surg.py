@@ -1,0 +1,62 @@
+"""Runs `./surg` commands from tests, in the environment `./surg test` has made ready."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from surg_cli import paths
+
+
+def environment() -> dict[str, str]:
+    """Environment of a command: ready, so that it neither installs nor builds."""
+    env = {**os.environ, "SURG_READY": "1"}
+    env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{env.get('PYTHONPATH', '')}".rstrip(":")
+    return env
+
+
+def argv(*words: object) -> list[str]:
+    """Command line of `./surg WORDS`."""
+    return [sys.executable, "-s", "-m", "surg_cli", *map(str, words)]
+
+
+def surg(*words: object, timeout_s: float = 300.0) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end.
+
+    Args:
+        *words: Behind `./surg`.
+        timeout_s: Longest time it may take.
+
+    Returns:
+        The ended process with its output.
+    """
+    return subprocess.run(
+        argv(*words),
+        env=environment(),
+        cwd=paths.ROOT,
+        capture_output=True,
+        text=True,
+        timeout=timeout_s,
+        check=False,
+    )
+
+
+def start(log: Path, *words: object) -> subprocess.Popen[bytes]:
+    """Start a command and return at once.
+
+    Args:
+        log: File for its output.
+        *words: Behind `./surg`.
+    """
+    with log.open("wb") as stream:
+        return subprocess.Popen(
+            argv(*words),
+            env=environment(),
+            cwd=paths.ROOT,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
