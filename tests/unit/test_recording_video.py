@@ -152,6 +152,7 @@ import numpy as np
 sink = VideoSink(Path(sys.argv[1]), "cam", block=False)
 rng = np.random.default_rng(0)
 ground = rng.integers(0, 255, (480, 640, 3), dtype=np.uint8)
+assert sink.wait_ready(20.0)
 print(sink.pid, flush=True)
 begun, k = time.monotonic(), 0
 while True:

@@ -211,7 +211,7 @@ void bind_config(py::module_& m) {
       .def_property_readonly("values", [](const Document& d) { return d.values; })
       .def_property_readonly("lines", [](const Document& d) { return d.lines; });
 
-  bind_numbers(m, "Limits", "Every limit of an arm, SI (docs/safety.md).", kLimits);
+  bind_numbers(m, "Limits", "Every limit of an arm, SI.", kLimits);
   bind_numbers(m, "Tuning", "Gains [1/s] and times [s] of the controller.", kTuning);
   bind_robot(m);
   bind_calibrations(m);

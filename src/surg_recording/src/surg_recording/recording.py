@@ -15,7 +15,6 @@ from typing import Any
 from surg_recording import columns, rows
 from surg_recording.csv_sink import CsvTable, CsvWriter
 from surg_recording.episode_writer import MIN_FREE_BYTES, EpisodeWriter
-from surg_recording.errors import EpisodeError
 from surg_recording.video_sink import VideoSink
 
 FREERUN_QUEUE = 5000
@@ -23,6 +22,9 @@ FREERUN_QUEUE = 5000
 
 DISK_CHECK_S = 0.5
 """Free space is looked at this often [s]."""
+
+ENCODER_START_S = 10.0
+"""Time given to the encoders to start [s]; frames wait in memory when they need longer."""
 
 STOP_FREE_BYTES = 32 << 20
 """A recording ends by itself when less than this is left [bytes]: room to finish it properly."""
@@ -79,6 +81,7 @@ class Recording:
         for arm in self.arms:
             self._table(f"command_{arm}", columns.COMMAND)
         self._table("events", columns.EVENTS)
+        self._start_encoders()
 
     @property
     def folder(self) -> Path:
@@ -145,8 +148,8 @@ class Recording:
 
     def image(self, camera: str, message: Any, receive_ns: int) -> None:
         """Record a sensor_msgs/Image. Blocks in lock-step when the encoder is behind."""
-        video = self._videos.get(camera) or self._video(camera)
-        if video is None:
+        video = self._videos.get(camera)
+        if video is None:  # its encoder did not start
             self._orphans[camera] = self._orphans.get(camera, 0) + 1
             return
         video.put(
@@ -213,7 +216,7 @@ class Recording:
         self._writer.close()
         for video in self._videos.values():
             video.close(video_timeout_s)
-        missing = [name for name in self.cameras if name not in self._videos]
+        missing = [name for name, video in self._videos.items() if not video.received]
         problems = [self.problem] if self.problem else []
         problems += [f"{name}: no image was received" for name in missing]
         for arm in self.arms:
@@ -228,6 +231,22 @@ class Recording:
         return self._folder.finalise(
             {**manifest, "camera_streams": cameras}, drops, "; ".join(problems) or None
         )
+
+    def _start_encoders(self) -> None:
+        for camera in self.cameras:
+            try:
+                self._videos[camera] = VideoSink(
+                    self.folder,
+                    camera,
+                    block=self._lockstep,
+                    preset=self._preset,
+                    keep_open=(self._folder.lock,),
+                )
+            except OSError as problem:
+                self._problems.append(f"{camera}: no encoder ({problem.strerror})")
+        deadline = time.monotonic() + ENCODER_START_S
+        for video in self._videos.values():
+            video.wait_ready(max(0.0, deadline - time.monotonic()))
 
     def _drops(self) -> dict[str, int]:
         drops = {name: table.dropped for name, table in list(self._tables.items())}
@@ -251,24 +270,3 @@ class Recording:
                     self._problems.append(f"{name}: {problem.strerror}")
                     return None
             return self._tables[name]
-
-    def _video(self, camera: str) -> VideoSink | None:
-        with self._lock:
-            if camera not in self._videos:
-                if camera in self._orphans:  # failed before: once is enough
-                    return None
-                try:
-                    self._videos[camera] = VideoSink(
-                        self.folder,
-                        camera,
-                        block=self._lockstep,
-                        preset=self._preset,
-                        keep_open=(self._folder.lock,),
-                    )
-                except OSError as problem:
-                    self._problems.append(f"{camera}: no encoder ({problem.strerror})")
-                    return None
-            return self._videos[camera]
-
-
-__all__ = ["DISK_CHECK_S", "FREERUN_QUEUE", "EpisodeError", "Recording"]

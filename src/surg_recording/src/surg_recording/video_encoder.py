@@ -1,9 +1,10 @@
 """The encoder of one camera: a process of its own that reads frames from standard input.
 
-Started by ``video_sink.VideoSink``; needs PyAV and numpy only. It ends when its input ends, also
-when the recorder was killed, and then leaves a finished file. It answers on standard output, one
-line each: ``frame N``, ``skip REASON`` for a frame it could not take, ``error REASON`` before it
-gives up, ``end`` after a clean finish.
+Started by ``video_sink.VideoSink``; needs PyAV and numpy only. The files are made with the first
+frame. It ends when its input ends, also when the recorder was killed, and then leaves a finished
+file. It answers on standard output, one line each: ``ready`` at the start, ``frame N``,
+``skip REASON`` for a frame it could not take, ``error REASON`` before it gives up, ``end`` after a
+clean finish.
 
 Input: per frame ``HEADER`` and then the image rows as they came in the message.
 """
@@ -50,9 +51,9 @@ class Encoder:
     """One MP4 file (H.264, variable frame rate, microseconds) and its sidecar CSV."""
 
     def __init__(self, path: str, sidecar: str, preset: str, crf: int) -> None:
-        self._container = av.open(path, "w", format="mp4", options=CONTAINER_OPTIONS)
-        self._sidecar = os.open(sidecar, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-        os.write(self._sidecar, b"frame,stamp_ns,receive_ns,pts,dropped\n")
+        self._path, self._sidecar_path = path, sidecar
+        self._container: av.container.OutputContainer | None = None
+        self._sidecar = -1
         self._options = {
             "preset": preset,
             "crf": str(crf),
@@ -100,7 +101,7 @@ class Encoder:
         )
         frame.pts = pts
         frame.time_base = MICROSECONDS
-        assert self._stream is not None
+        assert self._stream is not None and self._container is not None
         packets = self._stream.encode(frame)
         os.write(
             self._sidecar, f"{self.frames},{stamp_ns},{receive_ns},{pts},{self._missing}\n".encode()
@@ -111,7 +112,9 @@ class Encoder:
         return None
 
     def close(self) -> None:
-        """Flush the encoder and finish the file."""
+        """Flush the encoder and finish the files."""
+        if self._container is None:
+            return
         try:
             if self._stream is not None:
                 self._container.mux(self._stream.encode())
@@ -121,8 +124,11 @@ class Encoder:
             os.close(self._sidecar)
 
     def _open(self, width: int, height: int, stamp_ns: int) -> None:
-        if width < 2 or height < 2:
-            raise ValueError(f"image of {width}x{height} pixels")
+        """Make the files, now that there is a first image."""
+        flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
+        self._sidecar = os.open(self._sidecar_path, flags, 0o644)
+        os.write(self._sidecar, b"frame,stamp_ns,receive_ns,pts,dropped\n")
+        self._container = av.open(self._path, "w", format="mp4", options=CONTAINER_OPTIONS)
         stream = self._container.add_stream("libx264", rate=60, options=self._options)
         stream.width, stream.height = width & ~1, height & ~1
         stream.pix_fmt = "yuv420p"
@@ -170,6 +176,7 @@ def main(arguments: list[str]) -> int:
     path, sidecar, preset, crf = arguments
     try:
         encoder = Encoder(path, sidecar, preset, int(crf))
+        _say("ready")
         try:
             run(sys.stdin.buffer, encoder)
         finally:

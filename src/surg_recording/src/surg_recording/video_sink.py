@@ -70,6 +70,7 @@ class VideoSink:
         self._queue: deque[tuple[bytes, bytes]] = deque()
         self._room = threading.Condition()
         self._ending = False
+        self._ready = threading.Event()
         self._dropped_since = 0
         self._process = subprocess.Popen(
             [
@@ -89,6 +90,10 @@ class VideoSink:
         self._listener = threading.Thread(target=self._listen, name=f"answers_{name}", daemon=True)
         self._feeder.start()
         self._listener.start()
+
+    def wait_ready(self, timeout_s: float) -> bool:
+        """Wait until the encoder takes frames, so that none has to wait in memory."""
+        return self._ready.wait(timeout_s)
 
     @property
     def pid(self) -> int:
@@ -204,7 +209,9 @@ class VideoSink:
             for line in lines:
                 word, _, rest = line.rstrip("\n").partition(" ")
                 with self._room:
-                    if word == "frame":
+                    if word == "ready":
+                        self._ready.set()
+                    elif word == "frame":
                         self.frames = int(rest)
                     elif word == "skip":
                         self.last_skip = rest
@@ -214,6 +221,7 @@ class VideoSink:
                     elif word == "end":
                         ended = True
                     self._room.notify_all()
+        self._ready.set()  # it will never be more ready than now
         with self._room:
             if not ended and self.error is None:
                 self.error = "the encoder was killed or ended early"
