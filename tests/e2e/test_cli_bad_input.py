@@ -1,5 +1,6 @@
 """`./surg demo` refuses bad input before anything moves or is written."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -61,31 +62,35 @@ def test_constant_motion_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def broken_robot(folder: Path, old: str, new: str) -> Path:
-    """A copy of the UR5e's YAML with one text replaced."""
+def broken_robot(folder: Path, key: str, line: str) -> Path:
+    """A copy of the UR5e's YAML with the line of one key replaced."""
     text = (ROBOTS / "ur5e.yaml").read_text("utf-8")
-    assert text.count(old) == 1
+    changed_text, count = re.subn(rf"^( *){key}:.*$", rf"\1{line}", text, flags=re.MULTILINE)
+    assert count == 1
     (folder / "robots").mkdir()
     shutil.copytree(ROBOTS.parent / "urdf", folder / "urdf")
     path = folder / "robots" / "broken.yaml"
-    path.write_text(text.replace(old, new))
+    path.write_text(changed_text)
     return path
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("key", "line", "words"),
     [
-        ("tip_velocity: 0.25", "tip_velocity: 25.0", ["limits.tip_velocity", "25"]),
-        ("tip_velocity: 0.25", "tip_velocity: fast", ["limits.tip_velocity", "fast"]),
-        ("rcm_gain: 20.0", "rcm_gian: 20.0", ["rcm_gian"]),
-        ("flange_link: flange", "flange_link: hand", ["hand"]),
-        ("urdf: ../urdf/ur5e.urdf", "urdf: ../urdf/none.urdf", ["none.urdf"]),
+        ("tip_velocity", "tip_velocity: 25.0", ["limits.tip_velocity", "25"]),
+        ("tip_velocity", "tip_velocity: fast", ["limits.tip_velocity", "fast"]),
+        ("tip_velocity", "tip_velocity: .nan", ["limits.tip_velocity", "nan"]),
+        ("rcm_gain", "rcm_gian: 20.0", ["rcm_gain"]),
+        ("servo_timeout", "servo_timeout: 0.1\n  haste: 3.0", ["haste"]),
+        ("flange_link", "flange_link: hand", ["hand"]),
+        ("urdf", "urdf: ../urdf/none.urdf", ["none.urdf"]),
     ],
 )
-def test_broken_robot_is_refused(old: str, new: str, words: list[str], tmp_path: Path) -> None:
-    robot = broken_robot(tmp_path, old, new)
+def test_broken_robot_is_refused(key: str, line: str, words: list[str], tmp_path: Path) -> None:
+    robot = broken_robot(tmp_path, key, line)
     done = surg("demo", "--robot", robot, "--out", tmp_path / "run")
     assert done.returncode == 2, done.stderr
-    for word in words:
+    for word in (robot.name, *words):
         assert word in done.stderr
     assert "Traceback" not in done.stderr
+    assert not (tmp_path / "run").exists()

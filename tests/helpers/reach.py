@@ -112,7 +112,7 @@ def _jacobian(chain: UrdfChain, names: list[str], q: Matrix) -> Matrix:
 def _solve(
     chain: UrdfChain, names: list[str], q: Matrix, R_BF: Matrix, p_BF: Matrix, posture: Matrix
 ) -> Matrix:
-    for _ in range(12):
+    for i in range(25):
         X = _forward(chain, names, q)
         turn = Rotation.from_matrix(R_BF @ X[:3, :3].T).as_rotvec()
         error = np.concatenate((p_BF - X[:3, 3], turn))
@@ -120,6 +120,8 @@ def _solve(
             return q
         J = _jacobian(chain, names, q)
         inverse = np.linalg.pinv(J)
-        step = inverse @ error + (np.eye(len(q)) - inverse @ J) @ (0.5 * (posture - q))
+        step = inverse @ error
+        if i < 8:  # pull towards the posture first, then only converge
+            step = step + (np.eye(len(q)) - inverse @ J) @ (0.5 * (posture - q))
         q = q + step * min(1.0, 0.3 / float(np.abs(step).max()))
     raise AssertionError(f"no inverse kinematics at {p_BF}: error {error}")

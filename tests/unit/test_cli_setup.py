@@ -115,6 +115,6 @@ def test_fingerprint_follows_the_sources(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_compiler_errors_come_before_the_last_lines(tmp_path: Path) -> None:
     lines = ["[ 1%] Building", "a.cpp:3:1: error: no such type", *[f"noise {i}" for i in range(99)]]
-    text = workspace._failure(lines, tmp_path / "log")
+    text = workspace.failure_text(lines, tmp_path / "log")
     assert "no such type" in text
     assert "noise 98" not in text

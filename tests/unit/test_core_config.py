@@ -55,6 +55,7 @@ tuning:
   profiler_duration: 0.5
   servo_timeout: 0.1
   link_timeout: 0.05
+  link_lag: 0.008
 """,
     "grasper.yaml": """\
 format: surg_instrument/1
@@ -316,7 +317,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
         )
         changed = surg_core.load_robot(folder / ROBOT)
         seen.add(surg_core.limits_hash(changed, changed.limits))
-    assert len(seen) == len(lines) + 1 == 29
+    assert len(seen) == len(lines) + 1 == 30
     assert all(len(digest) == 16 for digest in seen)
 
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import datetime
 import math
 import os
+import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,12 +51,16 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Check everything, run, report; the last line printed is the path of summary.json."""
     if options.view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise Problem("--view needs a display: neither DISPLAY nor WAYLAND_DISPLAY is set", 2)
-    # Everything a person can get wrong is found before anything moves or is written.
+    # Everything a person can get wrong is found before anything moves.
     out = _run_folder(options.out)
-    cell = cells.for_robot(options.robot, out / "cell")
-    loaded = cells.load(cell)
-    arm = _only_arm(loaded, cell)
-    motion = _check_motion(options, loaded.arms[arm])
+    try:
+        cell = cells.for_robot(options.robot, out / "cell")
+        loaded = cells.load(cell)
+        arm = _only_arm(loaded, cell)
+        motion = _check_motion(options, loaded.arms[arm])
+    except Problem:
+        _forget(out)
+        raise
     out.mkdir(parents=True, exist_ok=True)
     plan = _plan(options, cell, arm, motion, out, loaded.arms[arm].robot)
     say(
@@ -393,6 +399,13 @@ def _run_folder(wanted: Path | None) -> Path:
         count += 1
         out = paths.RUNS / f"{now}_{count}"
     return out
+
+
+def _forget(out: Path) -> None:
+    """Remove what a refused run has written: the cell made for a robot from outside the tree."""
+    shutil.rmtree(out / "cell", ignore_errors=True)
+    with contextlib.suppress(OSError):
+        out.rmdir()
 
 
 def _number_between(text: str, low: float, high: float, allowed: str) -> float:

@@ -73,8 +73,8 @@ def core_tests(env: dict[str, str]) -> tuple[int, int]:
         ):
             done = subprocess.run(argv, env=plain, stdout=stream, stderr=subprocess.STDOUT)
             if done.returncode != 0:
-                tail = "\n".join(log.read_text(errors="replace").splitlines()[-15:])
-                raise Problem(f"surg_core does not build by itself:\n{tail}\nSee {log}")
+                lines = log.read_text(errors="replace").splitlines()
+                raise Problem(workspace.failure_text(lines, log))
     return run_core_tests(plain)
 
 

@@ -103,7 +103,7 @@ def build(log: Path, force: bool = False) -> bool:
                 fraction = int(done.group(1)) / 100 if done else fraction
                 progress.update(fraction, "" if argv is configure else line[6:66].strip())
             if process.wait() != 0:
-                raise Problem(_failure(lines, log))
+                raise Problem(failure_text(lines, log))
     # Sources may have changed meanwhile: the stamp says what was there at the start.
     paths.write_text(STAMP, before)
     return True
@@ -132,8 +132,13 @@ def _forget_moved_tree() -> None:
         shutil.rmtree(paths.BUILD)
 
 
-def _failure(lines: list[str], log: Path) -> str:
-    """The text for a failed build: the compiler's errors, else the last lines."""
+def failure_text(lines: list[str], log: Path) -> str:
+    """What to show of a failed build: the first errors, else the last lines.
+
+    Args:
+        lines: Output of CMake and the compilers.
+        log: Where all of it is.
+    """
     errors = [
         i
         for i, line in enumerate(lines)

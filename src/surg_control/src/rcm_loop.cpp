@@ -75,8 +75,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
 
 RcmLoop::~RcmLoop() { sem_destroy(&records_waiting_); }
 
-// --- coming in
-// ------------------------------------------------------------------------------------------
+// --- coming in ---
 
 template <typename Message>
 void RcmLoop::subscribe_command(const std::string& topic,
@@ -233,8 +232,7 @@ void RcmLoop::on_link_status(const surg_msgs::LinkStatus& message) {
   link_status_.shutdown();  // a link does not change its mode; 500 messages a second saved
 }
 
-// --- lock-step
-// ------------------------------------------------------------------------------------------
+// --- lock-step ---
 
 void RcmLoop::on_tick(const LinkState& state) {
   const std::uint64_t tick = state.stamp_ns / kTickNs;
@@ -275,8 +273,7 @@ void RcmLoop::try_step() {
   outlets_->publish_rest(record, now());
 }
 
-// --- free-run
-// -------------------------------------------------------------------------------------------
+// --- free-run ---
 
 void RcmLoop::control_thread() {
   if (options_.realtime) {
@@ -330,8 +327,7 @@ void RcmLoop::publisher_thread() {
   }
 }
 
-// --- going out
-// ------------------------------------------------------------------------------------------
+// --- going out ---
 
 void RcmLoop::send(const CycleRecord& record) {
   const ros::Time stamp = to_time(record.stamp_ns);

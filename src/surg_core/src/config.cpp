@@ -68,6 +68,7 @@ constexpr TuningKey kTuningKeys[] = {
     {"profiler_duration", &Tuning::profiler_duration, 0.05, 5.0, "s"},
     {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
     {"link_timeout", &Tuning::link_timeout, 0.01, 0.2, "s"},
+    {"link_lag", &Tuning::link_lag, 0.0, 0.05, "s"},
 };
 
 std::string number(double value) {

@@ -43,7 +43,10 @@ struct Controller::Impl {
   bool sensed = false;  // a finite, fresh joint state has been seen in the last step
   Pose X_BF = Pose::Identity();
   Jacobian J;
-  ShaftState shaft{};
+  ShaftState shaft{};  // measured: what is judged and reported
+  ShaftState ahead{};  // where this cycle's command will find the arm
+  double roll_ahead = 0;
+  JointVector in_flight;  // [rad] commanded but not yet measured
   Vector3 v_BTip = Vector3::Zero(), s_dot_B = Vector3::Zero();
   double omega_along_shaft = 0;
   double roll = 0;
@@ -78,6 +81,7 @@ struct Controller::Impl {
         tip_gain(robot_in.tuning.tip_gain),
         roll_gain(robot_in.tuning.roll_gain),
         authority(options.dt),
+        in_flight(JointVector::Zero(chain_in.dof())),
         setpoint(limits_in, robot_in.tuning.profiler_duration, options.law == Law::kPaper),
         qd_last(JointVector::Zero(chain_in.dof())) {
     J.resize(6, chain.dof());
@@ -171,10 +175,34 @@ struct Controller::Impl {
       const double now = absolute_roll(X_BF.linear(), R_home, s_home, shaft.s);
       roll += wrapped(now - roll);
     }
+    look_ahead(in);
     if (!jaw_known && std::isfinite(in.jaw)) {
       jaw_set = jaw_goal = std::clamp(in.jaw, instrument.jaw_min, instrument.jaw_max);
       jaw_known = true;
     }
+  }
+
+  /// The law acts where its command will take effect, not where the arm was when it was measured.
+  /// Without this a lag of 12 ms costs 8 % overshoot of the tip at 2 Hz and most of the pivot's
+  /// deviation.
+  void look_ahead(const Inputs& in) {
+    ahead = shaft;
+    roll_ahead = roll;
+    if (law == Law::kPaper || robot.tuning.link_lag <= 0) return;
+    Pose X_ahead;
+    chain.forward(JointVector(in.q + in_flight), X_ahead, J);
+    ahead = shaft_state(X_ahead, tool, p_BRcm);
+    if (!operating.homed()) return;
+    const double soon = absolute_roll(X_ahead.linear(), R_home, s_home, ahead.s);
+    roll_ahead = roll + wrapped(soon - roll);
+  }
+
+  /// First-order model of the link: what was commanded arrives with time constant link_lag.
+  void remember(const JointVector& qd) {
+    const double lag = robot.tuning.link_lag;
+    if (lag <= 0) return;
+    const double keep = std::exp(-T / lag);
+    in_flight = keep * in_flight + lag * (1 - keep) * qd;
   }
 
   // --- gate -----------------------------------------------------------------------------------
@@ -332,14 +360,14 @@ struct Controller::Impl {
         operating.state() != State::kEnabled && setpoint.mode() == Setpoint::Mode::kRest;
     if (hold) return Vector6::Zero();
     const Vector3 p_BSet = X_BR * setpoint.p_RTip();
-    Vector3 v = v_B + tip_gain * (p_BSet - shaft.p_BTip);
-    const double along = shaft.s.dot(v);
-    v = along * shaft.s + lateral_fade(limits, shaft.depth) * (v - along * shaft.s);
-    const Vector3 s_dot = (v - shaft.s * shaft.s.dot(v) - rcm_gain * shaft.e) /
-                          std::max(shaft.depth, limits.depth_min);
-    const double about = roll_rate + roll_gain * (setpoint.roll() - roll) +
-                         roll_holonomy_rate(s_home, shaft.s, s_dot);
-    return rcm_twist(shaft, v, about, Vector3::Zero(), rcm_gain, limits.depth_min);
+    Vector3 v = v_B + tip_gain * (p_BSet - ahead.p_BTip);
+    const double along = ahead.s.dot(v);
+    v = along * ahead.s + lateral_fade(limits, ahead.depth) * (v - along * ahead.s);
+    const Vector3 s_dot = (v - ahead.s * ahead.s.dot(v) - rcm_gain * ahead.e) /
+                          std::max(ahead.depth, limits.depth_min);
+    const double about = roll_rate + roll_gain * (setpoint.roll() - roll_ahead) +
+                         roll_holonomy_rate(s_home, ahead.s, s_dot);
+    return rcm_twist(ahead, v, about, Vector3::Zero(), rcm_gain, limits.depth_min);
   }
 
   /// The paper's equations as printed: open loop, rates straight from the profiler.
@@ -398,6 +426,7 @@ struct Controller::Impl {
       twist.setZero();
     }
     qd_last = qd;
+    remember(qd);
     out.qd_command = qd;
     out.twist_command = twist;
   }

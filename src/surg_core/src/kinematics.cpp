@@ -27,8 +27,7 @@ void check_pose(const Pose& X, const std::string& what) {
   }
 }
 
-// Smallest over largest magnitude on the diagonal of a triangular factor; 0 for anything not
-// finite.
+// Smallest over largest magnitude on a triangular factor's diagonal; 0 for anything not finite.
 double pivot_ratio(const Vector6& pivots) {
   const double largest = pivots.cwiseAbs().maxCoeff();
   const double smallest = pivots.cwiseAbs().minCoeff();

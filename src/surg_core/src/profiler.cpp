@@ -25,8 +25,8 @@ double excess(const Quintic& q, const DofLimits& limits, double enough) {
 
 // A duration that is always long enough from a = 0 and |v| <= V. The quintic is the sum of a part
 // for the distance D and a part for v; each may take half of the acceleration and of the jerk:
-//   distance part: peaks 10 D / (sqrt(3) d^2) and 60 D / d^3;   v part: peaks 3.94 v / d and 36 v /
-//   d^2.
+//   distance part: peaks 10 D / (sqrt(3) d^2) and 60 D / d^3;
+//   v part: peaks 3.94 v / d and 36 v / d^2.
 // With d >= 4 D / V the two velocity parts stay within V together.
 double surely_enough(const Kinematic& from, double target, const DofLimits& limits) {
   const double D = std::abs(target - from.x), v = std::abs(from.v);

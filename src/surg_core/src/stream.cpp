@@ -27,14 +27,13 @@ double approach(double e, double g, double l) {
   return std::copysign(std::sqrt(2 * l * (magnitude - 0.5 * l / (g * g))), e);
 }
 
-// The largest jerk over one tick of T from which velocity V can still be kept by ticks of jerk >=
-// -J. The lower bound is the mirrored call, with v and a negated.
+// The largest jerk over one tick of T from which velocity V can still be kept by ticks whose jerk
+// is at least -J. The lower bound is the mirrored call, with v and a negated.
 //
 // Braking a' = (n + r) J T to zero, n ticks of -J and one that ends at a = 0 exactly, adds J T^2
 // (n^2 / 2 + n r + r / 2) to the velocity, and the tick before adds (a + a') T / 2. Both together
 // grow piecewise linearly with a'; at r = 0 they are J T^2 n (n + 1) / 2 more than a T / 2. The
-// ticks matter: with the continuous a'^2 / 2 J the filter would hammer between +J and -J at the
-// limit.
+// ticks matter: with the continuous a'^2 / 2 J the filter would hammer between +J and -J at V.
 double largest_jerk(double v, double a, double V, double J, double T) {
   const double spare = V - (v + 0.5 * a * T);  // what is left after a tick that ends at a = 0
   if (spare > -1e-12 * V) {
@@ -63,8 +62,7 @@ void AlphaBeta::update(double x, double spacing) {
   }
   double alpha, beta;
   if (spacing < kFastSpacing) {
-    // Same bandwidth in seconds, so that two samples delivered back to back do not become a
-    // velocity.
+    // Same bandwidth in seconds: two samples delivered back to back do not become a velocity.
     const double share = spacing / kFastSpacing;
     alpha = kFastAlpha * share;
     beta = kFastBeta * share * share;
@@ -98,8 +96,11 @@ void StreamFilter::step(const Kinematic& target, double T) {
 
   const double x1 = own.x + T * (own.v + 0.5 * T * own.a);
   const double v1 = own.v + T * own.a;
-  const double vc =
-      clamp_to(target.v + approach(target.x - x1, kPole / 3, kAccelerationShare * A), V);
+  // A target that is not finite means: come to rest.
+  const bool known = std::isfinite(target.x) && std::isfinite(target.v);
+  const double wish =
+      known ? target.v + approach(target.x - x1, kPole / 3, kAccelerationShare * A) : 0.0;
+  const double vc = clamp_to(wish, V);
   const double ac = clamp_to(approach(vc - v1, kPole, kJerkShare * J), A);
   double j = 3 * kPole * (ac - own.a) / (1 + 1.5 * kPole * T);
 

@@ -73,23 +73,23 @@ void* __libc_calloc(std::size_t n, std::size_t size);
 void* __libc_realloc(void* block, std::size_t size);
 void* __libc_memalign(std::size_t alignment, std::size_t size);
 
-void* malloc(std::size_t size) {
+void* malloc(std::size_t size) noexcept {
   if (surg::test::watching_heap) ++surg::test::heap_calls;
   return __libc_malloc(size);
 }
-void* calloc(std::size_t n, std::size_t size) {
+void* calloc(std::size_t n, std::size_t size) noexcept {
   if (surg::test::watching_heap) ++surg::test::heap_calls;
   return __libc_calloc(n, size);
 }
-void* realloc(void* block, std::size_t size) {
+void* realloc(void* block, std::size_t size) noexcept {
   if (surg::test::watching_heap) ++surg::test::heap_calls;
   return __libc_realloc(block, size);
 }
-void* aligned_alloc(std::size_t alignment, std::size_t size) {
+void* aligned_alloc(std::size_t alignment, std::size_t size) noexcept {
   if (surg::test::watching_heap) ++surg::test::heap_calls;
   return __libc_memalign(alignment, size);
 }
-int posix_memalign(void** block, std::size_t alignment, std::size_t size) {
+int posix_memalign(void** block, std::size_t alignment, std::size_t size) noexcept {
   if (surg::test::watching_heap) ++surg::test::heap_calls;
   *block = __libc_memalign(alignment, size);
   return *block == nullptr ? 12 : 0;  // ENOMEM

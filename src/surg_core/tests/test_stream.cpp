@@ -127,6 +127,16 @@ TEST(StreamFilter, ReturnsFromBeyondItsLimits) {
   }
 }
 
+TEST(StreamFilter, ComesToRestWhereTheTargetIsNotFinite) {
+  for (const Kinematic target : {Kinematic{NAN, 0, 0}, Kinematic{0, INFINITY, 0}}) {
+    StreamFilter filter(kTip);
+    filter.reset({0, 0.1, 0});
+    for (int n = 0; n < 1000; ++n) filter.step(target, 0.002);
+    EXPECT_TRUE(std::isfinite(filter.state().x));
+    EXPECT_NEAR(filter.state().v, 0, 1e-9);
+  }
+}
+
 struct Following {
   double lag_ms, rms_mm;  // rms after the lag is taken out
 };

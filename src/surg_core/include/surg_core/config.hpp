@@ -65,6 +65,7 @@ struct Tuning {
   double profiler_duration;  ///< [s] the paper's d
   double servo_timeout;      ///< [s] F03
   double link_timeout;       ///< [s] F10, free-run
+  double link_lag;           ///< [s] from a velocity command to the motion it causes; 0: unknown
 };
 
 /// What a robot link obeys.

@@ -29,7 +29,7 @@ class StreamFilter {
   explicit StreamFilter(const DofLimits& limits);
   void reset(const Kinematic& state);
   /// One tick of T seconds towards a target predicted one tick ahead (x and v are used). Never
-  /// leaves the velocity, acceleration and jerk limits.
+  /// leaves the velocity, acceleration and jerk limits. A target that is not finite: comes to rest.
   void step(const Kinematic& target, double T);
   const Kinematic& state() const { return state_; }
 

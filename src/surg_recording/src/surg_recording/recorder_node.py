@@ -302,8 +302,10 @@ class RecorderNode:
         if not isinstance(status, dict):
             rospy.logwarn_throttle(10, "/sim/status is no JSON object: %s", message.data[:200])
             return
+        ended = bool(status.get("done") or status.get("aborted"))
+        news = ended and not (self.sim_status.get("done") or self.sim_status.get("aborted"))
         self.sim_status = status
-        if status.get("done") or status.get("aborted"):
+        if news:
             self._event("/sim/status", _sender(message), message.data)
 
     def _on_image(self, camera: str, message: Image) -> None:

@@ -1,0 +1,89 @@
+// One arm for the core's tests: UR5e kinematics (public DH parameters) with a 300 mm shaft, 60 mm
+// aside.
+#pragma once
+
+#include <cmath>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "surg_core/config.hpp"
+#include "surg_core/controller.hpp"
+#include "surg_core/kinematics.hpp"
+
+namespace surg::test {
+
+/// A robot's YAML as it should be.
+inline Document good_robot() {
+  Document d{"robot.yaml", {}, {}};
+  auto& v = d.values;
+  const std::vector<double> home = {0.3, -1.5, 1.9, -1.97, -1.57, 0.2};
+  v["format"] = std::string("surg_robot/1");
+  v["name"] = std::string("ur5e");
+  v["urdf"] = std::string("six.urdf");
+  v["base_link"] = std::string("base_link");
+  v["flange_link"] = std::string("flange");
+  v["command"] = std::string("joint_velocity");
+  v["joints.names"] = std::vector<std::string>{"a", "b", "c", "d", "e", "f"};
+  v["joints.home"] = home;
+  v["joints.position_min"] = std::vector<double>(6, -6.28);
+  v["joints.position_max"] = std::vector<double>(6, 6.28);
+  v["joints.velocity"] = std::vector<double>(6, 3.0);
+  v["joints.acceleration"] = std::vector<double>(6, 15.0);
+  const std::map<std::string, double> limits = {{"tip_velocity", 0.25},
+                                                {"tip_acceleration", 2},
+                                                {"tip_jerk", 40},
+                                                {"pivot_velocity", 1.5},
+                                                {"pivot_acceleration", 16},
+                                                {"pivot_jerk", 330},
+                                                {"roll_velocity", 3},
+                                                {"roll_acceleration", 40},
+                                                {"roll_jerk", 800},
+                                                {"flange_velocity", 0.25},
+                                                {"cone", 1.0472},
+                                                {"depth_min", 0.02},
+                                                {"depth_slow", 0.03},
+                                                {"depth_max", 0.22},
+                                                {"stop_deceleration", 4},
+                                                {"step_slack", 0.002},
+                                                {"step_roll_slack", 0.0349},
+                                                {"step_dt_max", 0.1},
+                                                {"rcm_error_warn", 0.001},
+                                                {"rcm_error_fault", 0.002},
+                                                {"joint_margin", 0.1}};
+  for (const auto& [key, value] : limits) v["limits." + key] = value;
+  const std::map<std::string, double> tuning = {{"rcm_gain", 20},           {"tip_gain", 10},
+                                                {"roll_gain", 10},          {"posture_gain", 1},
+                                                {"profiler_duration", 0.5}, {"servo_timeout", 0.1},
+                                                {"link_timeout", 0.1},      {"link_lag", 0.0}};
+  for (const auto& [key, value] : tuning) v["tuning." + key] = value;
+  d.lines["limits.cone"] = 42;
+  return d;
+}
+
+/// Standard DH: joint i + 1 sits behind the DH transform i; d1 .1625, a2 -.425, a3 -.3922, d4
+/// .1333, d5 .0997, d6 .0996 m.
+inline Chain ur5e_chain() {
+  struct Dh {
+    double d, a, alpha;
+  };
+  const Dh dh[6] = {{0.1625, 0, M_PI_2}, {0, -0.425, 0},       {0, -0.3922, 0},
+                    {0.1333, 0, M_PI_2}, {0.0997, 0, -M_PI_2}, {0.0996, 0, 0}};
+  std::vector<Joint> joints(6);
+  Pose X_PJ = Pose::Identity();
+  for (int i = 0; i < 6; ++i) {
+    joints[i].name = "joint" + std::to_string(i + 1);
+    joints[i].X_PJ = X_PJ;
+    X_PJ = Eigen::Translation3d(dh[i].a, 0, dh[i].d) *
+           Eigen::AngleAxisd(dh[i].alpha, Vector3::UnitX());
+  }
+  return Chain(joints, X_PJ);
+}
+
+inline InstrumentConfig instrument() { return {"", "grasper", "", "", "", 0.0, 1.0, 3.0}; }
+
+inline ToolCalibration offset_tool() {
+  return {Vector3::UnitZ(), Vector3(0.06, 0, 0.3), 0, 1, 1, "2026-01-01"};
+}
+
+}  // namespace surg::test

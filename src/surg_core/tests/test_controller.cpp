@@ -1,0 +1,485 @@
+// The controller closed over plants it does not know: an ideal integrator and one with delay and
+// lag.
+#include <deque>
+
+#include "arm.hpp"
+#include "support.hpp"
+#include "surg_core/controller.hpp"
+#include "surg_core/limits.hpp"
+
+namespace surg {
+namespace {
+
+using test::Random;
+
+constexpr double kT = 0.002;
+constexpr std::uint32_t kMe = 7, kOther = 8;
+
+/// A controller, its arm and a fake clock. The plant integrates the commanded joint velocities
+/// after 'delay' ticks through a first-order lag of 'tau' seconds (0: at once).
+class Bench {
+ public:
+  explicit Bench(Controller::Options options = {}, int delay = 0, double tau = 0,
+                 double link_lag = 0)
+      : robot_(robot_with_lag(link_lag)),
+        chain_(test::ur5e_chain()),
+        controller_(chain_, robot_, robot_.limits, test::instrument(), test::offset_tool(),
+                    options),
+        tau_(tau),
+        pipeline_(delay, JointVector::Zero(6)) {
+    in_.state_valid = true;
+    in_.q = robot_.home;
+    in_.qd = JointVector::Zero(6);
+    const Pose X_BF = chain_.forward(in_.q);
+    const ToolCalibration tool = test::offset_tool();
+    const Vector3 s = X_BF.linear() * tool.s_F;
+    controller_.set_rcm(X_BF * tool.p_FTip - 0.12 * s);
+    tick();
+    EXPECT_EQ(controller_.request(StateCommand::kHome), Reason::kNone);
+    EXPECT_EQ(controller_.request(StateCommand::kEnable), Reason::kNone);
+    tick();
+  }
+
+  const Outputs& tick() {
+    out_ = &controller_.step(in_);
+    in_.n_commands = 0;
+    JointVector wanted = out_->qd_command;
+    if (!pipeline_.empty()) {
+      pipeline_.push_back(wanted);
+      wanted = pipeline_.front();
+      pipeline_.pop_front();
+    }
+    if (tau_ > 0) wanted = in_.qd + (1 - std::exp(-kT / tau_)) * (wanted - in_.qd);
+    in_.qd = wanted;
+    in_.q += kT * wanted;
+    ++ticks;
+    return *out_;
+  }
+
+  void send(const MotionCommand& command) { in_.commands[in_.n_commands++] = command; }
+
+  void servo_cp(const Vector3& p_RTip, double roll = 0, std::uint32_t source = kMe) {
+    MotionCommand command;
+    command.motion = Motion::kServoCp;
+    command.source = source;
+    command.p = p_RTip;
+    command.rotation =
+        controller_.tool_orientation(controller_.X_BR().linear() * p_RTip.normalized(), roll);
+    send(command);
+  }
+
+  static RobotConfig robot_with_lag(double link_lag) {
+    Document document = test::good_robot();
+    document.values["tuning.link_lag"] = link_lag;
+    return parse_robot(document);
+  }
+
+  Vector3 tip_in_R() const { return controller_.X_BR().inverse() * out_->p_BTip; }
+  Controller& controller() { return controller_; }
+  Inputs& in() { return in_; }
+  const Outputs& out() const { return *out_; }
+  const RobotConfig& robot() const { return robot_; }
+  const Chain& chain() const { return chain_; }
+  long ticks = 0;
+
+ private:
+  RobotConfig robot_;
+  Chain chain_;
+  Controller controller_;
+  double tau_;
+  std::deque<JointVector> pipeline_;
+  Inputs in_;
+  const Outputs* out_ = nullptr;
+};
+
+/// A surgical-looking path in the rcm frame: Lissajous round (0, 0, 120) mm that starts at rest
+/// there.
+Vector3 lissajous(double t, double size) {
+  const double ramp = t < 1 ? t * t * (3 - 2 * t) : 1;
+  return Vector3(0, 0, 0.12) +
+         ramp * size * Vector3(std::sin(1.26 * t), std::sin(0.94 * t), 0.7 * std::sin(0.63 * t));
+}
+
+struct Drive {
+  double worst_error = 0, worst_tip = 0, least_scale = 1;
+};
+
+Drive drive(Bench& bench, double seconds, double size, bool spherical = false) {
+  Drive result;
+  for (int i = 0; i < static_cast<int>(seconds / kT); ++i) {
+    const Vector3 p = lissajous(i * kT, size);
+    if (spherical) {
+      MotionCommand command;
+      command.motion = Motion::kServoJp;
+      command.source = kMe;
+      const Eigen::Vector2d angles = shaft_angles(p.normalized());
+      command.joints = Vector4(angles[0], angles[1], p.norm(), 0.3 * std::sin(i * kT));
+      bench.send(command);
+    } else {
+      bench.servo_cp(p, 0.3 * std::sin(i * kT));
+    }
+    const Outputs& out = bench.tick();
+    result.worst_error = std::max(result.worst_error, out.rcm_error);
+    result.worst_tip = std::max(result.worst_tip, (bench.tip_in_R() - p).norm());
+    result.least_scale = std::min(result.least_scale, out.scale);
+  }
+  return result;
+}
+
+TEST(Controller, KeepsThePivotAndTheTipOnAnIdealPlant) {
+  for (const bool spherical : {false, true}) {
+    Bench bench;
+    const Drive result = drive(bench, 20, 0.03, spherical);
+    EXPECT_EQ(bench.out().state, State::kEnabled);
+    EXPECT_LT(result.worst_error, 5e-6) << "spherical " << spherical;
+    EXPECT_LT(result.worst_tip, 1.5e-3);
+    EXPECT_EQ(result.least_scale, 1);
+    EXPECT_NEAR(bench.out().roll, 0.3 * std::sin(20), 5e-3);
+  }
+}
+
+TEST(Controller, KeepsThePivotBehindLagAndFeedbackIsWhatKeepsIt) {
+  Controller::Options with, without;
+  without.feedback_gain = 0;
+  Bench ours(with, 2, 0.008), open(without, 2, 0.008);
+  const Drive kept = drive(ours, 12, 0.03), lost = drive(open, 12, 0.03);
+  EXPECT_LT(kept.worst_error, 1e-4);
+  EXPECT_GT(lost.worst_error, 5 * kept.worst_error);
+}
+
+TEST(Controller, LookingAheadByTheLagOfTheLinkServesPivotAndTip) {
+  Bench blind({}, 2, 0.008), seeing({}, 2, 0.008, 0.012);
+  const Drive without = drive(blind, 12, 0.03), with = drive(seeing, 12, 0.03);
+  std::printf("pivot %.2f -> %.2f um, tip %.2f -> %.2f mm\n", 1e6 * without.worst_error,
+              1e6 * with.worst_error, 1e3 * without.worst_tip, 1e3 * with.worst_tip);
+  EXPECT_LT(with.worst_error, 0.5 * without.worst_error);
+}
+
+TEST(Controller, ThePapersLawDrifts) {
+  Controller::Options paper;
+  paper.law = Law::kPaper;
+  Bench ours({}, 2, 0.008), theirs(paper, 2, 0.008);
+  const Drive kept = drive(ours, 12, 0.03), drifted = drive(theirs, 12, 0.03);
+  EXPECT_GT(drifted.worst_error, 5 * kept.worst_error);
+}
+
+TEST(Controller, RollStaysWhereItWasThroughClosedLoops) {
+  Bench bench;
+  for (int i = 0; i < 10000; ++i) {
+    const double t = i * kT, ramp = std::min(1.0, t);
+    bench.servo_cp(
+        Vector3(0.03 * ramp * std::sin(2 * t), 0.03 * ramp * (1 - std::cos(2 * t)), 0.12));
+    bench.tick();
+  }
+  EXPECT_EQ(bench.out().state, State::kEnabled);
+  EXPECT_NEAR(bench.out().roll, 0, 2e-3);
+}
+
+TEST(Controller, ASilentStreamStopsInThe51stCycleAndStaysEnabled) {
+  Bench bench;
+  for (int i = 0; i < 500; ++i) {
+    bench.servo_cp(lissajous(1.0 + i * kT, 0) + Vector3(0.02 * i * kT, 0, 0));
+    bench.tick();
+  }
+  int silent = 0;
+  while (bench.out().reason != Reason::kStale && silent < 200) {
+    bench.tick();
+    ++silent;
+  }
+  EXPECT_EQ(silent, 51);
+  for (int i = 0; i < 100; ++i) bench.tick();
+  EXPECT_EQ(bench.out().state, State::kEnabled);
+  EXPECT_LT(bench.out().qd_command.norm(), 1e-3);
+  // A source that wakes up far away cannot go on.
+  bench.servo_cp(bench.tip_in_R() + Vector3(0.004, 0, 0));
+  bench.tick();
+  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kStreamStartTooFar);
+}
+
+TEST(Controller, NotANumberInACommandFaultsInTheSameCycleAndNeverReachesTheWire) {
+  Random random(11);
+  const int n = test::family(300, 30000);
+  for (int i = 0; i < n; ++i) {
+    Bench bench;
+    drive(bench, 0.1, 0.03);
+    MotionCommand bad;
+    bad.motion = static_cast<Motion>(random.integer(1, 6));
+    bad.source = kMe;
+    const double poison[] = {NAN, INFINITY, -INFINITY};
+    const double x = poison[random.integer(0, 2)];
+    switch (random.integer(0, 2)) {
+      case 0:
+        bad.p[random.integer(0, 2)] = x;
+        break;
+      case 1:
+        bad.joints[random.integer(0, 3)] = x;
+        break;
+      default:
+        bad.rotation.coeffs()[random.integer(0, 3)] = x;
+    }
+    bench.send(bad);
+    bench.tick();
+    EXPECT_EQ(bench.out().state, State::kFault);
+    EXPECT_EQ(bench.out().reason, Reason::kNotFinite);
+    for (int k = 0; k < 100; ++k) {
+      EXPECT_TRUE(bench.out().qd_command.allFinite());
+      bench.tick();
+    }
+    EXPECT_EQ(bench.out().qd_command.norm(), 0);
+  }
+  test::report("poisoned commands", n);
+}
+
+TEST(Controller, NotANumberInTheStateHaltsAtOnce) {
+  for (const double poison : {static_cast<double>(NAN), static_cast<double>(INFINITY)}) {
+    Bench bench;
+    drive(bench, 0.5, 0.03);
+    const JointVector q = bench.in().q;
+    bench.in().q[2] = poison;
+    bench.tick();
+    EXPECT_EQ(bench.out().reason, Reason::kStateNotFinite);
+    EXPECT_EQ(bench.out().qd_command.norm(), 0);
+    bench.in().q = q;
+    bench.tick();
+    EXPECT_EQ(bench.out().state, State::kFault);  // nothing resumes by itself
+    EXPECT_EQ(bench.out().qd_command.norm(), 0);
+    EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kNone);
+  }
+}
+
+TEST(Controller, ALostLinkHalts) {
+  Bench bench;
+  drive(bench, 0.5, 0.03);
+  bench.in().state_age = bench.robot().tuning.link_timeout + kT;
+  bench.tick();
+  EXPECT_EQ(bench.out().state, State::kFault);
+  EXPECT_EQ(bench.out().reason, Reason::kLinkLost);
+  EXPECT_EQ(bench.out().qd_command.norm(), 0);
+  EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kLinkLost);
+}
+
+TEST(Controller, AMovedPivotFaults) {
+  Bench bench;
+  EXPECT_EQ(bench.controller().set_rcm(Vector3::Zero()), Reason::kRcmWhileEnabled);
+  bench.in().q[4] += 0.02;  // the arm is pushed aside
+  bench.tick();
+  EXPECT_EQ(bench.out().state, State::kFault);
+  EXPECT_EQ(bench.out().reason, Reason::kRcmError);
+}
+
+TEST(Controller, RefusesWithAReasonAndDoesNotMove) {
+  Bench bench;
+  const JointVector q = bench.in().q;
+  const auto refused = [&](const MotionCommand& command) {
+    bench.send(command);
+    return bench.tick().verdicts[0].reason;
+  };
+  MotionCommand command;
+  command.source = kMe;
+  command.motion = Motion::kServoCp;
+  command.p = Vector3(0.003, 0, 0.12);
+  EXPECT_EQ(refused(command), Reason::kStreamStartTooFar);
+  command.motion = Motion::kMoveCp;
+  for (const Vector3& p : {Vector3(0, 0, 0.019), Vector3(0, 0, 0.221), Vector3(0, 0, -0.12),
+                           Vector3(0.12, 0, 0.05), Vector3(0, 0, 0)}) {
+    command.p = p;
+    EXPECT_EQ(refused(command), Reason::kOutsideWorkspace) << p.transpose();
+  }
+  command.motion = Motion::kServoJp;
+  command.joints = Vector4(M_PI, 0, -0.12, 0);  // the same point by folded angles
+  EXPECT_EQ(refused(command), Reason::kOutsideWorkspace);
+  EXPECT_EQ(bench.controller().request(StateCommand::kPause), Reason::kNone);
+  command.motion = Motion::kMoveCp;
+  command.p = Vector3(0, 0, 0.12);
+  EXPECT_EQ(refused(command), Reason::kNotEnabled);
+  EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kRefusedTransition);
+  EXPECT_EQ(bench.controller().request(StateCommand::kResume), Reason::kNone);
+  EXPECT_LT((bench.in().q - q).norm(), 1e-9);
+}
+
+TEST(Controller, OnlyTheHolderIsObeyedUntilItHasRestedHalfASecond) {
+  Bench bench;
+  MotionCommand mine, other;
+  mine.motion = other.motion = Motion::kMoveCp;
+  mine.source = kMe;
+  other.source = kOther;
+  mine.p = Vector3(0.01, 0, 0.12);
+  other.p = Vector3(-0.01, 0, 0.12);
+  bench.send(mine);
+  bench.send(other);
+  bench.tick();
+  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  EXPECT_EQ(bench.out().verdicts[1].reason, Reason::kNoAuthority);
+  EXPECT_EQ(bench.out().source, kMe);
+  while (bench.out().busy) bench.tick();
+  EXPECT_LT((bench.tip_in_R() - mine.p).norm(), 5e-4);
+  for (int i = 0; i < 260; ++i) bench.tick();
+  bench.send(other);
+  bench.tick();
+  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  MotionCommand hold;
+  hold.motion = Motion::kHold;  // obeyed from anyone
+  hold.source = kMe;
+  for (int i = 0; i < 50; ++i) bench.tick();
+  bench.send(hold);
+  bench.tick();
+  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  for (int i = 0; i < 50; ++i) bench.tick();
+  EXPECT_EQ(bench.out().motion, Motion::kNone);
+}
+
+TEST(Controller, BusyHasAnEdgeEvenForAMoveOfZeroLength) {
+  Bench bench;
+  for (int i = 0; i < 10; ++i) bench.tick();
+  EXPECT_FALSE(bench.out().busy);
+  MotionCommand move;
+  move.motion = Motion::kMoveCp;
+  move.source = kMe;
+  move.p = bench.tip_in_R();
+  bench.send(move);
+  EXPECT_TRUE(bench.tick().busy);
+  for (int i = 0; i < 1000 && bench.out().busy; ++i) bench.tick();
+  EXPECT_FALSE(bench.out().busy);
+}
+
+TEST(Controller, VelocityCommandsMoveTheTipAsAsked) {
+  Random random(12);
+  const int n = test::family(40, 4000);
+  for (int i = 0; i < n; ++i) {
+    Bench bench;
+    MotionCommand command;
+    command.source = kMe;
+    command.motion = Motion::kServoCv;
+    command.p = 0.03 * Vector3(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+    command.roll_rate = random.uniform(-0.5, 0.5);
+    for (int k = 0; k < 150; ++k) {
+      bench.send(command);
+      bench.tick();
+    }
+    EXPECT_LT(
+        (bench.controller().X_BR().linear().transpose() * bench.out().v_BTip - command.p).norm(),
+        1e-3);
+    EXPECT_NEAR(bench.out().virtual_qd[3], command.roll_rate, 1e-2);
+    EXPECT_LT(bench.out().rcm_error, 5e-6);
+  }
+  test::report("velocities", n);
+}
+
+TEST(Controller, JawMovesAtItsRateAndNeverOnAStop) {
+  Bench bench;
+  MotionCommand jaw;
+  jaw.motion = Motion::kJawServoJp;
+  jaw.source = kMe;
+  jaw.jaw = 0.9;
+  bench.send(jaw);
+  for (int i = 0; i < 50; ++i) bench.tick();
+  EXPECT_NEAR(bench.out().jaw_set, 50 * kT * 3.0, 1e-9);
+  bench.controller().request(StateCommand::kPause);
+  const double at = bench.out().jaw_set;
+  for (int i = 0; i < 100; ++i) bench.tick();
+  EXPECT_EQ(bench.out().jaw_set, at);
+}
+
+TEST(Controller, RandomCommandsStayInsideEveryLimitOnThePivot) {
+  Random random(13);
+  const int runs = test::family(20, 500), cycles = 1500;
+  double worst_pivot = 0;
+  for (int run = 0; run < runs; ++run) {
+    Bench bench;
+    JointVector last = JointVector::Zero(6);
+    MotionCommand command;
+    command.source = kMe;
+    for (int i = 0; i < cycles; ++i) {
+      if (random.integer(0, 60) == 0) {
+        const Motion kinds[] = {Motion::kServoCv, Motion::kServoJv, Motion::kMoveCp, Motion::kHold,
+                                Motion::kInterpolateCp};
+        command.motion = kinds[random.integer(0, 4)];
+        command.p = Vector3(random.uniform(-0.3, 0.3), random.uniform(-0.3, 0.3),
+                            random.uniform(-0.3, 0.3));
+        if (command.motion == Motion::kMoveCp || command.motion == Motion::kInterpolateCp) {
+          command.p =
+              Vector3(0.25 * command.p.x(), 0.25 * command.p.y(), 0.12 + 0.2 * command.p.z());
+        }
+        command.joints = Vector4(random.uniform(-1, 1), random.uniform(-1, 1),
+                                 random.uniform(-0.2, 0.2), random.uniform(-2, 2));
+        command.roll_rate = random.uniform(-3, 3);
+        bench.send(command);
+      } else if (command.motion == Motion::kServoCv || command.motion == Motion::kServoJv) {
+        bench.send(command);
+      }
+      const Outputs& out = bench.tick();
+      ASSERT_TRUE(out.qd_command.allFinite());
+      for (int j = 0; j < 6; ++j) {
+        ASSERT_LE(std::abs(out.qd_command[j]), bench.robot().velocity[j] * (1 + 1e-9));
+      }
+      ASSERT_LE(out.twist_command.head<3>().norm(),
+                bench.robot().limits.flange_velocity * (1 + 1e-9));
+      worst_pivot = std::max(worst_pivot, out.rcm_error);
+      ASSERT_EQ(out.state, State::kEnabled) << name(out.reason);
+      ASSERT_TRUE(bench.tip_in_R().norm() > 0.015 && bench.tip_in_R().norm() < 0.225)
+          << bench.tip_in_R().transpose();
+      last = out.qd_command;
+    }
+  }
+  test::report("random cycles", long(runs) * cycles);
+  EXPECT_LT(worst_pivot, 2e-4);
+}
+
+TEST(Controller, UniformScaleKeepsDirectionAndEveryJointInside) {
+  Random random(14);
+  const RobotConfig robot = parse_robot(test::good_robot());
+  const int n = test::family(20000, 2000000);
+  int limited = 0;
+  for (int i = 0; i < n; ++i) {
+    JointVector qd(6), last(6), q(6);
+    for (int j = 0; j < 6; ++j) {
+      qd[j] = random.uniform(-6, 6);
+      last[j] = random.uniform(-0.1, 0.1);
+      q[j] = random.uniform(robot.position_min[j], robot.position_max[j]);
+    }
+    const double speed = random.uniform(0, 1);
+    const Scale scale = uniform_scale(robot, robot.limits, qd, last, q, speed, kT);
+    ASSERT_GE(scale.alpha, 0);
+    ASSERT_LE(scale.alpha, 1);
+    ASSERT_LE(scale.alpha * speed, robot.limits.flange_velocity * (1 + 1e-12));
+    for (int j = 0; j < 6; ++j) {
+      ASSERT_LE(std::abs(scale.alpha * qd[j]), robot.velocity[j] * (1 + 1e-12));
+      const double left = qd[j] > 0 ? robot.position_max[j] - q[j] : q[j] - robot.position_min[j];
+      if (left < robot.limits.joint_margin) {
+        ASSERT_LE(std::abs(scale.alpha * qd[j]), 5.0 * left + 1e-12);
+      }
+    }
+    ASSERT_EQ(scale.alpha < 1, scale.limited_by[0] != '\0');
+    limited += scale.alpha < 1;
+  }
+  EXPECT_GT(limited, n / 2);
+  test::report("random scalings", n);
+}
+
+TEST(Controller, StepLeavesTheHeapAlone) {
+#ifndef SURG_HEAP_IS_WATCHED
+  GTEST_SKIP() << "the heap cannot be watched under a sanitizer";
+#else
+  Bench bench;
+  drive(bench, 0.2, 0.03);
+  Inputs in = bench.in();
+  MotionCommand command;
+  command.source = kMe;
+  long calls = 0;
+  for (int i = 0; i < 2000; ++i) {
+    in.n_commands = 1;
+    command.motion = static_cast<Motion>(1 + i / 50 % 8);
+    command.p = bench.tip_in_R();
+    command.joints = bench.out().virtual_set;
+    in.commands[0] = command;
+    test::HeapWatch watch;
+    bench.controller().step(in);
+    calls += watch.calls();
+  }
+  EXPECT_EQ(calls, 0);
+  EXPECT_EQ(bench.controller().request(StateCommand::kPause), Reason::kNone);
+#endif
+}
+
+}  // namespace
+}  // namespace surg

@@ -1,0 +1,146 @@
+"""Operator, core controller and an arm with lag in one process: no ROS, no MuJoCo, a few seconds.
+
+The plant is what an industrial arm's joint servos look like from outside: two ticks of delay and a
+first-order lag of 8 ms, the same in every joint.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import surg_core
+from surg_teleop.fit import Workspace
+from surg_teleop.motion import read_motion
+from surg_teleop.operator import ArmState, Commands, Feedback, Jaw, Mode, Operator, Stage
+from surg_teleop.plan import make_plan
+
+TICK_NS = 2_000_000
+TICK = 0.002
+LAG = 0.008
+DELAY = 2
+SOURCE = 1
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came out, over the ticks in which the motion was streamed.
+
+    Attributes:
+        stage: How the operator ended.
+        reason: Why it gave up.
+        refused: Commands that the controller refused.
+        rcm_error: (n,) distance of the shaft from the trocar [m].
+        tip_error: (n,) distance of the tip from the plan, lag removed [m].
+        lag: The lag that was removed [s].
+        unscaled: Share of ticks in which no limit slowed the arm.
+        limited_by: Which limits did.
+    """
+
+    stage: Stage
+    reason: str
+    refused: int
+    rcm_error: NDArray[np.float64]
+    tip_error: NDArray[np.float64]
+    lag: float
+    unscaled: float
+    limited_by: frozenset[str]
+
+
+def play(
+    cell: Path,
+    motion: Path,
+    mode: Mode,
+    duration: float | None = None,
+    feedback_gain: float = -1.0,
+) -> Run:
+    """Plays a motion into the cell's PSM1."""
+    arm = surg_core.load_cell(cell).arms["PSM1"]
+    limits = arm.limits
+    plan = make_plan(
+        read_motion(motion),
+        Workspace(limits.depth_slow, limits.depth_max, limits.cone),
+        1.0,
+        duration,
+    )
+    operator = Operator(plan, mode, Jaw(arm.instrument.jaw_min, arm.instrument.jaw_max))
+    controller = surg_core.Controller(
+        arm.chain, arm.robot, limits, arm.instrument, arm.tool, feedback_gain=feedback_gain
+    )
+    controller.set_rcm(arm.trocar.p_BRcm)
+    servo = np.array(arm.robot.home, dtype=float)
+    q, q_before = servo.copy(), servo.copy()
+    pending = deque([np.zeros_like(q)] * DELAY)
+    commands: list[surg_core.MotionCommand] = []
+    rcm_error, tips, times, scales, limited = [], [], [], [], set()
+    for tick in range(1, 200_000):
+        out = controller.step(q, (q - q_before) / TICK, commands)
+        pending.append(np.array(out.qd_command))
+        servo = servo + pending.popleft() * TICK
+        q_before, q = q, q + (servo - q) * (1.0 - np.exp(-TICK / LAG))
+        R_RB = np.asarray(controller.X_BR)[:3, :3].T
+        feedback = Feedback(
+            stamp_ns=tick * TICK_NS,
+            state=ArmState(int(out.state)),
+            homed=out.homed,
+            busy=out.busy,
+            reason=surg_core.reason_name(out.reason),
+            refused=out.refused,
+            p_set=R_RB @ (out.p_set - out.p_BRcm),
+            p_tip=R_RB @ (out.p_BTip - out.p_BRcm),
+        )
+        if operator.stage is Stage.PLAY:
+            rcm_error.append(out.rcm_error)
+            tips.append(feedback.p_tip)
+            times.append((feedback.stamp_ns - operator.started_ns) / 1e9)
+            scales.append(out.scale)
+            if out.scale < 1.0:
+                limited.add(out.limited_by)
+        if operator.done:
+            break
+        commands = _decode(operator.tick(feedback), controller)
+    wanted, _ = plan.path(np.array(times))
+    lag, error = _without_lag(np.array(tips).reshape(-1, 3), wanted)
+    return Run(
+        stage=operator.stage,
+        reason=operator.reason,
+        refused=operator.refused,
+        rcm_error=np.array(rcm_error),
+        tip_error=error,
+        lag=lag,
+        unscaled=float(np.mean(np.array(scales) >= 1.0)) if scales else 0.0,
+        limited_by=frozenset(limited),
+    )
+
+
+def _decode(commands: Commands, controller: surg_core.Controller) -> list[surg_core.MotionCommand]:
+    motion, command = surg_core.Motion, surg_core.MotionCommand
+    if commands.state is not None:
+        controller.request(getattr(surg_core.StateCommand, commands.state.upper()))
+    found = []
+    for kind, pose in ((motion.MOVE_CP, commands.move_cp), (motion.SERVO_CP, commands.servo_cp)):
+        if pose is not None:
+            found.append(command(kind, SOURCE, p=pose.p, rotation=pose.q))
+    if commands.servo_jp is not None:
+        found.append(command(motion.SERVO_JP, SOURCE, joints=commands.servo_jp))
+    if commands.jaw is not None:
+        found.append(command(motion.JAW_SERVO_JP, SOURCE, jaw=commands.jaw))
+    if commands.hold:
+        found.append(command(motion.HOLD, SOURCE))
+    return found
+
+
+def _without_lag(
+    tips: NDArray[np.float64], wanted: NDArray[np.float64]
+) -> tuple[float, NDArray[np.float64]]:
+    """The delay in ticks that explains the most, and the error that is left."""
+    best = (0.0, np.full(1, np.inf))
+    for ticks in range(min(40, len(tips) - 1)):
+        error = np.linalg.norm(tips[ticks:] - wanted[: len(tips) - ticks], axis=1)
+        if np.mean(error**2) < np.mean(best[1] ** 2):
+            best = (ticks * TICK, error)
+    return best

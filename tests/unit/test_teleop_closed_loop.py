@@ -1,0 +1,55 @@
+"""The bundled motion through operator and core controller on every arm, with servo lag."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.third_arm import write_third_arm
+from surg_cli import paths
+from surg_description.make_cell import make_cell
+from surg_teleop.operator import Mode, Stage
+
+pytest.importorskip("surg_core", reason="surg_core is not built")
+
+from helpers.lagging_arm import Run, play
+
+DESCRIPTION = paths.ROOT / "src/surg_description"
+BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
+SECONDS = None if os.environ.get("SURG_TEST_FULL", "") not in ("", "0") else 8.0
+
+
+def cell_of(name: str, folder: Path) -> Path:
+    if name != "third_arm":
+        return paths.ROOT / f"cells/sim_{name}"
+    robot = write_third_arm(folder / "third", DESCRIPTION / "robots/ur5e.yaml")
+    return make_cell(robot, folder / "cell", DESCRIPTION / "instruments/grasper.yaml")
+
+
+def describe(run: Run) -> str:
+    return (
+        f"rcm mean {1e3 * run.rcm_error.mean():.4f} max {1e3 * run.rcm_error.max():.4f} mm, "
+        f"tip rms {1e3 * np.sqrt(np.mean(run.tip_error**2)):.3f} mm, lag {1e3 * run.lag:.0f} ms, unscaled "
+        f"{run.unscaled:.4f} {sorted(run.limited_by)}"
+    )
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+@pytest.mark.parametrize("name", ["ur5e", "panda", "third_arm"])
+def test_bundled_motion_meets_the_limits(name: str, mode: Mode, tmp_path: Path) -> None:
+    run = play(cell_of(name, tmp_path), BUNDLED, mode, SECONDS)
+    print(f"{name} {mode.value}: {describe(run)}")
+    assert run.stage is Stage.DONE, run.reason
+    assert run.refused == 0
+    assert run.unscaled >= 0.98
+    assert run.rcm_error.mean() <= 0.03e-3
+    assert run.rcm_error.max() <= 0.3e-3
+    assert np.sqrt(np.mean(run.tip_error**2)) <= 1e-3
+
+
+def test_without_feedback_the_pivot_drifts() -> None:
+    """The check above can fail: the same law with no lateral feedback."""
+    run = play(cell_of("ur5e", Path()), BUNDLED, Mode.CARTESIAN, 8.0, feedback_gain=0.0)
+    print(describe(run))
+    assert run.rcm_error.max() > 0.3e-3
