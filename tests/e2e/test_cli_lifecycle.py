@@ -76,6 +76,22 @@ def test_demo_leaves_nothing_behind(number: signal.Signals, tmp_path: Path) -> N
     assert not master.port_in_use(system.port)
 
 
+def test_a_dying_node_fails_the_demo_and_is_named(tmp_path: Path) -> None:
+    log, out = tmp_path / "demo.log", tmp_path / "run"
+    with start(log, "demo", "--no-video", "--out", out) as process:
+        system = wait_for_entry(process.pid, log)
+        cycles = out / "episode.partial" / "cycle_PSM1.csv"
+        assert processes.wait_until(lambda: cycles.exists() and cycles.stat().st_size > 0, 60.0)
+        os.kill(system.nodes["/sim"], signal.SIGKILL)
+        assert process.wait(60) == 1
+    text = log.read_text()
+    assert "/sim was killed by signal 9" in text
+    # What was recorded until then is reported, and not as a success.
+    assert text.splitlines()[-1] == str(out / "summary.json")
+    assert json.loads((out / "summary.json").read_text())["ok"] is False
+    assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
+
+
 def test_a_broken_cell_is_refused_by_up(tmp_path: Path) -> None:
     (tmp_path / "cell.yaml").write_text("format: surg_cell/1\nname: x\nnetwork: internet\n")
     done = surg("up", tmp_path)

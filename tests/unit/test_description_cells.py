@@ -95,7 +95,7 @@ def test_every_number_of_a_robot_says_why(name: str, tmp_path: Path) -> None:
             assert match.group(1), line
             assert re.search(r"\b(m|rad|s|1)\b", match.group(1)), line
             checked += 1
-    assert checked == 28
+    assert checked == 29
 
 
 @pytest.mark.parametrize("name", [*ROBOTS, "third_arm"])
@@ -106,7 +106,7 @@ def test_home_has_room_to_work(name: str, tmp_path: Path) -> None:
     assert result.tilt_deg < 50.0  # downwards rather than sideways
     assert result.joint_margin > 0.3  # three times the margin at which joints slow down
     assert result.singular_value > 0.10  # smallest of the flange Jacobian, m and rad mixed
-    assert result.velocity < 0.75  # of each joint's limit at 0.12 m/s and 1 rad/s of roll
+    assert result.velocity < 0.90  # of each joint's limit at 0.12 m/s and 1 rad/s of roll
     assert result.flange_velocity < 0.25  # m/s at 0.12 m/s, 90 mm deep and deeper
 
 
@@ -119,7 +119,7 @@ def test_home_posture_accelerations(tmp_path: Path) -> None:
     print(shares)
     assert shares["ur5e"] < 1.0
     assert shares["third_arm"] < 1.0
-    assert shares["panda"] < 2.5
+    assert shares["panda"] < 1.3
 
 
 def test_home_pose_puts_the_trocar_on_the_shaft() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import datetime
+import json
 import math
 import os
 import shutil
@@ -69,16 +70,16 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"{'lock-step' if plan.lockstep else 'free-run'} -> {out}"
     )
     reasons = run(plan, motion.duration_s, options.port)
-    summary = make_report(out)
-    # The report judges the recording; what ended the run early is known here only.
-    reasons += [str(reason) for reason in summary["reasons"]]
-    if not summary["ok"] and not reasons:
-        reasons.append("the report does not call this run good, and says no reason")
-    print_summary(summary)
     for reason in reasons:
         warn(f"surg: {reason}")
+    summary = make_report(out, reasons)
+    print_summary(summary)
+    # What ended the run early has been said above; here is what the report finds in the recording.
+    for reason in summary["reasons"]:
+        if reason not in reasons:
+            warn(f"surg: {reason}")
     say(str(out / "summary.json"))
-    return 1 if reasons else 0
+    return 0 if summary["ok"] else 1
 
 
 @dataclass(frozen=True)
@@ -237,14 +238,15 @@ def _await(condition: Any, supervisor: processes.Supervisor, progress: Progress,
         time.sleep(0.02)
 
 
-def make_report(out: Path) -> dict[str, Any]:
+def make_report(out: Path, reasons: list[str]) -> dict[str, Any]:
     """Compute the figures, write summary.json, report.html and PNGs.
 
     Args:
         out: Folder of the run.
+        reasons: Why the run failed, as far as the recording cannot know it.
 
     Returns:
-        The summary.
+        The summary, with `reasons` in it.
 
     Raises:
         Problem: When the episode cannot be read.
@@ -257,6 +259,10 @@ def make_report(out: Path) -> dict[str, Any]:
             summary: dict[str, Any] = report.make(out)
         except EpisodeError as error:
             raise Problem(f"no report: {error}") from error
+    if reasons:
+        summary["ok"] = False
+        summary["reasons"] = [*reasons, *summary["reasons"]]
+        paths.write_text(out / "summary.json", json.dumps(summary, indent=2) + "\n")
     return summary
 
 

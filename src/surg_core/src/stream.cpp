@@ -17,6 +17,10 @@ constexpr double kJerkShare = 0.7;
 constexpr double kFastSpacing = 0.002, kFastAlpha = 0.612, kFastBeta = 0.279;
 constexpr double kSlowSpacing = 1.0 / 30, kSlowAlpha = 0.852, kSlowBeta = 0.703;
 
+// Time constant of the acceleration estimate [s]. Fed forward it takes the filter's gain at 2 Hz from 1.11
+// to 1.01: a surgeon's path at 500 Hz came out 4 % too long without it, 1.3 % with it.
+constexpr double kAccelerationTime = 0.02;
+
 double clamp_to(double value, double bound) { return std::clamp(value, -bound, bound); }
 
 // The rate at which an error e may be closed: proportional with gain g near zero, and from there on
@@ -53,6 +57,7 @@ double largest_jerk(double v, double a, double V, double J, double T) {
 void AlphaBeta::reset(double x, double v) {
   x_ = x;
   v_ = v;
+  a_ = 0;
 }
 
 void AlphaBeta::update(double x, double spacing) {
@@ -75,10 +80,12 @@ void AlphaBeta::update(double x, double spacing) {
   const double predicted = x_ + v_ * spacing;
   const double innovation = x - predicted;
   x_ = predicted + alpha * innovation;
-  v_ += beta / spacing * innovation;
+  const double dv = beta / spacing * innovation;
+  v_ += dv;
+  a_ += (1 - std::exp(-spacing / kAccelerationTime)) * (dv / spacing - a_);
 }
 
-Kinematic AlphaBeta::predict(double age) const { return {x_ + v_ * age, v_, 0}; }
+Kinematic AlphaBeta::predict(double age) const { return {x_ + v_ * age, v_ + a_ * age, a_}; }
 
 StreamFilter::StreamFilter(const DofLimits& limits) : limits_(limits) {
   if (!(limits.velocity > 0 && limits.acceleration > 0 && limits.jerk > 0)) {
@@ -101,7 +108,8 @@ void StreamFilter::step(const Kinematic& target, double T) {
   const double wish =
       known ? target.v + approach(target.x - x1, kPole / 3, kAccelerationShare * A) : 0.0;
   const double vc = clamp_to(wish, V);
-  const double ac = clamp_to(approach(vc - v1, kPole, kJerkShare * J), A);
+  const double ahead = known && std::isfinite(target.a) ? target.a : 0.0;
+  const double ac = clamp_to(ahead + approach(vc - v1, kPole, kJerkShare * J), A);
   double j = 3 * kPole * (ac - own.a) / (1 + 1.5 * kPole * T);
 
   // Where a tick is long against the limits, only this much jerk can be undone within one tick.

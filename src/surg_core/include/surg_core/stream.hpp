@@ -7,7 +7,8 @@
 
 namespace surg {
 
-/// Fixed-gain alpha-beta estimate of position and velocity from samples at a measured spacing.
+/// Fixed-gain alpha-beta estimate of position and velocity from samples at a measured spacing, and
+/// the acceleration as its low-passed change.
 class AlphaBeta {
  public:
   /// Forgets the past: position x, velocity v.
@@ -19,7 +20,7 @@ class AlphaBeta {
   Kinematic predict(double age) const;
 
  private:
-  double x_ = 0, v_ = 0;
+  double x_ = 0, v_ = 0, a_ = 0;
 };
 
 /// One axis of the jerk-limited tracking filter.

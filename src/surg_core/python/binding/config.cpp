@@ -89,6 +89,7 @@ constexpr Field<Tuning, double> kTuning[] = {
     {"servo_timeout", &Tuning::servo_timeout},
     {"link_timeout", &Tuning::link_timeout},
     {"link_lag", &Tuning::link_lag},
+};
 static_assert(sizeof(Tuning) == sizeof(kTuning) / sizeof(kTuning[0]) * sizeof(double));
 
 template <typename T, std::size_t n>
