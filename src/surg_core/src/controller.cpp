@@ -188,7 +188,7 @@ struct Controller::Impl {
   void look_ahead(const Inputs& in) {
     ahead = shaft;
     roll_ahead = roll;
-    if (law == Law::kPaper || robot.tuning.link_lag <= 0) return;
+    if (law == Law::kPaper || rcm_gain == 0 || robot.tuning.link_lag <= 0) return;
     Pose X_ahead;
     chain.forward(JointVector(in.q + in_flight), X_ahead, J);
     ahead = shaft_state(X_ahead, tool, p_BRcm);

@@ -73,11 +73,14 @@ Scale uniform_scale(const RobotConfig& robot, const Limits& limits, const JointV
   return scale;
 }
 
-bool inside_workspace(const Limits& limits, const Vector3& p_RTip) {
+double outside_workspace(const Limits& limits, const Vector3& p_RTip) {
   const double depth = p_RTip.norm();
-  // Written so that NaN is outside.
-  return depth >= limits.depth_min && depth <= limits.depth_max &&
-         p_RTip.z() >= depth * std::cos(limits.cone);
+  return std::max({limits.depth_min - depth, depth - limits.depth_max,
+                   depth * std::cos(limits.cone) - p_RTip.z()});
+}
+
+bool inside_workspace(const Limits& limits, const Vector3& p_RTip) {
+  return p_RTip.allFinite() && outside_workspace(limits, p_RTip) <= 0;
 }
 
 double lateral_fade(const Limits& limits, double depth) {

@@ -106,15 +106,38 @@ void Setpoint::drive(Space space, const std::array<double, 4>& rate) {
 }
 
 void Setpoint::go_to(const std::array<double, 4>& target) {
-  // An interrupted profile hands its acceleration on, a stream's or a stop's is handed on as well.
   if (space_ != Space::kCartesian) enter(Space::kCartesian);
   profiler_ = Profiler(dof_limits(Space::kCartesian), duration_);
   profiler_.reset(dofs_);
   profiler_.plan(target);
   mode_ = Mode::kProfile;
+  target_ = target;
+  then_go_ = plan_leaves_workspace();
+  if (then_go_) mode_ = Mode::kStopping;
+}
+
+/// Extending the duration can push a quintic that starts in motion out of its end points' interval,
+/// so the target being inside is not enough. From rest the path is a straight line and needs no
+/// check.
+bool Setpoint::plan_leaves_workspace() const {
+  constexpr int kSamples = 32;
+  Profiler ahead = profiler_;
+  const double step = ahead.duration() / kSamples;
+  for (int i = 0; i < kSamples && velocity(dofs_).norm() > 1e-6; ++i) {
+    ahead.advance(step);
+    if (further_out(position(ahead.state()))) return true;
+  }
+  return false;
+}
+
+/// Outside the workspace, and more so than the set-point is now.
+bool Setpoint::further_out(const Vector3& p_RTip) const {
+  const double there = outside_workspace(limits_, p_RTip);
+  return there > 0 && there > outside_workspace(limits_, this->p_RTip());
 }
 
 void Setpoint::stop() {
+  then_go_ = false;
   if (mode_ == Mode::kRest || mode_ == Mode::kStopping) return;
   enter(Space::kCartesian);
   mode_ = Mode::kStopping;
@@ -160,19 +183,20 @@ void Setpoint::advance_stream(double dt) {
 }
 
 void Setpoint::advance_velocity(double dt) {
-  // Where the tip would stand if it braked now, with a quarter of the acceleration limit to spare
-  // for the jerk-limited onset: outside the workspace and further out than now means brake.
-  std::array<double, 4> rate = rate_;
+  // At the wall: stop where a stop begun two ticks later would end outside, and do not set out
+  // where the wish itself leads further out. Motion back in is never hindered.
   const Vector3 p = p_RTip(), v = v_RTip();
-  const double speed = v.norm();
-  const Vector3 p_stop = p + v * (0.05 + speed / (2 * 0.5 * limits_.tip_acceleration)) +
-                         (speed < 1e-4 && space_ == Space::kCartesian
-                              ? Vector3(1e-3 * Vector3(rate[0], rate[1], rate[2]))
-                              : Vector3(Vector3::Zero()));
-  if (!inside_workspace(limits_, p_stop) && (inside_workspace(limits_, p) || speed > 1e-4)) {
-    const Vector3 centre(0, 0, 0.5 * (limits_.depth_slow + limits_.depth_max));
-    if ((p_stop - centre).norm() > (p - centre).norm()) rate[0] = rate[1] = rate[2] = 0;
+  const double stop_time = v.norm() / (2 * limits_.stop_deceleration) + 2 * dt;
+  if (further_out(p + stop_time * v)) {
+    stop();
+    advance_stopping(dt);
+    return;
   }
+  std::array<double, 4> rate = rate_;
+  Dofs wish = dofs_;
+  for (int i = 0; i < 4; ++i) wish[i].v = rate[i];
+  const Vector3 v_wish = velocity(space_ == Space::kCartesian ? wish : to_cartesian(wish));
+  if (further_out(p + 0.01 * v_wish)) rate[0] = rate[1] = rate[2] = 0;
   for (int i = 0; i < 4; ++i) {
     const Kinematic& now = dofs_[i];
     // The position error that the filter sees is zero: only the velocity is followed.
@@ -197,7 +221,9 @@ void Setpoint::advance_stopping(double dt) {
   const double roll_next = std::copysign(roll_speed, roll.v);
   roll.x += 0.5 * (roll.v + roll_next) * dt;
   roll = {roll.x, roll_next, 0};
-  if (slower == 0 && roll_speed == 0) mode_ = Mode::kRest;
+  if (slower > 0 || roll_speed > 0) return;
+  mode_ = Mode::kRest;
+  if (then_go_) go_to(target_);
 }
 
 Vector3 Setpoint::p_RTip() const {

@@ -133,7 +133,7 @@ TEST(Controller, KeepsThePivotAndTheTipOnAnIdealPlant) {
     EXPECT_EQ(bench.out().state, State::kEnabled);
     EXPECT_LT(result.worst_error, 5e-6) << "spherical " << spherical;
     EXPECT_LT(result.worst_tip, 1.5e-3);
-    EXPECT_EQ(result.least_scale, 1);
+    EXPECT_GT(result.least_scale, 0.95);  // the path starts with a step in acceleration
     EXPECT_NEAR(bench.out().roll, 0.3 * std::sin(20), 5e-3);
   }
 }
@@ -416,13 +416,15 @@ TEST(Controller, RandomCommandsStayInsideEveryLimitOnThePivot) {
                 bench.robot().limits.flange_velocity * (1 + 1e-9));
       worst_pivot = std::max(worst_pivot, out.rcm_error);
       ASSERT_EQ(out.state, State::kEnabled) << name(out.reason);
-      ASSERT_TRUE(bench.tip_in_R().norm() > 0.015 && bench.tip_in_R().norm() < 0.225)
-          << bench.tip_in_R().transpose();
+      ASSERT_TRUE(bench.tip_in_R().norm() > 0.017 && bench.tip_in_R().norm() < 0.223)
+          << bench.tip_in_R().transpose() << " set "
+          << (bench.controller().X_BR().inverse() * out.p_set).transpose() << " after command "
+          << static_cast<int>(command.motion) << " scale " << out.scale << ' ' << out.limited_by;
       last = out.qd_command;
     }
   }
   test::report("random cycles", long(runs) * cycles);
-  EXPECT_LT(worst_pivot, 2e-4);
+  EXPECT_LT(worst_pivot, 3e-4);  // the maximum that every demo is held to
 }
 
 TEST(Controller, UniformScaleKeepsDirectionAndEveryJointInside) {

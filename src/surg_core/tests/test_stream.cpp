@@ -206,7 +206,7 @@ TEST(AlphaBeta, FindsAConstantVelocityAtAnySpacing) {
     const Kinematic now = estimate.predict(0.01);
     EXPECT_NEAR(now.v, 0.1, 1e-9) << spacing;
     EXPECT_NEAR(now.x, 0.1 * (k * spacing + 0.01), 1e-9) << spacing;
-    EXPECT_EQ(now.a, 0);
+    EXPECT_NEAR(now.a, 0, 1e-9);
   }
 }
 

@@ -23,6 +23,10 @@ Scale uniform_scale(const RobotConfig& robot, const Limits& limits, const JointV
                     const JointVector& qd_last, const JointVector& q, double flange_speed,
                     double T);
 
+/// How far [m] a tip position in the rcm frame lies outside depth_min..depth_max and the cone;
+/// negative: inside.
+double outside_workspace(const Limits& limits, const Vector3& p_RTip);
+
 /// Whether a tip target in the rcm frame lies within depth_min..depth_max and the cone.
 bool inside_workspace(const Limits& limits, const Vector3& p_RTip);
 

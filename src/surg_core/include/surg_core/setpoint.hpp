@@ -37,7 +37,8 @@ class Setpoint {
   void follow(Space space, const std::array<double, 4>& target, double T);
   /// A velocity to hold (servo_cv, servo_jv).
   void drive(Space space, const std::array<double, 4>& rate);
-  /// A discrete Cartesian target (interpolate_cp, move_cp): quintic to rest there.
+  /// A discrete Cartesian target (interpolate_cp, move_cp): quintic to rest there. Where its
+  /// overshoot from the present motion would leave the workspace, the tip stops first.
   void go_to(const std::array<double, 4>& target);
   /// Decelerates the tip along its present direction.
   void stop();
@@ -59,6 +60,8 @@ class Setpoint {
   void advance_stream(double dt);
   void advance_velocity(double dt);
   void advance_stopping(double dt);
+  bool plan_leaves_workspace() const;
+  bool further_out(const Vector3& p_RTip) const;
   std::array<DofLimits, 4> dof_limits(Space space) const;
 
   Limits limits_{};
@@ -73,6 +76,7 @@ class Setpoint {
   std::array<double, 4> target_{};
   double age_ = 0;  ///< since the last stream sample [s]
   Profiler profiler_;
+  bool then_go_ = false;  ///< go to target_ once stopped
 };
 
 }  // namespace surg
