@@ -144,6 +144,19 @@ def private_master(folder: Path) -> Iterator[Supervisor]:
         yield supervisor
 
 
+def forget_dead_nodes() -> None:
+    """Remove registrations of nodes that no longer answer: a killed node cannot do it itself.
+
+    Without this the next test's publishers and subscribers would try to reach them.
+    """
+    import rosgraph
+    import rosnode
+
+    _, dead = rosnode.rosnode_ping_all()
+    if dead:
+        rosnode.cleanup_master_blacklist(rosgraph.Master("/pytest_cleanup"), dead)
+
+
 def read_yaml(path: Path) -> Any:
     """Load a YAML file of plain values."""
     return yaml.safe_load(path.read_text("utf-8"))

@@ -22,19 +22,22 @@ def argv(*words: object) -> list[str]:
     return [sys.executable, "-s", "-m", "surg_cli", *map(str, words)]
 
 
-def surg(*words: object, timeout_s: float = 300.0) -> subprocess.CompletedProcess[str]:
+def surg(
+    *words: object, timeout_s: float = 300.0, extra: dict[str, str] | None = None
+) -> subprocess.CompletedProcess[str]:
     """Run a command to its end.
 
     Args:
         *words: Behind `./surg`.
         timeout_s: Longest time it may take.
+        extra: Environment variables on top of `environment()`.
 
     Returns:
         The ended process with its output.
     """
     return subprocess.run(
         argv(*words),
-        env=environment(),
+        env={**environment(), **(extra or {})},
         cwd=paths.ROOT,
         capture_output=True,
         text=True,
