@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.ros import RosGraph, forget_dead_nodes, private_master
+from helpers.ros import RosGraph, close_own_topics, forget_dead_nodes, private_master
 from surg_cli import master
 from surg_cli.processes import Supervisor
 
@@ -66,4 +66,5 @@ def ros_graph(ros_session: Supervisor, tmp_path: Path) -> Iterator[RosGraph]:
             master.call(uri, "deleteParam", name)
     with Supervisor(dict(ros_session.env), tmp_path / "logs") as supervisor:
         yield RosGraph(uri, supervisor.env, tmp_path, supervisor)
+    close_own_topics()
     forget_dead_nodes()

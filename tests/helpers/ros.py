@@ -157,6 +157,21 @@ def forget_dead_nodes() -> None:
         rosnode.cleanup_master_blacklist(rosgraph.Master("/pytest_cleanup"), dead)
 
 
+def close_own_topics() -> None:
+    """Close the publishers and subscribers a test has left open in this process.
+
+    A failing test keeps its objects alive in its traceback: they must not take part in the next.
+    """
+    import rospy.topics
+    from rospy.impl.registration import Registration
+
+    manager = rospy.topics.get_topic_manager()
+    for kind, table in ((Registration.PUB, manager.pubs), (Registration.SUB, manager.subs)):
+        for name in [name for name in table if name not in ("/rosout", "/clock")]:
+            while name in table:
+                manager.release_impl(kind, name)
+
+
 def read_yaml(path: Path) -> Any:
     """Load a YAML file of plain values."""
     return yaml.safe_load(path.read_text("utf-8"))
