@@ -2,6 +2,7 @@
 
 import ast
 import re
+import shutil
 import subprocess
 from pathlib import Path
 
@@ -26,10 +27,12 @@ TIERS = {"unit", "ros", "faults", "e2e", "meta"}
 def tracked() -> list[Path]:
     """Files of the project: tracked, or new and not ignored."""
     argv = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
-    done = subprocess.run(argv, cwd=paths.ROOT, capture_output=True, check=False)
-    if done.returncode == 0:
-        names = done.stdout.decode().split("\0")
-        return [paths.ROOT / name for name in names if name and (paths.ROOT / name).is_file()]
+    if shutil.which("git"):
+        done = subprocess.run(argv, cwd=paths.ROOT, capture_output=True, check=False)
+        names = done.stdout.decode().split("\0") if done.returncode == 0 else []
+        files = [paths.ROOT / name for name in names if name and (paths.ROOT / name).is_file()]
+        if files:
+            return files
     folders = [paths.ROOT / name for name in (*CODE, "docs", "cells")]
     return [file for folder in folders for file in folder.rglob("*") if file.is_file()]
 

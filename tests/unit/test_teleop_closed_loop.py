@@ -61,4 +61,4 @@ def test_a_lag_nobody_knows_of_needs_the_feedback(
     cell = make_cell(robot, tmp_path / "cell", DESCRIPTION / "instruments/grasper.yaml")
     run = play(cell, BUNDLED, Mode.CARTESIAN, 8.0, feedback_gain)
     print(f"feedback {feedback_gain}: {describe(run)}")
-    assert bool(run.rcm_error.max() <= 0.3e-3) is holds
+    assert (run.rcm_error.max() <= 0.3e-3) == holds

@@ -2,6 +2,7 @@
 
 #include <std_msgs/String.h>
 
+#include <cmath>
 #include <cstdlib>
 #include <functional>
 
@@ -343,6 +344,7 @@ void RcmLoop::send(const CycleRecord& record) {
     joint_command_.velocity.assign(qd.data(), qd.data() + qd.size());
     robot_.publish(joint_command_);
   }
+  if (!std::isfinite(record.out.jaw_set)) return;  // F31: an unknown jaw is not told to move
   tool_command_.header.stamp = stamp;
   tool_command_.position.assign(1, record.out.jaw_set);
   tool_.publish(tool_command_);

@@ -13,6 +13,9 @@ namespace {
 constexpr double kArrivedDistance = 5e-4;  // [m]
 constexpr double kArrivedRoll = 0.01;      // [rad]
 constexpr double kArriveWithin = 1.0;      // [s] after the profile's end; then the move ends anyway
+constexpr double kFollowDistance = 0.01;   // [m] set-point to measured tip: more means a stuck arm
+constexpr double kStandstill = 0.05;       // alpha below it: the limit has stopped the arm
+constexpr double kAsideDistance = 0.002;   // [m] near the trocar only axial targets are taken
 constexpr int kHomeBusyCycles = 5;         // is_busy needs an edge that a client can see
 
 double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
@@ -59,10 +62,13 @@ struct Controller::Impl {
   int silent_cycles = 0;  // since the last accepted servo command
   Motion motion = Motion::kNone;
   std::uint32_t source = 0;
-  bool moving_to = false;  // a move_cp is on its way
-  double settle = 0;       // [s] since its profile ended
+  bool moving_to = false;     // a move_cp is on its way
+  bool held = false;          // 'hold' was taken: a stream must pause before it goes on
+  double stream_silence = 0;  // [s] since 'hold', or since a servo command was refused for it
+  double settle = 0;          // [s] since its profile ended
   int home_busy = 0;
-  double jaw_set = 0, jaw_goal = 0;
+  double jaw_set = std::nan("");  // unknown until it has been measured (F31)
+  double jaw_goal = 0;
   bool jaw_known = false;
   JointVector qd_last;
   Outputs out;
@@ -90,8 +96,12 @@ struct Controller::Impl {
 
   bool enabled() const { return operating.state() == State::kEnabled; }
 
-  Conditions conditions() const {
-    return {sensed, rcm_set, rcm_set && shaft.e.norm() <= limits.rcm_error_fault};
+  Conditions conditions() const { return {sensed, rcm_set, rcm_set && on_pivot()}; }
+
+  /// The trocar point lies on the shaft, between flange and tip.
+  bool on_pivot() const {
+    return shaft.e.norm() <= limits.rcm_error_fault && shaft.depth > 0 &&
+           shaft.depth < tool.s_F.dot(tool.p_FTip);
   }
 
   // --- state ----------------------------------------------------------------------------------
@@ -107,10 +117,7 @@ struct Controller::Impl {
       home_busy = kHomeBusyCycles;
       if (!keep_home) take_home();
     }
-    if (before == State::kEnabled && !enabled()) {
-      setpoint.stop();
-      jaw_goal = jaw_set;
-    }
+    if (before == State::kEnabled && !enabled()) leave_enabled();
     if (before != State::kEnabled && enabled()) start_here();
     return Reason::kNone;
   }
@@ -130,6 +137,7 @@ struct Controller::Impl {
     p_goal = p_RTip;
     roll_goal = roll;
     moving_to = false;
+    held = false;
     motion = Motion::kNone;
     source = 0;
   }
@@ -212,6 +220,8 @@ struct Controller::Impl {
     if (command.motion == Motion::kHold) {  // obeyed from anyone
       setpoint.stop();
       moving_to = false;
+      held = true;
+      stream_silence = 0;
       motion = Motion::kHold;
       source = command.source;
       return Reason::kNone;
@@ -227,8 +237,13 @@ struct Controller::Impl {
       authority.taken(command.source);
       return Reason::kNone;
     }
+    if (held && is_servo(command.motion)) {  // a stream must not talk over a hold
+      stream_silence = 0;
+      return Reason::kHeld;
+    }
     const Reason reason = steer(command);
     if (reason != Reason::kNone) return reason;
+    held = false;
     authority.taken(command.source);
     motion = command.motion;
     source = command.source;
@@ -236,6 +251,11 @@ struct Controller::Impl {
     settle = 0;
     silent_cycles = 0;
     return Reason::kNone;
+  }
+
+  static bool is_servo(Motion motion) {
+    return motion == Motion::kServoCp || motion == Motion::kServoJp || motion == Motion::kServoCv ||
+           motion == Motion::kServoJv;
   }
 
   static bool finite(const MotionCommand& command) {
@@ -267,7 +287,7 @@ struct Controller::Impl {
         return Reason::kNone;
       case Motion::kInterpolateCp:
       case Motion::kMoveCp: {
-        if (!inside_workspace(limits, command.p)) return Reason::kOutsideWorkspace;
+        if (!reachable(command.p)) return Reason::kOutsideWorkspace;
         p_goal = command.p;
         roll_goal = asked_roll(command.p, command.rotation);
         setpoint.go_to({p_goal.x(), p_goal.y(), p_goal.z(), roll_goal});
@@ -281,6 +301,14 @@ struct Controller::Impl {
     return Reason::kNone;
   }
 
+  /// Inside the workspace, and near the trocar (F24) straight along the shaft only.
+  bool reachable(const Vector3& p_RTip) const {
+    if (!inside_workspace(limits, p_RTip)) return false;
+    const Vector3 s_R = setpoint.p_RTip().normalized();
+    return p_RTip.norm() >= limits.depth_slow ||
+           (p_RTip - s_R * s_R.dot(p_RTip)).norm() <= kAsideDistance;
+  }
+
   Reason stream(const MotionCommand& command) {
     const bool spherical = command.motion == Motion::kServoJp;
     // Angles beyond a quarter turn fold back in 'shaft_direction': check them before they vanish in
@@ -292,7 +320,7 @@ struct Controller::Impl {
         spherical
             ? Vector3(command.joints[2] * shaft_direction(command.joints[0], command.joints[1]))
             : command.p;
-    if (folded || !inside_workspace(limits, p)) return Reason::kOutsideWorkspace;
+    if (folded || !reachable(p)) return Reason::kOutsideWorkspace;
     const double asked = spherical ? command.joints[3] : asked_roll(p, command.rotation);
     const bool begins = setpoint.mode() != Setpoint::Mode::kStream || motion != command.motion;
     const Vector3 p_last = begins ? setpoint.p_RTip() : p_goal;
@@ -315,6 +343,8 @@ struct Controller::Impl {
   void gate(const Inputs& in) {
     since_pose += T;
     ++silent_cycles;
+    stream_silence += T;
+    if (stream_silence > robot.tuning.servo_timeout) held = false;
     const int n = std::clamp(in.n_commands, 0, kMaxCommands);
     for (int i = 0; i < n; ++i) {
       const MotionCommand& command = in.commands[i];
@@ -342,8 +372,13 @@ struct Controller::Impl {
   /// F23: away from the trocar nothing may go on.
   void guard_pivot() {
     out.warn_rcm = rcm_set && shaft.e.norm() > limits.rcm_error_warn;
-    if (enabled() && operating.homed() && !(shaft.e.norm() <= limits.rcm_error_fault)) {
-      fault(Reason::kRcmError);
+    if (!enabled() || !operating.homed() || !sensed) return;
+    if (!on_pivot()) fault(Reason::kRcmError);
+    // An arm that is stopped from elsewhere must not run after its set-point once it is released.
+    const double behind = (X_BR * setpoint.p_RTip() - shaft.p_BTip).norm();
+    if (enabled() && !(behind <= kFollowDistance)) {
+      operating.pause(Reason::kNotFollowing);
+      leave_enabled();
     }
   }
 
@@ -409,7 +444,9 @@ struct Controller::Impl {
       out.limited_by = scale.limited_by;
       // The profile clock runs as fast as the arm may follow.
       const Vector3 p_before = setpoint.p_RTip();
-      if (scale.alpha < 1) {
+      if (scale.alpha < kStandstill) {
+        setpoint.stand();
+      } else if (scale.alpha < 1) {
         setpoint.advance(scale.alpha * T);
       } else {
         setpoint = next;
@@ -433,7 +470,7 @@ struct Controller::Impl {
 
   void move_jaw() {
     const double most = instrument.jaw_velocity * T;
-    if (enabled()) jaw_set += std::clamp(jaw_goal - jaw_set, -most, most);
+    if (enabled() && jaw_known) jaw_set += std::clamp(jaw_goal - jaw_set, -most, most);
   }
 
   void follow_arrival() {

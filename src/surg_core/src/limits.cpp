@@ -31,6 +31,29 @@ struct Interval {
   }
 };
 
+/// The alpha in [0, highest] with the smallest worst ratio of a joint's acceleration to its limit.
+/// The worst ratio is convex in alpha: ternary search, a fixed number of steps.
+double least_acceleration_excess(const RobotConfig& robot, const JointVector& qd,
+                                 const JointVector& qd_last, double T, double highest) {
+  const auto worst = [&](double alpha) {
+    double ratio = 0;
+    for (int i = 0; i < qd.size(); ++i) {
+      ratio = std::max(ratio, std::abs(alpha * qd[i] - qd_last[i]) / (robot.acceleration[i] * T));
+    }
+    return ratio;
+  };
+  double low = 0, high = highest;
+  for (int i = 0; i < 40; ++i) {
+    const double third = (high - low) / 3;
+    if (worst(low + third) < worst(high - third)) {
+      high -= third;
+    } else {
+      low += third;
+    }
+  }
+  return worst(highest) <= worst(low) ? highest : 0.5 * (low + high);
+}
+
 }  // namespace
 
 Scale uniform_scale(const RobotConfig& robot, const Limits& limits, const JointVector& qd,
@@ -60,11 +83,10 @@ Scale uniform_scale(const RobotConfig& robot, const Limits& limits, const JointV
     scale.alpha = soft.high;
     scale.limited_by = soft.high_by;
   } else if (soft.high < soft.low) {
-    // Joints pull apart: no alpha meets all accelerations. The middle shares the excess between
-    // them.
-    const double middle = std::clamp(0.5 * (soft.low + soft.high), 0.0, 1.0);
-    if (middle < scale.alpha) {
-      scale.alpha = middle;
+    // Joints pull apart: no alpha meets all accelerations.
+    const double least = least_acceleration_excess(robot, qd, qd_last, T, scale.alpha);
+    if (least < scale.alpha) {
+      scale.alpha = least;
       scale.limited_by = "joint_acceleration";
     }
   }

@@ -28,20 +28,21 @@ Text text(Reason reason) {
     case Reason::kRcmUnset:
       return {"rcm_unset", "no trocar point is known: publish one on rcm/set_cp"};
     case Reason::kRcmError:
-      return {"rcm_error",
-              "the shaft is too far from the trocar point: move the trocar or the arm, or teach "
-              "the point again on rcm/set_cp"};
+      return {
+          "rcm_error",
+          "the shaft does not pass through the trocar point: move the trocar or the arm, or send "
+          "'disable' and teach the point again on rcm/set_cp"};
     case Reason::kRcmWhileEnabled:
       return {"rcm_while_enabled",
-              "the trocar point may only be taught while DISABLED or PAUSED: send 'pause' first"};
+              "the trocar point may only be taught while DISABLED or PAUSED: send 'disable' first"};
     case Reason::kStepTooLarge:
       return {"step_too_large",
               "the step from the last accepted pose is too large: send smaller steps, or use "
               "move_cp for a distant target"};
     case Reason::kStreamStartTooFar:
       return {"stream_start_too_far",
-              "a pose stream must start within 2 mm and 2 degrees of the set-point: start from "
-              "setpoint_cp, or use move_cp to get there"};
+              "a pose stream must start at the set-point, within limits.step_slack and "
+              "step_roll_slack: start from setpoint_cp, or use move_cp to get there"};
     case Reason::kOutsideWorkspace:
       return {"outside_workspace",
               "the target is outside the allowed depth or cone: see limits.depth_min, depth_max "
@@ -66,6 +67,13 @@ Text text(Reason reason) {
       return {"joint_limit", "a joint is at its limit: move the tip back"};
     case Reason::kOperator:
       return {"operator", "asked for on state_command"};
+    case Reason::kNotFollowing:
+      return {"not_following",
+              "the arm does not follow its commands: look for a protective stop or a clamp on the "
+              "robot's side, then send 'resume'"};
+    case Reason::kHeld:
+      return {"held",
+              "the arm was told to hold: end the stream for servo_timeout, then start it again"};
   }
   return {"unknown", ""};
 }

@@ -9,6 +9,9 @@
 namespace surg {
 namespace {
 
+constexpr double kOverdue = 0.004;    // [s] a gap in a fast stream that is still bridged
+constexpr double kBrakeOnset = 0.02;  // [s] until the jerk limit lets the brake bite
+
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
 
@@ -86,6 +89,7 @@ void Setpoint::follow(Space space, const std::array<double, 4>& target, double T
     }
   }
   target_ = target;
+  spacing_ = first ? T : std::max(age_, T);
   age_ = 0;
 }
 
@@ -143,6 +147,16 @@ void Setpoint::stop() {
   mode_ = Mode::kStopping;
 }
 
+void Setpoint::stand() {
+  for (auto& dof : dofs_) dof.v = dof.a = 0;
+  for (int i = 0; i < 4; ++i) filters_[i].reset(dofs_[i]);
+  if (mode_ == Mode::kProfile) go_to(target_);
+  if (mode_ == Mode::kStopping) {
+    mode_ = Mode::kRest;
+    if (then_go_) go_to(target_);
+  }
+}
+
 void Setpoint::advance(double dt) {
   if (!(dt > 0)) return;
   switch (mode_) {
@@ -176,8 +190,14 @@ void Setpoint::advance_stream(double dt) {
     dofs_ = profiler_.state();
     return;
   }
+  // An overdue sample is not extrapolated any further, and where braking at the stream's own limit
+  // would end outside the workspace nothing is: the last accepted sample, which is inside, is where
+  // the tip comes to rest.
+  const Vector3 p = p_RTip(), v = v_RTip();
+  const double brake_time = kBrakeOnset + v.norm() / (2 * limits_.tip_acceleration);
+  const bool rest = age_ > std::max(1.5 * spacing_, kOverdue) || further_out(p + brake_time * v);
   for (int i = 0; i < 4; ++i) {
-    filters_[i].step(estimates_[i].predict(age_ + dt), dt);
+    filters_[i].step(rest ? Kinematic{target_[i], 0, 0} : estimates_[i].predict(age_ + dt), dt);
     dofs_[i] = filters_[i].state();
   }
 }

@@ -20,8 +20,8 @@ constexpr std::uint32_t kMe = 7, kOther = 8;
 class Bench {
  public:
   explicit Bench(Controller::Options options = {}, int delay = 0, double tau = 0,
-                 double link_lag = 0)
-      : robot_(robot_with_lag(link_lag)),
+                 double link_lag = 0, const RobotConfig* robot = nullptr)
+      : robot_(robot ? *robot : robot_with_lag(link_lag)),
         chain_(test::ur5e_chain()),
         controller_(chain_, robot_, robot_.limits, test::instrument(), test::offset_tool(),
                     options),
@@ -194,6 +194,151 @@ TEST(Controller, ASilentStreamStopsInThe51stCycleAndStaysEnabled) {
   bench.servo_cp(bench.tip_in_R() + Vector3(0.004, 0, 0));
   bench.tick();
   EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kStreamStartTooFar);
+}
+
+TEST(Controller, ALostStreamComesToRestAtItsLastTarget) {
+  // F03 allows 2 mm beyond the last target. From 50 mm/s that is kept; faster hands need their
+  // braking distance at 2 m/s^2 (6 mm from 0.1 m/s is allowed for).
+  for (const auto& [speed, allowed] : {std::pair{0.02, 0.001}, {0.05, 0.002}, {0.1, 0.006}}) {
+    Bench bench;
+    Vector3 last;
+    for (int i = 0; i < 400; ++i) {
+      const double t = i * kT, ramp = std::min(t / 0.3, 1.0);
+      last = Vector3(0.5 * speed * ramp * ramp * 0.3 + speed * std::max(0.0, t - 0.3), 0, 0.12);
+      bench.servo_cp(last);
+      bench.tick();
+    }
+    double beyond = 0;
+    for (int i = 0; i < 300; ++i) {
+      bench.tick();
+      beyond = std::max(beyond, bench.tip_in_R().x() - last.x());
+    }
+    std::printf("%.2f m/s: %.2f mm beyond the last target\n", speed, 1e3 * beyond);
+    EXPECT_LT(beyond, allowed) << speed;
+    EXPECT_EQ(bench.out().state, State::kEnabled);
+  }
+}
+
+TEST(Controller, AStreamThatEndsAtTheWallStaysInside) {
+  Bench bench;
+  for (int i = 0; i < 1000; ++i) {
+    const double t = i * kT, ramp = std::min(t / 0.2, 1.0);
+    const double depth = 0.12 + 0.1 * ramp * ramp * 0.2 + 0.2 * std::max(0.0, t - 0.2);
+    if (depth < 0.22) bench.servo_cp(Vector3(0, 0, depth));
+    bench.tick();
+    ASSERT_LT(bench.tip_in_R().norm(), 0.2235);
+  }
+}
+
+TEST(Controller, AJointLimitHoldsTheArmAndLetsItGoAgain) {
+  // F20: pushed against the limit of each joint both ways, then pulled back: it must leave.
+  int n = 0;
+  for (int joint = 0; joint < 6; ++joint) {
+    for (const int side : {-1, 1}) {
+      for (const double away : {-1.0, 1.0}) {
+        RobotConfig robot = parse_robot(test::good_robot());
+        (side > 0 ? robot.position_max : robot.position_min)[joint] =
+            robot.home[joint] + side * 0.03;
+        Bench bench({}, 0, 0, 0, &robot);
+        const auto push = [&](double x) {
+          MotionCommand command;
+          command.motion = Motion::kServoCv;
+          command.source = kMe;
+          command.p = Vector3(x, x, 0);
+          bench.send(command);
+          bench.tick();
+          for (int j = 0; j < 6; ++j) {
+            ASSERT_LE(bench.in().q[j], robot.position_max[j]);
+            ASSERT_GE(bench.in().q[j], robot.position_min[j]);
+          }
+        };
+        for (int i = 0; i < 750; ++i) push(0.04 * away);
+        const Vector3 held = bench.tip_in_R();
+        for (int i = 0; i < 250; ++i) push(-0.04 * away);
+        EXPECT_GT((bench.tip_in_R() - held).norm(), 0.005) << "joint " << joint << " side " << side;
+        MotionCommand hold;
+        hold.motion = Motion::kHold;
+        bench.send(hold);
+        for (int i = 0; i < 200; ++i) bench.tick();
+        EXPECT_EQ(bench.out().motion, Motion::kNone);
+        EXPECT_LT(bench.out().qd_command.norm(), 1e-3);
+        ++n;
+      }
+    }
+  }
+  test::report("joint limits", n);
+}
+
+TEST(Controller, AnArmThatDoesNotFollowIsPausedAndDoesNotRunAfterItsSetPoint) {
+  Bench bench;
+  const JointVector stuck = bench.in().q;
+  for (int i = 0; i < 1000; ++i) {
+    bench.servo_cp(Vector3(0.03 * i * kT, 0, 0.12));
+    bench.tick();
+    bench.in().q = stuck;
+    bench.in().qd.setZero();
+  }
+  EXPECT_EQ(bench.out().state, State::kPaused);
+  EXPECT_EQ(bench.out().reason, Reason::kNotFollowing);
+  for (int i = 0; i < 200; ++i) bench.tick();
+  EXPECT_LT((bench.in().q - stuck).norm(), 1e-9);
+}
+
+TEST(Controller, AStreamDoesNotTalkOverAHold) {
+  for (const Motion motion : {Motion::kServoCp, Motion::kServoCv}) {
+    Bench bench;
+    const auto stream = [&](int i) {
+      if (motion == Motion::kServoCp) {
+        bench.servo_cp(Vector3(0.02 * i * kT, 0, 0.12));
+      } else {
+        MotionCommand command;
+        command.motion = motion;
+        command.source = kMe;
+        command.p = Vector3(0.02, 0, 0);
+        bench.send(command);
+      }
+      bench.tick();
+    };
+    for (int i = 0; i < 200; ++i) stream(i);
+    MotionCommand hold;
+    hold.motion = Motion::kHold;
+    hold.source = kOther;
+    bench.send(hold);
+    bench.tick();
+    const Vector3 at = bench.tip_in_R();
+    for (int i = 201; i < 500; ++i) {
+      stream(i);
+      EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kHeld);
+    }
+    EXPECT_LT((bench.tip_in_R() - at).norm(), 1e-3);
+    for (int i = 0; i < 60; ++i) bench.tick();  // silent for servo_timeout: a new stream may begin
+    bench.servo_cp(bench.tip_in_R());
+    bench.tick();
+    EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  }
+}
+
+TEST(Controller, APivotOffTheShaftIsRefusedBeforeItIsTrusted) {
+  for (const double depth : {-0.05, 0.5}) {
+    Bench bench;
+    bench.controller().request(StateCommand::kDisable);
+    bench.tick();
+    const Vector3 p = bench.out().p_BTip - depth * bench.out().s_B;
+    EXPECT_EQ(bench.controller().set_rcm(p), Reason::kNone);
+    EXPECT_EQ(bench.controller().request(StateCommand::kHome), Reason::kRcmError);
+    EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kRcmError);
+  }
+}
+
+TEST(Controller, AnUnknownJawIsNotToldToMove) {
+  Bench bench;
+  Inputs in = bench.in();
+  in.jaw = NAN;
+  Controller fresh(bench.chain(), bench.robot(), bench.robot().limits, test::instrument(),
+                   test::offset_tool(), {});
+  EXPECT_TRUE(std::isnan(fresh.step(in).jaw_set));
+  in.jaw = 0.5;
+  EXPECT_EQ(fresh.step(in).jaw_set, 0.5);
 }
 
 TEST(Controller, NotANumberInACommandFaultsInTheSameCycleAndNeverReachesTheWire) {

@@ -4,6 +4,7 @@
 
 #include <array>
 #include <cstdint>
+#include <limits>
 
 #include "surg_core/controller.hpp"
 
@@ -31,7 +32,7 @@ struct LinkState {
   std::uint64_t stamp_ns = 0;    ///< header stamp; 0: nothing received yet
   std::int64_t received_ns = 0;  ///< steady clock
   surg::JointVector q, qd;
-  double jaw = 0;
+  double jaw = std::numeric_limits<double>::quiet_NaN();  ///< until the tool link has spoken
 };
 
 /// What became of a state command or a taught trocar.

@@ -29,6 +29,8 @@ enum class Reason : std::uint8_t {
   kOverrun,            // F27
   kJointLimit,         // F20
   kOperator,           // asked for by a person (pause, disable)
+  kNotFollowing,       // the arm stays away from the set-point
+  kHeld,               // a stream goes on after 'hold'
 };
 
 /// One sentence for people: what was wrong and what to do.

@@ -43,6 +43,10 @@ class Setpoint {
   /// Decelerates the tip along its present direction.
   void stop();
 
+  /// Stands still where it is and starts anew from rest: a limit has brought the arm to a stop, and
+  /// a velocity kept from before would hold it there for ever. The target stays.
+  void stand();
+
   /// Real time passes: stream samples get older.
   void elapse(double T) { age_ += T; }
   /// The set-point moves on by dt <= T of its own clock.
@@ -74,7 +78,8 @@ class Setpoint {
   std::array<AlphaBeta, 4> estimates_{};
   std::array<double, 4> rate_{};
   std::array<double, 4> target_{};
-  double age_ = 0;  ///< since the last stream sample [s]
+  double age_ = 0;      ///< since the last stream sample [s]
+  double spacing_ = 0;  ///< of the last two samples [s]
   Profiler profiler_;
   bool then_go_ = false;  ///< go to target_ once stopped
 };

@@ -36,7 +36,9 @@ void bind_state(py::module_& m) {
       .value("REFUSED_TRANSITION", Reason::kRefusedTransition)
       .value("OVERRUN", Reason::kOverrun)
       .value("JOINT_LIMIT", Reason::kJointLimit)
-      .value("OPERATOR", Reason::kOperator);
+      .value("OPERATOR", Reason::kOperator)
+      .value("NOT_FOLLOWING", Reason::kNotFollowing)
+      .value("HELD", Reason::kHeld);
   py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
       .value("ENABLE", StateCommand::kEnable)
       .value("DISABLE", StateCommand::kDisable)

@@ -53,6 +53,8 @@ class Reason(enum.Enum):
     OVERRUN = 17
     JOINT_LIMIT = 18
     OPERATOR = 19
+    NOT_FOLLOWING = 20
+    HELD = 21
     def __int__(self) -> int: ...
 
 class StateCommand(enum.Enum):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -131,12 +132,12 @@ def add_arm(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: ActuatorParamet
         _add_servo(spec, prefix + name, stiffness[i])
 
 
-def _load_urdf(path: str) -> mujoco.MjSpec:
+def _load_urdf(path: Path) -> mujoco.MjSpec:
     with open(path, encoding="utf-8") as file:
         return mujoco.MjSpec.from_string(file.read())
 
 
-def _find_body(spec: mujoco.MjSpec, name: str, path: str) -> mujoco.MjsBody:
+def _find_body(spec: mujoco.MjSpec, name: str, path: Path) -> mujoco.MjsBody:
     body = spec.body(name)
     if body is None:
         raise ValueError(

@@ -7,6 +7,7 @@ joints that mimic it), stiff position servos show the angle on these joints.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -23,7 +24,7 @@ _STIFFNESS = 5.0  # [N m/rad] assumed: strong against a finger of a few grams
 _ARMATURE = 1e-3  # [kg m^2] assumed: the drive's rotor
 
 
-def jaw_joints(urdf_path: str) -> list[tuple[str, float, float]]:
+def jaw_joints(urdf_path: Path) -> list[tuple[str, float, float]]:
     """The joints that show the jaw: (name, multiplier, offset [rad]), the jaw itself first.
 
     Empty when the URDF has no joint named ``jaw``.
