@@ -140,3 +140,16 @@ def test_lock_file_names_no_index_and_hashes_everything() -> None:
     assert all(re.match(r"[a-z0-9-]+==[\w.]+\s.*--hash=sha256:[0-9a-f]{64}", e) for e in entries)
     # Debian's numpy, OpenCV and pyzmq: PyPI's would break cv_bridge.
     assert not re.search(r"^(numpy|opencv|pyzmq)", text, re.MULTILINE)
+
+
+def test_no_page_holds_an_unfilled_figure() -> None:
+    """Pages are drafted with @@name@@ where a measured figure goes."""
+    pages = [file for file in tracked() if file.suffix == ".md"]
+    assert pages
+    open_figures = [
+        f"{file}: {line}"
+        for file in pages
+        for line in file.read_text().splitlines()
+        if re.search(r"@@\w+@@", line)
+    ]
+    assert not open_figures

@@ -178,8 +178,10 @@ def test_free_run_keeps_its_rate_and_its_dead_man(ros_graph: RosGraph, rospy_nod
     controller = Controller(0.05, 10_000)
     with running(ros_graph, controller, mode="freerun"):
         ros_graph.wait_for(lambda: len(controller.stamps) > 600, 20.0, "600 ticks")
-        span_s = (controller.stamps[-1] - controller.stamps[0]) / 1e9
-        assert len(controller.stamps) / span_s == pytest.approx(500, rel=0.05)
+        # The stamps are the clock; a busy machine may cost this subscriber messages, never ticks.
+        steps = np.diff(controller.stamps[:600])
+        assert np.all(steps % 2_000_000 == 0)
+        assert np.median(steps) == 2_000_000
         assert abs(controller.stamps[-1] / 1e9 - time.time()) < 1.0
         assert not controller.links[-1].dead_man and not controller.links[-1].lockstep
         controller.silent = True

@@ -95,6 +95,7 @@ class Endoscope:
 
 def main() -> int:
     """Entry point; returns the exit code (0 done, 1 no OpenGL, 2 broken configuration)."""
+    os.nice(10)  # a picture may come late, a control cycle may not
     rospy.init_node("endoscope")
     try:
         settings = EndoscopeSettings.read(
