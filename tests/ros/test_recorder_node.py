@@ -149,7 +149,7 @@ def test_lockstep_episode_is_complete_to_the_tick(
 ) -> None:
     _start(ros_graph, tmp_path)
     ros_graph.wait_for(bench.ready_link, 20, "the recorder on /sim/ready")
-    # It says ready when its own side of each connection stands; the publisher counts a moment later.
+    # It says ready when its own side of each connection stands; the publisher counts a bit later.
     _until(bench.connected, "every connection of a recorder that said ready", 2.0)
     bench.state.publish(OperatingState(state="ENABLED", is_homed=True))
     bench.state.publish(OperatingState(state="ENABLED", is_homed=True))

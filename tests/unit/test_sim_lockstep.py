@@ -112,6 +112,19 @@ def test_done_ends_the_run_with_the_last_participant() -> None:
     assert not Lockstep(["PSM1"]).finished(), "nobody declared: runs until it is stopped"
 
 
+def test_a_participant_that_runs_ahead_does_not_move_the_end() -> None:
+    """It goes on saying Ready; the first tick with done is the last one, whoever is faster."""
+    machine = Lockstep(["PSM1"], ["op"])
+    machine.publish(4, 0.0)
+    machine.ready("op", 4, False)
+    machine.ready("op", 5, True)
+    assert not machine.finished()
+    machine.publish(5, 0.0)
+    machine.ready("op", 6, True)
+    machine.ready("op", 7, True)
+    assert machine.finished()
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_any_order_of_arrival_gives_the_same_steps(seed: int) -> None:
     rng = random.Random(seed)

@@ -34,7 +34,7 @@ class Action(enum.Enum):
 @dataclass
 class _Participant:
     tick: int = 0
-    done: bool = False
+    last: int | None = None  # first tick said to be the last; a participant may run ahead of it
 
 
 class Lockstep:
@@ -88,7 +88,8 @@ class Lockstep:
         if name in self._participants:
             participant = self._participants[name]
             participant.tick = max(participant.tick, tick)
-            participant.done = participant.done or done
+            if done and participant.last is None:
+                participant.last = tick
         elif name in self._observers:
             self._observers[name] = max(self._observers[name], tick)
 
@@ -107,12 +108,13 @@ class Lockstep:
         A Ready sent before this side was connected is lost: one never heard of is not waited for;
         the controller, which needs its commands, waits for it.
         """
-        return participant.done or participant.tick == 0 or participant.tick >= self.tick
+        done = participant.last is not None
+        return done or participant.tick == 0 or participant.tick >= self.tick
 
     def finished(self) -> bool:
         """True when the answer to the present tick is the last one to execute."""
         return bool(self._participants) and all(
-            p.done and p.tick <= self.tick for p in self._participants.values()
+            p.last is not None and p.last <= self.tick for p in self._participants.values()
         )
 
     def _late_observers(self) -> list[str]:
@@ -125,7 +127,7 @@ class Lockstep:
         sentences = [
             f"participant '{name}' has not sent Ready for tick {self.tick} (last: {p.tick})"
             for name, p in self._participants.items()
-            if p.tick < self.tick and not p.done
+            if p.tick < self.tick and p.last is None
         ]
         topics = {"robot": "a robot command", "tool": "tool/servo_jp"}
         sentences += [
