@@ -158,7 +158,7 @@ def test_the_papers_law_and_no_feedback_drift(tmp_path: Path) -> None:
 
 
 def test_one_seed_one_hash_whatever_the_scheduler_does(tmp_path: Path) -> None:
-    seconds = 2.0 if FULL else 1.0
+    seconds = 2.0
     jitter_ms = "20" if FULL else "4"
     plain = demo(tmp_path / "plain", "--duration", seconds)
     shaken = demo(
