@@ -61,7 +61,6 @@ struct Controller::Impl {
   double since_pose = 0;  // [s] since the last accepted stream pose
   int silent_cycles = 0;  // since the last accepted servo command
   Motion motion = Motion::kNone;
-  std::uint32_t source = 0;
   bool moving_to = false;     // a move_cp is on its way
   bool held = false;          // 'hold' was taken: a stream must pause before it goes on
   double stream_silence = 0;  // [s] since 'hold', or since a servo command was refused for it
@@ -139,7 +138,6 @@ struct Controller::Impl {
     moving_to = false;
     held = false;
     motion = Motion::kNone;
-    source = 0;
   }
 
   void leave_enabled() {
@@ -223,7 +221,6 @@ struct Controller::Impl {
       held = true;
       stream_silence = 0;
       motion = Motion::kHold;
-      source = command.source;
       return Reason::kNone;
     }
     if (!operating.homed()) return Reason::kNotHomed;
@@ -246,7 +243,6 @@ struct Controller::Impl {
     held = false;
     authority.taken(command.source);
     motion = command.motion;
-    source = command.source;
     moving_to = command.motion == Motion::kMoveCp;
     settle = 0;
     silent_cycles = 0;
