@@ -292,6 +292,7 @@ struct Controller::Impl {
       case Motion::kNone:
       case Motion::kHold:
       case Motion::kJawServoJp:
+      default:
         break;
     }
     return Reason::kNone;
@@ -574,6 +575,12 @@ Eigen::Quaterniond Controller::tool_orientation(const Vector3& s_B, double roll)
   const Vector3 s_R = impl_->X_BR.linear().transpose() * s_B;
   return Eigen::Quaterniond(minimal_rotation(Vector3::UnitZ(), s_R) *
                             Eigen::AngleAxisd(roll, Vector3::UnitZ()));
+}
+
+Reason Controller::claim(std::uint32_t source) {
+  if (!impl_->authority.may_command(source)) return Reason::kNoAuthority;
+  impl_->authority.claim(source);
+  return Reason::kNone;
 }
 
 bool Controller::rcm_set() const { return impl_->rcm_set; }

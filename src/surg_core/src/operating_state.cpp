@@ -74,6 +74,30 @@ Text text(Reason reason) {
     case Reason::kHeld:
       return {"held",
               "the arm was told to hold: end the stream for servo_timeout, then start it again"};
+    case Reason::kNotInserted:
+      return {"not_inserted",
+              "the tip is near or above the trocar: send 'start' on rcm/insert to go in along the "
+              "shaft, or on rcm/withdraw to come out"};
+    case Reason::kTrackStale:
+      return {"track_stale",
+              "rcm/track fell silent: the trocar is taken to stand still; publish it again, then "
+              "send 'resume'"};
+    case Reason::kToolLost:
+      return {"tool_lost", "no jaw state from the tool link: the arm holds; check the tool link"};
+    case Reason::kUnreachable:
+      return {"unreachable",
+              "the arm cannot follow its target any further without leaving a limit or the trocar: "
+              "choose another target, or send 'start' on rcm/retrace to go back the way it came"};
+    case Reason::kNotArrived:
+      return {"not_arrived", "the move ended without reaching its target: see limited_by"};
+    case Reason::kNoTrace:
+      return {"no_trace", "nothing is recorded to go back along"};
+    case Reason::kFrameWhileEnabled:
+      return {"frame_while_enabled",
+              "the base frame may not change while ENABLED: send 'disable' first"};
+    case Reason::kMasterLost:
+      return {"master_lost",
+              "the ROS master is gone: start it again, then restart every node of the system"};
   }
   return {"unknown", ""};
 }

@@ -26,6 +26,14 @@ enum class Motion : std::uint8_t {
   kMoveCp = 6,
   kHold = 7,
   kJawServoJp = 8,
+  kServoJr = 9,  ///< joints: change of the goal
+  kInterpolateJp = 10,
+  kMoveJp = 11,
+  kMoveJr = 12,
+  kJawMoveJp = 13,
+  kInsert = 14,    ///< along the shaft into the patient, until depth_slow
+  kWithdraw = 15,  ///< along the shaft out of the patient
+  kRetrace = 16,   ///< back along the recorded joint trace
 };
 
 /// One decoded command. Which members count depends on 'motion'.
@@ -56,6 +64,12 @@ struct Inputs {
   double state_age = 0;      ///< [s] since it was received (0 in lock-step)
   JointVector q, qd;         ///< measured [rad, rad/s]
   double jaw = 0;            ///< measured jaw [rad]
+  double jaw_age = 0;        ///< [s] since it was received (0 in lock-step)
+  // rcm/track, where Options::track_rcm is set:
+  bool track_valid = false;            ///< a sample has been received
+  double track_age = 0;                ///< [s] since it was taken
+  Vector3 p_BTrack = Vector3::Zero();  ///< where the trocar was then
+  Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]
   int n_commands = 0;
   std::array<MotionCommand, kMaxCommands> commands;
 };
@@ -86,11 +100,14 @@ struct Outputs {
   // output
   double scale = 1;             ///< alpha
   const char* limited_by = "";  ///< static string
+  std::uint8_t tier = 0;        ///< 0: on the path, 1: off it, on the pivot; 2: braking
   JointVector qd_command;       ///< [rad/s]
   Vector6 twist_command = Vector6::Zero();
 };
 
-enum class Law { kOurs, kPaper };
+/// kOurs: velocity form with feedback. kPaper: as printed. kExact: exact form on a virtual
+/// reference.
+enum class Law { kOurs, kPaper, kExact };
 
 /// One arm's controller. Construct once (may allocate), then call step() every dt.
 class Controller {
@@ -99,6 +116,7 @@ class Controller {
     Law law = Law::kOurs;
     double dt = 0.002;          ///< [s] control period
     double feedback_gain = -1;  ///< [1/s] overrides tuning.rcm_gain when >= 0; simulator only
+    bool track_rcm = false;     ///< the trocar may move: Inputs::p_BTrack
   };
   Controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
              const InstrumentConfig& instrument, const ToolCalibration& tool,
@@ -112,6 +130,9 @@ class Controller {
   /// FAULT from outside (node: overrun and the like).
   void fault(Reason reason);
   void pause(Reason reason);
+  /// Exclusive authority for 'source' until the arm leaves ENABLED (teleoperation node, model
+  /// server). Refused while another holds the arm.
+  Reason claim(std::uint32_t source);
 
   /// One control cycle: the whole data line. Never throws, never allocates.
   const Outputs& step(const Inputs& inputs);

@@ -20,10 +20,17 @@ class Authority {
     holder_ = source;
     silent_ = 0;
   }
+  /// Held by 'source' alone until the arm leaves ENABLED, resting or not.
+  void claim(std::uint32_t source) {
+    taken(source);
+    claimed_ = true;
+  }
   /// Once a cycle. resting: the set-point stands still; enabled: the arm is ENABLED.
   void elapse(bool resting, bool enabled) {
     silent_ += dt_;
-    if (!enabled || (resting && silent_ >= kRelease)) holder_ = 0;
+    if (was_enabled_ && !enabled) claimed_ = false;
+    was_enabled_ = enabled;
+    if (!claimed_ && (!enabled || (resting && silent_ >= kRelease))) holder_ = 0;
   }
   std::uint32_t holder() const { return holder_; }
 
@@ -32,6 +39,8 @@ class Authority {
   double dt_;
   double silent_ = 0;
   std::uint32_t holder_ = 0;  // 0: nobody
+  bool claimed_ = false;
+  bool was_enabled_ = false;
 };
 
 /// Step test of a pose stream (servo_cp, servo_jp). Distances from the last accepted pose, or from

@@ -31,6 +31,14 @@ enum class Reason : std::uint8_t {
   kOperator,           // asked for by a person (pause, disable)
   kNotFollowing,       // the arm stays away from the set-point
   kHeld,               // a stream goes on after 'hold'
+  kNotInserted,        // F24 the tip is near or above the trocar: only insert, withdraw, roll
+  kTrackStale,         // rcm/track fell silent
+  kToolLost,           // F31 no jaw state from the tool link
+  kUnreachable,        // F20, F21 a limit holds the arm on its way: report, not a state
+  kNotArrived,         // a move ended without reaching its target
+  kNoTrace,            // nothing recorded to go back along
+  kFrameWhileEnabled,  // set_base_frame while ENABLED
+  kMasterLost,         // F07 enable and resume without a ROS master
 };
 
 /// One sentence for people: what was wrong and what to do.
