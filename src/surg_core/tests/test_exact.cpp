@@ -48,7 +48,7 @@ TEST(Exact, ThePoseIsOnTheConstraintWithTipAndRollAsAsked) {
   for (int i = 0; i < n; ++i) {
     const Scene scene = random_scene(random);
     const Vector3 aside = random_unit(random);
-    const Vector3 s = (scene.home.s_B + random.uniform(0, 1.5) * aside).normalized();
+    const Vector3 s = (scene.home.s_B + random.uniform(0, 0.9) * aside).normalized();
     const double depth = random.uniform(0.001, 0.22), roll = random.uniform(-3.1, 3.1);
     const Vector3 p_BTip = scene.p_BRcm + depth * s;
     const Pose X_BF =
