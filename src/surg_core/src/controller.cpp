@@ -49,6 +49,7 @@ struct Controller::Impl {
   ArmState arm;
   Pilot pilot;
   Jaw jaw;
+  ForceGuard force;
 
   Pose X_BR = Pose::Identity();
   bool sensed = false;    // a finite, fresh joint state has been seen in the last step
@@ -71,6 +72,7 @@ struct Controller::Impl {
         arm(chain, {tool.s_F, tool.p_FTip}, look_ahead(robot_in, options), options.dt),
         pilot(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
         jaw(instrument, options.dt),
+        force(limits_in),
         qd_last(JointVector::Zero(chain.dof())) {
     out.qd_command = qd_last;
   }
@@ -79,7 +81,8 @@ struct Controller::Impl {
   const ShaftState& shaft() const { return arm.now().shaft; }
 
   Conditions conditions() const {
-    return {sensed, trocar.taught(), trocar.taught() && on_line() && shaft().depth > -kOutside};
+    return {sensed, trocar.taught(), trocar.taught() && on_line() && shaft().depth > -kOutside,
+            force.acceptable()};
   }
 
   /// The shaft's line passes through the trocar, in front of the flange.
@@ -118,6 +121,7 @@ struct Controller::Impl {
   /// The set-point is where the arm is; every target is gone.
   void start_here() {
     pilot.start(whereabouts());
+    force.restart();
     inserted = shaft().depth >= limits.depth_min;
   }
 
@@ -197,6 +201,28 @@ struct Controller::Impl {
     if (!(behind <= kFollowDistance)) pause(Reason::kNotFollowing);
   }
 
+  /// F25: yields to the force at the tip, stops or halts.
+  void guard_force(const Inputs& in) {
+    const ForceGuard::Verdict verdict = force.judge(in.tip_force, in.trocar_force, T);
+    out.warn_force = force.warns();
+    if (!enabled()) return;
+    switch (verdict) {
+      case ForceGuard::Verdict::kFree:
+      case ForceGuard::Verdict::kYield:
+        break;
+      case ForceGuard::Verdict::kPause:
+        pause(Reason::kForce);
+        break;
+      case ForceGuard::Verdict::kStop:
+        fault(Reason::kForce);
+        break;
+      case ForceGuard::Verdict::kHalt:
+        fault(Reason::kForce);
+        freeze();
+        break;
+    }
+  }
+
   // --- gate -----------------------------------------------------------------------------------
 
   Reason take(const MotionCommand& command) {
@@ -243,8 +269,8 @@ struct Controller::Impl {
     const bool resting = !enabled() && setpoint.mode() == Setpoint::Mode::kRest;
     if (resting) return {};
     return setpoint.axial()
-               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, T)
-               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, limits, T);
+               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, T)
+               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, limits, T);
   }
 
   void move(const Inputs& in) {
@@ -385,6 +411,7 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.out.reason = Reason::kNone;
   self.sense(inputs);
   self.guard_pivot();
+  self.guard_force(inputs);
   self.gate(inputs);
   self.move(inputs);
   self.jaw.advance(self.enabled() && !self.tool_lost);

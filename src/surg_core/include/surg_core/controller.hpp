@@ -9,6 +9,7 @@
 
 #include "surg_core/command.hpp"
 #include "surg_core/config.hpp"
+#include "surg_core/force_guard.hpp"
 #include "surg_core/kinematics.hpp"
 #include "surg_core/operating_state.hpp"
 #include "surg_core/rcm.hpp"
@@ -33,6 +34,8 @@ struct Inputs {
   JointVector q, qd;         ///< measured [rad, rad/s]
   double jaw = 0;            ///< measured jaw [rad]
   double jaw_age = 0;        ///< [s] since it was received (0 in lock-step)
+  ForceSample tip_force;     ///< F25, where a sensor exists
+  ForceSample trocar_force;  ///< load of the trocar
   // rcm/track, where Options::track_rcm is set:
   bool track_valid = false;            ///< a sample has been received
   double track_age = 0;                ///< [s] since it was taken
@@ -52,6 +55,7 @@ struct Outputs {
   std::uint32_t accepted = 0, refused = 0;
   int n_verdicts = 0;
   std::array<Verdict, kMaxCommands> verdicts;  ///< one per command of this cycle, in order
+  bool warn_force = false;                     ///< load of the trocar above the warn level
   bool warn_rcm = false;                       ///< rcm error above the warn level
   // geometry, in B
   Pose X_BF = Pose::Identity();
