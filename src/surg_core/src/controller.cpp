@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "surg_core/gate.hpp"
+#include "surg_core/image.hpp"
 #include "surg_core/limits.hpp"
 #include "surg_core/setpoint.hpp"
 
@@ -24,6 +25,11 @@ double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
 double twist_about_z(const Eigen::Quaterniond& q) { return 2 * std::atan2(q.z(), q.w()); }
 
 }  // namespace
+
+template <>
+struct IsPlain<Setpoint> : std::true_type {};
+template <>
+struct IsPlain<ShaftState> : std::true_type {};
 
 struct Controller::Impl {
   // Frozen.
@@ -524,6 +530,19 @@ struct Controller::Impl {
     const Eigen::Vector2d set = shaft_angles(p / depth);
     out.virtual_set = {set[0], set[1], p.norm(), setpoint.roll()};
   }
+
+  // --- image ----------------------------------------------------------------------------------
+
+  /// Every member that a step reads before it writes it; a test finds the one that is missing.
+  template <typename Image>
+  void remembered(Image& image) {
+    image(operating, authority, rcm_set, p_BRcm, X_BR, R_home, s_home);
+    image(sensed, X_BF, J, shaft, ahead, roll_ahead, in_flight);
+    image(v_BTip, s_dot_B, omega_along_shaft, roll);
+    image(setpoint, p_goal, roll_goal, since_pose, silent_cycles, motion, moving_to, held);
+    image(stream_silence, settle, home_busy, jaw_set, jaw_goal, jaw_known, qd_last);
+    image(out.accepted, out.refused, out.source);
+  }
 };
 
 Controller::Controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
@@ -585,5 +604,27 @@ Reason Controller::claim(std::uint32_t source) {
 
 bool Controller::rcm_set() const { return impl_->rcm_set; }
 double Controller::dt() const { return impl_->T; }
+
+std::size_t Controller::save(std::byte* to, std::size_t room) const {
+  std::uint64_t layout = 0;
+  const std::size_t head = sizeof layout;
+  ImageWriter image(to + head, room > head ? room - head : 0);
+  impl_->remembered(image);
+  layout = image.layout();
+  if (room >= head) std::memcpy(to, &layout, head);
+  return head + image.size();
+}
+
+bool Controller::restore(const std::byte* from, std::size_t size) {
+  std::uint64_t layout = 0;
+  ImageWriter own(nullptr, 0);
+  impl_->remembered(own);
+  if (size != sizeof layout + own.size()) return false;
+  std::memcpy(&layout, from, sizeof layout);
+  if (layout != own.layout()) return false;
+  ImageReader image(from + sizeof layout);
+  impl_->remembered(image);
+  return true;
+}
 
 }  // namespace surg
