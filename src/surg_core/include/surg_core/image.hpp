@@ -22,15 +22,16 @@ struct IsPlain<Eigen::Matrix<Scalar, Rows, Cols, Options, MaxRows, MaxCols>>
 template <>
 struct IsPlain<Pose> : std::true_type {};
 
-/// Writes members one after the other. Beyond 'room' it only counts.
+/// Writes members one after the other, the first at 'begin'. Beyond 'room' it only counts.
 class ImageWriter {
  public:
-  ImageWriter(std::byte* to, std::size_t room) : to_(to), room_(room) {}
+  ImageWriter(std::byte* to, std::size_t room, std::size_t begin = 0)
+      : to_(to), room_(room), size_(begin) {}
   template <typename... T>
   void operator()(T&... members) {
     (one(members), ...);
   }
-  std::size_t size() const { return size_; }  ///< needed so far
+  std::size_t size() const { return size_; }  ///< needed so far, 'begin' included
   std::uint64_t layout() const { return layout_; }
 
  private:
@@ -43,7 +44,7 @@ class ImageWriter {
   }
 
   std::byte* to_;
-  std::size_t room_, size_ = 0;
+  std::size_t room_, size_;
   std::uint64_t layout_ = 1469598103934665603ULL;
 };
 
