@@ -4,6 +4,7 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 
@@ -117,6 +118,13 @@ class Controller {
   Eigen::Quaterniond tool_orientation(const Vector3& s_B, double roll) const;
   bool rcm_set() const;
   double dt() const;
+
+  /// The image of everything that the next steps depend on, for the black box. Returns the bytes it
+  /// takes; nothing useful is written where 'room' is less. Never allocates.
+  std::size_t save(std::byte* to, std::size_t room) const;
+  /// Puts an image back into a controller of the same configuration: it goes on bit for bit like
+  /// the one that was saved. False, and nothing changed, for an image of another build.
+  bool restore(const std::byte* from, std::size_t size);
 
  private:
   struct Impl;
