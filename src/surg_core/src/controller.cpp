@@ -40,6 +40,8 @@ template <>
 struct IsPlain<Trocar> : std::true_type {};
 template <>
 struct IsPlain<Pilot> : std::true_type {};
+template <>
+struct IsPlain<ForceGuard> : std::true_type {};
 
 struct Controller::Impl {
   // Frozen.
@@ -386,7 +388,7 @@ struct Controller::Impl {
   /// Every member that a step reads before it writes it; a test finds the one that is missing.
   template <typename Image>
   void remembered(Image& image) {
-    image(operating, authority, trocar, pilot, jaw);
+    image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
     image(X_BR, sensed, inserted, tool_lost, home_busy, qd_last, out.accepted, out.refused);
   }

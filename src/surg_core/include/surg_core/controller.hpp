@@ -28,8 +28,8 @@ struct Verdict {
 /// Most commands one cycle looks at; more wait for the next cycle (the node's business).
 constexpr int kMaxCommands = 64;
 
-/// Everything one cycle may look at.
-struct Inputs {
+/// What arm, tool and sensors said last.
+struct Readings {
   bool state_valid = false;  ///< q, qd hold a joint state
   double state_age = 0;      ///< [s] since it was received (0 in lock-step)
   JointVector q, qd;         ///< measured [rad, rad/s]
@@ -42,6 +42,10 @@ struct Inputs {
   double track_age = 0;                ///< [s] since it was taken
   Vector3 p_BTrack = Vector3::Zero();  ///< where the trocar was then
   Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]
+};
+
+/// Everything one cycle may look at.
+struct Inputs : Readings {
   int n_commands = 0;
   std::array<MotionCommand, kMaxCommands> commands;
 };
