@@ -9,6 +9,7 @@
 #include "surg_core/image.hpp"
 #include "surg_core/jaw.hpp"
 #include "surg_core/law.hpp"
+#include "surg_core/limited_step.hpp"
 #include "surg_core/limits.hpp"
 #include "surg_core/pilot.hpp"
 #include "surg_core/trocar.hpp"
@@ -20,6 +21,7 @@ constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more
 constexpr double kStandstill = 0.05;      // alpha below it: the limit has stopped the arm
 constexpr double kOutside = 0.15;         // [m] a tip may be above its trocar before 'insert'
 constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
+constexpr double kHorizon = 0.45;         // [s] of the set-point's clock that is looked ahead
 constexpr int kHomeBusyCycles = 5;        // is_busy needs an edge that a client can see
 
 bool finite(const MotionCommand& command) {
@@ -59,11 +61,13 @@ struct Controller::Impl {
   Pilot pilot;
   Jaw jaw;
   ForceGuard force;
+  LimitedStep limited;
 
   Pose X_BR = Pose::Identity();
   bool sensed = false;    // a finite, fresh joint state has been seen in the last step
   bool inserted = false;  // the trocar point lies on the shaft, and must go on doing so
   bool tool_lost = false;
+  bool halted = false;  // zero at once and until the arm starts anew
   int home_busy = 0;
   JointVector qd_last;
   Outputs out;
@@ -82,6 +86,7 @@ struct Controller::Impl {
         pilot(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
         jaw(instrument, options.dt),
         force(limits_in),
+        limited(chain, {tool.s_F, tool.p_FTip}, joint_limits(robot_in, limits_in), options.dt),
         qd_last(JointVector::Zero(chain.dof())) {
     out.qd_command = qd_last;
   }
@@ -130,6 +135,7 @@ struct Controller::Impl {
   /// The set-point is where the arm is; every target is gone.
   void start_here() {
     pilot.start(whereabouts());
+    halted = false;
     force.restart();
     inserted = shaft().depth >= limits.depth_min;
   }
@@ -282,44 +288,65 @@ struct Controller::Impl {
                : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, limits, T);
   }
 
-  void move(const Inputs& in) {
+  /// Where the set-point leads, for the look ahead at what the joints cannot do.
+  ShaftGoal goal_at(double t) const {
+    const Setpoint there = pilot.setpoint().foreseen(t);
+    const Vector3 p_B = X_BR * there.p_RTip();
+    if (!there.axial()) return tip_goal(trocar.p_B(), p_B, there.roll(), arm.ahead().shaft.s);
+    const Vector3 s_B = X_BR.linear() * there.s_R();
+    return {trocar.p_B(), s_B, s_B.dot(p_B - trocar.p_B()), there.roll()};
+  }
+
+  Step limited_step(const Setpoint& next) const {
+    const TwistWish wished = wish_for(next);
+    const auto path = [this](double t) { return goal_at(t); };
+    Wish wish;
+    wish.feedback = wished.feedback;
+    wish.forward = wished.path;
+    const bool idle = wished.feedback.isZero(0) && wished.path.isZero(0);
+    if (!idle) wish.posture = robot.tuning.posture_gain * (robot.home - arm.now().q);
+    if (law != Law::kPaper) {
+      wish.path = PathView(path);
+      wish.horizon = kHorizon;
+    }
+    const Home home{arm.s_home(), arm.R_home()};
+    return limited.velocity(arm.ahead().q, qd_last, home, trocar.p_B(), wish);
+  }
+
+  void move() {
     const int n = arm.chain().dof();
     Setpoint& setpoint = pilot.setpoint();
     JointVector qd = JointVector::Zero(n);
     Vector6 twist = Vector6::Zero();
     out.scale = 1;
     out.limited_by = "";
+    out.tier = 0;
     out.v_set.setZero();
     setpoint.elapse(T);
-    const bool halt = !sensed || !trocar.taught() || !operating.homed();
-    if (!halt) {
+    if (!sensed || !trocar.taught() || !operating.homed()) {
+      // Geometry unknown: a ramp through the law would be blind (F02, F10).
+      if (setpoint.mode() != Setpoint::Mode::kRest) freeze();
+    } else if (!halted) {
       Setpoint next = setpoint;
       next.advance(T);
-      const TwistWish wish = wish_for(next);
-      twist = wish.feedback + wish.path;
-      const JointVector posture = robot.tuning.posture_gain * (robot.home - in.q);
-      const bool idle = twist.isZero(0);
-      qd = idle ? JointVector::Zero(n) : inverse_velocity(arm.ahead().J, twist, posture).qd;
-      const Scale scale =
-          uniform_scale(robot, limits, qd, qd_last, in.q, twist.head<3>().norm(), T);
-      qd *= scale.alpha;
-      twist *= scale.alpha;
-      out.scale = scale.alpha;
-      out.limited_by = scale.limited_by;
+      const Step step = limited_step(next);
+      qd = step.qd;
+      twist = arm.ahead().J * qd;
+      out.scale = step.alpha;
+      out.limited_by = step.limited_by;
+      out.tier = step.tier;
+      if (step.held && enabled()) out.reason = Reason::kUnreachable;
       // The profile clock runs as fast as the arm may follow.
       const Vector3 p_before = setpoint.p_RTip();
-      if (scale.alpha < kStandstill) {
+      if (step.alpha < kStandstill) {
         setpoint.stand();
-      } else if (scale.alpha < 1) {
-        setpoint.advance(scale.alpha * T);
+      } else if (step.alpha < 1) {
+        setpoint.advance(step.alpha * T);
       } else {
         setpoint = next;
       }
-      if (setpoint.at_wall() && scale.alpha == 1) out.limited_by = "workspace";
+      if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
       out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
-    } else if (setpoint.mode() != Setpoint::Mode::kRest) {
-      // Geometry unknown: a ramp through the law would be blind (F02, F10).
-      freeze();
     }
     if (!qd.allFinite() || !twist.allFinite()) {  // the last statement before the wire
       fault(Reason::kNotFinite);
@@ -333,8 +360,9 @@ struct Controller::Impl {
     out.twist_command = twist;
   }
 
-  /// The set-point stands still at once.
+  /// Halt: the set-point stands still at once, and the arm with it.
   void freeze() {
+    halted = true;
     Setpoint& setpoint = pilot.setpoint();
     setpoint.reset(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll());
   }
@@ -390,7 +418,7 @@ struct Controller::Impl {
   void remembered(Image& image) {
     image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
-    image(X_BR, sensed, inserted, tool_lost, home_busy, qd_last, out.accepted, out.refused);
+    image(X_BR, sensed, inserted, tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
   }
 };
 
@@ -432,7 +460,7 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.guard_pivot();
   self.guard_force(inputs);
   self.gate(inputs);
-  self.move(inputs);
+  self.move();
   self.jaw.advance(self.enabled() && !self.tool_lost);
   self.authority.elapse(self.pilot.setpoint().mode() == Setpoint::Mode::kRest, self.enabled());
   self.report(inputs);

@@ -296,6 +296,16 @@ Vector3 Setpoint::v_RTip() const {
   return velocity(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
 }
 
+Setpoint Setpoint::foreseen(double t) const {
+  Setpoint there = *this;
+  if (mode_ == Mode::kProfile) {
+    there.advance(t);
+    return there;
+  }
+  for (auto& dof : there.dofs_) dof.x += t * dof.v;
+  return there;
+}
+
 Vector3 Setpoint::s_R() const { return axial_ ? axis_R_ : Vector3(p_RTip().normalized()); }
 
 Vector4 Setpoint::joints() const {

@@ -57,6 +57,11 @@ class Setpoint {
   /// The set-point moves on by dt <= T of its own clock.
   void advance(double dt);
 
+  /// Where the set-point will be in t [s] of its own clock, as far as is known now: along its
+  /// profile, and straight on where a stream or a velocity leads it. For looking ahead, not for
+  /// moving.
+  Setpoint foreseen(double t) const;
+
   Mode mode() const { return mode_; }
   Space space() const { return space_; }
   /// Moves or rests along the shaft line (go_along): only depth and roll may change.
