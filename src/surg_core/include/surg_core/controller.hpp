@@ -7,46 +7,15 @@
 #include <cstdint>
 #include <memory>
 
+#include "surg_core/command.hpp"
 #include "surg_core/config.hpp"
+#include "surg_core/force_guard.hpp"
 #include "surg_core/kinematics.hpp"
 #include "surg_core/operating_state.hpp"
 #include "surg_core/rcm.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
-
-/// Motion commands, in the numbering of surg_msgs/Cycle.
-enum class Motion : std::uint8_t {
-  kNone = 0,
-  kServoCp = 1,
-  kServoJp = 2,
-  kServoCv = 3,
-  kServoJv = 4,
-  kInterpolateCp = 5,
-  kMoveCp = 6,
-  kHold = 7,
-  kJawServoJp = 8,
-  kServoJr = 9,  ///< joints: change of the goal
-  kInterpolateJp = 10,
-  kMoveJp = 11,
-  kMoveJr = 12,
-  kJawMoveJp = 13,
-  kInsert = 14,    ///< along the shaft into the patient, until depth_slow
-  kWithdraw = 15,  ///< along the shaft out of the patient
-  kRetrace = 16,   ///< back along the recorded joint trace
-};
-
-/// One decoded command. Which members count depends on 'motion'.
-struct MotionCommand {
-  Motion motion = Motion::kNone;
-  std::uint32_t source = 0;     ///< id of the sender (the node maps caller ids to numbers)
-  Vector3 p = Vector3::Zero();  ///< cp: p_RcmTip; cv: v_Tip, in the rcm frame
-  Eigen::Quaterniond rotation =
-      Eigen::Quaterniond::Identity();  ///< cp: R_RcmTool (only roll is used)
-  double roll_rate = 0;                ///< cv: about the shaft [rad/s]
-  Vector4 joints = Vector4::Zero();    ///< jp / jv: yaw, pitch, insertion, roll
-  double jaw = 0;                      ///< jaw angle [rad]
-};
 
 /// What became of a command.
 struct Verdict {
@@ -65,6 +34,8 @@ struct Inputs {
   JointVector q, qd;         ///< measured [rad, rad/s]
   double jaw = 0;            ///< measured jaw [rad]
   double jaw_age = 0;        ///< [s] since it was received (0 in lock-step)
+  ForceSample tip_force;     ///< F25, where a sensor exists
+  ForceSample trocar_force;  ///< load of the trocar
   // rcm/track, where Options::track_rcm is set:
   bool track_valid = false;            ///< a sample has been received
   double track_age = 0;                ///< [s] since it was taken
@@ -84,6 +55,7 @@ struct Outputs {
   std::uint32_t accepted = 0, refused = 0;
   int n_verdicts = 0;
   std::array<Verdict, kMaxCommands> verdicts;  ///< one per command of this cycle, in order
+  bool warn_force = false;                     ///< load of the trocar above the warn level
   bool warn_rcm = false;                       ///< rcm error above the warn level
   // geometry, in B
   Pose X_BF = Pose::Identity();
