@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "surg_core/arm_state.hpp"
 #include "surg_core/gate.hpp"
+#include "surg_core/image.hpp"
 #include "surg_core/jaw.hpp"
 #include "surg_core/law.hpp"
 #include "surg_core/limits.hpp"
@@ -33,6 +35,13 @@ double look_ahead(const RobotConfig& robot, const Controller::Options& options) 
 }
 
 }  // namespace
+
+template <>
+struct IsPlain<Trocar> : std::true_type {};
+template <>
+struct IsPlain<Pilot> : std::true_type {};
+template <>
+struct IsPlain<ForceGuard> : std::true_type {};
 
 struct Controller::Impl {
   // Frozen.
@@ -373,6 +382,16 @@ struct Controller::Impl {
     out.virtual_qd = {(s_dot.x() * s.z() - s.x() * s_dot.z()) / (cos_pitch * cos_pitch),
                       s_dot.y() / cos_pitch, insertion_rate, roll_rate};
   }
+
+  // --- image ----------------------------------------------------------------------------------
+
+  /// Every member that a step reads before it writes it; a test finds the one that is missing.
+  template <typename Image>
+  void remembered(Image& image) {
+    image(operating, authority, trocar, pilot, jaw, force);
+    arm.remembered(image);
+    image(X_BR, sensed, inserted, tool_lost, home_busy, qd_last, out.accepted, out.refused);
+  }
 };
 
 Controller::Controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
@@ -430,5 +449,27 @@ Eigen::Quaterniond Controller::tool_orientation(const Vector3& s_B, double roll)
 
 bool Controller::rcm_set() const { return impl_->trocar.taught(); }
 double Controller::dt() const { return impl_->T; }
+
+std::size_t Controller::save(std::byte* to, std::size_t room) const {
+  std::uint64_t layout = 0;
+  const std::size_t head = sizeof layout;
+  ImageWriter image(to, room, head);
+  impl_->remembered(image);
+  layout = image.layout();
+  if (room >= head) std::memcpy(to, &layout, head);
+  return image.size();
+}
+
+bool Controller::restore(const std::byte* from, std::size_t size) {
+  std::uint64_t layout = 0;
+  ImageWriter own(nullptr, 0, sizeof layout);
+  impl_->remembered(own);
+  if (size != own.size()) return false;
+  std::memcpy(&layout, from, sizeof layout);
+  if (layout != own.layout()) return false;
+  ImageReader image(from + sizeof layout);
+  impl_->remembered(image);
+  return true;
+}
 
 }  // namespace surg
