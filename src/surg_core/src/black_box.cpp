@@ -114,16 +114,7 @@ const Outputs& BlackBox::step(const Inputs& inputs) {
       event.command = inputs.commands[i];
     }
     BlackBoxStep& step = block->steps[block->n_steps++];
-    step.state_valid = inputs.state_valid;
-    step.state_age = inputs.state_age;
-    step.q = inputs.q;
-    step.qd = inputs.qd;
-    step.jaw = inputs.jaw;
-    step.jaw_age = inputs.jaw_age;
-    step.track_valid = inputs.track_valid;
-    step.track_age = inputs.track_age;
-    step.p_BTrack = inputs.p_BTrack;
-    step.v_BTrack = inputs.v_BTrack;
+    step.in = inputs;
     step.n_commands = n;
     step.events = block->n_events;  // so far in the block: recording() makes it a count
     step.out = out;
@@ -308,10 +299,12 @@ class Coder {
     (*this)(e.kind, e.state, e.reason, e.answer, e.source, e.p_BRcm, e.command);
   }
   void value(Outputs& out);
-  void value(BlackBoxStep& s) {
-    (*this)(s.state_valid, s.track_valid, s.state_age, s.jaw, s.jaw_age, s.track_age, s.q, s.qd,
-            s.p_BTrack, s.v_BTrack, s.events, s.n_commands, s.out);
+  void value(ForceSample& f) { (*this)(f.valid, f.f_B); }
+  void value(Readings& r) {
+    (*this)(r.state_valid, r.state_age, r.q, r.qd, r.jaw, r.jaw_age, r.tip_force, r.trocar_force,
+            r.track_valid, r.track_age, r.p_BTrack, r.v_BTrack);
   }
+  void value(BlackBoxStep& s) { (*this)(s.in, s.events, s.n_commands, s.out); }
 
   bool reading_ = false;
   std::string written_;
@@ -330,6 +323,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("accepted", out.accepted);
   visit("refused", out.refused);
   visit("warn_rcm", out.warn_rcm);
+  visit("warn_force", out.warn_force);
   visit("X_BF", out.X_BF);
   visit("p_BTip", out.p_BTip);
   visit("s_B", out.s_B);
@@ -553,16 +547,7 @@ std::optional<BlackBoxDifference> replay(const BlackBoxRecording& recording) {
     for (std::uint32_t i = step.n_commands; i < step.events; ++i) {
       if (auto difference = call_next(k)) return difference;
     }
-    in.state_valid = step.state_valid;
-    in.state_age = step.state_age;
-    in.q = step.q;
-    in.qd = step.qd;
-    in.jaw = step.jaw;
-    in.jaw_age = step.jaw_age;
-    in.track_valid = step.track_valid;
-    in.track_age = step.track_age;
-    in.p_BTrack = step.p_BTrack;
-    in.v_BTrack = step.v_BTrack;
+    static_cast<Readings&>(in) = step.in;
     in.n_commands = static_cast<int>(step.n_commands);
     for (int i = 0; i < in.n_commands; ++i) in.commands[i] = (event++)->command;
     Outputs replayed = controller.step(in), recorded = step.out;

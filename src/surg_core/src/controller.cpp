@@ -46,6 +46,8 @@ template <>
 struct IsPlain<Trocar> : std::true_type {};
 template <>
 struct IsPlain<Pilot> : std::true_type {};
+template <>
+struct IsPlain<ForceGuard> : std::true_type {};
 
 struct Controller::Impl {
   // Frozen.
@@ -62,6 +64,7 @@ struct Controller::Impl {
   ArmState arm;
   Pilot pilot;
   Jaw jaw;
+  ForceGuard force;
 
   Pose X_BR = Pose::Identity();
   bool sensed = false;    // a finite, fresh joint state has been seen in the last step
@@ -84,6 +87,7 @@ struct Controller::Impl {
         arm(chain, {tool.s_F, tool.p_FTip}, look_ahead(robot_in, options), options.dt),
         pilot(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
         jaw(instrument, options.dt),
+        force(limits_in),
         qd_last(JointVector::Zero(chain.dof())) {
     out.qd_command = qd_last;
   }
@@ -92,7 +96,8 @@ struct Controller::Impl {
   const ShaftState& shaft() const { return arm.now().shaft; }
 
   Conditions conditions() const {
-    return {sensed, trocar.taught(), trocar.taught() && on_line() && shaft().depth > -kOutside};
+    return {sensed, trocar.taught(), trocar.taught() && on_line() && shaft().depth > -kOutside,
+            force.acceptable()};
   }
 
   /// The shaft's line passes through the trocar, in front of the flange.
@@ -131,6 +136,7 @@ struct Controller::Impl {
   /// The set-point is where the arm is; every target is gone.
   void start_here() {
     pilot.start(whereabouts());
+    force.restart();
     inserted = shaft().depth >= limits.depth_min;
   }
 
@@ -210,6 +216,28 @@ struct Controller::Impl {
     if (!(behind <= kFollowDistance)) pause(Reason::kNotFollowing);
   }
 
+  /// F25: yields to the force at the tip, stops or halts.
+  void guard_force(const Inputs& in) {
+    const ForceGuard::Verdict verdict = force.judge(in.tip_force, in.trocar_force, T);
+    out.warn_force = force.warns();
+    if (!enabled()) return;
+    switch (verdict) {
+      case ForceGuard::Verdict::kFree:
+      case ForceGuard::Verdict::kYield:
+        break;
+      case ForceGuard::Verdict::kPause:
+        pause(Reason::kForce);
+        break;
+      case ForceGuard::Verdict::kStop:
+        fault(Reason::kForce);
+        break;
+      case ForceGuard::Verdict::kHalt:
+        fault(Reason::kForce);
+        freeze();
+        break;
+    }
+  }
+
   // --- gate -----------------------------------------------------------------------------------
 
   Reason take(const MotionCommand& command) {
@@ -256,8 +284,8 @@ struct Controller::Impl {
     const bool resting = !enabled() && setpoint.mode() == Setpoint::Mode::kRest;
     if (resting) return {};
     return setpoint.axial()
-               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, T)
-               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, limits, T);
+               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, T)
+               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, limits, T);
   }
 
   void move(const Inputs& in) {
@@ -366,7 +394,7 @@ struct Controller::Impl {
   /// Every member that a step reads before it writes it; a test finds the one that is missing.
   template <typename Image>
   void remembered(Image& image) {
-    image(operating, authority, trocar, pilot, jaw);
+    image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
     image(X_BR, sensed, inserted, tool_lost, home_busy, qd_last, out.accepted, out.refused);
   }
@@ -408,6 +436,7 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.out.reason = Reason::kNone;
   self.sense(inputs);
   self.guard_pivot();
+  self.guard_force(inputs);
   self.gate(inputs);
   self.move(inputs);
   self.jaw.advance(self.enabled() && !self.tool_lost);

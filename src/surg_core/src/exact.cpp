@@ -69,6 +69,20 @@ JointStep exact_step(const Chain& chain, const JointVector& q, const Pose& X_BFG
   return {predicted.dq + rest.dq, std::min(predicted.conditioning, rest.conditioning)};
 }
 
+NextPose::NextPose(const Chain& chain, bool closed_form) : chain_(chain) {
+  if (closed_form) ur_ = UrInverse::of(chain);
+}
+
+JointStep NextPose::step(const JointVector& q, const Pose& X_BFGoal,
+                         const JointVector& posture) const {
+  if (!ur_) return exact_step(chain_, q, X_BFGoal, posture);
+  const UrSolution solution = ur_->solve(X_BFGoal, ur_->branch(q), q);
+  if (solution.unreachable != nullptr) return {JointVector::Zero(q.size()), 0.0};
+  const double conditioning =
+      std::min({std::abs(solution.shoulder), std::abs(solution.elbow), std::abs(solution.wrist)});
+  return {solution.q - q, conditioning};
+}
+
 RcmRows rcm_rows(const Jacobian& J, const ShaftState& shaft) {
   const Vector3 u = shaft.s.unitOrthogonal();
   const Vector3 w = shaft.s.cross(u);

@@ -91,6 +91,7 @@ class Arm {
         in_.commands[in_.n_commands++] = command;
       }
       in_.track_valid = random_.integer(0, 200) > 0;
+      in_.tip_force = {random_.integer(0, 1) == 0, Vector3(random_.uniform(0, 5.5), 0, 0)};
       in_.track_age = random_.uniform(0, 0.02);
       in_.p_BTrack = out_->p_BRcm;
       if (random_.integer(0, 150) == 0) box_.request(static_cast<StateCommand>(k % 6));
@@ -234,7 +235,7 @@ TEST(BlackBox, TheReplayNamesTheFirstDifference) {
   EXPECT_NE(difference->recorded, difference->replayed);
 
   changed = good;  // one bit of one input
-  changed.steps[60].q[0] = std::nextafter(changed.steps[60].q[0], 10.0);
+  changed.steps[60].in.q[0] = std::nextafter(changed.steps[60].in.q[0], 10.0);
   difference = replay(changed);
   ASSERT_TRUE(difference);
   EXPECT_EQ(difference->step, 60U);

@@ -48,10 +48,7 @@ struct BlackBoxEvent {
 
 /// One step: what went in (its commands are events) and what came out.
 struct BlackBoxStep {
-  bool state_valid = false, track_valid = false;
-  double state_age = 0, jaw = 0, jaw_age = 0, track_age = 0;
-  JointVector q, qd;
-  Vector3 p_BTrack = Vector3::Zero(), v_BTrack = Vector3::Zero();
+  Readings in;
   std::uint32_t events = 0;  ///< calls since the step before, then this step's commands
   std::uint32_t n_commands = 0;
   Outputs out;

@@ -10,6 +10,7 @@
 
 #include "surg_core/command.hpp"
 #include "surg_core/config.hpp"
+#include "surg_core/force_guard.hpp"
 #include "surg_core/kinematics.hpp"
 #include "surg_core/operating_state.hpp"
 #include "surg_core/rcm.hpp"
@@ -27,18 +28,24 @@ struct Verdict {
 /// Most commands one cycle looks at; more wait for the next cycle (the node's business).
 constexpr int kMaxCommands = 64;
 
-/// Everything one cycle may look at.
-struct Inputs {
+/// What arm, tool and sensors said last.
+struct Readings {
   bool state_valid = false;  ///< q, qd hold a joint state
   double state_age = 0;      ///< [s] since it was received (0 in lock-step)
   JointVector q, qd;         ///< measured [rad, rad/s]
   double jaw = 0;            ///< measured jaw [rad]
   double jaw_age = 0;        ///< [s] since it was received (0 in lock-step)
+  ForceSample tip_force;     ///< F25, where a sensor exists
+  ForceSample trocar_force;  ///< load of the trocar
   // rcm/track, where Options::track_rcm is set:
   bool track_valid = false;            ///< a sample has been received
   double track_age = 0;                ///< [s] since it was taken
   Vector3 p_BTrack = Vector3::Zero();  ///< where the trocar was then
   Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]
+};
+
+/// Everything one cycle may look at.
+struct Inputs : Readings {
   int n_commands = 0;
   std::array<MotionCommand, kMaxCommands> commands;
 };
@@ -53,6 +60,7 @@ struct Outputs {
   std::uint32_t accepted = 0, refused = 0;
   int n_verdicts = 0;
   std::array<Verdict, kMaxCommands> verdicts;  ///< one per command of this cycle, in order
+  bool warn_force = false;                     ///< load of the trocar above the warn level
   bool warn_rcm = false;                       ///< rcm error above the warn level
   // geometry, in B
   Pose X_BF = Pose::Identity();
