@@ -50,6 +50,10 @@ inline Document good_robot() {
                                                 {"step_dt_max", 0.1},
                                                 {"rcm_error_warn", 0.001},
                                                 {"rcm_error_fault", 0.002},
+                                                {"tip_force_soft", 5},
+                                                {"tip_force_hard", 8},
+                                                {"trocar_force_warn", 10},
+                                                {"trocar_force_fault", 15},
                                                 {"joint_margin", 0.1}};
   for (const auto& [key, value] : limits) v["limits." + key] = value;
   const std::map<std::string, double> tuning = {{"rcm_gain", 20},           {"tip_gain", 10},
