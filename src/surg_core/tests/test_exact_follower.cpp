@@ -1,4 +1,5 @@
 // The follower on one joint at a time: what it learns, what it bears, what it leaves alone.
+#include <algorithm>
 #include <cmath>
 
 #include "lagging_arm.hpp"
@@ -100,6 +101,38 @@ TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
                      JointVector::Constant(6, std::nan("")));
   }
   EXPECT_EQ(follower.lag(), JointVector::Constant(6, 0.012));
+}
+
+TEST(ExactFollower, BoundsOfReferenceAndCorrectionAddUpInTheCommand) {
+  // The reference keeps to four fifths of velocity and acceleration, the correction to the rest.
+  const double most_v = 3, most_a = 15;
+  Random random(3);
+  const int n = test::family(20000, 2000000);
+  ExactFollower follower(6, {0.012, 50, 2, kT, JointVector::Constant(6, 0.2 * most_v),
+                             JointVector::Constant(6, 0.2 * most_a)});
+  JointVector v = JointVector::Zero(6), last = v, q = v;
+  follower.reset(q);
+  double fastest = 0, steepest = 0;
+  for (int k = 0; k < n; ++k) {
+    if (k % 1000 == 999) {  // taken over anew: the command starts from rest
+      follower.reset(q);
+      v.setZero();
+      last.setZero();
+    }
+    for (int i = 0; i < 6; ++i) {
+      const double jump = 0.8 * most_a * kT * random.uniform(-1, 1);
+      v[i] = std::clamp(v[i] + jump, -0.8 * most_v, 0.8 * most_v);
+      q[i] = follower.reference()[i] + random.uniform(-0.05, 0.05);  // a wild measurement
+    }
+    const JointVector qd = follower.advance(kT * v, q);
+    fastest = std::max(fastest, qd.cwiseAbs().maxCoeff());
+    steepest = std::max(steepest, (qd - last).cwiseAbs().maxCoeff() / kT);
+    last = qd;
+  }
+  EXPECT_LE(fastest, most_v * (1 + 1e-12));
+  EXPECT_LE(steepest, most_a * (1 + 1e-9));
+  EXPECT_GT(steepest, 0.9 * most_a);  // the bounds were needed
+  test::report("cycles", n);
 }
 
 TEST(ExactFollower, IsStableWithTwiceTheLagItWasTold) {

@@ -31,6 +31,7 @@ constexpr double kLinkLag = 0.012;  // [s] what the law is told: 10 ms in the mi
 constexpr double kTipGain = 10;     // [1/s], as shipped
 constexpr double kRollGain = 10;    // [1/s]
 constexpr double kPosture = 1;      // [1/s]
+constexpr double kShare = 0.2;      // of the joints' limits, for the follower's correction
 
 /// The time along the path at t: starts from rest, at full pace after two seconds.
 double paced(double t, double pace) {
@@ -106,7 +107,8 @@ Maker paper() {
 Maker exact_follower(double lag, double gain, double learning) {
   return [=](const Scene& scene, const Path& path) -> Command {
     const NextPose next(scene.chain);
-    ExactFollower follower(scene.chain.dof(), {lag, gain, learning, kT});
+    ExactFollower follower(scene.chain.dof(), {lag, gain, learning, kT, kShare * scene.velocity,
+                                               kShare * scene.acceleration});
     follower.reset(scene.q_home);
     return [=, &scene](const JointVector& q, double t) mutable -> JointVector {
       const Pose X_goal = pose_on_pivot(scene.home, scene.tool, path(t + kT));
@@ -189,7 +191,8 @@ TEST(LagPlant, CandidateLaws) {
       "of 1e-5 rad; the laws are told 12 ms. The Lissajous motion of " +
           cell("%.0f", seconds) + " s from rest, " + cell("%d", arms) +
           " arms with random lags each; pace 3: three times as fast. Tip: against where it is "
-          "asked to be at that instant.",
+          "asked to be at that instant. The follower's correction keeps to a fifth of the joints' "
+          "limits of velocity and acceleration.",
       {"arm", "tool offset", "pace", "law", "RCM mean µm", "RCM max µm", "tip rms µm",
        "tip lag ms"});
   for (const bool panda : {false, true}) {

@@ -19,6 +19,9 @@ namespace surg {
 /// from what is left: a wrong lag leaves the error e = (lag error) phi with phi' = a - gain phi,
 /// and a normalised gradient step on it, bounded at any amplitude, moves the lag. It stays between
 /// 0 and three times the stated one, and stands still where nothing accelerates.
+///
+/// What is added to v, the correction, may be bounded in size and slope: a reference that keeps to
+/// the rest of each joint's velocity and acceleration then makes a command that keeps to all of it.
 class ExactFollower {
  public:
   struct Options {
@@ -26,6 +29,8 @@ class ExactFollower {
     double gain = 50;     ///< [1/s] feedback; stable up to about 1 / lag
     double learning = 2;  ///< [1/s] of the lags; 0: they stay as stated
     double T = 0.002;     ///< [s] control period
+    /// Bounds of the correction per joint [rad/s, rad/s^2]; empty: none.
+    JointVector velocity = {}, acceleration = {};
   };
   ExactFollower(int joints, const Options& options);
 
@@ -42,10 +47,12 @@ class ExactFollower {
   const JointVector& lag() const { return lag_; }
 
  private:
-  void learn(const JointVector& a, const JointVector& error);
+  /// Joint i's correction as near to 'wanted' as its bounds let it be.
+  double bounded(Eigen::Index i, double wanted) const;
+  void learn(Eigen::Index i, double error);
 
   Options options_;
-  JointVector q_ref_, v_last_, lag_, phi_;
+  JointVector q_ref_, v_last_, correction_, lag_, phi_;
 };
 
 }  // namespace surg
