@@ -7,19 +7,19 @@
 namespace surg {
 namespace {
 
-constexpr int kPasses = 4;          // of interval, step and check
-constexpr int kRowPasses = 4;       // of the pivot's rows off the path
+constexpr int kPasses = 4;               // of interval, step and check
+constexpr int kRowPasses = 4;            // of the pivot's rows off the path
 constexpr double kPositionGuard = 1e-9;  // [rad] kept from position limits: rounding
-constexpr double kOnPivot = 1e-12;  // [m]
-constexpr double kRowsKept = 1e-9;  // [m] more than this off the pivot counts as leaving it
-constexpr double kStill = 1e-4;     // share of a joint's velocity limit that counts as no motion
-constexpr double kHeld = 0.02;      // alpha below which a still arm counts as held
+constexpr double kOnPivot = 1e-12;       // [m]
+constexpr double kRowsKept = 1e-9;       // [m] more than this off the pivot counts as leaving it
+constexpr double kStill = 1e-4;  // share of a joint's velocity limit that counts as no motion
+constexpr double kHeld = 0.02;   // alpha below which a still arm counts as held
 
 // How a displaced tip returns to its path.
 constexpr double kReturnGain = 15;           // [1/s]
 constexpr double kReturnAcceleration = 0.3;  // [m/s^2]
-constexpr double kReturnAtOnce = 2e-8;       // [m] per cycle, always taken back: no visible joint motion
-constexpr double kRollLever = 0.05;          // [m/rad] weighs roll against length
+constexpr double kReturnAtOnce = 2e-8;  // [m] per cycle, always taken back: no visible joint motion
+constexpr double kRollLever = 0.05;     // [m/rad] weighs roll against length
 
 // The preview plans with less than the limits, so that the step has reserves to follow the plan.
 constexpr double kPlanAcceleration = 0.8;
@@ -27,9 +27,9 @@ constexpr double kPlanVelocity = 0.995;
 constexpr int kNodes = 14;
 constexpr double kFirstSpacing = 0.002;  // [s] of the clock, and in units of stopping (below)
 constexpr double kSpacingGrowth = 1.4;
-constexpr double kFirstArc = 0.002;    // [rad]
-constexpr double kSmallestArc = 1e-5;  // [rad] a path that cannot be followed this far ends here
-constexpr double kTwistSpacing = 1e-4;   // [s] for the path's direction at a node
+constexpr double kFirstArc = 0.002;     // [rad]
+constexpr double kSmallestArc = 1e-5;   // [rad] a path that cannot be followed this far ends here
+constexpr double kTwistSpacing = 1e-4;  // [s] for the path's direction at a node
 
 double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
 
@@ -167,6 +167,7 @@ struct LimitedStep::Box {
 /// q_dot(alpha) to first order. 'back' is the part of the correction that may wait.
 struct LimitedStep::Affine {
   JointVector qd0, qd1;
+  JointVector tangent;  ///< d q / d clock at the beginning
   JointVector back;
   bool returning = false;  ///< 'back' is not zero
   bool moves = false;      ///< the path is not at rest
@@ -174,7 +175,7 @@ struct LimitedStep::Affine {
 };
 
 struct LimitedStep::Preview {
-  int n = 1;  ///< nodes; the first is here
+  int n = 1;                                     ///< nodes; the first is here
   std::array<double, kNodes + 1> t{}, square{};  ///< [s] of the clock; its largest squared speed
   const char* by = "preview";
 
@@ -211,14 +212,16 @@ class LimitedStep::ExactLaw {
       : self_(self), here_(here), home_(home), wish_(wish) {
     still_ = JointVector::Zero(here.q.size());
     const ShaftGoal goal = wish.path(0);
-    // Where the instrument is, relative to where its path is now: zero unless a limit pushed it off.
+    // Where the instrument is, relative to where its path is now: zero unless a limit pushed it
+    // off.
     const ShaftState shaft = shaft_state(here.X_BF, self.tool_, goal.p_BRcm);
     const Vector3 axis = goal.s_B.cross(shaft.s);
     const double sine = axis.norm(), cosine = goal.s_B.dot(shaft.s);
-    off_swing_ = sine > 1e-15 ? Vector3(axis * (std::atan2(sine, cosine) / sine)) : Vector3(Vector3::Zero());
+    off_swing_ =
+        sine > 1e-15 ? Vector3(axis * (std::atan2(sine, cosine) / sine)) : Vector3(Vector3::Zero());
     off_depth_ = shaft.depth - goal.depth;
-    off_roll_ = wrapped(
-        absolute_roll(here.X_BF.linear(), home.R_BF, home.s_B, shaft.s) - goal.roll);
+    off_roll_ =
+        wrapped(absolute_roll(here.X_BF.linear(), home.R_BF, home.s_B, shaft.s) - goal.roll);
     const double off = off_swing_.norm() * std::max(std::abs(shaft.depth), kRollLever) +
                        std::abs(off_depth_) + std::abs(off_roll_) * kRollLever;
     const double T = self.T_;
@@ -233,14 +236,21 @@ class LimitedStep::ExactLaw {
   Affine affine() const {
     const double T = self_.T_;
     Affine a;
-    const JointVector posture = wish_.posture.size() == here_.q.size()
-                                    ? JointVector(T * wish_.posture)
-                                    : still_;
+    const JointVector posture =
+        wish_.posture.size() == here_.q.size() ? JointVector(T * wish_.posture) : still_;
     const JointStep rest = newton_step(here_.X_BF, here_.J, pose(0, keep_), posture);
-    const JointStep full = newton_step(here_.X_BF, here_.J, pose(T, keep_), posture);
-    a.regular = rest.conditioning > 0 && full.conditioning > 0;
+    const JointStep soon = newton_step(here_.X_BF, here_.J, pose(kTwistSpacing, keep_), posture);
+    a.tangent = (soon.dq - rest.dq) / kTwistSpacing;
+    // The secant over as much of the path as the arm's momentum suggests: a bent path makes the one
+    // over the whole cycle miss by more than the joints can brake.
+    const double squared = a.tangent.squaredNorm();
+    const double expected =
+        squared > 0 ? std::clamp(here_.qd_last.dot(a.tangent) / squared, kTwistSpacing / T, 1.0)
+                    : 1.0;
+    const JointStep full = newton_step(here_.X_BF, here_.J, pose(expected * T, keep_), posture);
+    a.regular = rest.conditioning > 0 && soon.conditioning > 0 && full.conditioning > 0;
     a.qd0 = rest.dq / T;
-    a.qd1 = (full.dq - rest.dq) / T;
+    a.qd1 = (full.dq - rest.dq) / (expected * T);
     a.returning = returning_ && a.regular;
     if (a.returning) {
       const JointStep stay = newton_step(here_.X_BF, here_.J, pose(0, 1.0), posture);
@@ -327,13 +337,13 @@ class LimitedStep::VelocityLaw {
     const InverseVelocity path = inverse_velocity(here_.J, wish_.forward, none);
     a.regular = rest.conditioning > 0 && path.conditioning > 0;
     a.qd0 = rest.qd;
-    a.qd1 = path.qd;
+    a.qd1 = a.tangent = path.qd;
     a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
     // Lateral velocity that the pivot needs; the rest of the feedback may wait.
     Vector6 pivot = Vector6::Zero();
-    const Vector3 v = wish_.feedback.head<3>() +
-                      Vector3(wish_.feedback.tail<3>())
-                          .cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
+    const Vector3 v =
+        wish_.feedback.head<3>() +
+        Vector3(wish_.feedback.tail<3>()).cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
     pivot.head<3>() = v - here_.shaft.s * here_.shaft.s.dot(v);
     const InverseVelocity needed = inverse_velocity(here_.J, pivot, posture);
     a.back = rest.qd - needed.qd;
@@ -347,9 +357,9 @@ class LimitedStep::VelocityLaw {
     RcmRows rows = rows_;
     const Vector3& s = here_.shaft.s;
     const Vector3 u = s.unitOrthogonal(), w = s.cross(u);
-    const Vector3 v = wish_.feedback.head<3>() +
-                      Vector3(wish_.feedback.tail<3>())
-                          .cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
+    const Vector3 v =
+        wish_.feedback.head<3>() +
+        Vector3(wish_.feedback.tail<3>()).cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
     rows.e = {u.dot(v), w.dot(v)};
     for (Eigen::Index i = 0; i < qd.size(); ++i) {
       rows.e[0] -= rows.J(0, i) * qd[i];
@@ -390,8 +400,10 @@ LimitedStep::Box LimitedStep::box(const JointVector& q, const JointVector& qd_la
     // Where both cannot be (a state from outside), acceleration wins: it brakes as it may.
     box.high[i] = std::clamp(high, slowest, fastest);
     box.low[i] = std::clamp(low, slowest, fastest);
-    box.high_by[i] = fastest <= high ? "joint_acceleration" : (up < v ? "joint_limit" : "joint_velocity");
-    box.low_by[i] = slowest >= low ? "joint_acceleration" : (down < v ? "joint_limit" : "joint_velocity");
+    box.high_by[i] =
+        fastest <= high ? "joint_acceleration" : (up < v ? "joint_limit" : "joint_velocity");
+    box.low_by[i] =
+        slowest >= low ? "joint_acceleration" : (down < v ? "joint_limit" : "joint_velocity");
   }
   return box;
 }
@@ -406,9 +418,9 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   const double horizon = law.horizon();
   Preview preview;
   std::array<JointVector, kNodes + 1> direction;  // d q / d clock
-  direction[0] = affine.qd1;
-  preview.t[0] = 0;
   const JointVector still = JointVector::Zero(n);
+  direction[0] = affine.tangent;
+  preview.t[0] = 0;
   SingularityMeasures last = barrier_.measures(here.X_BF, here.J);
   JointVector q = here.q;
   double spacing = kFirstSpacing, arc = kFirstArc;
@@ -477,7 +489,8 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
     const double dt = preview.t[i + 1] - preview.t[i];
     double most = 1;
     for (Eigen::Index j = 0; j < n; ++j) {
-      const double v = kPlanVelocity * limits_.velocity[j] / std::max(std::abs(direction[i][j]), 1e-9);
+      const double v =
+          kPlanVelocity * limits_.velocity[j] / std::max(std::abs(direction[i][j]), 1e-9);
       most = std::min(most, v * v);
     }
     std::array<Row, 2 * kMaxJoints + 4> rows;
@@ -620,8 +633,13 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
   step.tier = 1;
   step.alpha = affine.regular ? box.nearest(affine.qd0, affine.qd1, cap) : 0.0;
   step.limited_by = affine.regular ? "joint_acceleration" : "singularity";
-  JointVector wanted = affine.regular ? JointVector(affine.qd0 + step.alpha * affine.qd1)
-                                      : JointVector::Zero(here.q.size());
+  // All joints brake together, so that the tip stays near its tangent; from rest the path is tried
+  // again.
+  double stop = T_;
+  for (Eigen::Index i = 0; i < here.q.size(); ++i) {
+    stop = std::max(stop, std::abs(here.qd_last[i]) / limits_.acceleration[i]);
+  }
+  JointVector wanted = (1 - T_ / stop) * here.qd_last;
   for (int attempt = 0; attempt < 2; ++attempt) {
     JointVector qd = box.clamped(wanted);
     double left = INFINITY;
