@@ -304,8 +304,7 @@ class LimitedStep::ExactLaw {
 
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
   bool node(double t, const JointVector& guess, double arc, Node& node) const {
-    return self_.pose_node(guess, pose(t, 1.0),
-                           pose(t + kTwistSpacing, 1.0), arc, node);
+    return self_.pose_node(guess, pose(t, 1.0), pose(t + kTwistSpacing, 1.0), arc, node);
   }
 
  private:
@@ -386,7 +385,8 @@ class LimitedStep::VelocityLaw {
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
   bool node(double t, const JointVector& guess, double arc, Node& node) const {
     return self_.pose_node(guess, pose_on_pivot(home_, self_.tool_, wish_.path(t)),
-                           pose_on_pivot(home_, self_.tool_, wish_.path(t + kTwistSpacing)), arc, node);
+                           pose_on_pivot(home_, self_.tool_, wish_.path(t + kTwistSpacing)), arc,
+                           node);
   }
 
  private:
