@@ -31,6 +31,12 @@ constexpr double kFirstArc = 0.002;     // [rad]
 constexpr double kSmallestArc = 1e-5;   // [rad] a path that cannot be followed this far ends here
 constexpr double kTwistSpacing = 1e-4;  // [s] for the path's direction at a node
 
+// How an arm returns to its recorded trace, in joint space.
+constexpr double kRetraceReturn = 1.0;    // [rad/s^2]
+constexpr double kRetraceAtOnce = 1e-7;   // [rad] per cycle
+constexpr double kRetraceHorizon = 0.45;  // [s]
+constexpr double kTraceSpacing = 1e-3;    // [s] for the trace's direction
+
 double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
 
 double largest(const JointVector& v) { return v.size() > 0 ? v.cwiseAbs().maxCoeff() : 0.0; }
@@ -167,10 +173,17 @@ struct LimitedStep::Box {
 /// q_dot(alpha) to first order. 'back' is the part of the correction that may wait.
 struct LimitedStep::Affine {
   JointVector qd0, qd1;
+  JointVector tangent;  ///< d q / d clock at the beginning
   JointVector back;
   bool returning = false;  ///< 'back' is not zero
   bool moves = false;      ///< the path is not at rest
   bool regular = true;     ///< J could be inverted
+};
+
+/// A point of the path ahead.
+struct LimitedStep::Node {
+  JointVector q, direction;  ///< direction: d q / d clock
+  SingularityMeasures measures;
 };
 
 struct LimitedStep::Preview {
@@ -205,7 +218,7 @@ struct LimitedStep::Preview {
 /// The exact form: joints of a pose that is on the constraint by construction.
 class LimitedStep::ExactLaw {
  public:
-  static constexpr bool kExactRows = true;
+  static constexpr bool kBarrier = true;
 
   ExactLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish)
       : self_(self), here_(here), home_(home), wish_(wish) {
@@ -238,10 +251,18 @@ class LimitedStep::ExactLaw {
     const JointVector posture =
         wish_.posture.size() == here_.q.size() ? JointVector(T * wish_.posture) : still_;
     const JointStep rest = newton_step(here_.X_BF, here_.J, pose(0, keep_), posture);
-    const JointStep full = newton_step(here_.X_BF, here_.J, pose(T, keep_), posture);
-    a.regular = rest.conditioning > 0 && full.conditioning > 0;
+    const JointStep soon = newton_step(here_.X_BF, here_.J, pose(kTwistSpacing, keep_), posture);
+    a.tangent = (soon.dq - rest.dq) / kTwistSpacing;
+    // The secant over as much of the path as the arm's momentum suggests: a bent path makes the one
+    // over the whole cycle miss by more than the joints can brake.
+    const double squared = a.tangent.squaredNorm();
+    const double expected =
+        squared > 0 ? std::clamp(here_.qd_last.dot(a.tangent) / squared, kTwistSpacing / T, 1.0)
+                    : 1.0;
+    const JointStep full = newton_step(here_.X_BF, here_.J, pose(expected * T, keep_), posture);
+    a.regular = rest.conditioning > 0 && soon.conditioning > 0 && full.conditioning > 0;
     a.qd0 = rest.dq / T;
-    a.qd1 = (full.dq - rest.dq) / T;
+    a.qd1 = (full.dq - rest.dq) / (expected * T);
     a.returning = returning_ && a.regular;
     if (a.returning) {
       const JointStep stay = newton_step(here_.X_BF, here_.J, pose(0, 1.0), posture);
@@ -282,7 +303,9 @@ class LimitedStep::ExactLaw {
   }
 
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
-  Pose pose_at(double t) const { return pose(t, 1.0); }
+  bool node(double t, const JointVector& guess, double arc, Node& node) const {
+    return self_.pose_node(guess, pose(t, 1.0), pose(t + kTwistSpacing, 1.0), arc, node);
+  }
 
  private:
   Pose pose(double t, double keep) const {
@@ -314,7 +337,7 @@ class LimitedStep::ExactLaw {
 /// The velocity form: a twist, linear in alpha.
 class LimitedStep::VelocityLaw {
  public:
-  static constexpr bool kExactRows = false;
+  static constexpr bool kBarrier = true;
 
   VelocityLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish)
       : self_(self), here_(here), home_(home), wish_(wish), rows_(rcm_rows(here.J, here.shaft)) {}
@@ -328,7 +351,7 @@ class LimitedStep::VelocityLaw {
     const InverseVelocity path = inverse_velocity(here_.J, wish_.forward, none);
     a.regular = rest.conditioning > 0 && path.conditioning > 0;
     a.qd0 = rest.qd;
-    a.qd1 = path.qd;
+    a.qd1 = a.tangent = path.qd;
     a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
     // Lateral velocity that the pivot needs; the rest of the feedback may wait.
     Vector6 pivot = Vector6::Zero();
@@ -360,7 +383,11 @@ class LimitedStep::VelocityLaw {
   }
 
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
-  Pose pose_at(double t) const { return pose_on_pivot(home_, self_.tool_, wish_.path(t)); }
+  bool node(double t, const JointVector& guess, double arc, Node& node) const {
+    return self_.pose_node(guess, pose_on_pivot(home_, self_.tool_, wish_.path(t)),
+                           pose_on_pivot(home_, self_.tool_, wish_.path(t + kTwistSpacing)), arc,
+                           node);
+  }
 
  private:
   const LimitedStep& self_;
@@ -368,6 +395,84 @@ class LimitedStep::VelocityLaw {
   const Home& home_;
   const Wish& wish_;
   RcmRows rows_;
+};
+
+/// The recorded joint path backwards, put back on the pivot by its own rows alone: no inverse of J,
+/// so no singularity can stop it.
+class LimitedStep::RetraceLaw {
+ public:
+  static constexpr bool kBarrier = false;
+
+  RetraceLaw(const LimitedStep& self, const Here& here, const JointTrace& trace, double back,
+             double rate, const Vector3& p_BRcm)
+      : self_(self), here_(here), trace_(trace), back_(back), rate_(rate), p_BRcm_(p_BRcm) {
+    at_0_ = on_pivot(trace.at(back));
+    off_ = here.q - at_0_;
+    const double off = largest(off_);
+    if (off > 0) {
+      const double gentle =
+          std::min(kReturnGain * off, std::sqrt(2 * kRetraceReturn * off)) * self.T_;
+      keep_ = 1 - std::min(std::max(gentle, kRetraceAtOnce) / off, 1.0);
+    }
+  }
+
+  double horizon() const { return kRetraceHorizon; }
+
+  Affine affine() const {
+    const double T = self_.T_;
+    Affine a;
+    a.qd0 = (at_0_ + keep_ * off_ - here_.q) / T;
+    a.tangent = (on_pivot(trace_.at(back_ + rate_ * kTraceSpacing)) - at_0_) / kTraceSpacing;
+    a.qd1 = (on_pivot(trace_.at(back_ + rate_ * T)) - at_0_) / T;
+    a.back = (keep_ - 1) * off_ / T;
+    a.returning = true;
+    a.moves = back_ < trace_.length();
+    return a;
+  }
+
+  JointVector finish(double alpha, double beta, const JointVector&) const {
+    const double T = self_.T_;
+    const double keep = 1 - beta * (1 - keep_);
+    const JointVector on_trace = on_pivot(trace_.at(back_ + alpha * rate_ * T));
+    return (on_pivot(on_trace + keep * off_) - here_.q) / T;
+  }
+
+  RcmRows rows(const JointVector& qd) const {
+    Pose X;
+    Jacobian J;
+    self_.chain_.forward(here_.q + self_.T_ * qd, X, J);
+    RcmRows rows = rcm_rows(J, shaft_state(X, self_.tool_, p_BRcm_));
+    rows.e /= self_.T_;
+    return rows;
+  }
+
+  bool node(double t, const JointVector&, double, Node& node) const {
+    node.q = on_pivot(trace_.at(back_ + rate_ * t));
+    node.direction =
+        (on_pivot(trace_.at(back_ + rate_ * (t + kTraceSpacing))) - node.q) / kTraceSpacing;
+    return true;
+  }
+
+ private:
+  JointVector on_pivot(JointVector q) const {
+    for (int pass = 0; pass < 3; ++pass) {
+      Pose X;
+      Jacobian J;
+      self_.chain_.forward(q, X, J);
+      const ShaftState shaft = shaft_state(X, self_.tool_, p_BRcm_);
+      if (shaft.e.squaredNorm() < kOnPivot * kOnPivot) break;
+      q += rcm_correction(rcm_rows(J, shaft)).dq;
+    }
+    return q;
+  }
+
+  const LimitedStep& self_;
+  const Here& here_;
+  const JointTrace& trace_;
+  double back_, rate_;
+  Vector3 p_BRcm_;
+  JointVector at_0_, off_;
+  double keep_ = 0;
 };
 
 // --- the step ---------------------------------------------------------------------------------
@@ -399,6 +504,45 @@ LimitedStep::Box LimitedStep::box(const JointVector& q, const JointVector& qd_la
   return box;
 }
 
+/// Whether a node of the preview may follow one with the measures 'from': neither through a
+/// singularity nor, on the way there, closer than the barrier allows.
+bool LimitedStep::passes(const SingularityMeasures& from, const SingularityMeasures& to) const {
+  for (int i = 0; i < std::min(from.n, to.n); ++i) {
+    const double before = std::abs(from.phi[i]), after = std::abs(to.phi[i]);
+    if (to.phi[i] * from.phi[i] <= 0) return false;
+    if (after < barrier_.phi_min() && after < before) return false;
+  }
+  return true;
+}
+
+/// Within the position limits, or not further beyond one than 'from'.
+bool LimitedStep::inside_positions(const JointVector& q, const JointVector& from) const {
+  for (Eigen::Index i = 0; i < q.size(); ++i) {
+    if (q[i] > std::max(limits_.position_max[i], from[i])) return false;
+    if (q[i] < std::min(limits_.position_min[i], from[i])) return false;
+  }
+  return true;
+}
+
+/// Newton's method from 'guess', one step, to the pose of a path: joints, and their direction from
+/// a second pose a little later. A step as long as the arc itself has left the path or is at its
+/// end.
+bool LimitedStep::pose_node(const JointVector& guess, const Pose& pose, const Pose& later,
+                            double arc, Node& node) const {
+  const JointVector still = JointVector::Zero(guess.size());
+  Pose X;
+  Jacobian J;
+  chain_.forward(guess, X, J);
+  const JointStep rest = newton_step(X, J, pose, still);
+  const JointStep next = newton_step(X, J, later, still);
+  if (!(rest.conditioning > 0 && next.conditioning > 0)) return false;
+  if (largest(rest.dq) > 0.35 * arc + 2e-3) return false;
+  node.q = guess + rest.dq;
+  node.direction = (next.dq - rest.dq) / kTwistSpacing;
+  node.measures = barrier_.measures(X, J);
+  return true;
+}
+
 /// Nodes ahead on the path, spaced wider the farther away, in clock and in joint space, and from
 /// the last one backwards the clock's largest speed from which the joints can still brake to
 /// standstill at the end: a plan to stop exists in every cycle.
@@ -409,10 +553,10 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   const double horizon = law.horizon();
   Preview preview;
   std::array<JointVector, kNodes + 1> direction;  // d q / d clock
-  direction[0] = affine.qd1;
+  direction[0] = affine.tangent;
   preview.t[0] = 0;
-  const JointVector still = JointVector::Zero(n);
-  SingularityMeasures last = barrier_.measures(here.X_BF, here.J);
+  SingularityMeasures last;
+  if (Law::kBarrier) last = barrier_.measures(here.X_BF, here.J);
   JointVector q = here.q;
   double spacing = kFirstSpacing, arc = kFirstArc;
   int evaluations = 0;
@@ -426,43 +570,21 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
       if (speed * dt < kSmallestArc && dt < 1e-4) break;
       ++evaluations;
       const double t = preview.t[k] + dt;
-      const JointVector guess = q + dt * direction[k];
-      Pose X;
-      Jacobian J;
-      chain_.forward(guess, X, J);
-      const JointStep rest = newton_step(X, J, law.pose_at(t), still);
-      const JointStep next = newton_step(X, J, law.pose_at(t + kTwistSpacing), still);
-      if (!(rest.conditioning > 0 && next.conditioning > 0)) continue;
-      // A Newton step as long as the arc itself has left the path, or is at its end.
-      if (largest(rest.dq) > 0.35 * speed * dt + 2e-3) continue;
-      const SingularityMeasures now = barrier_.measures(X, J);
-      bool regular = true;
-      for (int i = 0; i < now.n; ++i) {
-        const double before = std::abs(last.phi[i]), after = std::abs(now.phi[i]);
-        if (now.phi[i] * last.phi[i] <= 0) regular = false;
-        if (after < barrier_.phi_min() && after < before) regular = false;
-      }
-      if (!regular) {
+      Node node;
+      if (!law.node(t, q + dt * direction[k], speed * dt, node)) continue;
+      if (!passes(last, node.measures)) {
         preview.by = "singularity";
         continue;
       }
-      const JointVector q_next = guess + rest.dq;
-      bool inside = true;
-      for (Eigen::Index i = 0; i < n; ++i) {
-        if ((q_next[i] > limits_.position_max[i] && q_next[i] > here.q[i]) ||
-            (q_next[i] < limits_.position_min[i] && q_next[i] < here.q[i])) {
-          inside = false;
-        }
-      }
-      if (!inside) {
+      if (!inside_positions(node.q, here.q)) {
         preview.by = "joint_limit";
         continue;
       }
       ++k;
       preview.t[k] = t;
-      direction[k] = (next.dq - rest.dq) / kTwistSpacing;
-      q = q_next;
-      last = now;
+      direction[k] = node.direction;
+      q = node.q;
+      last = node.measures;
       spacing = std::min(spacing, 2 * dt) * kSpacingGrowth;
       arc *= kSpacingGrowth;
       reached = true;
@@ -517,7 +639,8 @@ double LimitedStep::caps(const Law& law, const Here& here, const Affine& affine,
   const double flange = forward.head<3>().norm();
   if (flange > limits_.flange_velocity) limit(limits_.flange_velocity / flange, "flange_velocity");
   // Singularity barrier: rate of each measure along the path, from a small step of it.
-  const SingularityMeasures now = barrier_.measures(here.X_BF, here.J);
+  SingularityMeasures now;
+  if (Law::kBarrier) now = barrier_.measures(here.X_BF, here.J);
   double closest = 1;
   for (int i = 0; i < now.n; ++i) closest = std::min(closest, std::abs(now.phi[i]));
   if (closest < 0.3) {
@@ -624,8 +747,13 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
   step.tier = 1;
   step.alpha = affine.regular ? box.nearest(affine.qd0, affine.qd1, cap) : 0.0;
   step.limited_by = affine.regular ? "joint_acceleration" : "singularity";
-  JointVector wanted = affine.regular ? JointVector(affine.qd0 + step.alpha * affine.qd1)
-                                      : JointVector::Zero(here.q.size());
+  // All joints brake together, so that the tip stays near its tangent; from rest the path is tried
+  // again.
+  double stop = T_;
+  for (Eigen::Index i = 0; i < here.q.size(); ++i) {
+    stop = std::max(stop, std::abs(here.qd_last[i]) / limits_.acceleration[i]);
+  }
+  JointVector wanted = (1 - T_ / stop) * here.qd_last;
   for (int attempt = 0; attempt < 2; ++attempt) {
     JointVector qd = box.clamped(wanted);
     double left = INFINITY;
@@ -671,6 +799,16 @@ Step LimitedStep::velocity(const JointVector& q, const JointVector& qd_last, con
   chain_.forward(q, here.X_BF, here.J);
   here.shaft = shaft_state(here.X_BF, tool_, p_BRcm);
   const VelocityLaw law(*this, here, home, wish);
+  return run(law, here, box(q, qd_last));
+}
+
+Step LimitedStep::retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,
+                          double back, double rate, const Vector3& p_BRcm) const {
+  Here here;
+  here.q = q;
+  here.qd_last = qd_last;
+  chain_.forward(q, here.X_BF, here.J);
+  const RetraceLaw law(*this, here, trace, back, rate, p_BRcm);
   return run(law, here, box(q, qd_last));
 }
 
