@@ -112,7 +112,7 @@ Options read_options(const ros::NodeHandle& private_node) {
   options.participants = read_names(private_node, "participants");
   options.law = read_choice(private_node, "law", {"ours", "paper"}, "ours") == "paper"
                     ? surg::Law::kPaper
-                    : surg::Law::kOurs;
+                    : surg::Law::kVelocity;
   options.link = read_choice(private_node, "link", {"joint", "twist"}, "");
   options.feedback_gain = read_gain(private_node);
   options.realtime = read_flag(private_node, "realtime");

@@ -30,7 +30,7 @@ double jitter_from_environment() {
 
 const char* name_of(surg::Law law) {
   switch (law) {
-    case surg::Law::kOurs:
+    case surg::Law::kVelocity:
       return "ours";
     case surg::Law::kPaper:
       return "paper";

@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "surg_core/arm_state.hpp"
+#include "surg_core/exact_follower.hpp"
 #include "surg_core/gate.hpp"
 #include "surg_core/image.hpp"
 #include "surg_core/jaw.hpp"
@@ -21,9 +22,12 @@ constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more
 constexpr double kStandstill = 0.05;      // alpha below it: the limit has stopped the arm
 constexpr double kOutside = 0.15;         // [m] a tip may be above its trocar before 'insert'
 constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
-constexpr double kHorizon = 0.45;         // [s] of the set-point's clock that is looked ahead
-constexpr double kHuge = 1e6;             // [m, rad] no command or trocar is ever so large
-constexpr int kHomeBusyCycles = 5;        // is_busy needs an edge that a client can see
+constexpr double kReserve = 0.8;          // of the joint accelerations for the reference's motion
+constexpr double kFlangeReserve = 0.99;   // of its speed: the step looks at it to first order
+constexpr double kOntoPivot = 8;    // [1/s] pole with which a start off the pivot comes onto it
+constexpr double kHorizon = 0.45;   // [s] of the set-point's clock that is looked ahead
+constexpr double kHuge = 1e6;       // [m, rad] no command or trocar is ever so large
+constexpr int kHomeBusyCycles = 5;  // is_busy needs an edge that a client can see
 
 /// F01: 1e308 is finite and still poison (its square is not). Written so that NaN is refused.
 template <typename Derived>
@@ -36,10 +40,29 @@ bool finite(const MotionCommand& command) {
          std::abs(command.roll_rate) < kHuge && std::abs(command.jaw) < kHuge;
 }
 
-/// Look-ahead belongs to the feedback: open loops do without.
-double look_ahead(const RobotConfig& robot, const Controller::Options& options) {
+/// Knowing the link's lag belongs to the feedback: open loops do without.
+double lag_for(const RobotConfig& robot, const Controller::Options& options) {
   const bool open = options.law == Law::kPaper || options.feedback_gain == 0;
   return open ? 0.0 : robot.tuning.link_lag;
+}
+
+/// What the step may ask of the joints. The virtual reference leaves the follower a reserve.
+JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law) {
+  JointLimits out = joint_limits(robot, limits);
+  if (law == Law::kExact) out.acceleration *= kReserve;
+  out.flange_velocity *= kFlangeReserve;
+  return out;
+}
+
+ExactFollower::Options follower_options(const RobotConfig& robot, double gain, double lag,
+                                        double T) {
+  ExactFollower::Options out;
+  out.lag = lag;
+  out.gain = gain;
+  out.T = T;
+  out.velocity = robot.velocity;
+  out.acceleration = robot.acceleration;
+  return out;
 }
 
 }  // namespace
@@ -68,6 +91,7 @@ struct Controller::Impl {
   Jaw jaw;
   ForceGuard force;
   LimitedStep limited;
+  ExactFollower follower;
 
   Pose X_BR = Pose::Identity();
   bool sensed = false;    // a finite, fresh joint state has been seen in the last step
@@ -76,6 +100,8 @@ struct Controller::Impl {
   bool halted = false;  // zero at once and until the arm starts anew
   int home_busy = 0;
   JointVector qd_last;
+  // The reference starts where the arm is, off the pivot by its error, and comes onto it smoothly.
+  Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
 
   Impl(const Chain& chain, const RobotConfig& robot_in, const Limits& limits_in,
@@ -88,11 +114,15 @@ struct Controller::Impl {
         gains{options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain,
               robot_in.tuning.tip_gain, robot_in.tuning.roll_gain},
         authority(options.dt),
-        arm(chain, {tool.s_F, tool.p_FTip}, look_ahead(robot_in, options), options.dt),
+        arm(chain, {tool.s_F, tool.p_FTip},
+            options.law == Law::kExact ? 0.0 : lag_for(robot_in, options), options.dt),
         pilot(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
         jaw(instrument, options.dt),
         force(limits_in),
-        limited(chain, {tool.s_F, tool.p_FTip}, joint_limits(robot_in, limits_in), options.dt),
+        limited(chain, {tool.s_F, tool.p_FTip}, step_limits(robot_in, limits_in, options.law),
+                options.dt),
+        follower(chain.dof(),
+                 follower_options(robot_in, gains.rcm, lag_for(robot_in, options), options.dt)),
         qd_last(JointVector::Zero(chain.dof())) {
     out.qd_command = qd_last;
   }
@@ -142,6 +172,9 @@ struct Controller::Impl {
   void start_here() {
     pilot.start(whereabouts());
     halted = false;
+    follower.reset(arm.now().q);
+    pivot_offset = -shaft().e;
+    pivot_offset_rate.setZero();
     force.restart();
     inserted = shaft().depth >= limits.depth_min;
   }
@@ -287,36 +320,74 @@ struct Controller::Impl {
   TwistWish wish_for(const Setpoint& next) const {
     const Setpoint& setpoint = pilot.setpoint();
     if (law == Law::kPaper) return paper_wish(arm, setpoint, next, X_BR, limits, T);
-    const bool resting = !enabled() && setpoint.mode() == Setpoint::Mode::kRest;
-    if (resting) return {};
-    return setpoint.axial()
-               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, T)
-               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, limits, T);
+    return setpoint.axial() ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, T)
+                            : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains,
+                                            force.push(), limits, T);
   }
 
-  /// Where the set-point leads, for the look ahead at what the joints cannot do.
+  /// Where the set-point leads in t [s] of its own clock; the trocar is where it will be after this
+  /// cycle.
   ShaftGoal goal_at(double t) const {
-    const Setpoint there = pilot.setpoint().foreseen(t);
+    Setpoint there = pilot.setpoint();
+    there.advance(std::min(t, T));
+    if (t > T) there = there.foreseen(t - T);
+    const Vector3 p_BRcm = trocar.p_B() + T * trocar.v_B() + pivot_offset;
     const Vector3 p_B = X_BR * there.p_RTip();
-    if (!there.axial()) return tip_goal(trocar.p_B(), p_B, there.roll(), arm.ahead().shaft.s);
+    if (!there.axial()) return tip_goal(p_BRcm, p_B, there.roll(), shaft().s);
     const Vector3 s_B = X_BR.linear() * there.s_R();
-    return {trocar.p_B(), s_B, s_B.dot(p_B - trocar.p_B()), there.roll()};
+    return {p_BRcm, s_B, s_B.dot(p_B - p_BRcm), there.roll()};
   }
 
-  Step limited_step(const Setpoint& next) const {
+  JointVector posture_at(const JointVector& q) const {
+    return robot.tuning.posture_gain * (robot.home - q);
+  }
+
+  /// Exact form: the reference's next step, and what makes the link follow it.
+  Step exact_step(JointVector& qd) {
+    // Critically damped: no jump in velocity at the start.
+    const Vector3 pull = -kOntoPivot * (kOntoPivot * pivot_offset + 2 * pivot_offset_rate);
+    pivot_offset_rate += T * pull;
+    pivot_offset += T * pivot_offset_rate;
+    const auto path = [this](double t) { return goal_at(t); };
+    Wish wish;
+    wish.path = PathView(path);
+    wish.horizon = kHorizon;
+    wish.posture = posture_at(follower.reference());
+    const Home home{arm.s_home(), arm.R_home()};
+    const Step step = limited.exact(follower.reference(), follower.velocity(), home, wish);
+    qd = follower.advance(T * step.qd, arm.now().q);
+    return step;
+  }
+
+  /// Velocity form and the paper's law: from the measured state, where the command will find it.
+  Step velocity_step(const Setpoint& next, JointVector& qd) const {
     const TwistWish wished = wish_for(next);
     const auto path = [this](double t) { return goal_at(t); };
     Wish wish;
     wish.feedback = wished.feedback;
     wish.forward = wished.path;
-    const bool idle = wished.feedback.isZero(0) && wished.path.isZero(0);
-    if (!idle) wish.posture = robot.tuning.posture_gain * (robot.home - arm.now().q);
-    if (law != Law::kPaper) {
+    wish.posture = posture_at(arm.now().q);
+    if (law == Law::kVelocity) {
       wish.path = PathView(path);
       wish.horizon = kHorizon;
     }
     const Home home{arm.s_home(), arm.R_home()};
-    return limited.velocity(arm.ahead().q, qd_last, home, trocar.p_B(), wish);
+    const Step step = limited.velocity(arm.ahead().q, qd_last, home, trocar.p_B(), wish);
+    qd = step.qd;
+    return step;
+  }
+
+  /// A stop goes on from where the tip will be: of the reference, or of the arm.
+  void slip(const JointVector& qd) {
+    Pose X_BF;
+    Jacobian J;
+    arm.chain().forward(
+        law == Law::kExact ? follower.reference() : JointVector(arm.ahead().q + T * qd), X_BF, J);
+    const Vector3 p_BTip = X_BF * arm.tool().p_FTip;
+    const Vector6 twist = J * qd;
+    const Vector3 v_BTip =
+        twist.head<3>() + Vector3(twist.tail<3>()).cross(Vector3(p_BTip - X_BF.translation()));
+    pilot.setpoint().slip(X_BR.inverse() * p_BTip, X_BR.linear().transpose() * v_BTip);
   }
 
   void move() {
@@ -332,11 +403,11 @@ struct Controller::Impl {
     if (!sensed || !trocar.taught() || !operating.homed()) {
       // Geometry unknown: a ramp through the law would be blind (F02, F10).
       if (setpoint.mode() != Setpoint::Mode::kRest) freeze();
-    } else if (!halted) {
+    } else if (!halted && (enabled() || setpoint.mode() != Setpoint::Mode::kRest)) {
+      setpoint.yield_to(X_BR.linear().transpose() * force.push());
       Setpoint next = setpoint;
       next.advance(T);
-      const Step step = limited_step(next);
-      qd = step.qd;
+      const Step step = law == Law::kExact ? exact_step(qd) : velocity_step(next, qd);
       twist = arm.ahead().J * qd;
       out.scale = step.alpha;
       out.limited_by = step.limited_by;
@@ -344,7 +415,10 @@ struct Controller::Impl {
       if (step.held && enabled()) out.reason = Reason::kUnreachable;
       // The profile clock runs as fast as the arm may follow.
       const Vector3 p_before = setpoint.p_RTip();
-      if (step.alpha < kStandstill) {
+      if (step.tier > 0 && setpoint.mode() == Setpoint::Mode::kStopping) {
+        setpoint = next;
+        slip(step.qd);
+      } else if (step.alpha < kStandstill) {
         setpoint.stand();
       } else if (step.alpha < 1) {
         setpoint.advance(step.alpha * T);
@@ -424,7 +498,9 @@ struct Controller::Impl {
   void remembered(Image& image) {
     image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
-    image(X_BR, sensed, inserted, tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
+    follower.remembered(image);
+    image(pivot_offset, pivot_offset_rate, X_BR, sensed, inserted, tool_lost, halted, home_busy,
+          qd_last, out.accepted, out.refused);
   }
 };
 

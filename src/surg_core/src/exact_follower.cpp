@@ -1,6 +1,7 @@
 #include "surg_core/exact_follower.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace surg {
 namespace {
@@ -18,7 +19,7 @@ ExactFollower::ExactFollower(int joints, const Options& options)
 void ExactFollower::reset(const JointVector& q) {
   q_ref_ = q;
   v_last_.setZero(q.size());
-  correction_.setZero(q.size());
+  qd_last_.setZero(q.size());
   phi_.setZero(q.size());
 }
 
@@ -27,24 +28,33 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q) 
   for (Eigen::Index i = 0; i < q_ref_.size(); ++i) {
     const double a = (v[i] - v_last_[i]) / options_.T;
     const double error = q_ref_[i] - q[i];
-    const double wanted = lag_[i] * a + options_.gain * error;
-    correction_[i] = bounded(i, wanted);
+    const double pull = feedback(i, error);
+    const double wanted = v[i] + lag_[i] * a + pull;
+    qd_last_[i] = bounded(i, wanted);
     phi_[i] += options_.T * (a - options_.gain * phi_[i]);
-    // An error that the bounds have left says nothing about the lag.
-    if (correction_[i] == wanted) learn(i, error);
+    // An error that the limits have left says nothing about the lag.
+    if (qd_last_[i] == wanted && pull == options_.gain * error) learn(i, error);
   }
   q_ref_ += dq;
   v_last_ = v;
-  return v + correction_;
+  return qd_last_;
+}
+
+double ExactFollower::feedback(Eigen::Index i, double error) const {
+  const double linear = options_.gain * error;
+  if (options_.acceleration.size() <= i || options_.gain <= 0) return linear;
+  const double a = 0.5 * options_.acceleration[i], bend = a / (options_.gain * options_.gain);
+  if (!(std::abs(error) > bend)) return linear;
+  return std::copysign(std::sqrt(a * (2 * std::abs(error) - bend)), error);  // same slope there
 }
 
 double ExactFollower::bounded(Eigen::Index i, double wanted) const {
-  if (options_.acceleration.size() > i) {
-    const double slope = options_.acceleration[i] * options_.T;
-    wanted = std::clamp(wanted, correction_[i] - slope, correction_[i] + slope);
-  }
   if (options_.velocity.size() > i) {
     wanted = std::clamp(wanted, -options_.velocity[i], options_.velocity[i]);
+  }
+  if (options_.acceleration.size() > i) {
+    const double change = options_.acceleration[i] * options_.T * (1 - 1e-9);  // for rounding
+    wanted = std::clamp(wanted, qd_last_[i] - change, qd_last_[i] + change);
   }
   return wanted;
 }

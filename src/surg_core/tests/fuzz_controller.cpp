@@ -189,7 +189,7 @@ class Run {
     Controller::Options options;
     options.dt = kT;
     const int law = dice_.integer(0, 9);
-    options.law = law == 0 ? Law::kPaper : law < 4 ? Law::kExact : Law::kOurs;
+    options.law = law == 0 ? Law::kPaper : law < 4 ? Law::kExact : Law::kVelocity;
     options.track_rcm = dice_.one_in(4);
     return options;
   }

@@ -31,7 +31,6 @@ constexpr double kLinkLag = 0.012;  // [s] what the law is told: 10 ms in the mi
 constexpr double kTipGain = 10;     // [1/s], as shipped
 constexpr double kRollGain = 10;    // [1/s]
 constexpr double kPosture = 1;      // [1/s]
-constexpr double kShare = 0.2;      // of the joints' limits, for the follower's correction
 
 /// The time along the path at t: starts from rest, at full pace after two seconds.
 double paced(double t, double pace) {
@@ -107,8 +106,8 @@ Maker paper() {
 Maker exact_follower(double lag, double gain, double learning) {
   return [=](const Scene& scene, const Path& path) -> Command {
     const NextPose next(scene.chain);
-    ExactFollower follower(scene.chain.dof(), {lag, gain, learning, kT, kShare * scene.velocity,
-                                               kShare * scene.acceleration});
+    ExactFollower follower(scene.chain.dof(), {lag, gain, learning, kT, scene.velocity,
+                                               scene.acceleration});
     follower.reset(scene.q_home);
     return [=, &scene](const JointVector& q, double t) mutable -> JointVector {
       const Pose X_goal = pose_on_pivot(scene.home, scene.tool, path(t + kT));

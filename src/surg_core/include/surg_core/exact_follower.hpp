@@ -20,8 +20,9 @@ namespace surg {
 /// and a normalised gradient step on it, bounded at any amplitude, moves the lag. It stays between
 /// 0 and three times the stated one, and stands still where nothing accelerates.
 ///
-/// What is added to v, the correction, may be bounded in size and slope: a reference that keeps to
-/// the rest of each joint's velocity and acceleration then makes a command that keeps to all of it.
+/// The feedback is gain e, and for a large e the speed from which the joint can still brake to the
+/// reference at half its acceleration limit. The command keeps the joint's limits whatever happens;
+/// what that costs is the feedback's to bring back.
 class ExactFollower {
  public:
   struct Options {
@@ -29,7 +30,7 @@ class ExactFollower {
     double gain = 50;     ///< [1/s] feedback; stable up to about 1 / lag
     double learning = 2;  ///< [1/s] of the lags; 0: they stay as stated
     double T = 0.002;     ///< [s] control period
-    /// Bounds of the correction per joint [rad/s, rad/s^2]; empty: none.
+    /// Limits of the command per joint [rad/s, rad/s^2]; empty: none.
     JointVector velocity = {}, acceleration = {};
   };
   ExactFollower(int joints, const Options& options);
@@ -41,18 +42,26 @@ class ExactFollower {
   /// Moves the reference on by dq (the law's step, limits applied) and returns the command for the
   /// link [rad/s], 'q' being measured before the step.
   JointVector advance(const JointVector& dq, const JointVector& q);
+  /// Velocity of the reference in the last period [rad/s].
+  const JointVector& velocity() const { return v_last_; }
+  /// Everything that a step reads, for an image of the controller (image.hpp).
+  template <typename Image>
+  void remembered(Image& image) {
+    image(q_ref_, v_last_, qd_last_, lag_, phi_);
+  }
   /// How far the arm is from the reference [rad], the largest joint.
   double behind(const JointVector& q) const;
   /// Each joint's lag as learnt so far [s].
   const JointVector& lag() const { return lag_; }
 
  private:
-  /// Joint i's correction as near to 'wanted' as its bounds let it be.
+  double feedback(Eigen::Index i, double error) const;
+  /// Joint i's command as near to 'wanted' as its limits let it be.
   double bounded(Eigen::Index i, double wanted) const;
   void learn(Eigen::Index i, double error);
 
   Options options_;
-  JointVector q_ref_, v_last_, correction_, lag_, phi_;
+  JointVector q_ref_, v_last_, qd_last_, lag_, phi_;
 };
 
 }  // namespace surg

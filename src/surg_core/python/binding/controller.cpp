@@ -160,7 +160,7 @@ void bind_controller(py::module_& m) {
   bind_outputs(m);
   m.attr("MAX_COMMANDS") = kMaxCommands;
 
-  py::enum_<Law>(m, "Law").value("OURS", Law::kOurs).value("PAPER", Law::kPaper);
+  py::enum_<Law>(m, "Law").value("OURS", Law::kVelocity).value("PAPER", Law::kPaper);
 
   // The joint count stands beside the controller, so that every array can be checked against it.
   struct Owned {
@@ -178,7 +178,7 @@ void bind_controller(py::module_& m) {
                           {}};
            }),
            py::arg("chain"), py::arg("robot"), py::arg("limits"), py::arg("instrument"),
-           py::arg("tool"), py::arg("law") = Law::kOurs, py::arg("dt") = 0.002,
+           py::arg("tool"), py::arg("law") = Law::kVelocity, py::arg("dt") = 0.002,
            py::arg("feedback_gain") = -1.0,
            "dt [s]; feedback_gain [1/s] overrides tuning.rcm_gain when >= 0 (simulator only).")
       .def(
