@@ -1,12 +1,23 @@
 #include "surg_core/exact_follower.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace surg {
 namespace {
 
 constexpr double kMostLag = 3;       // learnt lag over stated lag
 constexpr double kQuietPhi = 0.003;  // [rad/s] below it an error says little about the lag
+
+/// The largest factor up to 1 that keeps every joint inside its bound; empty bounds: 1.
+double share(const JointVector& values, const JointVector& bounds) {
+  double factor = 1;
+  for (Eigen::Index i = 0; i < bounds.size(); ++i) {
+    const double size = std::abs(values[i]);
+    if (size > bounds[i]) factor = std::min(factor, bounds[i] / size);
+  }
+  return factor;
+}
 
 }  // namespace
 
@@ -24,36 +35,31 @@ void ExactFollower::reset(const JointVector& q) {
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q) {
   const JointVector v = dq / options_.T;
-  for (Eigen::Index i = 0; i < q_ref_.size(); ++i) {
-    const double a = (v[i] - v_last_[i]) / options_.T;
-    const double error = q_ref_[i] - q[i];
-    const double wanted = lag_[i] * a + options_.gain * error;
-    correction_[i] = bounded(i, wanted);
-    phi_[i] += options_.T * (a - options_.gain * phi_[i]);
-    // An error that the bounds have left says nothing about the lag.
-    if (correction_[i] == wanted) learn(i, error);
-  }
+  const JointVector a = (v - v_last_) / options_.T;
+  const JointVector error = q_ref_ - q;
+  JointVector wanted = lag_.cwiseProduct(a) + options_.gain * error;
+  // One factor for all joints, as everywhere: bounds that clip joint by joint move the pivot by
+  // ten times as much.
+  const double size = share(wanted, options_.velocity);
+  wanted *= size;
+  const JointVector change = wanted - correction_;
+  const double slope = share(change, options_.T * options_.acceleration);
+  correction_ += slope * change;
+  phi_ += options_.T * (a - options_.gain * phi_);
+  // An error that the bounds have left says nothing about the lags.
+  if (size == 1 && slope == 1) learn(error);
   q_ref_ += dq;
   v_last_ = v;
   return v + correction_;
 }
 
-double ExactFollower::bounded(Eigen::Index i, double wanted) const {
-  if (options_.acceleration.size() > i) {
-    const double slope = options_.acceleration[i] * options_.T;
-    wanted = std::clamp(wanted, correction_[i] - slope, correction_[i] + slope);
+void ExactFollower::learn(const JointVector& error) {
+  for (Eigen::Index i = 0; i < lag_.size(); ++i) {
+    const double step = error[i] * phi_[i] / (phi_[i] * phi_[i] + kQuietPhi * kQuietPhi);
+    // Written so that what is not finite leaves the lag as it was.
+    const double moved = lag_[i] + options_.learning * options_.T * step;
+    if (moved > 0 && moved < kMostLag * options_.lag) lag_[i] = moved;
   }
-  if (options_.velocity.size() > i) {
-    wanted = std::clamp(wanted, -options_.velocity[i], options_.velocity[i]);
-  }
-  return wanted;
-}
-
-void ExactFollower::learn(Eigen::Index i, double error) {
-  const double step = error * phi_[i] / (phi_[i] * phi_[i] + kQuietPhi * kQuietPhi);
-  // Written so that what is not finite leaves the lag as it was.
-  const double moved = lag_[i] + options_.learning * options_.T * step;
-  if (moved > 0 && moved < kMostLag * options_.lag) lag_[i] = moved;
 }
 
 double ExactFollower::behind(const JointVector& q) const {

@@ -1,6 +1,7 @@
 // The follower on one joint at a time: what it learns, what it bears, what it leaves alone.
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "lagging_arm.hpp"
 #include "support.hpp"
@@ -91,6 +92,34 @@ TEST(ExactFollower, KeepsLearntLagsBoundedAndAtRest) {
   const JointVector away = JointVector::Constant(6, 0.01);
   for (int i = 0; i < 1000; ++i) follower.advance(JointVector::Zero(6), away);
   EXPECT_EQ(follower.lag(), learnt);
+}
+
+TEST(ExactFollower, AnErrorThatTheBoundsLeaveTeachesNothing) {
+  // A correction that may hardly move cannot take an error away, whatever the lag.
+  const JointVector little = JointVector::Constant(6, 1e-6), any = JointVector::Constant(6, 1.0);
+  for (const auto& [velocity, acceleration] : {std::pair{any, little}, {little, any}}) {
+    ExactFollower follower(6, {0.012, 50, 2, kT, velocity, acceleration});
+    follower.reset(JointVector::Zero(6));
+    for (int i = 0; i < 1000; ++i) {
+      const JointVector dq = swing((i + 1) * kT, 0.2) - swing(i * kT, 0.2);
+      follower.advance(dq, 0.9 * follower.reference());
+    }
+    EXPECT_LT((follower.lag() - JointVector::Constant(6, 0.012)).cwiseAbs().maxCoeff(), 1e-6);
+  }
+}
+
+TEST(ExactFollower, OneStuckJointDoesNotHoldTheOthersBack) {
+  const JointVector velocity = JointVector::Constant(6, 0.5);
+  const JointVector acceleration = JointVector::Constant(6, 3);
+  ExactFollower follower(6, {0.012, 50, 2, kT, velocity, acceleration});
+  JointVector q = JointVector::Zero(6);
+  q[1] = 0.001;
+  follower.reset(JointVector::Zero(6));
+  for (int i = 0; i < 3000; ++i) {
+    q[0] = 0.05;  // a joint that does not move
+    q += kT * follower.advance(JointVector::Zero(6), q);
+  }
+  EXPECT_LT(std::abs(q[1]), 1e-5);
 }
 
 TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
