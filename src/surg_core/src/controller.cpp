@@ -22,8 +22,7 @@ constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more
 constexpr double kStandstill = 0.05;      // alpha below it: the limit has stopped the arm
 constexpr double kOutside = 0.15;         // [m] a tip may be above its trocar before 'insert'
 constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
-constexpr double kReserve = 0.8;          // of the joint accelerations for the reference's motion
-constexpr double kFlangeReserve = 0.99;   // of its speed: the step looks at it to first order
+constexpr double kFlangeReserve = 0.97;   // of its speed: it is looked at to first order, not ahead
 constexpr double kOntoPivot = 8;    // [1/s] pole with which a start off the pivot comes onto it
 constexpr double kHorizon = 0.45;   // [s] of the set-point's clock that is looked ahead
 constexpr double kHuge = 1e6;       // [m, rad] no command or trocar is ever so large
@@ -49,7 +48,10 @@ double lag_for(const RobotConfig& robot, const Controller::Options& options) {
 /// What the step may ask of the joints. The virtual reference leaves the follower a reserve.
 JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law) {
   JointLimits out = joint_limits(robot, limits);
-  if (law == Law::kExact) out.acceleration *= kReserve;
+  if (law == Law::kExact) {
+    out.velocity *= ExactFollower::kReferenceVelocity;
+    out.acceleration *= ExactFollower::kReferenceAcceleration;
+  }
   out.flange_velocity *= kFlangeReserve;
   return out;
 }

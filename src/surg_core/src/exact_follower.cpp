@@ -20,23 +20,29 @@ void ExactFollower::reset(const JointVector& q) {
   q_ref_ = q;
   v_last_.setZero(q.size());
   qd_last_.setZero(q.size());
+  correction_.setZero(q.size());
   phi_.setZero(q.size());
 }
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q) {
   const JointVector v = dq / options_.T;
-  for (Eigen::Index i = 0; i < q_ref_.size(); ++i) {
-    const double a = (v[i] - v_last_[i]) / options_.T;
-    const double error = q_ref_[i] - q[i];
-    const double pull = feedback(i, error);
-    const double wanted = v[i] + lag_[i] * a + pull;
-    qd_last_[i] = bounded(i, wanted);
-    phi_[i] += options_.T * (a - options_.gain * phi_[i]);
-    // An error that the limits have left says nothing about the lag.
-    if (qd_last_[i] == wanted && pull == options_.gain * error) learn(i, error);
+  const JointVector a = (v - v_last_) / options_.T;
+  const JointVector error = q_ref_ - q;
+  JointVector change(q.size());
+  bool linear = true;
+  for (Eigen::Index i = 0; i < q.size(); ++i) {
+    const double pull = feedback(i, error[i]);
+    linear = linear && pull == options_.gain * error[i];
+    change[i] = lag_[i] * a[i] + pull - correction_[i];
   }
+  const double share = room(v + correction_, change);
+  correction_ += share * change;
+  phi_ += options_.T * (a - options_.gain * phi_);
+  // An error that the limits have left says nothing about the lags.
+  if (linear && share == 1) learn(error);
   q_ref_ += dq;
   v_last_ = v;
+  qd_last_ = within_limits(v + correction_);
   return qd_last_;
 }
 
@@ -48,22 +54,42 @@ double ExactFollower::feedback(Eigen::Index i, double error) const {
   return std::copysign(std::sqrt(a * (2 * std::abs(error) - bend)), error);  // same slope there
 }
 
-double ExactFollower::bounded(Eigen::Index i, double wanted) const {
-  if (options_.velocity.size() > i) {
-    wanted = std::clamp(wanted, -options_.velocity[i], options_.velocity[i]);
+/// The largest share of 'change' that the limits leave to all joints.
+double ExactFollower::room(const JointVector& from, const JointVector& change) const {
+  double share = 1;
+  const auto keep = [&](double at, double step, double low, double high) {
+    if (step > 0) share = std::min(share, (high - at) / step);
+    if (step < 0) share = std::min(share, (low - at) / step);
+  };
+  for (Eigen::Index i = 0; i < options_.velocity.size(); ++i) {
+    keep(from[i], change[i], -options_.velocity[i], options_.velocity[i]);
   }
-  if (options_.acceleration.size() > i) {
-    const double change = options_.acceleration[i] * options_.T * (1 - 1e-9);  // for rounding
-    wanted = std::clamp(wanted, qd_last_[i] - change, qd_last_[i] + change);
+  for (Eigen::Index i = 0; i < options_.acceleration.size(); ++i) {
+    const double most = options_.acceleration[i] * options_.T;
+    keep(from[i], change[i], qd_last_[i] - most, qd_last_[i] + most);
   }
-  return wanted;
+  return std::max(share, 0.0);
 }
 
-void ExactFollower::learn(Eigen::Index i, double error) {
-  const double step = error * phi_[i] / (phi_[i] * phi_[i] + kQuietPhi * kQuietPhi);
-  // Written so that what is not finite leaves the lag as it was.
-  const double moved = lag_[i] + options_.learning * options_.T * step;
-  if (moved > 0 && moved < kMostLag * options_.lag) lag_[i] = moved;
+/// The last word: a reference that leaves no room does not break a limit either.
+JointVector ExactFollower::within_limits(JointVector qd) const {
+  for (Eigen::Index i = 0; i < options_.velocity.size(); ++i) {
+    qd[i] = std::clamp(qd[i], -options_.velocity[i], options_.velocity[i]);
+  }
+  for (Eigen::Index i = 0; i < options_.acceleration.size(); ++i) {
+    const double most = options_.acceleration[i] * options_.T * (1 - 1e-9);  // for rounding
+    qd[i] = std::clamp(qd[i], qd_last_[i] - most, qd_last_[i] + most);
+  }
+  return qd;
+}
+
+void ExactFollower::learn(const JointVector& error) {
+  for (Eigen::Index i = 0; i < lag_.size(); ++i) {
+    const double step = error[i] * phi_[i] / (phi_[i] * phi_[i] + kQuietPhi * kQuietPhi);
+    // Written so that what is not finite leaves the lag as it was.
+    const double moved = lag_[i] + options_.learning * options_.T * step;
+    if (moved > 0 && moved < kMostLag * options_.lag) lag_[i] = moved;
+  }
 }
 
 double ExactFollower::behind(const JointVector& q) const {

@@ -1,6 +1,7 @@
 // The follower on one joint at a time: what it learns, what it bears, what it leaves alone.
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "lagging_arm.hpp"
 #include "support.hpp"
@@ -93,6 +94,34 @@ TEST(ExactFollower, KeepsLearntLagsBoundedAndAtRest) {
   EXPECT_EQ(follower.lag(), learnt);
 }
 
+TEST(ExactFollower, AnErrorThatTheBoundsLeaveTeachesNothing) {
+  // A correction that may hardly move cannot take an error away, whatever the lag.
+  const JointVector little = JointVector::Constant(6, 1e-6), any = JointVector::Constant(6, 1.0);
+  for (const auto& [velocity, acceleration] : {std::pair{any, little}, {little, any}}) {
+    ExactFollower follower(6, {0.012, 50, 2, kT, velocity, acceleration});
+    follower.reset(JointVector::Zero(6));
+    for (int i = 0; i < 1000; ++i) {
+      const JointVector dq = swing((i + 1) * kT, 0.2) - swing(i * kT, 0.2);
+      follower.advance(dq, 0.9 * follower.reference());
+    }
+    EXPECT_LT((follower.lag() - JointVector::Constant(6, 0.012)).cwiseAbs().maxCoeff(), 1e-6);
+  }
+}
+
+TEST(ExactFollower, OneStuckJointDoesNotHoldTheOthersBack) {
+  const JointVector velocity = JointVector::Constant(6, 0.5);
+  const JointVector acceleration = JointVector::Constant(6, 3);
+  ExactFollower follower(6, {0.012, 50, 2, kT, velocity, acceleration});
+  JointVector q = JointVector::Zero(6);
+  q[1] = 0.001;
+  follower.reset(JointVector::Zero(6));
+  for (int i = 0; i < 3000; ++i) {
+    q[0] = 0.05;  // a joint that does not move
+    q += kT * follower.advance(JointVector::Zero(6), q);
+  }
+  EXPECT_LT(std::abs(q[1]), 1e-5);
+}
+
 TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
   ExactFollower follower(6, {0.012, 50, 2, kT});
   follower.reset(JointVector::Zero(6));
@@ -107,8 +136,8 @@ TEST(ExactFollower, TheCommandKeepsTheLimitsWhateverIsMeasured) {
   const double most_v = 3, most_a = 15;
   Random random(3);
   const int n = test::family(20000, 2000000);
-  ExactFollower follower(6, {0.012, 50, 2, kT, JointVector::Constant(6, most_v),
-                             JointVector::Constant(6, most_a)});
+  ExactFollower follower(
+      6, {0.012, 50, 2, kT, JointVector::Constant(6, most_v), JointVector::Constant(6, most_a)});
   JointVector v = JointVector::Zero(6), last = v, q = v;
   follower.reset(q);
   double fastest = 0, steepest = 0;

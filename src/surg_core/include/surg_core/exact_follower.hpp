@@ -21,16 +21,22 @@ namespace surg {
 /// 0 and three times the stated one, and stands still where nothing accelerates.
 ///
 /// The feedback is gain e, and for a large e the speed from which the joint can still brake to the
-/// reference at half its acceleration limit. The command keeps the joint's limits whatever happens;
-/// what that costs is the feedback's to bring back.
+/// reference at half its acceleration limit. The command keeps the joints' limits whatever happens:
+/// what is added to v changes by one factor for all joints as far as it may (joint by joint would
+/// move the pivot ten times as much).
 class ExactFollower {
  public:
+  /// What a reference should use of the joints' limits, so that the correction has room.
+  static constexpr double kReferenceVelocity = 0.95;
+  static constexpr double kReferenceAcceleration = 0.8;
+
   struct Options {
     double lag = 0;       ///< [s] of the link, as stated; 0: none, and nothing is learnt
     double gain = 50;     ///< [1/s] feedback; stable up to about 1 / lag
     double learning = 2;  ///< [1/s] of the lags; 0: they stay as stated
     double T = 0.002;     ///< [s] control period
-    /// Limits of the command per joint [rad/s, rad/s^2]; empty: none.
+    /// Limits of the command per joint [rad/s, rad/s^2]; empty: none. The reference must keep to
+    /// less, so that there is room.
     JointVector velocity = {}, acceleration = {};
   };
   ExactFollower(int joints, const Options& options);
@@ -47,7 +53,7 @@ class ExactFollower {
   /// Everything that a step reads, for an image of the controller (image.hpp).
   template <typename Image>
   void remembered(Image& image) {
-    image(q_ref_, v_last_, qd_last_, lag_, phi_);
+    image(q_ref_, v_last_, qd_last_, correction_, lag_, phi_);
   }
   /// How far the arm is from the reference [rad], the largest joint.
   double behind(const JointVector& q) const;
@@ -56,12 +62,12 @@ class ExactFollower {
 
  private:
   double feedback(Eigen::Index i, double error) const;
-  /// Joint i's command as near to 'wanted' as its limits let it be.
-  double bounded(Eigen::Index i, double wanted) const;
-  void learn(Eigen::Index i, double error);
+  double room(const JointVector& from, const JointVector& change) const;
+  JointVector within_limits(JointVector qd) const;
+  void learn(const JointVector& error);
 
   Options options_;
-  JointVector q_ref_, v_last_, qd_last_, lag_, phi_;
+  JointVector q_ref_, v_last_, qd_last_, correction_, lag_, phi_;
 };
 
 }  // namespace surg
