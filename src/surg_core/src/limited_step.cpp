@@ -721,29 +721,38 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
   const double cap = affine.regular ? caps(law, here, affine, cap_by) : 0.0;
 
   // First tier: on the path. How much of the way back is taken goes down before the path is left.
-  double alpha = 0;
   JointVector missed = JointVector::Zero(here.q.size());
   for (double beta = 1; affine.regular; beta = beta > 0.2 ? 0.4 * beta : 0.0) {
     missed.setZero();
+    double alpha = 0;
+    bool found = false;
     for (int pass = 0; pass < kPasses; ++pass) {
       JointVector qd0 = affine.qd0 + missed;
       if (beta < 1 && affine.returning) qd0 -= (1 - beta) * affine.back;
       const Interval interval = box.interval(qd0, affine.qd1);
       const bool bent = interval.empty();  // the linear picture is worthless: go back by halves
-      if (bent && pass == 0) break;
-      alpha = bent ? (pass + 1 < kPasses ? 0.3 * alpha : 0.0)
-                   : std::clamp(cap, interval.low, interval.high);
+      if (bent && (pass == 0 || found)) break;
+      const double next = bent ? (pass + 1 < kPasses ? 0.3 * alpha : 0.0)
+                               : std::clamp(cap, interval.low, interval.high);
+      if (found && !(next < alpha)) break;
+      alpha = next;
       const JointVector linear = qd0 + alpha * affine.qd1;
       const JointVector qd = law.finish(alpha, beta, box.clamped(linear));
-      if (box.holds(qd)) {
+      const bool holds = box.holds(qd);
+      if (holds) {
+        found = true;
         step.qd = qd;
         step.alpha = alpha;
         step.limited_by = alpha >= 1 ? "" : (interval.high <= cap ? interval.high_by : cap_by);
-        step.held = affine.moves && alpha < kHeld &&
-                    (qd.array().abs() < kStill * limits_.velocity.array()).all();
-        return step;
       }
+      // Done, unless the joints are to brake harder than the linear picture could tell.
+      if (found && (!holds || !(alpha > cap) || pass > 1)) break;
       missed += qd - linear;
+    }
+    if (found) {
+      step.held = affine.moves && step.alpha < kHeld &&
+                  (step.qd.array().abs() < kStill * limits_.velocity.array()).all();
+      return step;
     }
     if (!affine.returning || beta == 0) break;
   }
