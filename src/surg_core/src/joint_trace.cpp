@@ -42,7 +42,7 @@ void JointTrace::thin() {
 JointVector JointTrace::at(double s) const {
   const int last = ahead_ > 0 ? n_ : n_ - 1;  // index of the newest point
   const double from_start = std::clamp(length() - s, 0.0, length());
-  if (last == 0) return point(0);
+  if (last <= 0) return points_[0];
   const auto end = arc_.begin() + n_;
   int i = static_cast<int>(std::upper_bound(arc_.begin(), end, from_start) - arc_.begin()) - 1;
   i = std::clamp(i, 0, last - 1);

@@ -7,7 +7,7 @@
 namespace surg {
 namespace {
 
-constexpr int kPasses = 4;               // of interval, step and check
+constexpr int kPasses = 5;               // of interval, step and check
 constexpr int kRowPasses = 4;            // of the pivot's rows off the path
 constexpr double kPositionGuard = 1e-9;  // [rad] kept from position limits: rounding
 constexpr double kOnPivot = 1e-12;       // [m]
@@ -178,6 +178,13 @@ struct LimitedStep::Affine {
   bool returning = false;  ///< 'back' is not zero
   bool moves = false;      ///< the path is not at rest
   bool regular = true;     ///< J could be inverted
+
+  /// The clock speed that the arm's momentum suggests. qd1 is the path's secant over that much of
+  /// the cycle: the one over all of it misses a bent path by more than the joints can brake.
+  double expected(const JointVector& qd_last, double T) const {
+    const double squared = tangent.squaredNorm();
+    return squared > 0 ? std::clamp(qd_last.dot(tangent) / squared, kTwistSpacing / T, 1.0) : 1.0;
+  }
 };
 
 /// A point of the path ahead.
@@ -253,12 +260,7 @@ class LimitedStep::ExactLaw {
     const JointStep rest = newton_step(here_.X_BF, here_.J, pose(0, keep_), posture);
     const JointStep soon = newton_step(here_.X_BF, here_.J, pose(kTwistSpacing, keep_), posture);
     a.tangent = (soon.dq - rest.dq) / kTwistSpacing;
-    // The secant over as much of the path as the arm's momentum suggests: a bent path makes the one
-    // over the whole cycle miss by more than the joints can brake.
-    const double squared = a.tangent.squaredNorm();
-    const double expected =
-        squared > 0 ? std::clamp(here_.qd_last.dot(a.tangent) / squared, kTwistSpacing / T, 1.0)
-                    : 1.0;
+    const double expected = a.expected(here_.qd_last, T);
     const JointStep full = newton_step(here_.X_BF, here_.J, pose(expected * T, keep_), posture);
     a.regular = rest.conditioning > 0 && soon.conditioning > 0 && full.conditioning > 0;
     a.qd0 = rest.dq / T;
@@ -423,7 +425,8 @@ class LimitedStep::RetraceLaw {
     Affine a;
     a.qd0 = (at_0_ + keep_ * off_ - here_.q) / T;
     a.tangent = (on_pivot(trace_.at(back_ + rate_ * kTraceSpacing)) - at_0_) / kTraceSpacing;
-    a.qd1 = (on_pivot(trace_.at(back_ + rate_ * T)) - at_0_) / T;
+    const double expected = a.expected(here_.qd_last, T);
+    a.qd1 = (on_pivot(trace_.at(back_ + expected * rate_ * T)) - at_0_) / (expected * T);
     a.back = (keep_ - 1) * off_ / T;
     a.returning = true;
     a.moves = back_ < trace_.length();
@@ -718,27 +721,38 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
   const double cap = affine.regular ? caps(law, here, affine, cap_by) : 0.0;
 
   // First tier: on the path. How much of the way back is taken goes down before the path is left.
-  double alpha = 0;
   JointVector missed = JointVector::Zero(here.q.size());
   for (double beta = 1; affine.regular; beta = beta > 0.2 ? 0.4 * beta : 0.0) {
     missed.setZero();
+    double alpha = 0;
+    bool found = false;
     for (int pass = 0; pass < kPasses; ++pass) {
       JointVector qd0 = affine.qd0 + missed;
       if (beta < 1 && affine.returning) qd0 -= (1 - beta) * affine.back;
       const Interval interval = box.interval(qd0, affine.qd1);
-      if (interval.empty()) break;
-      alpha = std::clamp(cap, interval.low, interval.high);
+      const bool bent = interval.empty();  // the linear picture is worthless: go back by halves
+      if (bent && (pass == 0 || found)) break;
+      const double next = bent ? (pass + 1 < kPasses ? 0.3 * alpha : 0.0)
+                               : std::clamp(cap, interval.low, interval.high);
+      if (found && !(next < alpha)) break;
+      alpha = next;
       const JointVector linear = qd0 + alpha * affine.qd1;
       const JointVector qd = law.finish(alpha, beta, box.clamped(linear));
-      if (box.holds(qd)) {
+      const bool holds = box.holds(qd);
+      if (holds) {
+        found = true;
         step.qd = qd;
         step.alpha = alpha;
         step.limited_by = alpha >= 1 ? "" : (interval.high <= cap ? interval.high_by : cap_by);
-        step.held = affine.moves && alpha < kHeld &&
-                    (qd.array().abs() < kStill * limits_.velocity.array()).all();
-        return step;
       }
+      // Done, unless the joints are to brake harder than the linear picture could tell.
+      if (found && (!holds || !(alpha > cap) || pass > 1)) break;
       missed += qd - linear;
+    }
+    if (found) {
+      step.held = affine.moves && step.alpha < kHeld &&
+                  (step.qd.array().abs() < kStill * limits_.velocity.array()).all();
+      return step;
     }
     if (!affine.returning || beta == 0) break;
   }
