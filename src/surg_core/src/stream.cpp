@@ -38,7 +38,8 @@ double approach(double e, double g, double l) {
 // than the jerk limit can: at 40 m/s^3 a surgeon's path overshot by 5.7 mm with all of it always,
 // by 2.8 mm like this.
 double feed_forward(double position_error, double velocity_error, const DofLimits& limits) {
-  const double x = position_error * (kPole * kPole / 9) / (kAccelerationShare * limits.acceleration);
+  const double x =
+      position_error * (kPole * kPole / 9) / (kAccelerationShare * limits.acceleration);
   const double v = velocity_error * (kPole * kPole) / (kJerkShare * limits.jerk);
   return 1 / (1 + x * x + v * v);
 }
