@@ -3,104 +3,92 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/arm_state.hpp"
 #include "surg_core/gate.hpp"
+#include "surg_core/jaw.hpp"
+#include "surg_core/law.hpp"
 #include "surg_core/limits.hpp"
-#include "surg_core/setpoint.hpp"
+#include "surg_core/pilot.hpp"
+#include "surg_core/trocar.hpp"
 
 namespace surg {
 namespace {
 
-constexpr double kArrivedDistance = 5e-4;  // [m]
-constexpr double kArrivedRoll = 0.01;      // [rad]
-constexpr double kArriveWithin = 1.0;      // [s] after the profile's end; then the move ends anyway
-constexpr double kFollowDistance = 0.01;   // [m] set-point to measured tip: more means a stuck arm
-constexpr double kStandstill = 0.05;       // alpha below it: the limit has stopped the arm
-constexpr double kAsideDistance = 0.002;   // [m] near the trocar only axial targets are taken
-constexpr int kHomeBusyCycles = 5;         // is_busy needs an edge that a client can see
+constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more means a stuck arm
+constexpr double kStandstill = 0.05;      // alpha below it: the limit has stopped the arm
+constexpr double kOutside = 0.15;         // [m] a tip may be above its trocar before 'insert'
+constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
+constexpr int kHomeBusyCycles = 5;        // is_busy needs an edge that a client can see
 
-double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
+bool finite(const MotionCommand& command) {
+  return command.p.allFinite() && command.rotation.coeffs().allFinite() &&
+         command.joints.allFinite() && std::isfinite(command.roll_rate) &&
+         std::isfinite(command.jaw);
+}
 
-/// Angle of the twist about z in a rotation (swing-twist about the shaft at its target).
-double twist_about_z(const Eigen::Quaterniond& q) { return 2 * std::atan2(q.z(), q.w()); }
+/// Look-ahead belongs to the feedback: open loops do without.
+double look_ahead(const RobotConfig& robot, const Controller::Options& options) {
+  const bool open = options.law == Law::kPaper || options.feedback_gain == 0;
+  return open ? 0.0 : robot.tuning.link_lag;
+}
 
 }  // namespace
 
 struct Controller::Impl {
   // Frozen.
-  Chain chain;
   RobotConfig robot;
   Limits limits;
-  InstrumentConfig instrument;
-  Tool tool;
   Law law;
-  double T, rcm_gain, tip_gain, roll_gain;
+  bool track_rcm;
+  double T;
+  Gains gains;
 
-  // State machine and geometry.
   OperatingState operating;
   Authority authority;
-  bool rcm_set = false;
-  Vector3 p_BRcm = Vector3::Zero();
-  Pose X_BR = Pose::Identity();
-  Matrix3 R_home = Matrix3::Identity();
-  Vector3 s_home = Vector3::UnitZ();
-  bool sensed = false;  // a finite, fresh joint state has been seen in the last step
-  Pose X_BF = Pose::Identity();
-  Jacobian J;
-  ShaftState shaft{};  // measured: what is judged and reported
-  ShaftState ahead{};  // where this cycle's command will find the arm
-  double roll_ahead = 0;
-  JointVector in_flight;  // [rad] commanded but not yet measured
-  Vector3 v_BTip = Vector3::Zero(), s_dot_B = Vector3::Zero();
-  double omega_along_shaft = 0;
-  double roll = 0;
+  Trocar trocar;
+  ArmState arm;
+  Pilot pilot;
+  Jaw jaw;
 
-  // What moves.
-  Setpoint setpoint;
-  Vector3 p_goal = Vector3::Zero();  // in R
-  double roll_goal = 0;
-  double since_pose = 0;  // [s] since the last accepted stream pose
-  int silent_cycles = 0;  // since the last accepted servo command
-  Motion motion = Motion::kNone;
-  bool moving_to = false;     // a move_cp is on its way
-  bool held = false;          // 'hold' was taken: a stream must pause before it goes on
-  double stream_silence = 0;  // [s] since 'hold', or since a servo command was refused for it
-  double settle = 0;          // [s] since its profile ended
+  Pose X_BR = Pose::Identity();
+  bool sensed = false;    // a finite, fresh joint state has been seen in the last step
+  bool inserted = false;  // the trocar point lies on the shaft, and must go on doing so
+  bool tool_lost = false;
   int home_busy = 0;
-  double jaw_set = std::nan("");  // unknown until it has been measured (F31)
-  double jaw_goal = 0;
-  bool jaw_known = false;
   JointVector qd_last;
   Outputs out;
 
-  Impl(const Chain& chain_in, const RobotConfig& robot_in, const Limits& limits_in,
-       const InstrumentConfig& instrument_in, const ToolCalibration& calibration,
-       const Options& options)
-      : chain(chain_in),
-        robot(robot_in),
+  Impl(const Chain& chain, const RobotConfig& robot_in, const Limits& limits_in,
+       const InstrumentConfig& instrument, const ToolCalibration& tool, const Options& options)
+      : robot(robot_in),
         limits(limits_in),
-        instrument(instrument_in),
-        tool{calibration.s_F, calibration.p_FTip},
         law(options.law),
+        track_rcm(options.track_rcm),
         T(options.dt),
-        rcm_gain(options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain),
-        tip_gain(robot_in.tuning.tip_gain),
-        roll_gain(robot_in.tuning.roll_gain),
+        gains{options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain,
+              robot_in.tuning.tip_gain, robot_in.tuning.roll_gain},
         authority(options.dt),
-        in_flight(JointVector::Zero(chain_in.dof())),
-        setpoint(limits_in, robot_in.tuning.profiler_duration, options.law == Law::kPaper),
-        qd_last(JointVector::Zero(chain_in.dof())) {
-    J.resize(6, chain.dof());
-    out.qd_command = JointVector::Zero(chain.dof());
+        arm(chain, {tool.s_F, tool.p_FTip}, look_ahead(robot_in, options), options.dt),
+        pilot(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
+        jaw(instrument, options.dt),
+        qd_last(JointVector::Zero(chain.dof())) {
+    out.qd_command = qd_last;
   }
 
   bool enabled() const { return operating.state() == State::kEnabled; }
+  const ShaftState& shaft() const { return arm.now().shaft; }
 
-  Conditions conditions() const { return {sensed, rcm_set, rcm_set && on_pivot()}; }
+  Conditions conditions() const {
+    return {sensed, trocar.taught(), trocar.taught() && on_line() && shaft().depth > -kOutside};
+  }
 
-  /// The trocar point lies on the shaft, between flange and tip.
-  bool on_pivot() const {
-    return shaft.e.norm() <= limits.rcm_error_fault && shaft.depth > 0 &&
-           shaft.depth < tool.s_F.dot(tool.p_FTip);
+  /// The shaft's line passes through the trocar, in front of the flange.
+  bool on_line() const {
+    return shaft().e.norm() <= limits.rcm_error_fault && shaft().depth < arm.shaft_length();
+  }
+
+  Whereabouts whereabouts() const {
+    return {X_BR.inverse() * shaft().p_BTip, X_BR.linear().transpose() * shaft().s, arm.now().roll};
   }
 
   // --- state ----------------------------------------------------------------------------------
@@ -122,28 +110,20 @@ struct Controller::Impl {
   }
 
   void take_home() {
-    s_home = shaft.s;
-    R_home = X_BF.linear();
-    X_BR = rcm_frame(s_home, p_BRcm);
-    roll = 0;
+    arm.take_home();
+    X_BR = rcm_frame(shaft().s, trocar.p_BTaught());
     start_here();
   }
 
   /// The set-point is where the arm is; every target is gone.
   void start_here() {
-    const Vector3 p_RTip = X_BR.inverse() * shaft.p_BTip;
-    setpoint.reset(p_RTip, roll);
-    p_goal = p_RTip;
-    roll_goal = roll;
-    moving_to = false;
-    held = false;
-    motion = Motion::kNone;
+    pilot.start(whereabouts());
+    inserted = shaft().depth >= limits.depth_min;
   }
 
   void leave_enabled() {
-    setpoint.stop();
-    jaw_goal = jaw_set;
-    moving_to = false;
+    pilot.stop();
+    jaw.hold();
   }
 
   void fault(Reason reason) {
@@ -151,11 +131,18 @@ struct Controller::Impl {
     leave_enabled();
   }
 
+  void pause(Reason reason) {
+    if (!enabled()) return;
+    operating.pause(reason);
+    leave_enabled();
+  }
+
   // --- sense ----------------------------------------------------------------------------------
 
   void sense(const Inputs& in) {
     sensed = false;
-    const int n = chain.dof();
+    jaw.sense(in.jaw);
+    const int n = arm.chain().dof();
     if (!in.state_valid) {
       if (enabled()) fault(Reason::kLinkLost);
       return;
@@ -170,45 +157,44 @@ struct Controller::Impl {
       return;
     }
     sensed = true;
-    chain.forward(in.q, X_BF, J);
-    shaft = shaft_state(X_BF, tool, p_BRcm);
-    const Vector6 twist = J * in.qd;
-    const Vector3 omega = twist.tail<3>();
-    v_BTip = twist.head<3>() + omega.cross(Vector3(shaft.p_BTip - shaft.p_BF));
-    s_dot_B = omega.cross(shaft.s);
-    omega_along_shaft = omega.dot(shaft.s);
-    if (operating.homed()) {
-      const double now = absolute_roll(X_BF.linear(), R_home, s_home, shaft.s);
-      roll += wrapped(now - roll);
-    }
-    look_ahead(in);
-    if (!jaw_known && std::isfinite(in.jaw)) {
-      jaw_set = jaw_goal = std::clamp(in.jaw, instrument.jaw_min, instrument.jaw_max);
-      jaw_known = true;
+    follow_trocar(in);
+    arm.sense(in.q, in.qd, trocar);
+    watch_tool(in);
+  }
+
+  void follow_trocar(const Inputs& in) {
+    if (!track_rcm || !trocar.taught()) return;
+    const Reason reason = trocar.track({in.track_valid, in.track_age, in.p_BTrack, in.v_BTrack}, T);
+    if (reason == Reason::kTrackStale) {
+      pause(reason);
+    } else if (reason != Reason::kNone && enabled()) {
+      fault(reason);
     }
   }
 
-  /// The law acts where its command will take effect, not where the arm was when it was measured.
-  /// Without this a lag of 12 ms costs 8 % overshoot of the tip at 2 Hz and most of the pivot's
-  /// deviation.
-  void look_ahead(const Inputs& in) {
-    ahead = shaft;
-    roll_ahead = roll;
-    if (law == Law::kPaper || rcm_gain == 0 || robot.tuning.link_lag <= 0) return;
-    Pose X_ahead;
-    chain.forward(JointVector(in.q + in_flight), X_ahead, J);
-    ahead = shaft_state(X_ahead, tool, p_BRcm);
-    if (!operating.homed()) return;
-    const double soon = absolute_roll(X_ahead.linear(), R_home, s_home, ahead.s);
-    roll_ahead = roll + wrapped(soon - roll);
+  /// F31: without the tool link the arm holds, and so does the jaw.
+  void watch_tool(const Inputs& in) {
+    const bool lost = !(in.jaw_age <= kToolTimeout);
+    if (lost && !tool_lost && enabled()) leave_enabled();
+    tool_lost = lost;
+    if (lost) out.reason = Reason::kToolLost;
   }
 
-  /// First-order model of the link: what was commanded arrives with time constant link_lag.
-  void remember(const JointVector& qd) {
-    const double lag = robot.tuning.link_lag;
-    if (lag <= 0) return;
-    const double keep = std::exp(-T / lag);
-    in_flight = keep * in_flight + lag * (1 - keep) * qd;
+  // --- guard ----------------------------------------------------------------------------------
+
+  /// F23: away from the trocar nothing may go on.
+  void guard_pivot() {
+    out.warn_rcm = trocar.taught() && shaft().e.norm() > limits.rcm_error_warn;
+    if (!enabled() || !operating.homed() || !sensed) return;
+    if (shaft().depth >= limits.depth_min) inserted = true;
+    if (pilot.setpoint().axial()) inserted = false;  // on the way in or out through the trocar
+    if (!on_line() || (inserted && shaft().depth <= 0)) {
+      fault(Reason::kRcmError);
+      return;
+    }
+    // An arm that is stopped from elsewhere must not run after its set-point once it is released.
+    const double behind = (X_BR * pilot.setpoint().p_RTip() - shaft().p_BTip).norm();
+    if (!(behind <= kFollowDistance)) pause(Reason::kNotFollowing);
   }
 
   // --- gate -----------------------------------------------------------------------------------
@@ -216,11 +202,7 @@ struct Controller::Impl {
   Reason take(const MotionCommand& command) {
     if (!enabled()) return Reason::kNotEnabled;
     if (command.motion == Motion::kHold) {  // obeyed from anyone
-      setpoint.stop();
-      moving_to = false;
-      held = true;
-      stream_silence = 0;
-      motion = Motion::kHold;
+      pilot.hold();
       return Reason::kNone;
     }
     if (!operating.homed()) return Reason::kNotHomed;
@@ -229,119 +211,18 @@ struct Controller::Impl {
       fault(Reason::kNotFinite);
       return Reason::kNotFinite;
     }
-    if (command.motion == Motion::kJawServoJp) {
-      jaw_goal = std::clamp(command.jaw, instrument.jaw_min, instrument.jaw_max);
-      authority.taken(command.source);
-      return Reason::kNone;
-    }
-    if (held && is_servo(command.motion)) {  // a stream must not talk over a hold
-      stream_silence = 0;
-      return Reason::kHeld;
-    }
-    const Reason reason = steer(command);
-    if (reason != Reason::kNone) return reason;
-    held = false;
-    authority.taken(command.source);
-    motion = command.motion;
-    moving_to = command.motion == Motion::kMoveCp;
-    settle = 0;
-    silent_cycles = 0;
-    return Reason::kNone;
-  }
-
-  static bool is_servo(Motion motion) {
-    return motion == Motion::kServoCp || motion == Motion::kServoJp || motion == Motion::kServoCv ||
-           motion == Motion::kServoJv;
-  }
-
-  static bool finite(const MotionCommand& command) {
-    return command.p.allFinite() && command.rotation.coeffs().allFinite() &&
-           command.joints.allFinite() && std::isfinite(command.roll_rate) &&
-           std::isfinite(command.jaw);
-  }
-
-  /// Absolute roll that a tool orientation in R asks for, continued from the present roll.
-  double asked_roll(const Vector3& p_RTip, const Eigen::Quaterniond& rotation) const {
-    const Matrix3 swing = minimal_rotation(Vector3::UnitZ(), p_RTip.normalized());
-    const double asked = twist_about_z(Eigen::Quaterniond(Matrix3(swing.transpose())) * rotation);
-    const double near = setpoint.mode() == Setpoint::Mode::kStream ? roll_goal : setpoint.roll();
-    return near + wrapped(asked - near);
-  }
-
-  Reason steer(const MotionCommand& command) {
-    switch (command.motion) {
-      case Motion::kServoCp:
-      case Motion::kServoJp:
-        return stream(command);
-      case Motion::kServoCv:
-        setpoint.drive(Space::kCartesian,
-                       {command.p.x(), command.p.y(), command.p.z(), command.roll_rate});
-        return Reason::kNone;
-      case Motion::kServoJv:
-        setpoint.drive(Space::kSpherical, {command.joints[0], command.joints[1], command.joints[2],
-                                           command.joints[3]});
-        return Reason::kNone;
-      case Motion::kInterpolateCp:
-      case Motion::kMoveCp: {
-        if (!reachable(command.p)) return Reason::kOutsideWorkspace;
-        p_goal = command.p;
-        roll_goal = asked_roll(command.p, command.rotation);
-        setpoint.go_to({p_goal.x(), p_goal.y(), p_goal.z(), roll_goal});
-        return Reason::kNone;
-      }
-      case Motion::kNone:
-      case Motion::kHold:
-      case Motion::kJawServoJp:
-      default:
-        break;
-    }
-    return Reason::kNone;
-  }
-
-  /// Inside the workspace, and near the trocar (F24) straight along the shaft only.
-  bool reachable(const Vector3& p_RTip) const {
-    if (!inside_workspace(limits, p_RTip)) return false;
-    const Vector3 s_R = setpoint.p_RTip().normalized();
-    return p_RTip.norm() >= limits.depth_slow ||
-           (p_RTip - s_R * s_R.dot(p_RTip)).norm() <= kAsideDistance;
-  }
-
-  Reason stream(const MotionCommand& command) {
-    const bool spherical = command.motion == Motion::kServoJp;
-    // Angles beyond a quarter turn fold back in 'shaft_direction': check them before they vanish in
-    // it.
-    const bool folded =
-        spherical && (std::abs(command.joints[0]) > M_PI_2 ||
-                      std::abs(command.joints[1]) > M_PI_2 || command.joints[2] < 0);
-    const Vector3 p =
-        spherical
-            ? Vector3(command.joints[2] * shaft_direction(command.joints[0], command.joints[1]))
-            : command.p;
-    if (folded || !reachable(p)) return Reason::kOutsideWorkspace;
-    const double asked = spherical ? command.joints[3] : asked_roll(p, command.rotation);
-    const bool begins = setpoint.mode() != Setpoint::Mode::kStream || motion != command.motion;
-    const Vector3 p_last = begins ? setpoint.p_RTip() : p_goal;
-    const double roll_last = begins ? setpoint.roll() : roll_goal;
-    const Reason reason =
-        check_step(limits, begins, since_pose, (p - p_last).norm(), asked - roll_last);
-    if (reason != Reason::kNone) return reason;
-    p_goal = p;
-    roll_goal = asked;
-    since_pose = 0;
-    if (spherical) {
-      setpoint.follow(Space::kSpherical,
-                      {command.joints[0], command.joints[1], command.joints[2], asked}, T);
+    if (tool_lost) return Reason::kToolLost;
+    Reason reason = Reason::kNone;
+    if (is_jaw(command.motion)) {
+      jaw.go_to(command.jaw, command.motion == Motion::kJawMoveJp);
     } else {
-      setpoint.follow(Space::kCartesian, {p.x(), p.y(), p.z(), asked}, T);
+      reason = pilot.take(command);
     }
-    return Reason::kNone;
+    if (reason == Reason::kNone) authority.taken(command.source);
+    return reason;
   }
 
   void gate(const Inputs& in) {
-    since_pose += T;
-    ++silent_cycles;
-    stream_silence += T;
-    if (stream_silence > robot.tuning.servo_timeout) held = false;
     const int n = std::clamp(in.n_commands, 0, kMaxCommands);
     for (int i = 0; i < n; ++i) {
       const MotionCommand& command = in.commands[i];
@@ -350,89 +231,40 @@ struct Controller::Impl {
       ++(reason == Reason::kNone ? out.accepted : out.refused);
     }
     out.n_verdicts = n;
-    watch();
-  }
-
-  /// F03: a silent stream stops through the law; the arm stays ENABLED and holds.
-  void watch() {
-    const bool stream =
-        setpoint.mode() == Setpoint::Mode::kStream || setpoint.mode() == Setpoint::Mode::kVelocity;
-    // Counted in cycles, so that the deadline is exact: with 0.1 s and 2 ms the 51st cycle stops.
-    if (stream && silent_cycles > std::lround(robot.tuning.servo_timeout / T)) {
-      setpoint.stop();
-      out.reason = Reason::kStale;
-    }
-  }
-
-  // --- guard ----------------------------------------------------------------------------------
-
-  /// F23: away from the trocar nothing may go on.
-  void guard_pivot() {
-    out.warn_rcm = rcm_set && shaft.e.norm() > limits.rcm_error_warn;
-    if (!enabled() || !operating.homed() || !sensed) return;
-    if (!on_pivot()) fault(Reason::kRcmError);
-    // An arm that is stopped from elsewhere must not run after its set-point once it is released.
-    const double behind = (X_BR * setpoint.p_RTip() - shaft.p_BTip).norm();
-    if (enabled() && !(behind <= kFollowDistance)) {
-      operating.pause(Reason::kNotFollowing);
-      leave_enabled();
-    }
+    const Reason watched = pilot.watch();
+    if (watched != Reason::kNone) out.reason = watched;
   }
 
   // --- profiler, law, limits ------------------------------------------------------------------
 
-  Vector6 twist_towards(const Setpoint& next) const {
-    const Matrix3& R_BR = X_BR.linear();
-    // Mean rates over the coming cycle, so that the tip arrives where the profile says.
-    const Vector3 v_B = R_BR * (next.p_RTip() - setpoint.p_RTip()) / T;
-    const double roll_rate = (next.roll() - setpoint.roll()) / T;
-    if (law == Law::kPaper) return paper_twist(next, v_B, roll_rate);
-
-    const bool hold =
-        operating.state() != State::kEnabled && setpoint.mode() == Setpoint::Mode::kRest;
-    if (hold) return Vector6::Zero();
-    const Vector3 p_BSet = X_BR * setpoint.p_RTip();
-    Vector3 v = v_B + tip_gain * (p_BSet - ahead.p_BTip);
-    const double along = ahead.s.dot(v);
-    v = along * ahead.s + lateral_fade(limits, ahead.depth) * (v - along * ahead.s);
-    const Vector3 s_dot = (v - ahead.s * ahead.s.dot(v) - rcm_gain * ahead.e) /
-                          std::max(ahead.depth, limits.depth_min);
-    const double about = roll_rate + roll_gain * (setpoint.roll() - roll_ahead) +
-                         roll_holonomy_rate(s_home, ahead.s, s_dot);
-    return rcm_twist(ahead, v, about, Vector3::Zero(), rcm_gain, limits.depth_min);
-  }
-
-  /// The paper's equations as printed: open loop, rates straight from the profiler.
-  Vector6 paper_twist(const Setpoint& next, const Vector3& v_B, double roll_rate) const {
-    const Vector3 p_ee = X_BF.translation();
-    if (next.space() == Space::kCartesian) {
-      return paper_cartesian_twist(p_ee, shaft.p_BTip, p_BRcm, v_B, roll_rate);
-    }
-    // The printed law takes omega about base x and y and drops the third component, whatever the
-    // trocar's attitude: the pivot rate that the profile asks for is handed to it in base axes.
-    const Vector3 p_R = setpoint.p_RTip();
-    const double depth = std::max(p_R.norm(), limits.depth_min);
-    const Vector3 s_B = X_BR.linear() * p_R / depth;
-    const Vector3 omega = s_B.cross(v_B) / depth;
-    return paper_spherical_twist(p_ee, p_BRcm, omega.x(), omega.y(), roll_rate, s_B.dot(v_B));
+  TwistWish wish_for(const Setpoint& next) const {
+    const Setpoint& setpoint = pilot.setpoint();
+    if (law == Law::kPaper) return paper_wish(arm, setpoint, next, X_BR, limits, T);
+    const bool resting = !enabled() && setpoint.mode() == Setpoint::Mode::kRest;
+    if (resting) return {};
+    return setpoint.axial()
+               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, T)
+               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, limits, T);
   }
 
   void move(const Inputs& in) {
-    const int n = chain.dof();
+    const int n = arm.chain().dof();
+    Setpoint& setpoint = pilot.setpoint();
     JointVector qd = JointVector::Zero(n);
     Vector6 twist = Vector6::Zero();
     out.scale = 1;
     out.limited_by = "";
     out.v_set.setZero();
     setpoint.elapse(T);
-    const bool halt = !sensed || !rcm_set || !operating.homed();
+    const bool halt = !sensed || !trocar.taught() || !operating.homed();
     if (!halt) {
       Setpoint next = setpoint;
       next.advance(T);
-      twist = twist_towards(next);
+      const TwistWish wish = wish_for(next);
+      twist = wish.feedback + wish.path;
       const JointVector posture = robot.tuning.posture_gain * (robot.home - in.q);
       const bool idle = twist.isZero(0);
-      qd = idle ? JointVector::Zero(n) : inverse_velocity(J, twist, posture).qd;
+      qd = idle ? JointVector::Zero(n) : inverse_velocity(arm.ahead().J, twist, posture).qd;
       const Scale scale =
           uniform_scale(robot, limits, qd, qd_last, in.q, twist.head<3>().norm(), T);
       qd *= scale.alpha;
@@ -448,81 +280,72 @@ struct Controller::Impl {
       } else {
         setpoint = next;
       }
+      if (setpoint.at_wall() && scale.alpha == 1) out.limited_by = "workspace";
       out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
     } else if (setpoint.mode() != Setpoint::Mode::kRest) {
       // Geometry unknown: a ramp through the law would be blind (F02, F10).
-      setpoint.reset(setpoint.p_RTip(), setpoint.roll());
+      freeze();
     }
     if (!qd.allFinite() || !twist.allFinite()) {  // the last statement before the wire
       fault(Reason::kNotFinite);
-      setpoint.reset(setpoint.p_RTip(), setpoint.roll());
+      freeze();
       qd.setZero();
       twist.setZero();
     }
     qd_last = qd;
-    remember(qd);
+    arm.remember(qd);
     out.qd_command = qd;
     out.twist_command = twist;
   }
 
-  void move_jaw() {
-    const double most = instrument.jaw_velocity * T;
-    if (enabled() && jaw_known) jaw_set += std::clamp(jaw_goal - jaw_set, -most, most);
-  }
-
-  void follow_arrival() {
-    if (!moving_to || setpoint.mode() != Setpoint::Mode::kRest) return;
-    settle += T;
-    const bool arrived = (X_BR * setpoint.p_RTip() - shaft.p_BTip).norm() < kArrivedDistance &&
-                         std::abs(setpoint.roll() - roll) < kArrivedRoll;
-    if (arrived || settle > kArriveWithin) moving_to = false;
+  /// The set-point stands still at once.
+  void freeze() {
+    Setpoint& setpoint = pilot.setpoint();
+    setpoint.reset(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll());
   }
 
   // --- report ---------------------------------------------------------------------------------
 
   void report(const Inputs& in) {
+    const Setpoint& setpoint = pilot.setpoint();
+    const Reason arrival = pilot.follow_arrival(whereabouts());
+    if (arrival != Reason::kNone) out.reason = arrival;
     out.state = operating.state();
     if (out.state != State::kEnabled) out.reason = operating.reason();
     out.homed = operating.homed();
-    out.busy = moving_to || home_busy > 0;
+    out.busy = pilot.busy() || jaw.busy() || home_busy > 0;
     home_busy = std::max(0, home_busy - 1);
-    const bool obeying = moving_to || (setpoint.mode() != Setpoint::Mode::kRest &&
-                                       setpoint.mode() != Setpoint::Mode::kStopping);
-    out.motion = obeying ? motion : Motion::kNone;
+    out.motion = pilot.motion();
     out.source = authority.holder();
-    out.X_BF = X_BF;
-    out.p_BTip = shaft.p_BTip;
-    out.s_B = shaft.s;
-    out.p_BRcm = p_BRcm;
-    out.v_BTip = v_BTip;
-    out.roll = roll;
-    out.depth = shaft.depth;
-    out.rcm_error = shaft.e.norm();
-    out.p_goal = X_BR * p_goal;
-    out.roll_goal = roll_goal;
+    out.X_BF = arm.now().X_BF;
+    out.p_BTip = shaft().p_BTip;
+    out.s_B = shaft().s;
+    out.p_BRcm = trocar.p_B();
+    out.v_BTip = arm.v_BTip();
+    out.roll = arm.now().roll;
+    out.depth = shaft().depth;
+    out.rcm_error = shaft().e.norm();
+    out.p_goal = X_BR * pilot.p_goal();
+    out.roll_goal = pilot.roll_goal();
     out.p_set = X_BR * setpoint.p_RTip();
     out.roll_set = setpoint.roll();
-    out.jaw_set = jaw_set;
+    out.jaw_set = jaw.setpoint();
     out.jaw = in.jaw;
+    out.virtual_set = setpoint.joints();
     report_virtual_joints();
   }
 
   void report_virtual_joints() {
     const Matrix3 R_RB = X_BR.linear().transpose();
-    const Vector3 s = R_RB * shaft.s, s_dot = R_RB * s_dot_B;
+    const Vector3 s = R_RB * shaft().s, s_dot = R_RB * arm.s_dot();
     const Eigen::Vector2d angles = shaft_angles(s);
     const double cos_pitch = std::max(std::cos(angles[1]), 1e-6);
-    out.virtual_q = {angles[0], angles[1], shaft.depth, roll};
-    const double insertion_rate = shaft.s.dot(v_BTip) + s_dot_B.dot(Vector3(shaft.p_BTip - p_BRcm));
-    // omega . s is roll plus the holonomy of the swing.
-    const double roll_rate =
-        sensed ? omega_along_shaft - roll_holonomy_rate(s_home, shaft.s, s_dot_B) : 0.0;
+    out.virtual_q = {angles[0], angles[1], shaft().depth, arm.now().roll};
+    const double insertion_rate = shaft().s.dot(Vector3(arm.v_BTip() - trocar.v_B())) +
+                                  arm.s_dot().dot(Vector3(shaft().p_BTip - trocar.p_B()));
+    const double roll_rate = sensed ? arm.roll_rate() : 0.0;
     out.virtual_qd = {(s_dot.x() * s.z() - s.x() * s_dot.z()) / (cos_pitch * cos_pitch),
                       s_dot.y() / cos_pitch, insertion_rate, roll_rate};
-    const Vector3 p = setpoint.p_RTip();
-    const double depth = std::max(p.norm(), 1e-6);
-    const Eigen::Vector2d set = shaft_angles(p / depth);
-    out.virtual_set = {set[0], set[1], p.norm(), setpoint.roll()};
   }
 };
 
@@ -536,23 +359,25 @@ Controller::~Controller() = default;
 Reason Controller::request(StateCommand command) { return impl_->request(command); }
 
 Reason Controller::set_rcm(const Vector3& p_BRcm) {
-  const State state = impl_->operating.state();
+  Impl& self = *impl_;
+  const State state = self.operating.state();
   if (state != State::kDisabled && state != State::kPaused) return Reason::kRcmWhileEnabled;
   if (!p_BRcm.allFinite()) return Reason::kNotFinite;
-  impl_->p_BRcm = p_BRcm;
-  impl_->rcm_set = true;
-  impl_->X_BR.translation() = p_BRcm;
-  impl_->operating.request(StateCommand::kUnhome, {});  // the rcm frame has changed
-  if (impl_->sensed) impl_->shaft = shaft_state(impl_->X_BF, impl_->tool, p_BRcm);
+  self.trocar.teach(p_BRcm);
+  self.X_BR.translation() = p_BRcm;
+  self.operating.request(StateCommand::kUnhome, {});  // the rcm frame has changed
+  if (self.sensed) self.arm.look_again(self.trocar);
   return Reason::kNone;
 }
 
 void Controller::fault(Reason reason) { impl_->fault(reason); }
 
-void Controller::pause(Reason reason) {
-  if (!impl_->enabled()) return;
-  impl_->operating.pause(reason);
-  impl_->leave_enabled();
+void Controller::pause(Reason reason) { impl_->pause(reason); }
+
+Reason Controller::claim(std::uint32_t source) {
+  if (!impl_->authority.may_command(source)) return Reason::kNoAuthority;
+  impl_->authority.claim(source);
+  return Reason::kNone;
 }
 
 const Outputs& Controller::step(const Inputs& inputs) {
@@ -562,9 +387,8 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.guard_pivot();
   self.gate(inputs);
   self.move(inputs);
-  self.move_jaw();
-  self.follow_arrival();
-  self.authority.elapse(self.setpoint.mode() == Setpoint::Mode::kRest, self.enabled());
+  self.jaw.advance(self.enabled() && !self.tool_lost);
+  self.authority.elapse(self.pilot.setpoint().mode() == Setpoint::Mode::kRest, self.enabled());
   self.report(inputs);
   return self.out;
 }
@@ -577,13 +401,7 @@ Eigen::Quaterniond Controller::tool_orientation(const Vector3& s_B, double roll)
                             Eigen::AngleAxisd(roll, Vector3::UnitZ()));
 }
 
-Reason Controller::claim(std::uint32_t source) {
-  if (!impl_->authority.may_command(source)) return Reason::kNoAuthority;
-  impl_->authority.claim(source);
-  return Reason::kNone;
-}
-
-bool Controller::rcm_set() const { return impl_->rcm_set; }
+bool Controller::rcm_set() const { return impl_->trocar.taught(); }
 double Controller::dt() const { return impl_->T; }
 
 }  // namespace surg

@@ -55,9 +55,12 @@ std::array<DofLimits, 4> Setpoint::dof_limits(Space space) const {
                                     : std::array<DofLimits, 4>{pivot, pivot, tip, roll};
 }
 
-void Setpoint::reset(const Vector3& p_RTip, double roll) {
+void Setpoint::reset(const Vector3& p_RTip, const Vector3& s_R, double roll) {
   mode_ = Mode::kRest;
   space_ = Space::kCartesian;
+  then_go_ = at_wall_ = false;
+  axis_R_ = s_R;
+  axial_ = p_RTip.dot(s_R) < limits_.depth_min;
   dofs_ = {Kinematic{p_RTip.x(), 0, 0}, Kinematic{p_RTip.y(), 0, 0}, Kinematic{p_RTip.z(), 0, 0},
            Kinematic{roll, 0, 0}};
 }
@@ -77,6 +80,7 @@ void Setpoint::enter(Space space) {
 void Setpoint::follow(Space space, const std::array<double, 4>& target, double T) {
   const bool first = mode_ != Mode::kStream || space != space_;
   if (first) {
+    axial_ = false;
     enter(space);
     if (paper_) profiler_ = Profiler(dof_limits(space), duration_);
     mode_ = Mode::kStream;
@@ -95,6 +99,7 @@ void Setpoint::follow(Space space, const std::array<double, 4>& target, double T
 
 void Setpoint::drive(Space space, const std::array<double, 4>& rate) {
   if (mode_ != Mode::kVelocity || space != space_) {
+    axial_ = false;
     enter(space);
     mode_ = Mode::kVelocity;
   }
@@ -109,27 +114,59 @@ void Setpoint::drive(Space space, const std::array<double, 4>& rate) {
   for (int i = 0; i < 4; ++i) rate_[i] = factor * rate[i];
 }
 
-void Setpoint::go_to(const std::array<double, 4>& target) {
-  if (space_ != Space::kCartesian) enter(Space::kCartesian);
-  profiler_ = Profiler(dof_limits(Space::kCartesian), duration_);
+bool Setpoint::go_to(Space space, const std::array<double, 4>& target) {
+  Setpoint direct = *this;
+  direct.axial_ = false;
+  direct.pace_ = duration_;
+  Setpoint rested = direct;
+  if (direct.plan(space, target)) {
+    *this = direct;
+    return true;
+  }
+  // From rest the way is another one: a line in the space of the profile.
+  for (auto& dof : rested.dofs_) dof.v = dof.a = 0;
+  if (!rested.plan(space, target)) return false;
+  axial_ = false;
+  pace_ = duration_;
+  target_ = target;
+  target_space_ = space;
+  stop();
+  then_go_ = true;
+  return true;
+}
+
+void Setpoint::go_along(const Vector3& s_R, double depth, double speed) {
+  const Vector3 p = p_RTip(), end = s_R * depth;
+  axial_ = true;
+  axis_R_ = s_R;
+  // Rest to rest, the quintic's peak velocity is 15/8 of the mean.
+  pace_ = std::max(duration_, 15.0 / 8.0 * (end - p).norm() / speed);
+  plan(Space::kCartesian, {end.x(), end.y(), end.z(), dofs_[3].x});
+}
+
+/// Whether the way stays inside the workspace; mode and profile are set in any case.
+bool Setpoint::plan(Space space, const std::array<double, 4>& target) {
+  if (space_ != space) enter(space);
+  profiler_ = Profiler(dof_limits(space), pace_);
   profiler_.reset(dofs_);
   profiler_.plan(target);
   mode_ = Mode::kProfile;
   target_ = target;
-  then_go_ = plan_leaves_workspace();
-  if (then_go_) mode_ = Mode::kStopping;
+  target_space_ = space;
+  then_go_ = false;
+  return axial_ || !plan_leaves_workspace();
 }
 
-/// Extending the duration can push a quintic that starts in motion out of its end points' interval,
-/// so the target being inside is not enough. From rest the path is a straight line and needs no
-/// check.
+/// Neither the target being inside nor a straight line to it is enough: a quintic that starts in
+/// motion overshoots, and the workspace is not convex (its inner wall is a sphere).
 bool Setpoint::plan_leaves_workspace() const {
   constexpr int kSamples = 32;
   Profiler ahead = profiler_;
   const double step = ahead.duration() / kSamples;
-  for (int i = 0; i < kSamples && velocity(dofs_).norm() > 1e-6; ++i) {
+  for (int i = 0; i < kSamples; ++i) {
     ahead.advance(step);
-    if (further_out(position(ahead.state()))) return true;
+    const Dofs& dofs = ahead.state();
+    if (further_out(position(space_ == Space::kCartesian ? dofs : to_cartesian(dofs)))) return true;
   }
   return false;
 }
@@ -150,15 +187,18 @@ void Setpoint::stop() {
 void Setpoint::stand() {
   for (auto& dof : dofs_) dof.v = dof.a = 0;
   for (int i = 0; i < 4; ++i) filters_[i].reset(dofs_[i]);
-  if (mode_ == Mode::kProfile) go_to(target_);
-  if (mode_ == Mode::kStopping) {
-    mode_ = Mode::kRest;
-    if (then_go_) go_to(target_);
-  }
+  if (mode_ == Mode::kProfile) plan(target_space_, target_);
+  if (mode_ == Mode::kStopping) come_to_rest();
+}
+
+void Setpoint::come_to_rest() {
+  mode_ = Mode::kRest;
+  if (then_go_ && !plan(target_space_, target_)) mode_ = Mode::kRest;
 }
 
 void Setpoint::advance(double dt) {
   if (!(dt > 0)) return;
+  at_wall_ = false;
   switch (mode_) {
     case Mode::kRest:
       break;
@@ -208,6 +248,7 @@ void Setpoint::advance_velocity(double dt) {
   const Vector3 p = p_RTip(), v = v_RTip();
   const double stop_time = v.norm() / (2 * limits_.stop_deceleration) + 2 * dt;
   if (further_out(p + stop_time * v)) {
+    at_wall_ = true;
     stop();
     advance_stopping(dt);
     return;
@@ -216,7 +257,10 @@ void Setpoint::advance_velocity(double dt) {
   Dofs wish = dofs_;
   for (int i = 0; i < 4; ++i) wish[i].v = rate[i];
   const Vector3 v_wish = velocity(space_ == Space::kCartesian ? wish : to_cartesian(wish));
-  if (further_out(p + 0.01 * v_wish)) rate[0] = rate[1] = rate[2] = 0;
+  if (further_out(p + 0.01 * v_wish)) {
+    at_wall_ = true;
+    rate[0] = rate[1] = rate[2] = 0;
+  }
   for (int i = 0; i < 4; ++i) {
     const Kinematic& now = dofs_[i];
     // The position error that the filter sees is zero: only the velocity is followed.
@@ -241,9 +285,7 @@ void Setpoint::advance_stopping(double dt) {
   const double roll_next = std::copysign(roll_speed, roll.v);
   roll.x += 0.5 * (roll.v + roll_next) * dt;
   roll = {roll.x, roll_next, 0};
-  if (slower > 0 || roll_speed > 0) return;
-  mode_ = Mode::kRest;
-  if (then_go_) go_to(target_);
+  if (slower == 0 && roll_speed == 0) come_to_rest();
 }
 
 Vector3 Setpoint::p_RTip() const {
@@ -252,6 +294,14 @@ Vector3 Setpoint::p_RTip() const {
 
 Vector3 Setpoint::v_RTip() const {
   return velocity(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
+}
+
+Vector3 Setpoint::s_R() const { return axial_ ? axis_R_ : Vector3(p_RTip().normalized()); }
+
+Vector4 Setpoint::joints() const {
+  const Vector3 s = s_R();
+  const Eigen::Vector2d angles = shaft_angles(s);
+  return {angles[0], angles[1], s.dot(p_RTip()), roll()};
 }
 
 }  // namespace surg

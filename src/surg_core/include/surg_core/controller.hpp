@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <memory>
 
+#include "surg_core/command.hpp"
 #include "surg_core/config.hpp"
 #include "surg_core/kinematics.hpp"
 #include "surg_core/operating_state.hpp"
@@ -14,39 +15,6 @@
 #include "surg_core/types.hpp"
 
 namespace surg {
-
-/// Motion commands, in the numbering of surg_msgs/Cycle.
-enum class Motion : std::uint8_t {
-  kNone = 0,
-  kServoCp = 1,
-  kServoJp = 2,
-  kServoCv = 3,
-  kServoJv = 4,
-  kInterpolateCp = 5,
-  kMoveCp = 6,
-  kHold = 7,
-  kJawServoJp = 8,
-  kServoJr = 9,  ///< joints: change of the goal
-  kInterpolateJp = 10,
-  kMoveJp = 11,
-  kMoveJr = 12,
-  kJawMoveJp = 13,
-  kInsert = 14,    ///< along the shaft into the patient, until depth_slow
-  kWithdraw = 15,  ///< along the shaft out of the patient
-  kRetrace = 16,   ///< back along the recorded joint trace
-};
-
-/// One decoded command. Which members count depends on 'motion'.
-struct MotionCommand {
-  Motion motion = Motion::kNone;
-  std::uint32_t source = 0;     ///< id of the sender (the node maps caller ids to numbers)
-  Vector3 p = Vector3::Zero();  ///< cp: p_RcmTip; cv: v_Tip, in the rcm frame
-  Eigen::Quaterniond rotation =
-      Eigen::Quaterniond::Identity();  ///< cp: R_RcmTool (only roll is used)
-  double roll_rate = 0;                ///< cv: about the shaft [rad/s]
-  Vector4 joints = Vector4::Zero();    ///< jp / jv: yaw, pitch, insertion, roll
-  double jaw = 0;                      ///< jaw angle [rad]
-};
 
 /// What became of a command.
 struct Verdict {

@@ -31,15 +31,20 @@ class Setpoint {
   /// paper: every stream goes through the paper's quintic of fixed duration, re-planned each cycle.
   Setpoint(const Limits& limits, double profiler_duration, bool paper);
 
-  /// Stands still at a tip position [m] in the rcm frame and a roll [rad].
-  void reset(const Vector3& p_RTip, double roll);
+  /// Stands still at a tip position [m] in the rcm frame, the shaft along unit s_R, and a roll
+  /// [rad].
+  void reset(const Vector3& p_RTip, const Vector3& s_R, double roll);
   /// A sample of a pose stream (servo_cp, servo_jp).
   void follow(Space space, const std::array<double, 4>& target, double T);
   /// A velocity to hold (servo_cv, servo_jv).
   void drive(Space space, const std::array<double, 4>& rate);
-  /// A discrete Cartesian target (interpolate_cp, move_cp): quintic to rest there. Where its
-  /// overshoot from the present motion would leave the workspace, the tip stops first.
-  void go_to(const std::array<double, 4>& target);
+  /// A discrete target (interpolate_*, move_*): quintic to rest there. Where its overshoot from the
+  /// present motion would leave the workspace, the tip stops first. False, and nothing changed,
+  /// where the way from rest leads out of the workspace as well.
+  bool go_to(Space space, const std::array<double, 4>& target);
+  /// Straight along the shaft to a depth [m], which may lie above the trocar, at no more than
+  /// 'speed' [m/s]; the workspace does not count. From rest only.
+  void go_along(const Vector3& s_R, double depth, double speed);
   /// Decelerates the tip along its present direction.
   void stop();
 
@@ -54,13 +59,24 @@ class Setpoint {
 
   Mode mode() const { return mode_; }
   Space space() const { return space_; }
+  /// Moves or rests along the shaft line (go_along): only depth and roll may change.
+  bool axial() const { return axial_; }
+  /// The workspace's wall has stopped the last advance.
+  bool at_wall() const { return at_wall_; }
   Vector3 p_RTip() const;
   Vector3 v_RTip() const;
+  /// Unit shaft direction that goes with the position: from the trocar to the tip, and as it was
+  /// where the tip is near the trocar or above it.
+  Vector3 s_R() const;
+  /// Yaw, pitch, insertion, roll.
+  Vector4 joints() const;
   double roll() const { return dofs_[3].x; }
   double roll_rate() const { return dofs_[3].v; }
 
  private:
   void enter(Space space);
+  bool plan(Space space, const std::array<double, 4>& target);
+  void come_to_rest();
   void advance_stream(double dt);
   void advance_velocity(double dt);
   void advance_stopping(double dt);
@@ -74,10 +90,15 @@ class Setpoint {
   Mode mode_ = Mode::kRest;
   Space space_ = Space::kCartesian;
   Dofs dofs_{};
+  bool axial_ = false;
+  bool at_wall_ = false;
+  Vector3 axis_R_ = Vector3::UnitZ();  ///< while axial
   std::array<StreamFilter, 4> filters_{};
   std::array<AlphaBeta, 4> estimates_{};
   std::array<double, 4> rate_{};
   std::array<double, 4> target_{};
+  Space target_space_ = Space::kCartesian;
+  double pace_ = 0;     ///< base duration of the present profile [s]
   double age_ = 0;      ///< since the last stream sample [s]
   double spacing_ = 0;  ///< of the last two samples [s]
   Profiler profiler_;

@@ -1,0 +1,54 @@
+// What a sender may ask of the arm.
+#pragma once
+
+#include <cstdint>
+
+#include "surg_core/types.hpp"
+
+namespace surg {
+
+/// Motion commands, in the numbering of surg_msgs/Cycle.
+enum class Motion : std::uint8_t {
+  kNone = 0,
+  kServoCp = 1,
+  kServoJp = 2,
+  kServoCv = 3,
+  kServoJv = 4,
+  kInterpolateCp = 5,
+  kMoveCp = 6,
+  kHold = 7,
+  kJawServoJp = 8,
+  kServoJr = 9,  ///< joints: change of the goal
+  kInterpolateJp = 10,
+  kMoveJp = 11,
+  kMoveJr = 12,
+  kJawMoveJp = 13,
+  kInsert = 14,    ///< along the shaft into the patient, until depth_slow
+  kWithdraw = 15,  ///< along the shaft out of the patient
+  kRetrace = 16,   ///< back along the recorded joint trace
+};
+
+/// One decoded command. Which members count depends on 'motion'.
+struct MotionCommand {
+  Motion motion = Motion::kNone;
+  std::uint32_t source = 0;     ///< id of the sender (the node maps caller ids to numbers)
+  Vector3 p = Vector3::Zero();  ///< cp: p_RcmTip; cv: v_Tip, in the rcm frame
+  Eigen::Quaterniond rotation =
+      Eigen::Quaterniond::Identity();  ///< cp: R_RcmTool (only roll is used)
+  double roll_rate = 0;                ///< cv: about the shaft [rad/s]
+  Vector4 joints = Vector4::Zero();    ///< jp / jv: yaw, pitch, insertion, roll
+  double jaw = 0;                      ///< jaw angle [rad]
+};
+
+/// A stream: every message is the next sample, and silence ends it.
+inline bool is_servo(Motion motion) {
+  return motion == Motion::kServoCp || motion == Motion::kServoJp || motion == Motion::kServoJr ||
+         motion == Motion::kServoCv || motion == Motion::kServoJv;
+}
+
+/// Moves the jaw and nothing else.
+inline bool is_jaw(Motion motion) {
+  return motion == Motion::kJawServoJp || motion == Motion::kJawMoveJp;
+}
+
+}  // namespace surg

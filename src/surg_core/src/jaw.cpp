@@ -1,0 +1,54 @@
+#include "surg_core/jaw.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace surg {
+namespace {
+
+constexpr double kArrived = 0.02;      // [rad]
+constexpr double kArriveWithin = 0.5;  // [s] a jaw that holds tissue never gets there
+constexpr double kEdge = 0.01;         // [s] 'busy' lasts, so that a client can see it
+constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+
+}  // namespace
+
+Jaw::Jaw(const InstrumentConfig& instrument, double dt)
+    : min_(instrument.jaw_min),
+      max_(instrument.jaw_max),
+      velocity_(instrument.jaw_velocity),
+      dt_(dt),
+      set_(kUnknown),
+      goal_(kUnknown),
+      measured_(kUnknown) {}
+
+void Jaw::sense(double measured) {
+  measured_ = measured;
+  if (std::isfinite(set_) || !std::isfinite(measured)) return;
+  set_ = std::clamp(measured, min_, max_);
+  if (!std::isfinite(goal_)) goal_ = set_;
+}
+
+void Jaw::go_to(double angle, bool move) {
+  goal_ = std::clamp(angle, min_, max_);
+  busy_ = move;
+  settle_ = 0;
+}
+
+void Jaw::hold() {
+  goal_ = set_;
+  busy_ = false;
+}
+
+void Jaw::advance(bool may_move) {
+  if (!may_move || !std::isfinite(set_)) return;
+  const double most = velocity_ * dt_;
+  set_ += std::clamp(goal_ - set_, -most, most);
+  if (!busy_ || set_ != goal_) return;
+  settle_ += dt_;
+  const bool arrived = std::abs(measured_ - set_) <= kArrived && settle_ > kEdge;
+  if (arrived || settle_ > kArriveWithin) busy_ = false;
+}
+
+}  // namespace surg

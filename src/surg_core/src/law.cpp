@@ -1,0 +1,87 @@
+#include "surg_core/law.hpp"
+
+#include <algorithm>
+
+#include "surg_core/limits.hpp"
+#include "surg_core/rcm.hpp"
+
+namespace surg {
+namespace {
+
+/// Mean velocity of the tip over the coming cycle, so that it arrives where the profile says.
+Vector3 mean_velocity(const Setpoint& setpoint, const Setpoint& next, const Pose& X_BR, double dt) {
+  return X_BR.linear() * (next.p_RTip() - setpoint.p_RTip()) / dt;
+}
+
+}  // namespace
+
+TwistWish velocity_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
+                        const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains,
+                        const Limits& limits, double dt) {
+  const Sight& at = arm.ahead();
+  const ShaftState& shaft = at.shaft;
+  const Vector3& s = shaft.s;
+  const double depth = std::max(shaft.depth, limits.depth_min);
+  const double fade = lateral_fade(limits, shaft.depth);
+  const auto faded = [&](const Vector3& v) {
+    return Vector3(s.dot(v) * s + fade * (v - s.dot(v) * s));
+  };
+  // One part of the law: tip velocity, roll rate about the shaft besides the holonomy of its swing,
+  // velocity and gain at the pivot. It is linear in all of them.
+  const auto part = [&](const Vector3& v, double roll_rate, const Vector3& v_pivot, double gain) {
+    const Vector3 v_lateral = v_pivot - s * s.dot(v_pivot) + gain * shaft.e;
+    const Vector3 s_dot = (v - s * s.dot(v) - v_lateral) / depth;
+    const double about = roll_rate + roll_holonomy_rate(arm.s_home(), s, s_dot);
+    return rcm_twist(shaft, v, about, v_pivot, gain, limits.depth_min);
+  };
+  const Vector3 p_BSet = X_BR * setpoint.p_RTip();
+  TwistWish wish;
+  wish.feedback = part(faded(gains.tip * (p_BSet - shaft.p_BTip)),
+                       gains.roll * (setpoint.roll() - at.roll), v_BRcm, gains.rcm);
+  wish.path = part(faded(mean_velocity(setpoint, next, X_BR, dt)),
+                   (next.roll() - setpoint.roll()) / dt, Vector3::Zero(), 0);
+  return wish;
+}
+
+TwistWish axial_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
+                     const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains, double dt) {
+  const Sight& at = arm.ahead();
+  const ShaftState& shaft = at.shaft;
+  const Vector3& s = shaft.s;
+  const auto part = [&](double along, double roll_rate, const Vector3& aside) {
+    Vector6 twist;
+    const Vector3 omega = roll_rate * s;
+    twist.head<3>() = along * s + aside - omega.cross(Vector3(shaft.p_BTip - shaft.p_BF));
+    twist.tail<3>() = omega;
+    return twist;
+  };
+  const double behind = s.dot(X_BR * setpoint.p_RTip() - shaft.p_BTip);
+  TwistWish wish;
+  wish.feedback = part(gains.tip * behind, gains.roll * (setpoint.roll() - at.roll),
+                       Vector3(v_BRcm - s * s.dot(v_BRcm) + gains.rcm * shaft.e));
+  wish.path = part(s.dot(mean_velocity(setpoint, next, X_BR, dt)), 0, Vector3::Zero());
+  return wish;
+}
+
+TwistWish paper_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
+                     const Pose& X_BR, const Limits& limits, double dt) {
+  const Sight& at = arm.now();
+  const Vector3 p_ee = at.X_BF.translation();
+  const Vector3 v_B = mean_velocity(setpoint, next, X_BR, dt);
+  const double roll_rate = (next.roll() - setpoint.roll()) / dt;
+  TwistWish wish;
+  if (next.space() == Space::kCartesian) {
+    wish.path = paper_cartesian_twist(p_ee, at.shaft.p_BTip, at.p_BRcm, v_B, roll_rate);
+    return wish;
+  }
+  // The printed law takes omega about base x and y and drops the third component, whatever the
+  // trocar's attitude: the pivot rate that the profile asks for is handed to it in base axes.
+  const Vector3 p_R = setpoint.p_RTip();
+  const double depth = std::max(p_R.norm(), limits.depth_min);
+  const Vector3 s_B = X_BR.linear() * p_R / depth;
+  const Vector3 omega = s_B.cross(v_B) / depth;
+  wish.path = paper_spherical_twist(p_ee, at.p_BRcm, omega.x(), omega.y(), roll_rate, s_B.dot(v_B));
+  return wish;
+}
+
+}  // namespace surg

@@ -1,0 +1,310 @@
+// The command surface beyond streams in space: joints of the trocar frame, in and out through the
+// trocar, a moving trocar, exclusive authority, the jaw and its link.
+#include "bench.hpp"
+#include "support.hpp"
+#include "surg_core/limits.hpp"
+
+namespace surg {
+namespace {
+
+using namespace test;
+
+MotionCommand command(Motion motion, std::uint32_t source = kMe) {
+  MotionCommand out;
+  out.motion = motion;
+  out.source = source;
+  return out;
+}
+
+MotionCommand joints(Motion motion, const Vector4& values) {
+  MotionCommand out = command(motion);
+  out.joints = values;
+  return out;
+}
+
+/// Ticks until the arm is no longer busy; how many.
+int wait(Bench& bench, int most = 4000) {
+  int n = 0;
+  while (bench.out().busy && n < most) {
+    bench.tick();
+    ++n;
+  }
+  EXPECT_LT(n, most);
+  return n;
+}
+
+TEST(Surface, JointTargetsAreReachedAndTheTipTurnsOnASphere) {
+  Random random(21);
+  const int n = family(30, 2000);
+  for (int i = 0; i < n; ++i) {
+    Bench bench;
+    const Vector4 target(random.uniform(-0.4, 0.4), random.uniform(-0.4, 0.4), 0.12,
+                         random.uniform(-1, 1));
+    bench.send(joints(Motion::kMoveJp, target));
+    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+    EXPECT_TRUE(bench.out().busy);
+    while (bench.out().busy) {
+      bench.tick();
+      // The depth is one of the joints: between two equal depths it must not change.
+      ASSERT_NEAR(bench.out().depth, 0.12, 2e-4);
+      ASSERT_LT(bench.out().rcm_error, 5e-5);
+    }
+    EXPECT_LT((bench.out().virtual_q - target).norm(), 5e-3);
+    EXPECT_LT((bench.tip_in_R() - 0.12 * shaft_direction(target[0], target[1])).norm(), 6e-4);
+  }
+  report("joint targets", n);
+}
+
+TEST(Surface, RelativeJointsAddToTheGoal) {
+  Bench bench;
+  for (int i = 0; i < 3; ++i) {
+    bench.send(joints(Motion::kMoveJr, Vector4(0.1, 0, 0.005, 0.2)));
+    bench.tick();
+    for (int k = 0; k < 20; ++k) bench.tick();  // the next one comes while this one is under way
+  }
+  wait(bench);
+  EXPECT_LT((bench.out().virtual_q - Vector4(0.3, 0, 0.135, 0.6)).norm(), 5e-3);
+  for (int i = 0; i < 200; ++i) {
+    bench.send(joints(Motion::kServoJr, Vector4(-0.0005, 0, 0, 0)));
+    bench.tick();
+    ASSERT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  }
+  for (int k = 0; k < 300; ++k) bench.tick();
+  EXPECT_NEAR(bench.out().virtual_q[0], 0.2, 4e-3);
+}
+
+TEST(Surface, AWayThatLeavesTheWorkspaceIsRefusedThoughItsEndsAreInside) {
+  Bench bench;
+  bench.send(joints(Motion::kMoveJp, Vector4(1.0, 0, 0.035, 0)));
+  bench.tick();
+  wait(bench);
+  // The straight line between two shallow points on opposite sides passes above depth_min.
+  MotionCommand across = command(Motion::kMoveCp);
+  across.p = 0.035 * shaft_direction(-1.0, 0);
+  across.rotation =
+      bench.controller().tool_orientation(bench.controller().X_BR().linear() * across.p, 0);
+  bench.send(across);
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kOutsideWorkspace);
+  bench.send(joints(Motion::kMoveJp, Vector4(-1.0, 0, 0.035, 0)));  // round it there is a way
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+  wait(bench);
+  EXPECT_NEAR(bench.out().virtual_q[0], -1.0, 5e-3);
+}
+
+TEST(Surface, OutThroughTheTrocarAndInAgain) {  // F24
+  Bench bench;
+  bench.send(command(Motion::kWithdraw));
+  bench.tick();
+  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  double fastest = 0, worst = 0;
+  const Vector3 s = bench.out().s_B;
+  while (bench.out().busy) {
+    bench.tick();
+    fastest = std::max(fastest, bench.out().twist_command.head<3>().norm());
+    worst = std::max(worst, bench.out().rcm_error);
+    ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
+  }
+  EXPECT_NEAR(bench.out().depth, -0.01, 1e-3);
+  EXPECT_LT(fastest, 0.0205);
+  EXPECT_LT(worst, 1e-5);
+  EXPECT_LT((bench.out().s_B - s).norm(), 1e-6);  // it does not turn on the way
+  EXPECT_NEAR(bench.out().virtual_set[2], -0.01, 1e-3);
+  // Outside nothing but the way in is taken.
+  for (const Motion motion : {Motion::kServoCv, Motion::kServoJv, Motion::kMoveCp}) {
+    MotionCommand other = command(motion);
+    other.p = Vector3(0, 0, 0.1);
+    bench.send(other);
+    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNotInserted);
+  }
+  bench.send(command(Motion::kInsert));
+  bench.tick();
+  wait(bench);
+  EXPECT_NEAR(bench.out().depth, bench.robot().limits.depth_slow, 1e-3);
+  MotionCommand work = command(Motion::kMoveCp);
+  work.p = Vector3(0.01, 0, 0.1);
+  bench.send(work);
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+  wait(bench);
+  EXPECT_LT((bench.tip_in_R() - work.p).norm(), 1e-3);
+}
+
+TEST(Surface, ASessionMayBeginAboveTheTrocar) {
+  Bench bench;
+  bench.controller().request(StateCommand::kDisable);
+  bench.tick();
+  const Vector3 p = bench.out().p_BTip + 0.03 * bench.out().s_B;  // 30 mm in front of the tip
+  EXPECT_EQ(bench.controller().set_rcm(p), Reason::kNone);
+  bench.tick();
+  EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kNone);
+  EXPECT_EQ(bench.controller().request(StateCommand::kHome), Reason::kNone);
+  bench.tick();
+  bench.send(command(Motion::kInsert));
+  bench.tick();
+  EXPECT_EQ(bench.out().verdicts[0].reason, Reason::kNone);
+  wait(bench);
+  EXPECT_NEAR(bench.out().depth, 0.03, 1e-3);
+  EXPECT_EQ(bench.out().state, State::kEnabled);
+}
+
+TEST(Surface, HoldEndsTheWayOutAndTheTrocarIsWatchedAgainOnceInserted) {
+  Bench bench;
+  bench.send(command(Motion::kWithdraw));
+  for (int i = 0; i < 500; ++i) bench.tick();
+  EXPECT_TRUE(bench.out().busy);
+  bench.send(command(Motion::kHold, kOther));
+  for (int i = 0; i < 100; ++i) bench.tick();
+  EXPECT_FALSE(bench.out().busy);
+  const double depth = bench.out().depth;
+  EXPECT_GT(depth, 0.08);
+  for (int i = 0; i < 100; ++i) bench.tick();
+  EXPECT_NEAR(bench.out().depth, depth, 1e-5);
+}
+
+/// Trocar that breathes: 5 mm at 0.25 Hz across the shaft.
+struct Breathing {
+  Vector3 p0, across;
+  Vector3 p(double t) const { return p0 + 0.005 * std::sin(0.5 * M_PI * t) * across; }
+  Vector3 v(double t) const { return 0.005 * 0.5 * M_PI * std::cos(0.5 * M_PI * t) * across; }
+};
+
+double pivot_error_on_moving_trocar(bool aware, double stale) {
+  Controller::Options options;
+  options.track_rcm = aware;
+  Bench bench(options);
+  const Breathing trocar{bench.out().p_BRcm, bench.controller().X_BR().linear().col(0)};
+  double sum = 0;
+  int n = 0;
+  for (int i = 0; i < 4000; ++i) {
+    const double t = i * kT;
+    bench.in().track_valid = aware;
+    bench.in().track_age = stale;
+    bench.in().p_BTrack = trocar.p(t - stale);
+    bench.in().v_BTrack = trocar.v(t - stale);
+    bench.servo_cp(Vector3(0.02 * std::sin(std::min(1.0, t) * t), 0, 0.12));
+    bench.tick();
+    const Outputs& out = bench.out();
+    const Vector3 to = trocar.p(t) - out.p_BTip;
+    if (t > 1) {
+      sum += (to - out.s_B * out.s_B.dot(to)).norm();
+      ++n;
+    }
+    EXPECT_EQ(out.state, State::kEnabled);
+    if (out.state != State::kEnabled) break;
+  }
+  return sum / n;
+}
+
+TEST(Surface, AMovingTrocarIsFollowedThoughItsSamplesAreStale) {
+  const double aware = pivot_error_on_moving_trocar(true, 0.02);
+  const double unaware = pivot_error_on_moving_trocar(false, 0.02);
+  std::printf("mean true deviation: aware %.2f um, unaware %.0f um\n", 1e6 * aware, 1e6 * unaware);
+  EXPECT_LT(aware, 5e-6);
+  EXPECT_GT(unaware, 1e-3);
+}
+
+TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
+  struct Case {
+    Vector3 offset, velocity;
+    double age;
+    State state;
+    Reason reason;
+  };
+  const Case cases[] = {
+      {{0.0101, 0, 0}, {0, 0, 0}, 0, State::kFault, Reason::kRcmError},
+      {{0, 0, 0}, {0, 0.021, 0}, 0, State::kFault, Reason::kRcmError},
+      {{0, 0, 0}, {0, NAN, 0}, 0, State::kFault, Reason::kNotFinite},
+      {{0, 0, 0}, {0, 0, 0}, 0.101, State::kPaused, Reason::kTrackStale},
+      {{0, 0, 0}, {0, 0, 0}, NAN, State::kFault, Reason::kNotFinite},
+  };
+  for (const Case& c : cases) {
+    Controller::Options options;
+    options.track_rcm = true;
+    Bench bench(options);
+    bench.in().track_valid = true;
+    bench.in().track_age = c.age;
+    bench.in().p_BTrack = bench.out().p_BRcm + c.offset;
+    bench.in().v_BTrack = c.velocity;
+    bench.tick();
+    EXPECT_EQ(bench.out().state, c.state);
+    EXPECT_EQ(bench.out().reason, c.reason) << name(bench.out().reason);
+    EXPECT_TRUE(bench.out().qd_command.allFinite());
+  }
+}
+
+TEST(Surface, AClaimHoldsThroughRestAndEndsWithEnabled) {
+  Bench bench;
+  EXPECT_EQ(bench.controller().claim(kOther), Reason::kNone);
+  EXPECT_EQ(bench.controller().claim(kMe), Reason::kNoAuthority);
+  for (int i = 0; i < 1000; ++i) bench.tick();  // two seconds of rest do not free it
+  bench.servo_cp(bench.tip_in_R());
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNoAuthority);
+  EXPECT_EQ(bench.controller().request(StateCommand::kPause), Reason::kNone);
+  bench.tick();
+  EXPECT_EQ(bench.controller().claim(kMe), Reason::kNone);
+  EXPECT_EQ(bench.controller().request(StateCommand::kResume), Reason::kNone);
+  bench.tick();
+  bench.servo_cp(bench.tip_in_R());
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+  bench.servo_cp(bench.tip_in_R(), 0, kOther);
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNoAuthority);
+}
+
+TEST(Surface, TheJawIsBusyUntilItIsThereAndMovesOnCommandOnly) {  // F31
+  Bench bench;
+  bench.in().jaw = bench.out().jaw_set;
+  MotionCommand open = command(Motion::kJawMoveJp);
+  open.jaw = 0.6;
+  bench.send(open);
+  EXPECT_TRUE(bench.tick().busy);
+  int n = 0;
+  while (bench.out().busy && n < 1000) {
+    bench.in().jaw = bench.out().jaw_set;
+    bench.tick();
+    ++n;
+  }
+  EXPECT_NEAR(bench.out().jaw_set, 0.6, 1e-9);
+  EXPECT_NEAR(n * kT, 0.2, 0.02);
+  bench.send(open);  // zero length: still an edge
+  EXPECT_TRUE(bench.tick().busy);
+  // The tool link falls silent on the way: neither jaw nor arm goes on, nor starts by itself.
+  open.jaw = 0.1;
+  bench.send(open);
+  bench.tick();
+  MotionCommand move = command(Motion::kMoveCp);
+  move.p = Vector3(0.03, 0, 0.12);
+  bench.send(move);
+  for (int i = 0; i < 20; ++i) bench.tick();
+  bench.in().jaw_age = 0.201;
+  bench.tick();
+  const double jaw = bench.out().jaw_set;
+  EXPECT_EQ(bench.out().reason, Reason::kToolLost);
+  for (int i = 0; i < 300; ++i) bench.tick();
+  EXPECT_EQ(bench.out().jaw_set, jaw);
+  EXPECT_LT(bench.out().qd_command.norm(), 1e-6);
+  EXPECT_EQ(bench.out().state, State::kEnabled);
+  bench.in().jaw_age = 0;
+  const Vector3 at = bench.tip_in_R();
+  for (int i = 0; i < 300; ++i) bench.tick();
+  EXPECT_EQ(bench.out().jaw_set, jaw);
+  EXPECT_LT((bench.tip_in_R() - at).norm(), 1e-5);
+}
+
+TEST(Surface, AMoveThatIsNotFollowedEndsWithAReason) {
+  Bench bench;
+  const JointVector stuck = bench.in().q;
+  MotionCommand move = command(Motion::kMoveCp);
+  move.p = bench.tip_in_R() + Vector3(0.003, 0, 0);
+  bench.send(move);
+  bool said = false;
+  for (int i = 0; i < 1500; ++i) {
+    bench.tick();
+    bench.in().q = stuck;
+    bench.in().qd.setZero();
+    said |= bench.out().reason == Reason::kNotArrived;
+  }
+  EXPECT_TRUE(said);
+  EXPECT_FALSE(bench.out().busy);
+}
+
+}  // namespace
+}  // namespace surg
