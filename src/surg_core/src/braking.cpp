@@ -71,12 +71,14 @@ double Braking::duration() const {
 Kinematic Braking::at(double t) const {
   Kinematic state = from_;
   if (!(t > 0)) return state;
+  const double over = t - duration();
+  if (over >= 0) return {end_.x + over * end_.v, end_.v, 0};
   for (const Piece& piece : pieces_) {
     if (t < piece.duration) return with_jerk(state, piece.jerk, t);
     state = with_jerk(state, piece.jerk, piece.duration);
     t -= piece.duration;
   }
-  return {end_.x + t * end_.v, end_.v, 0};
+  return end_;
 }
 
 Interval Braking::range(double t0, double t1) const {

@@ -65,6 +65,11 @@ double largest_jerk(double v, double a, double V, double J, double T) {
   return a > 0 && 2 * room * J > a * a ? -0.5 * a * a / room : -J;
 }
 
+// Where a tick is long against the limits, only this much jerk can be undone within one tick.
+double usable_jerk(const DofLimits& limits, double T) {
+  return std::min({limits.jerk, limits.acceleration / T, 2 * limits.velocity / (T * T)});
+}
+
 }  // namespace
 
 void AlphaBeta::reset(double x, double v) {
@@ -112,7 +117,7 @@ void StreamFilter::reset(const Kinematic& state) { state_ = state; }
 void StreamFilter::step(const Kinematic& target, double T) {
   if (!(T > 0) || !(limits_.velocity > 0)) return;
   const double V = limits_.velocity, A = limits_.acceleration, J = limits_.jerk;
-  Kinematic& own = state_;
+  const Kinematic& own = state_;
 
   const double x1 = own.x + T * (own.v + 0.5 * T * own.a);
   const double v1 = own.v + T * own.a;
@@ -127,13 +132,34 @@ void StreamFilter::step(const Kinematic& target, double T) {
   const double ac = clamp_to(ahead + approach(vc - v1, kPole, kJerkShare * J), A);
   double j = 3 * kPole * (ac - own.a) / (1 + 1.5 * kPole * T);
 
-  // Where a tick is long against the limits, only this much jerk can be undone within one tick.
-  const double usable = std::min({J, A / T, 2 * V / (T * T)});
+  const double usable = usable_jerk(limits_, T);
   j = std::min(j, largest_jerk(own.v, own.a, V, usable, T));
   j = std::max(j, -largest_jerk(-own.v, -own.a, V, usable, T));
-  j = std::clamp(j, (-A - own.a) / T, (A - own.a) / T);
-  j = clamp_to(j, J);
+  integrate(j, T);
+}
 
+void StreamFilter::brake(double T) {
+  if (!(T > 0) || !(limits_.velocity > 0)) return;
+  const double v = state_.v, a = state_.a, J = usable_jerk(limits_, T);
+  // Two ticks that end at rest exactly, the second one perhaps idle.
+  double j = -(v + 1.5 * a * T) / (T * T);
+  const double next = (v + 0.5 * a * T) / (T * T);
+  if (std::max(std::abs(j), std::abs(next)) > J || std::abs(a + j * T) > limits_.acceleration) {
+    // As hard as leaves a way to rest without crossing zero: the velocity limit 0, seen from the
+    // side on which the velocity lies once a is gone. While it is still on its way there: full
+    // jerk.
+    const double side = std::copysign(1.0, v + 0.5 * a * std::abs(a) / J);
+    j = -side * (side * v > 0 ? largest_jerk(-side * v, -side * a, 0, J, T) : J);
+  }
+  integrate(j, T);
+}
+
+/// One tick with the jerk that the limits of acceleration and jerk leave of this one.
+void StreamFilter::integrate(double jerk, double T) {
+  const double A = limits_.acceleration;
+  Kinematic& own = state_;
+  double j = std::clamp(jerk, (-A - own.a) / T, (A - own.a) / T);
+  j = clamp_to(j, limits_.jerk);
   own.x += T * (own.v + T * (own.a / 2 + T * j / 6));
   own.v += T * (own.a + T * j / 2);
   own.a += T * j;
