@@ -27,16 +27,16 @@ class Profiler {
   /// Plans from the present state to rest at the target.
   ///
   /// Each degree of freedom stays inside its bounds, or, where its start or its target lies outside
-  /// of them, inside the hull of all three: extending a quintic that starts in motion can push it
-  /// up to 20 mm beyond both of its ends. Taken is the first that keeps limits and bounds:
+  /// of them, inside the hull of all three. Without bounds a start in motion can swing far beyond
+  /// both ends, the farther the longer the slowest degree of freedom needs. Taken is the first that
+  /// keeps limits and bounds:
   ///   1. a quintic, of the least duration that a scan finds;
   ///   2. every acceleration to zero with full jerk, then such a quintic (1 cannot hold where the
   ///      present acceleration is beyond its limit);
-  ///   3. a stop in the least time, then a quintic from rest, which is monotone and can always
-  ///      hold.
-  /// Returns whether the limits and bounds hold. If not, no motion could: the present state is
-  /// beyond a limit, or too fast to stop inside. Then 3 is taken, which comes back soonest. A
-  /// target that is not finite is ignored (false, the present plan goes on).
+  ///   3. a stop in the least time, then a quintic from rest, which is monotone and always holds.
+  /// Returns whether limits and bounds hold. They do not where the present state is beyond a limit
+  /// or leaves no room for the stop of 3, which is taken then. A target that is not finite is
+  /// ignored (false, the present plan goes on).
   ///
   /// Re-plan from the profiler's own state, never from a measured acceleration.
   bool plan(const std::array<double, kDof>& target, const Bounds& bounds = Bounds{});
