@@ -46,6 +46,10 @@ limits:
   step_dt_max: 0.1
   rcm_error_warn: 1.0e-3
   rcm_error_fault: 0.002
+  tip_force_soft: 5.0
+  tip_force_hard: 8.0
+  trocar_force_warn: 10.0
+  trocar_force_fault: 15.0
   joint_margin: 0.1
 tuning:
   rcm_gain: 40

@@ -17,7 +17,9 @@ TIERS = ("oracle", "vm", "mutants")
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
-    parser.add_argument("--full", action="store_true", help="long counts (SURG_TEST_FULL=1)")
+    parser.add_argument(
+        "--full", action="store_true", help="long counts (SURG_TEST_FULL=1); rewrites docs/results"
+    )
     parser.add_argument("--tier", choices=TIERS, help="run only the tests of one extra tier")
     parser.add_argument(
         "pytest", nargs="*", metavar="PATH", help="pytest arguments; put options behind --"
@@ -30,6 +32,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{env.get('PYTHONPATH', '')}".rstrip(":")
     if options.full:
         env["SURG_TEST_FULL"] = "1"
+        env["SURG_RESULTS_DIR"] = str(paths.ROOT / "docs" / "results")
     whole = not options.pytest and options.tier is None
     cpp_passed, cpp_failed = core_tests(env) if whole else (0, 0)
     argv = [str(paths.VENV_PYTHON), "-m", "pytest"]
@@ -50,7 +53,8 @@ def core_tests(env: dict[str, str]) -> tuple[int, int]:
     """Build surg_core by CMake alone, as on a machine without ROS, and run its tests.
 
     Args:
-        env: The nodes' environment; SURG_TEST_FULL in it raises the counts.
+        env: The nodes' environment; SURG_TEST_FULL in it raises the counts, SURG_RESULTS_DIR
+            takes the tables of measured figures.
 
     Returns:
         Numbers of passed and failed tests.
@@ -63,7 +67,7 @@ def core_tests(env: dict[str, str]) -> tuple[int, int]:
         warn("surg: src/surg_core has no CMakeLists.txt: no C++ tests")
         return 0, 0
     plain = environment.clean()
-    plain.update({k: v for k, v in env.items() if k.startswith("SURG_TEST")})
+    plain.update({k: v for k, v in env.items() if k.startswith(("SURG_TEST", "SURG_RESULTS"))})
     log = paths.STATE / "logs" / "core_tests.log"
     log.parent.mkdir(parents=True, exist_ok=True)
     with Progress("C++ tests: build"), log.open("w") as stream:

@@ -49,6 +49,10 @@ constexpr LimitKey kLimitKeys[] = {
     {"step_dt_max", &Limits::step_dt_max, 0.002, 0.2, "s"},
     {"rcm_error_warn", &Limits::rcm_error_warn, 1e-5, 0.002, "m"},
     {"rcm_error_fault", &Limits::rcm_error_fault, 1e-4, 0.005, "m"},
+    {"tip_force_soft", &Limits::tip_force_soft, 0.1, 10.0, "N"},
+    {"tip_force_hard", &Limits::tip_force_hard, 0.2, 15.0, "N"},
+    {"trocar_force_warn", &Limits::trocar_force_warn, 0.1, 20.0, "N"},
+    {"trocar_force_fault", &Limits::trocar_force_fault, 0.2, 30.0, "N"},
     {"joint_margin", &Limits::joint_margin, 0.01, 0.5, "rad", Tighter::kLarger},
 };
 
@@ -229,6 +233,13 @@ void check_limits(const Limits& limits, const std::string& file) {
   if (!(limits.rcm_error_warn < limits.rcm_error_fault)) {
     throw ConfigError(file + ": limits: rcm_error_warn " + number(limits.rcm_error_warn) +
                       " m must be below rcm_error_fault " + number(limits.rcm_error_fault) + " m");
+  }
+  if (!(limits.tip_force_soft < limits.tip_force_hard) ||
+      !(limits.trocar_force_warn < limits.trocar_force_fault)) {
+    throw ConfigError(file + ": limits: tip_force_soft " + number(limits.tip_force_soft) +
+                      " N must be below tip_force_hard " + number(limits.tip_force_hard) +
+                      " N, and trocar_force_warn " + number(limits.trocar_force_warn) +
+                      " N below trocar_force_fault " + number(limits.trocar_force_fault) + " N");
   }
 }
 

@@ -2,9 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "surg_core/arm_state.hpp"
 #include "surg_core/gate.hpp"
+#include "surg_core/image.hpp"
 #include "surg_core/jaw.hpp"
 #include "surg_core/law.hpp"
 #include "surg_core/limits.hpp"
@@ -34,6 +36,13 @@ double look_ahead(const RobotConfig& robot, const Controller::Options& options) 
 
 }  // namespace
 
+template <>
+struct IsPlain<Trocar> : std::true_type {};
+template <>
+struct IsPlain<Pilot> : std::true_type {};
+template <>
+struct IsPlain<ForceGuard> : std::true_type {};
+
 struct Controller::Impl {
   // Frozen.
   RobotConfig robot;
@@ -49,6 +58,7 @@ struct Controller::Impl {
   ArmState arm;
   Pilot pilot;
   Jaw jaw;
+  ForceGuard force;
 
   Pose X_BR = Pose::Identity();
   bool sensed = false;    // a finite, fresh joint state has been seen in the last step
@@ -71,6 +81,7 @@ struct Controller::Impl {
         arm(chain, {tool.s_F, tool.p_FTip}, look_ahead(robot_in, options), options.dt),
         pilot(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
         jaw(instrument, options.dt),
+        force(limits_in),
         qd_last(JointVector::Zero(chain.dof())) {
     out.qd_command = qd_last;
   }
@@ -79,7 +90,8 @@ struct Controller::Impl {
   const ShaftState& shaft() const { return arm.now().shaft; }
 
   Conditions conditions() const {
-    return {sensed, trocar.taught(), trocar.taught() && on_line() && shaft().depth > -kOutside};
+    return {sensed, trocar.taught(), trocar.taught() && on_line() && shaft().depth > -kOutside,
+            force.acceptable()};
   }
 
   /// The shaft's line passes through the trocar, in front of the flange.
@@ -118,6 +130,7 @@ struct Controller::Impl {
   /// The set-point is where the arm is; every target is gone.
   void start_here() {
     pilot.start(whereabouts());
+    force.restart();
     inserted = shaft().depth >= limits.depth_min;
   }
 
@@ -197,6 +210,28 @@ struct Controller::Impl {
     if (!(behind <= kFollowDistance)) pause(Reason::kNotFollowing);
   }
 
+  /// F25: yields to the force at the tip, stops or halts.
+  void guard_force(const Inputs& in) {
+    const ForceGuard::Verdict verdict = force.judge(in.tip_force, in.trocar_force, T);
+    out.warn_force = force.warns();
+    if (!enabled()) return;
+    switch (verdict) {
+      case ForceGuard::Verdict::kFree:
+      case ForceGuard::Verdict::kYield:
+        break;
+      case ForceGuard::Verdict::kPause:
+        pause(Reason::kForce);
+        break;
+      case ForceGuard::Verdict::kStop:
+        fault(Reason::kForce);
+        break;
+      case ForceGuard::Verdict::kHalt:
+        fault(Reason::kForce);
+        freeze();
+        break;
+    }
+  }
+
   // --- gate -----------------------------------------------------------------------------------
 
   Reason take(const MotionCommand& command) {
@@ -243,8 +278,8 @@ struct Controller::Impl {
     const bool resting = !enabled() && setpoint.mode() == Setpoint::Mode::kRest;
     if (resting) return {};
     return setpoint.axial()
-               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, T)
-               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, limits, T);
+               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, T)
+               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, limits, T);
   }
 
   void move(const Inputs& in) {
@@ -347,6 +382,16 @@ struct Controller::Impl {
     out.virtual_qd = {(s_dot.x() * s.z() - s.x() * s_dot.z()) / (cos_pitch * cos_pitch),
                       s_dot.y() / cos_pitch, insertion_rate, roll_rate};
   }
+
+  // --- image ----------------------------------------------------------------------------------
+
+  /// Every member that a step reads before it writes it; a test finds the one that is missing.
+  template <typename Image>
+  void remembered(Image& image) {
+    image(operating, authority, trocar, pilot, jaw, force);
+    arm.remembered(image);
+    image(X_BR, sensed, inserted, tool_lost, home_busy, qd_last, out.accepted, out.refused);
+  }
 };
 
 Controller::Controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
@@ -385,6 +430,7 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.out.reason = Reason::kNone;
   self.sense(inputs);
   self.guard_pivot();
+  self.guard_force(inputs);
   self.gate(inputs);
   self.move(inputs);
   self.jaw.advance(self.enabled() && !self.tool_lost);
@@ -403,5 +449,27 @@ Eigen::Quaterniond Controller::tool_orientation(const Vector3& s_B, double roll)
 
 bool Controller::rcm_set() const { return impl_->trocar.taught(); }
 double Controller::dt() const { return impl_->T; }
+
+std::size_t Controller::save(std::byte* to, std::size_t room) const {
+  std::uint64_t layout = 0;
+  const std::size_t head = sizeof layout;
+  ImageWriter image(to, room, head);
+  impl_->remembered(image);
+  layout = image.layout();
+  if (room >= head) std::memcpy(to, &layout, head);
+  return image.size();
+}
+
+bool Controller::restore(const std::byte* from, std::size_t size) {
+  std::uint64_t layout = 0;
+  ImageWriter own(nullptr, 0, sizeof layout);
+  impl_->remembered(own);
+  if (size != own.size()) return false;
+  std::memcpy(&layout, from, sizeof layout);
+  if (layout != own.layout()) return false;
+  ImageReader image(from + sizeof layout);
+  impl_->remembered(image);
+  return true;
+}
 
 }  // namespace surg

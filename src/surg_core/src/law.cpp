@@ -17,13 +17,14 @@ Vector3 mean_velocity(const Setpoint& setpoint, const Setpoint& next, const Pose
 
 TwistWish velocity_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
                         const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains,
-                        const Limits& limits, double dt) {
+                        const ForceGuard& force, const Limits& limits, double dt) {
   const Sight& at = arm.ahead();
   const ShaftState& shaft = at.shaft;
   const Vector3& s = shaft.s;
   const double depth = std::max(shaft.depth, limits.depth_min);
   const double fade = lateral_fade(limits, shaft.depth);
-  const auto faded = [&](const Vector3& v) {
+  const auto faded = [&](const Vector3& wished) {
+    const Vector3 v = force.yield(wished);
     return Vector3(s.dot(v) * s + fade * (v - s.dot(v) * s));
   };
   // One part of the law: tip velocity, roll rate about the shaft besides the holonomy of its swing,
@@ -44,22 +45,24 @@ TwistWish velocity_wish(const ArmState& arm, const Setpoint& setpoint, const Set
 }
 
 TwistWish axial_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
-                     const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains, double dt) {
+                     const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains,
+                     const ForceGuard& force, double dt) {
   const Sight& at = arm.ahead();
   const ShaftState& shaft = at.shaft;
   const Vector3& s = shaft.s;
-  const auto part = [&](double along, double roll_rate, const Vector3& aside) {
+  const auto part = [&](double rate, double roll_rate, const Vector3& aside) {
     Vector6 twist;
     const Vector3 omega = roll_rate * s;
-    twist.head<3>() = along * s + aside - omega.cross(Vector3(shaft.p_BTip - shaft.p_BF));
+    twist.head<3>() = rate * s + aside - omega.cross(Vector3(shaft.p_BTip - shaft.p_BF));
     twist.tail<3>() = omega;
     return twist;
   };
-  const double behind = s.dot(X_BR * setpoint.p_RTip() - shaft.p_BTip);
+  const auto along = [&](const Vector3& v) { return s.dot(force.yield(s * s.dot(v))); };
+  const Vector3 behind = X_BR * setpoint.p_RTip() - shaft.p_BTip;
   TwistWish wish;
-  wish.feedback = part(gains.tip * behind, gains.roll * (setpoint.roll() - at.roll),
+  wish.feedback = part(along(gains.tip * behind), gains.roll * (setpoint.roll() - at.roll),
                        Vector3(v_BRcm - s * s.dot(v_BRcm) + gains.rcm * shaft.e));
-  wish.path = part(s.dot(mean_velocity(setpoint, next, X_BR, dt)), 0, Vector3::Zero());
+  wish.path = part(along(mean_velocity(setpoint, next, X_BR, dt)), 0, Vector3::Zero());
   return wish;
 }
 

@@ -95,6 +95,11 @@ Text text(Reason reason) {
     case Reason::kFrameWhileEnabled:
       return {"frame_while_enabled",
               "the base frame may not change while ENABLED: send 'disable' first"};
+    case Reason::kForce:
+      return {
+          "force",
+          "too much force at the tip or on the trocar: see limits.tip_force_soft, tip_force_hard "
+          "and trocar_force_fault; move away from the contact after 'resume' or 'enable'"};
     case Reason::kMasterLost:
       return {"master_lost",
               "the ROS master is gone: start it again, then restart every node of the system"};
@@ -125,6 +130,7 @@ Reason OperatingState::request(StateCommand command, const Conditions& now) {
   const Reason obstacle = !now.state_valid ? Reason::kLinkLost
                           : !now.rcm_set   ? Reason::kRcmUnset
                           : !now.rcm_near  ? Reason::kRcmError
+                          : !now.force_ok  ? Reason::kForce
                                            : Reason::kNone;
   const bool may_enter = command == StateCommand::kEnable
                              ? state_ == State::kDisabled || state_ == State::kFault

@@ -50,6 +50,10 @@ inline Document good_robot() {
                                                 {"step_dt_max", 0.1},
                                                 {"rcm_error_warn", 0.001},
                                                 {"rcm_error_fault", 0.002},
+                                                {"tip_force_soft", 5},
+                                                {"tip_force_hard", 8},
+                                                {"trocar_force_warn", 10},
+                                                {"trocar_force_fault", 15},
                                                 {"joint_margin", 0.1}};
   for (const auto& [key, value] : limits) v["limits." + key] = value;
   const std::map<std::string, double> tuning = {{"rcm_gain", 20},           {"tip_gain", 10},
@@ -78,6 +82,33 @@ inline Chain ur5e_chain() {
            Eigen::AngleAxisd(dh[i].alpha, Vector3::UnitX());
   }
   return Chain(joints, X_PJ);
+}
+
+/// Modified DH of the published kinematics of the Franka Emika Panda, in the frames of its URDF.
+inline Chain panda_chain() {
+  struct Place {
+    double x, y, z, roll;
+  };
+  const Place places[7] = {
+      {0, 0, 0.333, 0},       {0, 0, 0, -M_PI_2},           {0, -0.316, 0, M_PI_2},
+      {0.0825, 0, 0, M_PI_2}, {-0.0825, 0.384, 0, -M_PI_2}, {0, 0, 0, M_PI_2},
+      {0.088, 0, 0, M_PI_2}};
+  std::vector<Joint> joints(7);
+  for (int i = 0; i < 7; ++i) {
+    const Place& at = places[i];
+    joints[i].name = "joint" + std::to_string(i + 1);
+    joints[i].X_PJ =
+        Eigen::Translation3d(at.x, at.y, at.z) * Eigen::AngleAxisd(at.roll, Vector3::UnitX());
+  }
+  return Chain(joints, Pose(Eigen::Translation3d(0, 0, 0.107)));
+}
+
+/// Home postures of the two arms as they are shipped.
+inline JointVector ur5e_home() {
+  return (JointVector(6) << -0.294, -1.234, 1.511, -1.29, -1.63, -2.134).finished();
+}
+inline JointVector panda_home() {
+  return (JointVector(7) << -0.147, -0.437, -0.073, -2.227, 0.367, 1.791, 0.044).finished();
 }
 
 inline InstrumentConfig instrument() { return {"", "grasper", "", "", "", 0.0, 1.0, 3.0}; }

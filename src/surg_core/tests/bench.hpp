@@ -74,6 +74,7 @@ class Bench {
 
   Vector3 tip_in_R() const { return controller_.X_BR().inverse() * out_->p_BTip; }
   Controller& controller() { return controller_; }
+  const Controller& controller() const { return controller_; }
   Inputs& in() { return in_; }
   const Outputs& out() const { return *out_; }
   const RobotConfig& robot() const { return robot_; }

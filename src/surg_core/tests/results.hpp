@@ -3,6 +3,7 @@
 // the program ends. One test program owns one area.
 #pragma once
 
+#include <cmath>
 #include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
@@ -22,6 +23,13 @@ namespace surg::test {
   std::vsnprintf(text, sizeof text, format, values);
   va_end(values);
   return text;
+}
+
+/// Three digits of a number of any size.
+inline std::string number(double x) {
+  const double size = std::abs(x);
+  if (size == 0) return "0";
+  return cell(size >= 100 ? "%.0f" : size >= 0.01 ? "%.3g" : "%.1e", x);
 }
 
 /// A Markdown page of tables.

@@ -289,6 +289,76 @@ TEST(Surface, TheJawIsBusyUntilItIsThereAndMovesOnCommandOnly) {  // F31
   EXPECT_LT((bench.tip_in_R() - at).norm(), 1e-5);
 }
 
+/// Drives the tip along x against a spring wall at 5 mm; N per metre beyond.
+struct Wall {
+  double stiffness;
+  ForceSample at(const Bench& bench) const {
+    const double in = std::max(0.0, bench.tip_in_R().x() - 0.005);
+    return {true, Vector3(bench.controller().X_BR().linear().col(0) * (-stiffness * in))};
+  }
+};
+
+TEST(Surface, ASoftForceIsYieldedToAndPauses) {  // F25
+  const Wall wall{2000};
+  Bench bench;
+  MotionCommand push = command(Motion::kServoCv);
+  push.p = Vector3(0.03, 0, 0);
+  int above = 0;
+  double most = 0;
+  while (bench.out().state == State::kEnabled && bench.ticks < 2000) {
+    bench.send(push);
+    bench.in().tip_force = wall.at(bench);
+    above += bench.in().tip_force.f_B.norm() > 5;
+    most = std::max(most, bench.in().tip_force.f_B.norm());
+    bench.tick();
+  }
+  EXPECT_EQ(bench.out().reason, Reason::kForce);
+  EXPECT_EQ(bench.out().state, State::kPaused);
+  EXPECT_EQ(above, 51);  // 0.1 s, and the cycle that passes it
+  EXPECT_LT(most, 5.5);  // the motion into the wall ended with the first sample above
+  // Back out it comes, with no other trick than 'resume'.
+  for (int i = 0; i < 100; ++i) {
+    bench.in().tip_force = wall.at(bench);
+    bench.tick();
+  }
+  EXPECT_EQ(bench.controller().request(StateCommand::kResume), Reason::kNone);
+  push.p = Vector3(-0.03, 0, 0);
+  for (int i = 0; i < 300; ++i) {
+    bench.send(push);
+    bench.in().tip_force = wall.at(bench);
+    bench.tick();
+    ASSERT_EQ(bench.out().state, State::kEnabled);
+  }
+  EXPECT_LT(bench.tip_in_R().x(), 0);
+}
+
+TEST(Surface, AHardForceHaltsInTheSameCycleAndTheTrocarsLoadStops) {  // F25
+  for (const bool at_tip : {true, false}) {
+    for (const Vector3& f : {Vector3(at_tip ? 8.01 : 15.01, 0, 0), Vector3(NAN, 0, 0)}) {
+      Bench bench;
+      MotionCommand push = command(Motion::kServoCv);
+      push.p = Vector3(0.03, 0, 0);
+      for (int i = 0; i < 200; ++i) {
+        bench.send(push);
+        bench.tick();
+      }
+      EXPECT_GT(bench.out().qd_command.norm(), 1e-3);
+      (at_tip ? bench.in().tip_force : bench.in().trocar_force) = {true, f};
+      bench.tick();
+      EXPECT_EQ(bench.out().state, State::kFault);
+      EXPECT_EQ(bench.out().reason, Reason::kForce);
+      const bool halt = at_tip || std::isnan(f.x());
+      EXPECT_EQ(bench.out().qd_command.norm() == 0, halt);
+      for (int i = 0; i < 50; ++i) bench.tick();
+      EXPECT_EQ(bench.out().qd_command.norm(), 0);
+      EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kForce);
+      bench.in().tip_force = bench.in().trocar_force = {};
+      bench.tick();
+      EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kNone);
+    }
+  }
+}
+
 TEST(Surface, AMoveThatIsNotFollowedEndsWithAReason) {
   Bench bench;
   const JointVector stuck = bench.in().q;

@@ -2,6 +2,7 @@
 // find it.
 #pragma once
 
+#include "surg_core/image.hpp"
 #include "surg_core/kinematics.hpp"
 #include "surg_core/rcm.hpp"
 #include "surg_core/trocar.hpp"
@@ -18,6 +19,9 @@ struct Sight {
   ShaftState shaft{};
   double roll = 0;  ///< absolute, continuous [rad]; 0 until homed
 };
+
+template <>
+struct IsPlain<Sight> : std::true_type {};
 
 class ArmState {
  public:
@@ -44,6 +48,11 @@ class ArmState {
   double roll_rate() const { return roll_rate_; }    ///< measured [rad/s]
   /// Length of the shaft from the flange's plane to the tip [m].
   double shaft_length() const { return tool_.s_F.dot(tool_.p_FTip); }
+  /// What an image of the controller needs of it: all but the frozen chain and tool (image.hpp).
+  template <typename Image>
+  void remembered(Image& image) {
+    image(homed_, s_home_, R_home_, now_, ahead_, in_flight_, v_BTip_, s_dot_, roll_rate_);
+  }
 
  private:
   void look(const JointVector& q, const Vector3& p_BRcm, Sight& sight) const;

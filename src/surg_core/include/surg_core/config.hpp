@@ -53,6 +53,10 @@ struct Limits {
   double step_dt_max;         ///< [s] largest dt that counts in the step test
   double rcm_error_warn;      ///< [m]
   double rcm_error_fault;     ///< [m] F23
+  double tip_force_soft;      ///< [N] F25: yields above, PAUSED after 0.1 s
+  double tip_force_hard;      ///< [N] F25: FAULT, halt
+  double trocar_force_warn;   ///< [N] load of the trocar
+  double trocar_force_fault;  ///< [N] F25: FAULT, stop
   double joint_margin;        ///< [rad] joints slow down from this distance to their limit
 };
 

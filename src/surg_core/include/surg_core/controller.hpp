@@ -4,11 +4,13 @@
 #pragma once
 
 #include <array>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 
 #include "surg_core/command.hpp"
 #include "surg_core/config.hpp"
+#include "surg_core/force_guard.hpp"
 #include "surg_core/kinematics.hpp"
 #include "surg_core/operating_state.hpp"
 #include "surg_core/rcm.hpp"
@@ -26,18 +28,24 @@ struct Verdict {
 /// Most commands one cycle looks at; more wait for the next cycle (the node's business).
 constexpr int kMaxCommands = 64;
 
-/// Everything one cycle may look at.
-struct Inputs {
+/// What arm, tool and sensors said last.
+struct Readings {
   bool state_valid = false;  ///< q, qd hold a joint state
   double state_age = 0;      ///< [s] since it was received (0 in lock-step)
   JointVector q, qd;         ///< measured [rad, rad/s]
   double jaw = 0;            ///< measured jaw [rad]
   double jaw_age = 0;        ///< [s] since it was received (0 in lock-step)
+  ForceSample tip_force;     ///< F25, where a sensor exists
+  ForceSample trocar_force;  ///< load of the trocar
   // rcm/track, where Options::track_rcm is set:
   bool track_valid = false;            ///< a sample has been received
   double track_age = 0;                ///< [s] since it was taken
   Vector3 p_BTrack = Vector3::Zero();  ///< where the trocar was then
   Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]
+};
+
+/// Everything one cycle may look at.
+struct Inputs : Readings {
   int n_commands = 0;
   std::array<MotionCommand, kMaxCommands> commands;
 };
@@ -52,6 +60,7 @@ struct Outputs {
   std::uint32_t accepted = 0, refused = 0;
   int n_verdicts = 0;
   std::array<Verdict, kMaxCommands> verdicts;  ///< one per command of this cycle, in order
+  bool warn_force = false;                     ///< load of the trocar above the warn level
   bool warn_rcm = false;                       ///< rcm error above the warn level
   // geometry, in B
   Pose X_BF = Pose::Identity();
@@ -113,6 +122,13 @@ class Controller {
   Eigen::Quaterniond tool_orientation(const Vector3& s_B, double roll) const;
   bool rcm_set() const;
   double dt() const;
+
+  /// The image of everything that the next steps depend on, for the black box. Returns the bytes it
+  /// takes; nothing useful is written where 'room' is less. Never allocates.
+  std::size_t save(std::byte* to, std::size_t room) const;
+  /// Puts an image back into a controller of the same configuration: it goes on bit for bit like
+  /// the one that was saved. False, and nothing changed, for an image of another build.
+  bool restore(const std::byte* from, std::size_t size);
 
  private:
   struct Impl;

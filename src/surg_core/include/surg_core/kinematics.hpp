@@ -1,6 +1,7 @@
 // The serial chain from base to flange: forward kinematics, geometric Jacobian, inverse velocity.
 #pragma once
 
+#include <array>
 #include <string>
 #include <vector>
 
@@ -33,8 +34,14 @@ class Chain {
   void forward(const JointVector& q, Pose& X_BF, Jacobian& J) const;
 
  private:
+  struct Frames;
+  void walk(const JointVector& q, Frames& frames) const;
+
   std::vector<Joint> joints_;
   Pose X_LF_ = Pose::Identity();
+  /// The same chain for the loop: frames turned so that each joint is a rotation about its own z.
+  std::array<Pose, kMaxJoints> links_;
+  Pose end_ = Pose::Identity();
 };
 
 /// Joint velocities that give a flange twist: J^-1 for six joints; for more, the pseudo-inverse

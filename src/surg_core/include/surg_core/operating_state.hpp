@@ -38,6 +38,7 @@ enum class Reason : std::uint8_t {
   kNotArrived,         // a move ended without reaching its target
   kNoTrace,            // nothing recorded to go back along
   kFrameWhileEnabled,  // set_base_frame while ENABLED
+  kForce,              // F25 too much force at the tip or on the trocar
   kMasterLost,         // F07 enable and resume without a ROS master
 };
 
@@ -54,6 +55,7 @@ struct Conditions {
   bool state_valid = false;  ///< a fresh, finite joint state is there
   bool rcm_set = false;      ///< a trocar point is known
   bool rcm_near = false;     ///< the shaft passes within rcm_error_fault of it
+  bool force_ok = true;      ///< the measured forces are below their fault levels
 };
 
 /// CRTK state machine. Nothing resumes by itself.

@@ -28,7 +28,7 @@ class StreamFilter {
   StreamFilter() = default;
   explicit StreamFilter(const DofLimits& limits);
   void reset(const Kinematic& state);
-  /// One tick of T seconds towards a target predicted one tick ahead (x and v are used). Never
+  /// One tick of T seconds towards a target predicted one tick ahead. Never
   /// leaves the velocity, acceleration and jerk limits. A target that is not finite: comes to rest.
   void step(const Kinematic& target, double T);
   /// One tick of the hardest braking inside the same limits; in the end it stands still. It does so

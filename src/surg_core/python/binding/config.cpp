@@ -75,6 +75,10 @@ constexpr Field<Limits, double> kLimits[] = {
     {"step_dt_max", &Limits::step_dt_max},
     {"rcm_error_warn", &Limits::rcm_error_warn},
     {"rcm_error_fault", &Limits::rcm_error_fault},
+    {"tip_force_soft", &Limits::tip_force_soft},
+    {"tip_force_hard", &Limits::tip_force_hard},
+    {"trocar_force_warn", &Limits::trocar_force_warn},
+    {"trocar_force_fault", &Limits::trocar_force_fault},
     {"joint_margin", &Limits::joint_margin},
 };
 // A limit added to the struct must appear here too.

@@ -7,6 +7,7 @@ from surg_core._core import (
     MAX_COMMANDS,
     MAX_JOINTS,
     AlphaBeta,
+    Braking,
     CellArm,
     CellConfig,
     Chain,
@@ -58,6 +59,7 @@ from surg_core._core import (
     shaft_direction_rate,
     shaft_state,
     state_name,
+    stream_filter,
     tighten,
 )
 from surg_core.config import (
@@ -86,6 +88,7 @@ __all__ = [
     "MAX_JOINTS",
     "AlphaBeta",
     "Arm",
+    "Braking",
     "Cell",
     "CellArm",
     "CellConfig",
@@ -153,5 +156,6 @@ __all__ = [
     "shaft_direction_rate",
     "shaft_state",
     "state_name",
+    "stream_filter",
     "tighten",
 ]

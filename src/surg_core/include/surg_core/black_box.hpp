@@ -1,0 +1,142 @@
+// The black box: the last two seconds of a controller, complete enough to run them again bit for
+// bit. Drive the controller through it. The loop's side copies values into memory taken at
+// construction: no allocation, lock or I/O. On FAULT it freezes; another thread then takes the
+// recording out at leisure and releases it. docs/black_box.md describes the file.
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "surg_core/controller.hpp"
+
+namespace surg {
+
+/// Everything a controller is made from.
+struct ControllerSetup {
+  Chain chain;
+  RobotConfig robot;
+  Limits limits;
+  InstrumentConfig instrument;
+  ToolCalibration tool;
+  Controller::Options options;
+};
+
+/// For people: where a recording comes from. Replay does not read it.
+struct BlackBoxLabel {
+  std::string arm, cell;  ///< name of the arm, path of the cell
+  std::string written;    ///< date and time
+  std::string version;    ///< of the software
+};
+
+/// A call between two steps, or one command of a step.
+struct BlackBoxEvent {
+  enum class Kind : std::uint8_t { kRequest, kSetRcm, kFault, kPause, kClaim, kCommand };
+  Kind kind = Kind::kCommand;
+  StateCommand state = StateCommand::kDisable;  ///< kRequest
+  Reason reason = Reason::kNone;                ///< kFault, kPause: the argument
+  Reason answer = Reason::kNone;                ///< kRequest, kSetRcm, kClaim: what came back
+  std::uint32_t source = 0;                     ///< kClaim
+  Vector3 p_BRcm = Vector3::Zero();             ///< kSetRcm
+  MotionCommand command;                        ///< kCommand
+};
+
+/// One step: what went in (its commands are events) and what came out.
+struct BlackBoxStep {
+  Readings in;
+  std::uint32_t events = 0;  ///< calls since the step before, then this step's commands
+  std::uint32_t n_commands = 0;
+  Outputs out;
+};
+
+/// What a file holds: a controller, its image before the first step, and all that followed.
+struct BlackBoxRecording {
+  BlackBoxLabel label;
+  ControllerSetup setup;
+  std::vector<std::byte> image;
+  std::vector<BlackBoxStep> steps;
+  std::vector<BlackBoxEvent> events;  ///< in order; those after the last step included
+};
+
+/// The same calls as Controller; each is forwarded and remembered.
+class BlackBox {
+ public:
+  static constexpr int kBlocks = 4;        ///< in turn; each begins with the controller's image
+  static constexpr int kBlockSteps = 400;  ///< 0.8 s at 2 ms
+  /// A block ends early when as many calls and commands are in it.
+  static constexpr int kBlockEvents = 4 * kBlockSteps;
+  static constexpr int kAfter = 150;  ///< steps kept after the fault: its stop belongs to it
+
+  /// 'controller' must have been made from 'setup' and outlive the box. Allocates.
+  BlackBox(Controller& controller, const ControllerSetup& setup);
+
+  Reason request(StateCommand command);
+  Reason set_rcm(const Vector3& p_BRcm);
+  void fault(Reason reason);
+  void pause(Reason reason);
+  Reason claim(std::uint32_t source);
+  const Outputs& step(const Inputs& inputs);
+
+  /// Freezes after kAfter more steps, as a FAULT does (same thread as step()).
+  void trigger();
+
+  /// Any thread: the recording stands still until release().
+  bool frozen() const { return frozen_.load(std::memory_order_acquire); }
+  /// The other thread, while frozen: a copy of at least the last 2 s (less after a start, a release
+  /// or in a flood of commands). Allocates.
+  BlackBoxRecording recording(const BlackBoxLabel& label) const;
+  /// The other thread, while frozen: record again, from the next step on.
+  void release() { frozen_.store(false, std::memory_order_release); }
+
+ private:
+  struct Block {
+    std::vector<std::byte> image;
+    std::vector<BlackBoxStep> steps;
+    std::vector<BlackBoxEvent> events;
+    int n_steps = 0, n_events = 0;
+  };
+
+  bool recording_now();
+  Block& room_for(int events);
+  BlackBoxEvent* note(BlackBoxEvent::Kind kind);
+  void watch(State now, bool recorded);
+
+  Controller& controller_;
+  ControllerSetup setup_;
+  std::vector<Block> blocks_;
+  int present_ = -1;   ///< index into blocks_; -1: nothing recorded
+  int used_ = 0;       ///< blocks that hold something
+  int countdown_ = 0;  ///< steps until frozen; 0: none
+  bool was_frozen_ = false;
+  State last_ = State::kDisabled;
+  std::atomic<bool> frozen_{false};
+};
+
+/// A file that is not a black box, broken, or of another build: which, and what to do.
+class BlackBoxError : public std::runtime_error {
+ public:
+  using std::runtime_error::runtime_error;
+};
+
+/// The bytes of a file: magic and version, length, contents, checksum.
+std::string encode(BlackBoxRecording recording);
+/// Throws BlackBoxError.
+BlackBoxRecording decode(std::string_view bytes);
+
+/// Where a replay left the recording.
+struct BlackBoxDifference {
+  std::size_t step = 0;  ///< index of the step; recording.steps.size(): behind the last
+  std::string field;     ///< of Outputs, or the call's name
+  std::string recorded, replayed;
+};
+
+/// Runs a recording again on a new controller and compares every call's answer and every field of
+/// Outputs bit for bit. Empty: all the same. Throws BlackBoxError for an image of another build.
+std::optional<BlackBoxDifference> replay(const BlackBoxRecording& recording);
+
+}  // namespace surg

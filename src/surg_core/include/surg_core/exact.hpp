@@ -1,0 +1,93 @@
+// The exact form of the law, for links that take joint velocities (docs/architecture.md, "The
+// law"): the next flange pose lies on the constraint by construction, and the joints go there in
+// two stages, a prediction and one Newton correction. Fixed cost, nothing iterates, nothing
+// allocates.
+#pragma once
+
+#include <optional>
+
+#include "surg_core/kinematics.hpp"
+#include "surg_core/rcm.hpp"
+#include "surg_core/types.hpp"
+#include "surg_core/ur_inverse.hpp"
+
+namespace surg {
+
+/// The shaft's axis and the flange's orientation when the arm was homed: zero of the roll.
+struct Home {
+  Vector3 s_B = Vector3::UnitZ();
+  Matrix3 R_BF = Matrix3::Identity();
+};
+Home home_of(const Pose& X_BF, const Tool& tool);
+
+/// Where the instrument shall be: the four degrees of freedom that a trocar leaves, in B. 'depth'
+/// may be negative, outside the patient on the same line.
+struct ShaftGoal {
+  Vector3 p_BRcm;    ///< trocar point at the instant of the goal; it may move between goals
+  Vector3 s_B;       ///< unit shaft axis, towards the tip
+  double depth = 0;  ///< L [m]: the tip is p_BRcm + L s
+  double roll = 0;   ///< psi [rad], absolute, from 'Home'
+
+  Vector3 p_BTip() const { return p_BRcm + depth * s_B; }
+};
+/// The goal whose tip is p_BTip, deeper than the trocar. Coinciding points give no direction: s is
+/// then 'otherwise', at depth 0.
+ShaftGoal tip_goal(const Vector3& p_BRcm, const Vector3& p_BTip, double roll,
+                   const Vector3& otherwise);
+/// The goal (yaw, pitch, insertion, roll) in the trocar frame (docs/conventions.md).
+ShaftGoal spherical_goal(const Pose& X_BR, const Vector4& virtual_joints);
+
+/// X_BF on the constraint by construction: R = minimal_rotation(s_home, s) exp(psi s_home) R_home,
+/// and the origin from the tip. The roll cannot drift, whatever path the tip takes.
+Pose pose_on_pivot(const Home& home, const Tool& tool, const ShaftGoal& goal);
+
+/// A displacement of the joints. 'conditioning' as in InverseVelocity; 0: singular, dq is zero.
+struct JointStep {
+  JointVector dq;  ///< [rad]
+  double conditioning = 0;
+};
+
+/// One Newton step towards a pose from a flange pose and its Jacobian: the inverse for six joints;
+/// for more the pseudo-inverse, plus 'posture' [rad] projected into the null space.
+JointStep newton_step(const Pose& X_BF, const Jacobian& J, const Pose& X_BFGoal,
+                      const JointVector& posture);
+
+/// The joints for the next pose: a Newton step from q (with 'posture' [rad], the displacement that
+/// the null space would like) and one from there. With steps of a control cycle (some mrad) the
+/// pose is met to 1e-13 m. dq is q' - q; the link is sent dq / T. 'conditioning' is the smaller of
+/// both.
+JointStep exact_step(const Chain& chain, const JointVector& q, const Pose& X_BFGoal,
+                     const JointVector& posture);
+
+/// The joints for the next pose, by the quickest way that the arm's geometry has: the closed form
+/// for arms of the UR family (3 times as fast, exact to rounding), 'exact_step' for all others.
+class NextPose {
+ public:
+  /// 'closed_form' false: 'exact_step' for every arm.
+  explicit NextPose(const Chain& chain, bool closed_form = true);
+
+  bool closed_form() const { return ur_.has_value(); }
+  /// As 'exact_step'. The closed form stays on the branch of q; its 'conditioning' is the smallest
+  /// of the three measures, 0 also where that branch does not reach the pose.
+  JointStep step(const JointVector& q, const Pose& X_BFGoal, const JointVector& posture) const;
+
+ private:
+  Chain chain_;
+  std::optional<UrInverse> ur_;
+};
+
+/// The two rows that keep the pivot.
+struct RcmRows {
+  using Matrix = Eigen::Matrix<double, 2, Eigen::Dynamic, 0, 2, kMaxJoints>;
+  Matrix J;           ///< lateral velocity of the shaft point at the trocar per joint velocity
+  Eigen::Vector2d e;  ///< the lateral vector to the trocar in the same two directions [m]
+};
+/// The two directions are any orthonormal pair across the shaft.
+RcmRows rcm_rows(const Jacobian& J, const ShaftState& shaft);
+
+/// The smallest joint displacement that, to first order, puts the shaft back on the trocar:
+/// Jr^T (Jr Jr^T)^-1 e. Well conditioned even where J itself is singular: only a lateral velocity
+/// of the shaft that no joint can give would spoil it (then dq is zero). The tip moves along.
+JointStep rcm_correction(const RcmRows& rows);
+
+}  // namespace surg

@@ -1,0 +1,121 @@
+// One control cycle inside every joint limit without leaving the pivot: from what the law wishes to
+// joint velocities. One factor alpha for all joints, which also is the speed of the set-point's
+// clock (clamping joints one by one moved the pivot by 33 mm in a prototype).
+//
+//   q_dot(alpha) = q_dot_0 + alpha q_dot_1      0: what must be corrected, 1: what the path wants
+//
+// Velocity, acceleration and the distance in which a joint can still brake before its position
+// limit leave an interval for alpha; preview, singularity barrier and flange speed cap it. The step
+// is then computed without linearisation and checked; what the linear picture missed enters the
+// interval and the step is redone, a fixed number of times.
+#pragma once
+
+#include <array>
+#include <cstdint>
+
+#include "surg_core/barrier.hpp"
+#include "surg_core/config.hpp"
+#include "surg_core/exact.hpp"
+#include "surg_core/kinematics.hpp"
+#include "surg_core/rcm.hpp"
+#include "surg_core/types.hpp"
+
+namespace surg {
+
+/// What the joints may do. Never exceeded; the flange speed is kept as far as the joints' own
+/// accelerations allow.
+struct JointLimits {
+  JointVector position_min, position_max;  ///< [rad]
+  JointVector velocity;                    ///< [rad/s]
+  JointVector acceleration;                ///< [rad/s^2]
+  double flange_velocity = INFINITY;       ///< [m/s] speed of the flange origin
+};
+JointLimits joint_limits(const RobotConfig& robot, const Limits& limits);
+
+/// Where the set-point leads: the goal at the end of this cycle if the set-point's clock has run on
+/// by t [s] since its beginning. A view of a caller's function object, which must outlive it; a
+/// trocar that moves is where it will be at the end of this cycle, whatever t.
+class PathView {
+ public:
+  PathView() = default;
+  template <typename Path>
+  explicit PathView(const Path& path)
+      : path_(&path),
+        call_([](const void* p, double t) { return (*static_cast<const Path*>(p))(t); }) {}
+  template <typename Path>
+  explicit PathView(const Path&&) = delete;
+  explicit operator bool() const { return call_ != nullptr; }
+  ShaftGoal operator()(double t) const { return call_(path_, t); }
+
+ private:
+  const void* path_ = nullptr;
+  ShaftGoal (*call_)(const void*, double) = nullptr;
+};
+
+/// What the law asks of one cycle.
+struct Wish {
+  /// The exact form needs it for 0 <= t <= T; the preview up to 'horizon'.
+  PathView path;
+  double horizon = 0;   ///< [s] of the set-point's clock that the preview looks ahead; 0: none
+  JointVector posture;  ///< [rad/s] wish for the null space of redundant arms
+  // Velocity form only: the flange twist is feedback + alpha forward.
+  Vector6 feedback = Vector6::Zero();  ///< tip and roll feedback, lateral feedback, trocar velocity
+  Vector6 forward = Vector6::Zero();   ///< the path's own motion; lateral velocity at the trocar 0
+};
+
+/// What became of it.
+struct Step {
+  JointVector qd;               ///< [rad/s], inside every joint limit
+  double alpha = 1;             ///< speed of the set-point's clock: advance it by alpha T
+  const char* limited_by = "";  ///< static string, empty when alpha is 1
+  /// 0: on the path. 1: on the pivot, the tip may leave the path and will return. 2: braking, as
+  /// near to the pivot as the joint limits allow.
+  std::uint8_t tier = 0;
+  bool held = false;  ///< the path wants to move and the arm cannot: a report, nothing latches
+};
+
+/// The limited step of one arm. Construct once; the methods are pure and allocate nothing.
+class LimitedStep {
+ public:
+  LimitedStep(const Chain& chain, const Tool& tool, const JointLimits& limits, double T);
+
+  /// Exact form: the joints of the next pose on the constraint (exact.hpp), for a state that is
+  /// known exactly (a virtual reference). Where a limit has pushed the tip off its path, the
+  /// distance is taken back gently while the pivot stays exact.
+  ///
+  /// q, qd_last: joint positions [rad] and last velocities [rad/s].
+  Step exact(const JointVector& q, const JointVector& qd_last, const Home& home,
+             const Wish& wish) const;
+
+  /// Velocity form at joint positions q (a measured state, or where the command will find the arm):
+  /// the twist feedback + alpha forward. 'home' counts for the preview only.
+  Step velocity(const JointVector& q, const JointVector& qd_last, const Home& home,
+                const Vector3& p_BRcm, const Wish& wish) const;
+
+  const JointLimits& limits() const { return limits_; }
+  const Barrier& barrier() const { return barrier_; }
+
+ private:
+  struct Here;
+  struct Box;
+  struct Affine;
+  struct Preview;
+  class ExactLaw;
+  class VelocityLaw;
+
+  Box box(const JointVector& q, const JointVector& qd_last) const;
+  template <typename Law>
+  Step run(const Law& law, const Here& here, const Box& box) const;
+  template <typename Law>
+  double caps(const Law& law, const Here& here, const Affine& affine, const char*& by) const;
+  template <typename Law>
+  Preview look_ahead(const Law& law, const Here& here, const Affine& affine) const;
+
+  Chain chain_;
+  Tool tool_;
+  JointLimits limits_;
+  Barrier barrier_;
+  double T_;
+};
+
+}  // namespace surg

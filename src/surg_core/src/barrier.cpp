@@ -1,0 +1,118 @@
+#include "surg_core/barrier.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+namespace {
+
+constexpr double kParallel = 1e-9;
+
+Vector3 axis(const Jacobian& J, int i) { return J.col(i).tail<3>(); }
+/// Velocity of the flange origin by joint i: axis x (flange - joint).
+Vector3 moment(const Jacobian& J, int i) { return J.col(i).head<3>(); }
+
+/// Pivots of J (six joints) or of the Cholesky factor of J J^T (more): smallest over largest, with
+/// the determinant's sign where it has one.
+double signed_pivot_ratio(const Jacobian& J) {
+  Eigen::Matrix<double, 6, 6> A;
+  const Eigen::Index n = J.cols();
+  if (n < 6) return 0;
+  if (n == 6) {
+    A = J;
+  } else {
+    A.setZero();
+    for (Eigen::Index i = 0; i < n; ++i) {
+      const Vector6 column = J.col(i);
+      A.noalias() += column * column.transpose();
+    }
+  }
+  double smallest = INFINITY, largest = 0, sign = 1;
+  for (int k = 0; k < 6; ++k) {
+    int best = k;
+    if (n == 6) {  // J J^T needs no pivoting
+      for (int i = k + 1; i < 6; ++i) {
+        if (std::abs(A(i, k)) > std::abs(A(best, k))) best = i;
+      }
+    }
+    if (best != k) {
+      for (int c = k; c < 6; ++c) std::swap(A(k, c), A(best, c));
+      sign = -sign;
+    }
+    const double pivot = A(k, k);
+    if (pivot < 0) sign = -sign;
+    smallest = std::min(smallest, std::abs(pivot));
+    largest = std::max(largest, std::abs(pivot));
+    if (!(std::abs(pivot) > 0)) return 0;
+    for (int i = k + 1; i < 6; ++i) {
+      const double factor = A(i, k) / pivot;
+      for (int c = k + 1; c < 6; ++c) A(i, c) -= factor * A(k, c);
+    }
+  }
+  if (n > 6) return std::sqrt(smallest / largest);  // pivots of J J^T are squares
+  return sign * smallest / largest;
+}
+
+}  // namespace
+
+Barrier::Barrier(const Chain& chain) {
+  like_ur_ = false;
+  if (chain.dof() != 6) return;
+  // A configuration in which no two of the axes meet by chance.
+  JointVector q(6);
+  q << 0.3, -1.1, 1.3, -0.7, 1.2, 0.4;
+  Pose X_BF;
+  Jacobian J;
+  chain.forward(q, X_BF, J);
+  const Vector3 z1 = axis(J, 0), z2 = axis(J, 1), z5 = axis(J, 4), z6 = axis(J, 5);
+  const bool parallel = z2.cross(axis(J, 2)).norm() < kParallel &&
+                        z2.cross(axis(J, 3)).norm() < kParallel &&
+                        (axis(J, 2) - z2).norm() < kParallel;
+  const bool square = std::abs(z1.dot(z2)) < kParallel &&
+                      std::abs(axis(J, 3).dot(z5)) < kParallel && std::abs(z5.dot(z6)) < kParallel;
+  // Point of an axis that is nearest to the flange origin, relative to it.
+  const auto nearest = [&](int i) { return Vector3(-moment(J, i).cross(axis(J, i))); };
+  const Vector3 r5 = -nearest(4), r6 = -nearest(5);
+  // Axes 5 and 6 cross where the distance of the two lines is 0.
+  const Vector3 common = z5.cross(z6);
+  const bool crossing = common.norm() > 0.1 && std::abs(common.dot(r5 - r6)) < kParallel;
+  // Axes 1 and 2 cross as well: otherwise the shoulder's measure below has another zero.
+  const Vector3 between = nearest(0) - nearest(1);
+  const bool shoulder = std::abs(z1.cross(z2).dot(between)) < kParallel;
+  if (!parallel || !square || !crossing || !shoulder) return;
+  like_ur_ = true;
+  // p = nearest6 + t z6 on axis 6 that lies on axis 5: (p - nearest5) is parallel to z5.
+  const Vector3 gap = nearest(4) - nearest(5);
+  const double t = gap.dot(z6);  // z5 is square to z6
+  const Vector3 wrist = nearest(5) + t * z6;
+  p_FWrist_ = X_BF.linear().transpose() * wrist;
+  const Vector3 p_wrist = wrist;
+  d4_ = std::abs((p_wrist - nearest(0)).dot(z2));
+  const Vector3 upper = moment(J, 1) - moment(J, 2), lower = moment(J, 2) - moment(J, 3);
+  a2_a3_ = upper.norm() * lower.norm();
+}
+
+SingularityMeasures Barrier::measures(const Pose& X_BF, const Jacobian& J) const {
+  SingularityMeasures m;
+  if (!like_ur_) {
+    m.n = 1;
+    m.phi[0] = signed_pivot_ratio(J);
+    return m;
+  }
+  m.n = 3;
+  const Vector3 z1 = axis(J, 0), z2 = axis(J, 1);
+  // Wrist centre off the plane through axes 1 and 2: its velocity by joint 1 alone, along axis 2.
+  const Vector3 by_1 = moment(J, 0) + z1.cross(Vector3(X_BF.linear() * p_FWrist_));
+  const double reach = by_1.dot(z2);
+  m.phi[0] = reach / std::max(std::hypot(reach, d4_), 1e-12);
+  const Vector3 upper = moment(J, 1) - moment(J, 2), lower = moment(J, 2) - moment(J, 3);
+  m.phi[1] = upper.cross(lower).dot(z2) / a2_a3_;
+  m.phi[2] = axis(J, 3).cross(axis(J, 5)).dot(axis(J, 4));
+  return m;
+}
+
+double Barrier::fastest_approach(double phi) const {
+  return std::sqrt(2 * acceleration_ * std::max(std::abs(phi) - phi_min_, 0.0));
+}
+
+}  // namespace surg

@@ -1,0 +1,123 @@
+#include "surg_core/exact.hpp"
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+namespace {
+
+constexpr double kNoDirection = 1e-9;  // [m] closer than this to the trocar a tip has no direction
+constexpr double kSingularRows = 1e-12;
+
+/// Rotation vector of R to the fifth order of its angle: arcsin's series on the skew part. A Newton
+/// step needs the first; the third keeps longer steps, up to a quarter turn, on their way.
+Vector3 rotation_vector(const Matrix3& R) {
+  const Vector3 sine = 0.5 * Vector3(R(2, 1) - R(1, 2), R(0, 2) - R(2, 0), R(1, 0) - R(0, 1));
+  return (1.0 + sine.squaredNorm() / 6.0) * sine;
+}
+
+}  // namespace
+
+Home home_of(const Pose& X_BF, const Tool& tool) {
+  return {X_BF.linear() * tool.s_F, X_BF.linear()};
+}
+
+ShaftGoal tip_goal(const Vector3& p_BRcm, const Vector3& p_BTip, double roll,
+                   const Vector3& otherwise) {
+  const Vector3 d = p_BTip - p_BRcm;
+  const double depth = d.norm();
+  if (!(depth > kNoDirection)) return {p_BRcm, otherwise, 0.0, roll};
+  return {p_BRcm, d / depth, depth, roll};
+}
+
+ShaftGoal spherical_goal(const Pose& X_BR, const Vector4& virtual_joints) {
+  return {X_BR.translation(), X_BR.linear() * shaft_direction(virtual_joints[0], virtual_joints[1]),
+          virtual_joints[2], virtual_joints[3]};
+}
+
+Pose pose_on_pivot(const Home& home, const Tool& tool, const ShaftGoal& goal) {
+  const Matrix3 swing = minimal_rotation(home.s_B, goal.s_B);
+  // Roll about the shaft where it is, after the swing: the same as about s_home before it.
+  const Matrix3 twist = Eigen::AngleAxisd(goal.roll, goal.s_B).toRotationMatrix();
+  Pose X_BF = Pose::Identity();
+  X_BF.linear() = twist * (swing * home.R_BF);
+  X_BF.translation() = goal.p_BTip() - X_BF.linear() * tool.p_FTip;
+  return X_BF;
+}
+
+JointStep newton_step(const Pose& X_BF, const Jacobian& J, const Pose& X_BFGoal,
+                      const JointVector& posture) {
+  Vector6 rest;
+  rest.head<3>() = X_BFGoal.translation() - X_BF.translation();
+  rest.tail<3>() = rotation_vector(X_BFGoal.linear() * X_BF.linear().transpose());
+  const InverseVelocity inverse = inverse_velocity(J, rest, posture);
+  return {inverse.qd, inverse.conditioning};
+}
+
+JointStep exact_step(const Chain& chain, const JointVector& q, const Pose& X_BFGoal,
+                     const JointVector& posture) {
+  Pose X_BF;
+  Jacobian J;
+  chain.forward(q, X_BF, J);
+  const JointStep predicted = newton_step(X_BF, J, X_BFGoal, posture);
+  if (predicted.conditioning <= 0) return predicted;
+  chain.forward(q + predicted.dq, X_BF, J);
+  // Without the posture: what is left is to be put right by the least motion.
+  const JointStep rest = newton_step(X_BF, J, X_BFGoal, JointVector::Zero(q.size()));
+  if (rest.conditioning <= 0) return {JointVector::Zero(q.size()), 0.0};
+  return {predicted.dq + rest.dq, std::min(predicted.conditioning, rest.conditioning)};
+}
+
+NextPose::NextPose(const Chain& chain, bool closed_form) : chain_(chain) {
+  if (closed_form) ur_ = UrInverse::of(chain);
+}
+
+JointStep NextPose::step(const JointVector& q, const Pose& X_BFGoal,
+                         const JointVector& posture) const {
+  if (!ur_) return exact_step(chain_, q, X_BFGoal, posture);
+  const UrSolution solution = ur_->solve(X_BFGoal, ur_->branch(q), q);
+  if (solution.unreachable != nullptr) return {JointVector::Zero(q.size()), 0.0};
+  const double conditioning =
+      std::min({std::abs(solution.shoulder), std::abs(solution.elbow), std::abs(solution.wrist)});
+  return {solution.q - q, conditioning};
+}
+
+RcmRows rcm_rows(const Jacobian& J, const ShaftState& shaft) {
+  const Vector3 u = shaft.s.unitOrthogonal();
+  const Vector3 w = shaft.s.cross(u);
+  const Vector3 arm = shaft.p_BNear - shaft.p_BF;
+  RcmRows rows;
+  rows.J.resize(2, J.cols());
+  for (Eigen::Index i = 0; i < J.cols(); ++i) {
+    const Vector3 v = J.col(i).head<3>() + Vector3(J.col(i).tail<3>()).cross(arm);
+    rows.J(0, i) = u.dot(v);
+    rows.J(1, i) = w.dot(v);
+  }
+  rows.e = {u.dot(shaft.e), w.dot(shaft.e)};
+  return rows;
+}
+
+JointStep rcm_correction(const RcmRows& rows) {
+  const Eigen::Index n = rows.J.cols();
+  // Jr Jr^T written out: 2 x 2, and no product that might take a heap-using path.
+  double a = 0, b = 0, c = 0;
+  for (Eigen::Index i = 0; i < n; ++i) {
+    a += rows.J(0, i) * rows.J(0, i);
+    b += rows.J(0, i) * rows.J(1, i);
+    c += rows.J(1, i) * rows.J(1, i);
+  }
+  const double determinant = a * c - b * b;
+  const double scale = 0.5 * (a + c);
+  JointStep step;
+  step.dq.setZero(n);
+  // Written so that a NaN fails as well.
+  if (!(determinant > kSingularRows * scale * scale)) return step;
+  const double x = (c * rows.e[0] - b * rows.e[1]) / determinant;
+  const double y = (a * rows.e[1] - b * rows.e[0]) / determinant;
+  for (Eigen::Index i = 0; i < n; ++i) step.dq[i] = rows.J(0, i) * x + rows.J(1, i) * y;
+  step.conditioning = std::sqrt(determinant) / scale;
+  return step;
+}
+
+}  // namespace surg

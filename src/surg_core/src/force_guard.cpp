@@ -1,0 +1,39 @@
+#include "surg_core/force_guard.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+
+ForceGuard::ForceGuard(const Limits& limits)
+    : soft_(limits.tip_force_soft),
+      hard_(limits.tip_force_hard),
+      warn_(limits.trocar_force_warn),
+      fault_(limits.trocar_force_fault) {}
+
+ForceGuard::Verdict ForceGuard::judge(const ForceSample& tip, const ForceSample& trocar,
+                                      double dt) {
+  push_.setZero();
+  warns_ = false;
+  acceptable_ = false;
+  if ((tip.valid && !tip.f_B.allFinite()) || (trocar.valid && !trocar.f_B.allFinite())) {
+    return Verdict::kHalt;
+  }
+  const double force = tip.valid ? tip.f_B.norm() : 0;
+  const double load = trocar.valid ? trocar.f_B.norm() : 0;
+  warns_ = load > warn_;
+  if (force <= soft_) above_ = 0;
+  if (force > hard_) return Verdict::kHalt;
+  if (load > fault_) return Verdict::kStop;
+  acceptable_ = true;
+  if (force <= soft_) return Verdict::kFree;
+  push_ = tip.f_B / force;
+  return ++above_ > std::lround(kPatience / dt) ? Verdict::kPause : Verdict::kYield;
+}
+
+Vector3 ForceGuard::yield(const Vector3& v_BTip) const {
+  // Motion against the force raises it: v . f < 0.
+  return v_BTip - std::min(0.0, v_BTip.dot(push_)) * push_;
+}
+
+}  // namespace surg
