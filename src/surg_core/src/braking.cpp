@@ -11,17 +11,14 @@ Kinematic with_jerk(const Kinematic& from, double jerk, double t) {
           from.v + t * (from.a + t * jerk / 2), from.a + t * jerk};
 }
 
-/// Takes in where v + a t + jerk t^2 / 2 is zero inside (0, T): the turning points of the position.
-void include_turns(const Kinematic& from, double jerk, double T, Interval& range) {
-  const auto include = [&](double t) {
-    if (t > 0 && t < T) range.include(with_jerk(from, jerk, t).x);
-  };
+/// Takes in the position where v + a t + jerk t^2 / 2 becomes zero inside (0, T). Only the nearer
+/// root: behind it these motions do not turn again before their end.
+void include_turn(const Kinematic& from, double jerk, double T, Interval& range) {
   const double root = from.a * from.a - 2 * jerk * from.v;
   if (root < 0) return;
-  // Both roots without cancellation; a division by zero gives no time inside.
-  const double q = -(from.a + std::copysign(std::sqrt(root), from.a));
-  if (jerk != 0) include(q / jerk);
-  if (q != 0) include(2 * from.v / q);
+  // Without cancellation; 0 / 0 gives no time inside.
+  const double t = -2 * from.v / (from.a + std::copysign(std::sqrt(root), from.a));
+  if (t > 0 && t < T) range.include(with_jerk(from, jerk, t).x);
 }
 
 }  // namespace
@@ -87,7 +84,7 @@ Interval Braking::range(double t0, double t1) const {
   double begin = 0;
   for (const Piece& piece : pieces_) {
     const double from = std::max(t0, begin), to = std::min(t1, begin + piece.duration);
-    if (to > from) include_turns(at(from), piece.jerk, to - from, range);
+    if (to > from) include_turn(at(from), piece.jerk, to - from, range);
     begin += piece.duration;
   }
   return range;
