@@ -18,10 +18,10 @@ bool inside(const Interval& range, const Interval& hull) {
 }
 
 // The exact check that decides; cheapest part first.
-bool holds(const Quintic& q, const DofLimits& limits, const Interval& hull) {
+bool within_limits(const Quintic& q, const DofLimits& limits) {
   return q.max_jerk() <= limits.jerk * kRounding &&
          q.max_acceleration() <= limits.acceleration * kRounding &&
-         q.max_velocity() <= limits.velocity * kRounding && inside(q.range(0, q.duration()), hull);
+         q.max_velocity() <= limits.velocity * kRounding;
 }
 
 // A duration that is always long enough from a = 0 and |v| <= V, bounds apart. The quintic is the
@@ -78,13 +78,16 @@ void Profiler::reset(const std::array<Kinematic, kDof>& state) {
   for (int i = 0; i < kDof; ++i) q_[i] = Quintic(state[i], state[i], 0);
 }
 
-bool Profiler::build(const std::array<Kinematic, kDof>& from, const Goal& goal, double duration,
-                     Quintics& q) const {
+Profiler::Check Profiler::build(const std::array<Kinematic, kDof>& from, const Goal& goal,
+                                double duration, Quintics& q) const {
   for (int i = 0; i < kDof; ++i) {
     q[i] = Quintic(from[i], {goal.target[i], 0, 0}, duration);
-    if (!holds(q[i], limits_[i], goal.hull[i])) return false;
+    if (!within_limits(q[i], limits_[i])) return Check::kBeyondLimits;
   }
-  return true;
+  for (int i = 0; i < kDof; ++i) {
+    if (!inside(q[i].range(0, duration), goal.hull[i])) return Check::kOutOfBounds;
+  }
+  return Check::kHolds;
 }
 
 /// The quintics of the first duration that holds, found by scanning upwards and then bisecting
@@ -105,15 +108,16 @@ bool Profiler::search(const std::array<Kinematic, kDof>& from, const Goal& goal,
     return true;
   }
   double failed = 0, d = first;
-  while (!build(from, goal, d, q)) {
-    if (!(d < longest)) return false;
+  for (Check check; (check = build(from, goal, d, q)) != Check::kHolds;) {
+    // Once only the bounds are in the way, longer quintics swing farther still.
+    if (check == Check::kOutOfBounds || !(d < longest)) return false;
     failed = d;
     d = std::min(d * kScanStep, longest);
   }
   while (failed > 0 && d - failed > kResolution) {
     const double middle = 0.5 * (failed + d);
     Quintics candidate;
-    if (build(from, goal, middle, candidate)) {
+    if (build(from, goal, middle, candidate) == Check::kHolds) {
       d = middle;
       q = candidate;
     } else {

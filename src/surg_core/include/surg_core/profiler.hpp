@@ -60,8 +60,9 @@ class Profiler {
     std::array<double, kDof> target;
     Bounds hull;
   };
-  bool build(const std::array<Kinematic, kDof>& from, const Goal& goal, double duration,
-             Quintics& q) const;
+  enum class Check { kHolds, kBeyondLimits, kOutOfBounds };
+  Check build(const std::array<Kinematic, kDof>& from, const Goal& goal, double duration,
+              Quintics& q) const;
   bool search(const std::array<Kinematic, kDof>& from, const Goal& goal, Quintics& q) const;
   bool brake_first(Brake brake, const std::array<Kinematic, kDof>& from, const Goal& goal);
 
