@@ -7,6 +7,7 @@ from surg_core._core import (
     MAX_COMMANDS,
     MAX_JOINTS,
     AlphaBeta,
+    Braking,
     CellArm,
     CellConfig,
     Chain,
@@ -73,6 +74,7 @@ from surg_core._core import (
     shaft_state,
     spherical_goal,
     state_name,
+    stream_filter,
     tighten,
     tip_goal,
 )
@@ -102,6 +104,7 @@ __all__ = [
     "MAX_JOINTS",
     "AlphaBeta",
     "Arm",
+    "Braking",
     "Cell",
     "CellArm",
     "CellConfig",
@@ -184,6 +187,7 @@ __all__ = [
     "shaft_state",
     "spherical_goal",
     "state_name",
+    "stream_filter",
     "tighten",
     "tip_goal",
 ]
