@@ -251,7 +251,7 @@ void Setpoint::advance_stream(double dt) {
 /// Whether the tip leaves the workspace when every axis brakes as hard as its limits allow. The
 /// axes stop one after the other, so the way there bends: it is looked at in several places.
 bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const {
-  constexpr int kPlaces = 4;
+  constexpr int kPlaces = 8;
   const auto limits = dof_limits(space_);
   std::array<Braking, 4> stops;
   double duration = 0;

@@ -39,7 +39,7 @@ double worst_outside(Space space, int count, unsigned seed) {
     } while (outside_workspace(limits, hand) > -0.02);
     Setpoint setpoint(limits, 0.5, false);
     setpoint.reset(hand, hand.normalized(), 0);
-    Vector3 velocity;
+    Vector3 velocity = Vector3::Zero();
     const int spacing = k % 2 == 0 ? 1 : 17;  // ticks: 500 or 30 Hz
     for (int i = 0; i < 450; ++i) {
       if (i % 150 == 0) velocity = random.uniform(0.05, 0.25) * direction(random);
@@ -63,8 +63,8 @@ TEST(SetpointWall, AStreamStopsAtTheWall) {
   const int count = test::family(300, 10000);
   const double cartesian = worst_outside(Space::kCartesian, count, 1);
   const double spherical = worst_outside(Space::kSpherical, count, 2);
-  EXPECT_LT(cartesian, 1.5e-3);
-  EXPECT_LT(spherical, 1.5e-3);
+  EXPECT_LT(cartesian, 0.5e-3);
+  EXPECT_LT(spherical, 0.5e-3);
   test::report("hands that run into the wall, in each space", count);
   std::printf("[  figures ] farthest outside: %.2f mm (servo_cp), %.2f mm (servo_jp)\n",
               1e3 * cartesian, 1e3 * spherical);
