@@ -9,9 +9,8 @@
 namespace surg {
 namespace {
 
-constexpr double kOverdue = 0.004;    // [s] a gap in a fast stream that is still bridged
-constexpr double kAside = 0.002;      // [m] off the shaft a profile may be near the trocar
-constexpr double kBrakeOnset = 0.02;  // [s] until the jerk limit lets the brake bite
+constexpr double kOverdue = 0.004;  // [s] a gap in a fast stream that is still bridged
+constexpr double kAside = 0.002;    // [m] off the shaft a profile may be near the trocar
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
@@ -270,16 +269,43 @@ void Setpoint::advance_stream(double dt) {
     dofs_ = profiler_.state();
     return;
   }
-  // An overdue sample is not extrapolated any further, and where braking at the stream's own limit
-  // would end outside the workspace nothing is: the last accepted sample, which is inside, is where
-  // the tip comes to rest.
-  const Vector3 p = p_RTip(), v = v_RTip();
-  const double brake_time = kBrakeOnset + v.norm() / (2 * limits_.tip_acceleration);
-  const bool rest = age_ > std::max(1.5 * spacing_, kOverdue) || further_out(p + brake_time * v);
+  // An overdue sample is not extrapolated any further: the tip comes to rest at it. The tick is
+  // taken only if the hardest stop after it still ends inside the workspace; otherwise that stop
+  // begins (or goes on), which was possible before.
+  const bool overdue = age_ > std::max(1.5 * spacing_, kOverdue);
+  auto next = filters_;
   for (int i = 0; i < 4; ++i) {
-    filters_[i].step(rest ? Kinematic{target_[i], 0, 0} : estimates_[i].predict(age_ + dt), dt);
+    next[i].step(overdue ? Kinematic{target_[i], 0, 0} : estimates_[i].predict(age_ + dt), dt);
+  }
+  at_wall_ = stop_leaves_workspace(next);
+  for (int i = 0; i < 4; ++i) {
+    if (at_wall_ && i < 3) {
+      filters_[i].brake(dt);
+    } else {
+      filters_[i] = next[i];
+    }
     dofs_[i] = filters_[i].state();
   }
+}
+
+/// Whether the tip leaves the workspace when every axis brakes as hard as its limits allow. The
+/// axes stop one after the other, so the way there bends: it is looked at in several places.
+bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const {
+  constexpr int kPlaces = 8;
+  const auto limits = dof_limits(space_);
+  std::array<Braking, 4> stops;
+  double duration = 0;
+  for (int i = 0; i < 4; ++i) {
+    stops[i] = Braking::stop(filters[i].state(), limits[i]);
+    if (i < 3) duration = std::max(duration, stops[i].duration());
+  }
+  for (int k = 1; k <= kPlaces; ++k) {
+    Dofs there;
+    for (int i = 0; i < 4; ++i) there[i] = stops[i].at(duration * k / kPlaces);
+    const Dofs cartesian = space_ == Space::kCartesian ? there : to_cartesian(there);
+    if (further_out(position(cartesian))) return true;
+  }
+  return false;
 }
 
 void Setpoint::advance_velocity(double dt) {
