@@ -1,7 +1,8 @@
 """Every hand-written mutant of the core is noticed by a test. Opt-in: `./surg test --tier mutants`.
 
-Each runs in a copy of `src/surg_core`: the changed files are compiled, the library linked, and the
-test programs run until the first that fails. With `--full` the table of who noticed what is written.
+Each runs in a copy of `src/surg_core`: the changed files are compiled, the library linked, and
+the test programs run until the first that fails. With `--full` the table of who noticed what is
+written.
 """
 
 from __future__ import annotations
@@ -27,8 +28,10 @@ TIMEOUT = 300.0
 
 
 def plain() -> dict[str, str]:
-    """Environment of the programs: reduced counts, and no tables of a broken core."""
-    return {name: value for name, value in environment.clean().items() if "SURG_" not in name}
+    """Environment of the programs: reduced counts, no tables, no library but the copy's."""
+    env = {name: value for name, value in environment.clean().items() if "SURG_" not in name}
+    env.pop("LD_LIBRARY_PATH", None)
+    return env
 
 
 @dataclass
