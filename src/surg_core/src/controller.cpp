@@ -261,6 +261,7 @@ struct Controller::Impl {
   void guard_force(const Inputs& in) {
     const ForceGuard::Verdict verdict = force.judge(in.tip_force, in.trocar_force, T);
     out.warn_force = force.warns();
+    if (verdict == ForceGuard::Verdict::kHalt) freeze();  // a ramp that is under way ends as well
     if (!enabled()) return;
     switch (verdict) {
       case ForceGuard::Verdict::kFree:
@@ -274,7 +275,6 @@ struct Controller::Impl {
         break;
       case ForceGuard::Verdict::kHalt:
         fault(Reason::kForce);
-        freeze();
         break;
     }
   }
