@@ -106,8 +106,9 @@ def test_joint_commands_arrive(ros_graph: RosGraph, rig: Rig, voice: Voice, topi
     for _ in range(10):  # the edge of is_busy that belongs to home
         cycle = rig.step()
     if topic == "servo_jr":  # a stream of small changes
-        for _ in range(200):
-            send(JointState(position=(change / 200).tolist()))
+        for k in range(250):  # its end is at rest, or the tip would stop a little beyond
+            part = change / 200 if k < 200 else 0 * change
+            send(JointState(position=part.tolist()))
             cycle = rig.step()
     else:
         send(JointState(position=(change if topic == "move_jr" else begin + change).tolist()))
@@ -377,15 +378,19 @@ def test_f28_an_ending_controller_ramps_through_the_law_and_exits_with_0(
         assert child.process.wait(10) == 0
         print(f"ended after {time.monotonic() - begin:.2f} s of wall clock")
         time.sleep(0.05)
-    ramp = [float(np.abs(qd).max()) for qd in sent[max(0, before - 3) :]]
-    moving = [speed for speed in ramp if speed > 1e-6]
-    assert ramp[-1] == 0.0
-    assert len(moving) >= 5, "a cut and no ramp"
-    steps = np.abs(np.diff(np.array(sent[max(0, before - 3) :]), axis=0)).max(axis=0)
-    limit = np.array(rig.arm.robot.acceleration) * 0.002
-    assert np.all(steps[: len(limit)] <= limit * 1.001), (steps, limit)
-    deviations = [cycle.rcm_error for cycle in list(rig.cycles.queue)]
-    assert max(deviations) < 5e-4  # the plant is integrated by a shared machine's clock
+    assert not np.any(sent[-1])
+    # The link may miss a command in real time; the cycle messages are queued.
+    cycles = list(rig.cycles.queue)
+    ending = [k for k, cycle in enumerate(cycles) if cycle.state != Cycle.ENABLED][0]
+    commands = np.array([cycle.qd_command for cycle in cycles[ending - 1 :]])
+    moving = int(np.sum(np.abs(commands).max(axis=1) > 1e-6))
+    print(f"standstill after {moving} cycles")
+    assert not np.any(commands[-1])
+    assert moving >= 5, "a cut and no ramp"
+    steps = np.abs(np.diff(commands, axis=0)).max(axis=0)
+    print("CMD", np.round(commands[:moving + 3, 3], 4).tolist(), [c.tier for c in cycles[ending-1:]][:moving+3], [c.limited_by for c in cycles[ending-1:]][:moving+3], np.diff([c.tick for c in cycles[ending-1:]]).max())
+    assert np.all(steps <= np.array(rig.arm.robot.acceleration) * 0.002 * 1.001), steps
+    assert max(cycle.rcm_error for cycle in cycles) < 5e-4  # the plant is integrated by a shared machine's clock
 
 
 def test_a_fault_leaves_a_black_box_that_runs_again(

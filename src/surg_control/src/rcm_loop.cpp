@@ -87,6 +87,9 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   subscribe_link();
   housekeeping_ =
       std::make_unique<Housekeeping>(private_node, arm_, facts.limits_hash, *announcer_, health_);
+  const surg::BlackBoxLabel label{arm_, setup_.cell_file, "", SURG_CONTROL_VERSION};
+  black_box_writer_ =
+      std::make_unique<BlackBoxWriter>(*box_, options_.black_box, label, *announcer_);
 }
 
 RcmLoop::~RcmLoop() { sem_destroy(&records_waiting_); }
