@@ -22,8 +22,9 @@ bool is_pose(surg::Motion motion) {
 
 }  // namespace
 
-ControlCycle::ControlCycle(surg::Controller& controller, std::string_view rcm_frame)
-    : controller_(controller), rcm_frame_(rcm_frame) {
+ControlCycle::ControlCycle(const surg::Controller& controller, surg::BlackBox& box,
+                           std::string_view rcm_frame)
+    : controller_(controller), box_(box), rcm_frame_(rcm_frame) {
   record_.frame.name = rcm_frame_;
 }
 
@@ -32,11 +33,11 @@ surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) 
     case CommandItem::Kind::kState:
       return request(item.state);
     case CommandItem::Kind::kSetRcm:
-      return controller_.set_rcm(item.p_B);
+      return box_.set_rcm(item.p_B);
     case CommandItem::Kind::kSetFrame:
       return set_frame(item);
     case CommandItem::Kind::kClaim:
-      return controller_.claim(item.source);
+      return box_.claim(item.source);
     case CommandItem::Kind::kTrack:
       return take_track(item, now_ns);
     case CommandItem::Kind::kMotion:
@@ -46,7 +47,7 @@ surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) 
 }
 
 surg::Reason ControlCycle::request(surg::StateCommand command) {
-  const surg::Reason reason = controller_.request(command);
+  const surg::Reason reason = box_.request(command);
   if (reason != surg::Reason::kNone) return reason;
   if (command == surg::StateCommand::kEnable || command == surg::StateCommand::kResume) {
     enabled_ = true;
@@ -149,7 +150,7 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
   sense(link, now_ns);
 
   const auto start = std::chrono::steady_clock::now();
-  const surg::Outputs& out = controller_.step(inputs_);
+  const surg::Outputs& out = box_.step(inputs_);
   const auto end = std::chrono::steady_clock::now();
 
   enabled_ = out.state == surg::State::kEnabled;

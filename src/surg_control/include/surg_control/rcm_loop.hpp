@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "surg_control/announcer.hpp"
+#include "surg_control/black_box_writer.hpp"
 #include "surg_control/command_inlets.hpp"
 #include "surg_control/control_cycle.hpp"
 #include "surg_control/handover.hpp"
@@ -77,6 +78,7 @@ class RcmLoop {
   Model model_;
   std::string arm_;
   std::unique_ptr<surg::Controller> controller_;
+  std::unique_ptr<surg::BlackBox> box_;
   std::unique_ptr<ControlCycle> cycle_;
 
   ros::CallbackQueue queue_;
@@ -89,6 +91,7 @@ class RcmLoop {
   std::unique_ptr<RobotCommand> robot_;
   std::unique_ptr<CommandInlets> inlets_;
   std::unique_ptr<Housekeeping> housekeeping_;
+  std::unique_ptr<BlackBoxWriter> black_box_writer_;
   ros::Publisher undeclared_;
   std::vector<ros::Subscriber> subscribers_;
   ros::Subscriber link_status_;
