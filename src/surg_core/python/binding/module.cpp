@@ -11,4 +11,5 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_rcm(m);
   binding::bind_config(m);
   binding::bind_controller(m);
+  binding::bind_calibration(m);
 }
