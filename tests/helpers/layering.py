@@ -18,6 +18,7 @@ FUNCTIONAL = frozenset(
         "surg_teleop",
         "surg_perception",
         "surg_policy_bridge",
+        "surg_dvrk_compat",
     }
 )
 LIBRARIES = frozenset({"surg_core", "surg_description", "surg_recording"})

@@ -127,6 +127,7 @@ def cycle(what: Synthetic, tick: int, command: int) -> SimpleNamespace:
         jaw=0.1,
         scale=0.5 if tick <= 50 + what.scaled_ticks and command else 1.0,
         limited_by="",
+        tier=0,
         qd_command=list(v),
         twist_command=[0.0] * 6,
         compute_us=what.compute_us,

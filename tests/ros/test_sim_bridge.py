@@ -105,14 +105,20 @@ def running(
         controller.close()
 
 
-def lockstep(graph: RosGraph, velocity: float, last: int, jitter_ms: float = 0.0) -> dict:
+def lockstep(
+    graph: RosGraph, velocity: float, last: int, jitter_ms: float = 0.0, **params: object
+) -> dict:
     controller = Controller(velocity, last)
     env = {"SURG_TEST_JITTER_MS": str(jitter_ms)} if jitter_ms else None
-    with running(graph, controller, env):
+    with running(graph, controller, env, **params):
         graph.wait_for(lambda: bool(controller.status.get("done")), 60.0, "the end of the run")
     assert controller.stamps == [TICK_NS * k for k in range(1, last + 1)]
     assert controller.truths == list(range(1, last + 1))
     return controller.status
+
+
+def point_of(message: object) -> tuple[float, float, float]:
+    return message.x, message.y, message.z
 
 
 def test_two_runs_have_one_hash(ros_graph: RosGraph, rospy_node: str) -> None:
@@ -164,6 +170,8 @@ def test_abort_names_who_is_missing(ros_graph: RosGraph, rospy_node: str) -> Non
         ({"observers": ["spectator"]}, "spectator"),
         ({"arms": ["PSM9"]}, "PSM9"),
         ({"seed": -1}, "~seed"),
+        ({"faults": '{"fault": "gremlin"}'}, "not_finite, freeze"),
+        ({"faults": '{"fault": "not_finite", "joint": 6}'}, "0 to 5"),
     ],
 )
 def test_broken_configuration_ends_with_2(
@@ -188,3 +196,126 @@ def test_free_run_keeps_its_rate_and_its_dead_man(ros_graph: RosGraph, rospy_nod
         controller.silent = True
         ros_graph.wait_for(lambda: controller.links[-1].dead_man, 5.0, "the dead-man")
         assert controller.status["deterministic"] is False
+
+
+def test_faults_are_taken_on_the_loopback_only(ros_graph: RosGraph, rospy_node: str) -> None:
+    """The same master under a name that is not the loopback's: the node does not start."""
+    import socket
+
+    uri = ros_graph.uri.replace("localhost", socket.gethostname())
+    if uri == ros_graph.uri or "localhost" in uri:
+        pytest.skip("this machine is called localhost")
+    child = ros_graph.node(
+        "surg_sim",
+        "bridge_node.py",
+        "/sim",
+        {"cell": str(CELL), "inject": True},
+        env={"ROS_MASTER_URI": uri},
+    )
+    ros_graph.wait_for(lambda: child.exit_code is not None, 10.0, "the bridge to refuse")
+    assert child.exit_code == 2
+    assert "loopback" in child.log_tail(20)
+
+
+def test_faults_in_lockstep_are_one_hash_and_the_package_agrees(
+    ros_graph: RosGraph, rospy_node: str
+) -> None:
+    """Losses, swaps, a frozen link, a lost tool and a moving trocar: node twice, package once."""
+    import surg_core
+    from surg_sim.arm import ArmCommand
+    from surg_sim.faults import parse
+    from surg_sim.injector import Injector
+    from surg_sim.world import World
+
+    faults = [
+        {"fault": "wire", "topic": "robot/servo_jv", "loss": 0.2, "reorder": 0.2, "at": 5},
+        {"fault": "freeze", "at": 40, "ticks": 20},
+        {"fault": "tool_lost", "at": 50, "ticks": 30},
+        {"fault": "trocar_motion", "at": 10, "amplitude": 0.005},
+        {"fault": "trocar_jump", "at": 90, "offset": [0.001, 0, 0]},
+    ]
+    text = json.dumps(faults)
+    hashes = [lockstep(ros_graph, 0.05, 120, faults=text)["state_hash"] for _ in range(2)]
+    world = World(surg_core.load_cell(CELL))
+    injector = Injector(world, parse(text, world.arms))
+    for tick in range(1, 121):
+        lost = injector.tool_lost("PSM1")
+        command = ArmCommand(velocity=np.array([0.05, 0, 0, 0, 0, 0]), jaw=None if lost else 0.3)
+        injector.states("PSM1", tick)
+        world.step(injector.commands({"PSM1": (tick, command)}))
+    assert hashes == [world.hash] * 2
+    assert lockstep(ros_graph, 0.05, 120, faults="")["state_hash"] != world.hash
+
+
+def test_inject_freezes_the_link_and_loses_the_tool_in_free_run(
+    ros_graph: RosGraph, rospy_node: str
+) -> None:
+    import rospy
+    from std_msgs.msg import String
+
+    controller = Controller(0.0, 10_000)
+    jaws: list[float] = []
+    tool = rospy.Subscriber("/PSM1/tool/measured_js", rospy.AnyMsg, lambda _: jaws.append(0))
+    inject = rospy.Publisher("/sim/inject", String, queue_size=10)
+    with running(ros_graph, controller, mode="freerun", inject=True):
+        ros_graph.wait_for(lambda: len(controller.stamps) > 100, 20.0, "100 ticks")
+        ros_graph.wait_for(lambda: inject.get_num_connections() > 0, 5.0, "/sim/inject")
+        inject.publish(String('{"fault": "gremlin"}'))
+        inject.publish(String('[{"fault": "freeze", "ticks": 200}, {"fault": "tool_lost"}]'))
+        ros_graph.wait_for(
+            lambda: controller.status.get("faults") == ["freeze", "tool_lost"], 5.0, "the faults"
+        )
+        ros_graph.wait_for(
+            lambda: controller.status.get("faults") == ["tool_lost"], 5.0, "the link's return"
+        )
+        seen = len(jaws)
+        count = len(controller.stamps) + 50
+        ros_graph.wait_for(lambda: len(controller.stamps) > count, 5.0, "further states")
+        assert len(jaws) == seen
+        # The link's own dead-man worked while the link was frozen.
+        assert max(np.diff(controller.stamps)) >= 200 * TICK_NS
+    tool.unregister()
+    inject.unregister()
+
+
+@pytest.mark.parametrize("stale", [0.0, 0.02])
+def test_the_trocar_is_tracked_on_request(
+    ros_graph: RosGraph, rospy_node: str, stale: float
+) -> None:
+    import rospy
+
+    from surg_msgs.msg import GroundTruth, PointVelocityStamped
+
+    controller = Controller(0.0, 300)
+    seen: dict[int, PointVelocityStamped] = {}
+    truth: dict[int, tuple] = {}
+
+    def on_truth(message: GroundTruth) -> None:
+        truth[message.header.stamp.to_nsec()] = point_of(message.arms[0].trocar)
+
+    subscribers = [
+        rospy.Subscriber(
+            "/PSM1/rcm/track",
+            PointVelocityStamped,
+            lambda m: seen.setdefault(m.header.stamp.to_nsec(), m),
+        ),
+        rospy.Subscriber("/sim/ground_truth/state", GroundTruth, on_truth),
+    ]
+    motion = '{"fault": "trocar_motion", "amplitude": 0.005, "frequency": 0.25}'
+    with running(ros_graph, controller, faults=motion, track_stale=stale):
+        ros_graph.wait_for(lambda: bool(controller.status.get("done")), 30.0, "the end")
+        last = max(truth)
+        newest = last - round(stale * 1e9)
+        ros_graph.wait_for(lambda: newest in seen, 5.0, "the last sample")
+        assert max(seen) == newest
+        samples = [(seen[t], truth[t]) for t in sorted(seen) if t in truth]
+        assert len(samples) > 250
+        for sample, point in samples:
+            assert sample.header.frame_id == "PSM1_base"
+            assert point_of(sample.point) == point
+        moved = [sample.point.x for sample, _ in samples]
+        assert max(moved) - min(moved) > 0.003
+    for subscriber in subscribers:
+        subscriber.unregister()
+    topics = {name for name, _ in rospy.get_published_topics()}
+    assert "/PSM1/rcm/track" not in topics

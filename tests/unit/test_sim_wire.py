@@ -57,6 +57,19 @@ def test_link_status() -> None:
     assert data == serialised(message)
 
 
+def test_point_velocity() -> None:
+    from surg_msgs.msg import PointVelocityStamped
+
+    message = PointVelocityStamped()
+    message.header.seq = 12
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+    message.header.frame_id = "PSM1_base"
+    message.point.x, message.point.y, message.point.z = point = np.array([0.1, -0.2, 0.3])
+    message.velocity.x, message.velocity.y, message.velocity.z = velocity = -0.1 * point
+    frame = wire.text("PSM1_base")
+    assert wire.pack_point_velocity(STAMP_NS, 12, frame, point, velocity) == serialised(message)
+
+
 def test_ground_truth() -> None:
     from geometry_msgs.msg import Point, Vector3
 
@@ -116,6 +129,9 @@ def test_settings_are_checked() -> None:
         (BridgeSettings, {"seed": True}),
         (BridgeSettings, {"view": "yes"}),
         (BridgeSettings, {"connect_timeout": float("nan")}),
+        (BridgeSettings, {"track_stale": 2}),
+        (BridgeSettings, {"faults": ["freeze"]}),
+        (BridgeSettings, {"inject": 1}),
         (EndoscopeSettings, {"width": 4000}),
         (EndoscopeSettings, {"vignette": 1}),
     ):

@@ -1,16 +1,123 @@
 #include "surg_control/control_cycle.hpp"
 
+#include <algorithm>
 #include <chrono>
+#include <limits>
+
+#include "surg_control/virtual_kinematics.hpp"
 
 namespace surg_control {
+namespace {
 
-void ControlCycle::answer(const CommandItem& item) {
-  Answer& answer = record_.answers[record_.n_answers++];
-  answer.kind = item.kind;
-  answer.state = item.state;
-  answer.source = item.source;
-  answer.reason = item.kind == CommandItem::Kind::kState ? controller_.request(item.state)
-                                                         : controller_.set_rcm(item.p_BRcm);
+constexpr double kTiltTolerance = 0.0175;           // [rad], 1 degree: below, nothing worth a word
+constexpr double kAngularTolerance = 0.0175;        // [rad/s]
+constexpr std::int64_t kTrackHeldNs = 100'000'000;  // a tracker this young is not talked over
+
+double seconds(std::int64_t ns) { return static_cast<double>(ns) * 1e-9; }
+
+bool is_pose(surg::Motion motion) {
+  return motion == surg::Motion::kServoCp || motion == surg::Motion::kInterpolateCp ||
+         motion == surg::Motion::kMoveCp;
+}
+
+}  // namespace
+
+ControlCycle::ControlCycle(surg::Controller& controller, std::string_view rcm_frame)
+    : controller_(controller), rcm_frame_(rcm_frame) {
+  record_.frame.name = rcm_frame_;
+}
+
+surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) {
+  switch (item.kind) {
+    case CommandItem::Kind::kState:
+      return request(item.state);
+    case CommandItem::Kind::kSetRcm:
+      return controller_.set_rcm(item.p_B);
+    case CommandItem::Kind::kSetFrame:
+      return set_frame(item);
+    case CommandItem::Kind::kClaim:
+      return controller_.claim(item.source);
+    case CommandItem::Kind::kTrack:
+      return take_track(item, now_ns);
+    case CommandItem::Kind::kMotion:
+      return take_motion(item);
+  }
+  return surg::Reason::kNone;
+}
+
+surg::Reason ControlCycle::request(surg::StateCommand command) {
+  const surg::Reason reason = controller_.request(command);
+  if (reason != surg::Reason::kNone) return reason;
+  if (command == surg::StateCommand::kEnable || command == surg::StateCommand::kResume) {
+    enabled_ = true;
+  } else if (command == surg::StateCommand::kDisable || command == surg::StateCommand::kPause) {
+    enabled_ = false;
+  }
+  return reason;
+}
+
+surg::Reason ControlCycle::set_frame(const CommandItem& item) {
+  // Targets of a moving arm would change their meaning on the way.
+  if (enabled_) return surg::Reason::kFrameWhileEnabled;
+  record_.frame.name = item.frame;
+  record_.frame.X_UR = item.X_UR;
+  ++record_.frame.version;
+  return surg::Reason::kNone;
+}
+
+surg::Reason ControlCycle::take_track(const CommandItem& item, std::int64_t now_ns) {
+  // Two trackers that took turns would shake the pivot (F26).
+  if (track_.source != 0 && track_.source != item.source &&
+      now_ns - track_.received_ns < kTrackHeldNs) {
+    return surg::Reason::kNoAuthority;
+  }
+  track_ = {item.received_ns == 0 ? now_ns : item.received_ns, item.source, item.p_B, item.v_B};
+  return surg::Reason::kNone;
+}
+
+/// Takes a motion into the inputs, from the user's frame into R.
+surg::Reason ControlCycle::take_motion(const CommandItem& item) {
+  const bool twist = item.motion.motion == surg::Motion::kServoCv;
+  const bool pose = is_pose(item.motion.motion);
+  if ((pose || twist) && !item.frame.empty() && item.frame != record_.frame.name) {
+    record_.wrong_frame = item.frame;
+    ++record_.refused_by_cycle;
+    return surg::Reason::kWrongFrame;
+  }
+  surg::MotionCommand& motion = inputs_.commands[inputs_.n_commands++];
+  motion = item.motion;
+  motion.source = item.source;
+  const surg::Pose& X_UR = record_.frame.X_UR;
+  if (pose) {
+    const ToolPose target = pose_to_rcm(X_UR, {motion.p, motion.rotation});
+    motion.p = target.p;
+    motion.rotation = target.q;
+    if (ignored_tilt(target) > kTiltTolerance) record_.orientation = {motion.motion, item.source};
+  } else if (twist) {
+    const ToolTwist rates = twist_to_rcm(X_UR, {motion.p, item.angular});
+    // Shaft of the last cycle, 2 ms old: the axis turns by less than 0.5 degrees in that time.
+    const surg::Vector3 s_R = record_.X_BR.linear().transpose() * record_.out.s_B;
+    motion.p = rates.v;
+    motion.roll_rate = rates.omega.dot(s_R);
+    if ((rates.omega - motion.roll_rate * s_R).norm() > kAngularTolerance) {
+      record_.angular = {motion.motion, item.source};
+    }
+  }
+  return surg::Reason::kNone;
+}
+
+void ControlCycle::sense(const LinkState& link, std::int64_t now_ns) {
+  inputs_.state_valid = link.stamp_ns != 0;
+  inputs_.state_age = inputs_.state_valid ? seconds(now_ns - link.received_ns) : 0;
+  inputs_.q = link.q;
+  inputs_.qd = link.qd;
+  inputs_.jaw = link.jaw;
+  inputs_.jaw_age = link.jaw_received_ns == 0 ? std::numeric_limits<double>::infinity()
+                                              : seconds(now_ns - link.jaw_received_ns);
+  inputs_.track_valid = track_.source != 0;
+  inputs_.track_age = inputs_.track_valid ? seconds(now_ns - track_.received_ns) : 0;
+  inputs_.p_BTrack = track_.p_B;
+  inputs_.v_BTrack = track_.v_B;
 }
 
 /// The shaft through the pivot and a point has one direction; the tip cannot be on the pivot
@@ -22,34 +129,30 @@ Eigen::Quaterniond ControlCycle::orientation_at(const surg::Vector3& p_B, double
   return controller_.tool_orientation(s_B, roll);
 }
 
-const CycleRecord& ControlCycle::run(const LinkState& link, double state_age,
+const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
                                      const CommandItem* items, std::size_t count) {
   record_.n_answers = 0;
+  record_.orientation = record_.angular = {};
   inputs_.n_commands = 0;
   const std::size_t taken = std::min<std::size_t>(count, surg::kMaxCommands);
-  for (std::size_t i = 0; i < taken; ++i) {
-    if (items[i].kind != CommandItem::Kind::kMotion) {
-      answer(items[i]);
-      continue;
-    }
-    surg::MotionCommand& motion = inputs_.commands[inputs_.n_commands++];
-    motion = items[i].motion;
-    motion.source = items[i].source;
-    if (motion.motion == surg::Motion::kServoCv) {
-      // Shaft of the last cycle, 2 ms old: the axis turns by less than 0.5 degrees in that time.
-      motion.roll_rate = items[i].angular.dot(record_.X_BR.linear().transpose() * record_.out.s_B);
+  for (const bool motions : {false, true}) {
+    for (std::size_t i = 0; i < taken; ++i) {
+      const CommandItem& item = items[i];
+      const bool motion = item.kind == CommandItem::Kind::kMotion;
+      if (motion != motions) continue;
+      const surg::Reason reason = answer(item, now_ns);
+      if (motion && reason == surg::Reason::kNone) continue;  // the controller gives its verdict
+      record_.answers[record_.n_answers++] = {item.kind, item.state, item.motion.motion, reason,
+                                              item.source};
     }
   }
-  inputs_.state_valid = link.stamp_ns != 0;
-  inputs_.state_age = state_age;
-  inputs_.q = link.q;
-  inputs_.qd = link.qd;
-  inputs_.jaw = link.jaw;
+  sense(link, now_ns);
 
   const auto start = std::chrono::steady_clock::now();
   const surg::Outputs& out = controller_.step(inputs_);
   const auto end = std::chrono::steady_clock::now();
 
+  enabled_ = out.state == surg::State::kEnabled;
   record_.stamp_ns = link.stamp_ns;
   record_.q = link.q;
   record_.qd = link.qd;

@@ -1,6 +1,7 @@
 #include "surg_control/lockstep_gate.hpp"
 
 #include <algorithm>
+#include <functional>
 #include <tuple>
 
 namespace surg_control {
@@ -14,10 +15,14 @@ void LockstepGate::received(const std::string& sender) {
   if (found != participants_.end()) ++found->second.received;
 }
 
-void LockstepGate::push(const std::string& sender, const std::string& topic,
+bool LockstepGate::push(const std::string& sender, const std::string& topic,
                         const CommandItem& item) {
   const bool known = declared(sender);
-  inbox_.push_back({known, known ? sender : "", known ? topic : "", ++count_, item});
+  std::size_t& waiting = waiting_[{known ? sender : "", known ? topic : ""}];
+  if (waiting >= kMostWaiting) return false;
+  ++waiting;
+  inbox_.push_back({known, known ? sender : "", known ? topic : "", round_, ++count_, item});
+  return true;
 }
 
 void LockstepGate::ready(const std::string& participant, std::uint64_t tick, std::uint64_t sent) {
@@ -50,15 +55,19 @@ std::string LockstepGate::missing(std::uint64_t tick) const {
 }
 
 const std::vector<CommandItem>& LockstepGate::take() {
-  std::sort(inbox_.begin(), inbox_.end(), [](const Letter& a, const Letter& b) {
-    return std::make_tuple(a.item.kind, !a.declared, std::cref(a.sender), std::cref(a.topic),
-                           a.number) < std::make_tuple(b.item.kind, !b.declared,
-                                                       std::cref(b.sender), std::cref(b.topic),
-                                                       b.number);
-  });
+  const auto key = [](const Letter& letter) {
+    return std::make_tuple(letter.item.kind, letter.round, !letter.declared,
+                           std::cref(letter.sender), std::cref(letter.topic), letter.number);
+  };
+  std::sort(inbox_.begin(), inbox_.end(),
+            [&key](const Letter& a, const Letter& b) { return key(a) < key(b); });
+  ++round_;
   const std::size_t n = std::min<std::size_t>(inbox_.size(), surg::kMaxCommands);
   taken_.clear();
-  for (std::size_t i = 0; i < n; ++i) taken_.push_back(inbox_[i].item);
+  for (std::size_t i = 0; i < n; ++i) {
+    taken_.push_back(inbox_[i].item);
+    --waiting_[{inbox_[i].sender, inbox_[i].topic}];
+  }
   inbox_.erase(inbox_.begin(), inbox_.begin() + static_cast<std::ptrdiff_t>(n));
   return taken_;
 }

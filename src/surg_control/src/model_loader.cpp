@@ -115,6 +115,20 @@ surg::Chain build_chain(const std::vector<urdf::JointConstSharedPtr>& path,
   }
 }
 
+/// Names the root and its pose in B, where only fixed joints lie between them.
+void find_root(const urdf::ModelInterface& urdf, const surg::RobotConfig& robot, Model& model) {
+  surg::Pose X_RootB = surg::Pose::Identity();
+  std::string link = robot.base_link;
+  while (const urdf::JointConstSharedPtr joint = urdf.getLink(link)->parent_joint) {
+    if (joint->type != urdf::Joint::FIXED) return;
+    X_RootB = to_pose(joint->parent_to_joint_origin_transform) * X_RootB;
+    link = joint->parent_link_name;
+  }
+  if (link == "world") return;
+  model.root_link = link;
+  model.X_BRoot = X_RootB.inverse();
+}
+
 void check_names(const surg::Chain& chain, const surg::RobotConfig& robot,
                  const std::string& file) {
   std::vector<std::string> names;
@@ -226,6 +240,7 @@ Model load_model(const surg::RobotConfig& robot, const std::string& urdf_path) {
   }
   const auto path = path_of_joints(*parsed, robot, urdf_path);
   model.chain = build_chain(path, robot, urdf_path);
+  find_root(*parsed, robot, model);
   check_names(model.chain, robot, urdf_path);
   check_limits(path, robot, urdf_path);
   model.kdl_error = difference_to_kdl(model.chain, robot, model.urdf, kPostures);

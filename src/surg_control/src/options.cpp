@@ -7,8 +7,8 @@
 namespace surg_control {
 namespace {
 
-const std::vector<std::string> kNames{"arm",  "cell", "feedback_gain", "law",
-                                      "link", "mode", "participants",  "realtime"};
+const std::vector<std::string> kNames{"arm",  "cell",         "feedback_gain", "law",      "link",
+                                      "mode", "participants", "realtime",      "track_rcm"};
 
 std::string join(const std::vector<std::string>& words) {
   std::string text;
@@ -116,6 +116,7 @@ Options read_options(const ros::NodeHandle& private_node) {
   options.link = read_choice(private_node, "link", {"joint", "twist"}, "");
   options.feedback_gain = read_gain(private_node);
   options.realtime = read_flag(private_node, "realtime");
+  options.track_rcm = read_flag(private_node, "track_rcm");
   if (options.realtime && options.lockstep) {
     refuse("realtime", "true in lock-step, which has no thread of its own",
            "false, or ~mode freerun");

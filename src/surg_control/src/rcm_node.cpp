@@ -3,24 +3,14 @@
 #include <ros/ros.h>
 
 #include <atomic>
-#include <csignal>
 #include <cstdio>
 #include <exception>
 
+#include "surg_control/exit_request.hpp"
 #include "surg_control/rcm_loop.hpp"
-
-namespace {
-
-std::atomic<bool> stop{false};
-
-void on_signal(int) { stop = true; }
-
-}  // namespace
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "controller", ros::init_options::NoSigintHandler);
-  std::signal(SIGINT, on_signal);
-  std::signal(SIGTERM, on_signal);
   if (!ros::master::check()) {
     std::fprintf(stderr, "surg_control: no ROS master at %s: start one, or set ROS_MASTER_URI\n",
                  ros::master::getURI().c_str());
@@ -28,8 +18,9 @@ int main(int argc, char** argv) {
   }
   try {
     ros::start();
+    surg_control::hold_exit();
     surg_control::RcmLoop loop(ros::NodeHandle("~"));
-    loop.run(stop);
+    loop.run(std::atomic<bool>(false));
   } catch (const surg::ConfigError& error) {
     std::fprintf(stderr, "surg_control: %s\n", error.what());
     return 2;

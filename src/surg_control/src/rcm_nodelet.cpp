@@ -9,11 +9,13 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <thread>
 
+#include "surg_control/exit_request.hpp"
 #include "surg_control/rcm_loop.hpp"
 
 namespace surg_control {
 
-/// Runs an RcmLoop in a thread of its own.
+/// Runs an RcmLoop in a thread of its own. Unloading stops the arm through the law first; so does a
+/// manager that is asked to end, which therefore has to wait for it.
 class RcmNodelet : public nodelet::Nodelet {
  public:
   ~RcmNodelet() override {
@@ -23,6 +25,7 @@ class RcmNodelet : public nodelet::Nodelet {
 
  private:
   void onInit() override {
+    hold_exit();
     try {
       loop_ = std::make_unique<RcmLoop>(getPrivateNodeHandle());
     } catch (const surg::ConfigError& error) {
@@ -32,7 +35,10 @@ class RcmNodelet : public nodelet::Nodelet {
       std::fflush(nullptr);
       std::quick_exit(2);
     }
-    thread_ = std::thread([this] { loop_->run(stop_); });
+    thread_ = std::thread([this] {
+      loop_->run(stop_);
+      release_exit();
+    });
   }
 
   std::unique_ptr<RcmLoop> loop_;

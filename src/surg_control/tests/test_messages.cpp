@@ -4,8 +4,10 @@
 
 #include <cmath>
 #include <limits>
+#include <set>
 #include <string>
 
+#include "surg_control/decode.hpp"
 #include "surg_control/messages.hpp"
 
 namespace surg_control {
@@ -23,28 +25,26 @@ geometry_msgs::PoseStamped pose(const std::string& frame = "PSM1_rcm") {
 
 TEST(Messages, PoseInItsFrame) {
   for (const std::string frame : {"PSM1_rcm", ""}) {
-    const Decoded decoded = decode_pose(pose(frame), surg::Motion::kMoveCp, "PSM1_rcm");
+    const Decoded decoded = decode_pose(pose(frame), surg::Motion::kMoveCp);
     EXPECT_EQ(decoded.reason, surg::Reason::kNone);
     EXPECT_EQ(decoded.item.motion.motion, surg::Motion::kMoveCp);
     EXPECT_EQ(decoded.item.motion.p, surg::Vector3(0, 0, 0.12));
-    EXPECT_EQ(decoded.ignored, "");
+    EXPECT_STREQ(decoded.item.frame.c_str(), frame.c_str());
   }
-  const Decoded wrong = decode_pose(pose("world"), surg::Motion::kServoCp, "PSM1_rcm");
+  const Decoded wrong = decode_pose(pose(std::string(64, 'x')), surg::Motion::kServoCp);
   EXPECT_EQ(wrong.reason, surg::Reason::kWrongFrame);
-  EXPECT_NE(wrong.detail.find("'world'"), std::string::npos);
-  EXPECT_NE(wrong.detail.find("PSM1_rcm"), std::string::npos);
+  EXPECT_NE(wrong.detail.find("63 characters"), std::string::npos);
 }
 
 TEST(Messages, QuaternionMustBeUnit) {
   geometry_msgs::PoseStamped message = pose();
   message.pose.orientation.w = 1.0005;
-  const Decoded near = decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm");
+  const Decoded near = decode_pose(message, surg::Motion::kServoCp);
   EXPECT_EQ(near.reason, surg::Reason::kNone);
   EXPECT_NEAR(near.item.motion.rotation.norm(), 1.0, 1e-15);
   for (const double w : {0.0, 0.9, 1.1, 1e200, 1e308}) {
     message.pose.orientation.w = w;
-    EXPECT_NE(decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm").reason, surg::Reason::kNone)
-        << w;
+    EXPECT_NE(decode_pose(message, surg::Motion::kServoCp).reason, surg::Reason::kNone) << w;
   }
 }
 
@@ -52,13 +52,13 @@ TEST(Messages, NotFinitePassesToTheController) {
   for (const double bad : {kNan, HUGE_VAL, -HUGE_VAL}) {
     geometry_msgs::PoseStamped message = pose();
     message.pose.position.x = bad;
-    Decoded decoded = decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm");
+    Decoded decoded = decode_pose(message, surg::Motion::kServoCp);
     EXPECT_EQ(decoded.reason, surg::Reason::kNone);
     EXPECT_FALSE(decoded.item.motion.p.allFinite());
 
     message = pose();
     message.pose.orientation.y = bad;
-    decoded = decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm");
+    decoded = decode_pose(message, surg::Motion::kServoCp);
     EXPECT_EQ(decoded.reason, surg::Reason::kNone);
     EXPECT_FALSE(decoded.item.motion.p.allFinite());
 
@@ -70,7 +70,7 @@ TEST(Messages, NotFinitePassesToTheController) {
 
     geometry_msgs::TwistStamped twist;
     twist.twist.angular.z = bad;
-    decoded = decode_twist(twist, "PSM1_rcm");
+    decoded = decode_twist(twist);
     EXPECT_EQ(decoded.reason, surg::Reason::kNone);
     EXPECT_FALSE(decoded.item.angular.allFinite());
   }
@@ -88,9 +88,9 @@ TEST(Messages, SizesAndNames) {
   EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kWrongSize);
   joints.name = {"yaw", "pitch", "insertion", "roll"};
   EXPECT_EQ(decode_joints(joints, surg::Motion::kServoJp).reason, surg::Reason::kNone);
-  EXPECT_EQ(decode_jaw(joints).reason, surg::Reason::kWrongSize);
+  EXPECT_EQ(decode_jaw(joints, surg::Motion::kJawServoJp).reason, surg::Reason::kWrongSize);
   joints.position = {0.5};
-  EXPECT_EQ(decode_jaw(joints).item.motion.jaw, 0.5);
+  EXPECT_EQ(decode_jaw(joints, surg::Motion::kJawServoJp).item.motion.jaw, 0.5);
 }
 
 TEST(Messages, StateWords) {
@@ -105,14 +105,73 @@ TEST(Messages, StateWords) {
   EXPECT_NE(decode_state(message).detail.find("allowed"), std::string::npos);
 }
 
-TEST(Messages, SaysOnceThatTiltIsIgnored) {
-  geometry_msgs::PoseStamped message = pose();
-  message.pose.orientation.w = std::cos(0.2);
-  message.pose.orientation.z = std::sin(0.2);  // roll only
-  EXPECT_EQ(decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm").ignored, "");
-  message.pose.orientation.z = 0;
-  message.pose.orientation.x = std::sin(0.2);  // tilt
-  EXPECT_NE(decode_pose(message, surg::Motion::kServoCp, "PSM1_rcm").ignored, "");
+TEST(Messages, EveryJointCommandTakesFourNumbers) {
+  using surg::Motion;
+  sensor_msgs::JointState joints;
+  joints.position = {1, 2, 3, 4};
+  joints.velocity = {5, 6, 7, 8};
+  for (const Motion motion : {Motion::kServoJp, Motion::kServoJr, Motion::kInterpolateJp,
+                              Motion::kMoveJp, Motion::kMoveJr}) {
+    const Decoded decoded = decode_joints(joints, motion);
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_EQ(decoded.item.motion.motion, motion);
+    EXPECT_EQ(decoded.item.motion.joints, surg::Vector4(1, 2, 3, 4));
+  }
+  EXPECT_EQ(decode_joints(joints, Motion::kServoJv).item.motion.joints, surg::Vector4(5, 6, 7, 8));
+  joints.name = {"a"};
+  EXPECT_NE(decode_joints(joints, Motion::kMoveJp).detail.find("'a'"), std::string::npos);
+}
+
+TEST(Messages, StartAndStopAndNothingElse) {
+  using surg::Motion;
+  crtk_msgs::StringStamped message;
+  for (const Motion motion : {Motion::kInsert, Motion::kWithdraw, Motion::kRetrace}) {
+    message.string = "start";
+    EXPECT_EQ(decode_start_stop(message, motion).item.motion.motion, motion);
+    message.string = "stop";
+    EXPECT_EQ(decode_start_stop(message, motion).item.motion.motion, Motion::kHold);
+    for (const std::string& word : {std::string("Start"), std::string(), std::string(500, 'x')}) {
+      message.string = word;
+      const Decoded decoded = decode_start_stop(message, motion);
+      EXPECT_NE(decoded.reason, surg::Reason::kNone);
+      EXPECT_NE(decoded.detail.find("allowed are start, stop"), std::string::npos);
+      EXPECT_LT(decoded.detail.size(), 120U);  // a long word is not said in full
+    }
+  }
+}
+
+TEST(Messages, FixedFramesAreNotConverted) {
+  surg_msgs::PointVelocityStamped track;
+  track.point.x = 1;
+  track.velocity.y = 2;
+  EXPECT_EQ(decode_track(track, "PSM1_base").item.kind, CommandItem::Kind::kTrack);
+  EXPECT_EQ(decode_track(track, "PSM1_base").item.p_B, surg::Vector3(1, 0, 0));
+  EXPECT_EQ(decode_track(track, "PSM1_base").item.v_B, surg::Vector3(0, 2, 0));
+  track.header.frame_id = "PSM1_rcm";
+  const Decoded wrong = decode_track(track, "PSM1_base");
+  EXPECT_EQ(wrong.reason, surg::Reason::kWrongFrame);
+  EXPECT_NE(wrong.detail.find("'PSM1_rcm'; allowed is 'PSM1_base'"), std::string::npos);
+  EXPECT_EQ(decode_rcm(pose("world"), "PSM1_base").reason, surg::Reason::kWrongFrame);
+}
+
+TEST(Messages, EveryMotionHasATopic) {
+  std::set<std::string> topics;
+  for (int i = 0; i <= 16; ++i) topics.insert(topic_of(static_cast<surg::Motion>(i)));
+  EXPECT_EQ(topics.size(), 17U);
+  EXPECT_EQ(topics.count("unknown"), 0U);
+}
+
+TEST(Messages, CycleCarriesTierAndEveryRefusal) {
+  CycleRecord record;
+  record.out.tier = 2;
+  record.out.refused = 3;
+  record.refused_by_node = 4;
+  record.refused_by_cycle = 5;
+  surg_msgs::Cycle message;
+  encode_cycle(record, "PSM1_base", SourceTable(), message);
+  EXPECT_EQ(message.tier, 2);
+  EXPECT_EQ(message.refused, 12U);
+  EXPECT_EQ(message.source, "");
 }
 
 TEST(Messages, RobotStateByName) {

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "surg_control/base_frame.hpp"
 #include "surg_core/controller.hpp"
 
 namespace surg_control {
@@ -14,32 +15,45 @@ namespace surg_control {
 constexpr std::uint64_t kTickNs = 2'000'000;
 constexpr double kTick = 0.002;  ///< [s]
 
-/// One decoded command of any kind.
+/// One decoded command of any kind. Within one cycle the kinds take effect in this order.
 struct CommandItem {
-  enum class Kind : std::uint8_t { kState, kSetRcm, kMotion };
+  enum class Kind : std::uint8_t { kState, kSetRcm, kSetFrame, kClaim, kTrack, kMotion };
   Kind kind = Kind::kMotion;
   std::uint32_t source = 0;                                 ///< id of the sender in a SourceTable
   surg::StateCommand state = surg::StateCommand::kDisable;  ///< kState
-  surg::Vector3 p_BRcm = surg::Vector3::Zero();             ///< kSetRcm
-  surg::MotionCommand motion;                               ///< kMotion
-  /// servo_cv: the whole angular velocity in the rcm frame; its part along the shaft becomes
-  /// roll_rate in the cycle that knows the shaft.
+  surg::Vector3 p_B = surg::Vector3::Zero();                ///< kSetRcm, kTrack: the trocar [m]
+  surg::Vector3 v_B = surg::Vector3::Zero();                ///< kTrack [m/s]
+  std::int64_t received_ns = 0;  ///< kTrack: steady clock; 0: in the cycle that takes it
+  FrameName frame;               ///< kMotion: header.frame_id; kSetFrame: name of U
+  surg::Pose X_UR = surg::Pose::Identity();  ///< kSetFrame
+  surg::MotionCommand motion;  ///< kMotion; poses and twists still in 'frame', not in R
+  /// servo_cv: the whole angular velocity; its part along the shaft becomes roll_rate in the cycle
+  /// that knows the shaft.
   surg::Vector3 angular = surg::Vector3::Zero();
 };
 
-/// What the robot link and the tool link last said.
+/// What the robot link and the tool link last said. Times are of the steady clock; in lock-step of
+/// the tick.
 struct LinkState {
   std::uint64_t stamp_ns = 0;    ///< header stamp; 0: nothing received yet
-  std::int64_t received_ns = 0;  ///< steady clock
+  std::int64_t received_ns = 0;  ///< when q, qd came
   surg::JointVector q, qd;
   double jaw = std::numeric_limits<double>::quiet_NaN();  ///< until the tool link has spoken
+  std::int64_t jaw_received_ns = 0;                       ///< when jaw came; 0: never
 };
 
-/// What became of a state command or a taught trocar.
+/// What became of a command that is not the controller's to judge as a motion.
 struct Answer {
   CommandItem::Kind kind = CommandItem::Kind::kState;
   surg::StateCommand state = surg::StateCommand::kDisable;
+  surg::Motion motion = surg::Motion::kNone;  ///< kMotion: refused before the controller saw it
   surg::Reason reason = surg::Reason::kNone;  ///< kNone: done
+  std::uint32_t source = 0;
+};
+
+/// A command that was obeyed but for a part that four degrees of freedom cannot follow.
+struct Ignored {
+  surg::Motion motion = surg::Motion::kNone;  ///< kNone: nothing was ignored in this cycle
   std::uint32_t source = 0;
 };
 
@@ -53,12 +67,17 @@ struct CycleRecord {
   Eigen::Quaterniond q_RTool = Eigen::Quaterniond::Identity();  ///< measured
   Eigen::Quaterniond q_RSet = Eigen::Quaterniond::Identity();
   Eigen::Quaterniond q_RGoal = Eigen::Quaterniond::Identity();
+  BaseFrame frame;        ///< of commands and measured_cp
+  FrameName wrong_frame;  ///< the last frame_id that was refused
+  Ignored orientation;    ///< of a pose: all but the roll about the shaft
+  Ignored angular;        ///< of a twist: all but the part along the shaft
   int n_answers = 0;
   std::array<Answer, surg::kMaxCommands> answers;
   double compute_us = 0;
   double period_us = 0;
   std::uint32_t overruns = 0;
-  std::uint32_t refused_by_node = 0;  ///< commands that never reached the controller
+  std::uint32_t refused_by_node = 0;   ///< commands that never reached the cycle
+  std::uint32_t refused_by_cycle = 0;  ///< motions that the cycle kept from the controller
 };
 
 }  // namespace surg_control

@@ -2,6 +2,7 @@
 // that must not be used ends in a surg::ConfigError that names file, line, key and what is allowed.
 #pragma once
 
+#include <cstddef>
 #include <string>
 
 #include "surg_core/config.hpp"
@@ -12,6 +13,7 @@ namespace surg_control {
 /// One arm of a cell with all its files read, checked and frozen. Paths are resolved.
 struct ArmSetup {
   std::string cell_name;
+  std::size_t arms_in_cell = 1;
   surg::CellArm arm;
   surg::RobotConfig robot;
   surg::InstrumentConfig instrument;

@@ -3,6 +3,8 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <string_view>
 
 #include "surg_control/command_item.hpp"
 
@@ -11,22 +13,40 @@ namespace surg_control {
 /// Drives one surg::Controller. Allocates nothing after construction.
 class ControlCycle {
  public:
-  explicit ControlCycle(surg::Controller& controller) : controller_(controller) {}
+  /// 'rcm_frame': name of the rcm frame, in which everybody speaks until a base frame is set.
+  ControlCycle(surg::Controller& controller, std::string_view rcm_frame);
 
-  /// State commands and taught trocars take effect first, then the controller steps with the motion
-  /// commands in the order given. At most surg::kMaxCommands items; the caller keeps the rest.
-  /// 'state_age' [s] is 0 in lock-step. tick, timing and refused_by_node of the record are the
-  /// caller's.
-  const CycleRecord& run(const LinkState& link, double state_age, const CommandItem* items,
+  /// State commands, taught trocars, frames, claims and trocar samples take effect first, then the
+  /// controller steps with the motion commands in the order given. At most surg::kMaxCommands
+  /// items, sorted by kind or not; the caller keeps the rest. 'now_ns': the steady clock, in
+  /// lock-step the tick; ages are counted by it. tick, timing and refused_by_node of the record are
+  /// the caller's.
+  const CycleRecord& run(const LinkState& link, std::int64_t now_ns, const CommandItem* items,
                          std::size_t count);
 
   CycleRecord& record() { return record_; }
+  /// What the controller saw in the last cycle.
+  const surg::Inputs& inputs() const { return inputs_; }
 
  private:
-  void answer(const CommandItem& item);
+  struct Track {
+    std::int64_t received_ns = 0;
+    std::uint32_t source = 0;  // 0: there is no sample
+    surg::Vector3 p_B = surg::Vector3::Zero(), v_B = surg::Vector3::Zero();
+  };
+
+  surg::Reason answer(const CommandItem& item, std::int64_t now_ns);
+  surg::Reason request(surg::StateCommand command);
+  surg::Reason set_frame(const CommandItem& item);
+  surg::Reason take_track(const CommandItem& item, std::int64_t now_ns);
+  surg::Reason take_motion(const CommandItem& item);
+  void sense(const LinkState& link, std::int64_t now_ns);
   Eigen::Quaterniond orientation_at(const surg::Vector3& p_B, double roll) const;
 
   surg::Controller& controller_;
+  FrameName rcm_frame_;
+  bool enabled_ = false;
+  Track track_;
   surg::Inputs inputs_;
   CycleRecord record_;
 };

@@ -14,6 +14,10 @@ struct Model {
   surg::Chain chain;  ///< base_link to flange_link
   std::string urdf;   ///< text of the URDF, for robot_description
   double kdl_error;   ///< largest difference to KDL over the checked postures [m, rad]
+  /// The URDF's root link and where it is in B, for whoever draws the URDF's own links; empty where
+  /// a movable joint lies between them, or where the root is called 'world', which has a meaning.
+  std::string root_link;
+  surg::Pose X_BRoot = surg::Pose::Identity();
 };
 
 /// Loads the URDF of a robot and checks it: the movable joints between base and flange are exactly

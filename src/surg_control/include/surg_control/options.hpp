@@ -20,6 +20,7 @@ struct Options {
   surg::Law law = surg::Law::kOurs;       ///< ~law: ours or paper
   std::string link;           ///< ~link: joint or twist; empty: as the robot's YAML says
   double feedback_gain = -1;  ///< ~feedback_gain [1/s]; negative: as the robot's YAML says
+  bool track_rcm = false;     ///< ~track_rcm: the trocar moves; somebody publishes rcm/track
   bool realtime = false;      ///< ~realtime: SCHED_FIFO and locked memory, free-run only
 };
 

@@ -11,12 +11,14 @@
 #include <surg_msgs/ScalarStamped.h>
 
 #include <string>
-#include <vector>
 
 #include "surg_control/announcer.hpp"
 #include "surg_control/command_item.hpp"
 #include "surg_control/config_loader.hpp"
+#include "surg_control/diagnostics.hpp"
+#include "surg_control/model_loader.hpp"
 #include "surg_control/source_table.hpp"
+#include "surg_control/spokesman.hpp"
 
 namespace surg_control {
 
@@ -48,16 +50,9 @@ class Feedback {
 /// The arm's publishers.
 class Outlets {
  public:
-  /// What the diagnostics say of the configuration.
-  struct Facts {
-    bool lockstep;
-    bool twist;
-    std::string law;
-    std::string limits_hash;
-  };
-
-  Outlets(ros::NodeHandle& node, const ArmSetup& setup, const Facts& facts,
-          const SourceTable& sources, Announcer& announcer);
+  /// 'model': for the one transform that joins the URDF's own links to our frames.
+  Outlets(ros::NodeHandle& node, const ArmSetup& setup, const Model& model, const Facts& facts,
+          const Health& health, const SourceTable& sources, Announcer& announcer);
 
   /// The cycle message, every tick; first, because participants wait for it.
   void publish_cycle(const CycleRecord& record);
@@ -67,36 +62,29 @@ class Outlets {
 
  private:
   void publish_feedback(const CycleRecord& record);
+  void publish_tip(const CycleRecord& record, bool valid);
   void publish_rcm(const CycleRecord& record);
   void publish_state(const CycleRecord& record, bool changed);
+  void publish_static_tf(const ArmSetup& setup, const Model& model);
   void publish_tf(const CycleRecord& record);
-  void publish_diagnostics(const CycleRecord& record, double now);
-  void say_changes(const CycleRecord& record, double now);
-  void say_answers(const CycleRecord& record, double now);
-  void say_verdicts(const CycleRecord& record, double now);
   geometry_msgs::TransformStamped transform(const CycleRecord& record, const std::string& child,
                                             const surg::Pose& X, const std::string& parent) const;
 
   std::string arm_, base_, flange_, tool_, rcm_;
-  surg::Limits limits_;
   surg::Vector3 p_FTip_;
-  Facts facts_;
+  bool lockstep_;
   const SourceTable& sources_;
-  Announcer& announcer_;
+  Spokesman spokesman_;
+  Diagnostics diagnostics_;
 
-  ros::Publisher cycle_, operating_state_, tf_, tf_static_, diagnostics_, rcm_limit_;
+  ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_;
   Feedback<sensor_msgs::JointState> measured_js_, setpoint_js_, jaw_measured_js_, jaw_setpoint_js_;
-  Feedback<geometry_msgs::PoseStamped> measured_cp_, setpoint_cp_, goal_cp_, rcm_measured_cp_;
+  Feedback<geometry_msgs::PoseStamped> measured_cp_, local_measured_cp_, setpoint_cp_, goal_cp_,
+      rcm_measured_cp_;
   Feedback<geometry_msgs::TwistStamped> measured_cv_;
   Feedback<surg_msgs::ScalarStamped> rcm_error_;
 
   surg_msgs::Cycle cycle_message_;
-  surg::State state_ = surg::State::kDisabled;
-  surg::Reason reason_ = surg::Reason::kNone;
-  bool homed_ = false, busy_ = false, first_ = true;
-  std::vector<double> compute_us_;
-  double diagnosed_at_ = 0;
-  std::uint64_t diagnosed_tick_ = 0;
 };
 
 }  // namespace surg_control

@@ -3,11 +3,10 @@
 // encoded.
 #pragma once
 
-#include <crtk_msgs/StringStamped.h>
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <semaphore.h>
-#include <std_msgs/Empty.h>
+#include <sensor_msgs/JointState.h>
 #include <surg_msgs/LinkStatus.h>
 #include <surg_msgs/Ready.h>
 
@@ -16,17 +15,20 @@
 #include <random>
 #include <set>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include "surg_control/announcer.hpp"
+#include "surg_control/command_inlets.hpp"
 #include "surg_control/control_cycle.hpp"
 #include "surg_control/handover.hpp"
+#include "surg_control/health.hpp"
+#include "surg_control/housekeeping.hpp"
+#include "surg_control/kinematics_services.hpp"
 #include "surg_control/lockstep_gate.hpp"
-#include "surg_control/messages.hpp"
 #include "surg_control/model_loader.hpp"
 #include "surg_control/options.hpp"
 #include "surg_control/outlets.hpp"
+#include "surg_control/robot_command.hpp"
 
 namespace surg_control {
 
@@ -41,20 +43,22 @@ class RcmLoop {
   RcmLoop(const RcmLoop&) = delete;
   RcmLoop& operator=(const RcmLoop&) = delete;
 
-  /// Works until 'stop' or ROS ends, then commands zero velocity.
+  /// Works until 'stop', an exit request or ROS's end. Then stops the arm through the law, commands
+  /// zero and returns, at most about a second after it was asked, whatever the link does.
   void run(const std::atomic<bool>& stop);
 
  private:
-  // --- coming in: the thread of run() ---
-  template <typename Message>
-  void subscribe_command(const std::string& topic, std::function<Decoded(const Message&)> decode);
-  void subscribe_commands();
-  void take_command(const std::string& topic, const std::string& caller, Decoded decoded);
+  // --- coming in: the thread of run() (inlet.cpp) ---
+  void subscribe_link();
+  void take_command(const std::string& topic, const std::string& caller, const ros::Time& stamp,
+                    Decoded decoded);
+  bool pass_on(const std::string& topic, const std::string& caller, const Decoded& decoded);
   void on_robot_state(const sensor_msgs::JointState& message);
   void on_tool_state(const sensor_msgs::JointState& message);
   void on_ready(const surg_msgs::Ready& message);
   void on_link_status(const surg_msgs::LinkStatus& message);
   void report_undeclared(const std::string& caller);
+  void note_stamp(const ros::Time& stamp);
 
   // --- lock-step ---
   void on_tick(const LinkState& state);
@@ -64,14 +68,13 @@ class RcmLoop {
   void control_thread();
   void publisher_thread();
 
-  void send(const CycleRecord& record);
-  void send_zero();
+  void leave_if_asked();
+  void come_to_rest();
   double now() const;
 
   Options options_;
   ArmSetup setup_;
   Model model_;
-  bool twist_;
   std::string arm_;
   std::unique_ptr<surg::Controller> controller_;
   std::unique_ptr<ControlCycle> cycle_;
@@ -79,15 +82,18 @@ class RcmLoop {
   ros::CallbackQueue queue_;
   ros::NodeHandle node_;
   SourceTable sources_;
+  Health health_;
   std::unique_ptr<Announcer> announcer_;
   std::unique_ptr<Outlets> outlets_;
-  ros::Publisher robot_, tool_, undeclared_;
+  std::unique_ptr<KinematicsServices> services_;
+  std::unique_ptr<RobotCommand> robot_;
+  std::unique_ptr<CommandInlets> inlets_;
+  std::unique_ptr<Housekeeping> housekeeping_;
+  ros::Publisher undeclared_;
   std::vector<ros::Subscriber> subscribers_;
   ros::Subscriber link_status_;
 
   LinkState link_;  // as received; in free-run handed over through link_box_
-  sensor_msgs::JointState joint_command_, tool_command_;
-  geometry_msgs::TwistStamped twist_command_;
   std::atomic<std::uint32_t> refused_by_node_{0};
 
   LockstepGate gate_;
@@ -101,7 +107,10 @@ class RcmLoop {
   SpscRing<CycleRecord> records_;
   sem_t records_waiting_;
   std::atomic<bool> stop_threads_{false};
-  std::atomic<std::uint32_t> records_lost_{0};
+
+  std::atomic<bool> leaving_{false};  // asked to end: no commands any more, stop through the law
+  bool left_enabled_ = false;         // that has been told to the controller
+  std::atomic<bool> at_rest_{false};  // and it commands zero
 };
 
 }  // namespace surg_control

@@ -27,7 +27,7 @@ def cycle(joints: int) -> list[str]:
         *(*_xyz("p_goal"), "roll_goal", *_xyz("p_tip"), *_xyz("s"), *_xyz("p_rcm")),
         *("q_br_x", "q_br_y", "q_br_z", "q_br_w", "roll", "depth", "rcm_error"),
         *(*_xyz("p_set"), *_xyz("v_set"), "roll_set", "jaw_set", "jaw"),
-        *("scale", "limited_by"),
+        *("scale", "limited_by", "tier"),
         *_numbered("qd_command", joints),
         *_numbered("twist_command_", 6),
         *("compute_us", "period_us", "overruns"),
@@ -59,7 +59,7 @@ VIDEO: list[str] = ["frame", "stamp_ns", "receive_ns", "pts", "dropped"]
 _INTEGERS = frozenset(
     (
         *("stamp_ns", "receive_ns", "tick", "state", "homed", "busy", "command", "accepted"),
-        *("refused", "overruns", "frame", "pts", "dropped"),
+        *("refused", "overruns", "tier", "frame", "pts", "dropped"),
     )
 )
 _STRINGS = frozenset(("reason", "source", "limited_by", "topic", "text"))

@@ -32,11 +32,16 @@ from surg_recording.recording import Recording
 COMMANDS: dict[str, type] = {
     "servo_cp": PoseStamped,
     "servo_jp": JointState,
+    "servo_jr": JointState,
     "servo_cv": TwistStamped,
     "servo_jv": JointState,
     "interpolate_cp": PoseStamped,
+    "interpolate_jp": JointState,
     "move_cp": PoseStamped,
+    "move_jp": JointState,
+    "move_jr": JointState,
     "jaw/servo_jp": JointState,
+    "jaw/move_jp": JointState,
 }
 """Command topics of an arm that go to ``command_<arm>.csv``."""
 

@@ -61,6 +61,7 @@ def cycle(message: Any, receive_ns: int) -> Row:
         m.jaw,
         m.scale,
         m.limited_by,
+        m.tier,
         *m.qd_command,
         *m.twist_command,
         m.compute_us,
@@ -91,8 +92,8 @@ def command(topic: str, message: Any, source: str, receive_ns: int) -> Row:
 
     Args:
         topic: name below the arm, e.g. ``servo_cp`` or ``jaw/servo_jp``; its ending decides how the
-            message is read: ``_cp`` PoseStamped, ``_cv`` TwistStamped, ``_jp`` and ``_jv``
-            JointState.
+            message is read: ``_cp`` PoseStamped, ``_cv`` TwistStamped, ``_jp``, ``_jr`` and
+            ``_jv`` JointState.
         message: the message as received.
         source: caller id of the sender.
         receive_ns: wall clock at reception.
@@ -108,7 +109,7 @@ def command(topic: str, message: Any, source: str, receive_ns: int) -> Row:
     elif topic.endswith("_cv"):
         twist = message.twist
         row[_CV : _CV + 6] = *_xyz(twist.linear), *_xyz(twist.angular)
-    elif topic.endswith("_jp"):
+    elif topic.endswith(("_jp", "_jr")):
         row[_JP : _JP + 4] = _four(message.position)
     elif topic.endswith("_jv"):
         row[_JV : _JV + 4] = _four(message.velocity)

@@ -22,8 +22,8 @@ Array = npt.NDArray[np.float64]
 
 ENABLED, FAULT = 1, 3
 """Values of surg_msgs/Cycle.state."""
-SERVO = (1, 2, 3, 4)
-"""Values of surg_msgs/Cycle.command that are streams: servo_cp, servo_jp, servo_cv, servo_jv."""
+SERVO = (1, 2, 3, 4, 9)
+"""Values of surg_msgs/Cycle.command that are streams: servo_cp, _jp, _cv, _jv, _jr."""
 
 PATH_CUTOFF_HZ = 3.0
 SMOOTHNESS_PRESETS = ("reference", "paper")

@@ -1,7 +1,8 @@
 """The simulated operating room: MuJoCo arms, trocars and an endoscope behind the link contract.
 
-Pure modules (no ROS): ``scene``, ``arm``, ``jaw``, ``trocar``, ``truth``, ``world``, ``lockstep``,
-``wire``, ``settings``, ``render``, ``picture``, ``anatomy``, ``textures``. Nodes: ``bridge_node``
+Pure modules (no ROS): ``scene``, ``arm``, ``jaw``, ``trocar``, ``trocar_motion``, ``truth``,
+``world``, ``faults``, ``injector``, ``lockstep``, ``wire``, ``settings``, ``render``, ``picture``,
+``anatomy``, ``textures``. Nodes: ``bridge_node``
 (``/sim``) and ``endoscope_node`` (``/endoscope``).
 """
 

@@ -88,7 +88,49 @@ class ArmCommand:
     jaw: float | None = None
 
 
-def add_arm(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: ActuatorParameters) -> None:
+@dataclass(frozen=True)
+class ToolError:
+    """How the true instrument differs from its URDF, and so from a calibration that equals it.
+
+    The controller believes its calibration; the simulator mounts the instrument a little wrong.
+    The directions are drawn by the seed.
+
+    Attributes:
+        tip: Displacement of the tip across the shaft [m].
+        axis: Turn of the shaft about the tip [rad].
+        seed: Of the two directions.
+    """
+
+    tip: float
+    axis: float
+    seed: int = 0
+
+    def mount(self, X_FTip: Array) -> Array:
+        """The motion that carries the believed tool to the true one, in the flange frame.
+
+        Args:
+            X_FTip: (4, 4) believed pose of the tip, z along the shaft.
+
+        Returns:
+            (4, 4) D with X_FTrueTip = D X_FTip.
+        """
+        towards, about = np.random.default_rng(self.seed).uniform(0.0, 2.0 * np.pi, 2)
+        R, p = X_FTip[:3, :3], X_FTip[:3, 3]
+        w = R @ (np.array([np.cos(about), np.sin(about), 0.0]))
+        K = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+        D = np.eye(4)
+        D[:3, :3] += np.sin(self.axis) * K + (1.0 - np.cos(self.axis)) * (K @ K)
+        shift = self.tip * (R @ np.array([np.cos(towards), np.sin(towards), 0.0]))
+        D[:3, 3] = p + shift - D[:3, :3] @ p
+        return D
+
+
+def add_arm(
+    spec: mujoco.MjSpec,
+    arm: surg_core.Arm,
+    parameters: ActuatorParameters,
+    error: ToolError | None = None,
+) -> None:
     """Put a robot and its instrument, both from URDF, into the scene.
 
     Names in the scene carry the prefix ``<arm>_``. The instrument's mount link is attached to the
@@ -98,6 +140,7 @@ def add_arm(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: ActuatorParamet
         spec: The scene.
         arm: The cell's arm.
         parameters: Drive parameters.
+        error: How the instrument is mounted wrong; None: as its URDF says.
 
     Raises:
         ValueError: A link or joint of the YAML is not in the URDF.
@@ -120,7 +163,10 @@ def add_arm(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: ActuatorParamet
         pos=arm.X_WB[:3, 3].tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
     )
     root = pose.attach_body(base, prefix, "")
-    spec.body(prefix + arm.robot.flange_link).add_frame().attach_body(mount, prefix, "")
+    D = np.eye(4) if error is None else _mount_error(arm, error)
+    flange = spec.body(prefix + arm.robot.flange_link)
+    seat = flange.add_frame(pos=D[:3, 3].tolist(), quat=quaternion(D[:3, :3]).tolist())
+    seat.attach_body(mount, prefix, "")
     for body in [root, *root.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
         body.gravcomp = 1.0
 
@@ -130,6 +176,16 @@ def add_arm(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: ActuatorParamet
         joint = spec.joint(prefix + name)
         joint.armature = armature[i]
         _add_servo(spec, prefix + name, stiffness[i])
+
+
+def _mount_error(arm: surg_core.Arm, error: ToolError) -> Array:
+    """Where the instrument's mount sits in the flange frame when it is mounted wrong, (4, 4)."""
+    import surg_core
+
+    X_FTip = surg_core.fixed_transform(
+        arm.instrument_urdf, arm.instrument.mount_link, arm.instrument.tip_link
+    )
+    return error.mount(np.asarray(X_FTip))
 
 
 def _load_urdf(path: Path) -> mujoco.MjSpec:

@@ -2,7 +2,8 @@
 
 In lock-step the thread that receives the last missing answer executes the tick and publishes the
 next state itself: no timer, no hand-over. In free-run one loop ticks at 500 Hz by the steady clock.
-Nothing is ever rendered here.
+Nothing is ever rendered here. Faults on purpose (``~faults``, ``/sim/inject``) are the injector's;
+they are taken where the ROS master is on this machine only.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import time
 import warnings
 from collections.abc import Callable
 from typing import Any
+from urllib.parse import urlparse
 
 import rospy
 from geometry_msgs.msg import TwistStamped
@@ -26,9 +28,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 import surg_core
-from surg_msgs.msg import GroundTruth, LinkStatus, Ready, SimSnapshot
-from surg_sim import wire
+from surg_msgs.msg import GroundTruth, LinkStatus, PointVelocityStamped, Ready, SimSnapshot
+from surg_sim import faults, wire
 from surg_sim.arm import ArmCommand
+from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.settings import BridgeSettings, SettingsError
 from surg_sim.world import TICK_NS, World
@@ -132,17 +135,24 @@ class _ArmTopics:
 
             return rospy.Subscriber(f"{root}/{topic}", kind, callback, tcp_nodelay=True)
 
+        # Tracks the trocar, when asked to; a topic that nobody fills must not be there.
+        self.stale = round(bridge.track_stale * wire.NS / TICK_NS)
+        self.frame = wire.text(f"{arm.name}_base")
+        self.track: _Output | None = None
+        if self.stale >= 0:
+            self.track = _Output(f"{root}/rcm/track", PointVelocityStamped, patient)
+
         self.inputs = [
             listen("robot/servo_jv", _RawJointState, bridge.on_velocity),
             listen("robot/servo_cv", _RawTwist, bridge.on_twist),
         ]
         self.tool_input = listen("tool/servo_jp", _RawJointState, bridge.on_jaw)
 
-    def take_commands(self) -> ArmCommand:
-        """What has arrived since the last tick."""
+    def take_commands(self) -> tuple[int, ArmCommand]:
+        """What has arrived since the last tick, with the stamp of the robot command [ns]."""
         command = ArmCommand(self.velocity, self.twist, self.jaw)
         self.velocity = self.twist = self.jaw = None
-        return command
+        return self.last_command_ns, command
 
     def unconnected(self) -> list[str]:
         """Sentences about who is not there yet."""
@@ -166,11 +176,19 @@ class Bridge:
         settings: The node's parameters.
         cell: The loaded cell.
         world: Its world.
+        injector: The faults between world and links.
     """
 
-    def __init__(self, settings: BridgeSettings, cell: surg_core.Cell, world: World) -> None:
-        self._settings, self._world = settings, world
+    def __init__(
+        self,
+        settings: BridgeSettings,
+        cell: surg_core.Cell,
+        world: World,
+        injector: Injector,
+    ) -> None:
+        self._settings, self._world, self._injector = settings, world, injector
         self.lockstep = settings.mode == "lockstep"
+        self.track_stale = settings.track_stale
         self._lock = threading.Lock()
         self._book = Lockstep(
             world.arms,
@@ -193,6 +211,8 @@ class Bridge:
         self._status = rospy.Publisher("/sim/status", String, queue_size=10, latch=True)
         self._ready = rospy.Subscriber("/sim/ready", Ready, self._on_ready, tcp_nodelay=True)
         rospy.Subscriber("/sim/undeclared", String, self._on_undeclared)
+        if settings.inject:
+            rospy.Subscriber("/sim/inject", String, self._on_inject)
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
 
     # --- what arrives -----------------------------------------------------------------------
@@ -241,6 +261,19 @@ class Bridge:
             rospy.logwarn(f"'{message.data}' is not a declared participant: not deterministic")
         self._deterministic = False
 
+    def _on_inject(self, message: String) -> None:
+        """Faults as JSON; what is wrong with them is said in the log and changes nothing."""
+        with self._lock:
+            try:
+                for fault in faults.parse(message.data, self._world.arms):
+                    if self.lockstep and fault.at <= self._world.tick:
+                        self._deterministic = False  # it begins when the message happens to come
+                    self._injector.add(fault)
+                    rospy.logwarn(f"fault on purpose: {fault}")
+            except faults.FaultError as error:
+                rospy.logerr(f"/sim/inject: {error}")
+            self._publish_status()
+
     # --- what goes out ----------------------------------------------------------------------
 
     def _advance(self) -> None:
@@ -256,18 +289,44 @@ class Bridge:
         if self._jitter:
             time.sleep(random.uniform(0.0, self._jitter))
         self._publish_state(self._world.tick * TICK_NS)
+        self._open_tick()
+
+    def _open_tick(self) -> None:
+        """Wait for the answers to the state that is out; a lost tool link cannot have one."""
         self._book.publish(self._world.tick, time.monotonic())
+        for arm in self._arms:
+            if self._injector.tool_lost(arm.name):
+                self._book.answer(arm.name, "tool", self._world.tick)
 
     def _step(self) -> None:
-        self._world.step({arm.name: arm.take_commands() for arm in self._arms})
+        arrived = {arm.name: arm.take_commands() for arm in self._arms}
+        self._world.step(self._injector.commands(arrived))
 
     def _publish_state(self, stamp_ns: int) -> None:
         tick, world = self._world.tick, self._world
         if self._clock.connections:
             self._clock.send(struct.pack("<2I", *divmod(stamp_ns, wire.NS)))
         for arm in self._arms:
-            state, link = world.state(arm.name), world.link(arm.name)
-            arm.tool.send(_JAW.pack(tick, stamp_ns, _one(state.jaw), _one(state.jaw_velocity)))
+            self._publish_links(arm, tick, stamp_ns)
+        if self._truth.connections:
+            truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
+            self._truth.send(wire.pack_ground_truth(stamp_ns, tick, truths))
+        if tick % SNAPSHOT_TICKS == 0:
+            snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
+            snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, wire.NS))
+            self._snapshot.publish(snapshot)
+        # The joint states go last: their arrival starts the controller's work.
+        for arm in self._arms:
+            for stamp, state in self._injector.states(arm.name, stamp_ns):
+                arm.state.send(arm.layout.pack(tick, stamp, state.q, state.qd))
+
+    def _publish_links(self, arm: _ArmTopics, tick: int, stamp_ns: int) -> None:
+        """Jaw, status and tracker of one arm."""
+        injector, link = self._injector, self._world.link(arm.name)
+        jaw = injector.jaw(arm.name)
+        if jaw is not None:
+            arm.tool.send(_JAW.pack(tick, stamp_ns, _one(jaw[0]), _one(jaw[1])))
+        if injector.speaks(arm.name):
             arm.status.send(
                 wire.pack_link_status(
                     stamp_ns,
@@ -279,17 +338,11 @@ class Bridge:
                     link.fault,
                 )
             )
-        if self._truth.connections:
-            truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
-            self._truth.send(wire.pack_ground_truth(stamp_ns, tick, truths))
-        if tick % SNAPSHOT_TICKS == 0:
-            snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
-            snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, wire.NS))
-            self._snapshot.publish(snapshot)
-        # The joint states go last: their arrival starts the controller's work.
-        for arm in self._arms:
-            state = world.state(arm.name)
-            arm.state.send(arm.layout.pack(tick, stamp_ns, state.q, state.qd))
+        seen = None if arm.track is None else injector.track(arm.name, arm.stale)
+        if arm.track is not None and seen is not None:
+            when, point, velocity = seen
+            stamp_seen = stamp_ns - (tick - when) * TICK_NS
+            arm.track.send(wire.pack_point_velocity(stamp_seen, tick, arm.frame, point, velocity))
 
     def _publish_status(self) -> None:
         tick = self._world.tick
@@ -303,6 +356,7 @@ class Bridge:
             "done": self._done,
             "aborted": self._aborted,
             "overruns": self._overruns,
+            "faults": self._injector.active,
         }
         self._status.publish(String(json.dumps(status)))
 
@@ -359,7 +413,7 @@ class Bridge:
             time.sleep(0.02)
         with self._lock:
             self._publish_state(self._world.tick * TICK_NS)
-            self._book.publish(self._world.tick, time.monotonic())
+            self._open_tick()
         while not rospy.is_shutdown() and not self._done:
             time.sleep(0.1)
             with self._lock:
@@ -408,19 +462,36 @@ def _viewer(world: World) -> Callable[[], None]:
     return lambda: viewer.sync() if viewer.is_running() else None
 
 
+def _only_here(settings: BridgeSettings) -> None:
+    """Refuse faults on purpose where somebody else's machine could send them."""
+    host = urlparse(os.environ.get("ROS_MASTER_URI", "")).hostname or ""
+    here = host == "localhost" or host.startswith("127.")
+    if (settings.inject or settings.faults) and not here:
+        raise SettingsError(
+            f"parameters ~inject and ~faults need a ROS master on this machine's loopback "
+            f"(localhost or 127.x.x.x); ROS_MASTER_URI names {host!r}"
+        )
+
+
 def main() -> int:
     """Entry point; returns the exit code (0 done, 1 aborted, 2 broken configuration)."""
     rospy.init_node("sim")
     try:
         settings = BridgeSettings.read(lambda name, default: rospy.get_param(f"~{name}", default))
+        _only_here(settings)
         cell = surg_core.load_cell(settings.cell)
-        world = World(cell, settings.seed, looks=settings.view, arms=settings.arms)
-    except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
+        known = faults.parse(settings.faults, settings.arms or tuple(cell.arms))
+        errors = tool_errors(known, settings.seed)
+        world = World(
+            cell, settings.seed, looks=settings.view, arms=settings.arms, tool_errors=errors
+        )
+        injector = Injector(world, known, settings.seed, settings.mode == "lockstep")
+    except (SettingsError, faults.FaultError, surg_core.ConfigError, ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2
     # Hand the interpreter over quickly: answers arrive on threads of their own.
     sys.setswitchinterval(1e-4)
-    bridge = Bridge(settings, cell, world)
+    bridge = Bridge(settings, cell, world, injector)
     return bridge.run(_viewer(world) if settings.view else lambda: None)
 
 

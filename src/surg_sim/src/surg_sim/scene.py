@@ -6,7 +6,7 @@ pose finds its patient under its instrument. URDF is the single source of truth 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_sim import anatomy, textures
-from surg_sim.arm import ActuatorParameters, add_arm, quaternion
+from surg_sim.arm import ActuatorParameters, ToolError, add_arm, quaternion
 from surg_sim.jaw import add_jaw
 from surg_sim.trocar import TrocarParameters, add_trocar, wall_frame
 
@@ -105,6 +105,7 @@ def build(
     looks: bool = False,
     actuators: ActuatorParameters | None = None,
     trocar: TrocarParameters | None = None,
+    tool_errors: Mapping[str, ToolError] | None = None,
 ) -> mujoco.MjModel:
     """Compile the scene once.
 
@@ -114,18 +115,20 @@ def build(
         looks: False leaves out everything that only pictures need; the physics is the same.
         actuators: Drive parameters.
         trocar: Wall parameters.
+        tool_errors: By arm name, how the true tool differs from its URDF.
 
     Raises:
         ValueError: A URDF does not fit its YAML.
     """
+    errors = tool_errors or {}
     # Beside this file, not importlib.resources: catkin's devel space relays code but no data files.
     room = Path(__file__).with_name("assets") / "scene.xml"
     spec = mujoco.MjSpec.from_string(room.read_text("utf-8"))
     for arm in arms:
-        add_arm(spec, arm, actuators or ActuatorParameters())
+        add_arm(spec, arm, actuators or ActuatorParameters(), errors.get(arm.name))
         add_jaw(spec, arm)
     for arm in arms:
-        add_trocar(spec, arm, trocar or TrocarParameters())
+        add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
     if looks:
         site = site_of(arms[0])
         seen = _home_points(spec.compile(), arms)

@@ -51,6 +51,18 @@ def _mode(value: Any) -> str:
     return str(value)
 
 
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise SettingsError(f"parameter ~{name} is {value!r}: true or false is allowed")
+    return value
+
+
+def _faults(value: Any) -> str:
+    if not isinstance(value, str):
+        raise SettingsError(f"parameter ~faults is {value!r}: give a text of JSON, or none")
+    return value
+
+
 Get = Callable[[str, Any], Any]
 """Looks a private parameter up: (name without ~, default) -> value."""
 
@@ -67,6 +79,10 @@ class BridgeSettings:
         arms: Arms to simulate; empty: all of the cell.
         seed: Seed of the world.
         view: Open a viewer window where there is a display.
+        track_stale: The simulator tracks the trocars and publishes ``rcm/track``, this old [s];
+            -1: it does not.
+        faults: Faults from the start, as JSON (``faults``).
+        inject: Take further faults on ``/sim/inject``.
         connect_timeout: Longest wait for everybody to connect in lock-step [s].
         abort_timeout: Longest wait for the answer to a tick in lock-step [s].
     """
@@ -78,6 +94,9 @@ class BridgeSettings:
     arms: tuple[str, ...]
     seed: int
     view: bool
+    track_stale: float
+    faults: str
+    inject: bool
     connect_timeout: float
     abort_timeout: float
 
@@ -94,9 +113,6 @@ class BridgeSettings:
             raise SettingsError(
                 f"parameter ~observers names {strangers}: allowed are {', '.join(OBSERVER_WINDOWS)}"
             )
-        view = get("view", False)
-        if not isinstance(view, bool):
-            raise SettingsError(f"parameter ~view is {view!r}: true or false is allowed")
         return cls(
             cell=_text("cell", get("cell", "")),
             mode=_mode(get("mode", "lockstep")),
@@ -104,7 +120,10 @@ class BridgeSettings:
             observers=observers,
             arms=_texts("arms", get("arms", [])),
             seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
-            view=view,
+            view=_flag("view", get("view", False)),
+            track_stale=_real("track_stale", get("track_stale", -1), -1.0, 1.0),
+            faults=_faults(get("faults", "")),
+            inject=_flag("inject", get("inject", False)),
             connect_timeout=_real("connect_timeout", get("connect_timeout", 60.0), 1.0, 3600.0),
             abort_timeout=_real("abort_timeout", get("abort_timeout", 10.0), 1.0, 600.0),
         )
@@ -139,9 +158,6 @@ class EndoscopeSettings:
         Raises:
             SettingsError: One is missing or out of range.
         """
-        vignette = get("vignette", True)
-        if not isinstance(vignette, bool):
-            raise SettingsError(f"parameter ~vignette is {vignette!r}: true or false is allowed")
         return cls(
             cell=_text("cell", get("cell", "")),
             mode=_mode(get("mode", "lockstep")),
@@ -149,5 +165,5 @@ class EndoscopeSettings:
             seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
             width=_whole("width", get("width", 640), 16, 1920),
             height=_whole("height", get("height", 480), 16, 1080),
-            vignette=vignette,
+            vignette=_flag("vignette", get("vignette", True)),
         )

@@ -4,6 +4,9 @@ The sleeve is a body on a slide joint along the shaft, with the seal's friction.
 constraint between two *sites* ties it to a wall body on three spring-damper slides. (A body-based
 connect takes its anchor at qpos0 and throws the arm.) So the wall's displacement is read from its
 slides, and the force of the shaft on the wall from the constraint force on them.
+
+The hole may move by itself (``MovingPoint``). Its springs and dampers then act on the difference to
+the moving point, as if they were fixed to it.
 """
 
 from __future__ import annotations
@@ -15,7 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import quaternion
+from surg_sim.arm import ToolError, quaternion
+from surg_sim.trocar_motion import MovingPoint
 
 if TYPE_CHECKING:
     import surg_core
@@ -45,8 +49,12 @@ class TrocarParameters:
         return 2.0 * self.damping_ratio * float(np.sqrt(self.stiffness * self.mass))
 
 
-def shaft_in_flange(arm: surg_core.Arm) -> tuple[Array, Array]:
+def shaft_in_flange(arm: surg_core.Arm, error: ToolError | None = None) -> tuple[Array, Array]:
     """The true tip point and unit shaft axis in the flange frame, from the URDF (not calibrated).
+
+    Args:
+        arm: The cell's arm.
+        error: How the true tool differs from the URDF.
 
     Returns:
         p_FTip: (3,) [m].
@@ -57,6 +65,8 @@ def shaft_in_flange(arm: surg_core.Arm) -> tuple[Array, Array]:
     X_FTip = surg_core.fixed_transform(
         arm.instrument_urdf, arm.instrument.mount_link, arm.instrument.tip_link
     )
+    if error is not None:
+        X_FTip = error.mount(X_FTip) @ X_FTip
     return np.array(X_FTip[:3, 3]), np.array(X_FTip[:3, 2])
 
 
@@ -73,10 +83,21 @@ def wall_frame(arm: surg_core.Arm) -> tuple[Array, Array]:
     return p_WRcm, arm.X_WB[:3, :3] @ R_BF @ s_F
 
 
-def add_trocar(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParameters) -> None:
+def add_trocar(
+    spec: mujoco.MjSpec,
+    arm: surg_core.Arm,
+    parameters: TrocarParameters,
+    error: ToolError | None = None,
+) -> None:
     """Put the sleeve, the wall and their connection into the scene.
 
     The wall's axes are those of the arm's base, so that its slides are read in the base frame.
+
+    Args:
+        spec: The scene.
+        arm: The cell's arm.
+        parameters: Wall parameters.
+        error: How the true tool differs from the URDF; the sleeve rides on the true shaft.
     """
     prefix = f"{arm.name}_"
     p_WRcm, _ = wall_frame(arm)
@@ -97,7 +118,7 @@ def add_trocar(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParame
         )
     wall.add_site(name=f"{prefix}wall", size=[0.001] * 3, group=4)
 
-    p_FTip, s_F = shaft_in_flange(arm)
+    p_FTip, s_F = shaft_in_flange(arm, error)
     X_BF = arm.chain.forward(np.asarray(arm.robot.home))
     depth = (X_BF[:3, :3] @ s_F) @ (
         X_BF[:3, :3] @ p_FTip + X_BF[:3, 3] - np.asarray(arm.trocar.p_BRcm)
@@ -137,25 +158,61 @@ class Trocar:
         model: The compiled scene.
         data: Its state.
         arm: The cell's arm.
+        parameters: The wall parameters that ``add_trocar`` was given.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, arm: surg_core.Arm) -> None:
-        self._data = data
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        arm: surg_core.Arm,
+        parameters: TrocarParameters,
+    ) -> None:
+        self._model, self._data, self._damping = model, data, parameters.damping
         joints = [model.joint(f"{arm.name}_wall_{name}") for name in "xyz"]
         self._qpos = slice(joints[0].qposadr[0], joints[0].qposadr[0] + 3)
         self._dofs = slice(joints[0].dofadr[0], joints[0].dofadr[0] + 3)
-        self.undisturbed: Array = np.array(arm.trocar.p_BRcm, dtype=np.float64)
-        """Where the wall's hole is when nothing pulls at it [m], base frame, (3,)."""
+        self._sites = [model.site(f"{arm.name}_{name}").id for name in ("sleeve", "wall")]
+        self._R_BW = np.asarray(arm.X_WB[:3, :3], dtype=np.float64).T
+        self._p_BRcm: Array = np.array(arm.trocar.p_BRcm, dtype=np.float64)
+        self.point = MovingPoint(self._p_BRcm)
+        """The hole at rest: moves on command, otherwise stays where the trocar was taught."""
+
+    def reset(self) -> None:
+        """The hole at its taught place; the wall where the shaft holds it, with no jerk to come.
+
+        The scene's kinematics must be up to date with the arm at its home posture.
+        """
+        self.point.reset()
+        self._model.qpos_spring[self._qpos] = 0.0
+        self._data.qfrc_applied[self._dofs] = 0.0
+        sleeve, wall = (self._data.site_xpos[i] for i in self._sites)
+        self._data.qpos[self._qpos] += self._R_BW @ (sleeve - wall)
+
+    def advance(self) -> None:
+        """Move the hole to where it is one tick on; called before the physics of that tick.
+
+        A spring and damper between wall and moving hole: m a = -k (x - x0) - c (v - v0). MuJoCo's
+        joint knows k (x - springref) and c v; c v0 is applied.
+        """
+        self.point.advance()
+        self._model.qpos_spring[self._qpos] = self.point.p_B - self._p_BRcm
+        self._data.qfrc_applied[self._dofs] = self._damping * self.point.v_B
 
     @property
-    def displacement(self) -> Array:
-        """Loaded minus undisturbed point [m], base frame, (3,)."""
-        return np.array(self._data.qpos[self._qpos])
+    def undisturbed(self) -> Array:
+        """Where the wall's hole is when nothing pulls at it [m], base frame, (3,)."""
+        return self.point.p_B
 
     @property
     def loaded(self) -> Array:
         """Where the wall's hole is now [m], base frame, (3,)."""
-        return self.undisturbed + self._data.qpos[self._qpos]
+        return self._p_BRcm + self._data.qpos[self._qpos]
+
+    @property
+    def displacement(self) -> Array:
+        """Loaded minus undisturbed point [m], base frame, (3,)."""
+        return self.loaded - self.undisturbed
 
     @property
     def force(self) -> Array:

@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 NS = 1_000_000_000
 
 
-def _string(text: str) -> bytes:
-    data = text.encode()
+def text(words: str) -> bytes:
+    """A string with its length in front."""
+    data = words.encode()
     return struct.pack("<I", len(data)) + data
 
 
@@ -42,7 +43,7 @@ class JointStateLayout:
     """
 
     def __init__(self, names: Sequence[str]) -> None:
-        self._names = struct.pack("<I", len(names)) + b"".join(map(_string, names))
+        self._names = struct.pack("<I", len(names)) + b"".join(map(text, names))
 
     def pack(self, seq: int, stamp_ns: int, position: Array, velocity: Array) -> bytes:
         """The message as bytes; position and velocity are (n,)."""
@@ -71,11 +72,18 @@ def pack_link_status(
         (
             header(tick, stamp_ns),
             struct.pack("<Q", tick),
-            _string(command),
+            text(command),
             struct.pack("<2I2B", *divmod(last_command_ns, NS), dead_man, lockstep),
-            _string(fault),
+            text(fault),
         )
     )
+
+
+def pack_point_velocity(
+    stamp_ns: int, seq: int, frame: bytes, point: Array, velocity: Array
+) -> bytes:
+    """A surg_msgs/PointVelocityStamped as bytes; ``frame`` as for ``header``."""
+    return header(seq, stamp_ns, frame) + struct.pack("<6d", *point, *velocity)
 
 
 def pack_ground_truth(stamp_ns: int, tick: int, arms: Iterable[tuple[str, ArmTruth]]) -> bytes:
@@ -83,7 +91,7 @@ def pack_ground_truth(stamp_ns: int, tick: int, arms: Iterable[tuple[str, ArmTru
     parts = []
     for name, truth in arms:
         parts += [
-            _string(name),
+            text(name),
             struct.pack(
                 "<22d",
                 *truth.shaft_point,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_sim import scene
-from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink
+from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
 from surg_sim.jaw import JawLink
 from surg_sim.trocar import Trocar, TrocarParameters
 from surg_sim.truth import ArmTruth, TruthReader
@@ -68,6 +68,7 @@ class World:
         arms: Names of the arms to simulate; default: all of the cell.
         actuators: Drive parameters.
         trocar: Wall parameters.
+        tool_errors: By arm name, how the true tool differs from its URDF (calibration error).
 
     Raises:
         ValueError: An arm is not in the cell, or a URDF does not fit its YAML.
@@ -81,14 +82,15 @@ class World:
         arms: Iterable[str] | None = None,
         actuators: ActuatorParameters | None = None,
         trocar: TrocarParameters | None = None,
+        tool_errors: Mapping[str, ToolError] | None = None,
     ) -> None:
         actuators, trocar = actuators or ActuatorParameters(), trocar or TrocarParameters()
         chosen = scene.choose_arms(cell, arms)
-        self.model = scene.build(chosen, seed, looks, actuators, trocar)
+        self.model = scene.build(chosen, seed, looks, actuators, trocar, tool_errors)
         self.data = mujoco.MjData(self.model)
         self._members: dict[str, _Member] = {}
         for arm in chosen:
-            sleeve = Trocar(self.model, self.data, arm)
+            sleeve = Trocar(self.model, self.data, arm, trocar)
             self._members[arm.name] = _Member(
                 link=ArmLink(self.model, self.data, arm, actuators),
                 jaw=JawLink(self.model, self.data, arm),
@@ -108,6 +110,9 @@ class World:
         for member in self._members.values():
             member.link.reset()
             member.jaw.reset()
+        mujoco.mj_kinematics(self.model, self.data)
+        for member in self._members.values():
+            member.trocar.reset()
         mujoco.mj_forward(self.model, self.data)
         self.tick = 1
         self._hash = hashlib.sha256()
@@ -122,6 +127,7 @@ class World:
             command = commands.get(name, _NOTHING)
             member.link.accept(command)
             member.jaw.accept(command.jaw)
+            member.trocar.advance()
         # mj_step is step1 (positions, velocities) then step2 (forces, integration). Ending on step1
         # leaves kinematics that belong to the new state, at no extra cost.
         for _ in range(SUBSTEPS):
@@ -146,6 +152,10 @@ class World:
     def link(self, arm: str) -> ArmLink:
         """The robot link of an arm: its dead-man and fault."""
         return self._members[arm].link
+
+    def trocar(self, arm: str) -> Trocar:
+        """The trocar of an arm, to move it (``.point``) or to track it."""
+        return self._members[arm].trocar
 
     @property
     def hash(self) -> str:

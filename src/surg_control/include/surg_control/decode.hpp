@@ -1,0 +1,65 @@
+// Messages to commands. Decoding checks the form (sizes, names, unit quaternion, fixed frames) and
+// nothing else: values, NaN included, are the controller's to judge.
+#pragma once
+
+#include <crtk_msgs/StringStamped.h>
+#include <geometry_msgs/PoseStamped.h>
+#include <geometry_msgs/TwistStamped.h>
+#include <sensor_msgs/JointState.h>
+#include <surg_msgs/PointVelocityStamped.h>
+
+#include <string>
+#include <vector>
+
+#include "surg_control/command_item.hpp"
+
+namespace surg_control {
+
+/// A decoded message: the item, or why it is refused.
+struct Decoded {
+  CommandItem item;
+  surg::Reason reason = surg::Reason::kNone;  ///< kNone: pass it on
+  std::string detail;  ///< with a reason: the value at fault, what is allowed, what to do
+};
+
+/// servo_cp, interpolate_cp, move_cp. The cycle that takes it judges its frame_id.
+Decoded decode_pose(const geometry_msgs::PoseStamped& message, surg::Motion motion);
+/// servo_cv; frame_id as for poses.
+Decoded decode_twist(const geometry_msgs::TwistStamped& message);
+/// servo_jp, servo_jr, interpolate_jp, move_jp, move_jr (position) or servo_jv (velocity): yaw,
+/// pitch, insertion, roll.
+Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motion);
+/// jaw/servo_jp, jaw/move_jp: one position.
+Decoded decode_jaw(const sensor_msgs::JointState& message, surg::Motion motion);
+/// hold.
+Decoded decode_hold();
+/// rcm/insert, rcm/withdraw, rcm/retrace: 'start' means 'motion', 'stop' means hold.
+Decoded decode_start_stop(const crtk_msgs::StringStamped& message, surg::Motion motion);
+/// authority/claim.
+Decoded decode_claim();
+/// state_command.
+Decoded decode_state(const crtk_msgs::StringStamped& message);
+/// rcm/set_cp in the base frame 'frame': the position is the trocar point.
+Decoded decode_rcm(const geometry_msgs::PoseStamped& message, const std::string& frame);
+/// rcm/track in the base frame 'frame'.
+Decoded decode_track(const surg_msgs::PointVelocityStamped& message, const std::string& frame);
+/// set_base_frame: the pose of the rcm frame 'rcm' in the user's frame U, whose name is the
+/// frame_id; without one, U is 'rcm' again (identity) or 'user' (any other pose).
+Decoded decode_base_frame(const geometry_msgs::PoseStamped& message, const std::string& rcm,
+                          const std::string& user);
+
+/// robot/measured_js into 'link' (stamp, q, qd). Returns an empty text, or why the message is
+/// unusable. NaN passes.
+std::string decode_state_of_robot(const sensor_msgs::JointState& message,
+                                  const std::vector<std::string>& names, LinkState& link);
+
+/// A quaternion into a rotation of unit length. Returns an empty text, or why it is none. What is
+/// not finite passes.
+std::string decode_rotation(const geometry_msgs::Quaternion& q, Eigen::Quaterniond& rotation);
+
+/// CRTK's name of a motion command, for texts.
+const char* topic_of(surg::Motion motion);
+/// CRTK's word of a state command, for texts.
+const char* word_of(surg::StateCommand command);
+
+}  // namespace surg_control

@@ -1,0 +1,46 @@
+// /diagnostics: how the controller is, in values that a person or a monitor reads once a second.
+#pragma once
+
+#include <ros/ros.h>
+
+#include <string>
+#include <vector>
+
+#include "surg_control/command_item.hpp"
+#include "surg_control/health.hpp"
+#include "surg_control/source_table.hpp"
+
+namespace surg_control {
+
+/// What the diagnostics say of the configuration.
+struct Facts {
+  bool lockstep;
+  bool twist;
+  bool track_rcm;
+  std::string law;
+  std::string limits_hash;
+};
+
+/// Publishes every kDiagnosticsTicks cycles.
+class Diagnostics {
+ public:
+  Diagnostics(ros::NodeHandle& node, const std::string& arm, const Facts& facts,
+              const Health& health, const SourceTable& sources);
+
+  /// Every cycle. 'now' [s] as for Announcer.
+  void add(const CycleRecord& record, double now);
+
+ private:
+  void publish(const CycleRecord& record, double rate);
+
+  std::string arm_;
+  Facts facts_;
+  const Health& health_;
+  const SourceTable& sources_;
+  ros::Publisher publisher_;
+  std::vector<double> compute_us_;
+  double last_now_ = 0;
+  std::uint64_t last_tick_ = 0;
+};
+
+}  // namespace surg_control

@@ -1,0 +1,42 @@
+// CRTK's kinematics queries on the four virtual joints.
+#pragma once
+
+#include <crtk_msgs/QueryForwardKinematics.h>
+#include <crtk_msgs/QueryInverseKinematics.h>
+#include <ros/ros.h>
+
+#include <string>
+
+#include "surg_control/base_frame.hpp"
+#include "surg_control/handover.hpp"
+#include "surg_core/config.hpp"
+
+namespace surg_control {
+
+/// What a query is answered with. Requests of a wrong form, and poses that the workspace does not
+/// hold, get result false and a message with the value and what is allowed.
+crtk_msgs::QueryForwardKinematics::Response answer_forward(
+    const crtk_msgs::QueryForwardKinematics::Request& request, const surg::Pose& X_UR);
+crtk_msgs::QueryInverseKinematics::Response answer_inverse(
+    const crtk_msgs::QueryInverseKinematics::Request& request, const surg::Pose& X_UR,
+    const surg::Limits& limits);
+
+/// forward_kinematics, inverse_kinematics (in the user's frame), local/forward_kinematics (in R).
+class KinematicsServices {
+ public:
+  KinematicsServices(ros::NodeHandle& node, const std::string& arm, const surg::Limits& limits);
+
+  /// The frame that queries are answered in from now on; from any one thread.
+  void set_frame(const BaseFrame& frame);
+
+ private:
+  surg::Pose X_UR();
+
+  surg::Limits limits_;
+  LatestBox<surg::Pose> box_;
+  surg::Pose last_ = surg::Pose::Identity();
+  std::uint32_t version_ = 0;
+  ros::ServiceServer forward_, local_forward_, inverse_;
+};
+
+}  // namespace surg_control

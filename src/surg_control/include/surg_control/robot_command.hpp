@@ -1,0 +1,32 @@
+// What goes to the robot link and the tool link, once a cycle.
+#pragma once
+
+#include <geometry_msgs/TwistStamped.h>
+#include <ros/ros.h>
+#include <sensor_msgs/JointState.h>
+
+#include "surg_control/command_item.hpp"
+#include "surg_control/config_loader.hpp"
+
+namespace surg_control {
+
+/// robot/servo_jv or robot/servo_cv, and tool/servo_jp. Keeps its messages, so that a cycle
+/// allocates nothing of ours.
+class RobotCommand {
+ public:
+  /// 'twist': flange twists instead of joint velocities; 'queue': of each publisher, 0 for
+  /// unbounded.
+  RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist, std::uint32_t queue);
+
+  void send(const CycleRecord& record);
+  /// Zero velocity with the stamp of 'last', the jaw as it was; nothing before there was a state.
+  void send_zero(CycleRecord last);
+
+ private:
+  bool twist_;
+  ros::Publisher robot_, tool_;
+  sensor_msgs::JointState joint_command_, tool_command_;
+  geometry_msgs::TwistStamped twist_command_;
+};
+
+}  // namespace surg_control

@@ -1,0 +1,267 @@
+#include "surg_control/decode.hpp"
+
+#include <array>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace surg_control {
+namespace {
+
+constexpr double kUnitTolerance = 1e-3;  // of a quaternion's norm
+
+constexpr std::array<std::pair<const char*, surg::StateCommand>, 6> kStateWords{{
+    {"enable", surg::StateCommand::kEnable},
+    {"disable", surg::StateCommand::kDisable},
+    {"pause", surg::StateCommand::kPause},
+    {"resume", surg::StateCommand::kResume},
+    {"home", surg::StateCommand::kHome},
+    {"unhome", surg::StateCommand::kUnhome},
+}};
+
+Decoded refused(surg::Reason reason, std::string detail) {
+  Decoded decoded;
+  decoded.reason = reason;
+  decoded.detail = std::move(detail);
+  return decoded;
+}
+
+Decoded motion_of(surg::Motion motion) {
+  Decoded decoded;
+  decoded.item.motion.motion = motion;
+  return decoded;
+}
+
+/// A text of a message in quotes, short enough to be said.
+std::string quoted(const std::string& text) {
+  return text.size() <= 40 ? "'" + text + "'" : "'" + text.substr(0, 40) + "…'";
+}
+
+/// Empty, or why the frame_id is not the one fixed frame of its topic.
+std::string wrong_frame(const std::string& is, const std::string& expected) {
+  if (is.empty() || is == expected) return {};
+  return "frame_id is " + quoted(is) + "; allowed is '" + expected +
+         "' or an empty one; nothing is converted";
+}
+
+surg::Vector3 to_eigen(const geometry_msgs::Point& p) { return {p.x, p.y, p.z}; }
+surg::Vector3 to_eigen(const geometry_msgs::Vector3& v) { return {v.x, v.y, v.z}; }
+
+Decoded refuse_long_frame(const std::string& is) {
+  return refused(surg::Reason::kWrongFrame,
+                 "frame_id is " + quoted(is) + "; allowed are names of at most " +
+                     std::to_string(FrameName::kLongest) + " characters");
+}
+
+}  // namespace
+
+std::string decode_rotation(const geometry_msgs::Quaternion& q, Eigen::Quaterniond& rotation) {
+  rotation.coeffs() << q.x, q.y, q.z, q.w;
+  if (!rotation.coeffs().allFinite()) return {};
+  const double norm = rotation.norm();
+  if (!(std::abs(norm - 1.0) <= kUnitTolerance)) {
+    return "orientation (x, y, z, w) has norm " + std::to_string(norm) +
+           "; a unit quaternion is needed, (0, 0, 0, 1) for no rotation";
+  }
+  rotation.normalize();
+  return {};
+}
+
+Decoded decode_pose(const geometry_msgs::PoseStamped& message, surg::Motion motion) {
+  if (!FrameName::fits(message.header.frame_id)) return refuse_long_frame(message.header.frame_id);
+  Decoded decoded = motion_of(motion);
+  surg::MotionCommand& command = decoded.item.motion;
+  decoded.item.frame = FrameName(message.header.frame_id);
+  command.p = to_eigen(message.pose.position);
+  const std::string problem = decode_rotation(message.pose.orientation, command.rotation);
+  if (!problem.empty()) return refused(surg::Reason::kNotFinite, problem);
+  if (!command.rotation.coeffs().allFinite()) {
+    // Not finite is the controller's FAULT. The position carries it there, so that no law of
+    // rotations can lose it on the way.
+    command.p.setConstant(std::numeric_limits<double>::quiet_NaN());
+  }
+  return decoded;
+}
+
+Decoded decode_twist(const geometry_msgs::TwistStamped& message) {
+  if (!FrameName::fits(message.header.frame_id)) return refuse_long_frame(message.header.frame_id);
+  Decoded decoded = motion_of(surg::Motion::kServoCv);
+  decoded.item.frame = FrameName(message.header.frame_id);
+  decoded.item.motion.p = to_eigen(message.twist.linear);
+  decoded.item.angular = to_eigen(message.twist.angular);
+  return decoded;
+}
+
+Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motion) {
+  const bool velocity = motion == surg::Motion::kServoJv;
+  const std::vector<double>& values = velocity ? message.velocity : message.position;
+  if (values.size() != 4) {
+    return refused(surg::Reason::kWrongSize,
+                   std::string(velocity ? "velocity" : "position") + " has " +
+                       std::to_string(values.size()) +
+                       " values; needed are 4: yaw, pitch, insertion, roll");
+  }
+  static const std::vector<std::string> kNames{"yaw", "pitch", "insertion", "roll"};
+  if (!message.name.empty() && message.name != kNames) {
+    return refused(surg::Reason::kWrongSize,
+                   "name has " + std::to_string(message.name.size()) + " entries, the first " +
+                       quoted(message.name.front()) +
+                       "; allowed is none, or [yaw, pitch, insertion, roll] in this order");
+  }
+  Decoded decoded = motion_of(motion);
+  decoded.item.motion.joints = surg::Vector4(values[0], values[1], values[2], values[3]);
+  return decoded;
+}
+
+Decoded decode_jaw(const sensor_msgs::JointState& message, surg::Motion motion) {
+  if (message.position.size() != 1) {
+    return refused(surg::Reason::kWrongSize, "position has " +
+                                                 std::to_string(message.position.size()) +
+                                                 " values; needed is 1: the jaw's opening angle");
+  }
+  Decoded decoded = motion_of(motion);
+  decoded.item.motion.jaw = message.position[0];
+  return decoded;
+}
+
+Decoded decode_hold() { return motion_of(surg::Motion::kHold); }
+
+Decoded decode_start_stop(const crtk_msgs::StringStamped& message, surg::Motion motion) {
+  if (message.string == "start") return motion_of(motion);
+  if (message.string == "stop") return decode_hold();
+  return refused(surg::Reason::kRefusedTransition,
+                 "string is " + quoted(message.string) + "; allowed are start, stop");
+}
+
+Decoded decode_claim() {
+  Decoded decoded;
+  decoded.item.kind = CommandItem::Kind::kClaim;
+  return decoded;
+}
+
+Decoded decode_state(const crtk_msgs::StringStamped& message) {
+  for (const auto& [word, command] : kStateWords) {
+    if (message.string != word) continue;
+    Decoded decoded;
+    decoded.item.kind = CommandItem::Kind::kState;
+    decoded.item.state = command;
+    return decoded;
+  }
+  return refused(
+      surg::Reason::kRefusedTransition,
+      "string is " + quoted(message.string) +
+          ", which is no state command; allowed are enable, disable, pause, resume, home, unhome");
+}
+
+Decoded decode_rcm(const geometry_msgs::PoseStamped& message, const std::string& frame) {
+  const std::string problem = wrong_frame(message.header.frame_id, frame);
+  if (!problem.empty()) return refused(surg::Reason::kWrongFrame, problem);
+  Decoded decoded;
+  decoded.item.kind = CommandItem::Kind::kSetRcm;
+  decoded.item.p_B = to_eigen(message.pose.position);
+  return decoded;
+}
+
+Decoded decode_track(const surg_msgs::PointVelocityStamped& message, const std::string& frame) {
+  const std::string problem = wrong_frame(message.header.frame_id, frame);
+  if (!problem.empty()) return refused(surg::Reason::kWrongFrame, problem);
+  Decoded decoded;
+  decoded.item.kind = CommandItem::Kind::kTrack;
+  decoded.item.p_B = to_eigen(message.point);
+  decoded.item.v_B = to_eigen(message.velocity);
+  return decoded;
+}
+
+Decoded decode_base_frame(const geometry_msgs::PoseStamped& message, const std::string& rcm,
+                          const std::string& user) {
+  const std::string& frame = message.header.frame_id;
+  if (!FrameName::fits(frame)) return refuse_long_frame(frame);
+  Eigen::Quaterniond q_UR;
+  const surg::Vector3 p_UR = to_eigen(message.pose.position);
+  const std::string problem = decode_rotation(message.pose.orientation, q_UR);
+  if (!problem.empty()) return refused(surg::Reason::kNotFinite, problem);
+  if (!p_UR.allFinite() || !q_UR.coeffs().allFinite()) {
+    return refused(surg::Reason::kNotFinite, "the pose holds NaN or infinity: send finite numbers");
+  }
+  const bool identity = p_UR.isZero(0) && q_UR.vec().isZero(0);
+  if (frame == rcm && !identity) {
+    return refused(surg::Reason::kWrongFrame,
+                   "frame_id is '" + rcm +
+                       "', and the pose is not the identity: it is the pose of '" + rcm +
+                       "' in the frame that frame_id names, so give that one another name");
+  }
+  Decoded decoded;
+  decoded.item.kind = CommandItem::Kind::kSetFrame;
+  decoded.item.frame = FrameName(!frame.empty() ? frame : identity ? rcm : user);
+  decoded.item.X_UR.linear() = q_UR.toRotationMatrix();
+  decoded.item.X_UR.translation() = p_UR;
+  return decoded;
+}
+
+std::string decode_state_of_robot(const sensor_msgs::JointState& message,
+                                  const std::vector<std::string>& names, LinkState& link) {
+  const std::size_t n = names.size();
+  if (message.name != names || message.position.size() != n || message.velocity.size() != n) {
+    std::string expected;
+    for (const std::string& name : names) expected += (expected.empty() ? "" : ", ") + name;
+    return "robot/measured_js needs name [" + expected + "] in this order and " +
+           std::to_string(n) + " positions and velocities; it came with " +
+           std::to_string(message.name.size()) + " names, " +
+           std::to_string(message.position.size()) + " positions, " +
+           std::to_string(message.velocity.size()) + " velocities";
+  }
+  link.stamp_ns = message.header.stamp.toNSec();
+  link.q = Eigen::Map<const Eigen::VectorXd>(message.position.data(), static_cast<Eigen::Index>(n));
+  link.qd =
+      Eigen::Map<const Eigen::VectorXd>(message.velocity.data(), static_cast<Eigen::Index>(n));
+  return {};
+}
+
+const char* topic_of(surg::Motion motion) {
+  switch (motion) {
+    case surg::Motion::kNone:
+      return "nothing";
+    case surg::Motion::kServoCp:
+      return "servo_cp";
+    case surg::Motion::kServoJp:
+      return "servo_jp";
+    case surg::Motion::kServoCv:
+      return "servo_cv";
+    case surg::Motion::kServoJv:
+      return "servo_jv";
+    case surg::Motion::kInterpolateCp:
+      return "interpolate_cp";
+    case surg::Motion::kMoveCp:
+      return "move_cp";
+    case surg::Motion::kHold:
+      return "hold";
+    case surg::Motion::kJawServoJp:
+      return "jaw/servo_jp";
+    case surg::Motion::kServoJr:
+      return "servo_jr";
+    case surg::Motion::kInterpolateJp:
+      return "interpolate_jp";
+    case surg::Motion::kMoveJp:
+      return "move_jp";
+    case surg::Motion::kMoveJr:
+      return "move_jr";
+    case surg::Motion::kJawMoveJp:
+      return "jaw/move_jp";
+    case surg::Motion::kInsert:
+      return "rcm/insert";
+    case surg::Motion::kWithdraw:
+      return "rcm/withdraw";
+    case surg::Motion::kRetrace:
+      return "rcm/retrace";
+  }
+  return "unknown";
+}
+
+const char* word_of(surg::StateCommand command) {
+  for (const auto& [word, value] : kStateWords) {
+    if (value == command) return word;
+  }
+  return "unknown";
+}
+
+}  // namespace surg_control

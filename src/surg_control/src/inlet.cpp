@@ -1,0 +1,179 @@
+// RcmLoop's incoming half: what links, participants and commanders send, in the thread of run().
+#include <std_msgs/String.h>
+
+#include "surg_control/clock_watch.hpp"
+#include "surg_control/messages.hpp"
+#include "surg_control/rcm_loop.hpp"
+#include "surg_control/realtime.hpp"
+
+namespace surg_control {
+namespace {
+
+constexpr std::uint32_t kUnbounded = 0;
+/// F11: a joint state at most this much older than the last one was overtaken on its way. More is a
+/// step of the link's clock, which must not stop an arm.
+constexpr std::int64_t kReorderedNs = 5 * static_cast<std::int64_t>(kTickNs);
+
+std::string without_slash(const std::string& caller) {
+  return !caller.empty() && caller.front() == '/' ? caller.substr(1) : caller;
+}
+
+bool enters_enabled(const CommandItem& item) {
+  return item.kind == CommandItem::Kind::kState &&
+         (item.state == surg::StateCommand::kEnable || item.state == surg::StateCommand::kResume);
+}
+
+}  // namespace
+
+void RcmLoop::subscribe_link() {
+  using sensor_msgs::JointState;
+  const std::string prefix = "/" + arm_ + "/";
+  const auto hints = ros::TransportHints().tcpNoDelay();
+  const std::uint32_t depth = options_.lockstep ? kUnbounded : 1;
+  const boost::function<void(const JointState::ConstPtr&)> robot = [this](const auto& message) {
+    on_robot_state(*message);
+  };
+  const boost::function<void(const JointState::ConstPtr&)> tool = [this](const auto& message) {
+    on_tool_state(*message);
+  };
+  subscribers_.push_back(node_.subscribe<JointState>(prefix + "robot/measured_js", depth, robot,
+                                                     ros::VoidConstPtr(), hints));
+  subscribers_.push_back(node_.subscribe<JointState>(prefix + "tool/measured_js", depth, tool,
+                                                     ros::VoidConstPtr(), hints));
+  const boost::function<void(const surg_msgs::LinkStatus::ConstPtr&)> status =
+      [this](const auto& message) { on_link_status(*message); };
+  link_status_ = node_.subscribe<surg_msgs::LinkStatus>(prefix + "robot/status", 1, status);
+  if (!options_.lockstep) return;
+  const boost::function<void(const surg_msgs::Ready::ConstPtr&)> ready =
+      [this](const auto& message) { on_ready(*message); };
+  subscribers_.push_back(node_.subscribe<surg_msgs::Ready>("/sim/ready", kUnbounded, ready,
+                                                           ros::VoidConstPtr(), hints));
+}
+
+/// F09: a stamp from the future is counted; nothing in the control looks at a stamp anyway.
+void RcmLoop::note_stamp(const ros::Time& stamp) {
+  if (options_.lockstep) return;  // stamps are ticks
+  const auto wall_ns = static_cast<std::int64_t>(ros::WallTime::now().toNSec());
+  if (!is_from_the_future(static_cast<std::int64_t>(stamp.toNSec()), wall_ns)) return;
+  ++health_.future_stamps;
+  announcer_->warning("future_stamp",
+                      arm_ + ": a message is stamped " +
+                          std::to_string((stamp - ros::Time().fromNSec(wall_ns)).toSec()) +
+                          " s in the future; allowed is 0.05 s; nothing is decided by it: "
+                          "synchronise the clocks of the machines",
+                      now());
+}
+
+void RcmLoop::take_command(const std::string& topic, const std::string& caller,
+                           const ros::Time& stamp, Decoded decoded) {
+  const std::string sender = without_slash(caller);
+  if (options_.lockstep) {
+    if (!gate_.declared(sender)) report_undeclared(caller);
+    gate_.received(sender);
+  }
+  note_stamp(stamp);
+  if (decoded.reason == surg::Reason::kNone && health_.master_lost &&
+      enters_enabled(decoded.item)) {
+    decoded.reason = surg::Reason::kMasterLost;
+    decoded.detail = surg::sentence(decoded.reason);
+  }
+  if (decoded.reason != surg::Reason::kNone) {
+    ++refused_by_node_;
+    announcer_->warning(topic + surg::name(decoded.reason),
+                        arm_ + ": " + topic + " from " + caller + " refused: " + decoded.detail,
+                        now());
+  } else {
+    decoded.item.source = sources_.id(caller);
+    if (!pass_on(topic, sender, decoded)) {
+      ++refused_by_node_;
+      announcer_->warning("flood",
+                          arm_ + ": commands come faster than 500 Hz can take them; " + topic +
+                              " from " + caller + " is dropped: send at most one per cycle",
+                          now());
+    }
+  }
+  if (options_.lockstep) try_step();
+}
+
+/// To the cycle that will take it; false when there is no room.
+bool RcmLoop::pass_on(const std::string& topic, const std::string& sender, const Decoded& decoded) {
+  if (options_.lockstep) return gate_.push(sender, topic, decoded.item);
+  CommandItem item = decoded.item;
+  item.received_ns = steady_ns();
+  return commands_.push(item);
+}
+
+void RcmLoop::report_undeclared(const std::string& caller) {
+  if (!undeclared_seen_.insert(caller).second) return;
+  std_msgs::String message;
+  message.data = caller;
+  undeclared_.publish(message);
+  announcer_->status(arm_ + ": undeclared sender " + caller +
+                     " is obeyed, but this run cannot be repeated bit for bit: declare it in "
+                     "~participants of controller and simulator");
+}
+
+void RcmLoop::on_robot_state(const sensor_msgs::JointState& message) {
+  if (message.header.stamp.isZero()) return;  // CRTK: data that is not valid
+  LinkState state = link_;                    // keeps the jaw; an unusable message leaves no trace
+  const std::string problem = decode_state_of_robot(message, setup_.robot.joint_names, state);
+  if (!problem.empty()) {
+    announcer_->warning("robot_state", arm_ + ": " + problem, now());
+    return;
+  }
+  if (!options_.lockstep) {
+    note_stamp(message.header.stamp);
+    const auto newer_by = static_cast<std::int64_t>(state.stamp_ns - link_.stamp_ns);
+    if (link_.stamp_ns != 0 && newer_by <= 0 && newer_by >= -kReorderedNs) {
+      ++health_.late_states;
+      return;
+    }
+    state.received_ns = steady_ns();
+    link_ = state;
+    link_box_.put(link_);
+    return;
+  }
+  if (state.stamp_ns % kTickNs != 0) {
+    announcer_->warning("grid",
+                        arm_ + ": robot/measured_js has stamp " + std::to_string(state.stamp_ns) +
+                            " ns, which is no multiple of 2000000 ns: in lock-step a stamp is a "
+                            "tick; start both sides with the same ~mode",
+                        now());
+    return;
+  }
+  on_tick(state);
+}
+
+void RcmLoop::on_tool_state(const sensor_msgs::JointState& message) {
+  if (message.header.stamp.isZero() || message.position.size() != 1) return;
+  link_.jaw = message.position[0];
+  if (!options_.lockstep) {
+    note_stamp(message.header.stamp);
+    link_.jaw_received_ns = steady_ns();
+    link_box_.put(link_);
+    return;
+  }
+  tool_tick_ = message.header.stamp.toNSec() / kTickNs;
+  try_step();
+}
+
+void RcmLoop::on_ready(const surg_msgs::Ready& message) {
+  std::uint64_t sent = 0;
+  for (std::size_t i = 0; i < message.arms.size() && i < message.sent.size(); ++i) {
+    if (message.arms[i] == arm_) sent = message.sent[i];
+  }
+  gate_.ready(message.participant, message.tick, sent);
+  try_step();
+}
+
+void RcmLoop::on_link_status(const surg_msgs::LinkStatus& message) {
+  if (static_cast<bool>(message.lockstep) != options_.lockstep) {
+    announcer_->error(arm_ + ": the robot link keeps time in " +
+                      (message.lockstep ? "lock-step" : "free-run") + " and this controller in " +
+                      (options_.lockstep ? "lock-step" : "free-run") +
+                      ": start both with the same ~mode");
+  }
+  link_status_.shutdown();  // a link does not change its mode; 500 messages a second saved
+}
+
+}  // namespace surg_control

@@ -1,0 +1,116 @@
+#include "surg_control/kinematics_services.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+
+#include "surg_control/decode.hpp"
+#include "surg_control/messages.hpp"
+#include "surg_control/virtual_kinematics.hpp"
+#include "surg_core/limits.hpp"
+
+namespace surg_control {
+namespace {
+
+using Forward = crtk_msgs::QueryForwardKinematics;
+using Inverse = crtk_msgs::QueryInverseKinematics;
+
+bool finite(const std::vector<double>& values) {
+  return std::all_of(values.begin(), values.end(), [](double v) { return std::isfinite(v); });
+}
+
+std::string workspace_text(const surg::Limits& limits, double depth, double tilt) {
+  char text[200];
+  std::snprintf(text, sizeof text,
+                "cp is %.1f mm from the trocar and %.1f degrees off the home axis; allowed are "
+                "%.1f to %.1f mm and %.1f degrees",
+                depth * 1e3, tilt * 180 / M_PI, limits.depth_min * 1e3, limits.depth_max * 1e3,
+                limits.cone * 180 / M_PI);
+  return text;
+}
+
+}  // namespace
+
+Forward::Response answer_forward(const Forward::Request& request, const surg::Pose& X_UR) {
+  Forward::Response response;
+  response.cp.orientation.w = 1;
+  if (request.jp.size() != 4 || !finite(request.jp)) {
+    response.message = "jp has " + std::to_string(request.jp.size()) +
+                       " values; needed are 4 finite ones: yaw, pitch, insertion, roll";
+    return response;
+  }
+  const ToolPose pose = pose_from_rcm(
+      X_UR, forward_kinematics({request.jp[0], request.jp[1], request.jp[2], request.jp[3]}));
+  response.cp = to_pose(pose.p, pose.q);
+  response.result = true;
+  return response;
+}
+
+Inverse::Response answer_inverse(const Inverse::Request& request, const surg::Pose& X_UR,
+                                 const surg::Limits& limits) {
+  Inverse::Response response;
+  const geometry_msgs::Point& p = request.cp.position;
+  ToolPose X_UTool;
+  X_UTool.p = {p.x, p.y, p.z};
+  response.message = decode_rotation(request.cp.orientation, X_UTool.q);
+  if (!response.message.empty()) return response;
+  if (!X_UTool.p.allFinite() || !X_UTool.q.coeffs().allFinite()) {
+    response.message = "cp holds NaN or infinity: send finite numbers";
+    return response;
+  }
+  if (!(request.jp.empty() || request.jp.size() == 4) || !finite(request.jp)) {
+    response.message = "jp has " + std::to_string(request.jp.size()) +
+                       " values; allowed are none, or 4 finite ones from whose roll the answer is "
+                       "the nearest turn: yaw, pitch, insertion, roll";
+    return response;
+  }
+  const ToolPose X_RTool = pose_to_rcm(X_UR, X_UTool);
+  const double depth = X_RTool.p.norm();
+  if (!surg::inside_workspace(limits, X_RTool.p)) {
+    const double across = std::hypot(X_RTool.p.x(), X_RTool.p.y());
+    response.message = workspace_text(limits, depth, std::atan2(across, X_RTool.p.z()));
+    return response;
+  }
+  const surg::Vector4 joints =
+      inverse_kinematics(X_RTool, request.jp.empty() ? 0.0 : request.jp[3]);
+  response.jp.assign(joints.data(), joints.data() + joints.size());
+  response.result = true;
+  return response;
+}
+
+KinematicsServices::KinematicsServices(ros::NodeHandle& node, const std::string& arm,
+                                       const surg::Limits& limits)
+    : limits_(limits) {
+  box_.put(surg::Pose::Identity());
+  const auto forward = [this](bool local) {
+    return [this, local](Forward::Request& request, Forward::Response& response) {
+      response = answer_forward(request, local ? surg::Pose::Identity() : X_UR());
+      return true;
+    };
+  };
+  const auto serve = [&node, &arm](const std::string& name, auto answer) {
+    return node.advertiseService<Forward::Request, Forward::Response>("/" + arm + "/" + name,
+                                                                      answer);
+  };
+  forward_ = serve("forward_kinematics", forward(false));
+  local_forward_ = serve("local/forward_kinematics", forward(true));
+  inverse_ = node.advertiseService<Inverse::Request, Inverse::Response>(
+      "/" + arm + "/inverse_kinematics",
+      [this](Inverse::Request& request, Inverse::Response& response) {
+        response = answer_inverse(request, X_UR(), limits_);
+        return true;
+      });
+}
+
+void KinematicsServices::set_frame(const BaseFrame& frame) {
+  if (frame.version == version_) return;
+  version_ = frame.version;
+  box_.put(frame.X_UR);
+}
+
+surg::Pose KinematicsServices::X_UR() {
+  box_.try_get(last_);
+  return last_;
+}
+
+}  // namespace surg_control

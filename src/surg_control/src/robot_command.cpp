@@ -1,0 +1,49 @@
+#include "surg_control/robot_command.hpp"
+
+#include <cmath>
+#include <string>
+
+#include "surg_control/messages.hpp"
+
+namespace surg_control {
+
+RobotCommand::RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist,
+                           std::uint32_t queue)
+    : twist_(twist) {
+  const std::string prefix = "/" + setup.arm.name + "/";
+  robot_ = twist ? node.advertise<geometry_msgs::TwistStamped>(prefix + "robot/servo_cv", queue)
+                 : node.advertise<sensor_msgs::JointState>(prefix + "robot/servo_jv", queue);
+  tool_ = node.advertise<sensor_msgs::JointState>(prefix + "tool/servo_jp", queue);
+  joint_command_.name = setup.robot.joint_names;
+  twist_command_.header.frame_id = setup.arm.name + "_base";
+  tool_command_.name = {"jaw"};
+}
+
+void RobotCommand::send(const CycleRecord& record) {
+  const ros::Time stamp = to_time(record.stamp_ns);
+  if (twist_) {
+    const surg::Vector6& twist = record.out.twist_command;
+    twist_command_.header.stamp = stamp;
+    twist_command_.twist.linear = to_vector(twist.head<3>());
+    twist_command_.twist.angular = to_vector(twist.tail<3>());
+    robot_.publish(twist_command_);
+  } else {
+    const surg::JointVector& qd = record.out.qd_command;
+    joint_command_.header.stamp = stamp;
+    joint_command_.velocity.assign(qd.data(), qd.data() + qd.size());
+    robot_.publish(joint_command_);
+  }
+  if (!std::isfinite(record.out.jaw_set)) return;  // F31: an unknown jaw is not told to move
+  tool_command_.header.stamp = stamp;
+  tool_command_.position.assign(1, record.out.jaw_set);
+  tool_.publish(tool_command_);
+}
+
+void RobotCommand::send_zero(CycleRecord last) {
+  if (last.stamp_ns == 0) return;
+  last.out.twist_command.setZero();
+  last.out.qd_command.setZero();
+  send(last);
+}
+
+}  // namespace surg_control

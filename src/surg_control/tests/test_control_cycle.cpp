@@ -1,0 +1,279 @@
+// The cycle round the controller: frames, ages, ignored parts, what is answered and in which order.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "surg_control/config_loader.hpp"
+#include "surg_control/control_cycle.hpp"
+#include "surg_control/model_loader.hpp"
+#include "surg_control/virtual_kinematics.hpp"
+
+namespace surg_control {
+namespace {
+
+using Kind = CommandItem::Kind;
+
+/// The bundled UR5e with an ideal link, homed and ENABLED unless a test says otherwise.
+class Arm {
+ public:
+  explicit Arm(bool track = false)
+      : setup_(load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "")),
+        model_(load_model(setup_.robot, setup_.robot_urdf)) {
+    surg::Controller::Options options;
+    options.track_rcm = track;
+    controller = std::make_unique<surg::Controller>(model_.chain, setup_.robot, setup_.limits,
+                                                    setup_.instrument, setup_.tool, options);
+    controller->set_rcm(setup_.trocar.p_BRcm);
+    cycle = std::make_unique<ControlCycle>(*controller, "PSM1_rcm");
+    link.q = setup_.robot.home;
+    link.qd = surg::JointVector::Zero(link.q.size());
+    link.jaw = 0.2;
+  }
+
+  const CycleRecord& step(const std::vector<CommandItem>& items = {}) {
+    now_ns += static_cast<std::int64_t>(kTickNs);
+    link.stamp_ns = static_cast<std::uint64_t>(now_ns);
+    link.received_ns = link.jaw_received_ns = now_ns;
+    const CycleRecord& record = cycle->run(link, now_ns, items.data(), items.size());
+    link.qd = record.out.qd_command;
+    link.q += link.qd * kTick;
+    return record;
+  }
+
+  const CycleRecord& enable() {
+    step();
+    step({state(surg::StateCommand::kHome)});
+    return step({state(surg::StateCommand::kEnable)});
+  }
+
+  static CommandItem state(surg::StateCommand command) {
+    CommandItem item;
+    item.kind = Kind::kState;
+    item.source = 1;
+    item.state = command;
+    return item;
+  }
+
+  static CommandItem pose(surg::Motion motion, const ToolPose& at, const std::string& frame = "") {
+    CommandItem item;
+    item.source = 1;
+    item.frame = FrameName(frame);
+    item.motion.motion = motion;
+    item.motion.p = at.p;
+    item.motion.rotation = at.q;
+    return item;
+  }
+
+  static CommandItem frame(const std::string& name, const surg::Pose& X_UR) {
+    CommandItem item;
+    item.kind = Kind::kSetFrame;
+    item.source = 1;
+    item.frame = FrameName(name);
+    item.X_UR = X_UR;
+    return item;
+  }
+
+  /// The measured tool in R.
+  ToolPose tip() const {
+    const CycleRecord& record = cycle->record();
+    return {record.X_BR.inverse() * record.out.p_BTip, record.q_RTool};
+  }
+
+  std::unique_ptr<surg::Controller> controller;
+  std::unique_ptr<ControlCycle> cycle;
+  LinkState link;
+  std::int64_t now_ns = 0;
+
+ private:
+  ArmSetup setup_;
+  Model model_;
+};
+
+surg::Pose some_frame() {
+  surg::Pose X_UR = surg::Pose::Identity();
+  X_UR.linear() = Eigen::AngleAxisd(0.7, surg::Vector3(1, -2, 0.5).normalized()).toRotationMatrix();
+  X_UR.translation() = surg::Vector3(0.2, 0.4, -0.1);
+  return X_UR;
+}
+
+TEST(ControlCycle, ATargetInTheUsersFrameIsTheSameTarget) {
+  Arm plain, user;
+  plain.enable();
+  user.step({Arm::frame("camera", some_frame())});
+  user.enable();
+  ToolPose target = plain.tip();
+  target.p += surg::Vector3(0.02, -0.01, 0.01);
+  const CycleRecord& a = plain.step({Arm::pose(surg::Motion::kMoveCp, target)});
+  const CycleRecord& b =
+      user.step({Arm::pose(surg::Motion::kMoveCp, pose_from_rcm(some_frame(), target), "camera")});
+  EXPECT_EQ(a.out.verdicts[0].reason, surg::Reason::kNone);
+  EXPECT_EQ(b.out.verdicts[0].reason, surg::Reason::kNone);
+  EXPECT_LT((a.out.p_goal - b.out.p_goal).norm(), 1e-12);
+  EXPECT_NEAR(a.out.roll_goal, b.out.roll_goal, 1e-12);
+  for (int k = 0; k < 600; ++k) plain.step(), user.step();
+  EXPECT_LT((plain.tip().p - user.tip().p).norm(), 1e-9);
+  EXPECT_LT((plain.tip().p - target.p).norm(), 5e-4);
+}
+
+TEST(ControlCycle, AVelocityInTheUsersFrameIsTheSameVelocity) {
+  Arm plain, user;
+  plain.enable();
+  user.step({Arm::frame("camera", some_frame())});
+  user.enable();
+  CommandItem item;
+  item.source = 1;
+  item.motion.motion = surg::Motion::kServoCv;
+  item.motion.p = surg::Vector3(0.01, 0.02, -0.005);
+  item.angular = surg::Vector3(0, 0, 0.3);
+  CommandItem turned = item;
+  const ToolTwist in_U = twist_from_rcm(some_frame(), {item.motion.p, item.angular});
+  turned.motion.p = in_U.v;
+  turned.angular = in_U.omega;
+  for (int k = 0; k < 100; ++k) plain.step({item}), user.step({turned});
+  EXPECT_LT((plain.link.q - user.link.q).norm(), 1e-9);
+  EXPECT_GT((plain.tip().p - surg::Vector3(plain.tip().p.x(), 0, 0)).norm(), 1e-3);
+}
+
+TEST(ControlCycle, FrameChangesOnlyWhileNotEnabled) {
+  Arm arm;
+  const auto answer = [](const CycleRecord& record) { return record.answers[0].reason; };
+  EXPECT_EQ(answer(arm.step({Arm::frame("a", some_frame())})), surg::Reason::kNone);
+  arm.enable();
+  const CycleRecord& refused = arm.step({Arm::frame("b", some_frame())});
+  EXPECT_EQ(answer(refused), surg::Reason::kFrameWhileEnabled);
+  EXPECT_STREQ(refused.frame.name.c_str(), "a");
+  const CycleRecord& paused =
+      arm.step({Arm::frame("b", some_frame()), Arm::state(surg::StateCommand::kPause)});
+  EXPECT_STREQ(paused.frame.name.c_str(), "a");  // it came before the pause
+  EXPECT_EQ(answer(arm.step({Arm::frame("b", some_frame())})), surg::Reason::kNone);
+  const CycleRecord& resumed =
+      arm.step({Arm::state(surg::StateCommand::kResume), Arm::frame("c", some_frame())});
+  EXPECT_EQ(resumed.answers[1].reason, surg::Reason::kFrameWhileEnabled);
+  EXPECT_STREQ(resumed.frame.name.c_str(), "b");
+}
+
+TEST(ControlCycle, OnlyTheExpectedFrameIsTaken) {
+  Arm arm;
+  arm.enable();
+  const ToolPose here = arm.tip();
+  const CycleRecord& wrong = arm.step({Arm::pose(surg::Motion::kServoCp, here, "world")});
+  EXPECT_EQ(wrong.answers[0].reason, surg::Reason::kWrongFrame);
+  EXPECT_EQ(wrong.answers[0].motion, surg::Motion::kServoCp);
+  EXPECT_STREQ(wrong.wrong_frame.c_str(), "world");
+  EXPECT_EQ(wrong.refused_by_cycle, 1U);
+  EXPECT_EQ(wrong.out.n_verdicts, 0);
+  for (const std::string name : {"PSM1_rcm", ""}) {
+    const CycleRecord& taken = arm.step({Arm::pose(surg::Motion::kServoCp, here, name)});
+    EXPECT_EQ(taken.n_answers, 0);
+    EXPECT_EQ(taken.out.verdicts[0].reason, surg::Reason::kNone);
+  }
+  arm.step({Arm::state(surg::StateCommand::kDisable)});
+  arm.step({Arm::frame("camera", some_frame())});
+  arm.step({Arm::state(surg::StateCommand::kEnable)});
+  EXPECT_EQ(arm.step({Arm::pose(surg::Motion::kServoCp, here, "PSM1_rcm")}).answers[0].reason,
+            surg::Reason::kWrongFrame);
+}
+
+TEST(ControlCycle, NotFiniteSurvivesTheFrame) {
+  for (const double bad : std::vector<double>{NAN, HUGE_VAL, -HUGE_VAL, 1e308}) {
+    Arm arm;
+    arm.step({Arm::frame("camera", some_frame())});
+    arm.enable();
+    ToolPose target = pose_from_rcm(some_frame(), arm.tip());
+    target.p.x() = bad;
+    const CycleRecord& record = arm.step({Arm::pose(surg::Motion::kServoCp, target, "camera")});
+    EXPECT_NE(record.out.verdicts[0].reason, surg::Reason::kNone) << bad;
+    EXPECT_TRUE(record.out.qd_command.allFinite());
+  }
+}
+
+TEST(ControlCycle, SaysWhatFourDegreesOfFreedomCannotFollow) {
+  Arm arm;
+  arm.enable();
+  ToolPose target = arm.tip();
+  EXPECT_EQ(arm.step({Arm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
+            surg::Motion::kNone);
+  target.q = target.q * Eigen::AngleAxisd(0.01, surg::Vector3::UnitZ());  // roll is followed
+  EXPECT_EQ(arm.step({Arm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
+            surg::Motion::kNone);
+  target.q = target.q * Eigen::AngleAxisd(0.3, surg::Vector3::UnitX());
+  EXPECT_EQ(arm.step({Arm::pose(surg::Motion::kServoCp, target)}).orientation.motion,
+            surg::Motion::kServoCp);
+  EXPECT_EQ(arm.step().orientation.motion, surg::Motion::kNone);
+
+  CommandItem twist;
+  twist.source = 1;
+  twist.motion.motion = surg::Motion::kServoCv;
+  const surg::Vector3 s_R = arm.tip().p.normalized();
+  twist.angular = 0.5 * s_R;
+  EXPECT_EQ(arm.step({twist}).angular.motion, surg::Motion::kNone);
+  EXPECT_NEAR(arm.cycle->inputs().commands[0].roll_rate, 0.5, 1e-3);
+  twist.angular = 0.5 * s_R.cross(surg::Vector3::UnitX()).normalized();
+  EXPECT_EQ(arm.step({twist}).angular.motion, surg::Motion::kServoCv);
+  EXPECT_NEAR(arm.cycle->inputs().commands[0].roll_rate, 0, 1e-3);
+}
+
+TEST(ControlCycle, AgesAreCountedFromReceipt) {
+  Arm arm;
+  EXPECT_FALSE(arm.cycle->inputs().state_valid);
+  arm.step();
+  EXPECT_EQ(arm.cycle->inputs().state_age, 0);
+  EXPECT_EQ(arm.cycle->inputs().jaw_age, 0);
+  const std::int64_t later = arm.now_ns + 30'000'000;
+  arm.link.jaw_received_ns = later - 7'000'000;
+  arm.cycle->run(arm.link, later, nullptr, 0);
+  EXPECT_NEAR(arm.cycle->inputs().state_age, 0.030, 1e-12);
+  EXPECT_NEAR(arm.cycle->inputs().jaw_age, 0.007, 1e-12);
+  arm.link.jaw_received_ns = 0;
+  arm.cycle->run(arm.link, later, nullptr, 0);
+  EXPECT_EQ(arm.cycle->inputs().jaw_age, HUGE_VAL);  // the tool link has never spoken
+}
+
+TEST(ControlCycle, TrackAgesAndListensToOneTracker) {
+  Arm arm(true);
+  arm.step();
+  EXPECT_FALSE(arm.cycle->inputs().track_valid);
+  CommandItem item;
+  item.kind = Kind::kTrack;
+  item.source = 5;
+  item.p_B = surg::Vector3(1, 2, 3);
+  item.v_B = surg::Vector3(4, 5, 6);
+  EXPECT_EQ(arm.step({item}).answers[0].reason, surg::Reason::kNone);
+  EXPECT_TRUE(arm.cycle->inputs().track_valid);
+  EXPECT_EQ(arm.cycle->inputs().track_age, 0);
+  EXPECT_EQ(arm.cycle->inputs().p_BTrack, surg::Vector3(1, 2, 3));
+  EXPECT_EQ(arm.cycle->inputs().v_BTrack, surg::Vector3(4, 5, 6));
+  arm.step();
+  EXPECT_NEAR(arm.cycle->inputs().track_age, kTick, 1e-12);
+  CommandItem other = item;
+  other.source = 6;
+  EXPECT_EQ(arm.step({other}).answers[0].reason, surg::Reason::kNoAuthority);
+  for (int k = 0; k < 50; ++k) arm.step();
+  EXPECT_EQ(arm.step({other}).answers[0].reason, surg::Reason::kNone);
+  EXPECT_EQ(arm.step({item}).answers[0].reason, surg::Reason::kNoAuthority);
+}
+
+TEST(ControlCycle, AClaimKeepsOthersOut) {
+  Arm arm;
+  arm.enable();
+  CommandItem claim;
+  claim.kind = Kind::kClaim;
+  claim.source = 7;
+  EXPECT_EQ(arm.step({claim}).answers[0].reason, surg::Reason::kNone);
+  for (int k = 0; k < 500; ++k) arm.step();  // a second of rest does not end a claim
+  EXPECT_EQ(arm.cycle->record().out.source, 7U);
+  const CycleRecord& other = arm.step({Arm::pose(surg::Motion::kServoCp, arm.tip())});
+  EXPECT_EQ(other.out.verdicts[0].reason, surg::Reason::kNoAuthority);
+  claim.source = 1;
+  EXPECT_EQ(arm.step({claim}).answers[0].reason, surg::Reason::kNoAuthority);
+  arm.step({Arm::state(surg::StateCommand::kPause)});
+  arm.step({Arm::state(surg::StateCommand::kResume)});
+  const CycleRecord& after = arm.step({Arm::pose(surg::Motion::kServoCp, arm.tip())});
+  EXPECT_EQ(after.out.verdicts[0].reason, surg::Reason::kNone);
+}
+
+}  // namespace
+}  // namespace surg_control

@@ -1,0 +1,80 @@
+"""The node ``/dvrk_compat``: lets an unmodified dVRK client find its topics. It moves nothing.
+
+It publishes no command: the only things it sends are words on ``<arm>/warning`` and, once,
+the feedback of ``interface.FEEDBACK``.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import roslib.message
+import rospy
+from std_msgs.msg import String
+
+from surg_dvrk_compat.interface import COMMANDS, FEEDBACK, Command, Throttle, answer
+
+
+class Compatibility:
+    """The topics of one arm.
+
+    Args:
+        arm: Its CRTK name.
+    """
+
+    def __init__(self, arm: str) -> None:
+        self._arm = arm
+        self._throttle = Throttle()
+        self._warning = rospy.Publisher(f"/{arm}/warning", String, queue_size=100)
+        self._subscribers = [
+            rospy.Subscriber(
+                f"/{arm}/{command.topic}",
+                roslib.message.get_message_class(command.type),
+                self._ignore(command),
+            )
+            for command in COMMANDS
+        ]
+        self._publishers = []
+        for feedback in FEEDBACK:
+            kind = roslib.message.get_message_class(feedback.type)
+            publisher = rospy.Publisher(f"/{arm}/{feedback.topic}", kind, latch=True, queue_size=1)
+            if feedback.value == "invalid":
+                publisher.publish(kind())  # stamp 0
+            elif feedback.value is not None:
+                publisher.publish(kind(feedback.value))
+            self._publishers.append(publisher)
+
+    def _ignore(self, command: Command) -> Callable[[Any], None]:
+        def callback(message: Any) -> None:
+            sender = message._connection_header.get("callerid", "somebody")
+            if self._throttle.passes(f"{command.topic} {sender}", time.monotonic()):
+                self._warning.publish(String(answer(self._arm, command, sender)))
+
+        return callback
+
+
+def main() -> int:
+    """Entry point; returns the exit code (0 ended, 2 parameter that must not be used)."""
+    rospy.init_node("dvrk_compat")
+    names = rospy.get_param("~arms", "")
+    arms = names.split(",") if isinstance(names, str) else names
+    good = isinstance(arms, list) and arms and all(isinstance(a, str) and a.strip() for a in arms)
+    if not good:
+        print(
+            f"dvrk_compat: parameter ~arms is {names!r}: give the names of the arms, such as "
+            "_arms:=PSM1 or _arms:=PSM1,PSM2",
+            file=sys.stderr,
+            flush=True,
+        )
+        return 2
+    held = [Compatibility(arm.strip().strip("/")) for arm in arms]
+    rospy.loginfo(f"dvrk_compat: answers for {len(held)} arm(s); moves nothing")
+    rospy.spin()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,264 @@
+"""Applies faults between a world and its links. No ROS, no clock, no threads.
+
+The caller asks it three things in every tick: what the links send of the world's state, what the
+world executes of the commands that arrived, and where a tracker sees the trocar.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import ArmCommand, ToolError
+from surg_sim.faults import (
+    Fault,
+    FaultError,
+    Freeze,
+    Lasting,
+    NotFinite,
+    ToolLost,
+    ToolOff,
+    TrackLost,
+    TrocarJump,
+    TrocarMotion,
+    Wire,
+)
+from surg_sim.trocar_motion import Sinusoid
+from surg_sim.world import ArmState, World
+
+Array = NDArray[np.float64]
+Packet = TypeVar("Packet")
+Active = TypeVar("Active", bound=Lasting)
+
+STATE, COMMAND = "state", "command"
+"""The two directions of a robot's wire."""
+
+
+def tool_errors(faults: Iterable[Fault], seed: int = 0) -> dict[str, ToolError]:
+    """The calibration errors among the faults, for the builder of a world, by arm name."""
+    return {f.arm: ToolError(f.tip, f.axis, seed) for f in faults if isinstance(f, ToolOff)}
+
+
+class Channel(Generic[Packet]):
+    """One wire of which packets are lost, doubled and swapped.
+
+    Three numbers are drawn for every packet, whatever happens to it: a change of one probability
+    leaves the other two kinds of accident where they were.
+
+    Args:
+        wire: The probabilities.
+        rng: Draws.
+    """
+
+    def __init__(self, wire: Wire, rng: np.random.Generator) -> None:
+        self._wire, self._rng = wire, rng
+        self._to_lose = 0
+        self._late: list[Packet] = []
+        self.lost = self.doubled = self.swapped = 0
+        """Counts so far."""
+
+    def carry(self, packet: Packet) -> list[Packet]:
+        """Send one packet; returns what arrives, in order of arrival."""
+        loses, doubles, swaps = self._rng.random(3) < (
+            self._wire.loss,
+            self._wire.duplicate,
+            self._wire.reorder,
+        )
+        late, self._late = self._late, []
+        if self._to_lose == 0 and loses:
+            self._to_lose = self._wire.burst
+        if self._to_lose > 0:
+            self._to_lose -= 1
+            self.lost += 1
+            return late
+        if swaps and not late:
+            self.swapped += 1
+            self._late = [packet]
+            return []
+        self.doubled += int(doubles)
+        return [packet] * (1 + int(doubles)) + late
+
+
+class Injector:
+    """The faults of one run.
+
+    Args:
+        world: The world; at tick 1.
+        faults: Known from the start.
+        seed: Of the wires.
+        lockstep: Whether every tick must have one state and one answer; see ``Wire``, ``Freeze``.
+
+    Raises:
+        FaultError: A fault does not fit the world.
+    """
+
+    def __init__(
+        self, world: World, faults: Iterable[Fault] = (), seed: int = 0, lockstep: bool = True
+    ) -> None:
+        self._world, self._seed, self._lockstep = world, seed, lockstep
+        self._coming: list[TrocarMotion | TrocarJump] = []
+        self._lasting: list[Lasting] = []
+        self._channels: dict[tuple[str, str], tuple[Wire, Channel]] = {}
+        self._shown: dict[str, tuple[int, ArmState]] = {}  # newest that has arrived, lock-step
+        self._answers: dict[
+            str, tuple[int, list[tuple[int, ArmState]]]
+        ] = {}  # by arm: tick, states
+        self._executed: dict[str, int] = {}  # stamp of the newest command, by arm
+        for fault in faults:
+            if not isinstance(fault, ToolOff):
+                self.add(fault)
+
+    def add(self, fault: Fault) -> None:
+        """Let a fault happen, at the coming tick at the earliest.
+
+        Raises:
+            FaultError: It does not fit the world.
+        """
+        if isinstance(fault, ToolOff):
+            raise FaultError(f"{fault.kind}: an instrument can be mounted at the start only")
+        if fault.arm not in self._world.arms:
+            raise FaultError(f"{fault.kind}: no arm {fault.arm!r}, only {list(self._world.arms)}")
+        dof = len(self._world.state(fault.arm).q)
+        if isinstance(fault, NotFinite) and fault.joint >= dof:
+            raise FaultError(f"{fault.kind}: joint is {fault.joint}; allowed is 0 to {dof - 1}")
+        if fault.at <= self._world.tick:
+            fault = replace(fault, at=self._world.tick + 1)
+        if isinstance(fault, TrocarMotion | TrocarJump):
+            self._coming.append(fault)
+        elif isinstance(fault, Lasting):
+            self._lasting.append(fault)
+
+    @property
+    def active(self) -> list[str]:
+        """Kinds that show at the present tick, or are still to come, sorted."""
+        tick = self._world.tick
+        waiting = [f.kind for f in self._coming]
+        return sorted({f.kind for f in self._lasting if tick < f.at or f.active(tick)} | {*waiting})
+
+    # --- what goes out ------------------------------------------------------------------------
+
+    def states(self, arm: str, stamp: int) -> list[tuple[int, ArmState]]:
+        """What leaves the robot link in this tick: stamps and states, in order of arrival.
+
+        In lock-step exactly one, under the present stamp. Asked again, it says the same again.
+        """
+        if not self._lasting:
+            return [(stamp, self._world.state(arm))]
+        tick, answer = self._answers.get(arm, (0, []))
+        if tick != self._world.tick:
+            answer = self._sent(arm, stamp)
+            self._answers[arm] = (self._world.tick, answer)
+        return answer
+
+    def _sent(self, arm: str, stamp: int) -> list[tuple[int, ArmState]]:
+        state = self._world.state(arm)
+        bad = self._now(NotFinite, arm)
+        if bad is not None:
+            name = "q" if bad.quantity == "position" else "qd"
+            values: Array = getattr(state, name).copy()
+            values[bad.joint] = float(bad.value)
+            state = replace(state, **{name: values})
+        arrived = [(stamp, state)]
+        if self._now(Freeze, arm) is not None:
+            arrived = []
+        elif (channel := self._channel(arm, STATE)) is not None:
+            arrived = channel.carry((stamp, state))
+        if not self._lockstep:
+            return arrived
+        # A receiver keeps the newest content; before the first packet there is none to keep.
+        shown = self._shown.get(arm, (stamp, state))
+        self._shown[arm] = max([shown, *arrived], key=lambda item: item[0])
+        return [(stamp, self._shown[arm][1])]
+
+    def speaks(self, arm: str) -> bool:
+        """Whether the robot link sends its status in this tick."""
+        return self._lockstep or self._now(Freeze, arm) is None
+
+    def jaw(self, arm: str) -> tuple[float, float] | None:
+        """Jaw angle [rad] and velocity [rad/s] that leave the tool link; None: nothing does."""
+        if self._now(ToolLost, arm) is None:
+            state = self._world.state(arm)
+            return state.jaw, state.jaw_velocity
+        return (np.nan, 0.0) if self._lockstep else None
+
+    def tool_lost(self, arm: str) -> bool:
+        """Whether nobody can answer for the tool link in this tick."""
+        return self._now(ToolLost, arm) is not None
+
+    def track(self, arm: str, stale: int) -> tuple[int, Array, Array] | None:
+        """What a tracker says of the trocar: tick, point [m], velocity [m/s]; None: nothing."""
+        if self._now(TrackLost, arm) is not None:
+            return None
+        return self._world.trocar(arm).point.observed(stale)
+
+    # --- what comes in ------------------------------------------------------------------------
+
+    def commands(self, arrived: Mapping[str, tuple[int, ArmCommand]]) -> dict[str, ArmCommand]:
+        """What the world executes of what arrived; call it right before ``World.step``.
+
+        Args:
+            arrived: By arm: stamp of the robot command, and what came for robot and tool.
+        """
+        self._disturb()
+        if not self._lasting:
+            return {arm: command for arm, (_, command) in arrived.items()}
+        return {arm: self._command(arm, *item) for arm, item in arrived.items()}
+
+    def _command(self, arm: str, stamp: int, command: ArmCommand) -> ArmCommand:
+        jaw = None if self.tool_lost(arm) else command.jaw
+        silent = command.velocity is None and command.twist is None
+        packets = [] if silent else [(stamp, command)]
+        if self._now(Freeze, arm) is not None:
+            packets = []
+        elif packets and (channel := self._channel(arm, COMMAND)) is not None:
+            packets = channel.carry(packets[0])
+        # A link takes the newest and drops what is older than what it has executed.
+        stamp, command = max(packets, key=lambda item: item[0], default=(-1, ArmCommand()))
+        if stamp < self._executed.get(arm, -1):
+            command = ArmCommand()
+        self._executed[arm] = max(stamp, self._executed.get(arm, -1))
+        return ArmCommand(command.velocity, command.twist, jaw)
+
+    def _disturb(self) -> None:
+        """Move the trocars whose time has come: seen in the state of the coming tick."""
+        due = [fault for fault in self._coming if fault.at <= self._world.tick + 1]
+        for fault in due:
+            self._coming.remove(fault)
+            point = self._world.trocar(fault.arm).point
+            if isinstance(fault, TrocarJump):
+                point.jump(np.array(fault.offset))
+            elif fault.amplitude > 0.0:
+                point.move(Sinusoid(fault.amplitude, fault.frequency, fault.axis))
+            else:
+                point.move(None)
+
+    # --- which fault --------------------------------------------------------------------------
+
+    def _now(self, kind: type[Active], arm: str) -> Active | None:
+        """The latest fault of a kind that shows on an arm at the present tick."""
+        tick = self._world.tick
+        for fault in reversed(self._lasting):
+            if isinstance(fault, kind) and fault.arm == arm and fault.active(tick):
+                return fault
+        return None
+
+    def _channel(self, arm: str, direction: str) -> Channel | None:
+        """The lossy wire in one direction at the present tick; each fault has its own draws."""
+        tick = self._world.tick
+        for fault in reversed(self._lasting):
+            if not isinstance(fault, Wire) or fault.arm != arm or not fault.active(tick):
+                continue
+            if (STATE if fault.topic.endswith("measured_js") else COMMAND) != direction:
+                continue
+            held = self._channels.get((arm, direction))
+            if held is None or held[0] is not fault:
+                key = zlib.crc32(f"{arm} {direction} {fault.at}".encode())
+                held = (fault, Channel(fault, np.random.default_rng([self._seed, key])))
+                self._channels[arm, direction] = held
+            return held[1]
+        return None
