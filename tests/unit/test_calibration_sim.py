@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.calibration_bench import Bench, run, taught_at_home, tool_of, wrong_tool
+from helpers.miscalibration import run, taught_at_home, tool_of, wrong_tool
 from surg_cli import paths
+from surg_sim.bench import Bench
 from surg_sim.trocar import shaft_in_flange
 
 HEADER = """# Calibration: kinematic and true RCM deviation

@@ -58,7 +58,8 @@ void bind_state(py::module_& m) {
   m.def("sentence", &sentence, py::arg("reason"), "What was wrong and what to do, for people.");
   m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
         "Short name, as in FAULT(name).");
-  m.def("state_name", py::overload_cast<State>(&name), py::arg("state"));
+  m.def("state_name", py::overload_cast<State>(&name), py::arg("state"),
+        "As in CRTK's operating_state.");
 }
 
 void bind_command(py::module_& m) {

@@ -9,12 +9,12 @@
 namespace surg::python {
 namespace {
 
-using RowMajor4 = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
-
 py::ssize_t check_rows(const Array& array, py::ssize_t cols, const char* name) {
-  const py::ssize_t n = array.ndim() == 2 ? array.shape(0) : 0;
-  check_shape(array, {n, cols}, name);
-  return n;
+  if (array.ndim() != 2 || array.shape(1) != cols) {
+    throw py::value_error(std::string(name) + ": shape (m, " + std::to_string(cols) +
+                          ") is needed, not " + shape_of(array));
+  }
+  return array.shape(0);
 }
 
 Array forward_batch(const Chain& chain, const Array& q) {
@@ -27,7 +27,8 @@ Array forward_batch(const Chain& chain, const Array& q) {
     for (py::ssize_t i = 0; i < n; ++i) {
       const JointVector row =
           Eigen::Map<const Eigen::VectorXd>(from + i * chain.dof(), chain.dof());
-      Eigen::Map<RowMajor4>(to + 16 * i) = chain.forward(row).matrix();
+      Eigen::Map<Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(to + 16 * i) =
+          chain.forward(row).matrix();
     }
   }
   return frozen(poses);

@@ -1,39 +1,52 @@
-"""A calibration bench in the simulator, and a run that tells how well a calibration keeps a pivot.
+"""A calibration bench in the simulator: hands that guide the true instrument, and what is recorded.
 
 The hands know the true tool (from the URDF) and are not steady: the tip has play in its divot, the
-shaft in its guide. The recording sees the joint states of the simulated arm only, with an encoder's
-noise and quantisation.
+shaft in its guide and in the trocar. The recording sees the joint states of the simulated arm only,
+with an encoder's noise and quantisation. ::
+
+    python3 -m surg_sim.bench CELL FILE.csv --motions tip roll
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+import sys
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-import surg_core
-from surg_core import Motion, MotionCommand, Reason, StateCommand
-from surg_sim.arm import TICK, ArmCommand
+from surg_sim.arm import ArmCommand
 from surg_sim.trocar import TrocarParameters, shaft_in_flange
 from surg_sim.world import World
 
+if TYPE_CHECKING:
+    import surg_core
+
 Array = NDArray[np.float64]
 
-ENCODER_SIGMA = 2e-5  # [rad]
-ENCODER_STEP = 1e-5  # [rad]
-DIVOT_PLAY = 5e-5  # [m] per axis, one sigma
-GUIDE_PLAY = 1e-3  # [rad] per axis, one sigma
-TROCAR_PLAY = 1e-4  # [m] per axis, one sigma
+MOTIONS = ("tip", "roll", "trocar")
+ENCODER_SIGMA = 2e-5
+"""[rad]; assumed."""
+ENCODER_STEP = 1e-5
+"""[rad]; assumed."""
+DIVOT_PLAY = 5e-5
+"""[m] per axis, one sigma; assumed."""
+GUIDE_PLAY = 1e-3
+"""[rad] per axis, one sigma; assumed."""
+TROCAR_PLAY = 1e-4
+"""[m] per axis, one sigma; assumed."""
 NO_WALL = TrocarParameters(stiffness=0.1, friction=0.0)
 """A wall that is not felt: the instrument is on a bench, not in a patient."""
 
 
 def turn(axis: Array, angle: float) -> Array:
     """Rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
+    import surg_core
+
     return surg_core.axis_angle_to_matrix(np.asarray(axis, dtype=float), angle)
 
 
@@ -49,10 +62,12 @@ class Bench:
     Args:
         cell: A loaded cell.
         seed: Of hands and encoders.
+        arm: Its name; default: the cell's first.
     """
 
-    def __init__(self, cell: surg_core.Cell, seed: int) -> None:
-        self.cell, self.arm = cell, cell.arms["PSM1"]
+    def __init__(self, cell: surg_core.Cell, seed: int, arm: str | None = None) -> None:
+        self.cell = cell
+        self.arm = cell.arms[arm or next(iter(cell.arms))]
         self.rng = np.random.default_rng(seed)
         self.p_FTip, self.s_F = shaft_in_flange(self.arm)
         self.home = np.array(self.arm.robot.home)
@@ -60,12 +75,12 @@ class Bench:
         self.s_home = self.X_home[:3, :3] @ self.s_F
         self.tip_home = self.X_home[:3, :3] @ self.p_FTip + self.X_home[:3, 3]
 
-    def record(self, path: Path, motions: tuple[str, ...], count: int = 12) -> None:
+    def record(self, path: Path, motions: Sequence[str], count: int = 12) -> None:
         """Perform motions by hand and write the recording.
 
         Args:
             path: CSV file.
-            motions: Of ``surg_core.calibration.MOTIONS``, not ``second``.
+            motions: Of ``MOTIONS``.
             count: Poses of each.
         """
         lines = [",".join(["motion", *self.arm.robot.joint_names])]
@@ -131,103 +146,38 @@ class Bench:
     def _measure(self, world: World, goal: Array) -> Array:
         """Guides the simulated arm there; what its encoders say at standstill (n,)."""
         for _ in range(3000):
-            state = world.state("PSM1")
+            state = world.state(self.arm.name)
             if np.max(np.abs(goal - state.q)) < 2e-5 and np.max(np.abs(state.qd)) < 1e-4:
                 break
             velocity = np.clip(12.0 * (goal - state.q), -0.6, 0.6)
-            world.step({"PSM1": ArmCommand(velocity=velocity)})
-        q = world.state("PSM1").q + self.rng.normal(scale=ENCODER_SIGMA, size=len(goal))
+            world.step({self.arm.name: ArmCommand(velocity=velocity)})
+        q = world.state(self.arm.name).q + self.rng.normal(scale=ENCODER_SIGMA, size=len(goal))
         return np.asarray(np.round(q / ENCODER_STEP) * ENCODER_STEP)
 
 
-def wrong_tool(arm: surg_core.Arm, rng: np.random.Generator) -> surg_core.ToolCalibration:
-    """The true tool with its tip 1 mm aside and its axis 0.5 deg off.
+def main(words: Sequence[str] | None = None) -> int:
+    """Record motions of a cell's arm on the bench."""
+    import surg_core
 
-    The direction is random; at the trocar the two add up.
-    """
-    p_FTip, s_F = shaft_in_flange(arm)
-    aside = across(s_F, rng)
-    leaning = turn(np.cross(s_F, -aside), math.radians(0.5)) @ s_F
-    return tool_of(leaning, p_FTip + 0.001 * aside)
-
-
-def tool_of(s_F: Array, p_FTip: Array) -> surg_core.ToolCalibration:
-    """A tool calibration (3,), (3,) as a file would hold it."""
-    return surg_core.parse_tool(
-        surg_core.Document(
-            "tool.yaml",
-            {
-                "format": "surg_tool/1",
-                "shaft_axis": [float(value) for value in s_F],
-                "tip": [float(value) for value in p_FTip],
-                "residual": 0.0,
-                "n": 1,
-                "condition": 1.0,
-                "date": "2026-11-21",
-            },
-        )
-    )
+    parser = argparse.ArgumentParser(prog="surg_sim.bench", description=main.__doc__)
+    parser.add_argument("cell", type=Path)
+    parser.add_argument("file", type=Path, help="CSV, for ./surg calibrate CELL ... --from FILE")
+    parser.add_argument("--arm", help="default: the cell's first")
+    parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS))
+    parser.add_argument("--count", type=int, default=12, help="poses of each motion")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(words)
+    try:
+        cell = surg_core.load_cell(options.cell)
+        if options.arm is not None and options.arm not in cell.arms:
+            raise ValueError(f"--arm {options.arm}: the cell has {', '.join(cell.arms)}")
+        Bench(cell, options.seed, options.arm).record(options.file, options.motions, options.count)
+    except (ValueError, OSError, RuntimeError) as error:
+        print(f"surg_sim.bench: {error}", file=sys.stderr)
+        return 2
+    print(f"{options.file}: {options.count} poses each of {', '.join(options.motions)}")
+    return 0
 
 
-@dataclass(frozen=True)
-class Deviation:
-    """RCM deviations of a run [m].
-
-    Attributes:
-        kinematic: (n,) what the controller computes with its own calibration.
-        true: (n,) distance of the undisturbed trocar point to the simulated shaft.
-    """
-
-    kinematic: Array
-    true: Array
-
-
-def run(
-    cell: surg_core.Cell, tool: surg_core.ToolCalibration, p_BRcm: Array, seconds: float
-) -> Deviation:
-    """A Lissajous motion of the tip in the simulator under a controller with this calibration.
-
-    Args:
-        cell: The cell; its trocar is where the simulated wall is.
-        tool: What the controller believes the tool to be.
-        p_BRcm: (3,) what it believes the trocar point to be [m].
-        seconds: Of motion, after 2 s of growing amplitude.
-    """
-    arm, world = cell.arms["PSM1"], World(cell)
-    controller = surg_core.Controller(arm.chain, arm.robot, arm.limits, arm.instrument, tool)
-    assert controller.set_rcm(p_BRcm) == Reason.NONE
-    state = world.state("PSM1")
-    controller.step(state.q, state.qd)
-    for word in (StateCommand.ENABLE, StateCommand.HOME):
-        answer = controller.request(word)
-        assert answer == Reason.NONE, surg_core.sentence(answer)
-    start = controller.step(state.q, state.qd).virtual_q[2]
-    kinematic, true = [], []
-    for k in range(round((seconds + 2.0) / TICK)):
-        t = k * TICK
-        grow = min(t / 2.0, 1.0)
-        p = np.array(
-            [
-                0.035 * grow * math.sin(2 * math.pi * 0.2 * t),
-                0.035 * grow * math.sin(2 * math.pi * 0.15 * t),
-                start + 0.025 * grow * math.sin(2 * math.pi * 0.1 * t),
-            ]
-        )
-        roll = 1.2 * grow * math.sin(2 * math.pi * 0.12 * t)
-        turned = [0.0, 0.0, math.sin(roll / 2), math.cos(roll / 2)]
-        state = world.state("PSM1")
-        command = MotionCommand(Motion.SERVO_CP, 1, p=p, rotation=turned)
-        out = controller.step(state.q, state.qd, [command], jaw=state.jaw)
-        assert out.refused == 0, surg_core.sentence(out.verdicts[0].reason)
-        world.step({"PSM1": ArmCommand(velocity=out.qd_command)})
-        if grow >= 1.0:
-            kinematic.append(out.rcm_error)
-            true.append(world.truth("PSM1").deviation)
-    return Deviation(np.array(kinematic), np.array(true))
-
-
-def taught_at_home(arm: surg_core.Arm, tool: surg_core.ToolCalibration) -> Array:
-    """What teaching one point gives: on the believed shaft, beside the true trocar; (3,) [m]."""
-    X = arm.chain.forward(np.array(arm.robot.home))
-    state = surg_core.shaft_state(X, tool.s_F, tool.p_FTip, arm.trocar.p_BRcm)
-    return np.array(state.p_BNear)
+if __name__ == "__main__":
+    sys.exit(main())
