@@ -58,7 +58,8 @@ class Client:
         rospy.Subscriber(f"/{arm}/jaw/measured_js", JointState, self._jaw, **keys)
         rospy.Subscriber(f"/{arm}/measured_cp", PoseStamped, self._pose, **keys)
         rospy.Subscriber(f"/{arm}/rcm/error", ScalarStamped, self._error, **keys)
-        rospy.Subscriber(f"/{arm}/warning", String, self._warning, **keys)
+        for kind in ("warning", "error"):
+            rospy.Subscriber(f"/{arm}/{kind}", String, self._warning, **keys)
         rospy.Subscriber("/sim/ground_truth/state", GroundTruth, self._truth, **keys)
 
     def _state(self, message: OperatingState) -> None:
@@ -103,22 +104,17 @@ class Client:
         topic, kind, text = words[3:]
         message = roslib.message.get_message_class(kind)()
         genpy.message.fill_message_args(message, [yaml.safe_load(text)])
-        publisher = self.publishers.get(topic)
-        if publisher is None:
-            publisher = rospy.Publisher(topic, type(message), queue_size=10, tcp_nodelay=True)
-            self.publishers[topic] = publisher
-            deadline = time.monotonic() + TIMEOUT_S
-            while publisher.get_num_connections() == 0:
-                if time.monotonic() > deadline:
-                    raise RuntimeError(f"nobody listens to {topic}")
-                time.sleep(0.01)
-            time.sleep(0.1)  # the arm's side of the connection
+        if topic not in self.publishers:
+            # Latched, as rostopic does it: whoever connects late hears it too.
+            self.publishers[topic] = rospy.Publisher(
+                topic, type(message), queue_size=10, latch=True, tcp_nodelay=True
+            )
         heard = self.heard
         with heard.lock:
             heard.worst_error = heard.worst_truth = 0.0
             heard.warnings.clear()
             edges = heard.busy_edges
-        publisher.publish(message)
+        self.publishers[topic].publish(message)
         self._wait(topic, message, edges)
         with heard.lock:
             return {
