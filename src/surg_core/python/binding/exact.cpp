@@ -147,7 +147,6 @@ void bind_goals(py::module_& m) {
 }
 
 void bind_steps(py::module_& m) {
-
   py::class_<JointStep>(m, "JointStep", "A displacement of the joints.")
       .def_property_readonly("dq", [](const JointStep& s) { return frozen(from_matrix(s.dq)); })
       .def_readonly("conditioning", &JointStep::conditioning,

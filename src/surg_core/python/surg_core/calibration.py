@@ -184,22 +184,22 @@ def solve_tool(
     Raises:
         CalibrationError: for a missing motion, or as the solvers.
     """
-    limits = limits or CalibrationLimits()
+    asked = limits or CalibrationLimits()
     if "roll" in recording.poses and "second" in recording.poses:
         raise CalibrationError(
             f"{recording.file}: holds both 'roll' and 'second'; one of them gives the shaft axis"
         )
-    tip = _named(recording, lambda: calibrate_tip(recording.of("tip", "the tool's tip"), limits))
+    tip = _named(recording, lambda: calibrate_tip(recording.of("tip", "the tool's tip"), asked))
     if "second" in recording.poses:
         axis = _named(
             recording,
             lambda: calibrate_axis_by_points(
-                tip, calibrate_tip(recording.poses["second"], limits), limits
+                tip, calibrate_tip(recording.poses["second"], asked), asked
             ),
         )
     else:
         roll = recording.of("roll", "the shaft axis ('second' would do as well)")
-        axis = _named(recording, lambda: calibrate_axis_by_rolling(roll, tip.p_FTip, limits))
+        axis = _named(recording, lambda: calibrate_axis_by_rolling(roll, tip.p_FTip, asked))
     return ToolSolution(tool_calibration(tip, axis, date), tip, axis)
 
 
