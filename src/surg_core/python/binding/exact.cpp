@@ -46,22 +46,6 @@ Pose pose_at(const Array& poses, py::ssize_t i) {
   return to_pose(one, ("X_BFGoals[" + std::to_string(i) + "]").c_str());
 }
 
-Array forward_batch(const Chain& chain, const Array& q) {
-  const py::ssize_t m = rows_of(q, {chain.dof()}, "q");
-  Array poses({m, py::ssize_t{4}, py::ssize_t{4}});
-  const double* in = q.data();
-  double* out = poses.mutable_data();
-  {
-    const py::gil_scoped_release release;
-    for (py::ssize_t i = 0; i < m; ++i) {
-      const JointVector joints =
-          Eigen::Map<const Eigen::VectorXd>(in + i * chain.dof(), chain.dof());
-      Eigen::Map<RowMajor4>(out + 16 * i) = chain.forward(joints).matrix();
-    }
-  }
-  return poses;
-}
-
 Array poses_on_pivot(const Home& home, const Array& s_F, const Array& p_FTip, const Array& p_BRcm,
                      const Array& p_BTip, const Array& roll) {
   const Tool tool = to_tool(s_F, p_FTip);
@@ -163,9 +147,6 @@ void bind_goals(py::module_& m) {
 }
 
 void bind_steps(py::module_& m) {
-  m.def("forward_batch", &forward_batch, py::arg("chain"), py::arg("q"),
-        "X_BF (m, 4, 4) at joint positions q (m, n) [rad]. Releases the GIL.");
-
   py::class_<JointStep>(m, "JointStep", "A displacement of the joints.")
       .def_property_readonly("dq", [](const JointStep& s) { return frozen(from_matrix(s.dq)); })
       .def_readonly("conditioning", &JointStep::conditioning,
