@@ -207,11 +207,11 @@ class Jaw(Group):
     def __init__(self, arm: Arm) -> None:
         super().__init__(f"{arm.name}/jaw", arm.time)
         self._arm = arm
+        self.servo_jf: Callable[[Any], None] | None = None  # the dVRK's only
         self.listen("measured_js", JointState)
         self.listen("setpoint_js", JointState)
         self._servo_jp = self.speak("servo_jp", JointState)
         self._move_jp = self.speak("move_jp", JointState)
-        self.servo_jf = self.speak("servo_jf", JointState, counts=False)
 
     def servo_jp(self, angle: float) -> None:
         """Stream of angles [rad]."""
@@ -285,6 +285,7 @@ class Arm(Group):
         self.listen("trajectory_j/ratio", Float64)
         self.spatial, self.body = Forces(self, "spatial"), Forces(self, "body")
         self.groups += [local, self.spatial, self.body]
+        self.jaw.servo_jf = self.jaw.speak("servo_jf", JointState, counts=False)
         self.free = self.speak("free", Empty, counts=False)
         self.servo_jf = self.speak("servo_jf", JointState, counts=False)
         self.set_ratio = self.speak("trajectory_j/set_ratio", Float64, counts=False)

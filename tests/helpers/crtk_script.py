@@ -15,6 +15,7 @@ from helpers.crtk_client import Arm, LockstepTime, WallTime, position, shifted
 
 def visit(arm: Arm) -> str:
     """Enable, home, move there and back; empty, or what did not work."""
+    arm.sleep(0.02)
     if not arm.enable(2.0) or not arm.home(2.0):
         return "enable or home"
     start = arm.setpoint_cp()
@@ -29,17 +30,18 @@ def visit(arm: Arm) -> str:
 
 
 def stream(arm: Arm) -> str:
-    """Enable, home, then a slow circle of poses at 100 Hz until the process ends."""
+    """Enable, home, then poses on a circle at 100 Hz, placed by the clock, until the process ends.
+
+    15 mm in 6 s: 16 mm/s. Two seconds later the circle is 26 mm away, and stays away for seconds.
+    """
     if not arm.enable(10.0) or not arm.home(10.0):
         return "enable or home"
-    start = arm.setpoint_cp()
+    start, began = arm.setpoint_cp(), rospy.get_time()
     rate = rospy.Rate(100)
-    for k in range(100_000):
-        angle = 2 * math.pi * k / 200
-        arm.servo_cp(shifted(start, (0.01 * (1 - math.cos(angle)), 0.01 * math.sin(angle), 0.0)))
+    while not rospy.is_shutdown():
+        angle = 2 * math.pi * (rospy.get_time() - began) / 6.0
+        arm.servo_cp(shifted(start, (0.015 * (1 - math.cos(angle)), 0.015 * math.sin(angle), 0.0)))
         rate.sleep()
-        if rospy.is_shutdown():
-            break
     return ""
 
 

@@ -104,7 +104,7 @@ def start_system(graph: RosGraph, cell: Path, mode: str, participants: list[str]
 
 @pytest.mark.parametrize("cell", CELLS)
 def test_one_script_drives_both_robots(
-    ros_graph: RosGraph, rospy_node: str, witness: Witness, cell: str
+    ros_graph: RosGraph, rospy_node: str, witness: Witness, cell: str, full: bool
 ) -> None:
     began = time.monotonic()
     start_system(ros_graph, CELLS[cell], "lockstep", [rospy_node.lstrip("/"), "second"])
@@ -118,7 +118,7 @@ def test_one_script_drives_both_robots(
         ros_graph.wait_for(clock.connected, 20.0, "the clock's connections")
         ros_graph.wait_for(lambda: "connected" in witness.second, 30.0, "the second script")
         ros_graph.wait_for(lambda: witness._subscribers[1].get_num_connections() > 0, 10, "truth")
-        run_script(arm, clock, witness)
+        run_script(arm, clock, witness, pause=5.0 if full or cell == "sim_ur5e" else 2.5)
         ask_for_what_is_not_there(arm, witness)
         # Another node, right after: authority is free once the arm has rested for 0.5 s.
         arm.sleep(0.5)
@@ -135,26 +135,27 @@ def test_one_script_drives_both_robots(
     ros_graph.wait_for(lambda: clock.tick in witness.cycles, 10.0, "the last cycle")
     errors = [cycle.rcm_error for cycle in witness.cycles.values() if cycle.state == Cycle.ENABLED]
     print(
-        f"{cell}: {clock.tick} ticks in {time.monotonic() - began:.1f} s; simulation: RCM deviation "
-        f"max {max(errors) * 1e6:.1f} um kinematic, {max(witness.deviation) * 1e6:.1f} um true"
+        f"{cell}: {clock.tick} ticks in {time.monotonic() - began:.1f} s; RCM deviation max "
+        f"{max(errors) * 1e6:.1f} um, true {max(witness.deviation) * 1e6:.1f} um (simulation)"
     )
     assert max(errors) < 100e-6 and max(witness.deviation) < 300e-6
     assert Cycle.FAULT not in {cycle.state for cycle in witness.cycles.values()}
 
 
-def run_script(arm: Arm, clock: LockstepTime, witness: Witness) -> None:
+def run_script(arm: Arm, clock: LockstepTime, witness: Witness, pause: float) -> None:
     """The script: each step is what a user writes; each assertion is what he expects."""
+    arm.sleep(0.02)  # an arm that runs has a joint state; at tick 1 there is none yet
     assert arm.enable(2.0)
     assert arm.home(2.0)
     assert arm.state.state == "ENABLED" and arm.state.is_homed
 
-    # A stream of poses that simply ends, then five seconds of nothing.
+    # A stream of poses that simply ends, then seconds of nothing.
     start = arm.setpoint_cp()
     for k in range(1, 51):
         last = shifted(start, (0.01 * (1 - math.cos(math.pi * k / 50)) / 2, 0.0, 0.0))
         arm.servo_cp(last)
         arm.sleep(0.01)
-    arm.sleep(5.0)
+    arm.sleep(pause)
     assert arm.state.state == "ENABLED" and not arm.state.is_busy
     assert math.dist(position(arm.measured_cp()), position(last)) < 5e-4
     assert witness.said("silent") or witness.said("stale") or witness.said("servo_timeout")
@@ -249,13 +250,18 @@ def ask_for_what_is_not_there(arm: Arm, witness: Witness) -> None:
 def test_a_client_that_was_frozen_does_not_go_on(
     ros_graph: RosGraph, rospy_node: str, witness: Witness
 ) -> None:
-    """F03: SIGSTOP of a streaming client for 2 s; standstill, and none of its motion afterwards."""
+    """F03: SIGSTOP of a streaming client for 2 s; standstill, and none of its motion afterwards.
+
+    Its poses follow the clock, so on waking they are far from where the arm stopped. A stream that
+    counts its poses goes on where it was cut off, which nobody can tell from a new one: such a
+    stream is accepted within 2 mm of the set-point, as any is.
+    """
     start_system(ros_graph, CELLS["sim_ur5e"], "freerun", [])
     child = second_script(ros_graph, "stream")
     speed = lambda: float(np.linalg.norm(witness.newest().v_set))  # noqa: E731
 
     def streaming() -> bool:
-        return bool(witness.cycles) and speed() > 0.02
+        return bool(witness.cycles) and speed() > 0.01
 
     ros_graph.wait_for(streaming, 40.0, "the stream")
     time.sleep(0.4)
@@ -263,7 +269,7 @@ def test_a_client_that_was_frozen_does_not_go_on(
     child.process.send_signal(signal.SIGSTOP)
     try:
         moving = [cycle for cycle in witness.cycles.values() if cycle.state == Cycle.ENABLED]
-        assert max(np.linalg.norm(cycle.v_set) for cycle in moving) > 0.02
+        assert max(np.linalg.norm(cycle.v_set) for cycle in moving) > 0.01
         while speed() > 1e-6 and time.monotonic() < stopped_at + 5.0:
             time.sleep(0.005)
         still = time.monotonic() - stopped_at
