@@ -2,6 +2,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <memory>
 #include <string>
 #include <vector>
 
@@ -144,10 +145,9 @@ TEST(ControlCycle, FrameChangesOnlyWhileNotEnabled) {
   const CycleRecord& refused = arm.step({Arm::frame("b", some_frame())});
   EXPECT_EQ(answer(refused), surg::Reason::kFrameWhileEnabled);
   EXPECT_STREQ(refused.frame.name.c_str(), "a");
-  // In one cycle: state commands come first, whatever the order of arrival.
   const CycleRecord& paused =
       arm.step({Arm::frame("b", some_frame()), Arm::state(surg::StateCommand::kPause)});
-  EXPECT_STREQ(paused.frame.name.c_str(), "a");  // given first, tried first: still ENABLED
+  EXPECT_STREQ(paused.frame.name.c_str(), "a");  // it came before the pause
   EXPECT_EQ(answer(arm.step({Arm::frame("b", some_frame())})), surg::Reason::kNone);
   const CycleRecord& resumed =
       arm.step({Arm::state(surg::StateCommand::kResume), Arm::frame("c", some_frame())});
@@ -178,7 +178,7 @@ TEST(ControlCycle, OnlyTheExpectedFrameIsTaken) {
 }
 
 TEST(ControlCycle, NotFiniteSurvivesTheFrame) {
-  for (const double bad : {NAN, HUGE_VAL, -HUGE_VAL, 1e308}) {
+  for (const double bad : std::vector<double>{NAN, HUGE_VAL, -HUGE_VAL, 1e308}) {
     Arm arm;
     arm.step({Arm::frame("camera", some_frame())});
     arm.enable();

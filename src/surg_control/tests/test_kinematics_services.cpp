@@ -13,7 +13,10 @@
 namespace surg_control {
 namespace {
 
-surg::Limits limits() { return load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").limits; }
+const surg::Limits& limits() {
+  static const surg::Limits loaded = load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").limits;
+  return loaded;
+}
 
 TEST(KinematicsServices, ForwardAndInverseAgree) {
   std::mt19937 random(3);

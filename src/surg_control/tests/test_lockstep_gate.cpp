@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <random>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "surg_control/lockstep_gate.hpp"
@@ -102,14 +103,62 @@ TEST(LockstepGate, UndeclaredComeLastAsTheyCame) {
   EXPECT_EQ(marks(gate.take()), (std::vector<std::uint32_t>{1, 5, 6, 7}));
 }
 
-TEST(LockstepGate, KeepsWhatIsTooMuchForOneCycle) {
-  LockstepGate gate({"a"});
-  const std::uint32_t n = surg::kMaxCommands + 10;
-  for (std::uint32_t i = 0; i < n; ++i) send(gate, "a", "servo_cp", item(i));
-  EXPECT_EQ(gate.take().size(), static_cast<std::size_t>(surg::kMaxCommands));
-  const std::vector<std::uint32_t> rest = marks(gate.take());
-  ASSERT_EQ(rest.size(), 10U);
-  EXPECT_EQ(rest.front(), static_cast<std::uint32_t>(surg::kMaxCommands));
+TEST(LockstepGate, WhatIsLeftOverComesBeforeWhatIsNew) {
+  std::mt19937 random(2);
+  for (int trial = 0; trial < 50; ++trial) {
+    // 50 commands of each in every tick: 36 are left over after the first, 72 after the second.
+    LockstepGate gate({"a", "b"});
+    std::uint32_t mark = 0;
+    std::vector<std::uint32_t> expected, got;
+    for (int tick = 0; tick < 3; ++tick) {
+      std::vector<std::pair<std::string, std::uint32_t>> letters;
+      for (const char* sender : {"a", "b"}) {
+        for (int k = 0; k < 50; ++k) {
+          letters.emplace_back(sender, mark);
+          expected.push_back(mark++);  // tick by tick, sender by sender, each in its own order
+        }
+      }
+      // The network mixes the two senders, and leaves each in order.
+      std::vector<char> turns(100, 'a');
+      std::fill(turns.begin() + 50, turns.end(), 'b');
+      std::shuffle(turns.begin(), turns.end(), random);
+      std::size_t next_a = 0, next_b = 50;
+      for (const char turn : turns) {
+        const auto& [sender, number] = letters[turn == 'a' ? next_a++ : next_b++];
+        send(gate, sender, "servo_cp", item(number));
+      }
+      const std::vector<std::uint32_t> taken = marks(gate.take());
+      ASSERT_EQ(taken.size(), static_cast<std::size_t>(surg::kMaxCommands));
+      got.insert(got.end(), taken.begin(), taken.end());
+    }
+    while (true) {
+      const std::vector<std::uint32_t> taken = marks(gate.take());
+      if (taken.empty()) break;
+      got.insert(got.end(), taken.begin(), taken.end());
+    }
+    ASSERT_EQ(got, expected);
+  }
+}
+
+TEST(LockstepGate, AStateCommandIsNotHeldUpByALeftOver) {
+  LockstepGate gate({"a", "b"});
+  for (std::uint32_t i = 0; i < 200; ++i) send(gate, "a", "servo_cp", item(i));
+  gate.take();
+  send(gate, "b", "state_command", item(999, CommandItem::Kind::kState));
+  EXPECT_EQ(marks(gate.take()).front(), 999U);
+}
+
+TEST(LockstepGate, AFloodIsRefusedAndOthersAreNot) {
+  LockstepGate gate({"a", "b"});
+  std::size_t kept = 0;
+  for (std::uint32_t i = 0; i < 3000; ++i) kept += gate.push("a", "servo_cp", item(i));
+  EXPECT_EQ(kept, LockstepGate::kMostWaiting);
+  EXPECT_TRUE(gate.push("a", "servo_jp", item(1)));
+  EXPECT_TRUE(gate.push("b", "servo_cp", item(1)));
+  gate.take();  // makes room for as many as it took
+  kept = 0;
+  for (std::uint32_t i = 0; i < 3000; ++i) kept += gate.push("a", "servo_cp", item(i));
+  EXPECT_EQ(kept, static_cast<std::size_t>(surg::kMaxCommands));
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <limits>
+#include <set>
 #include <string>
 
 #include "surg_control/decode.hpp"
@@ -102,6 +103,75 @@ TEST(Messages, StateWords) {
   }
   message.string = "Enable";
   EXPECT_NE(decode_state(message).detail.find("allowed"), std::string::npos);
+}
+
+TEST(Messages, EveryJointCommandTakesFourNumbers) {
+  using surg::Motion;
+  sensor_msgs::JointState joints;
+  joints.position = {1, 2, 3, 4};
+  joints.velocity = {5, 6, 7, 8};
+  for (const Motion motion : {Motion::kServoJp, Motion::kServoJr, Motion::kInterpolateJp,
+                              Motion::kMoveJp, Motion::kMoveJr}) {
+    const Decoded decoded = decode_joints(joints, motion);
+    EXPECT_EQ(decoded.reason, surg::Reason::kNone);
+    EXPECT_EQ(decoded.item.motion.motion, motion);
+    EXPECT_EQ(decoded.item.motion.joints, surg::Vector4(1, 2, 3, 4));
+  }
+  EXPECT_EQ(decode_joints(joints, Motion::kServoJv).item.motion.joints, surg::Vector4(5, 6, 7, 8));
+  joints.name = {"a"};
+  EXPECT_NE(decode_joints(joints, Motion::kMoveJp).detail.find("'a'"), std::string::npos);
+}
+
+TEST(Messages, StartAndStopAndNothingElse) {
+  using surg::Motion;
+  crtk_msgs::StringStamped message;
+  for (const Motion motion : {Motion::kInsert, Motion::kWithdraw, Motion::kRetrace}) {
+    message.string = "start";
+    EXPECT_EQ(decode_start_stop(message, motion).item.motion.motion, motion);
+    message.string = "stop";
+    EXPECT_EQ(decode_start_stop(message, motion).item.motion.motion, Motion::kHold);
+    for (const std::string& word : {std::string("Start"), std::string(), std::string(500, 'x')}) {
+      message.string = word;
+      const Decoded decoded = decode_start_stop(message, motion);
+      EXPECT_NE(decoded.reason, surg::Reason::kNone);
+      EXPECT_NE(decoded.detail.find("allowed are start, stop"), std::string::npos);
+      EXPECT_LT(decoded.detail.size(), 120U);  // a long word is not said in full
+    }
+  }
+}
+
+TEST(Messages, FixedFramesAreNotConverted) {
+  surg_msgs::PointVelocityStamped track;
+  track.point.x = 1;
+  track.velocity.y = 2;
+  EXPECT_EQ(decode_track(track, "PSM1_base").item.kind, CommandItem::Kind::kTrack);
+  EXPECT_EQ(decode_track(track, "PSM1_base").item.p_B, surg::Vector3(1, 0, 0));
+  EXPECT_EQ(decode_track(track, "PSM1_base").item.v_B, surg::Vector3(0, 2, 0));
+  track.header.frame_id = "PSM1_rcm";
+  const Decoded wrong = decode_track(track, "PSM1_base");
+  EXPECT_EQ(wrong.reason, surg::Reason::kWrongFrame);
+  EXPECT_NE(wrong.detail.find("'PSM1_rcm'; allowed is 'PSM1_base'"), std::string::npos);
+  EXPECT_EQ(decode_rcm(pose("world"), "PSM1_base").reason, surg::Reason::kWrongFrame);
+}
+
+TEST(Messages, EveryMotionHasATopic) {
+  std::set<std::string> topics;
+  for (int i = 0; i <= 16; ++i) topics.insert(topic_of(static_cast<surg::Motion>(i)));
+  EXPECT_EQ(topics.size(), 17U);
+  EXPECT_EQ(topics.count("unknown"), 0U);
+}
+
+TEST(Messages, CycleCarriesTierAndEveryRefusal) {
+  CycleRecord record;
+  record.out.tier = 2;
+  record.out.refused = 3;
+  record.refused_by_node = 4;
+  record.refused_by_cycle = 5;
+  surg_msgs::Cycle message;
+  encode_cycle(record, "PSM1_base", SourceTable(), message);
+  EXPECT_EQ(message.tier, 2);
+  EXPECT_EQ(message.refused, 12U);
+  EXPECT_EQ(message.source, "");
 }
 
 TEST(Messages, RobotStateByName) {

@@ -20,12 +20,18 @@ constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more
 constexpr double kStandstill = 0.05;      // alpha below it: the limit has stopped the arm
 constexpr double kOutside = 0.15;         // [m] a tip may be above its trocar before 'insert'
 constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
+constexpr double kHuge = 1e6;             // [m, rad] no command or trocar is ever so large
 constexpr int kHomeBusyCycles = 5;        // is_busy needs an edge that a client can see
 
+/// F01: 1e308 is finite and still poison (its square is not). Written so that NaN is refused.
+template <typename Derived>
+bool finite(const Eigen::MatrixBase<Derived>& v) {
+  return (v.array().abs() < kHuge).all();
+}
+
 bool finite(const MotionCommand& command) {
-  return command.p.allFinite() && command.rotation.coeffs().allFinite() &&
-         command.joints.allFinite() && std::isfinite(command.roll_rate) &&
-         std::isfinite(command.jaw);
+  return finite(command.p) && finite(command.rotation.coeffs()) && finite(command.joints) &&
+         std::abs(command.roll_rate) < kHuge && std::abs(command.jaw) < kHuge;
 }
 
 /// Look-ahead belongs to the feedback: open loops do without.
@@ -407,7 +413,7 @@ Reason Controller::set_rcm(const Vector3& p_BRcm) {
   Impl& self = *impl_;
   const State state = self.operating.state();
   if (state != State::kDisabled && state != State::kPaused) return Reason::kRcmWhileEnabled;
-  if (!p_BRcm.allFinite()) return Reason::kNotFinite;
+  if (!finite(p_BRcm)) return Reason::kNotFinite;
   self.trocar.teach(p_BRcm);
   self.X_BR.translation() = p_BRcm;
   self.operating.request(StateCommand::kUnhome, {});  // the rcm frame has changed

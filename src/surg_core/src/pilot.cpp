@@ -133,7 +133,7 @@ Reason Pilot::go(const MotionCommand& command) {
       stop();
       return Reason::kNone;
     default:
-      return Reason::kNone;
+      return Reason::kRefusedTransition;
   }
 }
 

@@ -180,6 +180,9 @@ bool Setpoint::further_out(const Vector3& p_RTip) const {
 void Setpoint::stop() {
   then_go_ = false;
   if (mode_ == Mode::kRest || mode_ == Mode::kStopping) return;
+  // Where a limit slows the clock the tip is slower than the profile: the ramp begins at the tip's
+  // own speed. From the profile's the arm would go on unbraked, or even faster, until both meet.
+  for (auto& dof : dofs_) dof.v *= clock_;
   enter(Space::kCartesian);
   mode_ = Mode::kStopping;
 }
@@ -198,6 +201,7 @@ void Setpoint::come_to_rest() {
 
 void Setpoint::advance(double dt) {
   if (!(dt > 0)) return;
+  if (tick_ > 0) clock_ = std::min(dt / tick_, 1.0);
   at_wall_ = false;
   switch (mode_) {
     case Mode::kRest:

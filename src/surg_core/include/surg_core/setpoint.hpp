@@ -53,7 +53,10 @@ class Setpoint {
   void stand();
 
   /// Real time passes: stream samples get older.
-  void elapse(double T) { age_ += T; }
+  void elapse(double T) {
+    age_ += T;
+    tick_ = T;
+  }
   /// The set-point moves on by dt <= T of its own clock.
   void advance(double dt);
 
@@ -98,6 +101,8 @@ class Setpoint {
   std::array<double, 4> rate_{};
   std::array<double, 4> target_{};
   Space target_space_ = Space::kCartesian;
+  double tick_ = 0;     ///< the control period [s]
+  double clock_ = 1;    ///< the set-point's time per real time in the last advance
   double pace_ = 0;     ///< base duration of the present profile [s]
   double age_ = 0;      ///< since the last stream sample [s]
   double spacing_ = 0;  ///< of the last two samples [s]

@@ -57,6 +57,7 @@ Array frozen(Array array);
 void bind_kinematics(py::module_& m);
 void bind_motion(py::module_& m);
 void bind_rcm(py::module_& m);
+void bind_exact(py::module_& m);
 void bind_config(py::module_& m);
 void bind_controller(py::module_& m);
 

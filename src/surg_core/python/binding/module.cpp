@@ -9,6 +9,7 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_kinematics(m);
   binding::bind_motion(m);
   binding::bind_rcm(m);
+  binding::bind_exact(m);
   binding::bind_config(m);
   binding::bind_controller(m);
 }

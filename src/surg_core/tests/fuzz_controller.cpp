@@ -1,0 +1,867 @@
+// Random life against a simple plant, judged by oracles that do not use the code they judge:
+//   fuzz_controller [--seed N] [--runs N] [--cycles N] [--first N]
+// Every run is an arm, a tool, a plant and a law drawn from its seed, and 'cycles' control cycles
+// of commands of every kind, finite or not, with faults in between. On a failure it prints the seed
+// and the command line that shows the same again. SURG_TEST_FULL=1: 1.2 million cycles.
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <deque>
+#include <limits>
+#include <map>
+#include <random>
+#include <string>
+
+#include "arm.hpp"
+#include "surg_core/controller.hpp"
+
+namespace surg {
+namespace {
+
+constexpr double kT = 0.002;
+constexpr double kInf = std::numeric_limits<double>::infinity();
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+// --- random numbers, the same everywhere --------------------------------------------------------
+
+class Dice {
+ public:
+  explicit Dice(std::uint64_t seed) : engine_(seed * 0x9E3779B97F4A7C15ULL + 1) {}
+  double uniform(double low, double high) {
+    return low + (high - low) * static_cast<double>(engine_() >> 11) * 0x1p-53;
+  }
+  int integer(int low, int high) {
+    return low + static_cast<int>(engine_() % static_cast<std::uint64_t>(high - low + 1));
+  }
+  bool one_in(int n) { return integer(1, n) == 1; }
+  Vector3 vector(double size) {
+    return {uniform(-size, size), uniform(-size, size), uniform(-size, size)};
+  }
+
+ private:
+  std::mt19937_64 engine_;
+};
+
+// --- kinematics of its own: Denavit-Hartenberg matrices, columns of the Jacobian from the axes
+// -----
+
+struct Flange {
+  Eigen::Matrix4d X = Eigen::Matrix4d::Identity();
+  Eigen::Matrix<double, 6, 6> J;
+};
+
+Flange flange(const JointVector& q) {
+  const double d[6] = {0.1625, 0, 0, 0.1333, 0.0997, 0.0996}, a[6] = {0, -0.425, -0.3922, 0, 0, 0},
+               alpha[6] = {M_PI_2, 0, 0, M_PI_2, -M_PI_2, 0};
+  Flange out;
+  Vector3 z[6], o[6];
+  for (int i = 0; i < 6; ++i) {
+    z[i] = out.X.block<3, 1>(0, 2);
+    o[i] = out.X.block<3, 1>(0, 3);
+    const double ct = std::cos(q[i]), st = std::sin(q[i]), ca = std::cos(alpha[i]),
+                 sa = std::sin(alpha[i]);
+    Eigen::Matrix4d A;
+    A << ct, -st * ca, st * sa, a[i] * ct, st, ct * ca, -ct * sa, a[i] * st, 0, sa, ca, d[i], 0, 0,
+        0, 1;
+    out.X = out.X * A;
+  }
+  const Vector3 p = out.X.block<3, 1>(0, 3);
+  for (int i = 0; i < 6; ++i) {
+    out.J.block<3, 1>(0, i) = z[i].cross(Vector3(p - o[i]));
+    out.J.block<3, 1>(3, i) = z[i];
+  }
+  return out;
+}
+
+/// What the instrument does at q with joint velocities qd, by the matrices above.
+struct Truth {
+  Vector3 p_tip, s, v_tip;
+  double depth, pivot_error, flange_speed;
+};
+
+Truth truth(const JointVector& q, const JointVector& qd, const ToolCalibration& tool,
+            const Vector3& p_rcm) {
+  const Flange at = flange(q);
+  const Matrix3 R = at.X.block<3, 3>(0, 0);
+  const Vector3 p = at.X.block<3, 1>(0, 3);
+  const Vector6 twist = at.J * Vector6(qd);
+  Truth out;
+  out.s = R * tool.s_F;
+  out.p_tip = p + R * tool.p_FTip;
+  out.v_tip = twist.head<3>() + twist.tail<3>().cross(Vector3(R * tool.p_FTip));
+  out.depth = out.s.dot(out.p_tip - p_rcm);
+  out.pivot_error = (p_rcm - out.p_tip).cross(out.s).norm();
+  out.flange_speed = twist.head<3>().norm();
+  return out;
+}
+
+// --- figures over all runs
+// --------------------------------------------------------------------------
+
+struct Figures {
+  long cycles = 0, enabled = 0, moving = 0, tip_checked = 0, accepted = 0, refused = 0, faults = 0;
+  long stops = 0, stated_acceleration = 0, unstated_acceleration = 0;
+  double worst_acceleration = 0;                // ratio to the limit
+  double worst_pivot = 0, worst_pivot_lag = 0;  // [m] ENABLED
+  double worst_tip_velocity = 0;                // [m/s] residual of the oracle
+  double worst_stop = 0;                        // [m] beyond the bound without its slack
+  std::map<int, long> motions;
+};
+
+struct Failure {
+  std::string oracle, text;
+};
+
+template <typename... T>
+std::string text(const char* format, T... values) {
+  char buffer[400];
+  std::snprintf(buffer, sizeof buffer, format, values...);
+  return buffer;
+}
+
+// --- one run
+// ----------------------------------------------------------------------------------------
+
+class Run {
+ public:
+  Run(std::uint64_t seed, Figures& figures)
+      : dice_(seed),
+        figures_(figures),
+        lagging_(dice_.one_in(3)),
+        robot_(robot()),
+        tool_(tool()),
+        options_(options()),
+        controller_(test::ur5e_chain(), robot_, robot_.limits, test::instrument(), tool_,
+                    options_) {
+    q_ = robot_.home;
+    if (dice_.one_in(2)) {
+      for (int i = 0; i < 6; ++i) q_[i] += dice_.uniform(-0.2, 0.2);
+    }
+    qd_ = last_ = JointVector::Zero(6);
+    tighten_joints();
+    pipeline_.assign(lagging_ ? 2 : 0, qd_);
+    const Truth at = truth(q_, qd_, tool_, Vector3::Zero());
+    p_taught_ = at.p_tip - dice_.uniform(0.06, 0.16) * at.s;
+    p_rcm_ = p_taught_;
+  }
+
+  /// One cycle; an empty oracle is a pass.
+  Failure cycle() {
+    ++k_;
+    between();
+    Inputs in = sense();
+    command(in);
+    const Outputs& out = controller_.step(in);
+    const Failure failure = judge(in, out);
+    before_ = out;
+    had_before_ = true;
+    plant(out);
+    return failure;
+  }
+
+ private:
+  // --- what is drawn
+  // -------------------------------------------------------------------------------
+
+  RobotConfig robot() {
+    Document document = test::good_robot();
+    document.values["tuning.link_lag"] = lagging_ && dice_.one_in(2) ? 0.012 : 0.0;
+    RobotConfig robot = parse_robot(document);
+    return robot;
+  }
+
+  ToolCalibration tool() {
+    ToolCalibration tool = test::offset_tool();
+    if (dice_.one_in(3)) tool.p_FTip.x() = 0;
+    if (dice_.one_in(3)) {
+      const Vector3 axis = Vector3(dice_.uniform(-1, 1), dice_.uniform(-1, 1), 0).normalized();
+      const Matrix3 R = Eigen::AngleAxisd(dice_.uniform(0, 0.17), axis).toRotationMatrix();
+      tool.s_F = R * tool.s_F;
+      tool.p_FTip = Vector3(tool.p_FTip.x(), 0, 0) + 0.3 * tool.s_F;
+    }
+    return tool;
+  }
+
+  Controller::Options options() {
+    Controller::Options options;
+    options.dt = kT;
+    const int law = dice_.integer(0, 9);
+    options.law = law == 0 ? Law::kPaper : law < 4 ? Law::kExact : Law::kOurs;
+    options.track_rcm = dice_.one_in(4);
+    return options;
+  }
+
+  /// Sometimes a joint's limit is close by.
+  void tighten_joints() {
+    if (!dice_.one_in(4)) return;
+    const int i = dice_.integer(0, 5);
+    if (dice_.one_in(2)) {
+      robot_.position_max[i] = q_[i] + dice_.uniform(0.02, 0.2);
+    } else {
+      robot_.position_min[i] = q_[i] - dice_.uniform(0.02, 0.2);
+    }
+    controller_.~Controller();
+    new (&controller_)
+        Controller(test::ur5e_chain(), robot_, robot_.limits, test::instrument(), tool_, options_);
+  }
+
+  // --- calls between the steps
+  // -----------------------------------------------------------------------
+
+  void between() {
+    called_ = false;
+    enabled_by_request_ = false;
+    if (k_ == 1) controller_.set_rcm(p_taught_);
+    if (k_ == 3) request(StateCommand::kHome);
+    if (k_ == 4) request(StateCommand::kEnable);
+    if (k_ < 5) return;
+    const bool idle = had_before_ && before_.state != State::kEnabled;
+    if (idle && dice_.one_in(25)) {
+      request(before_.state == State::kPaused ? StateCommand::kResume : StateCommand::kEnable);
+    }
+    if (idle && dice_.one_in(60)) request(StateCommand::kHome);
+    if (dice_.one_in(400)) request(static_cast<StateCommand>(dice_.integer(0, 5)));
+    if (dice_.one_in(1500)) {
+      controller_.pause(Reason::kOverrun);
+      called_ = true;
+    }
+    if (dice_.one_in(3000)) {
+      controller_.fault(Reason::kMasterLost);
+      called_ = true;
+    }
+    if (dice_.one_in(1000)) controller_.claim(static_cast<std::uint32_t>(dice_.integer(1, 3)));
+    if (dice_.one_in(700)) teach();
+  }
+
+  void request(StateCommand command) {
+    const Reason answer = controller_.request(command);
+    called_ = true;
+    const bool enables = command == StateCommand::kEnable || command == StateCommand::kResume;
+    if (answer == Reason::kNone && enables) enabled_by_request_ = true;
+  }
+
+  void teach() {
+    Vector3 p = p_rcm_;
+    switch (dice_.integer(0, 4)) {
+      case 0:
+        p[dice_.integer(0, 2)] = poison();
+        break;
+      case 1:
+        p += dice_.vector(0.1);
+        break;
+      default: {  // on the shaft, as a careful user would
+        const Truth at = truth(q_, qd_, tool_, p_rcm_);
+        p = at.p_tip - dice_.uniform(0.05, 0.15) * at.s;
+      }
+    }
+    if (controller_.set_rcm(p) == Reason::kNone) p_rcm_ = p_taught_ = p;
+    called_ = true;
+  }
+
+  // --- the link
+  // ----------------------------------------------------------------------------------------
+
+  double poison() {
+    const double values[] = {kNan, kInf, -kInf, 1e308, -1e308, 1e200, 5e-324};
+    return values[dice_.integer(0, 6)];
+  }
+
+  Inputs sense() {
+    Inputs in;
+    in.state_valid = true;
+    in.q = measured();
+    in.qd = qd_;
+    in.jaw = jaw_;
+    blind_ = false;
+    tool_blind_ = false;
+    if (blind_for_ > 0) {
+      --blind_for_;
+      in.state_age = robot_.tuning.link_timeout + kT;
+      blind_ = true;
+    } else if (dice_.one_in(2500)) {
+      blind_ = true;
+      switch (dice_.integer(0, 5)) {
+        case 0:
+          in.state_valid = false;
+          break;
+        case 1:
+          in.q[dice_.integer(0, 5)] = dice_.one_in(2) ? kNan : kInf;
+          break;
+        case 2:
+          in.qd[dice_.integer(0, 5)] = dice_.one_in(2) ? kNan : -kInf;
+          break;
+        case 3:
+          in.q = JointVector::Zero(dice_.one_in(2) ? 5 : 7);
+          break;
+        case 4:
+          in.state_age = kNan;
+          break;
+        default:
+          in.state_age = robot_.tuning.link_timeout + kT;
+          blind_for_ = dice_.integer(0, 50);
+      }
+    }
+    if (tool_blind_for_ > 0 || dice_.one_in(3000)) {
+      tool_blind_for_ = tool_blind_for_ > 0 ? tool_blind_for_ - 1 : dice_.integer(1, 100);
+      in.jaw_age = dice_.one_in(5) ? kNan : 0.3;
+      tool_blind_ = true;
+    }
+    if (dice_.one_in(500)) in.jaw = poison();
+    if (options_.track_rcm) track(in);
+    return in;
+  }
+
+  JointVector measured() const {
+    if (!lagging_) return q_;
+    JointVector q = q_;
+    for (int i = 0; i < 6; ++i) q[i] = 1e-5 * std::round(q[i] / 1e-5);
+    return q;
+  }
+
+  /// A breathing trocar, sampled at 50 Hz; sometimes silent, far off or not a number.
+  void track(Inputs& in) {
+    const double w = 2 * M_PI * 0.25, size = 0.003;
+    p_rcm_ = p_taught_ + Vector3(0, 0, size * (1 - std::cos(w * k_ * kT)) / 2);
+    in.track_valid = true;
+    in.track_age = kT * (k_ % 10);
+    const double then = w * kT * (k_ - k_ % 10);
+    in.p_BTrack = p_taught_ + Vector3(0, 0, size * (1 - std::cos(then)) / 2);
+    in.v_BTrack = Vector3(0, 0, size * w * std::sin(then) / 2);
+    if (!dice_.one_in(4000)) return;
+    switch (dice_.integer(0, 3)) {
+      case 0:
+        in.track_age = 1;
+        break;
+      case 1:
+        in.p_BTrack += Vector3(0.05, 0, 0);
+        break;
+      case 2:
+        in.v_BTrack.x() = poison();
+        break;
+      default:
+        in.p_BTrack.y() = poison();
+    }
+  }
+
+  void plant(const Outputs& out) {
+    JointVector wanted = out.qd_command;
+    if (!pipeline_.empty()) {
+      pipeline_.push_back(wanted);
+      wanted = pipeline_.front();
+      pipeline_.pop_front();
+    }
+    if (lagging_) wanted = qd_ + (1 - std::exp(-kT / 0.008)) * (wanted - qd_);
+    q_ += kT * 0.5 * (lagging_ ? JointVector(qd_ + wanted) : JointVector(2 * wanted));
+    qd_ = wanted;
+    if (std::isfinite(out.jaw_set)) jaw_ += 0.3 * (out.jaw_set - jaw_);
+    last_ = out.qd_command;
+  }
+
+  // --- commands
+  // ------------------------------------------------------------------------------------------
+
+  void command(Inputs& in) {
+    if (k_ < 5 || !had_before_) return;
+    if (phase_-- <= 0) new_phase();
+    const bool stream = is_servo(kind_);
+    if ((stream && k_ % every_ == 0) || (!stream && phase_ == 0)) add(in, next_command());
+    if (dice_.one_in(300)) add(in, wild_command());
+    if (dice_.one_in(100)) {
+      MotionCommand jaw;
+      jaw.motion = dice_.one_in(2) ? Motion::kJawServoJp : Motion::kJawMoveJp;
+      jaw.source = source_;
+      jaw.jaw = dice_.uniform(-0.5, 1.5);
+      add(in, jaw);
+    }
+    if (dice_.one_in(5000)) {
+      while (in.n_commands < kMaxCommands) add(in, wild_command());
+    }
+    if (dice_.one_in(5000)) in.n_commands = dice_.one_in(2) ? -5 : 1000;
+  }
+
+  void add(Inputs& in, const MotionCommand& command) {
+    if (in.n_commands < kMaxCommands) in.commands[in.n_commands++] = command;
+  }
+
+  void new_phase() {
+    const Motion kinds[] = {Motion::kServoCp, Motion::kServoCp,       Motion::kServoJp,
+                            Motion::kServoCv, Motion::kServoCv,       Motion::kServoJv,
+                            Motion::kServoJr, Motion::kInterpolateCp, Motion::kMoveCp,
+                            Motion::kMoveCp,  Motion::kMoveJp,        Motion::kMoveJr,
+                            Motion::kHold,    Motion::kInterpolateJp, Motion::kNone,
+                            Motion::kInsert,  Motion::kWithdraw,      Motion::kRetrace};
+    kind_ = kinds[dice_.integer(0, dice_.one_in(4) ? 17 : 14)];
+    const bool out_of_patient = before_.depth < robot_.limits.depth_slow - 1e-3;
+    if (out_of_patient && dice_.one_in(2)) kind_ = Motion::kInsert;
+    const int rates[] = {1, 1, 5, 17};
+    every_ = rates[dice_.integer(0, 3)];
+    phase_ = is_servo(kind_) ? dice_.integer(50, 700) : dice_.integer(1, 400);
+    if (dice_.one_in(6)) source_ = static_cast<std::uint32_t>(dice_.integer(1, 3));
+    const double speed = dice_.one_in(4) ? 0.3 : 0.08;
+    v_ = dice_.vector(speed);
+    roll_rate_ = dice_.uniform(-1.5, 1.5);
+    goal_ = p_RSet();
+    roll_goal_ = before_.roll_set;
+    rates_ = Vector4(dice_.uniform(-1, 1), dice_.uniform(-1, 1), dice_.uniform(-0.1, 0.1),
+                     dice_.uniform(-1, 1));
+  }
+
+  Vector3 p_RSet() const { return controller_.X_BR().inverse() * before_.p_set; }
+
+  MotionCommand next_command() {
+    MotionCommand command;
+    command.motion = kind_;
+    command.source = source_;
+    const double dt = every_ * kT;
+    if (dice_.one_in(40)) v_ = dice_.vector(0.12);
+    goal_ += dt * v_;
+    // Stay in the neighbourhood: a source turns round where it would leave it.
+    const Vector3 middle(0, 0, 0.11);
+    if ((goal_ - middle).norm() > 0.07) v_ = -v_.norm() * (goal_ - middle).normalized();
+    roll_goal_ += dt * roll_rate_;
+    if (std::abs(roll_goal_) > 1) roll_rate_ = -std::copysign(std::abs(roll_rate_), roll_goal_);
+    const bool discrete = !is_servo(kind_);
+    const Vector3 p = discrete ? Vector3(middle + dice_.vector(0.06)) : goal_;
+    const Eigen::Vector2d angles = shaft_angles(p.normalized());
+    command.p = kind_ == Motion::kServoCv ? v_ : p;
+    command.roll_rate = roll_rate_;
+    command.rotation =
+        controller_.tool_orientation(controller_.X_BR().linear() * p.normalized(), roll_goal_);
+    command.joints = Vector4(angles[0], angles[1], p.norm(), roll_goal_);
+    if (kind_ == Motion::kServoJv) command.joints = rates_;
+    if (kind_ == Motion::kServoJr) command.joints = dt * 0.3 * rates_;
+    if (kind_ == Motion::kMoveJr) command.joints = 0.2 * rates_;
+    return command;
+  }
+
+  /// Nobody's idea of a sensible command.
+  MotionCommand wild_command() {
+    MotionCommand command;
+    command.motion =
+        static_cast<Motion>(dice_.one_in(20) ? dice_.integer(17, 255) : dice_.integer(0, 16));
+    command.source = static_cast<std::uint32_t>(dice_.integer(0, 3));
+    const double size = std::pow(10.0, dice_.uniform(-3, 2));
+    command.p = dice_.vector(size);
+    command.joints = Vector4(dice_.uniform(-size, size), dice_.uniform(-size, size),
+                             dice_.uniform(-size, size), dice_.uniform(-size, size));
+    command.roll_rate = dice_.uniform(-size, size);
+    command.jaw = dice_.uniform(-size, size);
+    command.rotation.coeffs() = Vector4(dice_.uniform(-1, 1), dice_.uniform(-1, 1),
+                                        dice_.uniform(-1, 1), dice_.uniform(-1, 1));
+    switch (dice_.integer(0, 9)) {
+      case 0:
+        command.p[dice_.integer(0, 2)] = poison();
+        break;
+      case 1:
+        command.joints[dice_.integer(0, 3)] = poison();
+        break;
+      case 2:
+        command.roll_rate = poison();
+        break;
+      case 3:
+        command.jaw = poison();
+        break;
+      case 4:
+        command.rotation.coeffs()[dice_.integer(0, 3)] = poison();
+        break;
+      case 5:
+        command.rotation.coeffs().setZero();
+        break;
+      default:
+        break;
+    }
+    return command;
+  }
+
+  // --- oracles
+  // -------------------------------------------------------------------------------------------
+
+  Failure judge(const Inputs& in, const Outputs& out) {
+    count(in, out);
+    for (const auto& oracle :
+         {&Run::finite, &Run::bookkeeping, &Run::states, &Run::joints, &Run::stillness, &Run::pivot,
+          &Run::tip_velocity, &Run::workspace, &Run::stopping, &Run::jaw}) {
+      Failure failure = (this->*oracle)(in, out);
+      if (!failure.oracle.empty()) return failure;
+    }
+    return {};
+  }
+
+  void count(const Inputs& in, const Outputs& out) {
+    ++figures_.cycles;
+    figures_.enabled += out.state == State::kEnabled;
+    figures_.moving += out.qd_command.size() == 6 && out.qd_command.norm() > 1e-4;
+    figures_.faults += out.state == State::kFault && before_.state != State::kFault;
+    for (int i = 0; i < out.n_verdicts; ++i) {
+      const bool accepted = out.verdicts[i].reason == Reason::kNone;
+      ++(accepted ? figures_.accepted : figures_.refused);
+      if (!accepted) continue;
+      const Motion motion = out.verdicts[i].motion;
+      ++figures_.motions[static_cast<int>(motion)];
+      // After 'insert' the arm rests on its line until something else moves it.
+      if (motion == Motion::kInsert || motion == Motion::kWithdraw) {
+        axial_ = true;
+      } else if (!is_jaw(motion) && motion != Motion::kHold) {
+        axial_ = false;
+      }
+    }
+    at_ = truth(measured(), out.qd_command.size() == 6 ? out.qd_command : last_, tool_, p_rcm_);
+    (void)in;
+  }
+
+  Failure finite(const Inputs&, const Outputs& out) {
+    if (out.qd_command.size() != 6) return {"finite", "qd_command has a wrong size"};
+    const std::pair<const char*, bool> fields[] = {
+        {"qd_command", out.qd_command.allFinite()},
+        {"twist_command", out.twist_command.allFinite()},
+        {"X_BF", out.X_BF.matrix().allFinite()},
+        {"p_BTip", out.p_BTip.allFinite() && out.s_B.allFinite() && out.v_BTip.allFinite()},
+        {"p_BRcm", out.p_BRcm.allFinite()},
+        {"p_set", out.p_set.allFinite() && out.v_set.allFinite() && std::isfinite(out.roll_set)},
+        {"goal", out.p_goal.allFinite() && std::isfinite(out.roll_goal)},
+        {"roll", std::isfinite(out.roll)},
+        {"depth", std::isfinite(out.depth) && std::isfinite(out.rcm_error)},
+        {"virtual_q", out.virtual_q.allFinite()},
+        {"virtual_qd", out.virtual_qd.allFinite()},
+        {"virtual_set", out.virtual_set.allFinite()},
+        {"scale", std::isfinite(out.scale) && out.limited_by != nullptr}};
+    for (const auto& [field, good] : fields) {
+      if (!good) return {"finite", text("%s is not finite, law %d", field, int(options_.law))};
+    }
+    return {};
+  }
+
+  Failure bookkeeping(const Inputs& in, const Outputs& out) {
+    const int n = std::clamp(in.n_commands, 0, kMaxCommands);
+    if (out.n_verdicts != n) return {"verdicts", "not one verdict per command"};
+    const std::uint32_t handled = out.accepted + out.refused;
+    if (had_before_ && handled - before_.accepted - before_.refused != std::uint32_t(n)) {
+      return {"verdicts", "accepted and refused do not add up"};
+    }
+    std::uint32_t holder = 0;
+    for (int i = 0; i < n; ++i) {
+      const Verdict& verdict = out.verdicts[i];
+      const MotionCommand& command = in.commands[i];
+      if (verdict.reason != Reason::kNone || verdict.motion == Motion::kHold) continue;
+      if (holder != 0 && verdict.source != holder) {
+        return {"authority", "two senders were obeyed in one cycle"};
+      }
+      holder = verdict.source;
+      const bool numbers = command.p.allFinite() && command.joints.allFinite() &&
+                           command.rotation.coeffs().allFinite() && std::isfinite(command.jaw) &&
+                           std::isfinite(command.roll_rate);
+      if (!numbers) return {"gate", "a command that is not finite was accepted"};
+      if (static_cast<int>(command.motion) > 16) {
+        return {"gate", text("unknown motion %d was accepted", static_cast<int>(command.motion))};
+      }
+    }
+    return {};
+  }
+
+  Failure states(const Inputs&, const Outputs& out) {
+    const bool enabled = out.state == State::kEnabled;
+    if (enabled && had_before_ && before_.state != State::kEnabled && !enabled_by_request_) {
+      return {"state", "ENABLED without being asked"};
+    }
+    if (!had_before_ && enabled) return {"state", "ENABLED at the start"};
+    if (enabled && blind_) return {"state", "ENABLED without a joint state"};
+    return {};
+  }
+
+  Failure joints(const Inputs& in, const Outputs& out) {
+    if (options_.law == Law::kPaper) return {};  // open loop, for comparison in simulation only
+    double excess = 0;
+    for (int i = 0; i < 6; ++i) {
+      const double qd = out.qd_command[i];
+      if (!(std::abs(qd) <= robot_.velocity[i] * (1 + 1e-9))) {
+        return {"joint velocity", text("joint %d: %.6g rad/s", i + 1, qd)};
+      }
+      excess = std::max(excess, std::abs(qd - last_[i]) / (robot_.acceleration[i] * kT));
+      const double to = q_[i];
+      if (!(to <= robot_.position_max[i] + 1e-4 && to >= robot_.position_min[i] - 1e-4)) {
+        return {"joint position", text("joint %d at %.6g of %.6g to %.6g rad", i + 1, to,
+                                       robot_.position_min[i], robot_.position_max[i])};
+      }
+    }
+    if (at_.flange_speed > robot_.limits.flange_velocity * (lag_known() ? 1.05 : 1 + 1e-6)) {
+      return {"flange velocity", text("%.6g m/s", at_.flange_speed)};
+    }
+    const bool halt = blind_ || !out.homed;
+    if (!halt && excess > 1 + 1e-6) {
+      figures_.worst_acceleration = std::max(figures_.worst_acceleration, excess);
+      const bool stated = out.limited_by[0] != '\0' && out.scale < 1;
+      ++(stated ? figures_.stated_acceleration : figures_.unstated_acceleration);
+      if (strict_acceleration) {
+        return {"joint acceleration", text("%.4g times the limit, limited_by '%s', scale %.4g",
+                                           excess, out.limited_by, out.scale)};
+      }
+    }
+    (void)in;
+    return {};
+  }
+
+  bool lag_known() const { return robot_.tuning.link_lag > 0; }
+
+  Failure stillness(const Inputs&, const Outputs& out) {
+    const bool halt = blind_ || !out.homed;
+    if (halt && !(out.qd_command.norm() == 0 && out.twist_command.norm() == 0)) {
+      return {"halt", blind_ ? "moves without a joint state" : "moves without home"};
+    }
+    still_for_ = out.state == State::kEnabled ? 0 : still_for_ + 1;
+    if (still_for_ > 1000 && out.qd_command.norm() != 0) {
+      return {"stillness", text("moves 2 s after leaving ENABLED, %s", name(out.state))};
+    }
+    return {};
+  }
+
+  Failure pivot(const Inputs&, const Outputs& out) {
+    if (options_.law == Law::kPaper || blind_) return {};
+    // The trocar as the arm knows it: a track has its own error.
+    const double error = (out.p_BRcm - at_.p_tip).cross(at_.s).norm();
+    if (std::abs(error - out.rcm_error) > 1e-9) {
+      return {"pivot", text("reported %.9g m, true %.9g m", out.rcm_error, error)};
+    }
+    if (!out.homed || out.state != State::kEnabled) return {};
+    if (error > robot_.limits.rcm_error_fault) {
+      return {"pivot", text("ENABLED %.6g m off the trocar", error)};
+    }
+    double& worst = lagging_ ? figures_.worst_pivot_lag : figures_.worst_pivot;
+    // A point taught beside the shaft is where the arm starts, within the fault level: the error
+    // may only get smaller from there.
+    if (called_ || !had_before_ || before_.state != State::kEnabled) pivot_start_ = error;
+    pivot_start_ *= 1 - kT * 5;
+    // An arm that a limit slows down cannot follow a trocar that moves.
+    const bool left_behind = options_.track_rcm && out.scale < 1;
+    if (left_behind) pivot_start_ = std::max(pivot_start_, error);
+    const double allowed = (lagging_ ? 1.5e-3 : 3e-4) + pivot_start_;
+    if (pivot_start_ < 1e-6) worst = std::max(worst, error);
+    if (error > allowed) return {"pivot", text("%.6g m, allowed %.6g", error, allowed)};
+    return {};
+  }
+
+  /// The tip moves as the set-point does, plus towards the set-point: v - v_set = g (p_set - p_tip)
+  /// with some 0 <= g <= 1/T. Holds for every form of the law; one with a wrong vector fails.
+  Failure tip_velocity(const Inputs&, const Outputs& out) {
+    const bool plain = options_.law != Law::kPaper && !lag_known() && !called_ && had_before_ &&
+                       out.homed && out.state == State::kEnabled &&
+                       before_.state == State::kEnabled && out.scale == 1 && out.tier == 0 &&
+                       !blind_ && at_.depth > robot_.limits.depth_slow + 1e-4 &&
+                       out.motion != Motion::kInsert && out.motion != Motion::kWithdraw &&
+                       out.motion != Motion::kRetrace;
+    if (!plain) return {};
+    const Vector3 error = before_.p_set - at_.p_tip, rest = at_.v_tip - out.v_set;
+    const double size = error.squaredNorm();
+    const double g = size > 0 ? std::clamp(rest.dot(error) / size, 0.0, 1 / kT) : 0.0;
+    const double residual = (rest - g * error).norm();
+    ++figures_.tip_checked;
+    figures_.worst_tip_velocity = std::max(figures_.worst_tip_velocity, residual);
+    const double bound = 1e-4 + 0.01 * out.v_set.norm();
+    if (residual <= bound) return {};
+    return {"tip velocity", text("set-point %.5g m/s, tip %.5g m/s, residual %.5g of %.5g m/s",
+                                 out.v_set.norm(), at_.v_tip.norm(), residual, bound)};
+  }
+
+  Failure workspace(const Inputs&, const Outputs& out) {
+    if (options_.law == Law::kPaper || out.state != State::kEnabled || !out.homed) return {};
+    if (out.p_BRcm != p_taught_ || lagging_) return {};  // it is the taught point's workspace
+    const Vector3 p = controller_.X_BR().inverse() * before_.p_set;
+    const Limits& limits = robot_.limits;
+    const bool along = before_.motion == Motion::kInsert || before_.motion == Motion::kWithdraw ||
+                       at_.depth < limits.depth_min + 1e-3;
+    const double outside =
+        std::max(at_.depth - limits.depth_max,
+                 along ? -1.0 : at_.depth * std::cos(limits.cone) - (p.z() + 0.004));
+    // Where the arm was taught and homed it starts, inside or not; it may not get further out.
+    if (called_ || before_.state != State::kEnabled || !had_before_) outside_start_ = outside;
+    if (outside > std::max(0.004, outside_start_ + 0.004)) {
+      return {"workspace", text("%.5g m outside", outside)};
+    }
+    return {};
+  }
+
+  /// From the cycle in which the arm stops being led, the tip goes no further than its braking
+  /// distance, what the set-point was ahead, and the follow-up of the feedback.
+  Failure stopping(const Inputs&, const Outputs& out) {
+    if (options_.law == Law::kPaper) return {};
+    bool led = out.state == State::kEnabled && had_before_ && before_.state == State::kEnabled;
+    for (int i = 0; i < out.n_verdicts; ++i) {
+      if (out.verdicts[i].motion == Motion::kHold && out.verdicts[i].reason == Reason::kNone) {
+        led = false;
+      }
+    }
+    if (out.motion != Motion::kNone) led = led && true;
+    if (led && out.motion != Motion::kNone) stop_from_ = -1;
+    if (!led && stop_from_ < 0 && out.homed && had_before_) {
+      stop_from_ = k_;
+      p_stop_ = at_.p_tip;
+      const double speed = std::max({before_.v_set.norm(), before_.v_BTip.norm(), v_tip_before_});
+      const double ahead = (out.p_set - at_.p_tip).norm();
+      stop_bound_ = speed * speed / (2 * robot_.limits.stop_deceleration) + ahead +
+                    speed * (0.01 + (lagging_ ? 0.06 : 0)) + 5e-4;
+      ++figures_.stops;
+    }
+    v_tip_before_ = at_.v_tip.norm();
+    if (stop_from_ < 0 || !out.homed) return {};
+    const double travel = (at_.p_tip - p_stop_).norm();
+    figures_.worst_stop = std::max(figures_.worst_stop, travel / stop_bound_);
+    if (travel > stop_bound_) {
+      return {"stop distance",
+              text("%.5g m, allowed %.5g, %ld cycles after, %s", travel, stop_bound_,
+                   static_cast<long>(k_ - stop_from_), name(out.state))};
+    }
+    return {};
+  }
+
+  /// F31: only an accepted jaw command of an ENABLED arm moves the jaw, at its rate.
+  Failure jaw(const Inputs&, const Outputs& out) {
+    for (int i = 0; i < out.n_verdicts; ++i) {
+      if (is_jaw(out.verdicts[i].motion) && out.verdicts[i].reason == Reason::kNone) {
+        jaw_asked_ = true;
+      }
+    }
+    const bool may = out.state == State::kEnabled && !tool_blind_;
+    if (!may) jaw_asked_ = false;
+    const double was = had_before_ ? before_.jaw_set : kNan, is = out.jaw_set;
+    if (std::isnan(was)) return {};
+    const auto instrument = test::instrument();
+    if (!(is >= instrument.jaw_min && is <= instrument.jaw_max)) {
+      return {"jaw", text("set to %.6g rad", is)};
+    }
+    if (is != was && !jaw_asked_) {
+      return {"jaw", text("moved from %.6g to %.6g rad unasked, %s", was, is, name(out.state))};
+    }
+    if (std::abs(is - was) > instrument.jaw_velocity * kT * (1 + 1e-9)) {
+      return {"jaw", text("jumped from %.6g to %.6g rad", was, is)};
+    }
+    return {};
+  }
+
+ public:
+  static inline bool strict_acceleration = false;
+  long k() const { return k_; }
+  /// Law, tool, plant and the last cycle, for the message of a failure.
+  std::string description() const {
+    return text(
+        "law %d, tool %.3f m aside, %s plant, link_lag %.3f s%s; %s, motion %d, depth %.4f m, "
+        "scale %.4g %s",
+        static_cast<int>(options_.law), tool_.p_FTip.x(), lagging_ ? "lagging" : "ideal",
+        robot_.tuning.link_lag, options_.track_rcm ? ", tracked trocar" : "", name(before_.state),
+        static_cast<int>(before_.motion), at_.depth, before_.scale, before_.limited_by);
+  }
+
+ private:
+  Dice dice_;
+  Figures& figures_;
+  bool lagging_;
+  RobotConfig robot_;
+  ToolCalibration tool_;
+  Controller::Options options_;
+  Controller controller_;
+  JointVector q_, qd_, last_;
+  std::deque<JointVector> pipeline_;
+  Vector3 p_taught_, p_rcm_;
+  double jaw_ = 0.3;
+  long k_ = 0;
+  Outputs before_;
+  bool had_before_ = false;
+  Truth at_{};
+
+  Motion kind_ = Motion::kNone;
+  int phase_ = 0, every_ = 1;
+  std::uint32_t source_ = 1;
+  Vector3 v_ = Vector3::Zero(), goal_ = Vector3::Zero();
+  double roll_rate_ = 0, roll_goal_ = 0;
+  Vector4 rates_ = Vector4::Zero();
+
+  bool called_ = false, enabled_by_request_ = false, blind_ = false, tool_blind_ = false;
+  bool jaw_asked_ = false, axial_ = false;
+  int blind_for_ = 0, tool_blind_for_ = 0;
+  long still_for_ = 0, stop_from_ = -1;
+  Vector3 p_stop_ = Vector3::Zero();
+  double stop_bound_ = 0, v_tip_before_ = 0, pivot_start_ = 0, outside_start_ = 0;
+};
+
+struct Arguments {
+  long seed = 1, runs = 0, cycles = 4000;
+  bool keep_going = false;
+};
+
+Arguments parse(int argc, char** argv) {
+  const char* full = std::getenv("SURG_TEST_FULL");
+  Arguments arguments;
+  arguments.runs = full && std::strcmp(full, "1") == 0 ? 300 : 25;
+  for (int i = 1; i < argc; ++i) {
+    const std::string word = argv[i];
+    if (word == "--strict-acceleration") {
+      Run::strict_acceleration = true;
+    } else if (word == "--keep-going") {
+      arguments.keep_going = true;
+    } else if (i + 1 < argc && word == "--seed") {
+      arguments.seed = std::atol(argv[++i]);
+    } else if (i + 1 < argc && word == "--runs") {
+      arguments.runs = std::atol(argv[++i]);
+    } else if (i + 1 < argc && word == "--cycles") {
+      arguments.cycles = std::atol(argv[++i]);
+    } else {
+      std::fprintf(stderr,
+                   "usage: fuzz_controller [--seed N] [--runs N] [--cycles N] "
+                   "[--strict-acceleration] [--keep-going]\n");
+      std::exit(2);
+    }
+  }
+  return arguments;
+}
+
+int fuzz(const Arguments& arguments) {
+  Figures figures;
+  std::map<std::string, int> failures;
+  for (long i = 0; i < arguments.runs; ++i) {
+    const long seed = arguments.seed + i;
+    Run run(static_cast<std::uint64_t>(seed), figures);
+    for (long k = 0; k < arguments.cycles; ++k) {
+      const Failure failure = run.cycle();
+      if (failure.oracle.empty()) continue;
+      ++failures[failure.oracle];
+      std::printf(
+          "FAILED %s, seed %ld, cycle %ld: %s\n  (%s)\n  again: fuzz_controller --seed %ld --runs "
+          "1\n",
+          failure.oracle.c_str(), seed, run.k(), failure.text.c_str(), run.description().c_str(),
+          seed);
+      if (!arguments.keep_going) return 1;
+      break;
+    }
+  }
+  std::printf(
+      "%ld cycles, %ld ENABLED, %ld moving, %ld faults, %ld stops; %ld commands accepted, %ld "
+      "refused\n",
+      figures.cycles, figures.enabled, figures.moving, figures.faults, figures.stops,
+      figures.accepted, figures.refused);
+  std::printf("accepted by motion:");
+  for (const auto& [motion, n] : figures.motions) std::printf(" %d:%ld", motion, n);
+  std::printf(
+      "\npivot while ENABLED: %.3g um ideal, %.3g um behind lag\n"
+      "tip velocity: %ld cycles, worst residual %.3g mm/s\n"
+      "stop distance: at most %.2f of its bound\n"
+      "joint acceleration beyond the limit: %ld cycles where the controller says that it limits, "
+      "%ld where it does not; worst %.3g times the limit\n",
+      1e6 * figures.worst_pivot, 1e6 * figures.worst_pivot_lag, figures.tip_checked,
+      1e3 * figures.worst_tip_velocity, figures.worst_stop, figures.stated_acceleration,
+      figures.unstated_acceleration, figures.worst_acceleration);
+  for (const auto& [oracle, n] : failures) std::printf("FAILED %s: %d runs\n", oracle.c_str(), n);
+  // A fuzz that nothing happens in proves nothing.
+  const bool lively = figures.enabled > figures.cycles / 3 && figures.moving > figures.cycles / 8 &&
+                      figures.tip_checked > figures.cycles / 40;
+  if (arguments.runs >= 20 && !lively) {
+    std::printf("FAILED: too little happens\n");
+    return 1;
+  }
+  return failures.empty() ? 0 : 1;
+}
+
+}  // namespace
+}  // namespace surg
+
+int main(int argc, char** argv) { return surg::fuzz(surg::parse(argc, argv)); }

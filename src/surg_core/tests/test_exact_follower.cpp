@@ -1,0 +1,136 @@
+// The follower on one joint at a time: what it learns, what it bears, what it leaves alone.
+#include <cmath>
+
+#include "lagging_arm.hpp"
+#include "support.hpp"
+#include "surg_core/exact_follower.hpp"
+
+namespace surg {
+namespace {
+
+using test::LaggingArm;
+using test::Random;
+
+constexpr double kT = 0.002;
+
+/// Six joints swinging at paces of their own.
+JointVector swing(double t, double size) {
+  JointVector q(6);
+  for (int i = 0; i < 6; ++i) q[i] = size * (1 - std::cos((1.0 + 0.4 * i) * t));
+  return q;
+}
+
+/// Follows the swing; returns the largest distance to the reference in the last third.
+double follow(ExactFollower& follower, LaggingArm& arm, double seconds, double size) {
+  double worst = 0;
+  const long end = std::lround(seconds / kT);
+  for (long i = 0; i < end; ++i) {
+    const JointVector dq = swing((i + 1) * kT, size) - swing(i * kT, size);
+    arm.obey(follower.advance(dq, arm.measured()));
+    if (i > end * 2 / 3) worst = std::max(worst, follower.behind(arm.truth()));
+  }
+  return worst;
+}
+
+TEST(ExactFollower, GoesWithAnIdealArmWithoutACorrection) {
+  ExactFollower follower(6, {0.0, 50, 2, kT});
+  JointVector q = swing(0, 0.1);
+  follower.reset(q);
+  for (int i = 0; i < 1000; ++i) {
+    const JointVector dq = swing((i + 1) * kT, 0.1) - swing(i * kT, 0.1);
+    const JointVector qd = follower.advance(dq, q);
+    EXPECT_LT((qd - dq / kT).cwiseAbs().maxCoeff(), 1e-9);
+    q += kT * qd;
+    EXPECT_LT(follower.behind(q), 1e-12);
+  }
+  EXPECT_EQ(follower.lag(), JointVector::Zero(6));
+}
+
+TEST(ExactFollower, LearnsEachJointsLag) {
+  Random random(1);
+  const int n = test::family(5, 100);
+  double worst = 0, worst_gain = 1e9;
+  for (int k = 0; k < n; ++k) {
+    LaggingArm arm(swing(0, 0.2), random), twin = arm;
+    const double stated = random.uniform(0.008, 0.018);
+    ExactFollower learning(6, {stated, 50, 2, kT}), stubborn(6, {stated, 50, 0, kT});
+    learning.reset(arm.measured());
+    stubborn.reset(arm.measured());
+    const double left = follow(learning, arm, 30, 0.2), before = follow(stubborn, twin, 30, 0.2);
+    for (int i = 0; i < 6; ++i) {  // 2 ms of delay belong to it
+      worst = std::max(worst, std::abs(learning.lag()[i] - (arm.tau()[i] + 0.002)));
+    }
+    EXPECT_EQ(stubborn.lag(), JointVector::Constant(6, stated));
+    worst_gain = std::min(worst_gain, before / left);
+  }
+  std::printf("lags learnt to %.2f ms; what is left shrinks at least %.1f times\n", 1e3 * worst,
+              worst_gain);
+  EXPECT_LT(worst, 0.0002);
+  EXPECT_GT(worst_gain, 3);
+  test::report("random arms", n);
+}
+
+TEST(ExactFollower, KeepsLearntLagsBoundedAndAtRest) {
+  // An arm that does not move at all: the worst teacher.
+  const double stated = 0.012;
+  ExactFollower follower(6, {stated, 50, 2, kT});
+  const JointVector stuck = JointVector::Zero(6);
+  follower.reset(stuck);
+  for (int i = 0; i < 20000; ++i) {
+    const JointVector dq = swing((i + 1) * kT, 1) - swing(i * kT, 1);
+    const JointVector qd = follower.advance(dq, stuck);
+    EXPECT_TRUE(qd.allFinite());
+    EXPECT_GE(follower.lag().minCoeff(), 0);
+    EXPECT_LE(follower.lag().maxCoeff(), 3 * stated);
+  }
+  EXPECT_GT(follower.behind(stuck), 1.0);
+  // At rest nothing is learnt, however large the error.
+  follower.reset(stuck);
+  const JointVector learnt = follower.lag();
+  const JointVector away = JointVector::Constant(6, 0.01);
+  for (int i = 0; i < 1000; ++i) follower.advance(JointVector::Zero(6), away);
+  EXPECT_EQ(follower.lag(), learnt);
+}
+
+TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
+  ExactFollower follower(6, {0.012, 50, 2, kT});
+  follower.reset(JointVector::Zero(6));
+  for (int i = 0; i < 10; ++i) {
+    follower.advance(swing((i + 1) * kT, 1) - swing(i * kT, 1),
+                     JointVector::Constant(6, std::nan("")));
+  }
+  EXPECT_EQ(follower.lag(), JointVector::Constant(6, 0.012));
+}
+
+TEST(ExactFollower, IsStableWithTwiceTheLagItWasTold) {
+  Random random(2);
+  const int n = test::family(5, 100);
+  for (int k = 0; k < n; ++k) {
+    for (const double learning : {0.0, 2.0}) {
+      LaggingArm arm(swing(0, 0), random, 0.016, 0.024);
+      ExactFollower follower(6, {0.012, 50, learning, kT});
+      follower.reset(JointVector::Constant(6, 0.01));  // a step of 10 mrad to make up
+      for (int i = 0; i < 1000; ++i) {
+        arm.obey(follower.advance(JointVector::Zero(6), arm.measured()));
+      }
+      EXPECT_LT(follower.behind(arm.truth()), 2e-5);
+    }
+  }
+  test::report("slow arms", n);
+}
+
+TEST(ExactFollower, LeavesTheHeapAlone) {
+  if (!SURG_HEAP_IS_WATCHED) GTEST_SKIP();
+  const JointVector q = JointVector::Zero(7), dq = JointVector::Constant(7, 1e-4);
+  ExactFollower follower(7, {0.012, 50, 2, kT});
+  test::HeapWatch heap;
+  follower.reset(q);
+  const JointVector qd = follower.advance(dq, q);
+  const double behind = follower.behind(q);
+  const long calls = heap.calls();
+  EXPECT_EQ(calls, 0);
+  EXPECT_GT(qd.norm() + behind, 0);
+}
+
+}  // namespace
+}  // namespace surg
