@@ -167,6 +167,8 @@ class _ArmTopics:
             missing.append(f"nobody publishes {root}/robot/servo_jv or servo_cv (the controller)")
         if not self.tool_input.get_num_connections():
             missing.append(f"nobody publishes {root}/tool/servo_jp (the controller)")
+        if self.track is not None and not self.track.connections:
+            missing.append(f"nobody subscribes {root}/rcm/track (the controller, with ~track_rcm)")
         return missing
 
 
@@ -407,6 +409,8 @@ class Bridge:
         if here < expected:
             names = [*self._settings.participants, *self._settings.observers]
             missing.append(f"{here} of {expected} ({', '.join(names)}) publish /sim/ready")
+        if self._tracker is not None and self._tracker.get_num_connections() < 2:  # one is itself
+            missing.append("nobody but the simulator subscribes /sim/ready (the controller)")
         if "recorder" in self._settings.observers and not self._truth.connections:
             missing.append("nobody subscribes /sim/ground_truth/state (the recorder)")
         if "endoscope" in self._settings.observers and not self._snapshot.get_num_connections():
