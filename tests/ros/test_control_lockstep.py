@@ -320,7 +320,7 @@ BROKEN = [
     ({"cell": "/nowhere/at/all"}, "no such file"),
     ({"arm": "PSM9"}, "PSM1"),
     ({"mode": "freerunn"}, "lockstep, freerun"),
-    ({"law": "mine"}, "ours, paper"),
+    ({"law": "mine"}, "ours, velocity, paper"),
     ({"lnk": "joint"}, "unknown parameter ~lnk; allowed: arm, cell"),
     ({"feedback_gain": -3.0}, "0 to 100"),
     ({"participants": 3}, "names"),

@@ -13,6 +13,15 @@ constexpr double kTiltTolerance = 0.0175;           // [rad], 1 degree: below, n
 constexpr double kAngularTolerance = 0.0175;        // [rad/s]
 constexpr std::int64_t kTrackHeldNs = 100'000'000;  // a tracker this young is not talked over
 
+constexpr std::int64_t kForceLostNs = 200'000'000;  // F25: a sensor that has spoken must go on
+
+/// A sensor that falls silent can no longer say that nothing is wrong: its force is unknown.
+surg::ForceSample force_of(const MeasuredForce& measured, std::int64_t now_ns) {
+  if (measured.received_ns == 0) return {};
+  if (now_ns - measured.received_ns <= kForceLostNs) return {true, measured.f_B};
+  return {true, surg::Vector3::Constant(std::numeric_limits<double>::quiet_NaN())};
+}
+
 double seconds(std::int64_t ns) { return static_cast<double>(ns) * 1e-9; }
 
 bool is_pose(surg::Motion motion) {
@@ -115,6 +124,8 @@ void ControlCycle::sense(const LinkState& link, std::int64_t now_ns) {
   inputs_.jaw = link.jaw;
   inputs_.jaw_age = link.jaw_received_ns == 0 ? std::numeric_limits<double>::infinity()
                                               : seconds(now_ns - link.jaw_received_ns);
+  inputs_.tip_force = force_of(link.tip, now_ns);
+  inputs_.trocar_force = force_of(link.trocar, now_ns);
   inputs_.track_valid = track_.source != 0;
   inputs_.track_age = inputs_.track_valid ? seconds(now_ns - track_.received_ns) : 0;
   inputs_.p_BTrack = track_.p_B;

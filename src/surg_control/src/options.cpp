@@ -115,9 +115,10 @@ Options read_options(const ros::NodeHandle& private_node) {
   options.lockstep =
       read_choice(private_node, "mode", {"lockstep", "freerun"}, "lockstep") == "lockstep";
   options.participants = read_names(private_node, "participants");
-  options.law = read_choice(private_node, "law", {"ours", "paper"}, "ours") == "paper"
-                    ? surg::Law::kPaper
-                    : surg::Law::kVelocity;
+  const std::string law = read_choice(private_node, "law", {"ours", "velocity", "paper"}, "ours");
+  options.law = law == "paper"      ? surg::Law::kPaper
+                : law == "velocity" ? surg::Law::kVelocity
+                                    : surg::Law::kExact;
   options.link = read_choice(private_node, "link", {"joint", "twist"}, "");
   options.feedback_gain = read_gain(private_node);
   options.realtime = read_flag(private_node, "realtime");

@@ -31,7 +31,7 @@ double jitter_from_environment() {
 const char* name_of(surg::Law law) {
   switch (law) {
     case surg::Law::kVelocity:
-      return "ours";
+      return "velocity";
     case surg::Law::kPaper:
       return "paper";
     case surg::Law::kExact:
@@ -55,7 +55,9 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   check_for_arm(options_, setup_);
   sem_init(&records_waiting_, 0, 0);
   surg::Controller::Options law;
-  law.law = options_.law;
+  const bool twist = commands_twist(options_, setup_);
+  // A twist link works out its joints by itself: there is no reference for it to follow.
+  law.law = twist && options_.law == surg::Law::kExact ? surg::Law::kVelocity : options_.law;
   law.dt = kTick;
   law.feedback_gain = options_.feedback_gain;
   law.track_rcm = options_.track_rcm;
@@ -70,8 +72,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   node_.setCallbackQueue(&queue_);
   node_.setParam("/" + arm_ + "/robot_description", model_.urdf);
   announcer_ = std::make_unique<Announcer>(node_, arm_);
-  const bool twist = commands_twist(options_, setup_);
-  const Facts facts{options_.lockstep, twist, options_.track_rcm, name_of(options_.law),
+  const Facts facts{options_.lockstep, twist, options_.track_rcm, name_of(law.law),
                     surg::limits_hash(setup_.robot, setup_.limits)};
   outlets_ =
       std::make_unique<Outlets>(node_, setup_, model_, facts, health_, sources_, *announcer_);

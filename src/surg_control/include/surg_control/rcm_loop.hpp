@@ -3,6 +3,7 @@
 // encoded.
 #pragma once
 
+#include <geometry_msgs/WrenchStamped.h>
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <semaphore.h>
@@ -55,6 +56,7 @@ class RcmLoop {
                     Decoded decoded);
   bool pass_on(const std::string& topic, const std::string& caller, const Decoded& decoded);
   void on_robot_state(const sensor_msgs::JointState& message);
+  void on_force(const geometry_msgs::WrenchStamped& message, MeasuredForce LinkState::*which);
   void on_tool_state(const sensor_msgs::JointState& message);
   void on_ready(const surg_msgs::Ready& message);
   void on_link_status(const surg_msgs::LinkStatus& message);
