@@ -316,9 +316,7 @@ def test_f09_stamps_of_the_future_are_counted_and_decide_nothing(
     heard = voice.listen("/diagnostics", DiagnosticArray)
     with real_time(rig, ahead_s=3600.0):
         rig.wait_text("warning", "in the future")
-        rig.say("home")
-        rig.say("enable")
-        ros_graph.wait_for(lambda: rig.states[-1].state == "ENABLED", ANSWER_S, "ENABLED")
+        enable(ros_graph, rig)
         ros_graph.wait_for(
             lambda: int(diagnosed(heard).get("future_stamps", "0")) > 100, ANSWER_S, "the count"
         )
@@ -333,12 +331,24 @@ def test_f09_a_halted_sim_clock_does_not_stop_the_watchdog(ros_graph: RosGraph, 
         ros_graph.wait_for(lambda: not np.any(np.abs(sent[-1]) > 1e-3), ANSWER_S, "standstill")
 
 
+def enable(graph: RosGraph, rig: Rig) -> None:
+    """Home and enable, again where a starved plant was silent for longer than link_timeout."""
+
+    def enabled() -> bool:
+        if rig.states[-1].state == "ENABLED":
+            return True
+        rig.say("home")
+        rig.say("enable")
+        time.sleep(0.2)
+        return False
+
+    graph.wait_for(enabled, 2 * ANSWER_S, "ENABLED")
+
+
 def stream(graph: RosGraph, rig: Rig, sent: list[np.ndarray], seconds: float) -> None:
     """Home, enable, and stream a sideways motion of 40 mm/s, then fall silent."""
     rig.cycles.get(timeout=ANSWER_S)
-    rig.say("home")
-    rig.say("enable")
-    graph.wait_for(lambda: rig.states[-1].state == "ENABLED", ANSWER_S, "ENABLED")
+    enable(graph, rig)
     while not rig.cycles.empty():
         tip = tip_in_rcm(rig.cycles.get())
     begin = time.monotonic()
@@ -380,7 +390,7 @@ def test_f28_an_ending_controller_ramps_through_the_law_and_exits_with_0(
     assert not np.any(sent[-1])
     # The link may miss a command in real time; the cycle messages are queued.
     cycles = list(rig.cycles.queue)
-    ending = [k for k, cycle in enumerate(cycles) if cycle.state != Cycle.ENABLED][0]
+    ending = next(k for k, cycle in enumerate(cycles) if cycle.state != Cycle.ENABLED)
     commands = np.array([cycle.qd_command for cycle in cycles[ending - 1 :]])
     moving = int(np.sum(np.abs(commands).max(axis=1) > 1e-6))
     print(f"standstill after {moving} cycles")
