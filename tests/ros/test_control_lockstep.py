@@ -321,7 +321,7 @@ BROKEN = [
     ({"arm": "PSM9"}, "PSM1"),
     ({"mode": "freerunn"}, "lockstep, freerun"),
     ({"law": "mine"}, "ours, velocity, paper"),
-    ({"lnk": "joint"}, "unknown parameter ~lnk; allowed: arm, cell"),
+    ({"lnk": "joint"}, "unknown parameter ~lnk; allowed: arm, black_box, cell"),
     ({"feedback_gain": -3.0}, "0 to 100"),
     ({"participants": 3}, "names"),
     ({"realtime": True}, "lock-step"),
