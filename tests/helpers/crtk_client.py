@@ -106,9 +106,12 @@ class LockstepTime:
         self._ready.publish(
             Ready(tick=self.tick, participant=self._name, arms=[self._arm], sent=[self.sent])
         )
+        give_up = time.monotonic() + 15.0
         with self.changed:
-            came = self.changed.wait_for(lambda: self._done >= self.tick, 15.0)
-        assert came, f"tick {self.tick}: no cycle of {self._arm}"
+            while not self.changed.wait_for(lambda: self._done >= self.tick, 0.2):
+                if rospy.is_shutdown():
+                    raise rospy.ROSInterruptException(f"shut down in tick {self.tick}")
+                assert time.monotonic() < give_up, f"tick {self.tick}: no cycle of {self._arm}"
 
     def until(self, met: Callable[[], bool], timeout: float) -> bool:
         """Step while the condition does not hold."""
