@@ -30,6 +30,11 @@ COMMANDS = {
     "shell": ("shell", True, "a shell with the environment sourced"),
     "doctor": ("doctor", False, "what is installed, missing, running"),
     "bench": ("bench", True, "measure"),
+    "topics": (
+        "topics",
+        True,
+        "hold the running graph against docs/topics.yaml; make docs/topics.md",
+    ),
 }
 READY = "SURG_READY"
 

@@ -7,11 +7,14 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 from surg_cli import environment, paths, workspace
 from surg_cli.terminal import Problem, Progress, say, warn
 
 CORE_BUILD = paths.STATE / "core_tests"
+RACE_BUILD = paths.STATE / "race_tests"
+SANITIZED_BUILD = paths.STATE / "core_sanitized"
 TIERS = ("oracle", "vm", "mutants")
 
 
@@ -68,18 +71,78 @@ def core_tests(env: dict[str, str]) -> tuple[int, int]:
         return 0, 0
     plain = environment.clean()
     plain.update({k: v for k, v in env.items() if k.startswith(("SURG_TEST", "SURG_RESULTS"))})
-    log = paths.STATE / "logs" / "core_tests.log"
+    plain.pop("LD_LIBRARY_PATH", None)  # a sourced workspace would lend its own libsurg_core.so
+    cmake("C++ tests: build", source, CORE_BUILD, core_options(), [], plain)
+    passed, failed = run_core_tests(plain)
+    for name, good in sanitized_tests(plain).items():
+        passed, failed = passed + good, failed + (not good)
+        if not good:
+            warn(f"surg: {name} failed: {paths.STATE / 'logs' / name}.log")
+    return passed, failed
+
+
+def cmake(
+    title: str,
+    source: Path,
+    build: Path,
+    options: list[str],
+    targets: list[str],
+    env: dict[str, str],
+) -> None:
+    """Configure and build a stand-alone CMake project.
+
+    Args:
+        title: Shown while it builds.
+        source: Folder with its CMakeLists.txt.
+        build: Its build folder, which also names the log.
+        options: For the configuration.
+        targets: What to build; everything when empty.
+        env: The compilers' environment.
+
+    Raises:
+        Problem: When it does not build.
+    """
+    log = paths.STATE / "logs" / f"{build.name}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
-    with Progress("C++ tests: build"), log.open("w") as stream:
+    chosen = ["--target", *targets] if targets else []
+    with Progress(title), log.open("w") as stream:
         for argv in (
-            ["cmake", "-S", str(source), "-B", str(CORE_BUILD), *core_options()],
-            ["cmake", "--build", str(CORE_BUILD), f"-j{workspace.jobs()}"],
+            ["cmake", "-S", str(source), "-B", str(build), *options],
+            ["cmake", "--build", str(build), f"-j{workspace.jobs()}", *chosen],
         ):
-            done = subprocess.run(argv, env=plain, stdout=stream, stderr=subprocess.STDOUT)
+            done = subprocess.run(argv, env=env, stdout=stream, stderr=subprocess.STDOUT)
             if done.returncode != 0:
                 lines = log.read_text(errors="replace").splitlines()
                 raise Problem(workspace.failure_text(lines, log))
-    return run_core_tests(plain)
+
+
+def sanitized_tests(env: dict[str, str]) -> dict[str, bool]:
+    """Run what crosses threads under ThreadSanitizer, and with long counts the fuzz of the core.
+
+    The fuzz goes under AddressSanitizer and UndefinedBehaviorSanitizer; its build alone takes a
+    minute or two, so the short run has it without them.
+
+    Args:
+        env: Their environment; SURG_TEST_FULL in it asks for the long counts.
+
+    Returns:
+        Whether each program was content, by its name.
+    """
+    race = paths.ROOT / "src" / "surg_control" / "tests" / "race"
+    core = [f"-DSURG_CORE_BUILD={CORE_BUILD}"]
+    cmake("thread sanitizer: build", race, RACE_BUILD, core, [], env)
+    programs = [RACE_BUILD / "race_handover"]
+    if "SURG_TEST_FULL" in env:
+        options = [*core_options(), "-DSURG_CORE_SANITIZE=address,undefined"]
+        source, target = paths.ROOT / "src" / "surg_core", ["fuzz_controller"]
+        cmake("address sanitizer: build", source, SANITIZED_BUILD, options, target, env)
+        programs.append(SANITIZED_BUILD / "fuzz_controller")
+    content = {}
+    for program in programs:
+        with (paths.STATE / "logs" / f"{program.name}.log").open("w") as stream:
+            done = subprocess.run([program], env=env, stdout=stream, stderr=subprocess.STDOUT)
+        content[program.name] = done.returncode == 0
+    return content
 
 
 def core_options() -> list[str]:

@@ -7,7 +7,7 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
-#include <sstream>
+#include <iterator>
 
 namespace surg_control {
 namespace {
@@ -67,10 +67,11 @@ void write_black_box(const std::string& path, const surg::BlackBoxRecording& rec
 
 surg::BlackBoxRecording read_black_box(const std::string& path) {
   std::ifstream in(path, std::ios::binary);
-  std::ostringstream bytes;
-  if (!in || !(bytes << in.rdbuf())) cannot("read", path);
+  if (!in) cannot("read", path);
+  const std::string bytes{std::istreambuf_iterator<char>(in), std::istreambuf_iterator<char>()};
+  if (in.bad()) cannot("read", path);
   try {
-    return surg::decode(bytes.str());
+    return surg::decode(bytes);
   } catch (const surg::BlackBoxError& error) {
     throw surg::BlackBoxError("'" + path + "': " + error.what());
   }

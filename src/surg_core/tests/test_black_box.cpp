@@ -183,7 +183,7 @@ TEST(BlackBox, GoesOnFromAnyImageLikeTheOneThatWasSaved) {
 }
 
 TEST(BlackBox, HoldsTwoSecondsWithWhatFollowedTheFault) {
-  Arm arm(1, Law::kOurs);
+  Arm arm(1, Law::kVelocity);
   arm.run(5000, false);
   arm.box().release();
   arm.box().trigger();
@@ -206,7 +206,7 @@ TEST(BlackBox, HoldsTwoSecondsWithWhatFollowedTheFault) {
 }
 
 TEST(BlackBox, AFloodOfCommandsShortensTheRecordingAndBreaksNothing) {
-  Arm arm(2, Law::kOurs);
+  Arm arm(2, Law::kVelocity);
   for (int k = 0; k < 300; ++k) {
     while (arm.in().n_commands < kMaxCommands) {
       arm.in().commands[arm.in().n_commands++] = arm.any_command();
@@ -221,7 +221,7 @@ TEST(BlackBox, AFloodOfCommandsShortensTheRecordingAndBreaksNothing) {
 }
 
 TEST(BlackBox, TheReplayNamesTheFirstDifference) {
-  const auto arm = incident(5, Law::kOurs);
+  const auto arm = incident(5, Law::kVelocity);
   const BlackBoxRecording good = arm->box().recording(label());
   ASSERT_GT(good.steps.size(), 100U);
 
@@ -252,7 +252,7 @@ TEST(BlackBox, TheReplayNamesTheFirstDifference) {
 }
 
 TEST(BlackBox, ADamagedFileIsRefusedWithWords) {
-  const auto arm = incident(6, Law::kOurs);
+  const auto arm = incident(6, Law::kVelocity);
   const std::string good = encode(arm->box().recording(label()));
   ASSERT_FALSE(replay(decode(good)));
   const auto refused = [](const std::string& bytes) -> std::string {
@@ -284,7 +284,7 @@ TEST(BlackBox, ADamagedFileIsRefusedWithWords) {
 
 TEST(BlackBox, MadeUpContentsWithARightChecksumAreRefusedToo) {
   // Lengths and names are not trusted, whoever wrote the file.
-  const auto arm = incident(8, Law::kOurs);
+  const auto arm = incident(8, Law::kVelocity);
   const std::string good = encode(arm->box().recording(label()));
   const auto sealed = [](std::string bytes) {
     std::uint64_t hash = 1469598103934665603ULL;
@@ -317,7 +317,7 @@ TEST(BlackBox, TheLoopSideLeavesTheHeapAlone) {
 #if !SURG_HEAP_IS_WATCHED
   GTEST_SKIP() << "the heap cannot be watched under a sanitizer";
 #else
-  Arm arm(3, Law::kOurs);
+  Arm arm(3, Law::kVelocity);
   long calls = 0;
   for (int k = 0; k < 2500; ++k) {
     arm.in().commands[arm.in().n_commands++] = arm.any_command();

@@ -398,9 +398,9 @@ void bind_controller(py::module_& m) {
   m.attr("MAX_COMMANDS") = kMaxCommands;
 
   py::enum_<Law>(m, "Law")
-      .value("OURS", Law::kOurs)
-      .value("PAPER", Law::kPaper)
-      .value("EXACT", Law::kExact);
+      .value("EXACT", Law::kExact)
+      .value("VELOCITY", Law::kVelocity)
+      .value("PAPER", Law::kPaper);
 
   py::class_<Owned>(m, "Controller", "One arm's controller: call step() every dt.")
       .def(py::init([](const Chain& chain, const RobotConfig& robot, const Limits& limits,
@@ -413,7 +413,7 @@ void bind_controller(py::module_& m) {
                           {}};
            }),
            py::arg("chain"), py::arg("robot"), py::arg("limits"), py::arg("instrument"),
-           py::arg("tool"), py::arg("law") = Law::kOurs, py::arg("dt") = 0.002,
+           py::arg("tool"), py::arg("law") = Law::kExact, py::arg("dt") = 0.002,
            py::arg("feedback_gain") = -1.0, py::arg("track_rcm") = false,
            "dt [s]; feedback_gain [1/s] overrides tuning.rcm_gain when >= 0 (simulator only);\n"
            "track_rcm: the trocar may move, see Readings.")

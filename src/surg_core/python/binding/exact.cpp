@@ -249,20 +249,31 @@ void bind_follower(py::module_& m) {
   py::class_<PyFollower>(m, "ExactFollower",
                          "Makes a lagging arm follow a virtual reference, and learns each joint's "
                          "lag.")
-      .def(py::init([](int joints, double lag, double gain, double learning, double T) {
-             if (joints < 1 || joints > kMaxJoints) {
-               throw py::value_error("joints: 1 to " + std::to_string(kMaxJoints) + ", not " +
-                                     std::to_string(joints));
-             }
-             if (!(lag >= 0 && gain >= 0 && learning >= 0 && T > 0)) {
-               throw py::value_error("lag, gain, learning: 0 or more; T: more than 0");
-             }
-             return PyFollower{ExactFollower(joints, {lag, gain, learning, T}), joints};
-           }),
-           py::arg("joints"), py::arg("lag"), py::arg("gain") = 50.0, py::arg("learning") = 2.0,
-           py::arg("T") = 0.002,
-           "lag [s] of the link as stated, gain [1/s] of the feedback, learning [1/s] of the lags\n"
-           "(0: none), T [s] control period.")
+      .def(
+          py::init([](int joints, double lag, double gain, double learning, double T,
+                      const std::optional<Array>& velocity,
+                      const std::optional<Array>& acceleration) {
+            if (joints < 1 || joints > kMaxJoints) {
+              throw py::value_error("joints: 1 to " + std::to_string(kMaxJoints) + ", not " +
+                                    std::to_string(joints));
+            }
+            if (!(lag >= 0 && gain >= 0 && learning >= 0 && T > 0)) {
+              throw py::value_error("lag, gain, learning: 0 or more; T: more than 0");
+            }
+            ExactFollower::Options options{lag, gain, learning, T};
+            if (velocity) options.velocity = to_joints(*velocity, joints, "velocity");
+            if (acceleration) {
+              options.acceleration = to_joints(*acceleration, joints, "acceleration");
+            }
+            return PyFollower{ExactFollower(joints, options), joints};
+          }),
+          py::arg("joints"), py::arg("lag"), py::arg("gain") = 50.0, py::arg("learning") = 2.0,
+          py::arg("T") = 0.002, py::arg("velocity") = py::none(),
+          py::arg("acceleration") = py::none(),
+          "lag [s] of the link as stated, gain [1/s] of the feedback, learning [1/s] of the lags\n"
+          "(0: none), T [s] control period; velocity [rad/s] and acceleration [rad/s^2] (n,) bound "
+          "the\n"
+          "correction that is added to the reference's own velocity.")
       .def(
           "reset",
           [](PyFollower& f, const Array& q) { f.follower.reset(to_joints(q, f.dof, "q")); },

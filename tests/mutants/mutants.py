@@ -1,0 +1,329 @@
+"""Hand-written mutants of the core: each breaks one thing that must never break unnoticed.
+
+A mutant names a file below `src/surg_core`, text that occurs there exactly once, what stands there
+instead, and why it matters. Where two checks guard the same thing, the mutant takes both away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Edit:
+    """One replacement.
+
+    Attributes:
+        file: Path below `src/surg_core`.
+        text: What is there, exactly once.
+        instead: What the mutant has there.
+    """
+
+    file: str
+    text: str
+    instead: str
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A fault in the core.
+
+    Attributes:
+        name: Short name, part of the test's name.
+        why: What would happen to a user.
+        edits: The replacements; more than one where checks are redundant.
+        first: Test programs that are tried first; the others follow.
+    """
+
+    name: str
+    why: str
+    edits: tuple[Edit, ...]
+    first: tuple[str, ...] = ()
+
+
+def one(
+    name: str, why: str, file: str, text: str, instead: str, first: tuple[str, ...] = ()
+) -> Mutant:
+    """A mutant of a single place."""
+    return Mutant(name, why, (Edit(file, text, instead),), first)
+
+
+MUTANTS: tuple[Mutant, ...] = (
+    # -- the law
+    one(
+        "pivot_lever_reversed",
+        "the flange turns about the wrong side of the trocar: the pivot is left",
+        "src/rcm.cpp",
+        "omega.cross(Vector3(shaft.p_BNear - shaft.p_BF))",
+        "omega.cross(Vector3(shaft.p_BF - shaft.p_BNear))",
+    ),
+    one(
+        "tip_at_half_speed",
+        "keeps the pivot perfectly and moves the tip wrongly: RCM deviation alone proves nothing",
+        "src/rcm.cpp",
+        "const Vector3 s_dot = (lateral(v_BTip, s) - v_lateral) / depth;",
+        "const Vector3 s_dot = (0.5 * lateral(v_BTip, s) - v_lateral) / depth;",
+    ),
+    one(
+        "feedback_drives_away",
+        "the tip pays for the pivot's feedback with the wrong sign",
+        "src/rcm.cpp",
+        "(lateral(v_BTip, s) - v_lateral) / depth",
+        "(lateral(v_BTip, s) + v_lateral) / depth",
+    ),
+    one(
+        "insertion_forgotten",
+        "the tip cannot be pushed in or pulled out",
+        "src/rcm.cpp",
+        "s.dot(v_BTip) * s + v_lateral - omega",
+        "0.9 * s.dot(v_BTip) * s + v_lateral - omega",
+    ),
+    one(
+        "holonomy_reversed",
+        "every closed loop of the tip rolls the instrument by twice its solid angle",
+        "src/rcm.cpp",
+        "return -s_home.dot(s.cross(s_dot))",
+        "return s_home.dot(s.cross(s_dot))",
+    ),
+    one(
+        "paper_law_beautified",
+        "the paper's law would no longer be the one that is printed",
+        "src/rcm.cpp",
+        "const Vector3 r_hat = r_ee.normalized();",
+        "const Vector3 r_hat = -r_ee.normalized();",
+    ),
+    # -- limits and workspace
+    one(
+        "no_fade_at_the_trocar",
+        "F24: full lateral speed with the tip at the trocar, where omega is v / L",
+        "src/limits.cpp",
+        "return std::clamp((depth - limits.depth_min) / (limits.depth_slow - limits.depth_min), "
+        "0.0, 1.0);",
+        "return depth > 0 ? 1.0 : 0.0 * limits.depth_min;",
+    ),
+    one(
+        "no_cone",
+        "targets beyond the cone pry the wall",
+        "src/limits.cpp",
+        "depth * std::cos(limits.cone) - p_RTip.z()",
+        "-1.0",
+    ),
+    # -- gate and authority
+    one(
+        "stream_starts_anywhere",
+        "F03: a source that wakes up late goes on where it is now",
+        "src/gate.cpp",
+        "begins ? 0.0 : std::min(since, limits.step_dt_max)",
+        "std::min(since, limits.step_dt_max)",
+    ),
+    one(
+        "roll_steps_unchecked",
+        "a stream may jump in roll",
+        "src/gate.cpp",
+        "std::abs(roll_distance) <= limits.roll_velocity * dt + limits.step_roll_slack",
+        "roll_distance <= 1e9",
+    ),
+    one(
+        "anybody_commands",
+        "F26: two sources interleave",
+        "include/surg_core/gate.hpp",
+        "return holder_ == 0 || holder_ == source;",
+        "return holder_ == 0 || holder_ == source || true;",
+    ),
+    one(
+        "holder_is_dropped_in_motion",
+        "F26: the arm is free for others while it still moves",
+        "include/surg_core/gate.hpp",
+        "(resting && silent_ >= kRelease)",
+        "(silent_ >= kRelease)",
+    ),
+    Mutant(
+        "poison_passes",
+        "F01: NaN or infinity in a command reaches the profiler and the wire",
+        (
+            Edit("src/controller.cpp", "if (!finite(command)) {", "if (false) {"),
+            Edit(
+                "src/controller.cpp",
+                "if (!qd.allFinite() || !twist.allFinite()) {",
+                "if (false) {",
+            ),
+        ),
+    ),
+    one(
+        "blind_on_a_nan_age",
+        "F10: an age that is not a number counts as fresh",
+        "src/controller.cpp",
+        "if (!(in.state_age <= robot.tuning.link_timeout)) {",
+        "if (in.state_age > robot.tuning.link_timeout) {",
+    ),
+    one(
+        "measured_nan_is_believed",
+        "F02: the geometry is unknown and the arm goes on",
+        "src/controller.cpp",
+        "if (!sized || !in.q.allFinite() || !in.qd.allFinite()) {",
+        "if (!sized) {",
+    ),
+    one(
+        "pivot_unguarded",
+        "F23: the arm works on beside its trocar",
+        "src/controller.cpp",
+        "if (!on_line() || (inserted && shaft().depth <= 0)) {",
+        "if (inserted && shaft().depth <= 0) {",
+    ),
+    one(
+        "stuck_arm_ignored",
+        "the set-point runs away from an arm that is held, and the arm runs after it once released",
+        "src/controller.cpp",
+        "if (!(behind <= kFollowDistance)) pause(Reason::kNotFollowing);",
+        "if (!(behind <= 100)) pause(Reason::kNotFollowing);",
+    ),
+    one(
+        "hard_force_ramps",
+        "F25: a hard contact is pushed on during the ramp",
+        "src/controller.cpp",
+        "if (verdict == ForceGuard::Verdict::kHalt) freeze();",
+        "if (false) freeze();",
+    ),
+    one(
+        "yield_into_the_tissue",
+        "F25: takes away the motion that would relieve the tissue",
+        "src/force_guard.cpp",
+        "v_BTip - std::min(0.0, v_BTip.dot(push_)) * push_",
+        "v_BTip - std::max(0.0, v_BTip.dot(push_)) * push_",
+    ),
+    # -- state
+    one(
+        "watchdog_one_cycle_late",
+        "F03: the deadline is exact",
+        "src/pilot.cpp",
+        "silent_cycles_ > std::lround(timeout_ / dt_)",
+        "silent_cycles_ > std::lround(timeout_ / dt_) + 1",
+    ),
+    one(
+        "stream_talks_over_hold",
+        "a person's hold is overrun by a stream that goes on",
+        "src/pilot.cpp",
+        "if (held_ && is_servo(motion)) {",
+        "if (held_ && is_servo(motion) && motion == Motion::kNone) {",
+    ),
+    one(
+        "enabled_in_spite_of_the_cause",
+        "FAULT is left while its cause lasts",
+        "src/operating_state.cpp",
+        "if (!may_enter) return Reason::kRefusedTransition;\n"
+        "      if (obstacle != Reason::kNone) return obstacle;",
+        "if (!may_enter) return Reason::kRefusedTransition;",
+    ),
+    one(
+        "later_faults_hide_the_first",
+        "the cause that people read is not the cause",
+        "src/operating_state.cpp",
+        "  if (state_ == State::kFault) return;\n",
+        "",
+    ),
+    one(
+        "jaw_goes_on_after_a_stop",
+        "F31: the jaw finishes its motion when the arm is resumed",
+        "src/jaw.cpp",
+        "  goal_ = set_;\n  busy_ = false;",
+        "  busy_ = false;",
+    ),
+    one(
+        "jaw_moves_in_a_fault",
+        "F31: a jaw opens or closes while the arm is stopped",
+        "src/jaw.cpp",
+        "if (!may_move || !std::isfinite(set_)) return;",
+        "if (!std::isfinite(set_)) return;",
+    ),
+    one(
+        "track_anywhere",
+        "F23: a tracked trocar may jump through the room",
+        "src/trocar.cpp",
+        "!((p - p_taught_).norm() <= kRange) || ",
+        "",
+    ),
+    # -- profiles
+    one(
+        "ramp_from_the_profile",
+        "where a limit slows the arm, a stop would first make it faster",
+        "src/setpoint.cpp",
+        "for (auto& dof : dofs_) dof.v *= clock_;",
+        "",
+    ),
+    one(
+        "half_the_brake",
+        "twice the stop distance",
+        "src/setpoint.cpp",
+        "speed - limits_.stop_deceleration * dt",
+        "speed - 0.5 * limits_.stop_deceleration * dt",
+    ),
+    one(
+        "velocity_wish_unbounded",
+        "servo_cv moves as fast as asked for",
+        "src/setpoint.cpp",
+        "for (int i = 0; i < 4; ++i) rate_[i] = factor * rate[i];",
+        "for (int i = 0; i < 4; ++i) rate_[i] = std::max(factor, 0.999) * rate[i];",
+    ),
+    one(
+        "jerk_unchecked",
+        "moves are planned beyond the jerk limit",
+        "src/profiler.cpp",
+        "double worst = q.max_jerk() / limits.jerk;",
+        "double worst = 0;",
+        ("test_profiler",),
+    ),
+    one(
+        "extremes_at_the_ends_only",
+        "the check of a quintic's velocity misses its peak",
+        "src/quintic.cpp",
+        "double Quintic::max_velocity() const {",
+        "double Quintic::max_velocity() const {\n"
+        "  if (d_ > 0) return std::max(std::abs(at(0).v), std::abs(at(d_).v));",
+        ("test_quintic",),
+    ),
+    one(
+        "filter_forgets_its_acceleration_limit",
+        "a stream accelerates the tip beyond the limit",
+        "src/stream.cpp",
+        "j = std::clamp(j, (-A - own.a) / T, (A - own.a) / T);",
+        "",
+        ("test_stream",),
+    ),
+    # -- kinematics, configuration, evidence
+    one(
+        "inverse_a_little_off",
+        "joint velocities give another flange velocity than asked for",
+        "src/kinematics.cpp",
+        "b[i] -= A(i, k) * b[k];",
+        "b[i] -= 0.999 * A(i, k) * b[k];",
+        ("test_kinematics",),
+    ),
+    one(
+        "cell_loosens_limits",
+        "F15: a cell file switches a limit off",
+        "src/config.cpp",
+        "if (!(value >= lowest && value <= highest)) {\n"
+        '      throw ConfigError(where + number(value) + " " + key->unit +\n'
+        '                        " would loosen',
+        "if (!(value == value)) {\n"
+        '      throw ConfigError(where + number(value) + " " + key->unit +\n'
+        '                        " would loosen',
+        ("test_config",),
+    ),
+    one(
+        "black_box_forgets_a_member",
+        "an incident cannot be replayed",
+        "src/controller.cpp",
+        "image(X_BR, sensed, inserted, ",
+        "image(X_BR, sensed, ",
+        ("test_black_box",),
+    ),
+    one(
+        "damaged_black_box_is_read",
+        "evidence that is not what was recorded",
+        "src/black_box.cpp",
+        "if (sum != checksum(contents)) {",
+        "if (false) {",
+        ("test_black_box",),
+    ),
+)
