@@ -57,7 +57,7 @@ def test_the_routine_brings_the_true_deviation_below_300_um(
 ) -> None:
     cell = surg_core.load_cell(paths.ROOT / "cells" / name)
     arm = cell.arms["PSM1"]
-    runs, seconds = (10, 20.0) if full else (1, 5.0)
+    runs, seconds = (5, 10.0) if full else (1, 5.0)
     found: dict[str, list[tuple[surg_core.ToolCalibration, object]]] = {}
     p_FTip, s_F = shaft_in_flange(arm)
     exact = tool_of(s_F, p_FTip)

@@ -40,7 +40,7 @@ ABSENT = {
     "BlackBoxRecording BlackBoxError BlackBoxDifference ControllerSetup": "bytes",
     "encode decode replay": "bytes",
     # value types that Python has as arrays, tuples or arguments
-    "Tool Line UrBranch UrSolutions Value": "arguments",
+    "Tool Line UrBranch UrSolutions Value Interval": "arguments",
 }
 """Names of the headers that the module does not have, and why."""
 RENAMED = {

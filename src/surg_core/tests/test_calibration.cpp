@@ -116,9 +116,8 @@ TEST(Calibration, ExactRecordingsGiveTheExactAnswer) {
   EXPECT_LT(point_error, 1e-12);
 }
 
-/// Mahalanobis distances of the errors under the reported covariance: their mean must be the number
-/// of degrees of freedom. 'one' returns error and covariance of one recording, and fills the
-/// relative error of the predicted standard deviation.
+/// Mean over many recordings of the squared error in units of the reported covariance
+/// (Mahalanobis), which 'one' returns: it must be the number of degrees of freedom.
 double mean_squared_distance(int runs, const std::function<double()>& one) {
   double sum = 0;
   for (int i = 0; i < runs; ++i) sum += one();
@@ -247,7 +246,7 @@ TEST(Calibration, DataThatDoNotAgreeAreRefused) {
   const int n = test::family(200, 5000);
   for (int i = 0; i < n; ++i) {
     const Bench bench(random);
-    // One pose of twelve slipped by 4 mm: its number is named where it stands out.
+    // One of twelve has slipped by 20 mm.
     auto poses = bench.pivoting(random, 12, 0.5, 1.5);
     poses[6].translation() += 0.02 * random_unit(random);
     expect_refused([&] { calibrate_tip(poses); }, "residual");
