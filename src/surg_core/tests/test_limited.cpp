@@ -13,8 +13,8 @@ using test::Family;
 using test::kT;
 using test::Random;
 using test::Reach;
-using test::Run;
-using test::RunOptions;
+using test::Course;
+using test::DriveOptions;
 using test::Scene;
 
 test::Results& results() {
@@ -29,7 +29,7 @@ struct Tally {
   double velocity = 0, acceleration = 0, rcm_sample = 0, rcm_between = 0;
   std::vector<float> off;
 
-  void add(const Run& run) {
+  void add(const Course& run) {
     cycles += run.cycles;
     violations += run.violations;
     tier1 += run.tier1;
@@ -49,10 +49,10 @@ struct Tally {
 };
 
 /// Backwards along the trace until its beginning.
-Run retrace(const Scene& scene, const JointLimits& limits, const JointTrace& trace,
+Course retrace(const Scene& scene, const JointLimits& limits, const JointTrace& trace,
             const JointVector& q_begin) {
   const LimitedStep limited(scene.chain, scene.tool, limits, kT);
-  Run run;
+  Course run;
   run.q = q_begin;
   run.qd = JointVector::Zero(q_begin.size());
   double back = 0;
@@ -78,9 +78,9 @@ Tally drive_family(Family family, int n) {
     const Scene scene = test::random_scene(family, i);
     const Reach reach = test::reach_of(scene, limits);
     JointTrace trace;
-    RunOptions options;
+    DriveOptions options;
     options.each = [&](const JointVector& q) { trace.record(q); };
-    const Run run = test::run(scene, limits, JointVector::Zero(6), options);
+    const Course run = test::drive(scene, limits, JointVector::Zero(6), options);
     ++tally.paths;
     tally.add(run);
     if (reach.all) {
@@ -99,14 +99,14 @@ Tally drive_family(Family family, int n) {
     // Any reachable target leaves the hold: half of the way back, straight in tilt and depth.
     const Scene away = test::way_back(scene, run.q, run.clock, 0.5 * run.clock, 1.5);
     if (test::reach_of(away, limits).all) {
-      const Run leaving = test::run(away, limits, JointVector::Zero(6));
+      const Course leaving = test::drive(away, limits, JointVector::Zero(6));
       tally.left += leaving.finished;
       tally.add(leaving);
       EXPECT_TRUE(leaving.finished) << "path " << i << " does not leave its hold";
     } else {
       ++tally.left;  // that target cannot be reached either; the trace can
     }
-    const Run replay = retrace(scene, limits, trace, run.q);
+    const Course replay = retrace(scene, limits, trace, run.q);
     tally.retraced += replay.finished;
     tally.add(replay);
     EXPECT_TRUE(replay.finished) << "path " << i << " does not retrace";
@@ -157,6 +157,73 @@ TEST(Limited, TwoThousandPathsKeepEveryLimitAndThePivot) {
   tabulate("harsh", harsh);
   expect_promises(usual, 0.25e-3, 1e-3);
   expect_promises(harsh, 0.25e-3, 2e-3);
+}
+
+TEST(Limited, PathsPastASingularityFinishFromADistanceOfOneThousandth) {
+  const JointLimits limits = test::slow_joints(6);
+  const char* names[3] = {"shoulder", "elbow", "wrist"};
+  results().table("Paths past a singularity, UR5e",
+                  "All pass a singularity measure of the arm (a sine, see barrier.hpp) within 0.02 "
+                  "and not within 0.001, in one branch of the inverse kinematics.",
+                  {"singularity", "paths", "closest", "finish", "cycles beyond a limit",
+                   "RCM at samples, um", "tip off path max, mm", "longest, s for s of the clock"});
+  long all = 0;
+  for (int measure = 0; measure < 3; ++measure) {
+    Random random(77 + measure);
+    const int n = test::family(6, 40);
+    Tally tally;
+    double closest = 1, slowest = 0;
+    while (tally.paths < n) {
+      Scene scene;
+      if (!test::singular_scene(measure, random.magnitude(0.001, 0.02), random, scene)) continue;
+      const Reach reach = test::reach_of(scene, limits);
+      if (!reach.all || reach.closest < 0.001 || reach.closest > 0.02) continue;
+      const Course run = test::drive(scene, limits, JointVector::Zero(6));
+      ++tally.paths;
+      tally.finished += run.finished;
+      tally.add(run);
+      closest = std::min(closest, reach.closest);
+      slowest = std::max(slowest, run.cycles * kT / scene.duration);
+      EXPECT_TRUE(run.finished) << names[measure] << " path " << tally.paths << " at "
+                                << reach.closest << " stops at " << run.clock << " of "
+                                << scene.duration << " by " << run.limited_by;
+    }
+    results().row({names[measure], cell("%ld", tally.paths), cell("%.4f", closest),
+                   cell("%ld", tally.finished), cell("%ld", tally.violations),
+                   cell("%.1e", tally.rcm_sample * 1e6), cell("%.4f", tally.off_at(1) * 1e3),
+                   cell("%.1f", slowest)});
+    EXPECT_EQ(tally.finished, tally.paths);
+    EXPECT_EQ(tally.violations, 0);
+    EXPECT_LE(tally.rcm_sample, 1e-8);
+    EXPECT_LE(tally.off_at(1), 1e-3);
+    all += tally.paths;
+  }
+  test::report("paths past a singularity", all);
+}
+
+/// 20 mm to either side at 10 mm depth with the tool 60 mm aside, the shaft vertical at the middle.
+Scene wide_sweep(double x_trocar) {
+  const test::UrGeometry ur;
+  Scene scene;
+  scene.chain = test::ur5e_chain();
+  scene.tool = {Vector3::UnitZ(), Vector3(0.06, 0, 0.3)};
+  const Vector3 z = -Vector3::UnitZ();
+  scene.p_BRcm = Vector3(x_trocar, -0.13, 0.1);
+  Pose X_BF = Pose::Identity();
+  X_BF.linear().col(0) = Vector3::UnitX();
+  X_BF.linear().col(1) = -Vector3::UnitY();
+  X_BF.linear().col(2) = z;
+  scene.home = {z, X_BF.linear()};
+  const Vector3 c = scene.p_BRcm;
+  const double duration = scene.duration = 2;
+  // To the far side first, then to the arm's own.
+  scene.goal = [=](double clock) {
+    const double x = 0.02 - 0.04 * test::ease(clock / duration);
+    return tip_goal(c, c + 0.01 * z + x * Vector3::UnitX(), 0, z);
+  };
+  const auto begin = ur.solve(pose_on_pivot(scene.home, scene.tool, scene.goal(0)), {1, 1, -1});
+  if (begin) scene.q = *begin;
+  return scene;
 }
 
 }  // namespace
