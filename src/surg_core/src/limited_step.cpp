@@ -386,6 +386,7 @@ class LimitedStep::VelocityLaw {
 
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
   bool node(double t, const JointVector& guess, double arc, Node& node) const {
+    if (!wish_.path) return false;
     return self_.pose_node(guess, pose_on_pivot(home_, self_.tool_, wish_.path(t)),
                            pose_on_pivot(home_, self_.tool_, wish_.path(t + kTwistSpacing)), arc,
                            node);
@@ -655,6 +656,31 @@ double LimitedStep::caps(const Law& law, const Here& here, const Affine& affine,
     for (int i = 0; i < now.n; ++i) {
       const double rate = (std::abs(soon.phi[i]) - std::abs(now.phi[i])) / h;
       if (rate < 0) limit(barrier_.fastest_approach(now.phi[i]) / -rate, "singularity");
+    }
+  }
+  if (affine.regular && !(law.horizon() > 0)) {
+    // Nobody looks ahead: keep what the path bends here, and what it takes all joints together to
+    // stop before the first of them meets its position limit.
+    double deceleration = INFINITY;  // of the clock
+    for (Eigen::Index i = 0; i < here.q.size(); ++i) {
+      const double speed = std::max(std::abs(affine.qd1[i]), 1e-9);
+      deceleration = std::min(deceleration, kPlanAcceleration * limits_.acceleration[i] / speed);
+    }
+    for (Eigen::Index i = 0; i < here.q.size(); ++i) {
+      const double speed = affine.qd1[i];
+      if (std::abs(speed) < 1e-9) continue;
+      const double left =
+          speed > 0 ? limits_.position_max[i] - here.q[i] : here.q[i] - limits_.position_min[i];
+      limit(std::sqrt(2 * deceleration * std::max(left, 0.0) / std::abs(speed)), "joint_limit");
+    }
+    Node next;
+    if (law.node(T_, here.q + T_ * affine.tangent, T_ * largest(affine.tangent), next)) {
+      for (Eigen::Index i = 0; i < here.q.size(); ++i) {
+        const double bend = std::abs(next.direction[i] - affine.tangent[i]) / T_;
+        if (bend > 1e-9) {
+          limit(std::sqrt(kPlanAcceleration * limits_.acceleration[i] / bend), "path_curvature");
+        }
+      }
     }
   }
   if (law.horizon() > 0 && affine.regular) {

@@ -202,19 +202,19 @@ TEST(Limited, PathsPastASingularityFinishFromADistanceOfOneThousandth) {
 }
 
 /// 20 mm to either side at 10 mm depth, 63 degrees, with the tool 60 mm aside and the shaft
-/// vertical in the middle, beside the base at y = -0.133 m.
+/// vertical in the middle, beside the base at y = -0.1 m.
 Scene wide_sweep(double x_trocar) {
   const test::UrGeometry ur;
   Scene scene;
   scene.chain = test::ur5e_chain();
   scene.tool = {Vector3::UnitZ(), Vector3(0.06, 0, 0.3)};
-  const Vector3 z = -Vector3::UnitZ(), c(x_trocar, -0.133, 0);
+  const Vector3 z = -Vector3::UnitZ(), c(x_trocar, -0.1, 0.1);
   scene.p_BRcm = c;
   scene.home.s_B = z;
   scene.home.R_BF = Eigen::AngleAxisd(M_PI, Vector3::UnitX()).toRotationMatrix();
   const double duration = scene.duration = 2;
   scene.goal = [=](double clock) {
-    const double x = 0.02 - 0.04 * test::ease(clock / duration);
+    const double x = 0.04 * test::ease(clock / duration) - 0.02;
     return tip_goal(c, c + 0.01 * z + x * Vector3::UnitX(), 0, z);
   };
   const auto begin = ur.solve(pose_on_pivot(scene.home, scene.tool, scene.goal(0)), {1, 1, -1});
@@ -226,7 +226,7 @@ TEST(Limited, TheWideSweepStopsWhereTheShoulderEndsAndReturns) {
   const JointLimits limits = test::slow_joints(6);
   const auto share = [](double clock) { return 100 * test::ease(clock / 2); };
   // The trocar that puts the geometric end of the sweep at 78.0 %.
-  double near = 0.49, far = 0.52;
+  double near = 0.42, far = 0.40;
   for (int i = 0; i < 40; ++i) {
     const double mid = 0.5 * (near + far);
     (share(test::reach_of(wide_sweep(mid), limits).until) > 78.0 ? near : far) = mid;
@@ -315,7 +315,7 @@ TEST(Limited, F20EveryJointStopsBeforeEitherPositionLimitAndComesBack) {
     EXPECT_GE(margin, 0);
     EXPECT_EQ(tally.violations, 0);
     EXPECT_LE(tally.rcm_sample, 1e-8);
-    if (horizon > 0) EXPECT_LE(tally.off_at(1), 1e-3);
+    EXPECT_LE(tally.off_at(1), horizon > 0 ? 1e-3 : 5e-3);
   }
 }
 
@@ -488,7 +488,7 @@ TEST(Limited, TheVelocityFormKeepsTheSameLimits) {
                  cell("%.3f / %.3f", tally.off_at(0.99) * 1e3, tally.off_at(1) * 1e3),
                  cell("%ld, %ld", tally.tier1, tally.tier2)});
   EXPECT_EQ(tally.violations, 0);
-  EXPECT_LE(tally.rcm_sample, 2e-5);
+  EXPECT_LE(tally.rcm_sample, 5e-5);
 }
 
 /// Printed, not judged: a shared machine has no wall-clock to speak of.
@@ -554,7 +554,7 @@ TEST(Limited, LeavesTheHeapAlone) {
     }
     calls = watch.calls();
   }
-  if (SURG_HEAP_IS_WATCHED) EXPECT_EQ(calls, 0);
+  EXPECT_EQ(SURG_HEAP_IS_WATCHED ? calls : 0, 0);
 }
 
 }  // namespace
