@@ -140,6 +140,56 @@ inline Scene random_scene(Family family, unsigned seed) {
   }
 }
 
+/// A path that passes one singularity measure (0 shoulder, 1 elbow, 2 wrist) closely: through a
+/// configuration where the measure is 'distance', in a random direction, bent so that it may turn
+/// back. Where the arm has joints for its beginning; the rest is for 'reach_of' to say.
+inline bool singular_scene(int measure, double distance, Random& random, Scene& scene) {
+  const UrGeometry ur;
+  scene = Scene();
+  scene.chain = ur5e_chain();
+  scene.tool = {Vector3::UnitZ(), Vector3(random.integer(0, 1) ? 0.06 : 0.0, 0, 0.3)};
+  JointVector q = ur5e_home();
+  for (int i = 0; i < 6; ++i) q[i] += random.uniform(-0.4, 0.4);
+  const double angle = (random.integer(0, 1) ? 1 : -1) * std::asin(distance);
+  if (measure == 1) q[2] = angle;
+  if (measure == 2) q[4] = angle;
+  if (measure == 0) {  // lift the arm until the wrist centre is nearly above axis 1
+    const auto off = [&](double q2) {
+      JointVector at = q;
+      at[1] = q2;
+      return ur.measures(at).shoulder - std::sin(angle);
+    };
+    double low = q[1] - 2.5, high = q[1];
+    if (off(low) * off(high) > 0) return false;
+    for (int i = 0; i < 60; ++i) {
+      const double mid = 0.5 * (low + high);
+      (off(low) * off(mid) <= 0 ? high : low) = mid;
+    }
+    q[1] = low;
+  }
+  if (std::abs(ur.measures(q).closest() - distance) > 1e-6) return false;
+  const Pose X_BF = scene.chain.forward(q);
+  scene.home = home_of(X_BF, scene.tool);
+  const double depth = random.uniform(0.04, 0.1);
+  const Vector3 z = scene.home.s_B, u = z.unitOrthogonal();
+  const Vector3 c = scene.p_BRcm = X_BF * scene.tool.p_FTip - depth * z;
+  const auto any = [&](double size) { return random.uniform(-size, size); };
+  const Vector3 along(any(0.4), any(0.4), any(0.03)), bent(any(0.4), any(0.4), any(0.03));
+  const double turn = any(0.4);
+  const double duration = scene.duration = random.uniform(1.5, 4);
+  scene.goal = [=](double clock) {
+    const double x = 2 * ease(clock / duration) - 1;
+    const Vector3 at = x * along + x * x * bent;
+    return ShaftGoal{c, tilted(z, u, at[0], at[1]), depth + at[2], turn * x};
+  };
+  const auto begin =
+      ur.solve(pose_on_pivot(scene.home, scene.tool, scene.goal(0)), ur.measures(q).branch());
+  if (!begin) return false;
+  scene.q = *begin;
+  for (int i = 0; i < 6; ++i) scene.q[i] = q[i] + std::remainder(scene.q[i] - q[i], 2 * M_PI);
+  return scene.q.cwiseAbs().maxCoeff() < 2 * M_PI;
+}
+
 /// From where the arm stands at the clock of 'scene' back to a goal of it, at rest in between.
 inline Scene way_back(const Scene& scene, const JointVector& q, double clock, double to,
                       double duration) {
@@ -208,7 +258,7 @@ inline Reach reach_of(const Scene& scene, const JointLimits& limits) {
   return reach;
 }
 
-struct Run {
+struct Course {
   long cycles = 0;
   long violations = 0;  ///< cycles with any joint beyond velocity, acceleration or position
   double velocity = 0, acceleration = 0;  ///< largest share of the limit
@@ -223,7 +273,7 @@ struct Run {
   JointVector q, qd;
 };
 
-struct RunOptions {
+struct DriveOptions {
   double horizon = 0.45;
   double patience = 0.5;  ///< [s] of standing still that count as a stop
   double longest = 120;   ///< [s]
@@ -233,7 +283,7 @@ struct RunOptions {
 
 /// Moves the virtual arm by one step and measures what the limited step promises, on the joint
 /// velocities that it returned.
-inline void look(const Scene& scene, const JointLimits& limits, const Step& step, Run& r) {
+inline void look(const Scene& scene, const JointLimits& limits, const Step& step, Course& r) {
   bool inside = step.qd.allFinite();
   for (int i = 0; i < r.q.size(); ++i) {
     const double v = std::abs(step.qd[i]) / limits.velocity[i];
@@ -262,10 +312,10 @@ inline void look(const Scene& scene, const JointLimits& limits, const Step& step
 
 /// Drives a virtual arm with the exact form along the scene's path. Everything that the limited
 /// step promises is measured here, on the joint velocities that it returned.
-inline Run run(const Scene& scene, const JointLimits& limits, const JointVector& qd_begin,
-               const RunOptions& options = {}) {
+inline Course drive(const Scene& scene, const JointLimits& limits, const JointVector& qd_begin,
+               const DriveOptions& options = {}) {
   const LimitedStep limited(scene.chain, scene.tool, limits, kT);
-  Run r;
+  Course r;
   r.q = scene.q;
   r.qd = qd_begin;
   double still = 0;
