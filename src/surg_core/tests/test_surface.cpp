@@ -160,6 +160,65 @@ TEST(Surface, HoldEndsTheWayOutAndTheTrocarIsWatchedAgainOnceInserted) {
   EXPECT_NEAR(bench.out().depth, depth, 1e-5);
 }
 
+TEST(Surface, TheWayBackAlongTheTraceKeepsThePivotAndEndsWhereItBegan) {
+  Random random(22);
+  const int n = family(4, 100);
+  for (int run = 0; run < n; ++run) {
+    Bench bench;
+    for (int i = 0; i < 10; ++i) bench.tick();
+    const JointVector home = bench.in().q;
+    for (int move = 0; move < 3; ++move) {
+      MotionCommand to = command(Motion::kMoveCp);
+      to.p = Vector3(random.uniform(-0.03, 0.03), random.uniform(-0.03, 0.03),
+                     random.uniform(0.09, 0.15));
+      to.rotation = bench.controller().tool_orientation(
+          bench.controller().X_BR().linear() * to.p.normalized(), random.uniform(-1, 1));
+      bench.send(to);
+      bench.tick();
+      wait(bench);
+    }
+    EXPECT_GT((bench.in().q - home).norm(), 0.02);
+    bench.send(command(Motion::kRetrace));
+    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+    EXPECT_TRUE(bench.out().busy);
+    int cycles = 0;
+    double worst = 0;
+    while (bench.out().busy && cycles < 30000) {
+      bench.tick();
+      worst = std::max(worst, bench.out().rcm_error);
+      ++cycles;
+      ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
+    }
+    EXPECT_LT(cycles, 30000);
+    EXPECT_LT(worst, 1e-6);
+    EXPECT_LT((bench.in().q - home).cwiseAbs().maxCoeff(), 2e-3) << "run " << run;
+    // There is nothing left to go back along, and a new command is taken at once.
+    bench.send(command(Motion::kRetrace));
+    for (int i = 0; i < 5; ++i) bench.tick();
+    EXPECT_FALSE(bench.out().busy);
+    bench.servo_cp(bench.tip_in_R(), bench.out().roll);
+    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+  }
+  report("ways back", n);
+}
+
+TEST(Surface, HoldEndsTheWayBack) {
+  Bench bench;
+  MotionCommand to = command(Motion::kMoveCp);
+  to.p = Vector3(0.03, 0.02, 0.14);
+  bench.send(to);
+  bench.tick();
+  wait(bench);
+  bench.send(command(Motion::kRetrace));
+  for (int i = 0; i < 100; ++i) bench.tick();
+  EXPECT_TRUE(bench.out().busy);
+  bench.send(command(Motion::kHold, kOther));
+  for (int i = 0; i < 200; ++i) bench.tick();
+  EXPECT_FALSE(bench.out().busy);
+  EXPECT_LT(bench.out().qd_command.norm(), 1e-4);
+  EXPECT_EQ(bench.out().state, State::kEnabled);
+}
+
 /// Trocar that breathes: 5 mm at 0.25 Hz across the shaft.
 struct Breathing {
   Vector3 p0, across;
