@@ -366,6 +366,7 @@ struct Controller::Impl {
     Wish wish;
     wish.path = PathView(path);
     wish.horizon = kHorizon;
+    wish.v_BRcm = trocar.v_B() + pivot_offset_rate;
     wish.posture = posture_at(follower.reference());
     const Home home{arm.s_home(), arm.R_home()};
     const Step step = limited.exact(follower.reference(), follower.velocity(), home, wish);
