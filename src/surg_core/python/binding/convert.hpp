@@ -59,5 +59,6 @@ void bind_motion(py::module_& m);
 void bind_rcm(py::module_& m);
 void bind_config(py::module_& m);
 void bind_controller(py::module_& m);
+void bind_limits(py::module_& m);
 
 }  // namespace surg::python

@@ -10,5 +10,6 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_motion(m);
   binding::bind_rcm(m);
   binding::bind_config(m);
+  binding::bind_limits(m);
   binding::bind_controller(m);
 }
