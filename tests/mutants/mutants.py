@@ -228,12 +228,17 @@ MUTANTS: tuple[Mutant, ...] = (
         "  goal_ = set_;\n  busy_ = false;",
         "  busy_ = false;",
     ),
-    one(
+    Mutant(
         "jaw_moves_in_a_fault",
         "F31: a jaw opens or closes while the arm is stopped",
-        "src/jaw.cpp",
-        "if (!may_move || !std::isfinite(set_)) return;",
-        "if (!std::isfinite(set_)) return;",
+        (
+            Edit("src/jaw.cpp", "  goal_ = set_;\n  busy_ = false;", "  busy_ = false;"),
+            Edit(
+                "src/jaw.cpp",
+                "if (!may_move || !std::isfinite(set_)) return;",
+                "if ((!may_move && settle_ < 0) || !std::isfinite(set_)) return;",
+            ),
+        ),
     ),
     one(
         "track_anywhere",
@@ -314,8 +319,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "black_box_forgets_a_member",
         "an incident cannot be replayed",
         "src/controller.cpp",
-        "image(X_BR, sensed, inserted, ",
-        "image(X_BR, sensed, ",
+        "home_busy, qd_last, ",
+        "home_busy, ",
         ("test_black_box",),
     ),
     one(

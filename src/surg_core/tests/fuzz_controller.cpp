@@ -16,6 +16,7 @@
 #include <string>
 
 #include "arm.hpp"
+#include "results.hpp"
 #include "surg_core/controller.hpp"
 
 namespace surg {
@@ -849,6 +850,49 @@ Arguments parse(int argc, char** argv) {
   return arguments;
 }
 
+void write_results(const Figures& f) {
+  test::Results results("fuzz", "fuzz_controller.cpp", "Fuzz of the whole controller");
+  results.table("What happened", "", {"what", "count"});
+  const auto count = [&results](const char* what, long n) {
+    results.row({what, test::cell("%ld", n)});
+  };
+  count("cycles", f.cycles);
+  count("cycles ENABLED", f.enabled);
+  count("cycles in motion", f.moving);
+  count("faults", f.faults);
+  count("stops", f.stops);
+  count("commands accepted", f.accepted);
+  count("commands refused", f.refused);
+  std::string motions;
+  for (const auto& [motion, n] : f.motions) motions += test::cell(" %d: %ld,", motion, n);
+  if (!motions.empty()) motions.back() = '.';
+  results.text("Accepted by motion (numbers of `command.hpp`):" + motions);
+  results.table("What the oracles saw",
+                "Kinematics of their own (Denavit–Hartenberg matrices) judge every cycle.",
+                {"oracle", "worst", "allowed"});
+  results.row({"pivot while ENABLED, ideal plant", test::cell("%.3g µm", 1e6 * f.worst_pivot),
+               "300 µm, or where a limit leaves the arm behind a moving trocar: 2 mm"});
+  results.row({"pivot while ENABLED, plant with lag",
+               test::cell("%.3g µm", 1e6 * f.worst_pivot_lag), "1.5 mm, likewise"});
+  results.row(
+      {test::cell("tip velocity beside set-point and follow-up (%ld cycles)", f.tip_checked),
+       test::cell("%.2g mm/s", 1e3 * f.worst_tip_velocity), "0.1 mm/s + 1 %"});
+  results.row(
+      {"stop distance, as a share of v²/2a + lead of the set-point + 10 ms v (70 ms behind lag) + "
+       "0.5 mm",
+       test::cell("%.2f", f.worst_stop), "1"});
+  results.row({"joint acceleration, as a share of the limit",
+               test::cell("%.3g in %ld cycles beyond it, %ld of them with a limit named",
+                          f.worst_acceleration, f.stated_acceleration + f.unstated_acceleration,
+                          f.stated_acceleration),
+               Run::strict_acceleration ? "1" : "reported only"});
+  results.text(
+      "Exact, in every cycle: finite outputs; joint and flange velocity and joint position inside "
+      "their limits; zero in the same cycle without a joint state, without home and at a hard or "
+      "unknown force; ENABLED only when asked; one holder per cycle; poison refused; the jaw still "
+      "unless told, and at its rate.");
+}
+
 int fuzz(const Arguments& arguments) {
   Figures figures;
   std::map<std::string, int> failures;
@@ -868,22 +912,7 @@ int fuzz(const Arguments& arguments) {
       break;
     }
   }
-  std::printf(
-      "%ld cycles, %ld ENABLED, %ld moving, %ld faults, %ld stops; %ld commands accepted, %ld "
-      "refused\n",
-      figures.cycles, figures.enabled, figures.moving, figures.faults, figures.stops,
-      figures.accepted, figures.refused);
-  std::printf("accepted by motion:");
-  for (const auto& [motion, n] : figures.motions) std::printf(" %d:%ld", motion, n);
-  std::printf(
-      "\npivot while ENABLED: %.3g um ideal, %.3g um behind lag\n"
-      "tip velocity: %ld cycles, worst residual %.3g mm/s\n"
-      "stop distance: at most %.2f of its bound\n"
-      "joint acceleration beyond the limit: %ld cycles where the controller says that it limits, "
-      "%ld where it does not; worst %.3g times the limit\n",
-      1e6 * figures.worst_pivot, 1e6 * figures.worst_pivot_lag, figures.tip_checked,
-      1e3 * figures.worst_tip_velocity, figures.worst_stop, figures.stated_acceleration,
-      figures.unstated_acceleration, figures.worst_acceleration);
+  write_results(figures);
   for (const auto& [oracle, n] : failures) std::printf("FAILED %s: %d runs\n", oracle.c_str(), n);
   // A fuzz that nothing happens in proves nothing.
   const bool lively = figures.enabled > figures.cycles / 3 && figures.moving > figures.cycles / 8 &&
