@@ -284,9 +284,10 @@ def test_the_trocar_is_tracked_on_request(
 ) -> None:
     import rospy
 
-    from surg_msgs.msg import GroundTruth, PointVelocityStamped
+    from surg_msgs.msg import GroundTruth, PointVelocityStamped, Ready
 
     controller = Controller(0.0, 300)
+    ready: list[Ready] = []
     seen: dict[int, PointVelocityStamped] = {}
     truth: dict[int, tuple] = {}
 
@@ -300,6 +301,7 @@ def test_the_trocar_is_tracked_on_request(
             lambda m: seen.setdefault(m.header.stamp.to_nsec(), m),
         ),
         rospy.Subscriber("/sim/ground_truth/state", GroundTruth, on_truth),
+        rospy.Subscriber("/sim/ready", Ready, ready.append),
     ]
     motion = '{"fault": "trocar_motion", "amplitude": 0.005, "frequency": 0.25}'
     with running(ros_graph, controller, faults=motion, track_stale=stale):
@@ -313,6 +315,9 @@ def test_the_trocar_is_tracked_on_request(
         for sample, point in samples:
             assert sample.header.frame_id == "PSM1_base"
             assert point_of(sample.point) == point
+        # The tracker announces what it has sent, so that lock-step stays deterministic.
+        announced = {r.tick: r.sent[0] for r in ready if r.participant == "sim"}
+        assert max(announced) in (300, 301) and all(tick == n for tick, n in announced.items())
         moved = [sample.point.x for sample, _ in samples]
         assert max(moved) - min(moved) > 0.003
     for subscriber in subscribers:

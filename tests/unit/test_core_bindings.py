@@ -112,6 +112,14 @@ def test_inverse_velocity_is_the_pseudo_inverse_with_a_posture() -> None:
         ),
         (lambda chain: surg_core.Profiler([TIP] * 4, 0.0), ["base duration"]),
         (lambda chain: surg_core.StreamFilter(DofLimits(1, 0, 1)), ["limits must be > 0"]),
+        (
+            lambda chain: surg_core.Profiler([TIP] * 4).plan([0] * 4, [[1, 0]] * 4),
+            ["bounds", "row 0"],
+        ),
+        (
+            lambda chain: surg_core.Profiler([TIP] * 4).plan([0] * 4, [0, 1]),
+            ["bounds", "(4, 2)", "(2,)"],
+        ),
         (lambda chain: surg_core.minimal_rotation([1, 0], [0, 1, 0]), ["a", "(3,)", "(2,)"]),
     ],
 )
@@ -183,6 +191,54 @@ def test_profiler_stays_within_its_limits_and_arrives() -> None:
     assert profiler.state[3].a == 0.3
     with pytest.raises(IndexError):
         profiler.quintic(4)
+
+
+def test_profiler_keeps_position_bounds_and_says_how_far_it_goes() -> None:
+    profiler = surg_core.Profiler([TIP] * 4)
+    start = [Kinematic(0.0, 0.2, 0.0)] + [Kinematic()] * 3
+    profiler.reset_to(start)
+    assert profiler.plan([0.01, 0.2, 0.0, 0.0])
+    assert profiler.excursion(0, 0.0, profiler.duration)[1] > 0.05
+    assert profiler.brake_duration == 0
+    bounds = [[-0.01, 0.03]] + [[-math.inf, math.inf]] * 3
+    profiler.reset_to(start)
+    assert profiler.plan([0.01, 0.2, 0.0, 0.0], bounds)
+    assert profiler.excursion(0, 0.0, profiler.duration)[1] <= 0.03
+    stop = surg_core.Braking.stop(start[0], TIP)
+    assert profiler.brake_duration == stop.duration
+    bounds[0][1] = 0.9 * stop.distance
+    profiler.reset_to(start)
+    assert not profiler.plan([0.01, 0.2, 0.0, 0.0], bounds)
+    assert profiler.excursion(0, 0.0, profiler.duration)[1] == pytest.approx(stop.distance)
+
+
+def test_a_stop_is_a_second_integral() -> None:
+    rng = np.random.default_rng(14)
+    for _ in range(50):
+        start = Kinematic(rng.normal(), rng.uniform(-0.25, 0.25), rng.uniform(-2, 2))
+        stop = surg_core.Braking.stop(start, TIP)
+        t = np.linspace(0, stop.duration, 20001)
+        a = np.array([stop.at(time).a for time in t])
+        step = t[1]
+        v = start.v + np.concatenate([[0], np.cumsum((a[1:] + a[:-1]) / 2)]) * step
+        x = start.x + np.concatenate([[0], np.cumsum((v[1:] + v[:-1]) / 2)]) * step
+        assert np.abs(a).max() <= 2 * (1 + 1e-12)
+        assert np.abs(np.diff(a)).max() <= 40 * step * (1 + 1e-6)
+        assert v[-1] == pytest.approx(0, abs=1e-7)
+        assert x[-1] - start.x == pytest.approx(stop.distance, abs=1e-7)
+        np.testing.assert_allclose(stop.range(0, stop.duration), (x.min(), x.max()), atol=1e-7)
+
+
+def test_stream_filter_brakes_within_its_limits() -> None:
+    stream = surg_core.StreamFilter(TIP)
+    stream.reset(Kinematic(0.0, 0.25, 0.0))
+    ticks = 0
+    while abs(stream.state.v) > 1e-12:
+        stream.brake(0.002)
+        ticks += 1
+    stop = surg_core.Braking.stop(Kinematic(0.0, 0.25, 0.0), TIP)
+    assert ticks <= math.ceil(stop.duration / 0.002) + 1
+    assert stop.distance <= stream.state.x <= stop.distance + 0.25 * 0.002
 
 
 def test_stream_filter_follows_the_estimate() -> None:

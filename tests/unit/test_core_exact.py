@@ -111,7 +111,7 @@ def test_joints_follow_the_poses(chain: surg_core.Chain, q: np.ndarray, closed_f
     joints, conditioning = stepper.follow(q, scene.poses, q_posture=q, pull=0.002)
     assert joints.shape == (2000, chain.dof)
     assert conditioning.min() > 0
-    np.testing.assert_allclose(surg_core.forward_batch(chain, joints), scene.poses, atol=1e-9)
+    np.testing.assert_allclose(chain.forward_batch(joints), scene.poses, atol=1e-9)
     # The batch is the single steps one after the other.
     now = q
     for i in range(20):
@@ -210,16 +210,16 @@ def test_shapes_and_poses_are_checked() -> None:
     scene = _Scene(chain, q, n=4)
     stepper = surg_core.NextPose(chain)
     with pytest.raises(ValueError, match=r"q: shape \(m, 6\) is needed, not \(3, 7\)"):
-        surg_core.forward_batch(chain, np.zeros((3, 7)))
+        chain.forward_batch(np.zeros((3, 7)))
     with pytest.raises(ValueError, match=r"q: shape \(m, 6\) is needed"):
-        surg_core.forward_batch(chain, np.zeros(6))
+        chain.forward_batch(np.zeros(6))
     with pytest.raises(ValueError, match="roll"):
         surg_core.poses_on_pivot(scene.home, S_F, P_FTIP, scene.p_BRcm, scene.tips, [0.0])
     broken = scene.poses.copy()
     broken[2, 0, 0] = np.nan
     with pytest.raises(ValueError, match=r"X_BFGoals\[2\]: not a pose"):
         stepper.follow(q, broken)
-    assert surg_core.forward_batch(chain, np.zeros((0, 6))).shape == (0, 4, 4)
+    assert chain.forward_batch(np.zeros((0, 6))).shape == (0, 4, 4)
 
 
 def test_batches_release_the_gil() -> None:
@@ -238,7 +238,7 @@ def test_batches_release_the_gil() -> None:
     thread.start()
     time.sleep(0.01)
     before = ticks
-    surg_core.forward_batch(chain, q)
+    chain.forward_batch(q)
     during = ticks - before
     done.set()
     thread.join()

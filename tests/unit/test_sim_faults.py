@@ -194,7 +194,19 @@ def test_in_lockstep_a_lossy_wire_shows_the_newest_that_came(ur5e: surg_core.Cel
     assert 150 < seen < 200
 
 
-def test_a_link_drops_a_command_older_than_the_last(ur5e: surg_core.Cell) -> None:
+def test_every_other_state_late_in_lockstep(ur5e: surg_core.Cell) -> None:
+    wire = {"fault": "wire", "topic": "robot/measured_js", "reorder": 1.0, "at": 2}
+    link = Link(ur5e, wire, lockstep=True)
+    truth, shown = [], []
+    for _ in range(9):
+        truth.append(link.world.state("PSM1").q)
+        shown.append(link.tick()[0][1])
+    # 2 is held back; with 3 both come, and 3 is the newer one. And so on.
+    for tick, content in enumerate([1, 1, 3, 3, 5, 5, 7, 7, 9], 1):
+        assert np.array_equal(shown[tick - 1], truth[content - 1]), tick
+
+
+def test_a_link_takes_the_newest_of_what_comes_in_a_tick(ur5e: surg_core.Cell) -> None:
     """With every other packet late, what is executed is the newest that came, tick by tick."""
     wire = {"fault": "wire", "topic": "robot/servo_jv", "reorder": 1.0, "at": 2}
     link = Link(ur5e, wire, lockstep=True)
@@ -301,6 +313,18 @@ def test_a_moving_trocar_is_the_truth_and_pulls_at_the_shaft(cell: surg_core.Cel
     assert np.allclose(truth.trocar_force, spring, atol=0.15 * np.linalg.norm(spring) + 0.05)
 
 
+def test_the_wall_is_damped_against_the_moving_hole(ur5e: surg_core.Cell) -> None:
+    """The shaft holds the wall still: the seal feels c v0 while the hole passes its middle."""
+    motion = {"fault": "trocar_motion", "at": 2, "amplitude": 0.005, "frequency": 2.0}
+    link = Link(ur5e, {**motion, "axis": [0, 1, 0]}, lockstep=True)
+    link.velocity[:] = 0.0
+    link.run(500)  # two periods
+    truth = link.world.truth("PSM1")
+    speed = 2 * math.pi * 2.0 * 0.005
+    expected = -TrocarParameters().damping * speed
+    assert truth.trocar_force[1] == pytest.approx(expected, rel=0.2)
+
+
 def test_f23_a_trocar_jumps_at_its_tick_and_stays(ur5e: surg_core.Cell) -> None:
     link = Link(
         ur5e, {"fault": "trocar_jump", "at": 30, "offset": [0.003, 0.0, -0.004]}, lockstep=True
@@ -368,6 +392,9 @@ def test_a_tool_that_is_off_shows_in_the_truth_and_rests(cell: surg_core.Cell) -
         d = np.asarray(arm.trocar.p_BRcm) - p_B
         assert truth.deviation == pytest.approx(np.linalg.norm(d - (d @ s_B) * s_B), abs=1e-8)
         assert 1e-4 < truth.deviation < 0.0021  # 1 mm at the tip, 0.12 m x 0.5 deg at the trocar
+        # The wall begins where the shaft is, not where it was taught.
+        loaded = truth.trocar_loaded - p_B
+        assert np.linalg.norm(loaded - (loaded @ s_B) * s_B) < 1e-7
         for _ in range(200):
             world.step({})
         drift = np.abs(world.state("PSM1").q - home).max()

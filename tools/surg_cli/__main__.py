@@ -25,10 +25,16 @@ COMMANDS = {
     "build": ("setup", False, "build the workspace (does setup first)"),
     "up": ("up", True, "bring a cell up and keep it until Ctrl-C"),
     "down": ("down", False, "end what `up` started"),
+    "calibrate": ("calibrate", True, "tool and trocar of a cell from recorded poses"),
     "status": ("status", True, "every node, topic rate and last error of a running system"),
     "shell": ("shell", True, "a shell with the environment sourced"),
     "doctor": ("doctor", False, "what is installed, missing, running"),
     "bench": ("bench", True, "measure"),
+    "topics": (
+        "topics",
+        True,
+        "hold the running graph against docs/topics.yaml; make docs/topics.md",
+    ),
 }
 READY = "SURG_READY"
 
@@ -36,7 +42,7 @@ READY = "SURG_READY"
 def usage() -> str:
     """The text of `./surg help`."""
     lines = ["usage: ./surg COMMAND [options]      ./surg COMMAND --help says more", ""]
-    lines += [f"  {name:8s} {text}" for name, (_, _, text) in COMMANDS.items()]
+    lines += [f"  {name:9s} {text}" for name, (_, _, text) in COMMANDS.items()]
     lines += ["", "`demo` and `test` set everything up on first use."]
     return "\n".join(lines)
 

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--duration", type=_positive, metavar="S", help="only the first S seconds of the motion")
     add("--mode", choices=("cartesian", "spherical"), default="cartesian", help="what is commanded")
     add("--link", choices=("joint", "twist"), help="what the robot obeys (default: its YAML)")
-    add("--law", choices=("ours", "paper"), default="ours", help="the control law")
+    add("--law", choices=("ours", "velocity", "paper"), default="ours", help="the control law")
     add("--feedback-gain", type=_gain, metavar="K", help="lateral feedback [1/s], 0 to 100")
     add("--seed", type=int, default=0, metavar="N", help="of the simulator's random numbers")
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")

@@ -31,7 +31,7 @@ class Plan:
         lockstep: Step by step and reproducible, or in real time.
         video: Whether the endoscope renders.
         view: Whether the simulator opens its window.
-        law: "ours" or "paper".
+        law: "ours", "velocity" or "paper".
         link: "joint", "twist", or None for what the robot's YAML says.
         feedback_gain: Lateral feedback [1/s], or None for what the robot's YAML says.
         seed: Seed of the simulator's random numbers.

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         metavar="NODE",
         help="lock-step: a node whose commands every step waits for (may be repeated)",
     )
-    add("--law", choices=("ours", "paper"), default="ours", help="the control law")
+    add("--law", choices=("ours", "velocity", "paper"), default="ours", help="the control law")
     add("--link", choices=("joint", "twist"), help="what the robot obeys (default: its YAML)")
     add("--seed", type=int, default=0, metavar="N", help="of the simulator's random numbers")
     add("--no-video", action="store_true", help="without the endoscope camera")

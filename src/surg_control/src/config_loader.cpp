@@ -174,6 +174,7 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
 
   ArmSetup setup;
   setup.cell_name = config.name;
+  setup.cell_file = cell_file;
   setup.arms_in_cell = config.arms.size();
   setup.arm = find_arm(config, arm_name);
   const std::string& name = setup.arm.name;

@@ -13,6 +13,15 @@ constexpr double kTiltTolerance = 0.0175;           // [rad], 1 degree: below, n
 constexpr double kAngularTolerance = 0.0175;        // [rad/s]
 constexpr std::int64_t kTrackHeldNs = 100'000'000;  // a tracker this young is not talked over
 
+constexpr std::int64_t kForceLostNs = 200'000'000;  // F25: a sensor that has spoken must go on
+
+/// A sensor that falls silent can no longer say that nothing is wrong: its force is unknown.
+surg::ForceSample force_of(const MeasuredForce& measured, std::int64_t now_ns) {
+  if (measured.received_ns == 0) return {};
+  if (now_ns - measured.received_ns <= kForceLostNs) return {true, measured.f_B};
+  return {true, surg::Vector3::Constant(std::numeric_limits<double>::quiet_NaN())};
+}
+
 double seconds(std::int64_t ns) { return static_cast<double>(ns) * 1e-9; }
 
 bool is_pose(surg::Motion motion) {
@@ -22,8 +31,9 @@ bool is_pose(surg::Motion motion) {
 
 }  // namespace
 
-ControlCycle::ControlCycle(surg::Controller& controller, std::string_view rcm_frame)
-    : controller_(controller), rcm_frame_(rcm_frame) {
+ControlCycle::ControlCycle(const surg::Controller& controller, surg::BlackBox& box,
+                           std::string_view rcm_frame)
+    : controller_(controller), box_(box), rcm_frame_(rcm_frame) {
   record_.frame.name = rcm_frame_;
 }
 
@@ -32,11 +42,11 @@ surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) 
     case CommandItem::Kind::kState:
       return request(item.state);
     case CommandItem::Kind::kSetRcm:
-      return controller_.set_rcm(item.p_B);
+      return box_.set_rcm(item.p_B);
     case CommandItem::Kind::kSetFrame:
       return set_frame(item);
     case CommandItem::Kind::kClaim:
-      return controller_.claim(item.source);
+      return box_.claim(item.source);
     case CommandItem::Kind::kTrack:
       return take_track(item, now_ns);
     case CommandItem::Kind::kMotion:
@@ -46,7 +56,7 @@ surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) 
 }
 
 surg::Reason ControlCycle::request(surg::StateCommand command) {
-  const surg::Reason reason = controller_.request(command);
+  const surg::Reason reason = box_.request(command);
   if (reason != surg::Reason::kNone) return reason;
   if (command == surg::StateCommand::kEnable || command == surg::StateCommand::kResume) {
     enabled_ = true;
@@ -114,6 +124,8 @@ void ControlCycle::sense(const LinkState& link, std::int64_t now_ns) {
   inputs_.jaw = link.jaw;
   inputs_.jaw_age = link.jaw_received_ns == 0 ? std::numeric_limits<double>::infinity()
                                               : seconds(now_ns - link.jaw_received_ns);
+  inputs_.tip_force = force_of(link.tip, now_ns);
+  inputs_.trocar_force = force_of(link.trocar, now_ns);
   inputs_.track_valid = track_.source != 0;
   inputs_.track_age = inputs_.track_valid ? seconds(now_ns - track_.received_ns) : 0;
   inputs_.p_BTrack = track_.p_B;
@@ -149,7 +161,7 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
   sense(link, now_ns);
 
   const auto start = std::chrono::steady_clock::now();
-  const surg::Outputs& out = controller_.step(inputs_);
+  const surg::Outputs& out = box_.step(inputs_);
   const auto end = std::chrono::steady_clock::now();
 
   enabled_ = out.state == surg::State::kEnabled;

@@ -40,6 +40,13 @@ void RcmLoop::subscribe_link() {
                                                      ros::VoidConstPtr(), hints));
   subscribers_.push_back(node_.subscribe<JointState>(prefix + "tool/measured_js", depth, tool,
                                                      ros::VoidConstPtr(), hints));
+  for (const auto& [topic, which] : {std::pair{"tool/measured_cf", &LinkState::tip},
+                                     std::pair{"trocar/measured_cf", &LinkState::trocar}}) {
+    const boost::function<void(const geometry_msgs::WrenchStamped::ConstPtr&)> force =
+        [this, which = which](const auto& message) { on_force(*message, which); };
+    subscribers_.push_back(node_.subscribe<geometry_msgs::WrenchStamped>(
+        prefix + topic, depth, force, ros::VoidConstPtr(), hints));
+  }
   const boost::function<void(const surg_msgs::LinkStatus::ConstPtr&)> status =
       [this](const auto& message) { on_link_status(*message); };
   link_status_ = node_.subscribe<surg_msgs::LinkStatus>(prefix + "robot/status", 1, status);
@@ -155,6 +162,25 @@ void RcmLoop::on_tool_state(const sensor_msgs::JointState& message) {
   }
   tool_tick_ = message.header.stamp.toNSec() / kTickNs;
   try_step();
+}
+
+void RcmLoop::on_force(const geometry_msgs::WrenchStamped& message,
+                       MeasuredForce LinkState::*which) {
+  if (message.header.stamp.isZero()) return;
+  const std::string& frame = message.header.frame_id;
+  if (!frame.empty() && frame != arm_ + "_base") {
+    announcer_->warning("force_frame",
+                        arm_ + ": a measured force is in frame '" + frame + "' and not obeyed; " +
+                            "allowed is '" + arm_ + "_base' or an empty one",
+                        now());
+    return;
+  }
+  const geometry_msgs::Vector3& f = message.wrench.force;
+  MeasuredForce& force = link_.*which;
+  force.f_B = {f.x, f.y, f.z};
+  force.received_ns =
+      options_.lockstep ? static_cast<std::int64_t>(robot_tick_ * kTickNs) + 1 : steady_ns();
+  if (!options_.lockstep) link_box_.put(link_);
 }
 
 void RcmLoop::on_ready(const surg_msgs::Ready& message) {

@@ -1,5 +1,7 @@
 #include "surg_control/options.hpp"
 
+#include <ros/file_log.h>
+
 #include <algorithm>
 #include <cmath>
 #include <sstream>
@@ -7,8 +9,9 @@
 namespace surg_control {
 namespace {
 
-const std::vector<std::string> kNames{"arm",  "cell",         "feedback_gain", "law",      "link",
-                                      "mode", "participants", "realtime",      "track_rcm"};
+const std::vector<std::string> kNames{"arm",      "black_box", "cell", "feedback_gain",
+                                      "law",      "link",      "mode", "participants",
+                                      "realtime", "track_rcm"};
 
 std::string join(const std::vector<std::string>& words) {
   std::string text;
@@ -107,12 +110,15 @@ Options read_options(const ros::NodeHandle& private_node) {
   options.cell = read_text(private_node, "cell", "");
   if (options.cell.empty()) refuse("cell", "missing", "a cell folder or its cell.yaml");
   options.arm = read_text(private_node, "arm", "");
+  options.black_box = read_text(private_node, "black_box", ros::file_log::getLogDirectory());
+  if (options.black_box.empty()) options.black_box = ".";
   options.lockstep =
       read_choice(private_node, "mode", {"lockstep", "freerun"}, "lockstep") == "lockstep";
   options.participants = read_names(private_node, "participants");
-  options.law = read_choice(private_node, "law", {"ours", "paper"}, "ours") == "paper"
-                    ? surg::Law::kPaper
-                    : surg::Law::kOurs;
+  const std::string law = read_choice(private_node, "law", {"ours", "velocity", "paper"}, "ours");
+  options.law = law == "paper"      ? surg::Law::kPaper
+                : law == "velocity" ? surg::Law::kVelocity
+                                    : surg::Law::kExact;
   options.link = read_choice(private_node, "link", {"joint", "twist"}, "");
   options.feedback_gain = read_gain(private_node);
   options.realtime = read_flag(private_node, "realtime");

@@ -170,7 +170,9 @@ void Outlets::publish_rcm(const CycleRecord& record) {
 void Outlets::publish_state(const CycleRecord& record, bool changed) {
   if (!changed && record.tick % kStateTicks != 0) return;
   crtk_msgs::OperatingState message;
-  message.header.stamp = to_time(record.stamp_ns);
+  // Clients wait for an is_busy that is stamped later than the moment they sent their command. The
+  // joint state that the cycle was computed from may be older than that.
+  message.header.stamp = lockstep_ ? to_time(record.stamp_ns) : wall_time();
   message.state = surg::name(record.out.state);
   message.is_homed = record.out.homed;
   message.is_busy = record.out.busy;

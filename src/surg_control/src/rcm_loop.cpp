@@ -30,8 +30,8 @@ double jitter_from_environment() {
 
 const char* name_of(surg::Law law) {
   switch (law) {
-    case surg::Law::kOurs:
-      return "ours";
+    case surg::Law::kVelocity:
+      return "velocity";
     case surg::Law::kPaper:
       return "paper";
     case surg::Law::kExact:
@@ -54,21 +54,25 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
       records_(options_.lockstep ? 1 : kRecordRing) {
   check_for_arm(options_, setup_);
   sem_init(&records_waiting_, 0, 0);
-  surg::Controller::Options controller;
-  controller.law = options_.law;
-  controller.dt = kTick;
-  controller.feedback_gain = options_.feedback_gain;
-  controller.track_rcm = options_.track_rcm;
-  controller_ = std::make_unique<surg::Controller>(model_.chain, setup_.robot, setup_.limits,
-                                                   setup_.instrument, setup_.tool, controller);
-  controller_->set_rcm(setup_.trocar.p_BRcm);
-  cycle_ = std::make_unique<ControlCycle>(*controller_, arm_ + "_rcm");
+  surg::Controller::Options law;
+  const bool twist = commands_twist(options_, setup_);
+  // A twist link works out its joints by itself: there is no reference for it to follow.
+  law.law = twist && options_.law == surg::Law::kExact ? surg::Law::kVelocity : options_.law;
+  law.dt = kTick;
+  law.feedback_gain = options_.feedback_gain;
+  law.track_rcm = options_.track_rcm;
+  const surg::ControllerSetup made{model_.chain,      setup_.robot, setup_.limits,
+                                   setup_.instrument, setup_.tool,  law};
+  controller_ = std::make_unique<surg::Controller>(made.chain, made.robot, made.limits,
+                                                   made.instrument, made.tool, made.options);
+  box_ = std::make_unique<surg::BlackBox>(*controller_, made);
+  box_->set_rcm(setup_.trocar.p_BRcm);
+  cycle_ = std::make_unique<ControlCycle>(*controller_, *box_, arm_ + "_rcm");
 
   node_.setCallbackQueue(&queue_);
   node_.setParam("/" + arm_ + "/robot_description", model_.urdf);
   announcer_ = std::make_unique<Announcer>(node_, arm_);
-  const bool twist = commands_twist(options_, setup_);
-  const Facts facts{options_.lockstep, twist, options_.track_rcm, name_of(options_.law),
+  const Facts facts{options_.lockstep, twist, options_.track_rcm, name_of(law.law),
                     surg::limits_hash(setup_.robot, setup_.limits)};
   outlets_ =
       std::make_unique<Outlets>(node_, setup_, model_, facts, health_, sources_, *announcer_);
@@ -84,6 +88,9 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   subscribe_link();
   housekeeping_ =
       std::make_unique<Housekeeping>(private_node, arm_, facts.limits_hash, *announcer_, health_);
+  const surg::BlackBoxLabel label{arm_, setup_.cell_file, "", SURG_CONTROL_VERSION};
+  black_box_writer_ =
+      std::make_unique<BlackBoxWriter>(*box_, options_.black_box, label, *announcer_);
 }
 
 RcmLoop::~RcmLoop() { sem_destroy(&records_waiting_); }
@@ -152,7 +159,7 @@ void RcmLoop::control_thread() {
     record.period_us = static_cast<double>(metronome.wait()) * 1e-3;
     if (metronome.late()) ++record.overruns;
     long_periods = record.period_us > kLongPeriodUs ? long_periods + 1 : 0;
-    if (long_periods > kLongPeriodsAllowed) controller_->pause(surg::Reason::kOverrun);
+    if (long_periods > kLongPeriodsAllowed) box_->pause(surg::Reason::kOverrun);
     link_box_.try_get(link);
     std::size_t n = 0;
     while (n < items.size() && commands_.pop(items[n])) ++n;
@@ -199,7 +206,7 @@ void RcmLoop::leave_if_asked() {
   if (!leaving_ || left_enabled_) return;
   left_enabled_ = true;
   if (cycle_->record().out.state == surg::State::kEnabled) {
-    controller_->request(surg::StateCommand::kDisable);
+    box_->request(surg::StateCommand::kDisable);
   }
 }
 

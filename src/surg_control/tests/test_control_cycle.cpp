@@ -24,10 +24,13 @@ class Arm {
         model_(load_model(setup_.robot, setup_.robot_urdf)) {
     surg::Controller::Options options;
     options.track_rcm = track;
-    controller = std::make_unique<surg::Controller>(model_.chain, setup_.robot, setup_.limits,
-                                                    setup_.instrument, setup_.tool, options);
-    controller->set_rcm(setup_.trocar.p_BRcm);
-    cycle = std::make_unique<ControlCycle>(*controller, "PSM1_rcm");
+    const surg::ControllerSetup made{model_.chain,      setup_.robot, setup_.limits,
+                                     setup_.instrument, setup_.tool,  options};
+    controller = std::make_unique<surg::Controller>(made.chain, made.robot, made.limits,
+                                                    made.instrument, made.tool, made.options);
+    box = std::make_unique<surg::BlackBox>(*controller, made);
+    box->set_rcm(setup_.trocar.p_BRcm);
+    cycle = std::make_unique<ControlCycle>(*controller, *box, "PSM1_rcm");
     link.q = setup_.robot.home;
     link.qd = surg::JointVector::Zero(link.q.size());
     link.jaw = 0.2;
@@ -83,6 +86,7 @@ class Arm {
   }
 
   std::unique_ptr<surg::Controller> controller;
+  std::unique_ptr<surg::BlackBox> box;
   std::unique_ptr<ControlCycle> cycle;
   LinkState link;
   std::int64_t now_ns = 0;

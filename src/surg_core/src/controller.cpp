@@ -5,10 +5,12 @@
 #include <cstring>
 
 #include "surg_core/arm_state.hpp"
+#include "surg_core/exact_follower.hpp"
 #include "surg_core/gate.hpp"
 #include "surg_core/image.hpp"
 #include "surg_core/jaw.hpp"
 #include "surg_core/law.hpp"
+#include "surg_core/limited_step.hpp"
 #include "surg_core/limits.hpp"
 #include "surg_core/pilot.hpp"
 #include "surg_core/trocar.hpp"
@@ -20,8 +22,11 @@ constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more
 constexpr double kStandstill = 0.05;      // alpha below it: the limit has stopped the arm
 constexpr double kOutside = 0.15;         // [m] a tip may be above its trocar before 'insert'
 constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
-constexpr double kHuge = 1e6;             // [m, rad] no command or trocar is ever so large
-constexpr int kHomeBusyCycles = 5;        // is_busy needs an edge that a client can see
+constexpr double kFlangeReserve = 0.97;   // of its speed: it is looked at to first order, not ahead
+constexpr double kOntoPivot = 8;    // [1/s] pole with which a start off the pivot comes onto it
+constexpr double kHorizon = 0.45;   // [s] of the set-point's clock that is looked ahead
+constexpr double kHuge = 1e6;       // [m, rad] no command or trocar is ever so large
+constexpr int kHomeBusyCycles = 5;  // is_busy needs an edge that a client can see
 
 /// F01: 1e308 is finite and still poison (its square is not). Written so that NaN is refused.
 template <typename Derived>
@@ -34,10 +39,32 @@ bool finite(const MotionCommand& command) {
          std::abs(command.roll_rate) < kHuge && std::abs(command.jaw) < kHuge;
 }
 
-/// Look-ahead belongs to the feedback: open loops do without.
-double look_ahead(const RobotConfig& robot, const Controller::Options& options) {
+/// Knowing the link's lag belongs to the feedback: open loops do without.
+double lag_for(const RobotConfig& robot, const Controller::Options& options) {
   const bool open = options.law == Law::kPaper || options.feedback_gain == 0;
   return open ? 0.0 : robot.tuning.link_lag;
+}
+
+/// What the step may ask of the joints. The virtual reference leaves the follower a reserve.
+JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law) {
+  JointLimits out = joint_limits(robot, limits);
+  if (law == Law::kExact) {
+    out.velocity *= ExactFollower::kReferenceVelocity;
+    out.acceleration *= ExactFollower::kReferenceAcceleration;
+  }
+  out.flange_velocity *= kFlangeReserve;
+  return out;
+}
+
+ExactFollower::Options follower_options(const RobotConfig& robot, double gain, double lag,
+                                        double T) {
+  ExactFollower::Options out;
+  out.lag = lag;
+  out.gain = gain;
+  out.T = T;
+  out.velocity = robot.velocity;
+  out.acceleration = robot.acceleration;
+  return out;
 }
 
 }  // namespace
@@ -65,13 +92,18 @@ struct Controller::Impl {
   Pilot pilot;
   Jaw jaw;
   ForceGuard force;
+  LimitedStep limited;
+  ExactFollower follower;
 
   Pose X_BR = Pose::Identity();
   bool sensed = false;    // a finite, fresh joint state has been seen in the last step
   bool inserted = false;  // the trocar point lies on the shaft, and must go on doing so
   bool tool_lost = false;
+  bool halted = false;  // zero at once and until the arm starts anew
   int home_busy = 0;
   JointVector qd_last;
+  // The reference starts where the arm is, off the pivot by its error, and comes onto it smoothly.
+  Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
 
   Impl(const Chain& chain, const RobotConfig& robot_in, const Limits& limits_in,
@@ -84,10 +116,15 @@ struct Controller::Impl {
         gains{options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain,
               robot_in.tuning.tip_gain, robot_in.tuning.roll_gain},
         authority(options.dt),
-        arm(chain, {tool.s_F, tool.p_FTip}, look_ahead(robot_in, options), options.dt),
+        arm(chain, {tool.s_F, tool.p_FTip},
+            options.law == Law::kExact ? 0.0 : lag_for(robot_in, options), options.dt),
         pilot(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
         jaw(instrument, options.dt),
         force(limits_in),
+        limited(chain, {tool.s_F, tool.p_FTip}, step_limits(robot_in, limits_in, options.law),
+                options.dt),
+        follower(chain.dof(),
+                 follower_options(robot_in, gains.rcm, lag_for(robot_in, options), options.dt)),
         qd_last(JointVector::Zero(chain.dof())) {
     out.qd_command = qd_last;
   }
@@ -136,6 +173,10 @@ struct Controller::Impl {
   /// The set-point is where the arm is; every target is gone.
   void start_here() {
     pilot.start(whereabouts());
+    halted = false;
+    follower.reset(arm.now().q);
+    pivot_offset = -shaft().e;
+    pivot_offset_rate.setZero();
     force.restart();
     inserted = shaft().depth >= limits.depth_min;
   }
@@ -281,51 +322,113 @@ struct Controller::Impl {
   TwistWish wish_for(const Setpoint& next) const {
     const Setpoint& setpoint = pilot.setpoint();
     if (law == Law::kPaper) return paper_wish(arm, setpoint, next, X_BR, limits, T);
-    const bool resting = !enabled() && setpoint.mode() == Setpoint::Mode::kRest;
-    if (resting) return {};
-    return setpoint.axial()
-               ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, T)
-               : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, force, limits, T);
+    return setpoint.axial() ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, T)
+                            : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains,
+                                            force.push(), limits, T);
   }
 
-  void move(const Inputs& in) {
+  /// Where the set-point leads in t [s] of its own clock; the trocar is where it will be after this
+  /// cycle.
+  ShaftGoal goal_at(double t) const {
+    Setpoint there = pilot.setpoint();
+    there.advance(std::min(t, T));
+    if (t > T) there = there.foreseen(t - T);
+    const Vector3 p_BRcm = trocar.p_B() + T * trocar.v_B() + pivot_offset;
+    const Vector3 p_B = X_BR * there.p_RTip();
+    if (!there.axial()) return tip_goal(p_BRcm, p_B, there.roll(), shaft().s);
+    const Vector3 s_B = X_BR.linear() * there.s_R();
+    return {p_BRcm, s_B, s_B.dot(p_B - p_BRcm), there.roll()};
+  }
+
+  JointVector posture_at(const JointVector& q) const {
+    return robot.tuning.posture_gain * (robot.home - q);
+  }
+
+  /// Exact form: the reference's next step, and what makes the link follow it.
+  Step exact_step(JointVector& qd) {
+    // Critically damped: no jump in velocity at the start.
+    const Vector3 pull = -kOntoPivot * (kOntoPivot * pivot_offset + 2 * pivot_offset_rate);
+    pivot_offset_rate += T * pull;
+    pivot_offset += T * pivot_offset_rate;
+    const auto path = [this](double t) { return goal_at(t); };
+    Wish wish;
+    wish.path = PathView(path);
+    wish.horizon = kHorizon;
+    wish.posture = posture_at(follower.reference());
+    const Home home{arm.s_home(), arm.R_home()};
+    const Step step = limited.exact(follower.reference(), follower.velocity(), home, wish);
+    qd = follower.advance(T * step.qd, arm.now().q);
+    return step;
+  }
+
+  /// Velocity form and the paper's law: from the measured state, where the command will find it.
+  Step velocity_step(const Setpoint& next, JointVector& qd) const {
+    const TwistWish wished = wish_for(next);
+    const auto path = [this](double t) { return goal_at(t); };
+    Wish wish;
+    wish.feedback = wished.feedback;
+    wish.forward = wished.path;
+    wish.posture = posture_at(arm.now().q);
+    if (law == Law::kVelocity) {
+      wish.path = PathView(path);
+      wish.horizon = kHorizon;
+    }
+    const Home home{arm.s_home(), arm.R_home()};
+    const Step step = limited.velocity(arm.ahead().q, qd_last, home, trocar.p_B(), wish);
+    qd = step.qd;
+    return step;
+  }
+
+  /// A stop goes on from where the tip will be: of the reference, or of the arm.
+  void slip(const JointVector& qd) {
+    Pose X_BF;
+    Jacobian J;
+    arm.chain().forward(
+        law == Law::kExact ? follower.reference() : JointVector(arm.ahead().q + T * qd), X_BF, J);
+    const Vector3 p_BTip = X_BF * arm.tool().p_FTip;
+    const Vector6 twist = J * qd;
+    const Vector3 v_BTip =
+        twist.head<3>() + Vector3(twist.tail<3>()).cross(Vector3(p_BTip - X_BF.translation()));
+    pilot.setpoint().slip(X_BR.inverse() * p_BTip, X_BR.linear().transpose() * v_BTip);
+  }
+
+  void move() {
     const int n = arm.chain().dof();
     Setpoint& setpoint = pilot.setpoint();
     JointVector qd = JointVector::Zero(n);
     Vector6 twist = Vector6::Zero();
     out.scale = 1;
     out.limited_by = "";
+    out.tier = 0;
     out.v_set.setZero();
     setpoint.elapse(T);
-    const bool halt = !sensed || !trocar.taught() || !operating.homed();
-    if (!halt) {
+    if (!sensed || !trocar.taught() || !operating.homed()) {
+      // Geometry unknown: a ramp through the law would be blind (F02, F10).
+      if (setpoint.mode() != Setpoint::Mode::kRest) freeze();
+    } else if (!halted && (enabled() || setpoint.mode() != Setpoint::Mode::kRest)) {
+      setpoint.yield_to(X_BR.linear().transpose() * force.push());
       Setpoint next = setpoint;
       next.advance(T);
-      const TwistWish wish = wish_for(next);
-      twist = wish.feedback + wish.path;
-      const JointVector posture = robot.tuning.posture_gain * (robot.home - in.q);
-      const bool idle = twist.isZero(0);
-      qd = idle ? JointVector::Zero(n) : inverse_velocity(arm.ahead().J, twist, posture).qd;
-      const Scale scale =
-          uniform_scale(robot, limits, qd, qd_last, in.q, twist.head<3>().norm(), T);
-      qd *= scale.alpha;
-      twist *= scale.alpha;
-      out.scale = scale.alpha;
-      out.limited_by = scale.limited_by;
+      const Step step = law == Law::kExact ? exact_step(qd) : velocity_step(next, qd);
+      twist = arm.ahead().J * qd;
+      out.scale = step.alpha;
+      out.limited_by = step.limited_by;
+      out.tier = step.tier;
+      if (step.held && enabled()) out.reason = Reason::kUnreachable;
       // The profile clock runs as fast as the arm may follow.
       const Vector3 p_before = setpoint.p_RTip();
-      if (scale.alpha < kStandstill) {
+      if (step.tier > 0 && setpoint.mode() == Setpoint::Mode::kStopping) {
+        setpoint = next;
+        slip(step.qd);
+      } else if (step.alpha < kStandstill) {
         setpoint.stand();
-      } else if (scale.alpha < 1) {
-        setpoint.advance(scale.alpha * T);
+      } else if (step.alpha < 1) {
+        setpoint.advance(step.alpha * T);
       } else {
         setpoint = next;
       }
-      if (setpoint.at_wall() && scale.alpha == 1) out.limited_by = "workspace";
+      if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
       out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
-    } else if (setpoint.mode() != Setpoint::Mode::kRest) {
-      // Geometry unknown: a ramp through the law would be blind (F02, F10).
-      freeze();
     }
     if (!qd.allFinite() || !twist.allFinite()) {  // the last statement before the wire
       fault(Reason::kNotFinite);
@@ -339,8 +442,9 @@ struct Controller::Impl {
     out.twist_command = twist;
   }
 
-  /// The set-point stands still at once.
+  /// Halt: the set-point stands still at once, and the arm with it.
   void freeze() {
+    halted = true;
     Setpoint& setpoint = pilot.setpoint();
     setpoint.reset(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll());
   }
@@ -396,7 +500,9 @@ struct Controller::Impl {
   void remembered(Image& image) {
     image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
-    image(X_BR, sensed, inserted, tool_lost, home_busy, qd_last, out.accepted, out.refused);
+    follower.remembered(image);
+    image(pivot_offset, pivot_offset_rate, X_BR, sensed, inserted, tool_lost, halted, home_busy,
+          qd_last, out.accepted, out.refused);
   }
 };
 
@@ -438,7 +544,7 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.guard_pivot();
   self.guard_force(inputs);
   self.gate(inputs);
-  self.move(inputs);
+  self.move();
   self.jaw.advance(self.enabled() && !self.tool_lost);
   self.authority.elapse(self.pilot.setpoint().mode() == Setpoint::Mode::kRest, self.enabled());
   self.report(inputs);

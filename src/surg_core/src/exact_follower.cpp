@@ -1,6 +1,7 @@
 #include "surg_core/exact_follower.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace surg {
 namespace {
@@ -18,6 +19,8 @@ ExactFollower::ExactFollower(int joints, const Options& options)
 void ExactFollower::reset(const JointVector& q) {
   q_ref_ = q;
   v_last_.setZero(q.size());
+  qd_last_.setZero(q.size());
+  correction_.setZero(q.size());
   phi_.setZero(q.size());
 }
 
@@ -25,15 +28,62 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q) 
   const JointVector v = dq / options_.T;
   const JointVector a = (v - v_last_) / options_.T;
   const JointVector error = q_ref_ - q;
-  const JointVector qd = v + lag_.cwiseProduct(a) + options_.gain * error;
-  learn(a, error);
+  JointVector change(q.size());
+  bool linear = true;
+  for (Eigen::Index i = 0; i < q.size(); ++i) {
+    const double pull = feedback(i, error[i]);
+    linear = linear && pull == options_.gain * error[i];
+    change[i] = lag_[i] * a[i] + pull - correction_[i];
+  }
+  const double share = room(v + correction_, change);
+  correction_ += share * change;
+  phi_ += options_.T * (a - options_.gain * phi_);
+  // An error that the limits have left says nothing about the lags.
+  if (linear && share == 1) learn(error);
   q_ref_ += dq;
   v_last_ = v;
+  qd_last_ = within_limits(v + correction_);
+  return qd_last_;
+}
+
+double ExactFollower::feedback(Eigen::Index i, double error) const {
+  const double linear = options_.gain * error;
+  if (options_.acceleration.size() <= i || options_.gain <= 0) return linear;
+  const double a = 0.5 * options_.acceleration[i], bend = a / (options_.gain * options_.gain);
+  if (!(std::abs(error) > bend)) return linear;
+  return std::copysign(std::sqrt(a * (2 * std::abs(error) - bend)), error);  // same slope there
+}
+
+/// The largest share of 'change' that the limits leave to all joints.
+double ExactFollower::room(const JointVector& from, const JointVector& change) const {
+  double share = 1;
+  const auto keep = [&](double at, double step, double low, double high) {
+    if (step > 0) share = std::min(share, (high - at) / step);
+    if (step < 0) share = std::min(share, (low - at) / step);
+  };
+  for (Eigen::Index i = 0; i < options_.velocity.size(); ++i) {
+    keep(from[i], change[i], -options_.velocity[i], options_.velocity[i]);
+  }
+  for (Eigen::Index i = 0; i < options_.acceleration.size(); ++i) {
+    const double most = options_.acceleration[i] * options_.T;
+    keep(from[i], change[i], qd_last_[i] - most, qd_last_[i] + most);
+  }
+  return std::max(share, 0.0);
+}
+
+/// The last word: a reference that leaves no room does not break a limit either.
+JointVector ExactFollower::within_limits(JointVector qd) const {
+  for (Eigen::Index i = 0; i < options_.velocity.size(); ++i) {
+    qd[i] = std::clamp(qd[i], -options_.velocity[i], options_.velocity[i]);
+  }
+  for (Eigen::Index i = 0; i < options_.acceleration.size(); ++i) {
+    const double most = options_.acceleration[i] * options_.T * (1 - 1e-9);  // for rounding
+    qd[i] = std::clamp(qd[i], qd_last_[i] - most, qd_last_[i] + most);
+  }
   return qd;
 }
 
-void ExactFollower::learn(const JointVector& a, const JointVector& error) {
-  phi_ += options_.T * (a - options_.gain * phi_);
+void ExactFollower::learn(const JointVector& error) {
   for (Eigen::Index i = 0; i < lag_.size(); ++i) {
     const double step = error[i] * phi_[i] / (phi_[i] * phi_[i] + kQuietPhi * kQuietPhi);
     // Written so that what is not finite leaves the lag as it was.

@@ -1,6 +1,5 @@
 #include "surg_core/force_guard.hpp"
 
-#include <algorithm>
 #include <cmath>
 
 namespace surg {
@@ -29,11 +28,6 @@ ForceGuard::Verdict ForceGuard::judge(const ForceSample& tip, const ForceSample&
   if (force <= soft_) return Verdict::kFree;
   push_ = tip.f_B / force;
   return ++above_ > std::lround(kPatience / dt) ? Verdict::kPause : Verdict::kYield;
-}
-
-Vector3 ForceGuard::yield(const Vector3& v_BTip) const {
-  // Motion against the force raises it: v . f < 0.
-  return v_BTip - std::min(0.0, v_BTip.dot(push_)) * push_;
 }
 
 }  // namespace surg

@@ -17,14 +17,15 @@ Vector3 mean_velocity(const Setpoint& setpoint, const Setpoint& next, const Pose
 
 TwistWish velocity_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
                         const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains,
-                        const ForceGuard& force, const Limits& limits, double dt) {
+                        const Vector3& push, const Limits& limits, double dt) {
   const Sight& at = arm.ahead();
   const ShaftState& shaft = at.shaft;
   const Vector3& s = shaft.s;
   const double depth = std::max(shaft.depth, limits.depth_min);
   const double fade = lateral_fade(limits, shaft.depth);
-  const auto faded = [&](const Vector3& wished) {
-    const Vector3 v = force.yield(wished);
+  // The set-point itself keeps off what is forbidden; its pull on a tip that is elsewhere does not.
+  const auto allowed = [&](const Vector3& wished) {
+    const Vector3 v = wished - std::min(0.0, wished.dot(push)) * push;
     return Vector3(s.dot(v) * s + fade * (v - s.dot(v) * s));
   };
   // One part of the law: tip velocity, roll rate about the shaft besides the holonomy of its swing,
@@ -37,16 +38,15 @@ TwistWish velocity_wish(const ArmState& arm, const Setpoint& setpoint, const Set
   };
   const Vector3 p_BSet = X_BR * setpoint.p_RTip();
   TwistWish wish;
-  wish.feedback = part(faded(gains.tip * (p_BSet - shaft.p_BTip)),
+  wish.feedback = part(allowed(gains.tip * (p_BSet - shaft.p_BTip)),
                        gains.roll * (setpoint.roll() - at.roll), v_BRcm, gains.rcm);
-  wish.path = part(faded(mean_velocity(setpoint, next, X_BR, dt)),
-                   (next.roll() - setpoint.roll()) / dt, Vector3::Zero(), 0);
+  wish.path = part(mean_velocity(setpoint, next, X_BR, dt), (next.roll() - setpoint.roll()) / dt,
+                   Vector3::Zero(), 0);
   return wish;
 }
 
 TwistWish axial_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
-                     const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains,
-                     const ForceGuard& force, double dt) {
+                     const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains, double dt) {
   const Sight& at = arm.ahead();
   const ShaftState& shaft = at.shaft;
   const Vector3& s = shaft.s;
@@ -57,12 +57,11 @@ TwistWish axial_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoi
     twist.tail<3>() = omega;
     return twist;
   };
-  const auto along = [&](const Vector3& v) { return s.dot(force.yield(s * s.dot(v))); };
   const Vector3 behind = X_BR * setpoint.p_RTip() - shaft.p_BTip;
   TwistWish wish;
-  wish.feedback = part(along(gains.tip * behind), gains.roll * (setpoint.roll() - at.roll),
+  wish.feedback = part(gains.tip * s.dot(behind), gains.roll * (setpoint.roll() - at.roll),
                        Vector3(v_BRcm - s * s.dot(v_BRcm) + gains.rcm * shaft.e));
-  wish.path = part(along(mean_velocity(setpoint, next, X_BR, dt)), 0, Vector3::Zero());
+  wish.path = part(s.dot(mean_velocity(setpoint, next, X_BR, dt)), 0, Vector3::Zero());
   return wish;
 }
 

@@ -7,19 +7,19 @@
 namespace surg {
 namespace {
 
-constexpr int kPasses = 4;          // of interval, step and check
-constexpr int kRowPasses = 4;       // of the pivot's rows off the path
+constexpr int kPasses = 5;               // of interval, step and check
+constexpr int kRowPasses = 4;            // of the pivot's rows off the path
 constexpr double kPositionGuard = 1e-9;  // [rad] kept from position limits: rounding
-constexpr double kOnPivot = 1e-12;  // [m]
-constexpr double kRowsKept = 1e-9;  // [m] more than this off the pivot counts as leaving it
-constexpr double kStill = 1e-4;     // share of a joint's velocity limit that counts as no motion
-constexpr double kHeld = 0.02;      // alpha below which a still arm counts as held
+constexpr double kOnPivot = 1e-12;       // [m]
+constexpr double kRowsKept = 1e-9;       // [m] more than this off the pivot counts as leaving it
+constexpr double kStill = 1e-4;  // share of a joint's velocity limit that counts as no motion
+constexpr double kHeld = 0.02;   // alpha below which a still arm counts as held
 
 // How a displaced tip returns to its path.
 constexpr double kReturnGain = 15;           // [1/s]
 constexpr double kReturnAcceleration = 0.3;  // [m/s^2]
-constexpr double kReturnAtOnce = 2e-8;       // [m] per cycle, always taken back: no visible joint motion
-constexpr double kRollLever = 0.05;          // [m/rad] weighs roll against length
+constexpr double kReturnAtOnce = 2e-8;  // [m] per cycle, always taken back: no visible joint motion
+constexpr double kRollLever = 0.05;     // [m/rad] weighs roll against length
 
 // The preview plans with less than the limits, so that the step has reserves to follow the plan.
 constexpr double kPlanAcceleration = 0.8;
@@ -27,9 +27,15 @@ constexpr double kPlanVelocity = 0.995;
 constexpr int kNodes = 14;
 constexpr double kFirstSpacing = 0.002;  // [s] of the clock, and in units of stopping (below)
 constexpr double kSpacingGrowth = 1.4;
-constexpr double kFirstArc = 0.002;    // [rad]
-constexpr double kSmallestArc = 1e-5;  // [rad] a path that cannot be followed this far ends here
-constexpr double kTwistSpacing = 1e-4;   // [s] for the path's direction at a node
+constexpr double kFirstArc = 0.002;     // [rad]
+constexpr double kSmallestArc = 1e-5;   // [rad] a path that cannot be followed this far ends here
+constexpr double kTwistSpacing = 1e-4;  // [s] for the path's direction at a node
+
+// How an arm returns to its recorded trace, in joint space.
+constexpr double kRetraceReturn = 1.0;    // [rad/s^2]
+constexpr double kRetraceAtOnce = 1e-7;   // [rad] per cycle
+constexpr double kRetraceHorizon = 0.45;  // [s]
+constexpr double kTraceSpacing = 1e-3;    // [s] for the trace's direction
 
 double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
 
@@ -167,14 +173,28 @@ struct LimitedStep::Box {
 /// q_dot(alpha) to first order. 'back' is the part of the correction that may wait.
 struct LimitedStep::Affine {
   JointVector qd0, qd1;
+  JointVector tangent;  ///< d q / d clock at the beginning
   JointVector back;
   bool returning = false;  ///< 'back' is not zero
   bool moves = false;      ///< the path is not at rest
   bool regular = true;     ///< J could be inverted
+
+  /// The clock speed that the arm's momentum suggests. qd1 is the path's secant over that much of
+  /// the cycle: the one over all of it misses a bent path by more than the joints can brake.
+  double expected(const JointVector& qd_last, double T) const {
+    const double squared = tangent.squaredNorm();
+    return squared > 0 ? std::clamp(qd_last.dot(tangent) / squared, kTwistSpacing / T, 1.0) : 1.0;
+  }
+};
+
+/// A point of the path ahead.
+struct LimitedStep::Node {
+  JointVector q, direction;  ///< direction: d q / d clock
+  SingularityMeasures measures;
 };
 
 struct LimitedStep::Preview {
-  int n = 1;  ///< nodes; the first is here
+  int n = 1;                                     ///< nodes; the first is here
   std::array<double, kNodes + 1> t{}, square{};  ///< [s] of the clock; its largest squared speed
   const char* by = "preview";
 
@@ -205,20 +225,22 @@ struct LimitedStep::Preview {
 /// The exact form: joints of a pose that is on the constraint by construction.
 class LimitedStep::ExactLaw {
  public:
-  static constexpr bool kExactRows = true;
+  static constexpr bool kBarrier = true;
 
   ExactLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish)
       : self_(self), here_(here), home_(home), wish_(wish) {
     still_ = JointVector::Zero(here.q.size());
     const ShaftGoal goal = wish.path(0);
-    // Where the instrument is, relative to where its path is now: zero unless a limit pushed it off.
+    // Where the instrument is, relative to where its path is now: zero unless a limit pushed it
+    // off.
     const ShaftState shaft = shaft_state(here.X_BF, self.tool_, goal.p_BRcm);
     const Vector3 axis = goal.s_B.cross(shaft.s);
     const double sine = axis.norm(), cosine = goal.s_B.dot(shaft.s);
-    off_swing_ = sine > 1e-15 ? Vector3(axis * (std::atan2(sine, cosine) / sine)) : Vector3(Vector3::Zero());
+    off_swing_ =
+        sine > 1e-15 ? Vector3(axis * (std::atan2(sine, cosine) / sine)) : Vector3(Vector3::Zero());
     off_depth_ = shaft.depth - goal.depth;
-    off_roll_ = wrapped(
-        absolute_roll(here.X_BF.linear(), home.R_BF, home.s_B, shaft.s) - goal.roll);
+    off_roll_ =
+        wrapped(absolute_roll(here.X_BF.linear(), home.R_BF, home.s_B, shaft.s) - goal.roll);
     const double off = off_swing_.norm() * std::max(std::abs(shaft.depth), kRollLever) +
                        std::abs(off_depth_) + std::abs(off_roll_) * kRollLever;
     const double T = self.T_;
@@ -233,14 +255,16 @@ class LimitedStep::ExactLaw {
   Affine affine() const {
     const double T = self_.T_;
     Affine a;
-    const JointVector posture = wish_.posture.size() == here_.q.size()
-                                    ? JointVector(T * wish_.posture)
-                                    : still_;
+    const JointVector posture =
+        wish_.posture.size() == here_.q.size() ? JointVector(T * wish_.posture) : still_;
     const JointStep rest = newton_step(here_.X_BF, here_.J, pose(0, keep_), posture);
-    const JointStep full = newton_step(here_.X_BF, here_.J, pose(T, keep_), posture);
-    a.regular = rest.conditioning > 0 && full.conditioning > 0;
+    const JointStep soon = newton_step(here_.X_BF, here_.J, pose(kTwistSpacing, keep_), posture);
+    a.tangent = (soon.dq - rest.dq) / kTwistSpacing;
+    const double expected = a.expected(here_.qd_last, T);
+    const JointStep full = newton_step(here_.X_BF, here_.J, pose(expected * T, keep_), posture);
+    a.regular = rest.conditioning > 0 && soon.conditioning > 0 && full.conditioning > 0;
     a.qd0 = rest.dq / T;
-    a.qd1 = (full.dq - rest.dq) / T;
+    a.qd1 = (full.dq - rest.dq) / (expected * T);
     a.returning = returning_ && a.regular;
     if (a.returning) {
       const JointStep stay = newton_step(here_.X_BF, here_.J, pose(0, 1.0), posture);
@@ -281,7 +305,9 @@ class LimitedStep::ExactLaw {
   }
 
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
-  Pose pose_at(double t) const { return pose(t, 1.0); }
+  bool node(double t, const JointVector& guess, double arc, Node& node) const {
+    return self_.pose_node(guess, pose(t, 1.0), pose(t + kTwistSpacing, 1.0), arc, node);
+  }
 
  private:
   Pose pose(double t, double keep) const {
@@ -313,7 +339,7 @@ class LimitedStep::ExactLaw {
 /// The velocity form: a twist, linear in alpha.
 class LimitedStep::VelocityLaw {
  public:
-  static constexpr bool kExactRows = false;
+  static constexpr bool kBarrier = true;
 
   VelocityLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish)
       : self_(self), here_(here), home_(home), wish_(wish), rows_(rcm_rows(here.J, here.shaft)) {}
@@ -327,13 +353,13 @@ class LimitedStep::VelocityLaw {
     const InverseVelocity path = inverse_velocity(here_.J, wish_.forward, none);
     a.regular = rest.conditioning > 0 && path.conditioning > 0;
     a.qd0 = rest.qd;
-    a.qd1 = path.qd;
+    a.qd1 = a.tangent = path.qd;
     a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
     // Lateral velocity that the pivot needs; the rest of the feedback may wait.
     Vector6 pivot = Vector6::Zero();
-    const Vector3 v = wish_.feedback.head<3>() +
-                      Vector3(wish_.feedback.tail<3>())
-                          .cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
+    const Vector3 v =
+        wish_.feedback.head<3>() +
+        Vector3(wish_.feedback.tail<3>()).cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
     pivot.head<3>() = v - here_.shaft.s * here_.shaft.s.dot(v);
     const InverseVelocity needed = inverse_velocity(here_.J, pivot, posture);
     a.back = rest.qd - needed.qd;
@@ -347,9 +373,9 @@ class LimitedStep::VelocityLaw {
     RcmRows rows = rows_;
     const Vector3& s = here_.shaft.s;
     const Vector3 u = s.unitOrthogonal(), w = s.cross(u);
-    const Vector3 v = wish_.feedback.head<3>() +
-                      Vector3(wish_.feedback.tail<3>())
-                          .cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
+    const Vector3 v =
+        wish_.feedback.head<3>() +
+        Vector3(wish_.feedback.tail<3>()).cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
     rows.e = {u.dot(v), w.dot(v)};
     for (Eigen::Index i = 0; i < qd.size(); ++i) {
       rows.e[0] -= rows.J(0, i) * qd[i];
@@ -359,7 +385,11 @@ class LimitedStep::VelocityLaw {
   }
 
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
-  Pose pose_at(double t) const { return pose_on_pivot(home_, self_.tool_, wish_.path(t)); }
+  bool node(double t, const JointVector& guess, double arc, Node& node) const {
+    return self_.pose_node(guess, pose_on_pivot(home_, self_.tool_, wish_.path(t)),
+                           pose_on_pivot(home_, self_.tool_, wish_.path(t + kTwistSpacing)), arc,
+                           node);
+  }
 
  private:
   const LimitedStep& self_;
@@ -367,6 +397,85 @@ class LimitedStep::VelocityLaw {
   const Home& home_;
   const Wish& wish_;
   RcmRows rows_;
+};
+
+/// The recorded joint path backwards, put back on the pivot by its own rows alone: no inverse of J,
+/// so no singularity can stop it.
+class LimitedStep::RetraceLaw {
+ public:
+  static constexpr bool kBarrier = false;
+
+  RetraceLaw(const LimitedStep& self, const Here& here, const JointTrace& trace, double back,
+             double rate, const Vector3& p_BRcm)
+      : self_(self), here_(here), trace_(trace), back_(back), rate_(rate), p_BRcm_(p_BRcm) {
+    at_0_ = on_pivot(trace.at(back));
+    off_ = here.q - at_0_;
+    const double off = largest(off_);
+    if (off > 0) {
+      const double gentle =
+          std::min(kReturnGain * off, std::sqrt(2 * kRetraceReturn * off)) * self.T_;
+      keep_ = 1 - std::min(std::max(gentle, kRetraceAtOnce) / off, 1.0);
+    }
+  }
+
+  double horizon() const { return kRetraceHorizon; }
+
+  Affine affine() const {
+    const double T = self_.T_;
+    Affine a;
+    a.qd0 = (at_0_ + keep_ * off_ - here_.q) / T;
+    a.tangent = (on_pivot(trace_.at(back_ + rate_ * kTraceSpacing)) - at_0_) / kTraceSpacing;
+    const double expected = a.expected(here_.qd_last, T);
+    a.qd1 = (on_pivot(trace_.at(back_ + expected * rate_ * T)) - at_0_) / (expected * T);
+    a.back = (keep_ - 1) * off_ / T;
+    a.returning = true;
+    a.moves = back_ < trace_.length();
+    return a;
+  }
+
+  JointVector finish(double alpha, double beta, const JointVector&) const {
+    const double T = self_.T_;
+    const double keep = 1 - beta * (1 - keep_);
+    const JointVector on_trace = on_pivot(trace_.at(back_ + alpha * rate_ * T));
+    return (on_pivot(on_trace + keep * off_) - here_.q) / T;
+  }
+
+  RcmRows rows(const JointVector& qd) const {
+    Pose X;
+    Jacobian J;
+    self_.chain_.forward(here_.q + self_.T_ * qd, X, J);
+    RcmRows rows = rcm_rows(J, shaft_state(X, self_.tool_, p_BRcm_));
+    rows.e /= self_.T_;
+    return rows;
+  }
+
+  bool node(double t, const JointVector&, double, Node& node) const {
+    node.q = on_pivot(trace_.at(back_ + rate_ * t));
+    node.direction =
+        (on_pivot(trace_.at(back_ + rate_ * (t + kTraceSpacing))) - node.q) / kTraceSpacing;
+    return true;
+  }
+
+ private:
+  JointVector on_pivot(JointVector q) const {
+    for (int pass = 0; pass < 3; ++pass) {
+      Pose X;
+      Jacobian J;
+      self_.chain_.forward(q, X, J);
+      const ShaftState shaft = shaft_state(X, self_.tool_, p_BRcm_);
+      if (shaft.e.squaredNorm() < kOnPivot * kOnPivot) break;
+      q += rcm_correction(rcm_rows(J, shaft)).dq;
+    }
+    return q;
+  }
+
+  const LimitedStep& self_;
+  const Here& here_;
+  const JointTrace& trace_;
+  double back_, rate_;
+  Vector3 p_BRcm_;
+  JointVector at_0_, off_;
+  double keep_ = 0;
 };
 
 // --- the step ---------------------------------------------------------------------------------
@@ -390,10 +499,51 @@ LimitedStep::Box LimitedStep::box(const JointVector& q, const JointVector& qd_la
     // Where both cannot be (a state from outside), acceleration wins: it brakes as it may.
     box.high[i] = std::clamp(high, slowest, fastest);
     box.low[i] = std::clamp(low, slowest, fastest);
-    box.high_by[i] = fastest <= high ? "joint_acceleration" : (up < v ? "joint_limit" : "joint_velocity");
-    box.low_by[i] = slowest >= low ? "joint_acceleration" : (down < v ? "joint_limit" : "joint_velocity");
+    box.high_by[i] =
+        fastest <= high ? "joint_acceleration" : (up < v ? "joint_limit" : "joint_velocity");
+    box.low_by[i] =
+        slowest >= low ? "joint_acceleration" : (down < v ? "joint_limit" : "joint_velocity");
   }
   return box;
+}
+
+/// Whether a node of the preview may follow one with the measures 'from': neither through a
+/// singularity nor, on the way there, closer than the barrier allows.
+bool LimitedStep::passes(const SingularityMeasures& from, const SingularityMeasures& to) const {
+  for (int i = 0; i < std::min(from.n, to.n); ++i) {
+    const double before = std::abs(from.phi[i]), after = std::abs(to.phi[i]);
+    if (to.phi[i] * from.phi[i] <= 0) return false;
+    if (after < barrier_.phi_min() && after < before) return false;
+  }
+  return true;
+}
+
+/// Within the position limits, or not further beyond one than 'from'.
+bool LimitedStep::inside_positions(const JointVector& q, const JointVector& from) const {
+  for (Eigen::Index i = 0; i < q.size(); ++i) {
+    if (q[i] > std::max(limits_.position_max[i], from[i])) return false;
+    if (q[i] < std::min(limits_.position_min[i], from[i])) return false;
+  }
+  return true;
+}
+
+/// Newton's method from 'guess', one step, to the pose of a path: joints, and their direction from
+/// a second pose a little later. A step as long as the arc itself has left the path or is at its
+/// end.
+bool LimitedStep::pose_node(const JointVector& guess, const Pose& pose, const Pose& later,
+                            double arc, Node& node) const {
+  const JointVector still = JointVector::Zero(guess.size());
+  Pose X;
+  Jacobian J;
+  chain_.forward(guess, X, J);
+  const JointStep rest = newton_step(X, J, pose, still);
+  const JointStep next = newton_step(X, J, later, still);
+  if (!(rest.conditioning > 0 && next.conditioning > 0)) return false;
+  if (largest(rest.dq) > 0.35 * arc + 2e-3) return false;
+  node.q = guess + rest.dq;
+  node.direction = (next.dq - rest.dq) / kTwistSpacing;
+  node.measures = barrier_.measures(X, J);
+  return true;
 }
 
 /// Nodes ahead on the path, spaced wider the farther away, in clock and in joint space, and from
@@ -406,10 +556,10 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   const double horizon = law.horizon();
   Preview preview;
   std::array<JointVector, kNodes + 1> direction;  // d q / d clock
-  direction[0] = affine.qd1;
+  direction[0] = affine.tangent;
   preview.t[0] = 0;
-  const JointVector still = JointVector::Zero(n);
-  SingularityMeasures last = barrier_.measures(here.X_BF, here.J);
+  SingularityMeasures last;
+  if (Law::kBarrier) last = barrier_.measures(here.X_BF, here.J);
   JointVector q = here.q;
   double spacing = kFirstSpacing, arc = kFirstArc;
   int evaluations = 0;
@@ -423,43 +573,21 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
       if (speed * dt < kSmallestArc && dt < 1e-4) break;
       ++evaluations;
       const double t = preview.t[k] + dt;
-      const JointVector guess = q + dt * direction[k];
-      Pose X;
-      Jacobian J;
-      chain_.forward(guess, X, J);
-      const JointStep rest = newton_step(X, J, law.pose_at(t), still);
-      const JointStep next = newton_step(X, J, law.pose_at(t + kTwistSpacing), still);
-      if (!(rest.conditioning > 0 && next.conditioning > 0)) continue;
-      // A Newton step as long as the arc itself has left the path, or is at its end.
-      if (largest(rest.dq) > 0.35 * speed * dt + 2e-3) continue;
-      const SingularityMeasures now = barrier_.measures(X, J);
-      bool regular = true;
-      for (int i = 0; i < now.n; ++i) {
-        const double before = std::abs(last.phi[i]), after = std::abs(now.phi[i]);
-        if (now.phi[i] * last.phi[i] <= 0) regular = false;
-        if (after < barrier_.phi_min() && after < before) regular = false;
-      }
-      if (!regular) {
+      Node node;
+      if (!law.node(t, q + dt * direction[k], speed * dt, node)) continue;
+      if (!passes(last, node.measures)) {
         preview.by = "singularity";
         continue;
       }
-      const JointVector q_next = guess + rest.dq;
-      bool inside = true;
-      for (Eigen::Index i = 0; i < n; ++i) {
-        if ((q_next[i] > limits_.position_max[i] && q_next[i] > here.q[i]) ||
-            (q_next[i] < limits_.position_min[i] && q_next[i] < here.q[i])) {
-          inside = false;
-        }
-      }
-      if (!inside) {
+      if (!inside_positions(node.q, here.q)) {
         preview.by = "joint_limit";
         continue;
       }
       ++k;
       preview.t[k] = t;
-      direction[k] = (next.dq - rest.dq) / kTwistSpacing;
-      q = q_next;
-      last = now;
+      direction[k] = node.direction;
+      q = node.q;
+      last = node.measures;
       spacing = std::min(spacing, 2 * dt) * kSpacingGrowth;
       arc *= kSpacingGrowth;
       reached = true;
@@ -477,7 +605,8 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
     const double dt = preview.t[i + 1] - preview.t[i];
     double most = 1;
     for (Eigen::Index j = 0; j < n; ++j) {
-      const double v = kPlanVelocity * limits_.velocity[j] / std::max(std::abs(direction[i][j]), 1e-9);
+      const double v =
+          kPlanVelocity * limits_.velocity[j] / std::max(std::abs(direction[i][j]), 1e-9);
       most = std::min(most, v * v);
     }
     std::array<Row, 2 * kMaxJoints + 4> rows;
@@ -513,7 +642,8 @@ double LimitedStep::caps(const Law& law, const Here& here, const Affine& affine,
   const double flange = forward.head<3>().norm();
   if (flange > limits_.flange_velocity) limit(limits_.flange_velocity / flange, "flange_velocity");
   // Singularity barrier: rate of each measure along the path, from a small step of it.
-  const SingularityMeasures now = barrier_.measures(here.X_BF, here.J);
+  SingularityMeasures now;
+  if (Law::kBarrier) now = barrier_.measures(here.X_BF, here.J);
   double closest = 1;
   for (int i = 0; i < now.n; ++i) closest = std::min(closest, std::abs(now.phi[i]));
   if (closest < 0.3) {
@@ -591,27 +721,38 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
   const double cap = affine.regular ? caps(law, here, affine, cap_by) : 0.0;
 
   // First tier: on the path. How much of the way back is taken goes down before the path is left.
-  double alpha = 0;
   JointVector missed = JointVector::Zero(here.q.size());
   for (double beta = 1; affine.regular; beta = beta > 0.2 ? 0.4 * beta : 0.0) {
     missed.setZero();
+    double alpha = 0;
+    bool found = false;
     for (int pass = 0; pass < kPasses; ++pass) {
       JointVector qd0 = affine.qd0 + missed;
       if (beta < 1 && affine.returning) qd0 -= (1 - beta) * affine.back;
       const Interval interval = box.interval(qd0, affine.qd1);
-      if (interval.empty()) break;
-      alpha = std::clamp(cap, interval.low, interval.high);
+      const bool bent = interval.empty();  // the linear picture is worthless: go back by halves
+      if (bent && (pass == 0 || found)) break;
+      const double next = bent ? (pass + 1 < kPasses ? 0.3 * alpha : 0.0)
+                               : std::clamp(cap, interval.low, interval.high);
+      if (found && !(next < alpha)) break;
+      alpha = next;
       const JointVector linear = qd0 + alpha * affine.qd1;
       const JointVector qd = law.finish(alpha, beta, box.clamped(linear));
-      if (box.holds(qd)) {
+      const bool holds = box.holds(qd);
+      if (holds) {
+        found = true;
         step.qd = qd;
         step.alpha = alpha;
         step.limited_by = alpha >= 1 ? "" : (interval.high <= cap ? interval.high_by : cap_by);
-        step.held = affine.moves && alpha < kHeld &&
-                    (qd.array().abs() < kStill * limits_.velocity.array()).all();
-        return step;
       }
+      // Done, unless the joints are to brake harder than the linear picture could tell.
+      if (found && (!holds || !(alpha > cap) || pass > 1)) break;
       missed += qd - linear;
+    }
+    if (found) {
+      step.held = affine.moves && step.alpha < kHeld &&
+                  (step.qd.array().abs() < kStill * limits_.velocity.array()).all();
+      return step;
     }
     if (!affine.returning || beta == 0) break;
   }
@@ -620,8 +761,13 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
   step.tier = 1;
   step.alpha = affine.regular ? box.nearest(affine.qd0, affine.qd1, cap) : 0.0;
   step.limited_by = affine.regular ? "joint_acceleration" : "singularity";
-  JointVector wanted = affine.regular ? JointVector(affine.qd0 + step.alpha * affine.qd1)
-                                      : JointVector::Zero(here.q.size());
+  // All joints brake together, so that the tip stays near its tangent; from rest the path is tried
+  // again.
+  double stop = T_;
+  for (Eigen::Index i = 0; i < here.q.size(); ++i) {
+    stop = std::max(stop, std::abs(here.qd_last[i]) / limits_.acceleration[i]);
+  }
+  JointVector wanted = (1 - T_ / stop) * here.qd_last;
   for (int attempt = 0; attempt < 2; ++attempt) {
     JointVector qd = box.clamped(wanted);
     double left = INFINITY;
@@ -667,6 +813,16 @@ Step LimitedStep::velocity(const JointVector& q, const JointVector& qd_last, con
   chain_.forward(q, here.X_BF, here.J);
   here.shaft = shaft_state(here.X_BF, tool_, p_BRcm);
   const VelocityLaw law(*this, here, home, wish);
+  return run(law, here, box(q, qd_last));
+}
+
+Step LimitedStep::retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,
+                          double back, double rate, const Vector3& p_BRcm) const {
+  Here here;
+  here.q = q;
+  here.qd_last = qd_last;
+  chain_.forward(q, here.X_BF, here.J);
+  const RetraceLaw law(*this, here, trace, back, rate, p_BRcm);
   return run(law, here, box(q, qd_last));
 }
 

@@ -2,29 +2,31 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <stdexcept>
 
 namespace surg {
 namespace {
 
-// The exact check decides, up to rounding.
-constexpr double kRounding = 1 + 1e-12;
-constexpr double kScanStep = 1.04;    // the set of feasible durations is not one interval
-constexpr double kResolution = 1e-4;  // of the duration [s]
+constexpr double kRounding = 1 + 1e-12;      // of a limit
+constexpr double kPositionRounding = 1e-12;  // [m] or [rad]
+constexpr double kScanStep = 1.04;           // the set of feasible durations is not one interval
+constexpr double kResolution = 1e-4;         // of the duration [s]
 
-// How far a quintic is beyond its limits: largest ratio of an extreme to its limit. Cheapest test
-// first; 'enough' stops the search for candidates that lost already.
-double excess(const Quintic& q, const DofLimits& limits, double enough) {
-  double worst = q.max_jerk() / limits.jerk;
-  if (worst > enough) return worst;
-  worst = std::max(worst, q.max_acceleration() / limits.acceleration);
-  if (worst > enough) return worst;
-  return std::max(worst, q.max_velocity() / limits.velocity);
+bool inside(const Interval& range, const Interval& hull) {
+  return range.least >= hull.least - kPositionRounding &&
+         range.greatest <= hull.greatest + kPositionRounding;
 }
 
-// A duration that is always long enough from a = 0 and |v| <= V. The quintic is the sum of a part
-// for the distance D and a part for v; each may take half of the acceleration and of the jerk:
+// The exact check that decides; cheapest part first.
+bool within_limits(const Quintic& q, const DofLimits& limits) {
+  return q.max_jerk() <= limits.jerk * kRounding &&
+         q.max_acceleration() <= limits.acceleration * kRounding &&
+         q.max_velocity() <= limits.velocity * kRounding;
+}
+
+// A duration that is always long enough from a = 0 and |v| <= V, bounds apart. The quintic is the
+// sum of a part for the distance D and a part for v; each may take half of the acceleration and of
+// the jerk:
 //   distance part: peaks 10 D / (sqrt(3) d^2) and 60 D / d^3;
 //   v part: peaks 3.94 v / d and 36 v / d^2.
 // With d >= 4 D / V the two velocity parts stay within V together.
@@ -36,16 +38,19 @@ double surely_enough(const Kinematic& from, double target, const DofLimits& limi
                    std::sqrt(72 * v / limits.jerk)});
 }
 
-// Rest to rest, the least duration is known in closed form.
+// Rest to rest, the least duration is known in closed form, and the path is monotone.
 double rest_to_rest(double D, const DofLimits& limits) {
   return std::max({15 * D / (8 * limits.velocity),
                    std::sqrt(10 * D / (std::sqrt(3.0) * limits.acceleration)),
                    std::cbrt(60 * D / limits.jerk)});
 }
 
-Kinematic with_jerk(const Kinematic& from, double jerk, double t) {
-  return {from.x + t * (from.v + t * (from.a / 2 + t * jerk / 6)),
-          from.v + t * (from.a + t * jerk / 2), from.a + t * jerk};
+// Whether a state is inside its limits and can stay there: full jerk brings a to zero before v is
+// beyond its own.
+bool can_keep(const Kinematic& state, const DofLimits& limits) {
+  const double eased = state.v + 0.5 * state.a * std::abs(state.a) / limits.jerk;
+  return std::abs(state.a) <= limits.acceleration * kRounding &&
+         std::max(std::abs(state.v), std::abs(eased)) <= limits.velocity * kRounding;
 }
 
 }  // namespace
@@ -73,90 +78,89 @@ void Profiler::reset(const std::array<Kinematic, kDof>& state) {
   for (int i = 0; i < kDof; ++i) q_[i] = Quintic(state[i], state[i], 0);
 }
 
-Profiler::Plan Profiler::build(const std::array<Kinematic, kDof>& from,
-                               const std::array<double, kDof>& target, double duration,
-                               double enough) const {
-  Plan plan;
-  for (int i = 0; i < kDof && plan.excess <= enough; ++i) {
-    plan.q[i] = Quintic(from[i], {target[i], 0, 0}, duration);
-    plan.excess = std::max(plan.excess, excess(plan.q[i], limits_[i], enough));
+Profiler::Check Profiler::build(const std::array<Kinematic, kDof>& from, const Goal& goal,
+                                double duration, Quintics& q) const {
+  for (int i = 0; i < kDof; ++i) {
+    q[i] = Quintic(from[i], {goal.target[i], 0, 0}, duration);
+    if (!within_limits(q[i], limits_[i])) return Check::kBeyondLimits;
   }
-  return plan;
+  for (int i = 0; i < kDof; ++i) {
+    if (!inside(q[i].range(0, duration), goal.hull[i])) return Check::kOutOfBounds;
+  }
+  return Check::kHolds;
 }
 
-Profiler::Plan Profiler::search(const std::array<Kinematic, kDof>& from,
-                                const std::array<double, kDof>& target) const {
+/// The quintics of the first duration that holds, found by scanning upwards and then bisecting
+/// between it and its failing neighbour. False: there is none.
+bool Profiler::search(const std::array<Kinematic, kDof>& from, const Goal& goal,
+                      Quintics& q) const {
   double first = base_duration_, at_rest = base_duration_, longest = base_duration_;
   bool resting = true;
   for (int i = 0; i < kDof; ++i) {
-    const double D = std::abs(target[i] - from[i].x);
+    const double D = std::abs(goal.target[i] - from[i].x);
     first = std::max(first, D / limits_[i].velocity);  // nothing arrives sooner
     at_rest = std::max(at_rest, rest_to_rest(D, limits_[i]));
-    longest = std::max(longest, surely_enough(from[i], target[i], limits_[i]));
+    longest = std::max(longest, surely_enough(from[i], goal.target[i], limits_[i]));
     resting = resting && from[i].v == 0 && from[i].a == 0;
   }
-  if (resting) return build(from, target, at_rest, kRounding);
-
-  // Scan upwards for the first duration that holds, then bisect between it and its failing
-  // neighbour. Every candidate is judged by the exact extremes.
+  if (resting) {
+    for (int i = 0; i < kDof; ++i) q[i] = Quintic(from[i], {goal.target[i], 0, 0}, at_rest);
+    return true;
+  }
   double failed = 0, d = first;
-  Plan plan = build(from, target, d, kRounding);
-  while (plan.excess > kRounding && d < longest) {
+  for (Check check; (check = build(from, goal, d, q)) != Check::kHolds;) {
+    // Once only the bounds are in the way, longer quintics swing farther still.
+    if (check == Check::kOutOfBounds || !(d < longest)) return false;
     failed = d;
     d = std::min(d * kScanStep, longest);
-    plan = build(from, target, d, kRounding);
   }
-  if (plan.excess > kRounding || failed == 0) return plan;
-  while (d - failed > kResolution) {
+  while (failed > 0 && d - failed > kResolution) {
     const double middle = 0.5 * (failed + d);
-    const Plan candidate = build(from, target, middle, kRounding);
-    if (candidate.excess <= kRounding) {
+    Quintics candidate;
+    if (build(from, goal, middle, candidate) == Check::kHolds) {
       d = middle;
-      plan = candidate;
+      q = candidate;
     } else {
       failed = middle;
     }
   }
-  return plan;
+  return true;
 }
 
-Profiler::Plan Profiler::least_excess(const std::array<Kinematic, kDof>& from,
-                                      const std::array<double, kDof>& target) const {
-  double longest = base_duration_;
-  for (int i = 0; i < kDof; ++i) {
-    longest = std::max(longest, surely_enough(from[i], target[i], limits_[i]));
-  }
-  Plan best = build(from, target, longest, std::numeric_limits<double>::infinity());
-  for (double d = base_duration_; d < longest; d *= kScanStep) {
-    const Plan candidate = build(from, target, d, best.excess);
-    if (candidate.excess < best.excess) best = candidate;
-  }
-  return best;
-}
-
-void Profiler::plan(const std::array<double, kDof>& target) {
+bool Profiler::plan(const std::array<double, kDof>& target, const Bounds& bounds) {
   for (double x : target) {
-    if (!std::isfinite(x)) return;
+    if (!std::isfinite(x)) return false;
   }
   const std::array<Kinematic, kDof> from = state_;
+  Goal goal{target, bounds};
+  for (int i = 0; i < kDof; ++i) {
+    goal.hull[i].include(from[i].x);
+    goal.hull[i].include(target[i]);
+  }
   t_ = 0;
   brake_duration_ = 0;
-  Plan plan = search(from, target);
-  if (plan.excess > kRounding) {
-    // No single quintic keeps the limits (surely so when |a0| exceeds its limit). Bring every a to
-    // zero first, with full jerk; from there a long enough quintic always exists, unless |v| is
-    // beyond its limit too. Then nothing can hold, and the duration that exceeds the limits least
-    // is taken.
-    double brake = 0;
-    for (int i = 0; i < kDof; ++i) brake = std::max(brake, std::abs(from[i].a) / limits_[i].jerk);
-    brake_from_ = from;
-    std::array<Kinematic, kDof> braked;
-    for (int i = 0; i < kDof; ++i) braked[i] = braking(i, brake);
-    plan = search(braked, target);
-    if (plan.excess > kRounding) plan = least_excess(braked, target);
-    brake_duration_ = brake;
+  if (search(from, goal, q_)) return true;
+  bool keepable = true;
+  for (int i = 0; i < kDof; ++i) keepable = keepable && can_keep(from[i], limits_[i]);
+  if (brake_first(&Braking::ease, from, goal)) return keepable;
+  return brake_first(&Braking::stop, from, goal) && keepable;
+}
+
+/// Brakes every degree of freedom, then goes to the target. False: the braking leaves the hull, or
+/// no quintic holds after it. (From rest there is always one.)
+bool Profiler::brake_first(Brake brake, const std::array<Kinematic, kDof>& from, const Goal& goal) {
+  brake_duration_ = 0;
+  for (int i = 0; i < kDof; ++i) {
+    brake_[i] = brake(from[i], limits_[i]);
+    brake_duration_ = std::max(brake_duration_, brake_[i].duration());
   }
-  q_ = plan.q;
+  bool good = true;
+  std::array<Kinematic, kDof> after;
+  for (int i = 0; i < kDof; ++i) {
+    after[i] = brake_[i].at(brake_duration_);
+    good = good && inside(brake_[i].range(0, brake_duration_), goal.hull[i]);
+  }
+  return search(after, goal, q_) && good;
 }
 
 void Profiler::plan_fixed(const std::array<double, kDof>& target, double duration) {
@@ -166,22 +170,11 @@ void Profiler::plan_fixed(const std::array<double, kDof>& target, double duratio
   for (int i = 0; i < kDof; ++i) q_[i] = Quintic(from[i], {target[i], 0, 0}, duration);
 }
 
-Kinematic Profiler::braking(int dof, double t) const {
-  const Kinematic& from = brake_from_[dof];
-  const double ramp = std::abs(from.a) / limits_[dof].jerk;
-  Kinematic now = with_jerk(from, -std::copysign(limits_[dof].jerk, from.a), std::min(t, ramp));
-  if (t >= ramp) {  // then at constant velocity until the slowest degree of freedom has finished
-    now.a = 0;
-    now.x += now.v * (t - ramp);
-  }
-  return now;
-}
-
 void Profiler::advance(double dt) {
   t_ = std::min(t_ + dt, duration());
   for (int i = 0; i < kDof; ++i) {
     if (t_ < brake_duration_) {
-      state_[i] = braking(i, t_);
+      state_[i] = brake_[i].at(t_);
     } else {
       // At the end exactly the target: t_ - brake_duration_ may be a rounding short of it.
       state_[i] = q_[i].at(done() ? q_[i].duration() : t_ - brake_duration_);
@@ -192,5 +185,17 @@ void Profiler::advance(double dt) {
 bool Profiler::done() const { return t_ >= duration(); }
 
 double Profiler::duration() const { return brake_duration_ + q_[0].duration(); }
+
+Interval Profiler::excursion(int dof, double t0, double t1) const {
+  const Quintic& q = q_[dof];
+  if (t0 >= brake_duration_) return q.range(t0 - brake_duration_, t1 - brake_duration_);
+  Interval range = brake_[dof].range(t0, std::min(t1, brake_duration_));
+  if (t1 > brake_duration_) {
+    const Interval rest = q.range(0, t1 - brake_duration_);
+    range.include(rest.least);
+    range.include(rest.greatest);
+  }
+  return range;
+}
 
 }  // namespace surg

@@ -37,17 +37,17 @@ double root_between(const double* c, int degree, double low, double high) {
   return s;
 }
 
-// Where p changes sign inside (0, 1), in order; at most 'degree' places (degree <= 4). Exact
+// Where p changes sign inside (low, high), in order; at most 'degree' places (degree <= 4). Exact
 // without any case formula: between two neighbouring places where p' changes sign, p is monotone. A
 // root that p only touches is left out, as it is no extreme of p's integral.
-int sign_changes(const double* c, int degree, double* places) {
+int sign_changes(const double* c, int degree, double low, double high, double* places) {
   if (degree == 0) return 0;
   double derivative[5];
   differentiate(c, degree, derivative);
   double borders[6];
-  const int inner = sign_changes(derivative, degree - 1, borders + 1);
-  borders[0] = 0;
-  borders[inner + 1] = 1;
+  const int inner = sign_changes(derivative, degree - 1, low, high, borders + 1);
+  borders[0] = low;
+  borders[inner + 1] = high;
   int count = 0;
   for (int i = 0; i <= inner; ++i) {
     const double left = evaluate(c, degree, borders[i]);
@@ -59,25 +59,21 @@ int sign_changes(const double* c, int degree, double* places) {
   return count;
 }
 
-// Least and greatest value of p on [0, 1]: the ends and every place where p' changes sign.
-void extremes(const double* c, int degree, double& least, double& greatest) {
-  const double first = evaluate(c, degree, 0), last = evaluate(c, degree, 1);
-  least = std::min(first, last);
-  greatest = std::max(first, last);
+// Least and greatest value of p on [low, high]: the ends and every place where p' changes sign.
+Interval extremes(const double* c, int degree, double low = 0, double high = 1) {
+  const double first = evaluate(c, degree, low);
+  Interval range{first, first};
+  range.include(evaluate(c, degree, high));
   double derivative[5], places[4];
   differentiate(c, degree, derivative);
-  const int count = sign_changes(derivative, degree - 1, places);
-  for (int i = 0; i < count; ++i) {
-    const double value = evaluate(c, degree, places[i]);
-    least = std::min(least, value);
-    greatest = std::max(greatest, value);
-  }
+  const int count = sign_changes(derivative, degree - 1, low, high, places);
+  for (int i = 0; i < count; ++i) range.include(evaluate(c, degree, places[i]));
+  return range;
 }
 
 double largest_magnitude(const double* c, int degree) {
-  double least, greatest;
-  extremes(c, degree, least, greatest);
-  return std::max(-least, greatest);
+  const Interval range = extremes(c, degree);
+  return std::max(-range.least, range.greatest);
 }
 
 }  // namespace
@@ -135,16 +131,13 @@ double Quintic::max_jerk() const {
   return largest_magnitude(j, 2) / (d_ * d_ * d_);
 }
 
-double Quintic::min_position() const {
-  double least, greatest;
-  extremes(c_, 5, least, greatest);
-  return least;
-}
+double Quintic::min_position() const { return extremes(c_, 5).least; }
 
-double Quintic::max_position() const {
-  double least, greatest;
-  extremes(c_, 5, least, greatest);
-  return greatest;
+double Quintic::max_position() const { return extremes(c_, 5).greatest; }
+
+Interval Quintic::range(double t0, double t1) const {
+  if (d_ == 0) return {to_.x, to_.x};
+  return extremes(c_, 5, std::clamp(t0 / d_, 0.0, 1.0), std::clamp(t1 / d_, 0.0, 1.0));
 }
 
 }  // namespace surg

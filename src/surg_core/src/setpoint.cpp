@@ -9,8 +9,8 @@
 namespace surg {
 namespace {
 
-constexpr double kOverdue = 0.004;    // [s] a gap in a fast stream that is still bridged
-constexpr double kBrakeOnset = 0.02;  // [s] until the jerk limit lets the brake bite
+constexpr double kOverdue = 0.004;  // [s] a gap in a fast stream that is still bridged
+constexpr double kAside = 0.002;    // [m] off the shaft a profile may be near the trocar
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
@@ -163,10 +163,15 @@ bool Setpoint::plan_leaves_workspace() const {
   constexpr int kSamples = 32;
   Profiler ahead = profiler_;
   const double step = ahead.duration() / kSamples;
+  const Vector3 from = p_RTip(), s = s_R();
+  const double shallow = std::min(limits_.depth_slow, from.norm());
   for (int i = 0; i < kSamples; ++i) {
     ahead.advance(step);
     const Dofs& dofs = ahead.state();
-    if (further_out(position(space_ == Space::kCartesian ? dofs : to_cartesian(dofs)))) return true;
+    const Vector3 p = position(space_ == Space::kCartesian ? dofs : to_cartesian(dofs));
+    if (further_out(p)) return true;
+    const bool aside = (p - s * s.dot(p)).norm() > kAside;
+    if (aside && p.norm() < shallow) return true;
   }
   return false;
 }
@@ -194,6 +199,11 @@ void Setpoint::stand() {
   if (mode_ == Mode::kStopping) come_to_rest();
 }
 
+void Setpoint::slip(const Vector3& p_RTip, const Vector3& v_RTip) {
+  if (mode_ != Mode::kStopping || axial_) return;
+  for (int i = 0; i < 3; ++i) dofs_[i] = {p_RTip[i], v_RTip[i], 0};
+}
+
 void Setpoint::come_to_rest() {
   mode_ = Mode::kRest;
   if (then_go_ && !plan(target_space_, target_)) mode_ = Mode::kRest;
@@ -203,6 +213,8 @@ void Setpoint::advance(double dt) {
   if (!(dt > 0)) return;
   if (tick_ > 0) clock_ = std::min(dt / tick_, 1.0);
   at_wall_ = false;
+  if (mode_ == Mode::kProfile && v_RTip().dot(push_R_) < 0) stop();
+  const Vector3 p_before = p_RTip();
   switch (mode_) {
     case Mode::kRest:
       break;
@@ -219,11 +231,34 @@ void Setpoint::advance(double dt) {
         for (auto& dof : dofs_) dof.v = dof.a = 0;
         mode_ = Mode::kRest;
       }
-      break;
+      return;
     case Mode::kStopping:
       advance_stopping(dt);
       break;
   }
+  hinder(p_before);
+}
+
+void Setpoint::yield_to(const Vector3& push_R) { push_R_ = push_R; }
+
+/// Takes out of a step what may not be: sideways motion near the trocar, where the shaft would turn
+/// too fast (F24), and motion against a push. Profiles are planned where neither matters.
+void Setpoint::hinder(const Vector3& p_before) {
+  const double depth = p_before.norm(), fade = lateral_fade(limits_, depth);
+  if (axial_ || (fade >= 1 && push_R_.isZero(0))) return;
+  const Vector3 s = p_before / depth, moved = p_RTip() - p_before;
+  Vector3 step = s * s.dot(moved) + fade * (moved - s * s.dot(moved));
+  step -= std::min(0.0, step.dot(push_R_)) * push_R_;
+  const Vector3 p = p_before + step;
+  if (space_ == Space::kCartesian) {
+    for (int i = 0; i < 3; ++i) dofs_[i].x = p[i];
+  } else {
+    const Eigen::Vector2d angles = shaft_angles(p.normalized());
+    dofs_[0].x = angles[0];
+    dofs_[1].x = angles[1];
+    dofs_[2].x = p.norm();
+  }
+  for (int i = 0; i < 3; ++i) filters_[i].reset(dofs_[i]);
 }
 
 void Setpoint::advance_stream(double dt) {
@@ -234,16 +269,43 @@ void Setpoint::advance_stream(double dt) {
     dofs_ = profiler_.state();
     return;
   }
-  // An overdue sample is not extrapolated any further, and where braking at the stream's own limit
-  // would end outside the workspace nothing is: the last accepted sample, which is inside, is where
-  // the tip comes to rest.
-  const Vector3 p = p_RTip(), v = v_RTip();
-  const double brake_time = kBrakeOnset + v.norm() / (2 * limits_.tip_acceleration);
-  const bool rest = age_ > std::max(1.5 * spacing_, kOverdue) || further_out(p + brake_time * v);
+  // An overdue sample is not extrapolated any further: the tip comes to rest at it. The tick is
+  // taken only if the hardest stop after it still ends inside the workspace; otherwise that stop
+  // begins (or goes on), which was possible before.
+  const bool overdue = age_ > std::max(1.5 * spacing_, kOverdue);
+  auto next = filters_;
   for (int i = 0; i < 4; ++i) {
-    filters_[i].step(rest ? Kinematic{target_[i], 0, 0} : estimates_[i].predict(age_ + dt), dt);
+    next[i].step(overdue ? Kinematic{target_[i], 0, 0} : estimates_[i].predict(age_ + dt), dt);
+  }
+  at_wall_ = stop_leaves_workspace(next);
+  for (int i = 0; i < 4; ++i) {
+    if (at_wall_ && i < 3) {
+      filters_[i].brake(dt);
+    } else {
+      filters_[i] = next[i];
+    }
     dofs_[i] = filters_[i].state();
   }
+}
+
+/// Whether the tip leaves the workspace when every axis brakes as hard as its limits allow. The
+/// axes stop one after the other, so the way there bends: it is looked at in several places.
+bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const {
+  constexpr int kPlaces = 8;
+  const auto limits = dof_limits(space_);
+  std::array<Braking, 4> stops;
+  double duration = 0;
+  for (int i = 0; i < 4; ++i) {
+    stops[i] = Braking::stop(filters[i].state(), limits[i]);
+    if (i < 3) duration = std::max(duration, stops[i].duration());
+  }
+  for (int k = 1; k <= kPlaces; ++k) {
+    Dofs there;
+    for (int i = 0; i < 4; ++i) there[i] = stops[i].at(duration * k / kPlaces);
+    const Dofs cartesian = space_ == Space::kCartesian ? there : to_cartesian(there);
+    if (further_out(position(cartesian))) return true;
+  }
+  return false;
 }
 
 void Setpoint::advance_velocity(double dt) {
@@ -298,6 +360,16 @@ Vector3 Setpoint::p_RTip() const {
 
 Vector3 Setpoint::v_RTip() const {
   return velocity(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
+}
+
+Setpoint Setpoint::foreseen(double t) const {
+  Setpoint there = *this;
+  if (mode_ == Mode::kProfile) {
+    there.advance(t);
+    return there;
+  }
+  for (auto& dof : there.dofs_) dof.x += t * dof.v;
+  return there;
 }
 
 Vector3 Setpoint::s_R() const { return axial_ ? axis_R_ : Vector3(p_RTip().normalized()); }

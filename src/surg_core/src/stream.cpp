@@ -19,6 +19,7 @@ constexpr double kSlowSpacing = 1.0 / 30, kSlowAlpha = 0.852, kSlowBeta = 0.703;
 
 // Time constant of the acceleration estimate [s]. Fed forward it takes the filter's gain at 2 Hz
 // from 1.11 to 1.01: a surgeon's path at 500 Hz came out 4 % too long without it, 0.9 % with it.
+// Only while the errors are small, see 'feed_forward'.
 constexpr double kAccelerationTime = 0.01;
 
 double clamp_to(double value, double bound) { return std::clamp(value, -bound, bound); }
@@ -29,6 +30,18 @@ double approach(double e, double g, double l) {
   const double magnitude = std::abs(e);
   if (magnitude <= l / (g * g)) return g * e;
   return std::copysign(std::sqrt(2 * l * (magnitude - 0.5 * l / (g * g))), e);
+}
+
+// The share of the target's acceleration that is fed forward: all of it where both errors are small
+// against the ends of their linear ranges, little beyond. There the square-root approach needs what
+// the limits leave for itself, and an acceleration added on top would have to be taken back later
+// than the jerk limit can: at 40 m/s^3 a surgeon's path overshot by 5.7 mm with all of it always,
+// by 2.8 mm like this.
+double feed_forward(double position_error, double velocity_error, const DofLimits& limits) {
+  const double x =
+      position_error * (kPole * kPole / 9) / (kAccelerationShare * limits.acceleration);
+  const double v = velocity_error * (kPole * kPole) / (kJerkShare * limits.jerk);
+  return 1 / (1 + x * x + v * v);
 }
 
 // The largest jerk over one tick of T from which velocity V can still be kept by ticks whose jerk
@@ -50,6 +63,11 @@ double largest_jerk(double v, double a, double V, double J, double T) {
   // where the peak is v + a^2 / 2|j|; beyond even that, brake as hard as allowed.
   const double room = V - v;
   return a > 0 && 2 * room * J > a * a ? -0.5 * a * a / room : -J;
+}
+
+// Where a tick is long against the limits, only this much jerk can be undone within one tick.
+double usable_jerk(const DofLimits& limits, double T) {
+  return std::min({limits.jerk, limits.acceleration / T, 2 * limits.velocity / (T * T)});
 }
 
 }  // namespace
@@ -99,7 +117,7 @@ void StreamFilter::reset(const Kinematic& state) { state_ = state; }
 void StreamFilter::step(const Kinematic& target, double T) {
   if (!(T > 0) || !(limits_.velocity > 0)) return;
   const double V = limits_.velocity, A = limits_.acceleration, J = limits_.jerk;
-  Kinematic& own = state_;
+  const Kinematic& own = state_;
 
   const double x1 = own.x + T * (own.v + 0.5 * T * own.a);
   const double v1 = own.v + T * own.a;
@@ -108,17 +126,40 @@ void StreamFilter::step(const Kinematic& target, double T) {
   const double wish =
       known ? target.v + approach(target.x - x1, kPole / 3, kAccelerationShare * A) : 0.0;
   const double vc = clamp_to(wish, V);
-  const double ahead = known && std::isfinite(target.a) ? target.a : 0.0;
+  const double ahead = known && std::isfinite(target.a)
+                           ? target.a * feed_forward(target.x - x1, vc - v1, limits_)
+                           : 0.0;
   const double ac = clamp_to(ahead + approach(vc - v1, kPole, kJerkShare * J), A);
   double j = 3 * kPole * (ac - own.a) / (1 + 1.5 * kPole * T);
 
-  // Where a tick is long against the limits, only this much jerk can be undone within one tick.
-  const double usable = std::min({J, A / T, 2 * V / (T * T)});
+  const double usable = usable_jerk(limits_, T);
   j = std::min(j, largest_jerk(own.v, own.a, V, usable, T));
   j = std::max(j, -largest_jerk(-own.v, -own.a, V, usable, T));
-  j = std::clamp(j, (-A - own.a) / T, (A - own.a) / T);
-  j = clamp_to(j, J);
+  integrate(j, T);
+}
 
+void StreamFilter::brake(double T) {
+  if (!(T > 0) || !(limits_.velocity > 0)) return;
+  const double v = state_.v, a = state_.a, J = usable_jerk(limits_, T);
+  // Two ticks that end at rest exactly, the second one perhaps idle.
+  double j = -(v + 1.5 * a * T) / (T * T);
+  const double next = (v + 0.5 * a * T) / (T * T);
+  if (std::max(std::abs(j), std::abs(next)) > J || std::abs(a + j * T) > limits_.acceleration) {
+    // As hard as leaves a way to rest without crossing zero: the velocity limit 0, seen from the
+    // side on which the velocity lies once a is gone. While it is still on its way there: full
+    // jerk.
+    const double side = std::copysign(1.0, v + 0.5 * a * std::abs(a) / J);
+    j = -side * (side * v > 0 ? largest_jerk(-side * v, -side * a, 0, J, T) : J);
+  }
+  integrate(j, T);
+}
+
+/// One tick with the jerk that the limits of acceleration and jerk leave of this one.
+void StreamFilter::integrate(double jerk, double T) {
+  const double A = limits_.acceleration;
+  Kinematic& own = state_;
+  double j = std::clamp(jerk, (-A - own.a) / T, (A - own.a) / T);
+  j = clamp_to(j, limits_.jerk);
   own.x += T * (own.v + T * (own.a / 2 + T * j / 6));
   own.v += T * (own.a + T * j / 2);
   own.a += T * j;

@@ -110,6 +110,13 @@ inline JointVector ur5e_home() {
 inline JointVector panda_home() {
   return (JointVector(7) << -0.147, -0.437, -0.073, -2.227, 0.367, 1.791, 0.044).finished();
 }
+/// Franka's published limits [rad/s, rad/s^2].
+inline JointVector panda_velocity() {
+  return (JointVector(7) << 2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61).finished();
+}
+inline JointVector panda_acceleration() {
+  return (JointVector(7) << 15, 7.5, 10, 12.5, 15, 20, 20).finished();
+}
 
 inline InstrumentConfig instrument() { return {"", "grasper", "", "", "", 0.0, 1.0, 3.0}; }
 

@@ -29,6 +29,8 @@ struct Scene {
         tool_name(tilted ? "60 mm, 10°" : "0"),
         chain(panda ? panda_chain() : ur5e_chain()),
         q_home(panda ? panda_home() : ur5e_home()),
+        velocity(panda ? panda_velocity() : JointVector::Constant(6, 3.1416)),
+        acceleration(panda ? panda_acceleration() : JointVector::Constant(6, 40)),
         tool(tilted ? tilted_tool() : straight_tool()) {
     const Pose X_BF = chain.forward(q_home);
     home = home_of(X_BF, tool);
@@ -46,7 +48,7 @@ struct Scene {
 
   std::string name, tool_name;
   Chain chain;
-  JointVector q_home;
+  JointVector q_home, velocity, acceleration;
   Tool tool;
   Home home;
   Pose X_BR;

@@ -185,7 +185,7 @@ TEST(BlackBox, GoesOnFromAnyImageLikeTheOneThatWasSaved) {
 }
 
 TEST(BlackBox, HoldsTwoSecondsWithWhatFollowedTheFault) {
-  Arm arm(1, Law::kOurs);
+  Arm arm(1, Law::kVelocity);
   arm.run(5000, false);
   arm.box().release();
   arm.box().trigger();
@@ -208,7 +208,7 @@ TEST(BlackBox, HoldsTwoSecondsWithWhatFollowedTheFault) {
 }
 
 TEST(BlackBox, AFloodOfCommandsShortensTheRecordingAndBreaksNothing) {
-  Arm arm(2, Law::kOurs);
+  Arm arm(2, Law::kVelocity);
   for (int k = 0; k < 300; ++k) {
     while (arm.in().n_commands < kMaxCommands) {
       arm.in().commands[arm.in().n_commands++] = arm.any_command();
@@ -223,7 +223,7 @@ TEST(BlackBox, AFloodOfCommandsShortensTheRecordingAndBreaksNothing) {
 }
 
 TEST(BlackBox, TheReplayNamesTheFirstDifference) {
-  const auto arm = incident(5, Law::kOurs);
+  const auto arm = incident(5, Law::kVelocity);
   const BlackBoxRecording good = arm->box().recording(label());
   ASSERT_GT(good.steps.size(), 100U);
 
@@ -254,7 +254,7 @@ TEST(BlackBox, TheReplayNamesTheFirstDifference) {
 }
 
 TEST(BlackBox, ADamagedFileIsRefusedWithWords) {
-  const auto arm = incident(6, Law::kOurs);
+  const auto arm = incident(6, Law::kVelocity);
   const std::string good = encode(arm->box().recording(label()));
   ASSERT_FALSE(replay(decode(good)));
   const auto refused = [](const std::string& bytes) -> std::string {
@@ -286,7 +286,7 @@ TEST(BlackBox, ADamagedFileIsRefusedWithWords) {
 
 TEST(BlackBox, MadeUpContentsWithARightChecksumAreRefusedToo) {
   // Lengths and names are not trusted, whoever wrote the file.
-  const auto arm = incident(8, Law::kOurs);
+  const auto arm = incident(8, Law::kVelocity);
   const std::string good = encode(arm->box().recording(label()));
   const auto sealed = [](std::string bytes) {
     std::uint64_t hash = 1469598103934665603ULL;
@@ -321,7 +321,7 @@ TEST(BlackBox, EveryMotionAndEveryCallLeaveTheHeapAlone) {
 #else
   std::array<int, 17> accepted{};
   long calls = 0;
-  for (const Law law : {Law::kOurs, Law::kPaper, Law::kExact}) {
+  for (const Law law : {Law::kVelocity, Law::kPaper, Law::kExact}) {
     Arm arm(3, law);
     for (int k = 0; k < 6000; ++k) {
       const bool out = arm.out().depth < 0.031;  // back in, or all but insert is refused

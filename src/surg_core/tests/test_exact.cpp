@@ -122,6 +122,22 @@ TEST_P(ExactBothWays, AStepOfAControlCycleMeetsThePose) {
   EXPECT_GT(met, n / 2);
 }
 
+TEST(Exact, ANewtonStepTurnsByTheRotationVector) {
+  // With the identity for a Jacobian the step is the twist itself.
+  Random random(7);
+  Jacobian J(6, 6);
+  J.setIdentity();
+  for (const double angle : {0.01, 0.1, 0.3}) {
+    const Vector3 axis = random_unit(random);
+    Pose X_goal = Pose::Identity();
+    X_goal.linear() = Eigen::AngleAxisd(angle, axis).toRotationMatrix();
+    X_goal.translation() = Vector3(0.1, 0.2, 0.3);
+    const JointStep step = newton_step(Pose::Identity(), J, X_goal, JointVector::Zero(6));
+    EXPECT_LT((step.dq.tail<3>() - angle * axis).norm(), 0.1 * std::pow(angle, 5) + 1e-14);
+    EXPECT_LT((step.dq.head<3>() - X_goal.translation()).norm(), 1e-15);
+  }
+}
+
 TEST(Exact, SpareJointsFollowThePostureWithoutMovingThePose) {
   Random random(4);
   const int n = test::family(500, 50000);

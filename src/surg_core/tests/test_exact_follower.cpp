@@ -1,5 +1,7 @@
 // The follower on one joint at a time: what it learns, what it bears, what it leaves alone.
+#include <algorithm>
 #include <cmath>
+#include <utility>
 
 #include "lagging_arm.hpp"
 #include "support.hpp"
@@ -92,6 +94,34 @@ TEST(ExactFollower, KeepsLearntLagsBoundedAndAtRest) {
   EXPECT_EQ(follower.lag(), learnt);
 }
 
+TEST(ExactFollower, AnErrorThatTheBoundsLeaveTeachesNothing) {
+  // A correction that may hardly move cannot take an error away, whatever the lag.
+  const JointVector little = JointVector::Constant(6, 1e-6), any = JointVector::Constant(6, 1.0);
+  for (const auto& [velocity, acceleration] : {std::pair{any, little}, {little, any}}) {
+    ExactFollower follower(6, {0.012, 50, 2, kT, velocity, acceleration});
+    follower.reset(JointVector::Zero(6));
+    for (int i = 0; i < 1000; ++i) {
+      const JointVector dq = swing((i + 1) * kT, 0.2) - swing(i * kT, 0.2);
+      follower.advance(dq, 0.9 * follower.reference());
+    }
+    EXPECT_LT((follower.lag() - JointVector::Constant(6, 0.012)).cwiseAbs().maxCoeff(), 1e-6);
+  }
+}
+
+TEST(ExactFollower, OneStuckJointDoesNotHoldTheOthersBack) {
+  const JointVector velocity = JointVector::Constant(6, 0.5);
+  const JointVector acceleration = JointVector::Constant(6, 3);
+  ExactFollower follower(6, {0.012, 50, 2, kT, velocity, acceleration});
+  JointVector q = JointVector::Zero(6);
+  q[1] = 0.001;
+  follower.reset(JointVector::Zero(6));
+  for (int i = 0; i < 3000; ++i) {
+    q[0] = 0.05;  // a joint that does not move
+    q += kT * follower.advance(JointVector::Zero(6), q);
+  }
+  EXPECT_LT(std::abs(q[1]), 1e-5);
+}
+
 TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
   ExactFollower follower(6, {0.012, 50, 2, kT});
   follower.reset(JointVector::Zero(6));
@@ -100,6 +130,41 @@ TEST(ExactFollower, ABrokenMeasurementTeachesNothing) {
                      JointVector::Constant(6, std::nan("")));
   }
   EXPECT_EQ(follower.lag(), JointVector::Constant(6, 0.012));
+}
+
+TEST(ExactFollower, TheCommandKeepsTheLimitsWhateverIsMeasured) {
+  const double most_v = 3, most_a = 15;
+  Random random(3);
+  const int n = test::family(20000, 2000000);
+  ExactFollower follower(
+      6, {0.012, 50, 2, kT, JointVector::Constant(6, most_v), JointVector::Constant(6, most_a)});
+  JointVector v = JointVector::Zero(6), last = v, q = v;
+  follower.reset(q);
+  double fastest = 0, steepest = 0;
+  JointVector wild = JointVector::Zero(6);
+  for (int k = 0; k < n; ++k) {
+    if (k % 300 == 0) {  // long enough for the correction to meet its bound
+      for (int i = 0; i < 6; ++i) wild[i] = random.uniform(-0.1, 0.1);
+    }
+    if (k % 1000 == 999) {  // taken over anew: the command starts from rest
+      follower.reset(q);
+      v.setZero();
+      last.setZero();
+    }
+    for (int i = 0; i < 6; ++i) {
+      const double jump = 0.8 * most_a * kT * random.uniform(-1, 1);
+      v[i] = std::clamp(v[i] + jump, -0.8 * most_v, 0.8 * most_v);
+      q[i] = follower.reference()[i] + wild[i] + random.uniform(-0.01, 0.01);
+    }
+    const JointVector qd = follower.advance(kT * v, q);
+    fastest = std::max(fastest, qd.cwiseAbs().maxCoeff());
+    steepest = std::max(steepest, (qd - last).cwiseAbs().maxCoeff() / kT);
+    last = qd;
+  }
+  EXPECT_LE(fastest, most_v * (1 + 1e-12));
+  EXPECT_LE(steepest, most_a * (1 + 1e-9));
+  EXPECT_GT(steepest, 0.9 * most_a);  // the bounds were needed
+  test::report("cycles", n);
 }
 
 TEST(ExactFollower, IsStableWithTwiceTheLagItWasTold) {

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "support.hpp"
+#include "surg_core/braking.hpp"
 #include "surg_core/stream.hpp"
 
 namespace surg {
@@ -135,6 +136,61 @@ TEST(StreamFilter, ComesToRestWhereTheTargetIsNotFinite) {
     EXPECT_TRUE(std::isfinite(filter.state().x));
     EXPECT_NEAR(filter.state().v, 0, 1e-9);
   }
+}
+
+TEST(StreamFilter, BrakesToAStandstillWhereBrakingSaysSo) {
+  Random random(3);
+  const int count = test::family(20000, 400000);
+  double beyond = 0, short_of = 0, ticks_more = 0;
+  double worst_v = 0, worst_a = 0, worst_j = 0;
+  for (int k = 0; k < count; ++k) {
+    DofLimits limits = kTip;
+    double T = 0.002;
+    if (k % 2 == 1) {
+      limits = {random.magnitude(0.01, 5), random.magnitude(0.1, 100), random.magnitude(1, 5000)};
+      T = random.magnitude(0.0005, 0.02);
+    }
+    // A state that the filter itself has come to.
+    StreamFilter filter(limits);
+    RandomTarget target(random);
+    const int lead = random.integer(1, 100);
+    for (int n = 0; n < lead; ++n) filter.step(target.next(T), T);
+    const Kinematic from = filter.state();
+    // Where a tick is long against the limits, its jerk is less.
+    DofLimits usable = limits;
+    usable.jerk = std::min({limits.jerk, limits.acceleration / T, 2 * limits.velocity / (T * T)});
+    const Braking stop = Braking::stop(from, usable);
+    const int expected = static_cast<int>(std::ceil(stop.duration() / T));
+    int ticks = 0;
+    while ((std::abs(filter.state().v) > 1e-12 * limits.velocity ||
+            std::abs(filter.state().a) > 1e-12 * limits.acceleration) &&
+           ticks < expected + 10) {
+      const Kinematic before = filter.state();
+      filter.brake(T);
+      const double jerk = (filter.state().a - before.a) / T;
+      worst_v = std::max(worst_v, peak_velocity(before, jerk, T) / limits.velocity - 1);
+      worst_a = std::max(worst_a, std::abs(filter.state().a) / limits.acceleration - 1);
+      worst_j = std::max(worst_j, std::abs(jerk) / limits.jerk - 1);
+      ++ticks;
+    }
+    ASSERT_LT(ticks, expected + 10) << "family member " << k;
+    ticks_more = std::max<double>(ticks_more, ticks - expected);
+    const double more = (filter.state().x - from.x - stop.distance()) *
+                        std::copysign(1.0, from.v + 0.5 * from.a * std::abs(from.a) / usable.jerk);
+    const double unit = (std::abs(from.v) + std::abs(from.a) * T) * T + 1e-12;
+    beyond = std::max(beyond, more / unit);
+    short_of = std::max(short_of, -more / unit);
+  }
+  EXPECT_LT(worst_v, 1e-9);
+  EXPECT_LT(worst_a, 1e-9);
+  EXPECT_LT(worst_j, 1e-9);
+  EXPECT_LE(beyond, 1);
+  EXPECT_LE(short_of, 1);
+  test::report("random stops in ticks", count);
+  std::printf(
+      "[  figures ] beyond the exact distance by %.2f, short of it by %.2f of |v| T + |a| T^2;"
+      " %.0f ticks more\n",
+      beyond, short_of, ticks_more);
 }
 
 struct Following {

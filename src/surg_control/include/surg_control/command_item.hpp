@@ -32,6 +32,12 @@ struct CommandItem {
   surg::Vector3 angular = surg::Vector3::Zero();
 };
 
+/// A measured force, of a sensor that not every arm has.
+struct MeasuredForce {
+  surg::Vector3 f_B = surg::Vector3::Zero();  ///< of the environment on the instrument [N]
+  std::int64_t received_ns = 0;               ///< 0: no sensor has spoken yet
+};
+
 /// What the robot link and the tool link last said. Times are of the steady clock; in lock-step of
 /// the tick.
 struct LinkState {
@@ -40,6 +46,7 @@ struct LinkState {
   surg::JointVector q, qd;
   double jaw = std::numeric_limits<double>::quiet_NaN();  ///< until the tool link has spoken
   std::int64_t jaw_received_ns = 0;                       ///< when jaw came; 0: never
+  MeasuredForce tip, trocar;                              ///< F25
 };
 
 /// What became of a command that is not the controller's to judge as a motion.

@@ -13,6 +13,7 @@ namespace surg_control {
 /// One arm of a cell with all its files read, checked and frozen. Paths are resolved.
 struct ArmSetup {
   std::string cell_name;
+  std::string cell_file;
   std::size_t arms_in_cell = 1;
   surg::CellArm arm;
   surg::RobotConfig robot;

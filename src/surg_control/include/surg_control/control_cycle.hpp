@@ -7,14 +7,15 @@
 #include <string_view>
 
 #include "surg_control/command_item.hpp"
+#include "surg_core/black_box.hpp"
 
 namespace surg_control {
 
-/// Drives one surg::Controller. Allocates nothing after construction.
+/// Drives one surg::Controller through its black box. Allocates nothing after construction.
 class ControlCycle {
  public:
   /// 'rcm_frame': name of the rcm frame, in which everybody speaks until a base frame is set.
-  ControlCycle(surg::Controller& controller, std::string_view rcm_frame);
+  ControlCycle(const surg::Controller& controller, surg::BlackBox& box, std::string_view rcm_frame);
 
   /// State commands, taught trocars, frames, claims and trocar samples take effect first, then the
   /// controller steps with the motion commands in the order given. At most surg::kMaxCommands
@@ -43,7 +44,8 @@ class ControlCycle {
   void sense(const LinkState& link, std::int64_t now_ns);
   Eigen::Quaterniond orientation_at(const surg::Vector3& p_B, double roll) const;
 
-  surg::Controller& controller_;
+  const surg::Controller& controller_;
+  surg::BlackBox& box_;  // every call that changes the controller goes through it
   FrameName rcm_frame_;
   bool enabled_ = false;
   Track track_;

@@ -17,9 +17,10 @@ struct Options {
   std::string arm;                        ///< ~arm: CRTK name; empty: the cell's only arm
   bool lockstep = true;                   ///< ~mode: lockstep (default) or freerun
   std::vector<std::string> participants;  ///< ~participants: commanders to wait for, lock-step only
-  surg::Law law = surg::Law::kOurs;       ///< ~law: ours or paper
+  surg::Law law = surg::Law::kExact;      ///< ~law: ours, velocity or paper; twist links: velocity
   std::string link;           ///< ~link: joint or twist; empty: as the robot's YAML says
   double feedback_gain = -1;  ///< ~feedback_gain [1/s]; negative: as the robot's YAML says
+  std::string black_box;      ///< ~black_box: folder for black boxes; default: ROS's log folder
   bool track_rcm = false;     ///< ~track_rcm: the trocar moves; somebody publishes rcm/track
   bool realtime = false;      ///< ~realtime: SCHED_FIFO and locked memory, free-run only
 };

@@ -3,6 +3,7 @@
 // encoded.
 #pragma once
 
+#include <geometry_msgs/WrenchStamped.h>
 #include <ros/callback_queue.h>
 #include <ros/ros.h>
 #include <semaphore.h>
@@ -18,6 +19,7 @@
 #include <vector>
 
 #include "surg_control/announcer.hpp"
+#include "surg_control/black_box_writer.hpp"
 #include "surg_control/command_inlets.hpp"
 #include "surg_control/control_cycle.hpp"
 #include "surg_control/handover.hpp"
@@ -54,6 +56,7 @@ class RcmLoop {
                     Decoded decoded);
   bool pass_on(const std::string& topic, const std::string& caller, const Decoded& decoded);
   void on_robot_state(const sensor_msgs::JointState& message);
+  void on_force(const geometry_msgs::WrenchStamped& message, MeasuredForce LinkState::*which);
   void on_tool_state(const sensor_msgs::JointState& message);
   void on_ready(const surg_msgs::Ready& message);
   void on_link_status(const surg_msgs::LinkStatus& message);
@@ -77,6 +80,7 @@ class RcmLoop {
   Model model_;
   std::string arm_;
   std::unique_ptr<surg::Controller> controller_;
+  std::unique_ptr<surg::BlackBox> box_;
   std::unique_ptr<ControlCycle> cycle_;
 
   ros::CallbackQueue queue_;
@@ -89,6 +93,7 @@ class RcmLoop {
   std::unique_ptr<RobotCommand> robot_;
   std::unique_ptr<CommandInlets> inlets_;
   std::unique_ptr<Housekeeping> housekeeping_;
+  std::unique_ptr<BlackBoxWriter> black_box_writer_;
   ros::Publisher undeclared_;
   std::vector<ros::Subscriber> subscribers_;
   ros::Subscriber link_status_;

@@ -17,8 +17,8 @@ struct SingularityMeasures {
 };
 
 /// Measures of one chain. An arm built like a Universal Robots one (joints 2 to 4 parallel, 5 and 6
-/// crossing) has three: sine of the angle between shoulder and wrist centre, sine of the elbow, sine
-/// of the wrist. Any other arm has one: the smallest over the largest pivot of its Jacobian.
+/// crossing) has three: sine of the angle between shoulder and wrist centre, sine of the elbow,
+/// sine of the wrist. Any other arm has one: the smallest over the largest pivot of its Jacobian.
 class Barrier {
  public:
   Barrier() = default;

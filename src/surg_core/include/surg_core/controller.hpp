@@ -82,15 +82,16 @@ struct Outputs {
   Vector6 twist_command = Vector6::Zero();
 };
 
-/// kOurs: velocity form with feedback. kPaper: as printed. kExact: exact form on a virtual
-/// reference.
-enum class Law { kOurs, kPaper, kExact };
+/// kExact: the exact form on a virtual reference, which the link is made to follow; for links that
+/// take joint velocities, the best there is. kVelocity: the velocity form with feedback, for links
+/// that take a flange twist. kPaper: as printed, open loop.
+enum class Law { kVelocity, kPaper, kExact };
 
 /// One arm's controller. Construct once (may allocate), then call step() every dt.
 class Controller {
  public:
   struct Options {
-    Law law = Law::kOurs;
+    Law law = Law::kExact;
     double dt = 0.002;          ///< [s] control period
     double feedback_gain = -1;  ///< [1/s] overrides tuning.rcm_gain when >= 0; simulator only
     bool track_rcm = false;     ///< the trocar may move: Inputs::p_BTrack

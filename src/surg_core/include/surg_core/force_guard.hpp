@@ -31,8 +31,9 @@ class ForceGuard {
   bool acceptable() const { return acceptable_; }
   /// Above the warning level of the trocar's load.
   bool warns() const { return warns_; }
-  /// A wished tip velocity without the part that raises the force, while the guard yields.
-  Vector3 yield(const Vector3& v_BTip) const;
+  /// Unit direction of the force on the tip while the guard yields, in B; zero: free. Motion
+  /// against it raises the force.
+  const Vector3& push() const { return push_; }
 
  private:
   double soft_ = 0, hard_ = 0, warn_ = 0, fault_ = 0;

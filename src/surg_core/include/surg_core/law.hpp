@@ -3,7 +3,6 @@
 
 #include "surg_core/arm_state.hpp"
 #include "surg_core/config.hpp"
-#include "surg_core/force_guard.hpp"
 #include "surg_core/setpoint.hpp"
 #include "surg_core/types.hpp"
 
@@ -24,16 +23,16 @@ struct Gains {
 /// The velocity form (docs/architecture.md, "The law") at the pose where the command will take
 /// effect. setpoint: now; next: after one period dt at full speed; X_BR: the rcm frame; v_BRcm: of
 /// a moving trocar;
-/// force: takes out of both parts what would raise the force at the tip.
+/// push: unit direction of the force on the tip, zero for none; the feedback does not pull against
+/// it.
 TwistWish velocity_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
                         const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains,
-                        const ForceGuard& force, const Limits& limits, double dt);
+                        const Vector3& push, const Limits& limits, double dt);
 
 /// Along the shaft line only, for a tip near or above its trocar, where the velocity form would
 /// divide by the depth: the instrument moves without turning, and sideways onto the pivot.
 TwistWish axial_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,
-                     const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains,
-                     const ForceGuard& force, double dt);
+                     const Pose& X_BR, const Vector3& v_BRcm, const Gains& gains, double dt);
 
 /// The paper's equations as printed: open loop, rates straight from the profiler.
 TwistWish paper_wish(const ArmState& arm, const Setpoint& setpoint, const Setpoint& next,

@@ -16,6 +16,7 @@
 #include "surg_core/barrier.hpp"
 #include "surg_core/config.hpp"
 #include "surg_core/exact.hpp"
+#include "surg_core/joint_trace.hpp"
 #include "surg_core/kinematics.hpp"
 #include "surg_core/rcm.hpp"
 #include "surg_core/types.hpp"
@@ -92,6 +93,11 @@ class LimitedStep {
   Step velocity(const JointVector& q, const JointVector& qd_last, const Home& home,
                 const Vector3& p_BRcm, const Wish& wish) const;
 
+  /// The recorded trace backwards, 'back' [rad] of it behind (JointTrace::at): the guaranteed way
+  /// out. 'rate' [rad/s]: how fast where no limit is met; 'back' is to be advanced by alpha rate T.
+  Step retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,
+               double back, double rate, const Vector3& p_BRcm) const;
+
   const JointLimits& limits() const { return limits_; }
   const Barrier& barrier() const { return barrier_; }
 
@@ -99,9 +105,11 @@ class LimitedStep {
   struct Here;
   struct Box;
   struct Affine;
+  struct Node;
   struct Preview;
   class ExactLaw;
   class VelocityLaw;
+  class RetraceLaw;
 
   Box box(const JointVector& q, const JointVector& qd_last) const;
   template <typename Law>
@@ -110,6 +118,11 @@ class LimitedStep {
   double caps(const Law& law, const Here& here, const Affine& affine, const char*& by) const;
   template <typename Law>
   Preview look_ahead(const Law& law, const Here& here, const Affine& affine) const;
+
+  bool passes(const SingularityMeasures& from, const SingularityMeasures& to) const;
+  bool inside_positions(const JointVector& q, const JointVector& from) const;
+  bool pose_node(const JointVector& guess, const Pose& pose, const Pose& later, double arc,
+                 Node& node) const;
 
   Chain chain_;
   Tool tool_;

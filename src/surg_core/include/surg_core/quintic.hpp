@@ -2,10 +2,28 @@
 // Profiler".
 #pragma once
 
+#include <algorithm>
+#include <limits>
+
 namespace surg {
 
 struct Kinematic {
   double x = 0, v = 0, a = 0;
+};
+
+struct DofLimits {
+  double velocity, acceleration, jerk;
+};
+
+/// From the least to the greatest value; everything, unless told otherwise.
+struct Interval {
+  double least = -std::numeric_limits<double>::infinity();
+  double greatest = std::numeric_limits<double>::infinity();
+
+  void include(double x) {
+    least = std::min(least, x);
+    greatest = std::max(greatest, x);
+  }
 };
 
 /// x(t) = sum c_i (t/d)^i on [0, d] with given states at both ends. A duration that is not positive
@@ -22,6 +40,8 @@ class Quintic {
   double max_jerk() const;          ///< max |j|, exact
   double min_position() const;      ///< min x, exact; may lie outside the two ends
   double max_position() const;      ///< max x, exact
+  /// Least and greatest x between two times, exact. Times are clamped to [0, d].
+  Interval range(double t0, double t1) const;
 
  private:
   double c_[6] = {0, 0, 0, 0, 0, 0};  // normalised time: well scaled for any duration

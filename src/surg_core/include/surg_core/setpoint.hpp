@@ -52,6 +52,14 @@ class Setpoint {
   /// a velocity kept from before would hold it there for ever. The target stays.
   void stand();
 
+  /// While it stops: goes on from where and how the tip really is. A stop has no path to keep; one
+  /// that is harder than the joints can follow would leave the tip behind.
+  void slip(const Vector3& p_RTip, const Vector3& v_RTip);
+
+  /// Unit direction of a push on the tip, zero for none: streams and velocities no longer move
+  /// against it, and a profile that does is stopped (F25).
+  void yield_to(const Vector3& push_R);
+
   /// Real time passes: stream samples get older.
   void elapse(double T) {
     age_ += T;
@@ -59,6 +67,11 @@ class Setpoint {
   }
   /// The set-point moves on by dt <= T of its own clock.
   void advance(double dt);
+
+  /// Where the set-point will be in t [s] of its own clock, as far as is known now: along its
+  /// profile, and straight on where a stream or a velocity leads it. For looking ahead, not for
+  /// moving.
+  Setpoint foreseen(double t) const;
 
   Mode mode() const { return mode_; }
   Space space() const { return space_; }
@@ -84,6 +97,8 @@ class Setpoint {
   void advance_velocity(double dt);
   void advance_stopping(double dt);
   bool plan_leaves_workspace() const;
+  void hinder(const Vector3& p_before);
+  bool stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const;
   bool further_out(const Vector3& p_RTip) const;
   std::array<DofLimits, 4> dof_limits(Space space) const;
 
@@ -96,6 +111,7 @@ class Setpoint {
   bool axial_ = false;
   bool at_wall_ = false;
   Vector3 axis_R_ = Vector3::UnitZ();  ///< while axial
+  Vector3 push_R_ = Vector3::Zero();   ///< of the force at the tip
   std::array<StreamFilter, 4> filters_{};
   std::array<AlphaBeta, 4> estimates_{};
   std::array<double, 4> rate_{};

@@ -2,7 +2,6 @@
 // closed form, with no planning and no failure branch; and the alpha-beta estimate that feeds it.
 #pragma once
 
-#include "surg_core/profiler.hpp"
 #include "surg_core/quintic.hpp"
 
 namespace surg {
@@ -29,12 +28,17 @@ class StreamFilter {
   StreamFilter() = default;
   explicit StreamFilter(const DofLimits& limits);
   void reset(const Kinematic& state);
-  /// One tick of T seconds towards a target predicted one tick ahead (x and v are used). Never
+  /// One tick of T seconds towards a target predicted one tick ahead. Never
   /// leaves the velocity, acceleration and jerk limits. A target that is not finite: comes to rest.
   void step(const Kinematic& target, double T);
+  /// One tick of the hardest braking inside the same limits; in the end it stands still. It does so
+  /// where Braking::stop says, to within |v| T + |a| T^2: ticks cannot switch in between.
+  void brake(double T);
   const Kinematic& state() const { return state_; }
 
  private:
+  void integrate(double jerk, double T);
+
   DofLimits limits_{};
   Kinematic state_{};
 };

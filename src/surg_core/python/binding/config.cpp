@@ -239,6 +239,15 @@ void bind_config(py::module_& m) {
       },
       py::arg("limits"), py::arg("p_RTip"),
       "Whether a tip target (3,) in the rcm frame lies within the depth range and the cone.");
+  m.def(
+      "outside_workspace",
+      [](const Limits& limits, const Array& p_RTip) {
+        return outside_workspace(limits, to_vector3(p_RTip, "p_RTip"));
+      },
+      py::arg("limits"), py::arg("p_RTip"),
+      "How far [m] a tip position (3,) lies outside depth range and cone; negative: inside.");
+  m.def("lateral_fade", &lateral_fade, py::arg("limits"), py::arg("depth"),
+        "Factor of lateral tip motion at a depth [m]: 1 above depth_slow, 0 below depth_min.");
 }
 
 }  // namespace surg::python

@@ -38,7 +38,16 @@ void bind_state(py::module_& m) {
       .value("JOINT_LIMIT", Reason::kJointLimit)
       .value("OPERATOR", Reason::kOperator)
       .value("NOT_FOLLOWING", Reason::kNotFollowing)
-      .value("HELD", Reason::kHeld);
+      .value("HELD", Reason::kHeld)
+      .value("NOT_INSERTED", Reason::kNotInserted)
+      .value("TRACK_STALE", Reason::kTrackStale)
+      .value("TOOL_LOST", Reason::kToolLost)
+      .value("UNREACHABLE", Reason::kUnreachable)
+      .value("NOT_ARRIVED", Reason::kNotArrived)
+      .value("NO_TRACE", Reason::kNoTrace)
+      .value("FRAME_WHILE_ENABLED", Reason::kFrameWhileEnabled)
+      .value("FORCE", Reason::kForce)
+      .value("MASTER_LOST", Reason::kMasterLost);
   py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
       .value("ENABLE", StateCommand::kEnable)
       .value("DISABLE", StateCommand::kDisable)
@@ -49,7 +58,8 @@ void bind_state(py::module_& m) {
   m.def("sentence", &sentence, py::arg("reason"), "What was wrong and what to do, for people.");
   m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
         "Short name, as in FAULT(name).");
-  m.def("state_name", py::overload_cast<State>(&name), py::arg("state"));
+  m.def("state_name", py::overload_cast<State>(&name), py::arg("state"),
+        "As in CRTK's operating_state.");
 }
 
 void bind_command(py::module_& m) {
@@ -62,7 +72,15 @@ void bind_command(py::module_& m) {
       .value("INTERPOLATE_CP", Motion::kInterpolateCp)
       .value("MOVE_CP", Motion::kMoveCp)
       .value("HOLD", Motion::kHold)
-      .value("JAW_SERVO_JP", Motion::kJawServoJp);
+      .value("JAW_SERVO_JP", Motion::kJawServoJp)
+      .value("SERVO_JR", Motion::kServoJr)
+      .value("INTERPOLATE_JP", Motion::kInterpolateJp)
+      .value("MOVE_JP", Motion::kMoveJp)
+      .value("MOVE_JR", Motion::kMoveJr)
+      .value("JAW_MOVE_JP", Motion::kJawMoveJp)
+      .value("INSERT", Motion::kInsert)
+      .value("WITHDRAW", Motion::kWithdraw)
+      .value("RETRACE", Motion::kRetrace);
 
   py::class_<MotionCommand>(m, "MotionCommand", "One decoded command.")
       .def(
@@ -85,21 +103,73 @@ void bind_command(py::module_& m) {
           py::arg("rotation") = py::none(), py::arg("roll_rate") = 0.0,
           py::arg("joints") = py::none(), py::arg("jaw") = 0.0,
           "p (3,): position [m] (cp) or tip velocity [m/s] (cv), in the rcm frame; rotation (4,):\n"
-          "quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll or their rates.")
+          "quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
+          "changes;\n"
+          "jaw [rad].")
       .def_readonly("motion", &MotionCommand::motion)
       .def_readonly("source", &MotionCommand::source)
-      .def_property_readonly("p", [](const MotionCommand& c) { return from_matrix(c.p); })
+      .def_property_readonly("p", [](const MotionCommand& c) { return frozen(from_matrix(c.p)); })
       .def_property_readonly(
-          "rotation", [](const MotionCommand& c) { return from_matrix(c.rotation.coeffs()); },
+          "rotation",
+          [](const MotionCommand& c) { return frozen(from_matrix(c.rotation.coeffs())); },
           "Quaternion x, y, z, w.")
       .def_readonly("roll_rate", &MotionCommand::roll_rate)
-      .def_property_readonly("joints", [](const MotionCommand& c) { return from_matrix(c.joints); })
+      .def_property_readonly("joints",
+                             [](const MotionCommand& c) { return frozen(from_matrix(c.joints)); })
       .def_readonly("jaw", &MotionCommand::jaw);
 
   py::class_<Verdict>(m, "Verdict", "What became of a command; reason NONE: accepted.")
       .def_readonly("reason", &Verdict::reason)
       .def_readonly("source", &Verdict::source)
       .def_readonly("motion", &Verdict::motion);
+}
+
+void bind_readings(py::module_& m) {
+  py::class_<ForceSample>(m, "ForceSample", "A measured force on the instrument.")
+      .def(py::init([](const std::optional<Array>& f_B) {
+             ForceSample sample;
+             sample.valid = f_B.has_value();
+             if (f_B) sample.f_B = to_vector3(*f_B, "f_B");
+             return sample;
+           }),
+           py::arg("f_B") = py::none(),
+           "f_B (3,) [N] of the environment on the instrument, in the base; None: no sensor.")
+      .def_readonly("valid", &ForceSample::valid)
+      .def_property_readonly("f_B",
+                             [](const ForceSample& f) { return frozen(from_matrix(f.f_B)); });
+
+  py::class_<Readings>(m, "Readings",
+                       "What tool and sensors said beside the joints; for Controller.step.")
+      .def(py::init([](double jaw_age, const ForceSample& tip_force,
+                       const ForceSample& trocar_force, const std::optional<Array>& p_BTrack,
+                       const std::optional<Array>& v_BTrack, double track_age) {
+             Readings readings;
+             readings.jaw_age = jaw_age;
+             readings.tip_force = tip_force;
+             readings.trocar_force = trocar_force;
+             readings.track_valid = p_BTrack.has_value();
+             readings.track_age = track_age;
+             if (p_BTrack) readings.p_BTrack = to_vector3(*p_BTrack, "p_BTrack");
+             if (v_BTrack) readings.v_BTrack = to_vector3(*v_BTrack, "v_BTrack");
+             return readings;
+           }),
+           py::kw_only(), py::arg("jaw_age") = 0.0,
+           py::arg_v("tip_force", ForceSample{}, "ForceSample()"),
+           py::arg_v("trocar_force", ForceSample{}, "ForceSample()"),
+           py::arg("p_BTrack") = py::none(), py::arg("v_BTrack") = py::none(),
+           py::arg("track_age") = 0.0,
+           "jaw_age [s]; forces; p_BTrack (3,) [m] and v_BTrack (3,) [m/s]: where a moving trocar "
+           "was\n"
+           "track_age [s] ago (Controller(track_rcm=True)); None: not tracked.")
+      .def_readonly("jaw_age", &Readings::jaw_age)
+      .def_readonly("tip_force", &Readings::tip_force)
+      .def_readonly("trocar_force", &Readings::trocar_force)
+      .def_readonly("track_valid", &Readings::track_valid)
+      .def_readonly("track_age", &Readings::track_age)
+      .def_property_readonly("p_BTrack",
+                             [](const Readings& r) { return frozen(from_matrix(r.p_BTrack)); })
+      .def_property_readonly("v_BTrack",
+                             [](const Readings& r) { return frozen(from_matrix(r.v_BTrack)); });
 }
 
 void bind_outputs(py::module_& m) {
@@ -110,40 +180,45 @@ void bind_outputs(py::module_& m) {
   };
   const auto array = [&](const char* name, auto member, const char* text = "") {
     type.def_property_readonly(
-        name, [member](const Outputs& self) { return from_matrix(self.*member); }, text);
+        name, [member](const Outputs& self) { return frozen(from_matrix(self.*member)); }, text);
   };
-  number("state", &Outputs::state);
-  number("reason", &Outputs::reason);
-  number("homed", &Outputs::homed);
-  number("busy", &Outputs::busy);
-  number("motion", &Outputs::motion);
-  number("source", &Outputs::source);
-  number("accepted", &Outputs::accepted);
-  number("refused", &Outputs::refused);
-  number("warn_rcm", &Outputs::warn_rcm);
-  number("roll", &Outputs::roll, "[rad]");
-  number("depth", &Outputs::depth, "[m]");
-  number("rcm_error", &Outputs::rcm_error, "[m]");
-  number("roll_goal", &Outputs::roll_goal);
-  number("roll_set", &Outputs::roll_set);
-  number("jaw", &Outputs::jaw);
-  number("jaw_set", &Outputs::jaw_set);
+  number("state", &Outputs::state, "Operating state.");
+  number("reason", &Outputs::reason, "Why PAUSED, FAULT or held.");
+  number("homed", &Outputs::homed, "The rcm frame and the zero of roll are known.");
+  number("busy", &Outputs::busy, "A move_*, insert, withdraw, retrace or jaw move is under way.");
+  number("motion", &Outputs::motion, "The command obeyed in this cycle.");
+  number("source", &Outputs::source, "Its sender.");
+  number("accepted", &Outputs::accepted, "Commands taken since construction.");
+  number("refused", &Outputs::refused, "Commands refused since construction.");
+  number("warn_rcm", &Outputs::warn_rcm, "RCM deviation above the warning level.");
+  number("warn_force", &Outputs::warn_force, "Load of the trocar above the warning level.");
+  number("roll", &Outputs::roll, "Absolute roll [rad].");
+  number("depth", &Outputs::depth, "Insertion [m], positive inside.");
+  number("rcm_error", &Outputs::rcm_error, "Kinematic RCM deviation [m].");
+  number("roll_goal", &Outputs::roll_goal, "[rad]");
+  number("roll_set", &Outputs::roll_set, "[rad]");
+  number("jaw", &Outputs::jaw, "Measured [rad].");
+  number("jaw_set", &Outputs::jaw_set, "Commanded [rad]; not a number until measured.");
   number("scale", &Outputs::scale, "Uniform factor alpha.");
-  array("p_BTip", &Outputs::p_BTip);
-  array("s_B", &Outputs::s_B);
-  array("p_BRcm", &Outputs::p_BRcm);
-  array("v_BTip", &Outputs::v_BTip, "Measured.");
-  array("virtual_q", &Outputs::virtual_q, "Measured yaw, pitch, insertion, roll.");
-  array("virtual_qd", &Outputs::virtual_qd);
-  array("virtual_set", &Outputs::virtual_set);
-  array("p_goal", &Outputs::p_goal);
-  array("p_set", &Outputs::p_set);
-  array("v_set", &Outputs::v_set);
+  number("tier", &Outputs::tier, "0: on the path; 1: off it, on the pivot; 2: braking.");
+  array("p_BTip", &Outputs::p_BTip, "Tip (3,) [m].");
+  array("s_B", &Outputs::s_B, "Unit shaft axis (3,), to the tip.");
+  array("p_BRcm", &Outputs::p_BRcm, "Trocar point (3,) [m].");
+  array("v_BTip", &Outputs::v_BTip, "Measured tip velocity (3,) [m/s].");
+  array("virtual_q", &Outputs::virtual_q, "Measured yaw, pitch, insertion, roll (4,) [rad, m].");
+  array("virtual_qd", &Outputs::virtual_qd, "Their measured rates (4,).");
+  array("virtual_set", &Outputs::virtual_set, "Their set-point (4,).");
+  array("p_goal", &Outputs::p_goal, "Goal of the tip (3,) [m].");
+  array("p_set", &Outputs::p_set, "Set-point of the tip (3,) [m].");
+  array("v_set", &Outputs::v_set, "Its velocity (3,) [m/s].");
   array("qd_command", &Outputs::qd_command, "[rad/s] (n,)");
   array("twist_command", &Outputs::twist_command, "(6,), v then omega");
-  type.def_property_readonly("X_BF", [](const Outputs& self) { return from_pose(self.X_BF); });
-  type.def_property_readonly("limited_by",
-                             [](const Outputs& self) { return std::string(self.limited_by); });
+  type.def_property_readonly(
+      "X_BF", [](const Outputs& self) { return frozen(from_pose(self.X_BF)); },
+      "Flange (4, 4) in the base.");
+  type.def_property_readonly(
+      "limited_by", [](const Outputs& self) { return std::string(self.limited_by); },
+      "Which limit set the scale; empty when it is 1.");
   type.def_property_readonly(
       "verdicts",
       [](const Outputs& self) {
@@ -152,35 +227,196 @@ void bind_outputs(py::module_& m) {
       "One per command of this cycle, in order.");
 }
 
+// The joint count stands beside the controller, so that every array can be checked against it.
+struct Owned {
+  int dof;
+  std::unique_ptr<Controller> controller;
+  Inputs inputs;
+};
+
+/// Outputs of many cycles, one row each.
+struct Trajectory {
+  py::array_t<std::uint8_t> state, reason, motion, tier;
+  py::array_t<bool> busy;
+  Array scale, rcm_error, depth, roll, jaw_set;
+  Array p_BTip, s_B, v_BTip, p_goal, p_set, v_set, virtual_q, virtual_set, qd_command,
+      twist_command;
+  std::vector<std::string> limited_by;
+  std::vector<std::pair<py::ssize_t, Verdict>> verdicts;
+};
+
+using Commands = std::vector<std::pair<py::ssize_t, MotionCommand>>;
+
+template <typename T>
+py::array_t<T> frozen_as(py::array_t<T> array) {
+  py::detail::array_proxy(array.ptr())->flags &= ~py::detail::npy_api::NPY_ARRAY_WRITEABLE_;
+  return array;
+}
+
+void check_commands(const Commands& commands, py::ssize_t n) {
+  py::ssize_t cycle = 0;
+  int together = 0;
+  for (const auto& [at, command] : commands) {
+    if (at < cycle || at >= n) {
+      throw py::value_error("commands: cycle " + std::to_string(at) + " follows " +
+                            std::to_string(cycle) + "; cycles must rise, from 0 to " +
+                            std::to_string(n - 1));
+    }
+    together = at == cycle ? together + 1 : 1;
+    cycle = at;
+    if (together > kMaxCommands) {
+      throw py::value_error("commands: more than " + std::to_string(kMaxCommands) + " in cycle " +
+                            std::to_string(at));
+    }
+  }
+}
+
+Trajectory run(Owned& o, const Array& q, const Array& qd, const Commands& commands,
+               const std::optional<Array>& jaw) {
+  const py::ssize_t n = q.ndim() == 2 ? q.shape(0) : 0;
+  check_shape(q, {n, o.dof}, "q");
+  check_shape(qd, {n, o.dof}, "qd");
+  if (jaw) check_shape(*jaw, {n}, "jaw");
+  check_commands(commands, n);
+  const double *q_from = q.data(), *qd_from = qd.data(), *jaw_from = jaw ? jaw->data() : nullptr;
+
+  Trajectory t;
+  py::array_t<std::uint8_t> state(n), reason(n), motion(n), tier(n);
+  py::array_t<bool> busy(n);
+  std::uint8_t *states = state.mutable_data(), *reasons = reason.mutable_data(),
+               *motions = motion.mutable_data(), *tiers = tier.mutable_data();
+  bool* busies = busy.mutable_data();
+  Array scale(n), rcm_error(n), depth(n), roll(n), jaw_set(n);
+  double *scales = scale.mutable_data(), *errors = rcm_error.mutable_data(),
+         *depths = depth.mutable_data(), *rolls = roll.mutable_data(),
+         *jaws = jaw_set.mutable_data();
+  Rows p_BTip(n, 3), s_B(n, 3), v_BTip(n, 3), p_goal(n, 3), p_set(n, 3), v_set(n, 3);
+  Rows virtual_q(n, 4), virtual_set(n, 4), qd_command(n, o.dof), twist_command(n, 6);
+  std::vector<const char*> limited_by(n);
+  {
+    py::gil_scoped_release release;
+    std::size_t next = 0;
+    o.inputs = Inputs{};
+    o.inputs.state_valid = true;
+    for (py::ssize_t i = 0; i < n; ++i) {
+      o.inputs.q = Eigen::Map<const Eigen::VectorXd>(q_from + i * o.dof, o.dof);
+      o.inputs.qd = Eigen::Map<const Eigen::VectorXd>(qd_from + i * o.dof, o.dof);
+      o.inputs.jaw = jaw_from ? jaw_from[i] : 0.0;
+      o.inputs.n_commands = 0;
+      while (next < commands.size() && commands[next].first == i) {
+        o.inputs.commands[o.inputs.n_commands++] = commands[next++].second;
+      }
+      const Outputs& out = o.controller->step(o.inputs);
+      states[i] = static_cast<std::uint8_t>(out.state);
+      reasons[i] = static_cast<std::uint8_t>(out.reason);
+      motions[i] = static_cast<std::uint8_t>(out.motion);
+      tiers[i] = out.tier;
+      busies[i] = out.busy;
+      scales[i] = out.scale;
+      errors[i] = out.rcm_error;
+      depths[i] = out.depth;
+      rolls[i] = out.roll;
+      jaws[i] = out.jaw_set;
+      p_BTip.set(i, out.p_BTip);
+      s_B.set(i, out.s_B);
+      v_BTip.set(i, out.v_BTip);
+      p_goal.set(i, out.p_goal);
+      p_set.set(i, out.p_set);
+      v_set.set(i, out.v_set);
+      virtual_q.set(i, out.virtual_q);
+      virtual_set.set(i, out.virtual_set);
+      qd_command.set(i, out.qd_command);
+      twist_command.set(i, out.twist_command);
+      limited_by[i] = out.limited_by;
+      for (int k = 0; k < out.n_verdicts; ++k) t.verdicts.emplace_back(i, out.verdicts[k]);
+    }
+  }
+  t.state = frozen_as(state);
+  t.reason = frozen_as(reason);
+  t.motion = frozen_as(motion);
+  t.tier = frozen_as(tier);
+  t.busy = frozen_as(busy);
+  t.scale = frozen(scale);
+  t.rcm_error = frozen(rcm_error);
+  t.depth = frozen(depth);
+  t.roll = frozen(roll);
+  t.jaw_set = frozen(jaw_set);
+  t.p_BTip = p_BTip.take();
+  t.s_B = s_B.take();
+  t.v_BTip = v_BTip.take();
+  t.p_goal = p_goal.take();
+  t.p_set = p_set.take();
+  t.v_set = v_set.take();
+  t.virtual_q = virtual_q.take();
+  t.virtual_set = virtual_set.take();
+  t.qd_command = qd_command.take();
+  t.twist_command = twist_command.take();
+  t.limited_by.assign(limited_by.begin(), limited_by.end());
+  return t;
+}
+
+void bind_trajectory(py::module_& m) {
+  py::class_<Trajectory> type(
+      m, "Trajectory", "Outputs of n cycles: read-only arrays, one row per cycle; vectors in B.");
+  type.def_readonly("state", &Trajectory::state, "(n,) uint8, int(State).")
+      .def_readonly("reason", &Trajectory::reason, "(n,) uint8, int(Reason).")
+      .def_readonly("motion", &Trajectory::motion, "(n,) uint8, int(Motion).")
+      .def_readonly("tier", &Trajectory::tier, "(n,) uint8: 0 on the path, 1 off it, 2 braking.")
+      .def_readonly("busy", &Trajectory::busy, "(n,) bool")
+      .def_readonly("scale", &Trajectory::scale, "(n,) uniform factor alpha.")
+      .def_readonly("rcm_error", &Trajectory::rcm_error, "(n,) kinematic deviation [m].")
+      .def_readonly("depth", &Trajectory::depth, "(n,) insertion [m].")
+      .def_readonly("roll", &Trajectory::roll, "(n,) [rad]")
+      .def_readonly("jaw_set", &Trajectory::jaw_set, "(n,) [rad]")
+      .def_readonly("p_BTip", &Trajectory::p_BTip, "(n, 3) [m]")
+      .def_readonly("s_B", &Trajectory::s_B, "(n, 3) unit shaft axis.")
+      .def_readonly("v_BTip", &Trajectory::v_BTip, "(n, 3) measured [m/s].")
+      .def_readonly("p_goal", &Trajectory::p_goal, "(n, 3) [m]")
+      .def_readonly("p_set", &Trajectory::p_set, "(n, 3) [m]")
+      .def_readonly("v_set", &Trajectory::v_set, "(n, 3) [m/s]")
+      .def_readonly("virtual_q", &Trajectory::virtual_q, "(n, 4) measured [rad, rad, m, rad].")
+      .def_readonly("virtual_set", &Trajectory::virtual_set, "(n, 4)")
+      .def_readonly("qd_command", &Trajectory::qd_command, "(n, joints) [rad/s]")
+      .def_readonly("twist_command", &Trajectory::twist_command, "(n, 6) v, then omega.")
+      .def_property_readonly(
+          "limited_by", [](const Trajectory& t) { return py::tuple(py::cast(t.limited_by)); },
+          "n texts: which limit set the scale.")
+      .def_property_readonly(
+          "verdicts", [](const Trajectory& t) { return py::tuple(py::cast(t.verdicts)); },
+          "(cycle, Verdict), one per command.");
+  type.def("__len__", [](const Trajectory& t) { return t.scale.shape(0); });
+}
+
 }  // namespace
 
 void bind_controller(py::module_& m) {
   bind_state(m);
   bind_command(m);
+  bind_readings(m);
   bind_outputs(m);
+  bind_trajectory(m);
   m.attr("MAX_COMMANDS") = kMaxCommands;
 
-  py::enum_<Law>(m, "Law").value("OURS", Law::kOurs).value("PAPER", Law::kPaper);
+  py::enum_<Law>(m, "Law")
+      .value("EXACT", Law::kExact)
+      .value("VELOCITY", Law::kVelocity)
+      .value("PAPER", Law::kPaper);
 
-  // The joint count stands beside the controller, so that every array can be checked against it.
-  struct Owned {
-    int dof;
-    std::unique_ptr<Controller> controller;
-    Inputs inputs;
-  };
   py::class_<Owned>(m, "Controller", "One arm's controller: call step() every dt.")
       .def(py::init([](const Chain& chain, const RobotConfig& robot, const Limits& limits,
                        const InstrumentConfig& instrument, const ToolCalibration& tool, Law law,
-                       double dt, double feedback_gain) {
+                       double dt, double feedback_gain, bool track_rcm) {
              return Owned{chain.dof(),
-                          std::make_unique<Controller>(chain, robot, limits, instrument, tool,
-                                                       Controller::Options{law, dt, feedback_gain}),
+                          std::make_unique<Controller>(
+                              chain, robot, limits, instrument, tool,
+                              Controller::Options{law, dt, feedback_gain, track_rcm}),
                           {}};
            }),
            py::arg("chain"), py::arg("robot"), py::arg("limits"), py::arg("instrument"),
-           py::arg("tool"), py::arg("law") = Law::kOurs, py::arg("dt") = 0.002,
-           py::arg("feedback_gain") = -1.0,
-           "dt [s]; feedback_gain [1/s] overrides tuning.rcm_gain when >= 0 (simulator only).")
+           py::arg("tool"), py::arg("law") = Law::kExact, py::arg("dt") = 0.002,
+           py::arg("feedback_gain") = -1.0, py::arg("track_rcm") = false,
+           "dt [s]; feedback_gain [1/s] overrides tuning.rcm_gain when >= 0 (simulator only);\n"
+           "track_rcm: the trocar may move, see Readings.")
       .def(
           "request", [](Owned& o, StateCommand command) { return o.controller->request(command); },
           py::arg("command"), "Reason.NONE: done; otherwise why it was refused.")
@@ -189,17 +425,24 @@ void bind_controller(py::module_& m) {
           [](Owned& o, const Array& p) { return o.controller->set_rcm(to_vector3(p, "p_BRcm")); },
           py::arg("p_BRcm"), "Teaches the trocar point (3,) in B; only DISABLED or PAUSED.")
       .def(
-          "fault", [](Owned& o, Reason reason) { o.controller->fault(reason); }, py::arg("reason"))
+          "fault", [](Owned& o, Reason reason) { o.controller->fault(reason); }, py::arg("reason"),
+          "FAULT from outside, latched.")
       .def(
-          "pause", [](Owned& o, Reason reason) { o.controller->pause(reason); }, py::arg("reason"))
+          "pause", [](Owned& o, Reason reason) { o.controller->pause(reason); }, py::arg("reason"),
+          "ENABLED -> PAUSED from outside.")
+      .def(
+          "claim", [](Owned& o, std::uint32_t source) { return o.controller->claim(source); },
+          py::arg("source"), "The arm obeys this sender alone until it leaves ENABLED.")
       .def(
           "step",
           [](Owned& o, const Array& q, const Array& qd, const std::vector<MotionCommand>& commands,
-             double jaw, bool state_valid, double state_age) {
+             double jaw, bool state_valid, double state_age,
+             const std::optional<Readings>& readings) {
             if (commands.size() > static_cast<std::size_t>(kMaxCommands)) {
               throw py::value_error("commands: at most " + std::to_string(kMaxCommands) +
                                     " per cycle, not " + std::to_string(commands.size()));
             }
+            static_cast<Readings&>(o.inputs) = readings.value_or(Readings{});
             o.inputs.state_valid = state_valid;
             o.inputs.state_age = state_age;
             o.inputs.q = to_joints(q, o.dof, "q");
@@ -211,15 +454,28 @@ void bind_controller(py::module_& m) {
           },
           py::arg("q"), py::arg("qd"), py::arg("commands") = std::vector<MotionCommand>(),
           py::arg("jaw") = 0.0, py::arg("state_valid") = true, py::arg("state_age") = 0.0,
-          "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.")
-      .def_property_readonly("X_BR", [](const Owned& o) { return from_pose(o.controller->X_BR()); })
-      .def_property_readonly("rcm_set", [](const Owned& o) { return o.controller->rcm_set(); })
-      .def_property_readonly("dt", [](const Owned& o) { return o.controller->dt(); })
+          py::arg("readings") = py::none(),
+          "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
+          "jaw [rad]; state_age [s]; readings: of the sensors, where there are any.")
+      .def("run", &run, py::arg("q"), py::arg("qd"), py::arg("commands") = Commands(),
+           py::arg("jaw") = py::none(),
+           "n cycles over recorded joints q, qd (n, joints) [rad, rad/s] in one call.\n\n"
+           "commands: (cycle, MotionCommand) in rising order; jaw (n,) [rad]. The same as n calls "
+           "of\n"
+           "step(). Releases the GIL: the controller must not be used by another thread meanwhile.")
+      .def_property_readonly(
+          "X_BR", [](const Owned& o) { return frozen(from_pose(o.controller->X_BR())); },
+          "(4, 4), read-only: the rcm frame in the base. Its rotation is the identity until homed.")
+      .def_property_readonly(
+          "rcm_set", [](const Owned& o) { return o.controller->rcm_set(); },
+          "A trocar point is known.")
+      .def_property_readonly(
+          "dt", [](const Owned& o) { return o.controller->dt(); }, "Control period [s].")
       .def(
           "tool_orientation",
           [](const Owned& o, const Array& s_B, double roll) {
-            return from_matrix(
-                o.controller->tool_orientation(to_vector3(s_B, "s_B"), roll).coeffs());
+            return frozen(
+                from_matrix(o.controller->tool_orientation(to_vector3(s_B, "s_B"), roll).coeffs()));
           },
           py::arg("s_B"), py::arg("roll"), "R_RcmTool as a quaternion x, y, z, w.");
 }

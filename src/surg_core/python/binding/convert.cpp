@@ -1,6 +1,7 @@
 #include "convert.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace surg::python {
 namespace {
@@ -61,22 +62,62 @@ Jacobian to_jacobian(const Array& array, const char* name) {
   return J;
 }
 
-Pose to_pose(const Array& array, const char* name) {
-  check_shape(array, {4, 4}, name);
-  const Eigen::Matrix4d M =
-      Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(array.data());
+namespace {
+
+Pose checked_pose(const Eigen::Matrix4d& M, const std::string& name) {
   const Matrix3 R = M.topLeftCorner<3, 3>();
   // Written so that a NaN fails as well.
   const bool rotation =
       (R * R.transpose() - Matrix3::Identity()).cwiseAbs().maxCoeff() < 1e-6 && R.determinant() > 0;
   if (!M.allFinite() || !rotation || M.row(3) != Eigen::RowVector4d(0, 0, 0, 1)) {
-    throw py::value_error(std::string(name) +
+    throw py::value_error(name +
                           ": not a pose; a finite (4, 4) array with a rotation matrix in its upper "
                           "left 3 x 3 and 0 0 0 1 as its last row is needed");
   }
   Pose X = Pose::Identity();
   X.matrix() = M;
   return X;
+}
+
+Pose pose_of_seven(const double* v, const std::string& name) {
+  const Eigen::Quaterniond q(v[6], v[3], v[4], v[5]);
+  const Vector3 p(v[0], v[1], v[2]);
+  if (!p.allFinite() || !(std::abs(q.norm() - 1.0) < 1e-3)) {
+    throw py::value_error(name + ": a finite position and a unit quaternion x, y, z, w are needed");
+  }
+  Pose X = Pose::Identity();
+  X.linear() = q.normalized().toRotationMatrix();
+  X.translation() = p;
+  return X;
+}
+
+}  // namespace
+
+Pose to_pose(const Array& array, const char* name) {
+  check_shape(array, {4, 4}, name);
+  return checked_pose(Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(array.data()),
+                      name);
+}
+
+std::vector<Pose> to_poses(const Array& array, const char* name) {
+  const bool matrices = array.ndim() == 3 && array.shape(1) == 4 && array.shape(2) == 4;
+  const bool sevens = array.ndim() == 2 && array.shape(1) == 7;
+  if (!matrices && !sevens) {
+    throw py::value_error(std::string(name) + ": shape (n, 4, 4) or (n, 7) is needed, not " +
+                          shape_of(array));
+  }
+  std::vector<Pose> poses(array.shape(0));
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    const std::string one = std::string(name) + "[" + std::to_string(i) + "]";
+    if (sevens) {
+      poses[i] = pose_of_seven(array.data() + 7 * i, one);
+    } else {
+      const double* begin = array.data() + 16 * i;
+      poses[i] =
+          checked_pose(Eigen::Map<const Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(begin), one);
+    }
+  }
+  return poses;
 }
 
 Array from_pose(const Pose& X) { return from_matrix(X.matrix()); }

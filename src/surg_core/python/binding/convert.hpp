@@ -7,6 +7,7 @@
 
 #include <initializer_list>
 #include <string>
+#include <vector>
 
 #include "surg_core/types.hpp"
 
@@ -31,6 +32,8 @@ JointVector to_joints(const Array& array, int size, const char* name);
 Jacobian to_jacobian(const Array& array, const char* name);
 /// (4, 4) homogeneous, with a rotation in it and 0 0 0 1 below.
 Pose to_pose(const Array& array, const char* name);
+/// (n, 4, 4), or (n, 7): x, y, z and a quaternion x, y, z, w as on the wire.
+std::vector<Pose> to_poses(const Array& array, const char* name);
 
 Array from_pose(const Pose& X);
 
@@ -53,6 +56,21 @@ Array from_matrix(const Eigen::MatrixBase<Derived>& matrix) {
 /// The array, no longer writeable: for the attributes of frozen objects.
 Array frozen(Array array);
 
+/// One row per observation, (n, cols): filled without the GIL, read-only when taken.
+class Rows {
+ public:
+  Rows(py::ssize_t n, py::ssize_t cols) : array_({n, cols}), data_(array_.mutable_data()) {}
+  template <typename Derived>
+  void set(py::ssize_t i, const Eigen::MatrixBase<Derived>& row) {
+    for (Eigen::Index k = 0; k < row.size(); ++k) data_[i * row.size() + k] = row(k);
+  }
+  Array take() { return frozen(std::move(array_)); }
+
+ private:
+  Array array_;
+  double* data_;
+};
+
 // One per file of the binding.
 void bind_kinematics(py::module_& m);
 void bind_motion(py::module_& m);
@@ -60,5 +78,6 @@ void bind_rcm(py::module_& m);
 void bind_exact(py::module_& m);
 void bind_config(py::module_& m);
 void bind_controller(py::module_& m);
+void bind_calibration(py::module_& m);
 
 }  // namespace surg::python

@@ -46,22 +46,6 @@ Pose pose_at(const Array& poses, py::ssize_t i) {
   return to_pose(one, ("X_BFGoals[" + std::to_string(i) + "]").c_str());
 }
 
-Array forward_batch(const Chain& chain, const Array& q) {
-  const py::ssize_t m = rows_of(q, {chain.dof()}, "q");
-  Array poses({m, py::ssize_t{4}, py::ssize_t{4}});
-  const double* in = q.data();
-  double* out = poses.mutable_data();
-  {
-    const py::gil_scoped_release release;
-    for (py::ssize_t i = 0; i < m; ++i) {
-      const JointVector joints =
-          Eigen::Map<const Eigen::VectorXd>(in + i * chain.dof(), chain.dof());
-      Eigen::Map<RowMajor4>(out + 16 * i) = chain.forward(joints).matrix();
-    }
-  }
-  return poses;
-}
-
 Array poses_on_pivot(const Home& home, const Array& s_F, const Array& p_FTip, const Array& p_BRcm,
                      const Array& p_BTip, const Array& roll) {
   const Tool tool = to_tool(s_F, p_FTip);
@@ -163,9 +147,6 @@ void bind_goals(py::module_& m) {
 }
 
 void bind_steps(py::module_& m) {
-  m.def("forward_batch", &forward_batch, py::arg("chain"), py::arg("q"),
-        "X_BF (m, 4, 4) at joint positions q (m, n) [rad]. Releases the GIL.");
-
   py::class_<JointStep>(m, "JointStep", "A displacement of the joints.")
       .def_property_readonly("dq", [](const JointStep& s) { return frozen(from_matrix(s.dq)); })
       .def_readonly("conditioning", &JointStep::conditioning,
@@ -268,20 +249,31 @@ void bind_follower(py::module_& m) {
   py::class_<PyFollower>(m, "ExactFollower",
                          "Makes a lagging arm follow a virtual reference, and learns each joint's "
                          "lag.")
-      .def(py::init([](int joints, double lag, double gain, double learning, double T) {
-             if (joints < 1 || joints > kMaxJoints) {
-               throw py::value_error("joints: 1 to " + std::to_string(kMaxJoints) + ", not " +
-                                     std::to_string(joints));
-             }
-             if (!(lag >= 0 && gain >= 0 && learning >= 0 && T > 0)) {
-               throw py::value_error("lag, gain, learning: 0 or more; T: more than 0");
-             }
-             return PyFollower{ExactFollower(joints, {lag, gain, learning, T}), joints};
-           }),
-           py::arg("joints"), py::arg("lag"), py::arg("gain") = 50.0, py::arg("learning") = 2.0,
-           py::arg("T") = 0.002,
-           "lag [s] of the link as stated, gain [1/s] of the feedback, learning [1/s] of the lags\n"
-           "(0: none), T [s] control period.")
+      .def(
+          py::init([](int joints, double lag, double gain, double learning, double T,
+                      const std::optional<Array>& velocity,
+                      const std::optional<Array>& acceleration) {
+            if (joints < 1 || joints > kMaxJoints) {
+              throw py::value_error("joints: 1 to " + std::to_string(kMaxJoints) + ", not " +
+                                    std::to_string(joints));
+            }
+            if (!(lag >= 0 && gain >= 0 && learning >= 0 && T > 0)) {
+              throw py::value_error("lag, gain, learning: 0 or more; T: more than 0");
+            }
+            ExactFollower::Options options{lag, gain, learning, T};
+            if (velocity) options.velocity = to_joints(*velocity, joints, "velocity");
+            if (acceleration) {
+              options.acceleration = to_joints(*acceleration, joints, "acceleration");
+            }
+            return PyFollower{ExactFollower(joints, options), joints};
+          }),
+          py::arg("joints"), py::arg("lag"), py::arg("gain") = 50.0, py::arg("learning") = 2.0,
+          py::arg("T") = 0.002, py::arg("velocity") = py::none(),
+          py::arg("acceleration") = py::none(),
+          "lag [s] of the link as stated, gain [1/s] of the feedback, learning [1/s] of the lags\n"
+          "(0: none), T [s] control period; velocity [rad/s] and acceleration [rad/s^2] (n,) bound "
+          "the\n"
+          "correction that is added to the reference's own velocity.")
       .def(
           "reset",
           [](PyFollower& f, const Array& q) { f.follower.reset(to_joints(q, f.dof, "q")); },

@@ -7,6 +7,54 @@
 #include "convert.hpp"
 
 namespace surg::python {
+namespace {
+
+py::ssize_t check_rows(const Array& array, py::ssize_t cols, const char* name) {
+  if (array.ndim() != 2 || array.shape(1) != cols) {
+    throw py::value_error(std::string(name) + ": shape (m, " + std::to_string(cols) +
+                          ") is needed, not " + shape_of(array));
+  }
+  return array.shape(0);
+}
+
+Array forward_batch(const Chain& chain, const Array& q) {
+  const py::ssize_t n = check_rows(q, chain.dof(), "q");
+  Array poses({n, py::ssize_t{4}, py::ssize_t{4}});
+  const double* from = q.data();
+  double* to = poses.mutable_data();
+  {
+    py::gil_scoped_release release;
+    for (py::ssize_t i = 0; i < n; ++i) {
+      const JointVector row =
+          Eigen::Map<const Eigen::VectorXd>(from + i * chain.dof(), chain.dof());
+      Eigen::Map<Eigen::Matrix<double, 4, 4, Eigen::RowMajor>>(to + 16 * i) =
+          chain.forward(row).matrix();
+    }
+  }
+  return frozen(poses);
+}
+
+Array jacobian_batch(const Chain& chain, const Array& q) {
+  const py::ssize_t n = check_rows(q, chain.dof(), "q"), dof = chain.dof();
+  Array jacobians({n, py::ssize_t{6}, dof});
+  const double* from = q.data();
+  double* to = jacobians.mutable_data();
+  {
+    py::gil_scoped_release release;
+    Pose X_BF;
+    Jacobian J;
+    for (py::ssize_t i = 0; i < n; ++i) {
+      const JointVector row = Eigen::Map<const Eigen::VectorXd>(from + i * dof, dof);
+      chain.forward(row, X_BF, J);
+      for (int k = 0; k < 6; ++k) {
+        for (py::ssize_t joint = 0; joint < dof; ++joint) *to++ = J(k, joint);
+      }
+    }
+  }
+  return frozen(jacobians);
+}
+
+}  // namespace
 
 void bind_kinematics(py::module_& m) {
   m.attr("MAX_JOINTS") = kMaxJoints;
@@ -47,7 +95,12 @@ void bind_kinematics(py::module_& m) {
             return from_matrix(J);
           },
           py::arg("q"),
-          "Geometric Jacobian (6, n) of the flange origin in the base: rows v, then omega.");
+          "Geometric Jacobian (6, n) of the flange origin in the base: rows v, then omega.")
+      .def("forward_batch", &forward_batch, py::arg("q"),
+           "X_BF (m, 4, 4), read-only, at m joint positions q (m, n) [rad]. Releases the GIL.")
+      .def(
+          "jacobian_batch", &jacobian_batch, py::arg("q"),
+          "Jacobians (m, 6, n), read-only, at m joint positions q (m, n) [rad]. Releases the GIL.");
 
   py::class_<InverseVelocity>(m, "InverseVelocity", "Result of inverse_velocity.")
       .def_property_readonly("qd", [](const InverseVelocity& r) { return from_matrix(r.qd); })

@@ -12,4 +12,5 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_exact(m);
   binding::bind_config(m);
   binding::bind_controller(m);
+  binding::bind_calibration(m);
 }

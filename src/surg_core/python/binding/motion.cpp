@@ -1,6 +1,13 @@
 #include <pybind11/stl.h>
 
+#include <cmath>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
 #include "convert.hpp"
+#include "surg_core/braking.hpp"
 #include "surg_core/profiler.hpp"
 #include "surg_core/quintic.hpp"
 #include "surg_core/stream.hpp"
@@ -13,6 +20,79 @@ constexpr int kDof = Profiler::kDof;
 std::array<double, kDof> to_dofs(const Array& array, const char* name) {
   const Vector4 v = to_vector4(array, name);
   return {v[0], v[1], v[2], v[3]};
+}
+
+/// (4, 2) least and greatest, or None: everywhere.
+Profiler::Bounds to_bounds(const std::optional<Array>& array) {
+  Profiler::Bounds bounds;
+  if (!array) return bounds;
+  check_shape(*array, {kDof, 2}, "bounds");
+  for (int i = 0; i < kDof; ++i) {
+    bounds[i] = {array->at(i, 0), array->at(i, 1)};
+    if (!(bounds[i].least <= bounds[i].greatest)) {
+      throw py::value_error("bounds: row " + std::to_string(i) +
+                            " must be (least, greatest), least <= greatest");
+    }
+  }
+  return bounds;
+}
+
+std::pair<double, double> to_pair(const Interval& interval) {
+  return {interval.least, interval.greatest};
+}
+
+/// One axis of a recorded stream through estimate and filter; 'states' is n x 3 with a stride.
+void filter_axis(const std::vector<double>& t, const std::vector<double>& x,
+                 const DofLimits& limits, double T, py::ssize_t n, bool feed_forward,
+                 double* states, py::ssize_t stride) {
+  StreamFilter filter(limits);
+  AlphaBeta estimate;
+  filter.reset({x[0], 0, 0});
+  estimate.reset(x[0]);
+  std::size_t last = 0;
+  for (py::ssize_t k = 0; k < n; ++k, states += stride) {
+    const double now = t[0] + static_cast<double>(k) * T;
+    for (; last + 1 < t.size() && t[last + 1] <= now + 1e-9; ++last) {
+      estimate.update(x[last + 1], t[last + 1] - t[last]);
+    }
+    Kinematic target = estimate.predict(now + T - t[last]);
+    if (!feed_forward) target.a = 0;
+    filter.step(target, T);
+    states[0] = filter.state().x;
+    states[1] = filter.state().v;
+    states[2] = filter.state().a;
+  }
+}
+
+Array stream_filter(const Array& t, const Array& samples, const DofLimits& limits, double T,
+                    bool feed_forward) {
+  const py::ssize_t rows = samples.ndim() == 2 ? samples.shape(0) : 0;
+  const py::ssize_t axes = samples.ndim() == 2 ? samples.shape(1) : 0;
+  if (rows < 1 || axes < 1) {
+    throw py::value_error("samples: shape " + shape_of(samples) + ", must be (n, axes)");
+  }
+  check_shape(t, {rows}, "t");
+  std::vector<double> times(t.data(), t.data() + rows);
+  for (py::ssize_t i = 0; i < rows; ++i) {
+    if (!std::isfinite(times[i]) || (i > 0 && !(times[i] > times[i - 1]))) {
+      throw py::value_error("t: must be finite and increase; it does not at index " +
+                            std::to_string(i));
+    }
+  }
+  if (!(T > 0)) throw py::value_error("T: must be > 0 [s]");
+  const auto n = static_cast<py::ssize_t>(std::floor((times[rows - 1] - times[0]) / T + 1e-9));
+  Array out({n, axes, py::ssize_t{3}});
+  double* states = out.mutable_data();
+  const double* values = samples.data();
+  {
+    py::gil_scoped_release release;
+    std::vector<double> x(rows);
+    for (py::ssize_t axis = 0; axis < axes; ++axis) {
+      for (py::ssize_t i = 0; i < rows; ++i) x[i] = values[i * axes + axis];
+      filter_axis(times, x, limits, T, n, feed_forward, states + 3 * axis, 3 * axes);
+    }
+  }
+  return out;
 }
 
 void bind_quintic(py::module_& m) {
@@ -39,10 +119,13 @@ void bind_quintic(py::module_& m) {
       .def("max_acceleration", &Quintic::max_acceleration, "Largest |a|, exact.")
       .def("max_jerk", &Quintic::max_jerk, "Largest |jerk|, exact.")
       .def("min_position", &Quintic::min_position, "Least x, exact; may lie outside the two ends.")
-      .def("max_position", &Quintic::max_position, "Greatest x, exact.");
+      .def("max_position", &Quintic::max_position, "Greatest x, exact.")
+      .def(
+          "range", [](const Quintic& q, double t0, double t1) { return to_pair(q.range(t0, t1)); },
+          py::arg("t0"), py::arg("t1"), "(least, greatest) x between two times, exact.");
 }
 
-void bind_profiler(py::module_& m) {
+void bind_braking(py::module_& m) {
   py::class_<DofLimits>(m, "DofLimits", "Limits of one degree of freedom.")
       .def(py::init([](double v, double a, double j) {
              return DofLimits{v, a, j};
@@ -52,6 +135,22 @@ void bind_profiler(py::module_& m) {
       .def_readonly("acceleration", &DofLimits::acceleration)
       .def_readonly("jerk", &DofLimits::jerk);
 
+  py::class_<Braking>(m, "Braking",
+                      "The hardest braking within acceleration and jerk limits, in closed form.")
+      .def_static("stop", &Braking::stop, py::arg("start"), py::arg("limits"),
+                  "To a standstill in the least time.")
+      .def_static("ease", &Braking::ease, py::arg("start"), py::arg("limits"),
+                  "To zero acceleration with full jerk, then on at the velocity reached.")
+      .def("at", &Braking::at, py::arg("t"), "State at time t [s].")
+      .def_property_readonly("duration", &Braking::duration, "Until the jerk is over [s].")
+      .def_property_readonly("distance", &Braking::distance,
+                             "From the start to the end of the jerk, signed.")
+      .def(
+          "range", [](const Braking& b, double t0, double t1) { return to_pair(b.range(t0, t1)); },
+          py::arg("t0"), py::arg("t1"), "(least, greatest) x between two times, exact.");
+}
+
+void bind_profiler(py::module_& m) {
   py::class_<Profiler>(
       m, "Profiler",
       "Discrete targets for four degrees of freedom: one quintic each with a common\n"
@@ -65,8 +164,13 @@ void bind_profiler(py::module_& m) {
           "reset_to", [](Profiler& p, const std::array<Kinematic, kDof>& state) { p.reset(state); },
           py::arg("state"), "Starts from four given states.")
       .def(
-          "plan", [](Profiler& p, const Array& target) { p.plan(to_dofs(target, "target")); },
-          py::arg("target"), "Plans from the present state to rest at target (4,).")
+          "plan",
+          [](Profiler& p, const Array& target, const std::optional<Array>& bounds) {
+            return p.plan(to_dofs(target, "target"), to_bounds(bounds));
+          },
+          py::arg("target"), py::arg("bounds") = std::nullopt,
+          "Plans from the present state to rest at target (4,), inside bounds (4, 2) (least,\n"
+          "greatest) where given. Returns whether every limit and bound holds.")
       .def(
           "plan_fixed",
           [](Profiler& p, const Array& target, double duration) {
@@ -77,6 +181,16 @@ void bind_profiler(py::module_& m) {
       .def_property_readonly("state", &Profiler::state)
       .def_property_readonly("done", &Profiler::done)
       .def_property_readonly("duration", &Profiler::duration, "Of the present profile [s].")
+      .def_property_readonly("brake_duration", &Profiler::brake_duration,
+                             "Of the braking before the quintics [s].")
+      .def(
+          "excursion",
+          [](const Profiler& p, int dof, double t0, double t1) {
+            if (dof < 0 || dof >= kDof) throw py::index_error("dof: 0 to 3");
+            return to_pair(p.excursion(dof, t0, t1));
+          },
+          py::arg("dof"), py::arg("t0"), py::arg("t1"),
+          "(least, greatest) position between two times since the plan was made, exact.")
       .def(
           "quintic",
           [](const Profiler& p, int dof) {
@@ -101,14 +215,25 @@ void bind_stream(py::module_& m) {
       .def(py::init<const DofLimits&>(), py::arg("limits"))
       .def("reset", &StreamFilter::reset, py::arg("state"))
       .def("step", &StreamFilter::step, py::arg("target"), py::arg("T"),
-           "One tick of T seconds towards a target predicted one tick ahead (x and v are used).")
+           "One tick of T seconds towards a target predicted one tick ahead.")
+      .def("brake", &StreamFilter::brake, py::arg("T"),
+           "One tick of the hardest braking inside the limits.")
       .def_property_readonly("state", &StreamFilter::state, py::return_value_policy::copy);
+
+  m.def("stream_filter", &stream_filter, py::arg("t"), py::arg("samples"), py::arg("limits"),
+        py::arg("T") = 0.002, py::arg("feed_forward") = true,
+        "A recorded stream through AlphaBeta and StreamFilter, one pair per axis.\n\n"
+        "Tick k is at t[0] + k T, sees the samples up to there, and predicts by the age of the\n"
+        "last one. t: (n,) increasing [s]; samples: (n, axes); limits: of every axis;\n"
+        "feed_forward: whether the estimated acceleration is used. Returns (ticks, axes, 3):\n"
+        "position, velocity, acceleration at the end of each tick. Releases the GIL.");
 }
 
 }  // namespace
 
 void bind_motion(py::module_& m) {
   bind_quintic(m);
+  bind_braking(m);
   bind_profiler(m);
   bind_stream(m);
 }

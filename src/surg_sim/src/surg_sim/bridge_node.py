@@ -138,6 +138,7 @@ class _ArmTopics:
         # Tracks the trocar, when asked to; a topic that nobody fills must not be there.
         self.stale = round(bridge.track_stale * wire.NS / TICK_NS)
         self.frame = wire.text(f"{arm.name}_base")
+        self.tracked = 0
         self.track: _Output | None = None
         if self.stale >= 0:
             self.track = _Output(f"{root}/rcm/track", PointVelocityStamped, patient)
@@ -166,6 +167,8 @@ class _ArmTopics:
             missing.append(f"nobody publishes {root}/robot/servo_jv or servo_cv (the controller)")
         if not self.tool_input.get_num_connections():
             missing.append(f"nobody publishes {root}/tool/servo_jp (the controller)")
+        if self.track is not None and not self.track.connections:
+            missing.append(f"nobody subscribes {root}/rcm/track (the controller, with ~track_rcm)")
         return missing
 
 
@@ -211,6 +214,11 @@ class Bridge:
         self._status = rospy.Publisher("/sim/status", String, queue_size=10, latch=True)
         self._ready = rospy.Subscriber("/sim/ready", Ready, self._on_ready, tcp_nodelay=True)
         rospy.Subscriber("/sim/undeclared", String, self._on_undeclared)
+        # In lock-step a tracker takes part as any sender of commands does, under this node's name.
+        self._name = rospy.get_name().lstrip("/")
+        self._tracker: rospy.Publisher | None = None
+        if self.lockstep and settings.track_stale >= 0:
+            self._tracker = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         if settings.inject:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
@@ -315,6 +323,9 @@ class Bridge:
             snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
             snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, wire.NS))
             self._snapshot.publish(snapshot)
+        if self._tracker is not None:
+            arms, sent = [arm.name for arm in self._arms], [arm.tracked for arm in self._arms]
+            self._tracker.publish(Ready(tick=tick, participant=self._name, arms=arms, sent=sent))
         # The joint states go last: their arrival starts the controller's work.
         for arm in self._arms:
             for stamp, state in self._injector.states(arm.name, stamp_ns):
@@ -342,6 +353,7 @@ class Bridge:
         if arm.track is not None and seen is not None:
             when, point, velocity = seen
             stamp_seen = stamp_ns - (tick - when) * TICK_NS
+            arm.tracked += 1
             arm.track.send(wire.pack_point_velocity(stamp_seen, tick, arm.frame, point, velocity))
 
     def _publish_status(self) -> None:
@@ -393,10 +405,12 @@ class Bridge:
     def _unconnected(self) -> list[str]:
         missing = [sentence for arm in self._arms for sentence in arm.unconnected()]
         expected = len(self._settings.participants) + len(self._settings.observers)
-        here = self._ready.get_num_connections()
+        here = self._ready.get_num_connections() - (self._tracker is not None)  # itself
         if here < expected:
             names = [*self._settings.participants, *self._settings.observers]
             missing.append(f"{here} of {expected} ({', '.join(names)}) publish /sim/ready")
+        if self._tracker is not None and self._tracker.get_num_connections() < 2:  # one is itself
+            missing.append("nobody but the simulator subscribes /sim/ready (the controller)")
         if "recorder" in self._settings.observers and not self._truth.connections:
             missing.append("nobody subscribes /sim/ground_truth/state (the recorder)")
         if "endoscope" in self._settings.observers and not self._snapshot.get_num_connections():

@@ -108,7 +108,6 @@ class Injector:
         self._answers: dict[
             str, tuple[int, list[tuple[int, ArmState]]]
         ] = {}  # by arm: tick, states
-        self._executed: dict[str, int] = {}  # stamp of the newest command, by arm
         for fault in faults:
             if not isinstance(fault, ToolOff):
                 self.add(fault)
@@ -217,11 +216,8 @@ class Injector:
             packets = []
         elif packets and (channel := self._channel(arm, COMMAND)) is not None:
             packets = channel.carry(packets[0])
-        # A link takes the newest and drops what is older than what it has executed.
-        stamp, command = max(packets, key=lambda item: item[0], default=(-1, ArmCommand()))
-        if stamp < self._executed.get(arm, -1):
-            command = ArmCommand()
-        self._executed[arm] = max(stamp, self._executed.get(arm, -1))
+        # A link takes the newest of what comes in one tick; what was overtaken is of no use.
+        _, command = max(packets, key=lambda item: item[0], default=(0, ArmCommand()))
         return ArmCommand(command.velocity, command.twist, jaw)
 
     def _disturb(self) -> None:

@@ -80,7 +80,7 @@ class BridgeSettings:
         seed: Seed of the world.
         view: Open a viewer window where there is a display.
         track_stale: The simulator tracks the trocars and publishes ``rcm/track``, this old [s];
-            -1: it does not.
+            -1: it does not. In lock-step the controller must have ``sim`` among its participants.
         faults: Faults from the start, as JSON (``faults``).
         inject: Take further faults on ``/sim/inject``.
         connect_timeout: Longest wait for everybody to connect in lock-step [s].

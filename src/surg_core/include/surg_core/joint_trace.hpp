@@ -1,0 +1,44 @@
+// Where the joints have been: the guaranteed way back. What the arm has done forwards it can do
+// backwards, while a straight retraction may be geometrically impossible.
+#pragma once
+
+#include <array>
+
+#include "surg_core/types.hpp"
+
+namespace surg {
+
+/// A recorded joint path in bounded memory. New points are taken every 'spacing' of joint motion;
+/// when the memory is full every second point is dropped and the spacing doubles, so the whole way
+/// from the first point is kept, ever more coarsely.
+class JointTrace {
+ public:
+  static constexpr int kCapacity = 1024;
+  static constexpr double kSpacing = 0.01;  ///< [rad] of the fastest joint, to begin with
+
+  void clear();
+  /// Where the joints are now [rad]; once a cycle.
+  void record(const JointVector& q);
+
+  bool empty() const { return n_ == 0; }
+  int size() const { return n_; }
+  /// Length of the way back [rad]: sum of the largest joint motion from point to point.
+  double length() const { return n_ == 0 ? 0.0 : arc_[n_ - 1] + ahead_; }
+  /// Joints 's' [rad] of that length back from the newest point; clamped to 0..length().
+  /// Continuous with its first derivative.
+  JointVector at(double s) const;
+
+ private:
+  const JointVector& point(int i) const { return i < n_ ? points_[i] : newest_; }
+  double arc(int i) const { return i < n_ ? arc_[i] : length(); }
+  void thin();
+
+  int n_ = 0;
+  double spacing_ = kSpacing;
+  std::array<JointVector, kCapacity> points_;
+  std::array<double, kCapacity> arc_{};  ///< from the first point
+  JointVector newest_;                   ///< not yet a point of its own
+  double ahead_ = 0;                     ///< its distance from the last point
+};
+
+}  // namespace surg

@@ -1,0 +1,308 @@
+"""From a recording to a calibration file: reads the CSV, solves by the core, writes the YAML.
+
+A recording is a CSV file of poses at standstill. Its first column says what the instrument was
+doing, the others where the arm was, either as joint positions under the robot's joint names [rad]
+or as flange poses in the robot base [m, unit quaternion]::
+
+    motion,shoulder_pan_joint,shoulder_lift_joint,elbow_joint,wrist_1_joint,...
+    tip,0.1012,-1.2037,...
+
+    motion,x,y,z,qx,qy,qz,qw
+    tip,0.4210,0.1033,0.2101,0.0,1.0,0.0,0.0
+
+Lines that begin with ``#`` are comments. Motions are
+
+======== ==========================================================================================
+tip      the tip rests in a fixed divot; tilted about two axes and rolled between the poses
+roll     the shaft lies in a snug guide; turned about itself between the poses, free to slide
+second   as ``tip``, with a rod of another length in the same holder (instead of ``roll``)
+trocar   the shaft runs through the trocar, differently tilted
+======== ==========================================================================================
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Callable, TypeVar
+
+import numpy as np
+
+from surg_core._core import (
+    AxisFit,
+    CalibrationError,
+    CalibrationLimits,
+    Chain,
+    PointFit,
+    TipFit,
+    ToolCalibration,
+    TrocarCalibration,
+    calibrate_axis_by_points,
+    calibrate_axis_by_rolling,
+    calibrate_tip,
+    calibrate_trocar,
+    tool_calibration,
+    trocar_calibration,
+)
+from surg_core.config import PathLike, load_tool, load_trocar
+from surg_core.transforms import FloatArray, quaternion_xyzw_to_matrix
+
+MOTIONS = ("tip", "roll", "second", "trocar")
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+
+_Calibration = TypeVar("_Calibration", ToolCalibration, TrocarCalibration)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Flange poses by motion.
+
+    Attributes:
+        file: Where they come from; named in errors.
+        poses: Motion -> ``(n, 4, 4)`` flange poses X_BF.
+    """
+
+    file: str
+    poses: Mapping[str, FloatArray]
+
+    def of(self, motion: str, purpose: str) -> FloatArray:
+        """The poses of one motion.
+
+        Raises:
+            CalibrationError: when there are none.
+        """
+        if motion not in self.poses:
+            found = ", ".join(self.poses) or "none"
+            raise CalibrationError(
+                f"{self.file}: no row of motion '{motion}', needed for {purpose}; found: {found}"
+            )
+        return self.poses[motion]
+
+
+@dataclass(frozen=True)
+class ToolSolution:
+    """A calibrated tool with its parts."""
+
+    tool: ToolCalibration
+    tip: TipFit
+    axis: AxisFit
+
+
+@dataclass(frozen=True)
+class TrocarSolution:
+    """A calibrated trocar point with its fit."""
+
+    trocar: TrocarCalibration
+    point: PointFit
+
+
+def read_recording(path: PathLike, chain: Chain, joint_names: Sequence[str]) -> Recording:
+    """Reads a recording (see the module's text for the format).
+
+    Args:
+        path: the CSV file.
+        chain: the robot, which turns joint positions into flange poses.
+        joint_names: its joints in the chain's order; columns may come in any order.
+
+    Raises:
+        CalibrationError: with file, line and what is wrong.
+    """
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"{path}: is not UTF-8 text: {error.reason}") from error
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror or error}") from error
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), start=1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    if not lines:
+        raise CalibrationError(f"{path}: is empty; a header and rows are needed")
+    rows = [(number, [word.strip() for word in next(csv.reader([line]))]) for number, line in lines]
+    header = rows[0][1]
+    joints = tuple(joint_names)
+    if sorted(header) not in (sorted(("motion", *joints)), sorted(("motion", *POSE))):
+        raise CalibrationError(
+            f"{path}:{rows[0][0]}: the header is {','.join(header)}; needed is "
+            f"motion,{','.join(joints)} or motion,{','.join(POSE)}"
+        )
+    columns = joints if sorted(header) == sorted(("motion", *joints)) else POSE
+    found: dict[str, list[FloatArray]] = {}
+    for number, words in rows[1:]:
+        where = f"{path}:{number}"
+        if len(words) != len(header):
+            raise CalibrationError(f"{where}: {len(words)} values; the header has {len(header)}")
+        row = dict(zip(header, words))
+        motion = row["motion"]
+        if motion not in MOTIONS:
+            raise CalibrationError(
+                f"{where}: motion '{motion}' is unknown; allowed are {', '.join(MOTIONS)}"
+            )
+        values = np.array([_number(row[name], f"{where}: {name}") for name in columns])
+        pose = _pose(values, where) if columns is POSE else chain.forward(values)
+        found.setdefault(motion, []).append(pose)
+    return Recording(str(path), {motion: np.array(poses) for motion, poses in found.items()})
+
+
+def _number(word: str, where: str) -> float:
+    try:
+        value = float(word)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise CalibrationError(f"{where}: '{word}' is not a finite number")
+    return value
+
+
+def _pose(values: FloatArray, where: str) -> FloatArray:
+    length = float(np.linalg.norm(values[3:]))
+    if abs(length - 1.0) > 1e-3:
+        raise CalibrationError(f"{where}: the quaternion has length {length:.4g}; 1 is needed")
+    X_BF = np.eye(4)
+    X_BF[:3, :3] = quaternion_xyzw_to_matrix(values[3:] / length)
+    X_BF[:3, 3] = values[:3]
+    return X_BF
+
+
+def solve_tool(
+    recording: Recording, date: str, limits: CalibrationLimits | None = None
+) -> ToolSolution:
+    """Tip and shaft axis from the motions ``tip`` and ``roll``, or ``tip`` and ``second``.
+
+    Args:
+        recording: the poses.
+        date: goes into the file, such as ``2026-11-21``.
+        limits: what is asked of the evidence; default: CalibrationLimits().
+
+    Raises:
+        CalibrationError: for a missing motion, or as the solvers.
+    """
+    asked = limits or CalibrationLimits()
+    if "roll" in recording.poses and "second" in recording.poses:
+        raise CalibrationError(
+            f"{recording.file}: holds both 'roll' and 'second'; one of them gives the shaft axis"
+        )
+    tip = _named(recording, lambda: calibrate_tip(recording.of("tip", "the tool's tip"), asked))
+    if "second" in recording.poses:
+        axis = _named(
+            recording,
+            lambda: calibrate_axis_by_points(
+                tip, calibrate_tip(recording.poses["second"], asked), asked
+            ),
+        )
+    else:
+        roll = recording.of("roll", "the shaft axis ('second' would do as well)")
+        axis = _named(recording, lambda: calibrate_axis_by_rolling(roll, tip.p_FTip, asked))
+    return ToolSolution(tool_calibration(tip, axis, date), tip, axis)
+
+
+def solve_trocar(
+    recording: Recording,
+    tool: ToolCalibration,
+    date: str,
+    limits: CalibrationLimits | None = None,
+) -> TrocarSolution:
+    """The trocar point from the motion ``trocar``.
+
+    Args:
+        recording: the poses.
+        tool: the calibrated tool whose shaft ran through the trocar.
+        date: goes into the file.
+        limits: what is asked of the evidence; default: CalibrationLimits().
+
+    Raises:
+        CalibrationError: for a missing motion, or as the solver.
+    """
+    X_BF = recording.of("trocar", "the trocar point")
+    p_B = X_BF[:, :3, :3] @ tool.p_FTip + X_BF[:, :3, 3]
+    s_B = X_BF[:, :3, :3] @ tool.s_F
+    point = _named(recording, lambda: calibrate_trocar(p_B, s_B, limits or CalibrationLimits()))
+    return TrocarSolution(trocar_calibration(point, date), point)
+
+
+_Fit = TypeVar("_Fit")
+
+
+def _named(recording: Recording, solve: Callable[[], _Fit]) -> _Fit:
+    """Puts the file's name before a refusal."""
+    try:
+        return solve()
+    except CalibrationError as error:
+        raise CalibrationError(f"{recording.file}: {error}") from error
+
+
+def write_tool(path: PathLike, tool: ToolCalibration, note: str) -> None:
+    """Writes a surg_tool/1 file; the file that was there stays beside it as ``<name>.previous``.
+
+    Args:
+        path: such as ``calibration/tool_PSM1.yaml``; its folder must exist.
+        tool: what to write.
+        note: one line for people, put at the top.
+
+    Raises:
+        ConfigError: when the schema does not take it (nothing is replaced then).
+        OSError: when it cannot be written.
+    """
+    text = (
+        f"# {_one_line(note)}\n"
+        "format: surg_tool/1\n"
+        f"shaft_axis: {_vector(tool.s_F)}  # unit vector, flange to tip\n"
+        f"tip: {_vector(tool.p_FTip)}  # m\n" + _evidence(tool)
+    )
+    _replace(Path(path), text, load_tool)
+
+
+def write_trocar(path: PathLike, trocar: TrocarCalibration, note: str) -> None:
+    """Writes a surg_trocar/1 file; as :func:`write_tool`."""
+    text = (
+        f"# {_one_line(note)}\n"
+        "format: surg_trocar/1\n"
+        f"point: {_vector(trocar.p_BRcm)}  # m\n" + _evidence(trocar)
+    )
+    _replace(Path(path), text, load_trocar)
+
+
+def _one_line(note: str) -> str:
+    return " ".join(note.split())
+
+
+def _vector(values: FloatArray) -> str:
+    # 12 decimals: 1e-12 m. Adding 0.0 turns -0.0 into 0.0.
+    return "[" + ", ".join(f"{round(float(value), 12) + 0.0:.12f}" for value in values) + "]"
+
+
+def _evidence(found: _Calibration) -> str:
+    return (
+        f"residual: {found.residual:.9f}  # m, rms\n"
+        f"n: {found.n}\n"
+        f"condition: {max(found.condition, 1.0):.4f}\n"
+        f'date: "{_one_line(found.date)}"\n'
+    )
+
+
+def _replace(path: Path, text: str, load: Callable[[PathLike], object]) -> None:
+    """Never a moment without a whole file: written beside it, read back, then renamed over it."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".yaml", dir=path.parent)
+    fresh = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        load(fresh)
+        fresh.chmod(0o644)
+        if path.exists():
+            previous = path.with_name(path.name + ".previous")
+            kept = fresh.with_suffix(".previous")
+            kept.write_bytes(path.read_bytes())
+            kept.replace(previous)
+        fresh.replace(path)
+    finally:
+        fresh.unlink(missing_ok=True)

@@ -1,0 +1,144 @@
+#include <algorithm>
+#include <cmath>
+
+#include "stop_oracle.hpp"
+#include "support.hpp"
+#include "surg_core/braking.hpp"
+
+namespace surg {
+namespace {
+
+using test::Random;
+
+const DofLimits kTip{0.25, 2.0, 40.0};
+
+DofLimits random_limits(Random& random) {
+  return {random.magnitude(0.01, 5), random.magnitude(0.1, 100), random.magnitude(1, 5000)};
+}
+
+Kinematic random_state(Random& random, const DofLimits& limits, double beyond = 1) {
+  Kinematic s{random.normal(), beyond * limits.velocity * random.uniform(-1, 1),
+              beyond * limits.acceleration * random.uniform(-1, 1)};
+  if (random.integer(0, 4) == 0) s.a = 0;
+  if (random.integer(0, 9) == 0) s.v = 0;
+  return s;
+}
+
+TEST(Braking, StopsAtRestWithinItsLimits) {
+  Random random(1);
+  const int count = test::family(20000, 300000), samples = 60;
+  for (int k = 0; k < count; ++k) {
+    const DofLimits limits = random_limits(random);
+    const Kinematic from = random_state(random, limits, random.integer(0, 3) == 0 ? 2 : 1);
+    const Braking stop = Braking::stop(from, limits);
+    const double d = stop.duration(), h = d / samples;
+    const double A = std::max(limits.acceleration, std::abs(from.a));
+    ASSERT_EQ(stop.at(d).v, 0);
+    ASSERT_EQ(stop.at(d).a, 0);
+    ASSERT_DOUBLE_EQ(stop.at(10 * d + 1).x, stop.at(d).x);
+    ASSERT_EQ(stop.at(-1).v, from.v);
+    const double rounding = 1e-12 * (std::abs(from.v) + A * A / limits.jerk);
+    Kinematic last = from;
+    int turns = 0;
+    for (int i = 1; i <= samples; ++i) {
+      const Kinematic now = stop.at(i * h);
+      ASSERT_LE(std::abs(now.a), A * (1 + 1e-9));
+      ASSERT_LE(std::abs(now.a - last.a), limits.jerk * h * (1 + 1e-9) + 1e-12 * A);
+      // Trapezium and midpoint differ by less than the jerk can bend the curve.
+      ASSERT_NEAR(now.v - last.v, 0.5 * (now.a + last.a) * h,
+                  0.25 * limits.jerk * h * h + rounding);
+      ASSERT_NEAR(now.x - last.x, 0.5 * (now.v + last.v) * h,
+                  0.25 * A * h * h + 1e-13 * (std::abs(now.x) + std::abs(now.v) * d));
+      turns += now.v * last.v < 0 && std::abs(now.v) > rounding;
+      last = now;
+    }
+    ASSERT_LE(turns, 1);
+    if (from.a * from.v >= 0) {
+      ASSERT_EQ(turns, 0);
+    }
+  }
+  test::report("random stops, 60 samples each", count);
+}
+
+TEST(Braking, DistanceFromUniformMotionIsTheKnownOne) {
+  for (const double v : {0.01, 0.1, 0.25, 1.0, -0.25}) {
+    const double V = std::abs(v), A = kTip.acceleration, J = kTip.jerk;
+    const double expected = V * J <= A * A ? V * std::sqrt(V / J) : V / 2 * (V / A + A / J);
+    EXPECT_NEAR(Braking::stop({3, v, 0}, kTip).distance(), std::copysign(expected, v), 1e-15);
+  }
+  EXPECT_NEAR(Braking::stop({0, 0.25, 0}, kTip).distance(), 0.021875, 1e-15);
+}
+
+TEST(Braking, DistanceIsThatOfAFeedbackLaw) {
+  Random random(2);
+  const int count = test::family(300, 3000);
+  double worst = 0;
+  for (int k = 0; k < count; ++k) {
+    const DofLimits limits = random_limits(random);
+    const Kinematic from = random_state(random, limits, random.integer(0, 3) == 0 ? 2 : 1);
+    const Braking stop = Braking::stop(from, limits);
+    const double h = stop.duration() / 20000;
+    if (h == 0) continue;
+    const double scale = (std::abs(from.v) + std::abs(from.a) * stop.duration()) * stop.duration();
+    worst = std::max(
+        worst,
+        std::abs(stop.distance() - test::stop_by_feedback(from, limits, h).distance) / scale);
+  }
+  EXPECT_LT(worst, 1e-3);
+  test::report("random stops by small steps", count);
+  std::printf("[  figures ] largest relative difference %.1e\n", worst);
+}
+
+TEST(Braking, RangeIsThatOfDenseSampling) {
+  Random random(3);
+  const int count = test::family(2000, 50000), samples = 400;
+  for (int k = 0; k < count; ++k) {
+    const DofLimits limits = random_limits(random);
+    const Kinematic from = random_state(random, limits);
+    const bool ease = random.integer(0, 3) == 0;
+    const Braking braking = ease ? Braking::ease(from, limits) : Braking::stop(from, limits);
+    double t0 = braking.duration() * random.uniform(-0.1, 1.2);
+    double t1 = braking.duration() * random.uniform(-0.1, 1.2);
+    if (t0 > t1) std::swap(t0, t1);
+    if (random.integer(0, 1)) t0 = 0, t1 = braking.duration();
+    const Interval range = braking.range(t0, t1);
+    Interval seen{braking.at(t0).x, braking.at(t0).x};
+    for (int i = 1; i <= samples; ++i) seen.include(braking.at(t0 + (t1 - t0) * i / samples).x);
+    const double h = (t1 - t0) / samples, grid = limits.acceleration * h * h;
+    const double rounding = 1e-13 * (std::abs(range.least) + std::abs(range.greatest));
+    ASSERT_LE(range.least, seen.least + rounding);
+    ASSERT_GE(range.least, seen.least - grid - rounding);
+    ASSERT_GE(range.greatest, seen.greatest - rounding);
+    ASSERT_LE(range.greatest, seen.greatest + grid + rounding);
+  }
+  test::report("random times of random stops, 401 samples each", count);
+}
+
+TEST(Braking, EaseGoesOnAtTheVelocityReached) {
+  const Braking ease = Braking::ease({0, 0.1, -1.0}, kTip);
+  EXPECT_DOUBLE_EQ(ease.duration(), 0.025);
+  EXPECT_DOUBLE_EQ(ease.at(1).v, 0.1 - 0.0125);
+  EXPECT_EQ(ease.at(1).a, 0);
+  EXPECT_NEAR(ease.at(1.5).x - ease.at(0.5).x, 0.0875, 1e-15);
+}
+
+TEST(Braking, AtRestNeedsNothing) {
+  const Braking stop = Braking::stop({2, 0, 0}, kTip);
+  EXPECT_EQ(stop.duration(), 0);
+  EXPECT_EQ(stop.distance(), 0);
+  EXPECT_EQ(stop.at(1).x, 2);
+  EXPECT_EQ(stop.range(0, 1).greatest, 2);
+  EXPECT_EQ(Braking().at(3).x, 0);
+}
+
+TEST(Braking, LeavesTheHeapAlone) {
+  if (!SURG_HEAP_IS_WATCHED) GTEST_SKIP() << "the heap cannot be watched in this build";
+  test::HeapWatch heap;
+  const Braking stop = Braking::stop({0, 0.1, 0.3}, kTip);
+  const double sum = stop.at(0.01).x + stop.range(0, 1).greatest + stop.duration();
+  EXPECT_EQ(heap.calls(), 0);
+  EXPECT_GT(sum, 0);
+}
+
+}  // namespace
+}  // namespace surg

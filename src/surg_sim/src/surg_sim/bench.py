@@ -1,0 +1,183 @@
+"""A calibration bench in the simulator: hands that guide the true instrument, and what is recorded.
+
+The hands know the true tool (from the URDF) and are not steady: the tip has play in its divot, the
+shaft in its guide and in the trocar. The recording sees the joint states of the simulated arm only,
+with an encoder's noise and quantisation. ::
+
+    python3 -m surg_sim.bench CELL FILE.csv --motions tip roll
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import ArmCommand
+from surg_sim.trocar import TrocarParameters, shaft_in_flange
+from surg_sim.world import World
+
+if TYPE_CHECKING:
+    import surg_core
+
+Array = NDArray[np.float64]
+
+MOTIONS = ("tip", "roll", "trocar")
+ENCODER_SIGMA = 2e-5
+"""[rad]; assumed."""
+ENCODER_STEP = 1e-5
+"""[rad]; assumed."""
+DIVOT_PLAY = 5e-5
+"""[m] per axis, one sigma; assumed."""
+GUIDE_PLAY = 1e-3
+"""[rad] per axis, one sigma; assumed."""
+TROCAR_PLAY = 1e-4
+"""[m] per axis, one sigma; assumed."""
+NO_WALL = TrocarParameters(stiffness=0.1, friction=0.0)
+"""A wall that is not felt: the instrument is on a bench, not in a patient."""
+
+
+def turn(axis: Array, angle: float) -> Array:
+    """Rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
+    import surg_core
+
+    return surg_core.axis_angle_to_matrix(np.asarray(axis, dtype=float), angle)
+
+
+def across(s: Array, rng: np.random.Generator) -> Array:
+    """A random unit vector (3,) perpendicular to s (3,)."""
+    v = np.cross(s, rng.normal(size=3))
+    return np.asarray(v / np.linalg.norm(v))
+
+
+class Bench:
+    """One arm of a cell on the bench.
+
+    Args:
+        cell: A loaded cell.
+        seed: Of hands and encoders.
+        arm: Its name; default: the cell's first.
+    """
+
+    def __init__(self, cell: surg_core.Cell, seed: int, arm: str | None = None) -> None:
+        self.cell = cell
+        self.arm = cell.arms[arm or next(iter(cell.arms))]
+        self.rng = np.random.default_rng(seed)
+        self.p_FTip, self.s_F = shaft_in_flange(self.arm)
+        self.home = np.array(self.arm.robot.home)
+        self.X_home = self.arm.chain.forward(self.home)
+        self.s_home = self.X_home[:3, :3] @ self.s_F
+        self.tip_home = self.X_home[:3, :3] @ self.p_FTip + self.X_home[:3, 3]
+
+    def record(self, path: Path, motions: Sequence[str], count: int = 12) -> None:
+        """Perform motions by hand and write the recording.
+
+        Args:
+            path: CSV file.
+            motions: Of ``MOTIONS``.
+            count: Poses of each.
+        """
+        lines = [",".join(["motion", *self.arm.robot.joint_names])]
+        for motion in motions:
+            wall = None if motion == "trocar" else NO_WALL
+            world = World(self.cell, trocar=wall)
+            for q in self._poses(motion, count):
+                measured = self._measure(world, q)
+                lines.append(",".join([motion, *(f"{value:.9f}" for value in measured)]))
+        path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+    def _poses(self, motion: str, count: int) -> Iterator[Array]:
+        """Joint positions (n,) of the hand-guided poses; what the arm cannot reach is not tried."""
+        found = 0
+        for _ in range(20 * count):
+            q = self._inverse(self._pose(motion))
+            if q is not None:
+                found += 1
+                yield q
+            if found == count:
+                return
+        raise RuntimeError(f"{motion}: only {found} of {count} poses are within reach")
+
+    def _pose(self, motion: str) -> Array:
+        """A flange pose (4, 4) that puts the true instrument where the hands want it."""
+        rng, R = self.rng, self.X_home[:3, :3]
+        if motion == "roll":
+            R = turn(self.s_home, rng.uniform(-1.2, 1.2)) @ R
+            play = rng.normal(scale=GUIDE_PLAY, size=3)
+            R = turn(play / np.linalg.norm(play), float(np.linalg.norm(play))) @ R
+            tip = self.tip_home + rng.uniform(-0.02, 0.02) * self.s_home
+        else:
+            tilt = turn(across(self.s_home, rng), rng.uniform(0.15, 0.5))
+            R = tilt @ turn(self.s_home, rng.uniform(-1.0, 1.0)) @ R
+            if motion == "tip":
+                tip = self.tip_home + rng.normal(scale=DIVOT_PLAY, size=3)
+            else:
+                s = R @ self.s_F
+                play = rng.normal(scale=TROCAR_PLAY, size=3)
+                tip = self.arm.trocar.p_BRcm + rng.uniform(0.06, 0.16) * s + play
+        X = np.eye(4)
+        X[:3, :3], X[:3, 3] = R, tip - R @ self.p_FTip
+        return X
+
+    def _inverse(self, X: Array) -> Array | None:
+        """Joints (n,) for a flange pose, from home by damped Newton steps; None: out of reach."""
+        q, chain = self.home.copy(), self.arm.chain
+        for _ in range(100):
+            present = chain.forward(q)
+            R = X[:3, :3] @ present[:3, :3].T
+            angle = math.acos(float(np.clip((np.trace(R) - 1) / 2, -1, 1)))
+            w = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+            scale = 0.5 if angle < 1e-6 else angle / (2 * math.sin(angle))
+            error = np.concatenate([X[:3, 3] - present[:3, 3], scale * w])
+            if np.linalg.norm(error) < 1e-12:
+                low, high = self.arm.robot.position_min, self.arm.robot.position_max
+                return q if np.all((q > low) & (q < high)) else None
+            J = chain.jacobian(q)
+            step = J.T @ np.linalg.solve(J @ J.T + 1e-10 * np.eye(6), error)
+            q = q + step * min(1.0, 0.3 / float(np.max(np.abs(step))))
+        return None
+
+    def _measure(self, world: World, goal: Array) -> Array:
+        """Guides the simulated arm there; what its encoders say at standstill (n,)."""
+        for _ in range(3000):
+            state = world.state(self.arm.name)
+            if np.max(np.abs(goal - state.q)) < 2e-5 and np.max(np.abs(state.qd)) < 1e-4:
+                break
+            velocity = np.clip(12.0 * (goal - state.q), -0.6, 0.6)
+            world.step({self.arm.name: ArmCommand(velocity=velocity)})
+        q = world.state(self.arm.name).q + self.rng.normal(scale=ENCODER_SIGMA, size=len(goal))
+        return np.asarray(np.round(q / ENCODER_STEP) * ENCODER_STEP)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Record motions of a cell's arm on the bench."""
+    import surg_core
+
+    parser = argparse.ArgumentParser(prog="surg_sim.bench", description=main.__doc__)
+    parser.add_argument("cell", type=Path)
+    parser.add_argument("file", type=Path, help="CSV, for ./surg calibrate CELL ... --from FILE")
+    parser.add_argument("--arm", help="default: the cell's first")
+    parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=list(MOTIONS))
+    parser.add_argument("--count", type=int, default=12, help="poses of each motion")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(words)
+    try:
+        cell = surg_core.load_cell(options.cell)
+        if options.arm is not None and options.arm not in cell.arms:
+            raise ValueError(f"--arm {options.arm}: the cell has {', '.join(cell.arms)}")
+        Bench(cell, options.seed, options.arm).record(options.file, options.motions, options.count)
+    except (ValueError, OSError, RuntimeError) as error:
+        print(f"surg_sim.bench: {error}", file=sys.stderr)
+        return 2
+    print(f"{options.file}: {options.count} poses each of {', '.join(options.motions)}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

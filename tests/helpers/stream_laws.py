@@ -1,0 +1,157 @@
+"""Ways to follow a stream of positions, side by side on a recorded motion, and how they are judged.
+
+A law is a function ``law(t, samples, n)``: samples (m, 3) with their stamps t (m,), increasing from
+0; it returns the position at the end of each of n ticks of ``TICK`` seconds, (n, 3), or (n, 3, 3)
+with velocity and acceleration. At tick k it may look at the samples with a stamp up to k TICK.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.optimize import minimize_scalar
+
+import surg_core
+from surg_recording import metrics
+
+Array = NDArray[np.float64]
+Law = Callable[[Array, Array, int], Array]
+
+TICK = 0.002
+ROUNDING = 1 + 1e-9
+PATH_CUTOFF_HZ = 3.0
+"""As in the summary of a run: tremor adds length without going anywhere."""
+
+
+def filter_law(limits: surg_core.DofLimits, feed_forward: bool = True) -> Law:
+    """The shipped stream filter behind its alpha-beta estimate."""
+
+    def law(t: Array, samples: Array, n: int) -> Array:
+        return surg_core.stream_filter(t, samples, limits, TICK, feed_forward)[:n]
+
+    return law
+
+
+def hold_last(t: Array, samples: Array, n: int) -> Array:
+    """The last sample, as it is: what a position servo without a filter would get."""
+    held = np.searchsorted(t, np.arange(n) * TICK + 1e-9, side="right") - 1
+    return samples[held]
+
+
+def paper_quintic(duration: float = 0.5) -> Law:
+    """The paper's profiler: each cycle a new quintic of fixed duration to the last sample."""
+
+    def law(t: Array, samples: Array, n: int) -> Array:
+        anything = surg_core.DofLimits(1e9, 1e9, 1e9)
+        profiler = surg_core.Profiler([anything] * 4, duration)
+        profiler.reset([*samples[0], 0.0])
+        goals = np.column_stack((hold_last(t, samples, n), np.zeros(n)))
+        out = np.empty((n, 3, 3))
+        for k, goal in enumerate(goals):
+            profiler.plan_fixed(goal, duration)
+            profiler.advance(TICK)
+            out[k] = [(s.x, s.v, s.a) for s in profiler.state[:3]]
+        return out
+
+    return law
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How well a law followed the truth.
+
+    Attributes:
+        lag: Shift of least rms [s].
+        rms: Of the distance to the truth, without shift [m].
+        p95: 95th percentile of it [m].
+        max: Largest distance [m].
+        aligned_rms: At the shift of least rms [m].
+        violations: Ticks and axes beyond the limits of (velocity, acceleration, jerk).
+        ldlj: Log dimensionless jerk against the truth's, preset "reference" (5 Hz);
+            below 0 is rougher.
+        ldlj_full: The same of all frequencies, from the velocity at the tick rate.
+        path: Length of the path below 3 Hz against the truth's, minus 1.
+    """
+
+    lag: float
+    rms: float
+    p95: float
+    max: float
+    aligned_rms: float
+    violations: tuple[int, int, int]
+    ldlj: float
+    ldlj_full: float
+    path: float
+
+
+def truth(t: Array, p: Array) -> CubicSpline:
+    """The motion between its recorded samples."""
+    return CubicSpline(t, p, bc_type="natural")
+
+
+def play(law: Law, motion: CubicSpline, rate: float) -> Array:
+    """What the law makes of the motion sampled at a rate [Hz]."""
+    end = float(motion.x[-1])
+    stamps = np.arange(int(np.floor(end * rate + 1e-9)) + 1) / rate
+    n = int(np.floor(stamps[-1] / TICK + 1e-9))
+    return law(stamps, motion(stamps), n)
+
+
+def judge(out: Array, motion: CubicSpline, limits: surg_core.DofLimits) -> Verdict:
+    """Compare what a law made with the truth."""
+    states = out if out.ndim == 3 else None
+    p = out[:, :, 0] if states is not None else out
+    t = np.arange(1, len(p) + 1) * TICK
+    wanted = motion(t)
+    distance = np.linalg.norm(p - wanted, axis=1)
+
+    def mean_square(lag: float) -> float:
+        inside = (t - lag >= 0) & (t - lag <= motion.x[-1])
+        return float(np.mean(np.sum((p[inside] - motion(t[inside] - lag)) ** 2, axis=1)))
+
+    grid = np.arange(-0.05, 0.5, 0.005)
+    start = grid[int(np.argmin([mean_square(lag) for lag in grid]))]
+    best = minimize_scalar(mean_square, bounds=(start - 0.005, start + 0.005), method="bounded")
+    fs = 1 / TICK
+    length = metrics.path_length(p, fs, PATH_CUTOFF_HZ)
+    return Verdict(
+        lag=float(best.x),
+        rms=float(np.sqrt(np.mean(distance**2))),
+        p95=float(np.percentile(distance, 95)),
+        max=float(distance.max()),
+        aligned_rms=float(np.sqrt(best.fun)),
+        violations=_violations(p, states, limits),
+        ldlj=metrics.smoothness(p, fs).ldlj - metrics.smoothness(wanted, fs).ldlj,
+        ldlj_full=metrics.ldlj(np.diff(p, axis=0) * fs, fs)
+        - metrics.ldlj(np.diff(wanted, axis=0) * fs, fs),
+        path=length / metrics.path_length(wanted, fs, PATH_CUTOFF_HZ) - 1,
+    )
+
+
+def _violations(
+    p: Array, states: Array | None, limits: surg_core.DofLimits
+) -> tuple[int, int, int]:
+    """Ticks and axes beyond each limit: from the law's own states, otherwise from differences.
+
+    With states the jerk of a tick is constant, and the velocity is checked inside the tick too.
+    """
+    if states is None:
+        v, a, j = (np.diff(p, order, axis=0) / TICK**order for order in (1, 2, 3))
+    else:
+        before, after = states[:-1], states[1:]
+        j = (after[:, :, 2] - before[:, :, 2]) / TICK
+        a = states[:, :, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            turn = -before[:, :, 2] / j
+            peak = before[:, :, 1] - 0.5 * before[:, :, 2] ** 2 / j
+        inside = (turn > 0) & (turn < TICK)
+        v = np.maximum(np.abs(after[:, :, 1]), np.where(inside, np.abs(peak), 0.0))
+    counts = [
+        int(np.count_nonzero(np.abs(x) > limit * ROUNDING))
+        for x, limit in ((v, limits.velocity), (a, limits.acceleration), (j, limits.jerk))
+    ]
+    return counts[0], counts[1], counts[2]

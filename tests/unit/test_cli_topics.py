@@ -1,0 +1,96 @@
+"""The comparison of contract and graph must notice what it is there for; no ROS."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from surg_cli.graph_probe import Seen
+from surg_cli.topic_contract import PAGE, SOURCE, Contract, compare, load, render
+
+NODES = ("controller", "sim")
+
+
+@pytest.fixture
+def contract() -> Contract:
+    return load()
+
+
+@pytest.fixture
+def graph(contract: Contract) -> list[Seen]:
+    """A graph that is the contract, in free-run."""
+    return [
+        Seen(
+            name=entry.resolved("PSM1"),
+            node=f"/PSM1/{entry.node}",
+            direction=entry.direction,
+            type=entry.type,
+            md5="" if entry.direction == "in" else contract.types.get(entry.type, "own"),
+            latched=entry.direction == "out" and entry.latched[1],
+        )
+        for entry in contract.entries
+        if entry.node in NODES
+    ]
+
+
+def wrong(contract: Contract, graph: list[Seen]) -> list[str]:
+    return compare(contract, graph, "PSM1", NODES, lockstep=False)
+
+
+def test_what_is_promised_is_no_difference(contract: Contract, graph: list[Seen]) -> None:
+    assert wrong(contract, graph) == []
+    assert len(graph) > 50
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "words"),
+    [
+        ("/PSM1/servo_cp", {"type": "geometry_msgs/Pose"}, "type geometry_msgs/Pose, promised"),
+        ("/PSM1/measured_cp", {"md5": "0" * 32}, "md5 000"),
+        ("/PSM1/operating_state", {"latched": False}, "latched False"),
+        ("/PSM1/measured_js", {"latched": True}, "latched True"),
+        ("/PSM1/forward_kinematics", {"md5": "1" * 32}, "md5 111"),
+    ],
+)
+def test_a_difference_is_named(
+    contract: Contract, graph: list[Seen], name: str, change: dict, words: str
+) -> None:
+    index = next(i for i, seen in enumerate(graph) if seen.name == name)
+    graph[index] = replace(graph[index], **change)
+    (sentence,) = wrong(contract, graph)
+    assert sentence.startswith(f"{name}: {words}")
+
+
+def test_a_topic_too_few_or_too_many_is_named(contract: Contract, graph: list[Seen]) -> None:
+    graph.remove(next(seen for seen in graph if seen.name == "/PSM1/move_jp"))
+    graph.append(Seen("/PSM1/free", "/PSM1/controller", "in", "std_msgs/Empty"))
+    sentences = wrong(contract, graph)
+    assert [s for s in sentences if "/PSM1/free" in s and "not in topics.yaml" in s]
+    assert [s for s in sentences if "/PSM1/move_jp" in s and "not on the graph" in s]
+    assert len(sentences) == 2
+
+
+def test_the_page_follows_the_graph(contract: Contract, graph: list[Seen]) -> None:
+    page = render(contract, graph, "PSM1")
+    index = next(i for i, seen in enumerate(graph) if seen.name == "/PSM1/measured_js")
+    graph[index] = replace(graph[index], latched=True)
+    other = render(contract, graph, "PSM1")
+    lines = [(a, b) for a, b in zip(page.split("\n"), other.split("\n"), strict=True) if a != b]
+    assert len(lines) == 1 and "`<arm>/measured_js`" in lines[0][0]
+    assert PAGE.read_text("utf-8").startswith("<!-- Generated")
+
+
+def test_nobody_offers_a_topic_twice(contract: Contract) -> None:
+    """The compatibility node must not shadow a topic of the controller."""
+    ends = [(entry.name, entry.direction) for entry in contract.entries]
+    assert sorted(ends) == sorted(set(ends))
+
+
+def test_a_contract_that_cannot_be_read_is_refused(tmp_path) -> None:
+    text = SOURCE.read_text("utf-8")
+    for old, new in (("dir: in", "direction: in"), ("std_msgs/Empty,", "std_msgs/Emptiness,")):
+        broken = tmp_path / "topics.yaml"
+        broken.write_text(text.replace(old, new, 1))
+        with pytest.raises(ValueError, match="unknown"):
+            load(broken)

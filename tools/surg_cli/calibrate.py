@@ -1,0 +1,141 @@
+"""`./surg calibrate`: from recorded poses to the calibration files of a cell.
+
+`surg_core` solves, `./surg calibrate CELL collect` collects, the cell stores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import re
+from pathlib import Path
+from typing import Any
+
+from surg_cli import cells
+from surg_cli.demo import tcp_port
+from surg_cli.terminal import Problem, say
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
+    add("what", choices=("collect", "tool", "trocar"), help="record poses, or solve for one of two")
+    add("--arm", metavar="NAME", help="of the cell (default: its only arm)")
+    add("--from", dest="source", type=Path, metavar="FILE", help="the recording, CSV")
+    add("--date", metavar="DAY", help="written into the file (default: today)")
+    add("--dry-run", action="store_true", help="solve and say it, write nothing")
+    collect = parser.add_argument_group("collect")
+    collect.add_argument("--to", type=Path, metavar="FILE", help="the recording, rows are appended")
+    collect.add_argument(
+        "--motion", choices=("tip", "roll", "second", "trocar"), help="what is being done"
+    )
+    collect.add_argument("--count", type=int, default=12, metavar="N", help="poses (default 12)")
+    collect.add_argument("--port", type=tcp_port, default=11311, metavar="P", help="of the master")
+    collect.add_argument(
+        "--timeout", type=float, default=600.0, metavar="S", help="longest wait for a pose"
+    )
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Collect or solve."""
+    folder = cells.find(options.cell)
+    cell = cells.load(folder)
+    arm = choose_arm(cell, options.arm)
+    if options.what == "collect":
+        from surg_cli.collect import collect
+
+        if options.to is None or options.motion is None:
+            raise Problem("calibrate collect: --to FILE and --motion WHAT are needed", 2)
+        if options.count < 1:
+            raise Problem(f"calibrate collect: --count {options.count}: at least 1", 2)
+        return collect(arm, options.to, options.motion, options.count, options)
+    if options.source is None:
+        raise Problem(f"calibrate {options.what}: --from FILE is needed", 2)
+    date = options.date or datetime.date.today().isoformat()
+    if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", date):
+        raise Problem(f"--date {date}: a day such as 2026-11-21 is needed", 2)
+    solve(folder, arm, options.what, options.source, date, options.dry_run)
+    return 0
+
+
+def choose_arm(cell: Any, name: str | None) -> Any:
+    """The arm that is meant.
+
+    Args:
+        cell: A loaded cell.
+        name: Its CRTK name, or None where the cell has one arm only.
+
+    Raises:
+        Problem: When it is not there, or not said and needed.
+    """
+    arms = dict(cell.arms)
+    if name is None and len(arms) == 1:
+        return next(iter(arms.values()))
+    if name not in arms:
+        said = "--arm is needed" if name is None else f"--arm {name}: no such arm"
+        raise Problem(f"{said}; the cell has {', '.join(arms)}", 2)
+    return arms[name]
+
+
+def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: bool) -> None:
+    """Solve a recording, say how well it went, write the file.
+
+    Args:
+        folder: The cell's folder.
+        arm: One of its arms.
+        what: `tool` or `trocar`.
+        source: The recording.
+        date: Goes into the file.
+        dry_run: Write nothing.
+
+    Raises:
+        Problem: When the recording cannot be read or does not carry the result.
+    """
+    import numpy as np
+
+    from surg_core import calibration
+
+    path = folder / "calibration" / f"{what}_{arm.name}.yaml"
+    note = f"Measured: ./surg calibrate {folder.name} {what} --from {source.name}"
+    try:
+        recording = calibration.read_recording(source, arm.chain, arm.robot.joint_names)
+        if what == "tool":
+            found = calibration.solve_tool(recording, date)
+            before = np.asarray(arm.tool.p_FTip)
+            say(f"tip    {_mm(found.tool.p_FTip)} mm in the flange frame; {_fit(found.tip)}")
+            angle = np.degrees(np.arccos(np.clip(found.tool.s_F @ arm.tool.s_F, -1.0, 1.0)))
+            axis = found.axis.fit
+            say(
+                f"shaft  {np.round(found.tool.s_F, 6).tolist()}; n {axis.n}, rms "
+                f"{np.degrees(axis.rms):.3f} deg, worst {np.degrees(axis.worst):.3f} deg, "
+                f"condition {axis.condition:.1f}"
+            )
+            moved = 1e3 * np.linalg.norm(found.tool.p_FTip - before)
+            say(f"change {moved:.3f} mm and {angle:.3f} deg from {path.name} as it was")
+            if not dry_run:
+                calibration.write_tool(path, found.tool, note)
+        else:
+            point = calibration.solve_trocar(recording, arm.tool, date)
+            say(f"trocar {_mm(point.trocar.p_BRcm)} mm in the robot base; {_fit(point.point)}")
+            moved = 1e3 * np.linalg.norm(point.trocar.p_BRcm - arm.trocar.p_BRcm)
+            say(f"change {moved:.3f} mm from {path.name} as it was")
+            if not dry_run:
+                calibration.write_trocar(path, point.trocar, note)
+    except (calibration.CalibrationError, OSError) as error:
+        raise Problem(f"calibrate {what}: {error}; {path} is as it was", 1) from error
+    say("nothing written (--dry-run)" if dry_run else f"written: {path}; restart the system")
+
+
+def _mm(vector: Any) -> str:
+    return "[" + ", ".join(f"{1e3 * float(value):.3f}" for value in vector) + "]"
+
+
+def _fit(found: Any) -> str:
+    import numpy as np
+
+    fit, sigma = found.fit, 1e3 * float(np.sqrt(np.trace(found.covariance)))
+    return (
+        f"n {fit.n}, rms {1e3 * fit.rms:.3f} mm, worst {1e3 * fit.worst:.3f} mm, condition "
+        f"{fit.condition:.1f}, expected error {sigma:.3f} mm"
+    )

@@ -1,0 +1,83 @@
+"""Records an arm's joint states at standstill into a recording for `./surg calibrate`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import queue
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surg_cli import master
+from surg_cli.standstill import Standstill
+from surg_cli.terminal import Problem, say
+
+
+def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Namespace) -> int:
+    """Write one row each time the arm has come to rest at a new place.
+
+    Args:
+        arm: The cell's arm.
+        to: The recording; made when missing, otherwise rows are appended.
+        motion: First column of the rows.
+        count: Rows to write.
+        options: `port` of the ROS master and `timeout` for one pose [s].
+
+    Raises:
+        Problem: When the file does not fit, no system runs, or nothing comes to rest.
+    """
+    names = list(arm.robot.joint_names)
+    header = ",".join(["motion", *names])
+    _check(to, header)
+    uri = f"http://localhost:{options.port}"
+    master.nodes(uri)
+    os.environ["ROS_MASTER_URI"] = uri
+    import rospy
+    from sensor_msgs.msg import JointState
+
+    rospy.init_node("surg_calibrate", anonymous=True, disable_signals=True)
+    found: queue.Queue[np.ndarray] = queue.Queue()
+    standstill = Standstill()
+
+    def hear(message: Any) -> None:
+        where = dict(zip(message.name, message.position, strict=False)) if message.name else {}
+        q = [where[n] for n in names] if set(names) <= set(where) else list(message.position)
+        if len(q) == len(names) and message.header.stamp.to_nsec() > 0:
+            rest = standstill.add(message.header.stamp.to_sec(), np.array(q))
+            if rest is not None:
+                found.put(rest)
+
+    topic = f"/{arm.name}/robot/measured_js"
+    listener = rospy.Subscriber(topic, JointState, hear, queue_size=1000, tcp_nodelay=True)
+    say(f"{topic}: {count} poses of '{motion}' -> {to}; hold the arm still for half a second each")
+    try:
+        for done in range(1, count + 1):
+            try:
+                q = found.get(timeout=options.timeout)
+            except queue.Empty:
+                raise Problem(
+                    f"no new standstill on {topic} within {options.timeout:g} s; "
+                    f"{done - 1} of {count} poses are in {to}"
+                ) from None
+            with to.open("a", encoding="utf-8") as file:
+                if file.tell() == 0:
+                    file.write(header + "\n")
+                file.write(",".join([motion, *(f"{value:.9f}" for value in q)]) + "\n")
+            say(f"  {done} of {count}")
+    finally:
+        listener.unregister()
+        rospy.signal_shutdown("done")
+    return 0
+
+
+def _check(to: Path, header: str) -> None:
+    """A file that is there must have the same columns."""
+    if not to.exists():
+        if not to.parent.is_dir():
+            raise Problem(f"--to {to}: no folder {to.parent}", 2)
+        return
+    lines = [line for line in to.read_text(encoding="utf-8").splitlines() if line[:1] != "#"]
+    if lines and lines[0] != header:
+        raise Problem(f"--to {to}: its header is {lines[0]}; needed is {header}", 2)

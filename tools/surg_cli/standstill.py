@@ -1,0 +1,60 @@
+"""Recognises an arm at rest in a stream of joint states, averaged over half a second. No ROS."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+REST_S = 0.5
+"""How long the arm must stand [s]."""
+STILL_RAD = 0.0005
+"""Spread of every joint within that time [rad]: 0.5 mm at 1 m, sensor noise included."""
+MOVED_RAD = 0.02
+"""Largest joint motion between two poses that count as different [rad]."""
+
+
+class Standstill:
+    """Feed it joint states; it returns the mean of each new standstill once.
+
+    The first standstill counts too. To be new, one joint must have moved by ``MOVED_RAD``.
+    """
+
+    def __init__(self) -> None:
+        self._window: deque[tuple[float, FloatArray]] = deque()
+        self._last: FloatArray | None = None
+
+    def add(self, time: float, q: FloatArray) -> FloatArray | None:
+        """A joint state.
+
+        Args:
+            time: [s], rising; a step back starts anew.
+            q: (n,) [rad].
+
+        Returns:
+            (n,) mean joint positions of a new standstill, or None.
+        """
+        q = np.asarray(q, dtype=np.float64)
+        if not np.all(np.isfinite(q)) or (self._window and time <= self._window[-1][0]):
+            self._window.clear()
+            return None
+        self._window.append((time, q))
+        while time - self._window[0][0] > REST_S:
+            # One sample at least as old as REST_S stays, so that the window spans it.
+            if len(self._window) > 1 and time - self._window[1][0] >= REST_S:
+                self._window.popleft()
+            else:
+                break
+        if time - self._window[0][0] < REST_S:
+            return None
+        states = np.array([state for _, state in self._window])
+        if np.max(np.ptp(states, axis=0)) > STILL_RAD:
+            return None
+        mean: FloatArray = states.mean(axis=0)
+        if self._last is not None and np.max(np.abs(mean - self._last)) < MOVED_RAD:
+            return None
+        self._last = mean
+        return mean

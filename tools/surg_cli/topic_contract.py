@@ -1,0 +1,258 @@
+"""The contract of topics and services (docs/topics.yaml), and the page that is made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from surg_cli import paths
+from surg_cli.graph_probe import Seen
+
+SOURCE = paths.ROOT / "docs" / "topics.yaml"
+PAGE = paths.ROOT / "docs" / "topics.md"
+ARM = "<arm>"
+EXTERNAL = ("/rosout", "/rosout_agg", "/use_sim_time")
+"""Topics that come with ROS itself."""
+_KEYS = {
+    "topic", "service", "type", "use", "node", "dir", "only", "rate", "hz", "frame", "latched",
+    "valid", "meaning",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One topic of one node, or one service.
+
+    Attributes:
+        name: With `<arm>` for the arm's name.
+        type: ROS type.
+        node: Base name of the node.
+        direction: `in`, `out` or `service`, seen from the node.
+        latched: In lock-step and in free-run.
+        hz: Rate in lock-step (of simulated time) and in free-run; None: not periodic.
+        frame: What header.frame_id must be; None: not checked.
+        valid: From when on there are valid data: `always`, `link`, `homed`; None: not checked.
+        only: Parameter without which the topic does not exist.
+    """
+
+    name: str
+    type: str
+    node: str
+    direction: str
+    latched: tuple[bool, bool]
+    hz: tuple[float, float] | None
+    frame: str | None
+    valid: str | None
+    only: str | None
+
+    def resolved(self, arm: str) -> str:
+        """Its name on the graph."""
+        return self.name.replace(ARM, f"/{arm}")
+
+
+@dataclass(frozen=True)
+class Contract:
+    """The whole file.
+
+    Attributes:
+        types: md5 by type, of all but our own messages.
+        entries: All topics and services.
+        introduction: Words at the head of the page.
+        sections: The file's sections as they stand, for the page.
+    """
+
+    types: dict[str, str]
+    entries: tuple[Entry, ...]
+    introduction: str
+    sections: tuple[dict[str, Any], ...]
+
+
+def load(source: Path = SOURCE) -> Contract:
+    """Read the contract.
+
+    Raises:
+        ValueError: An entry has an unknown key, or a type without md5.
+    """
+    data = yaml.safe_load(source.read_text("utf-8"))
+    entries = []
+    for section in data["sections"]:
+        for row in [*section.get("topics", ()), *section.get("services", ())]:
+            unknown = set(row) - _KEYS
+            ours = row["type"].startswith("surg_msgs/")
+            if unknown or not (ours or row["type"] in data["types"]):
+                raise ValueError(f"{source}: {row}: unknown {unknown or row['type']}")
+            entries.append(_entry(row))
+    return Contract(
+        types=dict(data["types"]),
+        entries=tuple(entries),
+        introduction=data["introduction"],
+        sections=tuple(data["sections"]),
+    )
+
+
+def _entry(row: dict[str, Any]) -> Entry:
+    latched, hz = row.get("latched", False), row.get("hz")
+    both = (latched, latched) if isinstance(latched, bool) else (latched[0], latched[1])
+    return Entry(
+        name=row.get("topic") or row["service"],
+        type=row["type"],
+        node=row["node"],
+        direction=row.get("dir", "service"),
+        latched=both,
+        hz=None if hz is None else (float(hz[0]), float(hz[1])),
+        frame=row.get("frame"),
+        valid=row.get("valid"),
+        only=row.get("only"),
+    )
+
+
+def compare(
+    contract: Contract, seen: Iterable[Seen], arm: str, nodes: Iterable[str], lockstep: bool
+) -> list[str]:
+    """Where contract and graph differ, one sentence each.
+
+    Args:
+        contract: What is promised.
+        seen: What the graph offers.
+        arm: Name of the arm.
+        nodes: Base names of the nodes that run; others are not looked at.
+        lockstep: Mode of the graph.
+    """
+    running = set(nodes)
+    there = {(s.name, s.node.rpartition("/")[2], s.direction): s for s in seen}
+    found = {
+        key: s
+        for key, s in there.items()
+        if key[1] in running and s.name not in EXTERNAL and not _logger(s)
+    }
+    promised = {(e.resolved(arm), e.node, e.direction): e for e in contract.entries}
+    internal = _internal(contract, arm)
+    wrong = [
+        f"{name} ({node}, {way}) is on the graph and not in {SOURCE.name}"
+        for name, node, way in sorted(set(found) - set(promised))
+        if (name, node, way) not in internal
+    ]
+    for key, entry in promised.items():
+        if entry.node not in running:
+            continue
+        at = found.get(key)
+        if at is None:
+            wrong.append(f"{key[0]} ({key[1]}, {key[2]}) is promised and not on the graph")
+            continue
+        md5 = contract.types.get(entry.type, at.md5)
+        if at.type != entry.type:
+            wrong.append(f"{key[0]}: type {at.type}, promised {entry.type}")
+        if at.md5 and at.md5 != md5:
+            wrong.append(f"{key[0]}: md5 {at.md5}, promised {md5}")
+        if entry.direction == "out" and at.latched != entry.latched[0 if lockstep else 1]:
+            wrong.append(f"{key[0]}: latched {at.latched}, promised {entry.latched}")
+    return wrong
+
+
+def _logger(seen: Seen) -> bool:
+    """The services that every node of ROS has for its log level, and a nodelet's bonds."""
+    return seen.name.endswith(("/get_loggers", "/set_logger_level"))
+
+
+def _internal(contract: Contract, arm: str) -> set[tuple[str, str, str]]:
+    """The other ends of promised topics: what controller and simulator take from each other."""
+    ends = set()
+    for entry in contract.entries:
+        other = {"in": "out", "out": "in"}.get(entry.direction)
+        for node in {e.node for e in contract.entries} - {entry.node}:
+            if other is not None:
+                ends.add((entry.resolved(arm), node, other))
+    # The controller waits as the simulator does, the simulator's tracker announces itself, and
+    # warnings have two voices.
+    return ends | {
+        ("/sim/ready", "controller", "in"),
+        ("/sim/ready", "sim", "out"),
+        (f"/{arm}/warning", "dvrk_compat", "out"),
+    }
+
+
+# --- the page ---------------------------------------------------------------------------------
+
+
+def render(contract: Contract, seen: Iterable[Seen], arm: str) -> str:
+    """The page docs/topics.md.
+
+    Type, direction and latching of what the graph offers are taken from the graph, the rest from
+    the contract.
+
+    Args:
+        contract: Rates, frames, meaning and prose.
+        seen: What the reference graph offers, in free-run.
+        arm: Name of the arm on it.
+    """
+    there = {(s.name, s.node.rpartition("/")[2], s.direction): s for s in seen}
+    parts = [
+        "<!-- Generated by ./surg topics --write from docs/topics.yaml and a running graph. "
+        "Edit topics.yaml. -->",
+        "# Topics",
+        contract.introduction.strip(),
+    ]
+    for section in contract.sections:
+        parts.append(f"## {section['title']}")
+        if "text" in section:
+            parts.append(section["text"].strip())
+        rows = [*section.get("topics", ()), *section.get("services", ())]
+        if rows:
+            parts.append(_table(section["columns"], rows, there, arm))
+        if "after" in section:
+            parts.append(section["after"].strip())
+    parts += _types(contract)
+    return "\n\n".join(parts) + "\n"
+
+
+def _table(
+    columns: list[str],
+    rows: list[dict[str, Any]],
+    there: dict[tuple[str, str, str], Seen],
+    arm: str,
+) -> str:
+    lines = [f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
+    for row in rows:
+        entry = _entry(row)
+        at = there.get((entry.resolved(arm), entry.node, entry.direction))
+        cells = {
+            "topic": f"`{entry.name}`",
+            "service": f"`{entry.name}`",
+            "type": (at.type if at else entry.type) + _use(row.get("use", "")),
+            "rate": row.get("rate", "–"),
+            "direction": at.direction if at else entry.direction,
+            "frame": f"`{entry.frame}`" if entry.frame else "–",
+            "latched": "yes" if (at.latched if at else entry.latched[1]) else "–",
+            "meaning": row["meaning"],
+        }
+        lines.append(f"| {' | '.join(cells[column] for column in columns)} |")
+    return "\n".join(lines)
+
+
+def _use(use: str) -> str:
+    if not use:
+        return ""
+    return f" `{use}`" if "[" in use else f", {use}"
+
+
+def _types(contract: Contract) -> list[str]:
+    """md5 of every type, and the text of our own messages."""
+    table = ["| type | md5 |", "|---|---|"]
+    table += [f"| {kind} | `{md5}` |" for kind, md5 in contract.types.items()]
+    parts = [
+        "## Types",
+        "ROS 1 connects two nodes only when type and md5 agree. `crtk_msgs` is complete, with the "
+        "md5 of the public one.",
+        "\n".join(table),
+        "## Our messages",
+    ]
+    for file in sorted((paths.ROOT / "src" / "surg_msgs" / "msg").glob("*.msg")):
+        parts += [
+            f"### surg_msgs/{file.stem}",
+            f"```\n{file.read_text('utf-8').strip()}\n```",
+        ]
+    return parts

@@ -1,0 +1,103 @@
+"""`./surg topics`: hold a running graph against docs/topics.yaml; make docs/topics.md of both."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from surg_cli import master, paths, system
+from surg_cli.graph_probe import Seen, observe
+from surg_cli.processes import Supervisor, wait_until
+from surg_cli.terminal import Problem, say, warn
+from surg_cli.topic_contract import PAGE, Contract, compare, load, render
+
+ARM = "PSM1"
+NODES = ("sim", "controller", "dvrk_compat")
+"""Base names of the nodes on the reference graph."""
+_UP_S = 30.0
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    parser.add_argument("--write", action="store_true", help="write docs/topics.md")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Start the reference graph, compare, and print or write the page."""
+    contract = load()
+    with reference_graph(contract) as seen:
+        wrong = compare(contract, seen, ARM, NODES, lockstep=False)
+        page = render(contract, seen, ARM)
+    for sentence in wrong:
+        warn(f"surg: {sentence}")
+    if options.write and not wrong:
+        PAGE.write_text(page, "utf-8")
+        say(f"wrote {PAGE.relative_to(paths.ROOT)}")
+    elif not wrong:
+        same = PAGE.exists() and PAGE.read_text("utf-8") == page
+        say("docs/topics.md is up to date" if same else "docs/topics.md is old: --write renews it")
+        return 0 if same else 1
+    return 1 if wrong else 0
+
+
+@contextlib.contextmanager
+def reference_graph(contract: Contract) -> Iterator[list[Seen]]:
+    """Simulator, controller with everything on, and the dVRK node, in free-run on a private master.
+
+    Args:
+        contract: Tells when everything is up.
+
+    Yields:
+        What they offer.
+
+    Raises:
+        Problem: When it does not come up.
+    """
+    with tempfile.TemporaryDirectory(prefix="surg_topics_") as folder:
+        env = {**os.environ, "ROS_IP": "127.0.0.1", "ROS_HOSTNAME": "localhost"}
+        env.update(ROS_HOME=folder, ROS_LOG_DIR=folder)
+        with Supervisor(env, Path(folder) / "logs") as supervisor:
+            master.start(supervisor, master.free_port())
+            for node in reference_nodes("freerun"):
+                system.start(supervisor, node)
+            yield await_graph(supervisor, contract)
+
+
+def reference_nodes(mode: str) -> list[system.Node]:
+    """The nodes of the reference graph, every optional topic switched on."""
+    cell = str(paths.ROOT / "cells" / "sim_ur5e")
+    shared = {"cell": cell, "mode": mode}
+    return [
+        system.Node(
+            "/sim", "surg_sim", "bridge_node.py", {**shared, "inject": True, "track_stale": 0.02}
+        ),
+        system.Node(
+            f"/{ARM}/controller",
+            "surg_control",
+            "rcm_node",
+            {**shared, "arm": ARM, "track_rcm": True},
+        ),
+        system.Node("/dvrk_compat", "surg_dvrk_compat", "dvrk_compat_node.py", {"arms": [ARM]}),
+    ]
+
+
+def await_graph(supervisor: Supervisor, contract: Contract) -> list[Seen]:
+    """What the graph offers as soon as it is what was promised, or after a time-out."""
+    uri = supervisor.env["ROS_MASTER_URI"]
+    seen: list[Seen] = []
+
+    def up() -> bool:
+        nonlocal seen
+        dead = supervisor.first_dead()
+        if dead is not None:
+            raise Problem(f"{dead.name} ended:\n{dead.log_tail()}")
+        with contextlib.suppress(OSError, Problem):
+            seen = observe(uri)
+        return bool(seen) and not compare(contract, seen, ARM, NODES, lockstep=False)
+
+    wait_until(up, _UP_S, 0.2)
+    return seen
