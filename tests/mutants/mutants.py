@@ -187,9 +187,9 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "yield_into_the_tissue",
         "F25: takes away the motion that would relieve the tissue",
-        "src/force_guard.cpp",
-        "v_BTip - std::min(0.0, v_BTip.dot(push_)) * push_",
-        "v_BTip - std::max(0.0, v_BTip.dot(push_)) * push_",
+        "src/law.cpp",
+        "wished - std::min(0.0, wished.dot(push)) * push",
+        "wished - std::max(0.0, wished.dot(push)) * push",
     ),
     # -- state
     one(
@@ -273,8 +273,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "jerk_unchecked",
         "moves are planned beyond the jerk limit",
         "src/profiler.cpp",
-        "double worst = q.max_jerk() / limits.jerk;",
-        "double worst = 0;",
+        "return q.max_jerk() <= limits.jerk * kRounding &&",
+        "return",
         ("test_profiler",),
     ),
     one(
@@ -290,8 +290,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "filter_forgets_its_acceleration_limit",
         "a stream accelerates the tip beyond the limit",
         "src/stream.cpp",
-        "j = std::clamp(j, (-A - own.a) / T, (A - own.a) / T);",
-        "",
+        "double j = std::clamp(jerk, (-A - own.a) / T, (A - own.a) / T);",
+        "double j = A > 0 ? jerk : 0;",
         ("test_stream",),
     ),
     # -- kinematics, configuration, evidence
@@ -319,8 +319,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "black_box_forgets_a_member",
         "an incident cannot be replayed",
         "src/controller.cpp",
-        "home_busy, qd_last, ",
-        "home_busy, ",
+        "qd_last, out.accepted, out.refused);",
+        "out.accepted, out.refused);",
         ("test_black_box",),
     ),
     one(
