@@ -139,8 +139,7 @@ Programme programme_at(const Scene& scene, const JointVector& q, const JointVect
   programme.upper.resize(n);
   for (Eigen::Index i = 0; i < n; ++i) {
     const double v = scene.limits.velocity[i], dv = scene.limits.acceleration[i] * T;
-    programme.lower[i] =
-        std::max({-v, qd_last[i] - dv, (scene.limits.position_min[i] - q[i]) / T});
+    programme.lower[i] = std::max({-v, qd_last[i] - dv, (scene.limits.position_min[i] - q[i]) / T});
     programme.upper[i] = std::min({v, qd_last[i] + dv, (scene.limits.position_max[i] - q[i]) / T});
   }
   return programme;

@@ -30,8 +30,7 @@ KDL::Chain kdl_chain(const surg::Chain& chain) {
   for (std::size_t i = 0; i < joints.size(); ++i) {
     const surg::Vector3& a = joints[i].axis;
     const surg::Pose& next = i + 1 < joints.size() ? joints[i + 1].X_PJ : chain.X_LF();
-    const KDL::Joint joint(KDL::Vector::Zero(), KDL::Vector(a[0], a[1], a[2]),
-                           KDL::Joint::RotAxis);
+    const KDL::Joint joint(KDL::Vector::Zero(), KDL::Vector(a[0], a[1], a[2]), KDL::Joint::RotAxis);
     result.addSegment(KDL::Segment(joint, frame(next)));
   }
   return result;
@@ -43,8 +42,7 @@ struct Kdl : Law {
   KDL::Frame goal_frame(const Goal& goal) const {
     const Scene& scene = *goal.scene;
     return frame(surg::pose_on_pivot(
-        scene.home, scene.tool,
-        surg::tip_goal(scene.p_BRcm, goal.p_next, 0.0, scene.home.s_B)));
+        scene.home, scene.tool, surg::tip_goal(scene.p_BRcm, goal.p_next, 0.0, scene.home.s_B)));
   }
   KDL::Chain chain;
   KDL::JntArray now, next;

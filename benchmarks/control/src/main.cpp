@@ -38,8 +38,8 @@ struct Run {
     times.push_back(nanoseconds([&] { qd = law->step(q, last, goal); }));
     for (double part : {0.25, 0.5, 0.75}) {  // the joints move on a straight line in between
       const surg::Pose X_BF = scene.chain.forward(q + part * T * qd);
-      rcm_between = std::max(
-          rcm_between, surg::shaft_state(X_BF, scene.tool, scene.p_BRcm).e.norm());
+      rcm_between =
+          std::max(rcm_between, surg::shaft_state(X_BF, scene.tool, scene.p_BRcm).e.norm());
     }
     q += T * qd;
     const surg::Pose X_BF = scene.chain.forward(q);
@@ -49,8 +49,8 @@ struct Run {
     rcm_at_samples = std::max(rcm_at_samples, rcm);
     tip_sum += tip;
     tip_max = std::max(tip_max, tip);
-    roll_max = std::max(roll_max, std::abs(surg::absolute_roll(
-                                      X_BF.linear(), scene.home.R_BF, scene.home.s_B, shaft.s)));
+    roll_max = std::max(roll_max, std::abs(surg::absolute_roll(X_BF.linear(), scene.home.R_BF,
+                                                               scene.home.s_B, shaft.s)));
     for (int i = 0; i < q.size(); ++i) {
       const double v = scene.limits.velocity[i], dv = scene.limits.acceleration[i] * T;
       if (std::abs(qd[i]) > v * (1 + 1e-6) || std::abs(qd[i] - last[i]) > dv * (1 + 1e-6)) {

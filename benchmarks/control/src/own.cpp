@@ -35,8 +35,8 @@ struct Velocity : Law {
   }
   JointVector step(const JointVector& q, const JointVector&, const Goal& goal) override {
     const Task task = task_at(*goal.scene, q, goal);
-    const surg::Vector6 twist = surg::rcm_twist(task.shaft, task.v_tip, task.roll_rate,
-                                                Vector3::Zero(), kRcmGain, 0.02);
+    const surg::Vector6 twist =
+        surg::rcm_twist(task.shaft, task.v_tip, task.roll_rate, Vector3::Zero(), kRcmGain, 0.02);
     return surg::inverse_velocity(task.J, twist, task.posture).qd;
   }
 };

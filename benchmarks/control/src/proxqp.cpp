@@ -12,8 +12,7 @@ namespace proxqp = proxsuite::proxqp;
 struct ProxQp : Law {
   // The library's default tolerance is 1e-5, in rad/s here; a tighter one costs more. The default
   // is what a user gets, and the second shows what the accuracy of the others costs.
-  ProxQp(int n, double tolerance, const char* key, const char* text)
-      : qp(n, 2, 0, true), Jr(2, n) {
+  ProxQp(int n, double tolerance, const char* key, const char* text) : qp(n, 2, 0, true), Jr(2, n) {
     name = key;
     what = text;
     qp.settings.eps_abs = tolerance;

@@ -23,8 +23,9 @@ struct Ruckig : Follower {
       : otg(T), limits(limits), lead(lead), moving(moving) {
     name = lead < 0 ? "ruckig" : "ruckig_lead";
     what = lead < 0 ? "Ruckig as shipped, newest sample"
-                    : "Ruckig, estimate " + std::to_string(static_cast<int>(lead * 1e4) / 10.0)
-                          .substr(0, 4) + " ms ahead" + (moving ? " with its velocity" : "");
+                    : "Ruckig, estimate " +
+                          std::to_string(static_cast<int>(lead * 1e4) / 10.0).substr(0, 4) +
+                          " ms ahead" + (moving ? " with its velocity" : "");
     for (std::size_t i = 0; i < 3; ++i) set_limits(input, i, limits);
   }
   void reset(const Sample& first) override {

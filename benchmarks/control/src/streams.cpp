@@ -77,7 +77,8 @@ struct Hold : Follower {
 
 /// The paper's quintic of fixed duration, re-planned every cycle.
 struct PaperQuintic : Follower {
-  explicit PaperQuintic(const surg::DofLimits& limits) : profiler({limits, limits, limits, limits}, 0.5) {
+  explicit PaperQuintic(const surg::DofLimits& limits)
+      : profiler({limits, limits, limits, limits}, 0.5) {
     name = "paper";
     what = "the paper's quintic, d = 0.5 s, re-planned every cycle";
   }
@@ -254,10 +255,11 @@ int profiles() {
   std::printf("{\"targets\": %d, \"planners\": {", kTargets);
   for (std::size_t i = 0; i < planners.size(); ++i) {
     const Cost cost(times[i], empty);
-    std::printf("%s\n\"%s\": {\"what\": \"%s\", \"cost_us\": %.4f, \"p99_us\": %.4f, "
-                "\"mean_duration_s\": %.4f}",
-                i ? "," : "", planners[i]->name.c_str(), planners[i]->what.c_str(), cost.median,
-                cost.p99, durations[i]);
+    std::printf(
+        "%s\n\"%s\": {\"what\": \"%s\", \"cost_us\": %.4f, \"p99_us\": %.4f, "
+        "\"mean_duration_s\": %.4f}",
+        i ? "," : "", planners[i]->name.c_str(), planners[i]->what.c_str(), cost.median, cost.p99,
+        durations[i]);
   }
   std::printf("}}\n");
   return 0;

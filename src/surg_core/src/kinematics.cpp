@@ -122,8 +122,7 @@ struct Chain::Frames {
         y(start.linear().col(1)),
         z(start.linear().col(2)),
         p(start.translation()) {}
-  void turn(double angle) {
-    const double c = std::cos(angle), s = std::sin(angle);
+  void turn(double c, double s) {
     const Vector3 x_new = x * c + y * s;
     y = y * c - x * s;
     x = x_new;
@@ -146,10 +145,17 @@ struct Chain::Frames {
 
 Pose Chain::walk(const JointVector& q, Frames& frames) const {
   const int n = dof();
+  // Sines first: a call between the products would put every register aside.
+  std::array<double, kMaxJoints> c, s;
+  for (int i = 0; i < n; ++i) {
+    const double angle = q[i] + links_[i].turn;
+    c[i] = std::cos(angle);
+    s[i] = std::sin(angle);
+  }
   for (int i = 0; i < n; ++i) {
     frames.origin[i] = frames.p;
     frames.axis[i] = frames.z;
-    frames.turn(q[i] + links_[i].turn);
+    frames.turn(c[i], s[i]);
     if (i + 1 == n) break;
     frames.shift(links_[i].shift);
     frames.tilt(links_[i].cos_tilt, links_[i].sin_tilt);
@@ -170,8 +176,15 @@ void Chain::forward(const JointVector& q, Pose& X_BF, Jacobian& J) const {
   const int n = dof();
   J.resize(6, n);
   for (int i = 0; i < n; ++i) {
-    J.col(i).head<3>() = frames.axis[i].cross(p - frames.origin[i]);
-    J.col(i).tail<3>() = frames.axis[i];
+    const Vector3& z = frames.axis[i];
+    const Vector3 r = p - frames.origin[i];
+    double* column = J.data() + 6 * i;
+    column[0] = z[1] * r[2] - z[2] * r[1];
+    column[1] = z[2] * r[0] - z[0] * r[2];
+    column[2] = z[0] * r[1] - z[1] * r[0];
+    column[3] = z[0];
+    column[4] = z[1];
+    column[5] = z[2];
   }
 }
 
