@@ -12,7 +12,8 @@
     failures        {<law>: cycles in which a solver reported no solution}
     what            {<law>: one line}
     panda           the same five for the Panda
-    ratio           {<robot>: {exact, velocity: fastest C++ QP's median over the form's, qp: its name}}
+    ratio           {<robot>: {exact, velocity: median of the fastest C++ QP over the form's, qp: its
+                    name}}
     stream          {<law>_<rate>hz: {lag_ms, rms_mm, violations, cost_us, p99_us, aligned_rms_mm,
                     aligned_p95_mm, aligned_max_mm, what, failures}}
     profile         {quintic|ruckig: {cost_us, p99_us, mean_duration_s, what}}
@@ -37,6 +38,7 @@ import libraries
 import page
 import scene
 import streams
+
 from surg_cli import paths
 from surg_cli.terminal import Problem, Progress, say, table, warn
 
@@ -88,7 +90,7 @@ def call(*words: str, title: str) -> dict[str, Any]:
 
 
 def python_laws(found: libraries.Libraries, folder: Path, cycles: int) -> dict[str, Any]:
-    """pink and mink in `.venv-bench`; nothing where it is missing."""
+    """Pink and mink in `.venv-bench`; nothing where it is missing."""
     if found.python is None:
         return {}
     with Progress("python laws"):
@@ -109,8 +111,11 @@ def python_laws(found: libraries.Libraries, folder: Path, cycles: int) -> dict[s
 
 def regroup(laws: dict[str, Any]) -> dict[str, Any]:
     """Figures by law to figures by kind, as the JSON has them."""
-    deviation = {"mean": "rcm_mean_um", "max_at_samples": "rcm_max_at_samples_um",
-                 "max_between": "rcm_max_between_um"}
+    deviation = {
+        "mean": "rcm_mean_um",
+        "max_at_samples": "rcm_max_at_samples_um",
+        "max_between": "rcm_max_between_um",
+    }
     return {
         "cycle_us": {n: {"median": law["median"], "p99": law["p99"]} for n, law in laws.items()},
         "rcm_deviation_um": {

@@ -1,4 +1,4 @@
-"""`.venv-bench`: the libraries to compare with, from pinned lock files, apart from the platform's own.
+"""`.venv-bench`: the libraries to compare with, from pinned lock files, apart from the platform's.
 
 Nothing here touches `.venv`. Without a network, or after a failure, the benchmark runs without
 them and says so.

@@ -24,15 +24,26 @@ def number(value: float | None) -> str:
         return "0"
     if not 1e-3 <= abs(value) < 1e5:
         return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e")
-    digits = max(0, 2 - len(str(int(abs(value)))) + (1 if abs(value) < 1 else 1))
-    return f"{value:.{digits if abs(value) >= 1 else 3}f}"
+    if abs(value) < 1:
+        return f"{value:.3f}"
+    return f"{value:.{max(0, 3 - len(str(int(abs(value)))))}f}"
 
 
 def laws(figures: dict[str, Any]) -> Rows:
     """One row per law."""
     rows = [
-        ["law", "median µs", "p99 µs", "RCM mean µm", "at samples", "between", "tip mean µm",
-         "tip max", "over limit", "what"]
+        [
+            "law",
+            "median µs",
+            "p99 µs",
+            "RCM mean µm",
+            "at samples",
+            "between",
+            "tip mean µm",
+            "tip max",
+            "over limit",
+            "what",
+        ]
     ]
     order = sorted(figures["cycle_us"], key=lambda n: figures["cycle_us"][n]["median"])
     for name in order:
@@ -58,8 +69,18 @@ def laws(figures: dict[str, Any]) -> Rows:
 def streams(figures: dict[str, Any]) -> Rows:
     """One row per follower and rate."""
     rows = [
-        ["follower", "lag ms", "rms mm", "aligned rms", "p95", "max", "violations", "cost µs",
-         "p99 µs", "what"]
+        [
+            "follower",
+            "lag ms",
+            "rms mm",
+            "aligned rms",
+            "p95",
+            "max",
+            "violations",
+            "cost µs",
+            "p99 µs",
+            "what",
+        ]
     ]
     for name, law in figures.items():
         keys = ("lag_ms", "rms_mm", "aligned_rms_mm", "aligned_p95_mm", "aligned_max_mm")
@@ -169,9 +190,7 @@ def draw(result: dict[str, Any], file: Path) -> None:
     from matplotlib import pyplot
 
     figure, (left, right) = pyplot.subplots(1, 2, figsize=(11, 4.6), constrained_layout=True)
-    names = sorted(
-        result["cycle_us"], key=lambda n: result["cycle_us"][n]["median"], reverse=True
-    )
+    names = sorted(result["cycle_us"], key=lambda n: result["cycle_us"][n]["median"], reverse=True)
     colours = ["#2a6f97" if name.split("_")[0] in OWN else "#b0b7bf" for name in names]
     medians = [result["cycle_us"][name]["median"] for name in names]
     p99 = [result["cycle_us"][name]["p99"] for name in names]
@@ -181,8 +200,15 @@ def draw(result: dict[str, Any], file: Path) -> None:
     left.set_xlim(left=0.05)
     left.set_xlabel("one control cycle, UR5e [µs]")
     for i, median in enumerate(medians):
-        left.text(median * 0.93, i, number(median), va="center", ha="right", fontsize=8,
-                  color="white" if colours[i] != "#b0b7bf" else "#222222")
+        left.text(
+            median * 0.93,
+            i,
+            number(median),
+            va="center",
+            ha="right",
+            fontsize=8,
+            color="white" if colours[i] != "#b0b7bf" else "#222222",
+        )
     left.legend(loc="lower right", frameon=False)
     left.set_title("bars: median; blue: this controller", fontsize=10)
     rcm = {n: result["rcm_deviation_um"][n] for n in names}
@@ -193,8 +219,15 @@ def draw(result: dict[str, Any], file: Path) -> None:
     right.set_xlabel("largest pivot deviation, ideal plant [µm]")
     right.set_title("between samples included where measured", fontsize=10)
     for i, value in enumerate(worst):
-        right.text(value * 0.93, i, number(value), va="center", ha="right", fontsize=8,
-                   color="white" if colours[i] != "#b0b7bf" else "#222222")
+        right.text(
+            value * 0.93,
+            i,
+            number(value),
+            va="center",
+            ha="right",
+            fontsize=8,
+            color="white" if colours[i] != "#b0b7bf" else "#222222",
+        )
     right.set_xlim(left=min(worst) / 30)
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+
 from surg_core import rcm_frame
 from surg_core.config import Arm, load_cell
 

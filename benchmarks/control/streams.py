@@ -20,8 +20,10 @@ RATES = (30, 500)  # [Hz]
 def read_motion(file: Path) -> CubicSpline:
     """A recorded motion (columns ``t_s, x_m, y_m, z_m``) as a cubic spline, the truth."""
     with file.open(encoding="utf-8", newline="") as stream:
-        rows = [[float(row[key]) for key in ("t_s", "x_m", "y_m", "z_m")]
-                for row in csv.DictReader(line for line in stream if not line.startswith("#"))]
+        rows = [
+            [float(row[key]) for key in ("t_s", "x_m", "y_m", "z_m")]
+            for row in csv.DictReader(line for line in stream if not line.startswith("#"))
+        ]
     table = np.asarray(rows)
     return CubicSpline(table[:, 0] - table[0, 0], table[:, 1:])
 
