@@ -12,10 +12,10 @@
     failures        {<law>: cycles in which a solver reported no solution}
     what            {<law>: one line}
     panda           the same five for the Panda
-    ratio           {<robot>: {exact, velocity: median of the fastest C++ QP over the form's, qp: its
+    ratio           {<robot>: {exact, velocity: fastest C++ QP over the form, medians; qp: its
                     name}}
-    stream          {<law>_<rate>hz: {lag_ms, rms_mm, violations, cost_us, p99_us, aligned_rms_mm,
-                    aligned_p95_mm, aligned_max_mm, what, failures}}
+    stream          {<law>_<rate>hz: {lag_ms, rms_mm, violations, cost_us, p99_us,
+                    aligned_rms_mm, aligned_p95_mm, aligned_max_mm, what, failures}}
     profile         {quintic|ruckig: {cost_us, p99_us, mean_duration_s, what}}
     nodelet_us      {p50, p99} of a whole controller cycle in free-run; absent with --no-demo
 """

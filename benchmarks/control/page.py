@@ -209,7 +209,7 @@ def draw(result: dict[str, Any], file: Path) -> None:
             fontsize=8,
             color="white" if colours[i] != "#b0b7bf" else "#222222",
         )
-    left.legend(loc="lower right", frameon=False)
+    left.legend(loc="upper right", frameon=False)
     left.set_title("bars: median; blue: this controller", fontsize=10)
     rcm = {n: result["rcm_deviation_um"][n] for n in names}
     worst = [max(r["max_at_samples"], r.get("max_between", 0)) for r in rcm.values()]
