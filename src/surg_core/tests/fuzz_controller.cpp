@@ -735,7 +735,7 @@ class Run {
       const double speed = std::max({before_.v_set.norm(), before_.v_BTip.norm(), v_tip_before_});
       const double ahead = (out.p_set - at_.p_tip).norm();
       stop_bound_ = speed * speed / (2 * robot_.limits.stop_deceleration) + ahead +
-                    speed * (0.03 + (lagging_ ? 0.06 : 0)) + 1e-3;
+                    1.05 * speed * (0.03 + (lagging_ ? 0.06 : 0)) + 1.5e-3;
       ++figures_.stops;
     }
     v_tip_before_ = at_.v_tip.norm();
