@@ -19,17 +19,17 @@
 namespace surg {
 namespace {
 
-constexpr double kFollowDistance = 0.01;    // [m] set-point to measured tip: more means a stuck arm
-constexpr double kStandstill = 0.05;        // alpha below it: the limit has stopped the arm
-constexpr double kOutside = 0.15;           // [m] a tip may be above its trocar before 'insert'
-constexpr double kToolTimeout = 0.2;        // [s] without a jaw state (F31)
-constexpr double kPositionReserve = 0.005;  // [rad] a lagging joint swings past its reference
+constexpr double kFollowDistance = 0.01;   // [m] set-point to measured tip: more means a stuck arm
+constexpr double kStandstill = 0.05;       // alpha below it: the limit has stopped the arm
+constexpr double kOutside = 0.15;          // [m] a tip may be above its trocar before 'insert'
+constexpr double kToolTimeout = 0.2;       // [s] without a jaw state (F31)
+constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint swings past its command
 constexpr double kFlangeReserve = 0.97;  // of its speed: it is looked at to first order, not ahead
 constexpr double kOntoPivot = 8;       // [1/s] pole with which a start off the pivot comes onto it
 constexpr double kHorizon = 0.45;      // [s] of the set-point's clock that is looked ahead
 constexpr double kRetraceRate = 0.15;  // [rad/s] of the fastest joint
 constexpr double kStill = 1e-3;        // [rad, rad/s] nothing that anybody would see
-constexpr double kCreep = 5e-3;           // [rad/s] may be dropped in one cycle
+constexpr double kCreep = 5e-3;        // [rad/s] may be dropped in one cycle
 constexpr double kSame = 0.02;         // [rad] an arm at rest is still where it was
 constexpr double kHuge = 1e6;          // [m, rad] no command or trocar is ever so large
 constexpr int kHomeBusyCycles = 5;     // is_busy needs an edge that a client can see
@@ -55,12 +55,12 @@ double lag_for(const RobotConfig& robot, const Controller::Options& options) {
 JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law) {
   JointLimits out = joint_limits(robot, limits);
   if (law == Law::kExact) {
-    out.position_min.array() += kPositionReserve;
-    out.position_max.array() -= kPositionReserve;
     out.velocity *= ExactFollower::kReferenceVelocity;
     out.acceleration *= ExactFollower::kReferenceAcceleration;
   }
   out.flange_velocity *= kFlangeReserve;
+  out.position_min.array() += kPositionReserve;
+  out.position_max.array() -= kPositionReserve;
   return out;
 }
 
@@ -418,7 +418,7 @@ struct Controller::Impl {
     return step;
   }
 
-  /// A stop goes on from where the tip will be: of the reference, or of the arm.
+  /// The set-point goes on from where the tip will be: of the reference, or of the arm.
   void slip(const JointVector& qd) {
     Pose X_BF;
     Jacobian J;
@@ -491,7 +491,8 @@ struct Controller::Impl {
       const Vector3 p_before = setpoint.p_RTip();
       if (pilot.retracing()) {
         // The set-point has gone along.
-      } else if (step.tier > 0 && setpoint.mode() == Setpoint::Mode::kStopping) {
+      } else if ((step.tier > 0 && setpoint.has_no_path()) ||
+                 (step.alpha < 1 && setpoint.mode() == Setpoint::Mode::kStopping)) {
         setpoint = next;
         slip(step.qd);
       } else if (step.alpha < kStandstill) {

@@ -277,6 +277,7 @@ struct LimitedStep::Affine {
 struct LimitedStep::Node {
   JointVector q, direction;  ///< direction: d q / d clock
   SingularityMeasures measures;
+  double flange = 0;  ///< [m/s] speed of its origin at full clock
 };
 
 struct LimitedStep::Preview {
@@ -634,6 +635,7 @@ bool LimitedStep::pose_node(const JointVector& guess, const Pose& pose, const Po
   node.q = guess + rest;
   node.direction = (inverse(displacement(X, later), still) - rest) / kTwistSpacing;
   node.measures = barrier_.measures(X, J);
+  node.flange = (later.translation() - pose.translation()).norm() / kTwistSpacing;
   return true;
 }
 
@@ -647,7 +649,9 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   const double horizon = law.horizon();
   Preview preview;
   std::array<JointVector, kNodes + 1> direction;  // d q / d clock
+  std::array<double, kNodes + 1> flange{};
   direction[0] = affine.tangent;
+  flange[0] = (here.J * affine.tangent).head<3>().norm();
   preview.t[0] = 0;
   SingularityMeasures last;
   if (Law::kBarrier) last = barrier_.measures(here.X_BF, here.J);
@@ -677,6 +681,7 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
       ++k;
       preview.t[k] = t;
       direction[k] = node.direction;
+      flange[k] = node.flange;
       q = node.q;
       last = node.measures;
       spacing = std::min(spacing, 2 * dt) * kSpacingGrowth;
@@ -694,7 +699,8 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   preview.square[k] = 0;
   for (int i = k - 1; i >= 0; --i) {
     const double dt = preview.t[i + 1] - preview.t[i];
-    double most = 1;
+    const double top = kPlanVelocity * limits_.flange_velocity / std::max(flange[i], 1e-9);
+    double most = std::min(1.0, top * top);
     for (Eigen::Index j = 0; j < n; ++j) {
       const double v =
           kPlanVelocity * limits_.velocity[j] / std::max(std::abs(direction[i][j]), 1e-9);
