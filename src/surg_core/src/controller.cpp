@@ -194,8 +194,8 @@ struct Controller::Impl {
 
   /// The command is at rest but for what holds the arm in place.
   bool commands_rest() const {
-    const JointVector& qd = law == Law::kExact ? follower.velocity() : qd_last;
-    return qd.cwiseAbs().maxCoeff() < kCreep;
+    const double reference = law == Law::kExact ? follower.velocity().cwiseAbs().maxCoeff() : 0.0;
+    return reference < kCreep && qd_last.cwiseAbs().maxCoeff() < kCreep;
   }
 
   void take_home() {
