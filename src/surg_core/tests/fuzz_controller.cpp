@@ -857,7 +857,7 @@ Arguments parse(int argc, char** argv) {
     } else {
       std::fprintf(stderr,
                    "usage: fuzz_controller [--seed N] [--runs N] [--cycles N] "
-                   "[--strict-acceleration] [--keep-going]\n");
+                   "[--loose-acceleration] [--keep-going]\n");
       std::exit(2);
     }
   }

@@ -61,7 +61,6 @@ struct Wish {
   /// Exact form: the trocar's velocity during this cycle [m/s]. What it alone turns the shaft by is
   /// no displacement off the path.
   Vector3 v_BRcm = Vector3::Zero();
-  double horizon = 0;   ///< [s] of the set-point's clock that the preview looks ahead; 0: none
   JointVector posture;  ///< [rad/s] wish for the null space of redundant arms; small ones only
   // Velocity form only: the flange twist is feedback + alpha forward.
   Vector6 feedback = Vector6::Zero();  ///< tip and roll feedback, lateral feedback, trocar velocity
