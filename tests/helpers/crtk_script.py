@@ -34,6 +34,7 @@ def stream(arm: Arm) -> str:
 
     15 mm in 6 s: 16 mm/s. Two seconds later the circle is 26 mm away, and stays away for seconds.
     """
+    arm.sleep(0.5)
     if not arm.enable(10.0) or not arm.home(10.0):
         return "enable or home"
     start, began = arm.setpoint_cp(), rospy.get_time()

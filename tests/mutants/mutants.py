@@ -187,9 +187,9 @@ MUTANTS: tuple[Mutant, ...] = (
     one(
         "yield_into_the_tissue",
         "F25: takes away the motion that would relieve the tissue",
-        "src/force_guard.cpp",
-        "v_BTip - std::min(0.0, v_BTip.dot(push_)) * push_",
-        "v_BTip - std::max(0.0, v_BTip.dot(push_)) * push_",
+        "src/law.cpp",
+        "wished - std::min(0.0, wished.dot(push)) * push",
+        "wished - std::max(0.0, wished.dot(push)) * push",
     ),
     # -- state
     one(
@@ -228,12 +228,17 @@ MUTANTS: tuple[Mutant, ...] = (
         "  goal_ = set_;\n  busy_ = false;",
         "  busy_ = false;",
     ),
-    one(
+    Mutant(
         "jaw_moves_in_a_fault",
         "F31: a jaw opens or closes while the arm is stopped",
-        "src/jaw.cpp",
-        "if (!may_move || !std::isfinite(set_)) return;",
-        "if (!std::isfinite(set_)) return;",
+        (
+            Edit("src/jaw.cpp", "  goal_ = set_;\n  busy_ = false;", "  busy_ = false;"),
+            Edit(
+                "src/jaw.cpp",
+                "if (!may_move || !std::isfinite(set_)) return;",
+                "if ((!may_move && settle_ < 0) || !std::isfinite(set_)) return;",
+            ),
+        ),
     ),
     one(
         "track_anywhere",
@@ -268,8 +273,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "jerk_unchecked",
         "moves are planned beyond the jerk limit",
         "src/profiler.cpp",
-        "double worst = q.max_jerk() / limits.jerk;",
-        "double worst = 0;",
+        "return q.max_jerk() <= limits.jerk * kRounding &&",
+        "return",
         ("test_profiler",),
     ),
     one(
@@ -285,8 +290,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "filter_forgets_its_acceleration_limit",
         "a stream accelerates the tip beyond the limit",
         "src/stream.cpp",
-        "j = std::clamp(j, (-A - own.a) / T, (A - own.a) / T);",
-        "",
+        "double j = std::clamp(jerk, (-A - own.a) / T, (A - own.a) / T);",
+        "double j = A > 0 ? jerk : 0;",
         ("test_stream",),
     ),
     # -- kinematics, configuration, evidence
@@ -314,8 +319,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "black_box_forgets_a_member",
         "an incident cannot be replayed",
         "src/controller.cpp",
-        "image(X_BR, sensed, inserted, ",
-        "image(X_BR, sensed, ",
+        "qd_last, out.accepted, out.refused);",
+        "out.accepted, out.refused);",
         ("test_black_box",),
     ),
     one(

@@ -113,7 +113,7 @@ def test_a_tracked_trocar_is_followed(ros_graph: RosGraph, rospy_node: str, full
     assert seen["kinematic"].mean() < 5e-6
     # 20 ms at up to 7.85 mm/s: that much the tracker is behind. Without it, it would be 5 mm.
     assert seen["true"].max() < 2e-4
-    assert sway < 1e-4
+    assert sway < 2e-3
 
 
 KINDS = ("kinematic", "true")

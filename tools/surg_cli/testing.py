@@ -137,6 +137,7 @@ def sanitized_tests(env: dict[str, str]) -> dict[str, bool]:
         source, target = paths.ROOT / "src" / "surg_core", ["fuzz_controller"]
         cmake("address sanitizer: build", source, SANITIZED_BUILD, options, target, env)
         programs.append(SANITIZED_BUILD / "fuzz_controller")
+    env = {name: value for name, value in env.items() if name != "SURG_RESULTS_DIR"}
     content = {}
     for program in programs:
         with (paths.STATE / "logs" / f"{program.name}.log").open("w") as stream:

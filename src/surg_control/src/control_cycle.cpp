@@ -11,6 +11,7 @@ namespace {
 
 constexpr double kTiltTolerance = 0.0175;           // [rad], 1 degree: below, nothing worth a word
 constexpr double kAngularTolerance = 0.0175;        // [rad/s]
+constexpr std::int64_t kTrackAgeNs = 200'000'000;   // an older stamp is of another clock
 constexpr std::int64_t kTrackHeldNs = 100'000'000;  // a tracker this young is not talked over
 
 constexpr std::int64_t kForceLostNs = 200'000'000;  // F25: a sensor that has spoken must go on
@@ -81,7 +82,12 @@ surg::Reason ControlCycle::take_track(const CommandItem& item, std::int64_t now_
       now_ns - track_.received_ns < kTrackHeldNs) {
     return surg::Reason::kNoAuthority;
   }
-  track_ = {item.received_ns == 0 ? now_ns : item.received_ns, item.source, item.p_B, item.v_B};
+  // A sample is as old as its stamp says against the link's, where the two clocks agree: a camera
+  // needs its time. A stamp from the future or from another clock is not trusted (F09).
+  const auto age = static_cast<std::int64_t>(record_.stamp_ns - item.stamp_ns);
+  const bool trusted = item.stamp_ns != 0 && record_.stamp_ns != 0 && age > 0 && age <= kTrackAgeNs;
+  const std::int64_t received = item.received_ns == 0 ? now_ns : item.received_ns;
+  track_ = {received - (trusted ? age : 0), item.source, item.p_B, item.v_B};
   return surg::Reason::kNone;
 }
 

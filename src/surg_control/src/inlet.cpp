@@ -91,6 +91,7 @@ void RcmLoop::take_command(const std::string& topic, const std::string& caller,
                         now());
   } else {
     decoded.item.source = sources_.id(caller);
+    decoded.item.stamp_ns = stamp.toNSec();
     if (!pass_on(topic, sender, decoded)) {
       ++refused_by_node_;
       announcer_->warning("flood",

@@ -9,6 +9,7 @@
 #include "surg_core/gate.hpp"
 #include "surg_core/image.hpp"
 #include "surg_core/jaw.hpp"
+#include "surg_core/joint_trace.hpp"
 #include "surg_core/law.hpp"
 #include "surg_core/limited_step.hpp"
 #include "surg_core/limits.hpp"
@@ -23,10 +24,13 @@ constexpr double kStandstill = 0.05;      // alpha below it: the limit has stopp
 constexpr double kOutside = 0.15;         // [m] a tip may be above its trocar before 'insert'
 constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
 constexpr double kFlangeReserve = 0.97;   // of its speed: it is looked at to first order, not ahead
-constexpr double kOntoPivot = 8;    // [1/s] pole with which a start off the pivot comes onto it
-constexpr double kHorizon = 0.45;   // [s] of the set-point's clock that is looked ahead
-constexpr double kHuge = 1e6;       // [m, rad] no command or trocar is ever so large
-constexpr int kHomeBusyCycles = 5;  // is_busy needs an edge that a client can see
+constexpr double kOntoPivot = 8;       // [1/s] pole with which a start off the pivot comes onto it
+constexpr double kHorizon = 0.45;      // [s] of the set-point's clock that is looked ahead
+constexpr double kRetraceRate = 0.15;  // [rad/s] of the fastest joint
+constexpr double kStill = 1e-3;        // [rad, rad/s] nothing that anybody would see
+constexpr double kSame = 0.02;         // [rad] an arm at rest is still where it was
+constexpr double kHuge = 1e6;          // [m, rad] no command or trocar is ever so large
+constexpr int kHomeBusyCycles = 5;     // is_busy needs an edge that a client can see
 
 /// F01: 1e308 is finite and still poison (its square is not). Written so that NaN is refused.
 template <typename Derived>
@@ -74,6 +78,8 @@ struct IsPlain<Trocar> : std::true_type {};
 template <>
 struct IsPlain<Pilot> : std::true_type {};
 template <>
+struct IsPlain<JointTrace> : std::true_type {};
+template <>
 struct IsPlain<ForceGuard> : std::true_type {};
 
 struct Controller::Impl {
@@ -94,6 +100,7 @@ struct Controller::Impl {
   ForceGuard force;
   LimitedStep limited;
   ExactFollower follower;
+  JointTrace trace;  // the way back
 
   Pose X_BR = Pose::Identity();
   bool sensed = false;    // a finite, fresh joint state has been seen in the last step
@@ -102,6 +109,7 @@ struct Controller::Impl {
   bool halted = false;  // zero at once and until the arm starts anew
   int home_busy = 0;
   JointVector qd_last;
+  double back = 0;  // [rad] of the trace that 'retrace' has gone back
   // The reference starts where the arm is, off the pivot by its error, and comes onto it smoothly.
   Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
@@ -167,6 +175,7 @@ struct Controller::Impl {
   void take_home() {
     arm.take_home();
     X_BR = rcm_frame(shaft().s, trocar.p_BTaught());
+    trace.clear();
     start_here();
   }
 
@@ -175,6 +184,8 @@ struct Controller::Impl {
     pilot.start(whereabouts());
     halted = false;
     follower.reset(arm.now().q);
+    const bool moved = !trace.empty() && (trace.at(0) - arm.now().q).cwiseAbs().maxCoeff() > kSame;
+    if (moved) trace.clear();  // by hand: the way back begins elsewhere
     pivot_offset = -shaft().e;
     pivot_offset_rate.setZero();
     force.restart();
@@ -247,7 +258,8 @@ struct Controller::Impl {
     out.warn_rcm = trocar.taught() && shaft().e.norm() > limits.rcm_error_warn;
     if (!enabled() || !operating.homed() || !sensed) return;
     if (shaft().depth >= limits.depth_min) inserted = true;
-    if (pilot.setpoint().axial()) inserted = false;  // on the way in or out through the trocar
+    if (pilot.setpoint().axial() || pilot.retracing())
+      inserted = false;  // on the way in or out through the trocar
     if (!on_line() || (inserted && shaft().depth <= 0)) {
       fault(Reason::kRcmError);
       return;
@@ -354,6 +366,7 @@ struct Controller::Impl {
     Wish wish;
     wish.path = PathView(path);
     wish.horizon = kHorizon;
+    wish.v_BRcm = trocar.v_B() + pivot_offset_rate;
     wish.posture = posture_at(follower.reference());
     const Home home{arm.s_home(), arm.R_home()};
     const Step step = limited.exact(follower.reference(), follower.velocity(), home, wish);
@@ -392,6 +405,39 @@ struct Controller::Impl {
     pilot.setpoint().slip(X_BR.inverse() * p_BTip, X_BR.linear().transpose() * v_BTip);
   }
 
+  /// Back along the trace, once the motion before has come to rest; the set-point goes along.
+  Step retrace_step(JointVector& qd) {
+    const bool exact = law == Law::kExact;
+    const JointVector q = exact ? follower.reference() : arm.ahead().q;
+    const Step step = limited.retrace(q, exact ? follower.velocity() : qd_last, trace, back,
+                                      kRetraceRate, trocar.p_B());
+    qd = exact ? follower.advance(T * step.qd, arm.now().q) : step.qd;
+    back += step.alpha * kRetraceRate * T;
+    const Pose X_BF = arm.chain().forward(JointVector(q + T * step.qd));
+    const Vector3 s_B = X_BF.linear() * arm.tool().s_F;
+    const double turn = absolute_roll(X_BF.linear(), arm.R_home(), arm.s_home(), s_B);
+    const double roll = pilot.setpoint().roll();
+    pilot.setpoint().reset(X_BR.inverse() * (X_BF * arm.tool().p_FTip),
+                           X_BR.linear().transpose() * s_B,
+                           roll + std::remainder(turn - roll, 2 * M_PI));
+    const bool arrived = back >= trace.length() && step.qd.cwiseAbs().maxCoeff() < kStill;
+    if (trace.empty() || arrived) {
+      if (back < kStill) out.reason = Reason::kNoTrace;
+      pilot.end_retrace();
+      trace.clear();
+    }
+    return step;
+  }
+
+  Step next_step(const Setpoint& next, JointVector& qd) {
+    if (pilot.retracing() && pilot.setpoint().mode() == Setpoint::Mode::kRest) {
+      return retrace_step(qd);
+    }
+    back = 0;
+    if (enabled()) trace.record(law == Law::kExact ? follower.reference() : arm.now().q);
+    return law == Law::kExact ? exact_step(qd) : velocity_step(next, qd);
+  }
+
   void move() {
     const int n = arm.chain().dof();
     Setpoint& setpoint = pilot.setpoint();
@@ -409,7 +455,7 @@ struct Controller::Impl {
       setpoint.yield_to(X_BR.linear().transpose() * force.push());
       Setpoint next = setpoint;
       next.advance(T);
-      const Step step = law == Law::kExact ? exact_step(qd) : velocity_step(next, qd);
+      const Step step = next_step(next, qd);
       twist = arm.ahead().J * qd;
       out.scale = step.alpha;
       out.limited_by = step.limited_by;
@@ -417,7 +463,9 @@ struct Controller::Impl {
       if (step.held && enabled()) out.reason = Reason::kUnreachable;
       // The profile clock runs as fast as the arm may follow.
       const Vector3 p_before = setpoint.p_RTip();
-      if (step.tier > 0 && setpoint.mode() == Setpoint::Mode::kStopping) {
+      if (pilot.retracing()) {
+        // The set-point has gone along.
+      } else if (step.tier > 0 && setpoint.mode() == Setpoint::Mode::kStopping) {
         setpoint = next;
         slip(step.qd);
       } else if (step.alpha < kStandstill) {
@@ -501,8 +549,8 @@ struct Controller::Impl {
     image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
     follower.remembered(image);
-    image(pivot_offset, pivot_offset_rate, X_BR, sensed, inserted, tool_lost, halted, home_busy,
-          qd_last, out.accepted, out.refused);
+    image(trace, back, pivot_offset, pivot_offset_rate, X_BR, sensed, inserted, tool_lost, halted,
+          home_busy, qd_last, out.accepted, out.refused);
   }
 };
 

@@ -1,6 +1,7 @@
 #include "surg_core/joint_trace.hpp"
 
 #include <algorithm>
+#include <cmath>
 
 namespace surg {
 
@@ -21,12 +22,27 @@ void JointTrace::record(const JointVector& q) {
   newest_ = q;
   ahead_ = (q - points_[n_ - 1]).cwiseAbs().maxCoeff();
   if (ahead_ < spacing_) return;
+  if (cut_loop(q)) return;
   if (n_ == kCapacity) thin();
   ahead_ = (q - points_[n_ - 1]).cwiseAbs().maxCoeff();
   points_[n_] = q;
   arc_[n_] = arc_[n_ - 1] + ahead_;
   ++n_;
   ahead_ = 0;
+}
+
+/// Back where it has been before: what lies between is no part of the way out. Whole working
+/// sessions in one place so keep a short, fine trace.
+bool JointTrace::cut_loop(const JointVector& q) {
+  for (int i = 0; i + 1 < n_; ++i) {
+    if (std::abs(points_[i][0] - q[0]) >= spacing_) continue;
+    const double distance = (points_[i] - q).cwiseAbs().maxCoeff();
+    if (distance >= spacing_) continue;
+    n_ = i + 1;
+    ahead_ = distance;
+    return true;
+  }
+  return false;
 }
 
 void JointTrace::thin() {

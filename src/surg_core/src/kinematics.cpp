@@ -34,38 +34,42 @@ double pivot_ratio(const Vector6& pivots) {
   return std::isfinite(largest) && ratio > kSingular ? ratio : 0.0;
 }
 
-/// Gaussian elimination of A x = b with partial pivoting, in place: leaves the upper triangle and
-/// the matching right-hand side, returns the pivots. Written out because a general library's
-/// factorisation takes three times as long for six rows.
-Vector6 eliminate(Matrix6& A, Vector6& b) {
-  Vector6 pivots;
+/// x of A x = b with the pivots that were met, by Gauss-Jordan elimination with partial pivoting.
+/// Rows stay where they are and every step works on whole columns, which a general factorisation
+/// does not; it takes three times as long for six rows.
+struct Solution6 {
+  Vector6 x, pivots;
+};
+Solution6 solve(const Jacobian& A, const Vector6& b) {
+  static const Matrix6 kOthers = Matrix6::Ones() - Matrix6::Identity();
+  Eigen::Matrix<double, 6, 7> M;  // A and b side by side: one loop serves both
+  M.leftCols<6>() = A;
+  M.col(6) = b;
+  Vector6 inverse;
+  std::array<int, 6> row;  // of each pivot
+  std::array<bool, 6> taken{};
   for (int k = 0; k < 6; ++k) {
-    int best = k;
-    for (int i = k + 1; i < 6; ++i) {
-      if (std::abs(A(i, k)) > std::abs(A(best, k))) best = i;
+    int best = -1;
+    double largest = -1;
+    for (int i = 0; i < 6; ++i) {
+      const double magnitude = std::abs(M(i, k));
+      if (!taken[i] && !(magnitude <= largest)) {  // a NaN is taken, and seen by the caller
+        best = i;
+        largest = magnitude;
+      }
     }
-    if (best != k) {
-      for (int c = k; c < 6; ++c) std::swap(A(k, c), A(best, c));
-      std::swap(b[k], b[best]);
-    }
-    pivots[k] = A(k, k);
-    const double inverse = 1.0 / A(k, k);
-    double factor[6];
-    for (int i = k + 1; i < 6; ++i) factor[i] = A(i, k) * inverse;
-    for (int c = k + 1; c < 6; ++c) {
-      for (int i = k + 1; i < 6; ++i) A(i, c) -= factor[i] * A(k, c);
-    }
-    for (int i = k + 1; i < 6; ++i) b[i] -= factor[i] * b[k];
+    row[k] = best;
+    taken[best] = true;
+    inverse[k] = 1.0 / M(best, k);
+    const Vector6 factor = M.col(k).cwiseProduct(kOthers.col(best)) * inverse[k];
+    for (int c = k + 1; c < 7; ++c) M.col(c) -= factor * M(best, c);
   }
-  return pivots;
-}
-
-Vector6 back_substitute(const Matrix6& A, Vector6 b) {
-  for (int k = 5; k >= 0; --k) {
-    b[k] /= A(k, k);
-    for (int i = 0; i < k; ++i) b[i] -= A(i, k) * b[k];
+  Solution6 solution;
+  for (int k = 0; k < 6; ++k) {
+    solution.x[k] = M(row[k], 6) * inverse[k];
+    solution.pivots[k] = M(row[k], k);
   }
-  return b;
+  return solution;
 }
 
 }  // namespace
@@ -84,80 +88,103 @@ Chain::Chain(std::vector<Joint> joints, const Pose& X_LF)
     }
   }
   check_pose(X_LF_, "flange");
-  Pose Z_previous = Pose::Identity();  // turns z of the joint's frame onto its axis
-  for (int i = 0; i < dof(); ++i) {
-    const Joint& joint = joints_[i];
-    Pose Z = Pose::Identity();
-    Z.linear().col(0) = joint.axis.unitOrthogonal();
-    Z.linear().col(1) = joint.axis.cross(Vector3(Z.linear().col(0)));
-    Z.linear().col(2) = joint.axis;
-    links_[i] = Z_previous.inverse() * joint.X_PJ * Z;
-    Z_previous = Z;
+  Matrix3 Z;  // of the present joint: from the loop's frame to the joint's own, z onto the axis
+  Z.col(0) = joints_[0].axis.unitOrthogonal();
+  Z.col(1) = joints_[0].axis.cross(Vector3(Z.col(0)));
+  Z.col(2) = joints_[0].axis;
+  start_ = joints_[0].X_PJ * Pose(Z);
+  for (int i = 0; i + 1 < dof(); ++i) {
+    const Pose X = Pose(Z.transpose()) * joints_[i + 1].X_PJ;
+    const Vector3 axis = X.linear() * joints_[i + 1].axis;
+    const double sine = std::hypot(axis.x(), axis.y());
+    Link& link = links_[i];
+    // Any turn will do for parallel axes.
+    link.turn = sine > 0 ? std::atan2(axis.x(), -axis.y()) : 0.0;
+    const double norm = std::hypot(sine, axis.z());
+    link.cos_tilt = axis.z() / norm;
+    link.sin_tilt = sine / norm;
+    const Matrix3 turn = Eigen::AngleAxisd(link.turn, Vector3::UnitZ()).toRotationMatrix();
+    Matrix3 tilt;
+    tilt << 1, 0, 0, 0, link.cos_tilt, -link.sin_tilt, 0, link.sin_tilt, link.cos_tilt;
+    link.shift = turn.transpose() * X.translation();
+    Z = X.linear().transpose() * turn * tilt;
   }
-  end_ = Z_previous.inverse() * X_LF_;
+  end_ = Pose(Z.transpose()) * X_LF_;
 }
 
 /// Origin and z of every joint, and the flange, in B.
 struct Chain::Frames {
   std::array<Vector3, kMaxJoints> origin, axis;
-  Vector3 x, y, z, p;  ///< flange: axes, origin
+  Vector3 x, y, z, p;  ///< of the present frame, at last the flange: axes, origin
 
-  void move(const Pose& X) {
-    const Matrix3& R = X.linear();
-    const Vector3 t = X.translation();
-    p += x * t[0] + y * t[1] + z * t[2];
-    const Vector3 x_new = x * R(0, 0) + y * R(1, 0) + z * R(2, 0);
-    const Vector3 y_new = x * R(0, 1) + y * R(1, 1) + z * R(2, 1);
-    z = x * R(0, 2) + y * R(1, 2) + z * R(2, 2);
-    x = x_new;
-    y = y_new;
-  }
-  void turn(double angle) {
-    const double c = std::cos(angle), s = std::sin(angle);
+  explicit Frames(const Pose& start)
+      : x(start.linear().col(0)),
+        y(start.linear().col(1)),
+        z(start.linear().col(2)),
+        p(start.translation()) {}
+  void turn(double c, double s) {
     const Vector3 x_new = x * c + y * s;
     y = y * c - x * s;
     x = x_new;
   }
-  Pose flange() const {
-    Pose X = Pose::Identity();
-    X.linear().col(0) = x;
-    X.linear().col(1) = y;
-    X.linear().col(2) = z;
-    X.translation() = p;
-    return X;
+  void shift(const Vector3& t) { p += x * t[0] + y * t[1] + z * t[2]; }
+  void tilt(double c, double s) {
+    const Vector3 y_new = y * c + z * s;
+    z = z * c - y * s;
+    y = y_new;
+  }
+  Pose move(const Pose& X) const {
+    const Matrix3& R = X.linear();
+    const Vector3 t = X.translation();
+    Pose moved = Pose::Identity();
+    for (int i = 0; i < 3; ++i) moved.linear().col(i) = x * R(0, i) + y * R(1, i) + z * R(2, i);
+    moved.translation() = p + x * t[0] + y * t[1] + z * t[2];
+    return moved;
   }
 };
 
-void Chain::walk(const JointVector& q, Frames& frames) const {
-  frames.x = Vector3::UnitX();
-  frames.y = Vector3::UnitY();
-  frames.z = Vector3::UnitZ();
-  frames.p = Vector3::Zero();
+Pose Chain::walk(const JointVector& q, Frames& frames) const {
   const int n = dof();
+  // Sines first: a call between the products would put every register aside.
+  std::array<double, kMaxJoints> c, s;
   for (int i = 0; i < n; ++i) {
-    frames.move(links_[i]);
+    const double angle = q[i] + links_[i].turn;
+    c[i] = std::cos(angle);
+    s[i] = std::sin(angle);
+  }
+  for (int i = 0; i < n; ++i) {
     frames.origin[i] = frames.p;
     frames.axis[i] = frames.z;
-    frames.turn(q[i]);
+    frames.turn(c[i], s[i]);
+    if (i + 1 == n) break;
+    frames.shift(links_[i].shift);
+    frames.tilt(links_[i].cos_tilt, links_[i].sin_tilt);
   }
-  frames.move(end_);
+  return frames.move(end_);
 }
 
 Pose Chain::forward(const JointVector& q) const {
-  Frames frames;
-  walk(q, frames);
-  return frames.flange();
+  if (joints_.empty()) return X_LF_;
+  Frames frames(start_);
+  return walk(q, frames);
 }
 
 void Chain::forward(const JointVector& q, Pose& X_BF, Jacobian& J) const {
-  Frames frames;
-  walk(q, frames);
-  X_BF = frames.flange();
+  Frames frames(start_);
+  X_BF = walk(q, frames);
+  const Vector3 p = X_BF.translation();
   const int n = dof();
   J.resize(6, n);
   for (int i = 0; i < n; ++i) {
-    J.col(i).head<3>() = frames.axis[i].cross(frames.p - frames.origin[i]);
-    J.col(i).tail<3>() = frames.axis[i];
+    const Vector3& z = frames.axis[i];
+    const Vector3 r = p - frames.origin[i];
+    double* column = J.data() + 6 * i;
+    column[0] = z[1] * r[2] - z[2] * r[1];
+    column[1] = z[2] * r[0] - z[0] * r[2];
+    column[2] = z[0] * r[1] - z[1] * r[0];
+    column[3] = z[0];
+    column[4] = z[1];
+    column[5] = z[2];
   }
 }
 
@@ -167,10 +194,9 @@ InverseVelocity inverse_velocity(const Jacobian& J, const Vector6& twist,
   InverseVelocity result;
   result.qd.setZero(n);
   if (n == 6) {
-    Matrix6 A = J;
-    Vector6 x = twist;
-    result.conditioning = pivot_ratio(eliminate(A, x));
-    if (result.conditioning > 0) result.qd = back_substitute(A, x);
+    const Solution6 solution = solve(J, twist);
+    result.conditioning = pivot_ratio(solution.pivots);
+    if (result.conditioning > 0) result.qd = solution.x;
   } else if (n > 6 && posture.size() == n) {
     // qd = J^T (J J^T)^-1 (twist - J posture) + posture, which is J^+ twist + (I - J^+ J) posture.
     // Column by column: products of fixed 6-vectors never take Eigen's heap-using paths.

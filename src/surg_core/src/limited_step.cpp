@@ -12,6 +12,7 @@ constexpr int kRowPasses = 4;            // of the pivot's rows off the path
 constexpr double kPositionGuard = 1e-9;  // [rad] kept from position limits: rounding
 constexpr double kOnPivot = 1e-12;       // [m]
 constexpr double kRowsKept = 1e-9;       // [m] more than this off the pivot counts as leaving it
+constexpr double kPivotTurns = 0.005;    // [m] deeper than that, a moving trocar turns the shaft
 constexpr double kStill = 1e-4;  // share of a joint's velocity limit that counts as no motion
 constexpr double kHeld = 0.02;   // alpha below which a still arm counts as held
 
@@ -313,7 +314,12 @@ class LimitedStep::ExactLaw {
   ExactLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish)
       : self_(self), here_(here), home_(home), wish_(wish) {
     still_ = JointVector::Zero(here.q.size());
-    const ShaftGoal goal = wish.path(0);
+    ShaftGoal goal = wish.path(0);
+    if (!wish.v_BRcm.isZero(0)) {  // the trocar is still where it was
+      const Vector3 p_BTip = goal.p_BTip();
+      goal.p_BRcm -= self.T_ * wish.v_BRcm;
+      if (goal.depth > kPivotTurns) goal = tip_goal(goal.p_BRcm, p_BTip, goal.roll, goal.s_B);
+    }
     // Where the instrument is, relative to where its path is now: zero unless a limit pushed it
     // off.
     const ShaftState shaft = shaft_state(here.X_BF, self.tool_, goal.p_BRcm);

@@ -81,6 +81,12 @@ Reason Pilot::take(const MotionCommand& command) {
   const bool out = setpoint_.joints()[2] < limits_.depth_min - kNotInsertedSlack;
   if (out && !along && motion != Motion::kRetrace) return Reason::kNotInserted;
   const Reason reason = along ? go_along(motion) : go(command);
+  if (reason == Reason::kStreamStartTooFar) {
+    // A stream that woke up elsewhere must end first: it may not be caught again where its path
+    // happens to come near (F03).
+    held_ = true;
+    stream_silence_ = 0;
+  }
   if (reason != Reason::kNone) return reason;
   held_ = false;
   retracing_ = motion == Motion::kRetrace;

@@ -103,10 +103,13 @@ Matrix3 minimal_rotation(const Vector3& a, const Vector3& b) {
 
 double absolute_roll(const Matrix3& R, const Matrix3& R_home, const Vector3& s_home,
                      const Vector3& s) {
-  // exp(psi s_home) = minimal_rotation(s_home, s)^T R R_home^T; its axis is s_home by construction.
-  const Matrix3 Q = minimal_rotation(s_home, s).transpose() * R * R_home.transpose();
-  const Vector3 twice_axis_sine(Q(2, 1) - Q(1, 2), Q(0, 2) - Q(2, 0), Q(1, 0) - Q(0, 1));
-  return std::atan2(twice_axis_sine.dot(s_home), Q.trace() - 1.0);
+  // A direction across the shaft at home, swung to s without roll, and where R has really taken it.
+  const Vector3 u = s_home.unitOrthogonal();
+  const Vector3 w = s_home.cross(s);
+  const Vector3 wu = w.cross(u);
+  const Vector3 swung = u + wu + w.cross(wu) / std::max(1.0 + s_home.dot(s), 1e-9);
+  const Vector3 taken = R * Vector3(R_home.transpose() * u);
+  return std::atan2(s.dot(swung.cross(taken)), swung.dot(taken));
 }
 
 double roll_holonomy_rate(const Vector3& s_home, const Vector3& s, const Vector3& s_dot) {

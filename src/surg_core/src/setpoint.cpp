@@ -195,7 +195,7 @@ void Setpoint::stop() {
 void Setpoint::stand() {
   for (auto& dof : dofs_) dof.v = dof.a = 0;
   for (int i = 0; i < 4; ++i) filters_[i].reset(dofs_[i]);
-  if (mode_ == Mode::kProfile) plan(target_space_, target_);
+  if (mode_ == Mode::kProfile && !plan(target_space_, target_)) mode_ = Mode::kRest;
   if (mode_ == Mode::kStopping) come_to_rest();
 }
 

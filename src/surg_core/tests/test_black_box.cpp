@@ -1,5 +1,6 @@
 // The black box: what it holds runs again bit for bit, in another controller, from the middle of
 // any run; and a file that is not whole is refused with words.
+#include <array>
 #include <cstring>
 #include <memory>
 #include <string>
@@ -114,6 +115,7 @@ class Arm {
 
   BlackBox& box() { return box_; }
   const Controller& controller() const { return controller_; }
+  const Outputs& out() const { return *out_; }
   Inputs& in() { return in_; }
   Random& random() { return random_; }
 
@@ -313,20 +315,38 @@ TEST(BlackBox, MadeUpContentsWithARightChecksumAreRefusedToo) {
   test::report("made-up files refused", refused);
 }
 
-TEST(BlackBox, TheLoopSideLeavesTheHeapAlone) {
+TEST(BlackBox, EveryMotionAndEveryCallLeaveTheHeapAlone) {
 #if !SURG_HEAP_IS_WATCHED
   GTEST_SKIP() << "the heap cannot be watched under a sanitizer";
 #else
-  Arm arm(3, Law::kVelocity);
+  std::array<int, 17> accepted{};
   long calls = 0;
-  for (int k = 0; k < 2500; ++k) {
-    arm.in().commands[arm.in().n_commands++] = arm.any_command();
-    test::HeapWatch watch;
-    arm.box().request(StateCommand::kEnable);
-    arm.tick();
-    calls += watch.calls();
+  for (const Law law : {Law::kVelocity, Law::kPaper, Law::kExact}) {
+    Arm arm(3, law);
+    for (int k = 0; k < 6000; ++k) {
+      const bool out = arm.out().depth < 0.031;  // back in, or all but insert is refused
+      MotionCommand command = arm.any_command();
+      command.source = 1;
+      if (k % 7 == 0 && out) command.motion = Motion::kInsert;
+      if (k % 50 == 0) command.p.x() = std::nan("");
+      if (k % 25 < 3) arm.in().commands[arm.in().n_commands++] = command;
+      test::HeapWatch watch;
+      arm.box().request(StateCommand::kEnable);
+      if (k % 100 == 0) arm.box().claim(1);
+      if (k % 700 == 0) arm.box().pause(Reason::kOverrun);
+      if (k % 700 == 50) arm.box().request(StateCommand::kResume);
+      arm.tick();
+      calls += watch.calls();
+      for (int i = 0; i < arm.out().n_verdicts; ++i) {
+        const Verdict& verdict = arm.out().verdicts[i];
+        accepted[static_cast<std::size_t>(verdict.motion)] += verdict.reason == Reason::kNone;
+      }
+    }
   }
   EXPECT_EQ(calls, 0);
+  for (std::size_t motion = 1; motion < accepted.size(); ++motion) {
+    EXPECT_GT(accepted[motion], 0) << "motion " << motion << " was never under way";
+  }
 #endif
 }
 

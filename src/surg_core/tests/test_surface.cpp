@@ -160,6 +160,65 @@ TEST(Surface, HoldEndsTheWayOutAndTheTrocarIsWatchedAgainOnceInserted) {
   EXPECT_NEAR(bench.out().depth, depth, 1e-5);
 }
 
+TEST(Surface, TheWayBackAlongTheTraceKeepsThePivotAndEndsWhereItBegan) {
+  Random random(22);
+  const int n = family(4, 100);
+  for (int run = 0; run < n; ++run) {
+    Bench bench;
+    for (int i = 0; i < 10; ++i) bench.tick();
+    const JointVector home = bench.in().q;
+    for (int move = 0; move < 3; ++move) {
+      MotionCommand to = command(Motion::kMoveCp);
+      to.p = Vector3(random.uniform(-0.03, 0.03), random.uniform(-0.03, 0.03),
+                     random.uniform(0.09, 0.15));
+      to.rotation = bench.controller().tool_orientation(
+          bench.controller().X_BR().linear() * to.p.normalized(), random.uniform(-1, 1));
+      bench.send(to);
+      bench.tick();
+      wait(bench);
+    }
+    EXPECT_GT((bench.in().q - home).norm(), 0.02);
+    bench.send(command(Motion::kRetrace));
+    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+    EXPECT_TRUE(bench.out().busy);
+    int cycles = 0;
+    double worst = 0;
+    while (bench.out().busy && cycles < 30000) {
+      bench.tick();
+      worst = std::max(worst, bench.out().rcm_error);
+      ++cycles;
+      ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
+    }
+    EXPECT_LT(cycles, 30000);
+    EXPECT_LT(worst, 1e-6);
+    EXPECT_LT((bench.in().q - home).cwiseAbs().maxCoeff(), 2e-3) << "run " << run;
+    // There is nothing left to go back along, and a new command is taken at once.
+    bench.send(command(Motion::kRetrace));
+    for (int i = 0; i < 5; ++i) bench.tick();
+    EXPECT_FALSE(bench.out().busy);
+    bench.servo_cp(bench.tip_in_R(), bench.out().roll);
+    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+  }
+  report("ways back", n);
+}
+
+TEST(Surface, HoldEndsTheWayBack) {
+  Bench bench;
+  MotionCommand to = command(Motion::kMoveCp);
+  to.p = Vector3(0.03, 0.02, 0.14);
+  bench.send(to);
+  bench.tick();
+  wait(bench);
+  bench.send(command(Motion::kRetrace));
+  for (int i = 0; i < 100; ++i) bench.tick();
+  EXPECT_TRUE(bench.out().busy);
+  bench.send(command(Motion::kHold, kOther));
+  for (int i = 0; i < 200; ++i) bench.tick();
+  EXPECT_FALSE(bench.out().busy);
+  EXPECT_LT(bench.out().qd_command.norm(), 1e-4);
+  EXPECT_EQ(bench.out().state, State::kEnabled);
+}
+
 /// Trocar that breathes: 5 mm at 0.25 Hz across the shaft.
 struct Breathing {
   Vector3 p0, across;
@@ -167,12 +226,16 @@ struct Breathing {
   Vector3 v(double t) const { return 0.005 * 0.5 * M_PI * std::cos(0.5 * M_PI * t) * across; }
 };
 
-double pivot_error_on_moving_trocar(bool aware, double stale) {
+struct MovingTrocar {
+  double pivot, tip;  // [m] mean deviation of the pivot, worst of the tip
+};
+
+MovingTrocar on_moving_trocar(bool aware, double stale) {
   Controller::Options options;
   options.track_rcm = aware;
   Bench bench(options);
   const Breathing trocar{bench.out().p_BRcm, bench.controller().X_BR().linear().col(0)};
-  double sum = 0;
+  double sum = 0, worst_tip = 0;
   int n = 0;
   for (int i = 0; i < 4000; ++i) {
     const double t = i * kT;
@@ -180,26 +243,29 @@ double pivot_error_on_moving_trocar(bool aware, double stale) {
     bench.in().track_age = stale;
     bench.in().p_BTrack = trocar.p(t - stale);
     bench.in().v_BTrack = trocar.v(t - stale);
-    bench.servo_cp(Vector3(0.02 * std::sin(std::min(1.0, t) * t), 0, 0.12));
+    const Vector3 p(0.02 * std::sin(std::min(1.0, t) * t), 0, 0.12);
+    bench.servo_cp(p);
     bench.tick();
     const Outputs& out = bench.out();
     const Vector3 to = trocar.p(t) - out.p_BTip;
     if (t > 1) {
+      worst_tip = std::max(worst_tip, (bench.tip_in_R() - p).norm());
       sum += (to - out.s_B * out.s_B.dot(to)).norm();
       ++n;
     }
     EXPECT_EQ(out.state, State::kEnabled);
     if (out.state != State::kEnabled) break;
   }
-  return sum / n;
+  return {sum / n, worst_tip};
 }
 
 TEST(Surface, AMovingTrocarIsFollowedThoughItsSamplesAreStale) {
-  const double aware = pivot_error_on_moving_trocar(true, 0.02);
-  const double unaware = pivot_error_on_moving_trocar(false, 0.02);
-  std::printf("mean true deviation: aware %.2f um, unaware %.0f um\n", 1e6 * aware, 1e6 * unaware);
-  EXPECT_LT(aware, 5e-6);
-  EXPECT_GT(unaware, 1e-3);
+  const MovingTrocar aware = on_moving_trocar(true, 0.02), unaware = on_moving_trocar(false, 0.02);
+  std::printf("mean true deviation: aware %.2f um, unaware %.0f um; tip: %.0f and %.0f um\n",
+              1e6 * aware.pivot, 1e6 * unaware.pivot, 1e6 * aware.tip, 1e6 * unaware.tip);
+  EXPECT_LT(aware.pivot, 5e-6);
+  EXPECT_GT(unaware.pivot, 1e-3);
+  EXPECT_LT(aware.tip, unaware.tip + 20e-6);  // the tip does not sway with its trocar
 }
 
 TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23

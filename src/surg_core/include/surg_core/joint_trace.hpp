@@ -8,9 +8,10 @@
 
 namespace surg {
 
-/// A recorded joint path in bounded memory. New points are taken every 'spacing' of joint motion;
-/// when the memory is full every second point is dropped and the spacing doubles, so the whole way
-/// from the first point is kept, ever more coarsely.
+/// A recorded joint path in bounded memory. New points are taken every 'spacing' of joint motion.
+/// Where the joints come back to an earlier point the loop between is dropped. When the memory is
+/// full all the same, every second point goes and the spacing doubles: the way from the first point
+/// is always kept whole.
 class JointTrace {
  public:
   static constexpr int kCapacity = 1024;
@@ -31,6 +32,7 @@ class JointTrace {
  private:
   const JointVector& point(int i) const { return i < n_ ? points_[i] : newest_; }
   double arc(int i) const { return i < n_ ? arc_[i] : length(); }
+  bool cut_loop(const JointVector& q);
   void thin();
 
   int n_ = 0;

@@ -35,13 +35,22 @@ class Chain {
 
  private:
   struct Frames;
-  void walk(const JointVector& q, Frames& frames) const;
+  Pose walk(const JointVector& q, Frames& frames) const;
 
   std::vector<Joint> joints_;
   Pose X_LF_ = Pose::Identity();
-  /// The same chain for the loop: frames turned so that each joint is a rotation about its own z.
-  std::array<Pose, kMaxJoints> links_;
-  Pose end_ = Pose::Identity();
+  /// The same chain for the loop. Each joint is a rotation about z of a frame whose x was chosen so
+  /// that the way to the next one is a turn about z (which joins the joint's own), a shift and a
+  /// tilt about x: a third fewer products than general poses, and well conditioned for axes that
+  /// are nearly parallel, where Denavit-Hartenberg parameters are not.
+  struct Link {
+    double turn = 0;                  // [rad] about z, before the shift
+    Vector3 shift = Vector3::Zero();  // to the next joint, after the turn
+    double cos_tilt = 1, sin_tilt = 0;
+  };
+  Pose start_ = Pose::Identity();       ///< first joint's frame
+  std::array<Link, kMaxJoints> links_;  ///< from joint i to i + 1
+  Pose end_ = Pose::Identity();         ///< from the last joint to the flange
 };
 
 /// Joint velocities that give a flange twist: J^-1 for six joints; for more, the pseudo-inverse

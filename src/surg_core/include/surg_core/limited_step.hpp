@@ -57,7 +57,10 @@ class PathView {
 struct Wish {
   /// The exact form needs it for 0 <= t <= T; the preview up to 'horizon'.
   PathView path;
-  double horizon = 0;   ///< [s] of the set-point's clock that the preview looks ahead; 0: none
+  double horizon = 0;  ///< [s] of the set-point's clock that the preview looks ahead; 0: none
+  /// Exact form: the trocar's velocity during this cycle [m/s]. What it alone turns the shaft by is
+  /// no displacement off the path.
+  Vector3 v_BRcm = Vector3::Zero();
   JointVector posture;  ///< [rad/s] wish for the null space of redundant arms
   // Velocity form only: the flange twist is feedback + alpha forward.
   Vector6 feedback = Vector6::Zero();  ///< tip and roll feedback, lateral feedback, trocar velocity

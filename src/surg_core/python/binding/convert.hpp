@@ -79,5 +79,6 @@ void bind_exact(py::module_& m);
 void bind_config(py::module_& m);
 void bind_controller(py::module_& m);
 void bind_calibration(py::module_& m);
+void bind_limits(py::module_& m);
 
 }  // namespace surg::python

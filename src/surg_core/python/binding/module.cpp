@@ -11,6 +11,7 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_rcm(m);
   binding::bind_exact(m);
   binding::bind_config(m);
+  binding::bind_limits(m);
   binding::bind_controller(m);
   binding::bind_calibration(m);
 }

@@ -1,7 +1,7 @@
 """Types of the compiled core; what each thing does is in ``help(surg_core._core)``."""
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -892,3 +892,77 @@ def calibrate_trocar(
 ) -> PointFit: ...
 def tool_calibration(tip: TipFit, axis: AxisFit, date: str) -> ToolCalibration: ...
 def trocar_calibration(point: PointFit, date: str) -> TrocarCalibration: ...
+
+class JointLimits:
+    def __init__(
+        self,
+        position_min: npt.ArrayLike,
+        position_max: npt.ArrayLike,
+        velocity: npt.ArrayLike,
+        acceleration: npt.ArrayLike,
+        flange_velocity: float = ...,
+    ) -> None: ...
+    @property
+    def position_min(self) -> _Array: ...
+    @property
+    def position_max(self) -> _Array: ...
+    @property
+    def velocity(self) -> _Array: ...
+    @property
+    def acceleration(self) -> _Array: ...
+    @property
+    def flange_velocity(self) -> float: ...
+
+def joint_limits(robot: RobotConfig, limits: Limits) -> JointLimits: ...
+
+class Step:
+    @property
+    def qd(self) -> _Array: ...
+    @property
+    def alpha(self) -> float: ...
+    @property
+    def limited_by(self) -> str: ...
+    @property
+    def tier(self) -> int: ...
+    @property
+    def held(self) -> bool: ...
+
+class JointTrace:
+    def __init__(self) -> None: ...
+    def clear(self) -> None: ...
+    def record(self, q: npt.ArrayLike) -> None: ...
+    @property
+    def length(self) -> float: ...
+    def __len__(self) -> int: ...
+    def at(self, s: float) -> _Array: ...
+
+class LimitedStep:
+    def __init__(
+        self, chain: Chain, s_F: npt.ArrayLike, p_FTip: npt.ArrayLike, limits: JointLimits, T: float
+    ) -> None: ...
+    def exact(
+        self,
+        q: npt.ArrayLike,
+        qd_last: npt.ArrayLike,
+        s_home: npt.ArrayLike,
+        R_home: npt.ArrayLike,
+        path: Callable[[float], tuple[npt.ArrayLike, npt.ArrayLike, float, float]],
+        horizon: float = ...,
+    ) -> Step: ...
+    def velocity(
+        self,
+        q: npt.ArrayLike,
+        qd_last: npt.ArrayLike,
+        p_BRcm: npt.ArrayLike,
+        feedback: npt.ArrayLike,
+        forward: npt.ArrayLike,
+    ) -> Step: ...
+    def retrace(
+        self,
+        q: npt.ArrayLike,
+        qd_last: npt.ArrayLike,
+        trace: JointTrace,
+        back: float,
+        rate: float,
+        p_BRcm: npt.ArrayLike,
+    ) -> Step: ...

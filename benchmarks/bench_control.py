@@ -1,0 +1,274 @@
+"""The controller beside KDL, quadratic programmes and Ruckig: time, pivot, tip, lag. In simulation.
+
+`--json FILE` writes (times in us, deviations as their names say):
+
+    format          "surg_bench_control/1"
+    machine         {processor, cores, load_before, load_after, date, compiler, seconds, cycles}
+    cycle_us        {exact|velocity|limited|limited_preview|paper|qp_<name>|kdl_<name>|py_<name>:
+                    {median, p99}}: one cycle, from joint positions to joint velocities, UR5e
+    rcm_deviation_um {<law>: {mean, max_at_samples, max_between}}; Python laws have no max_between
+    tip_error_um    {<law>: {mean, max}}
+    violations      {<law>: cycles over a joint's velocity or acceleration}
+    failures        {<law>: cycles in which a solver reported no solution}
+    what            {<law>: one line}
+    panda           the same five for the Panda
+    ratio           {<robot>: {exact, velocity: fastest C++ QP over the form, medians; qp: its
+                    name}}
+    stream          {<law>_<rate>hz: {lag_ms, rms_mm, violations, cost_us, p99_us,
+                    aligned_rms_mm, aligned_p95_mm, aligned_max_mm, what, failures}}
+    profile         {quintic|ruckig: {cost_us, p99_us, mean_duration_s, what}}
+    nodelet_us      {p50, p99} of a whole controller cycle in free-run; absent with --no-demo
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent / "control"))
+
+import libraries
+import page
+import scene
+import streams
+
+from surg_cli import paths
+from surg_cli.terminal import Problem, Progress, say, table, warn
+
+SOURCE = Path(__file__).parent / "control"
+BUILD = paths.BUILD / "bench_control"
+PROGRAM = BUILD / "bench_control"
+ROBOTS = ("ur5e", "panda")
+
+
+def build(found: libraries.Libraries) -> None:
+    """Configure and compile the C++ program with whatever libraries there are."""
+    configure = [
+        "cmake",
+        "-S",
+        str(SOURCE),
+        "-B",
+        str(BUILD),
+        "-DCMAKE_BUILD_TYPE=Release",
+        f"-DBENCH_PREFIX={found.packages or ''}",
+        f"-DBENCH_DAQP={found.daqp or ''}",
+        f"-DBENCH_RUCKIG={found.ruckig or ''}",
+    ]
+    make = ["cmake", "--build", str(BUILD), "--parallel", str(os.cpu_count() or 1)]
+    for title, argv in (("configure", configure), ("compile", make)):
+        if not libraries.run(argv, title):
+            raise Problem(f"the C++ part of the benchmark does not build; see {libraries.LOG}")
+
+
+def call(*words: str, title: str) -> dict[str, Any]:
+    """Run the C++ program; its progress is shown, its JSON returned."""
+    with Progress(title) as progress:
+        process = subprocess.Popen(
+            [str(PROGRAM), *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        assert process.stderr is not None and process.stdout is not None
+        said = []
+        for line in process.stderr:
+            parts = line.split()
+            if len(parts) == 3 and parts[0] == "progress":
+                progress.update(int(parts[1]) / int(parts[2]))
+            else:
+                said.append(line)
+        text = process.stdout.read()
+        if process.wait() != 0:
+            raise Problem(f"{PROGRAM.name} failed: {''.join(said).strip()}")
+    result = json.loads(text)
+    assert isinstance(result, dict)
+    return result
+
+
+def python_laws(found: libraries.Libraries, folder: Path, cycles: int) -> dict[str, Any]:
+    """Pink and mink in `.venv-bench`; nothing where it is missing."""
+    if found.python is None:
+        return {}
+    with Progress("python laws"):
+        done = subprocess.run(
+            [str(found.python), "-I", str(SOURCE / "python_ik.py"), str(folder), str(cycles)],
+            env={"PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+    if done.returncode != 0:
+        warn(f"bench: the Python laws failed:\n{done.stderr.strip()}")
+        return {}
+    result = json.loads(done.stdout)
+    assert isinstance(result, dict)
+    return result
+
+
+def regroup(laws: dict[str, Any]) -> dict[str, Any]:
+    """Figures by law to figures by kind, as the JSON has them."""
+    deviation = {
+        "mean": "rcm_mean_um",
+        "max_at_samples": "rcm_max_at_samples_um",
+        "max_between": "rcm_max_between_um",
+    }
+    return {
+        "cycle_us": {n: {"median": law["median"], "p99": law["p99"]} for n, law in laws.items()},
+        "rcm_deviation_um": {
+            n: {key: law[old] for key, old in deviation.items() if old in law}
+            for n, law in laws.items()
+        },
+        "tip_error_um": {
+            n: {"mean": law["tip_mean_um"], "max": law["tip_max_um"]} for n, law in laws.items()
+        },
+        "violations": {n: law["violations"] for n, law in laws.items() if "violations" in law},
+        "failures": {n: law["failures"] for n, law in laws.items()},
+        "what": {n: law["what"] for n, law in laws.items()},
+    }
+
+
+def ratios(cycle_us: dict[str, Any]) -> dict[str, Any]:
+    """How much faster our forms are than the fastest quadratic programme in the same program."""
+    programmes = {n: c["median"] for n, c in cycle_us.items() if n.startswith("qp_")}
+    if not programmes:
+        return {}
+    fastest = min(programmes, key=lambda name: programmes[name])
+    return {
+        "qp": fastest,
+        **{f: programmes[fastest] / cycle_us[f]["median"] for f in ("exact", "velocity")},
+    }
+
+
+def nodelet(seconds: float) -> dict[str, float] | None:
+    """Compute time of whole cycles of the controller node, from a demonstration in free-run."""
+    with tempfile.TemporaryDirectory() as folder, Progress("controller in free-run"):
+        out = Path(folder) / "run"
+        argv = [str(paths.ROOT / "surg"), "demo", "--free-run", "--no-video"]
+        done = subprocess.run(
+            [*argv, "--duration", str(seconds), "--out", str(out)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        summary = out / "summary.json"
+        if not summary.exists():
+            warn(f"bench: {' '.join(argv)} failed; its figures are left out:\n{done.stderr[-500:]}")
+            return None
+        compute = json.loads(summary.read_text("utf-8"))["controller"]["compute_us"]
+    return {"p50": float(compute["p50"]), "p99": float(compute["p99"])}
+
+
+def processor() -> str:
+    """Name of the processor."""
+    lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
+    named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else "unknown"
+
+
+def measure(options: argparse.Namespace) -> dict[str, Any]:
+    """Everything, in the order of the JSON."""
+    found = libraries.installed() if options.offline else libraries.install()
+    if found.python is None:
+        say("without the libraries of others: their columns are left out")
+    build(found)
+    load = os.getloadavg()
+    compiler = subprocess.run(["c++", "--version"], capture_output=True, text=True, check=False)
+    result: dict[str, Any] = {
+        "format": "surg_bench_control/1",
+        "machine": {
+            "processor": processor(),
+            "cores": os.cpu_count(),
+            "load_before": [round(x, 2) for x in load],
+            "date": datetime.date.today().isoformat(),
+            "compiler": compiler.stdout.splitlines()[0] if compiler.stdout else "unknown",
+            "seconds": options.seconds,
+        },
+    }
+    per_robot: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as scratch:
+        for robot in ROBOTS:
+            folder = Path(scratch) / robot
+            arm = scene.load_arm(paths.CELLS / f"sim_{robot}")
+            scene.write(arm, options.seconds, folder)
+            told = call("laws", str(folder / "arm.txt"), str(folder / "tip.path"), title=robot)
+            laws = told["laws"]
+            laws.update(python_laws(found, folder, min(options.python_cycles, told["cycles"])))
+            per_robot[robot] = regroup(laws)
+            result["machine"]["cycles"] = told["cycles"]
+        result.update(per_robot["ur5e"])
+        result["panda"] = per_robot["panda"]
+        result["ratio"] = {robot: ratios(per_robot[robot]["cycle_us"]) for robot in ROBOTS}
+        result["stream"] = {}
+        truth = streams.read_motion(options.motion)
+        for rate in streams.RATES:
+            folder = Path(scratch) / f"{rate}hz"
+            streams.write(truth, rate, folder)
+            told = call(
+                "streams",
+                str(folder / "samples"),
+                str(folder / "truth"),
+                *map(str, streams.LIMITS),
+                str(folder),
+                title=f"stream at {rate} Hz",
+            )
+            for name, law in told["laws"].items():
+                figures = streams.judge(truth, folder / f"{name}.path")
+                result["stream"][f"{name}_{rate}hz"] = {**figures, **law}
+        result["machine"]["motion"] = options.motion.name
+        result["profile"] = call("profiles", title="profiles")["planners"]
+    if not options.no_demo:
+        compute = nodelet(10.0)
+        if compute is not None:
+            result["nodelet_us"] = compute
+    result["machine"]["load_after"] = [round(x, 2) for x in os.getloadavg()]
+    return result
+
+
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(
+        prog="./surg bench control",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures")
+    parser.add_argument("--seconds", type=float, default=300.0, help="length of the path [s]")
+    parser.add_argument("--python-cycles", type=int, default=5000, help="cycles of the Python laws")
+    parser.add_argument(
+        "--motion",
+        type=Path,
+        default=paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv",
+        help="recorded motion for the streams (default: the bundled one)",
+    )
+    parser.add_argument("--no-demo", action="store_true", help="leave the controller node out")
+    parser.add_argument(
+        "--offline", action="store_true", help="fetch nothing; use the libraries that are there"
+    )
+    parser.add_argument(
+        "--page", action="store_true", help="rewrite docs/benchmark_control.md and its picture"
+    )
+    options = parser.parse_args()
+    try:
+        if not 1.0 <= options.seconds <= 3600.0:
+            raise Problem(f"--seconds is 1 to 3600, not {options.seconds:g}", 2)
+        if not options.motion.is_file():
+            raise Problem(f"--motion: no file {options.motion}", 2)
+        result = measure(options)
+    except Problem as problem:
+        warn(f"bench: {problem}")
+        sys.exit(problem.code)
+    for heading, rows in page.tables(result):
+        say(f"\n{heading}\n{table(rows)}")
+    if options.json:
+        options.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        say(f"\nwritten: {options.json}")
+    if options.page:
+        page.write(result)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+// What only broken copies of the core showed to be untested (tests/mutants).
+#include "bench.hpp"
+#include "support.hpp"
+#include "surg_core/rcm.hpp"
+
+namespace surg {
+namespace {
+
+using test::Bench;
+using test::Random;
+
+TEST(Noticed, ThePapersSphericalLawIsTheOneThatIsPrinted) {
+  // Equations (8) and (9), written out by components.
+  Random random(31);
+  const int n = test::family(2000, 200000);
+  for (int i = 0; i < n; ++i) {
+    const Vector3 p_ee(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+    const Vector3 p_rcm(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+    const double pitch = random.uniform(-1, 1), yaw = random.uniform(-1, 1);
+    const double roll = random.uniform(-1, 1), trans = random.uniform(-0.1, 0.1);
+    double r[3], u[3], w[3];
+    double length = 0;
+    for (int k = 0; k < 3; ++k) {
+      r[k] = p_rcm[k] - p_ee[k];
+      length += r[k] * r[k];
+    }
+    length = std::sqrt(length);
+    for (int k = 0; k < 3; ++k) u[k] = r[k] / length;
+    w[0] = pitch + roll * u[0];
+    w[1] = yaw + roll * u[1];
+    w[2] = roll * u[2];
+    const Vector6 twist = paper_spherical_twist(p_ee, p_rcm, pitch, yaw, roll, trans);
+    for (int k = 0; k < 3; ++k) {
+      const int a = (k + 1) % 3, b = (k + 2) % 3;
+      ASSERT_NEAR(twist[k], trans * u[k] - (w[a] * r[b] - w[b] * r[a]), 1e-12);
+      ASSERT_NEAR(twist[3 + k], w[k], 1e-12);
+    }
+  }
+  test::report("twists of equations (8) and (9)", n);
+}
+
+TEST(Noticed, F24LateralMotionFadesTowardsTheTrocar) {
+  constexpr double kAside = 0.02;  // [m/s]
+  for (const double depth : {0.0212, 0.0225, 0.024, 0.026, 0.028, 0.04}) {
+    Bench bench;
+    const Limits& limits = bench.robot().limits;
+    MotionCommand command;
+    command.source = test::kMe;
+    command.motion = Motion::kMoveCp;
+    command.p = Vector3(0, 0, depth);
+    bench.send(command);
+    for (int i = 0; i < 2000; ++i) bench.tick();
+    ASSERT_NEAR(bench.out().depth, depth, 1e-4);
+    command.motion = Motion::kServoCv;
+    command.p = Vector3(kAside, 0, 0);
+    double fastest = 0;
+    for (int i = 0; i < 60; ++i) {
+      bench.send(command);
+      const Outputs& out = bench.tick();
+      const Vector3 v = bench.controller().X_BR().linear().transpose() * out.v_BTip;
+      const double fade = std::clamp(
+          (out.depth - limits.depth_min) / (limits.depth_slow - limits.depth_min), 0., 1.);
+      // The feedback fades as well, whatever the set-point is ahead.
+      const double wish = kAside + bench.robot().tuning.tip_gain * (out.p_set - out.p_BTip).norm();
+      ASSERT_LE(v.head<2>().norm(), (fade + 0.03) * wish) << "at " << out.depth << " m";
+      fastest = std::max(fastest, v.x());
+    }
+    ASSERT_EQ(bench.out().state, State::kEnabled);
+    EXPECT_TRUE(depth < limits.depth_slow || fastest > 0.9 * kAside) << fastest;
+  }
+}
+
+TEST(Noticed, AStreamMayNotJumpInRoll) {
+  Bench bench;
+  const Vector3 p(0, 0, 0.12);
+  bench.servo_cp(p, 0.2);
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kStreamStartTooFar);
+  for (int i = 0; i < 10; ++i) {
+    bench.servo_cp(p, 0.0);
+    EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+  }
+  bench.servo_cp(p, 0.2);
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kStepTooLarge);
+  bench.servo_cp(p, 0.03);
+  EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+}
+
+TEST(Noticed, TooFastAWishKeepsItsDirection) {
+  Bench bench;
+  MotionCommand command;
+  command.source = test::kMe;
+  command.motion = Motion::kServoCv;
+  command.p = Vector3(1.0, 0, 0.5);
+  for (int i = 0; i < 120; ++i) {
+    bench.send(command);
+    bench.tick();
+  }
+  const Vector3 v = bench.controller().X_BR().linear().transpose() * bench.out().v_set;
+  EXPECT_GT(v.x(), 0.05);
+  EXPECT_NEAR(v.z(), 0.5 * v.x(), 0.05 * v.x());
+}
+
+TEST(Noticed, TheFirstCauseOfAFaultStays) {
+  Bench bench;
+  bench.controller().fault(Reason::kOverrun);
+  bench.controller().fault(Reason::kMasterLost);
+  EXPECT_EQ(bench.tick().reason, Reason::kOverrun);
+}
+
+TEST(Noticed, F26TheArmIsNotFreeWhileItMoves) {
+  Bench bench;
+  MotionCommand mine, other;
+  mine.motion = other.motion = Motion::kMoveCp;
+  mine.source = test::kMe;
+  other.source = test::kOther;
+  mine.p = other.p = Vector3(0.09, 0, 0.13);
+  bench.send(mine);
+  bench.tick();
+  int refused = 0;
+  // Over half a second, and no command of mine.
+  for (; (bench.out().p_set - bench.out().p_goal).norm() > 1e-3; ++refused) {
+    bench.send(other);
+    ASSERT_EQ(bench.tick().verdicts[0].reason, Reason::kNoAuthority);
+    ASSERT_EQ(bench.out().source, test::kMe);
+  }
+  EXPECT_GT(refused, 260);
+}
+
+}  // namespace
+}  // namespace surg
