@@ -108,7 +108,7 @@ def test_f02_a_measurement_that_is_not_finite_halts(
         assert (out.state, out.reason) == (State.FAULT, expected)
         assert quantity == "track" or is_still(bench)
         seen.append(0)
-        assert bench.controller.request(StateCommand.ENABLE) == out.reason or quantity == "track"
+        assert bench.controller.request(StateCommand.ENABLE) == expected, "while the cause lasts"
         bench.rest()
         assert bench.controller.request(StateCommand.ENABLE) == Reason.NONE
     what = "FAULT, stop" if quantity == "track" else "FAULT, zero commanded"
@@ -147,6 +147,10 @@ def test_f03_a_stream_that_ends_stops_the_arm_in_cycle_51(
             p = bench.setpoint() + 0.0025 * bench.direction()
             verdict = bench.step(command("servo_cp", p=p, rotation=[0, 0, 0, 1])).verdicts[0]
             assert verdict.reason == Reason.STREAM_START_TOO_FAR
+            near = command("servo_cp", p=bench.setpoint(), rotation=[0, 0, 0, 1])
+            assert bench.step(near).verdicts[0].reason == Reason.HELD, "it must end first"
+            for _ in range(60):
+                bench.step()
             p = bench.setpoint() + 0.0015 * bench.direction()
             verdict = bench.step(command("servo_cp", p=p, rotation=[0, 0, 0, 1])).verdicts[0]
             assert verdict.reason == Reason.NONE
@@ -226,7 +230,7 @@ def test_f11_lost_doubled_and_swapped_states_do_not_disturb(
             assert bench.jerked <= ROUNDING
             lost += channel.lost + channel.swapped + channel.doubled
         off.append(1e6 * max(abs(a - b) for a, b in zip(*tips, strict=True)))
-    assert lost > 3 * runs
+    assert lost > runs
     reactions.add(
         "F11", f"robot/measured_js, {what}", "change of the pivot's deviation", off, 100, "µm"
     )
@@ -430,9 +434,8 @@ def test_f24_near_the_trocar_only_the_way_along_the_shaft(
         bench = Bench(seed).start()
         limits = bench.limits
         u = bench.direction(lateral=True)
-        up = float(bench.rng.uniform(0.02, 0.25))
+        up = float(bench.rng.uniform(0.06, 0.25))
         aside = float(bench.rng.uniform(0.0, 0.1))
-        bench.rng.uniform()
         previous = bench.setpoint()
         for k in range(1200):
             s = previous / np.linalg.norm(previous)
@@ -446,7 +449,7 @@ def test_f24_near_the_trocar_only_the_way_along_the_shaft(
             fade = (depth - limits.depth_min) / (limits.depth_slow - limits.depth_min)
             allowed = limits.tip_velocity * math.sqrt(3) * min(max(fade, 0.0), 1.0)
             sideways.append(1e3 * (float(lateral) - allowed))
-            flange.append(float(np.linalg.norm(out.twist_command[:3])))
+            flange.append(bench.flange_speed())
             previous = p
         shallow.append(1e3 * (limits.depth_min - out.depth))
         assert out.depth < limits.depth_min + 0.003, "it never came near the trocar"
@@ -460,7 +463,7 @@ def test_f24_near_the_trocar_only_the_way_along_the_shaft(
         assert bench.step(command("withdraw")).verdicts[0].reason == Reason.NONE
         for _ in range(4000):
             out = bench.step()
-            flange.append(float(np.linalg.norm(out.twist_command[:3])))
+            flange.append(bench.flange_speed())
             assert bench.deviation() < 1e-4
             if not out.busy:
                 break
@@ -575,22 +578,17 @@ def test_f26_a_second_sender_changes_nothing_bit_for_bit(runs: int, reactions: R
         else:
             request = getattr(StateCommand, word.upper())
             assert bench.controller.request(request) == Reason.NONE
-        for k in range(STILL):
-            bench.step(stream())
-        assert float(np.linalg.norm(bench.out.v_BTip)) < 1e-4
-        stops.append(k + 1)
+        cycles = 0
+        while float(np.linalg.norm(bench.step(stream()).v_BTip)) > 1e-4:
+            cycles += 1
+        stops.append(cycles)
     reactions.add("F26", "a second sender", "cycles that differ from those without it", obeyed, 0)
     reactions.add("F26", "hold, pause, disable by it", "standstill", stops, STILL)
 
 
-def stop_by(bench: Bench, how: str, stream: Any) -> None:
+def stop_by(bench: Bench, how: str) -> None:
     """One of the ways in which an arm is stopped."""
-    if how == "silence":
-        for _ in range(60):
-            bench.step()
-    elif how == "hold":
-        bench.step(command("hold", STRANGER))
-    elif how in ("pause", "disable"):
+    if how in ("pause", "disable"):
         assert bench.controller.request(getattr(StateCommand, how.upper())) == Reason.NONE
     elif how == "not finite":
         bench.step(command("servo_cv", p=[math.nan, 0, 0]))
@@ -610,9 +608,7 @@ def stop_by(bench: Bench, how: str, stream: Any) -> None:
         bench.controller.pause(Reason.OVERRUN)
 
 
-STOPS = (
-    *("pause", "disable", "not finite", "state", "link", "force", "pivot", "tool", "overrun"),
-)  # fmt: skip
+STOPS = ("pause", "disable", "not finite", "state", "link", "force", "pivot", "tool", "overrun")
 
 
 @pytest.mark.parametrize("how", STOPS)
@@ -628,7 +624,7 @@ def test_f31_no_stop_moves_the_jaw(full: bool, reactions: Reactions, how: str) -
             bench.step(stream())
         before = bench.out.jaw_set
         assert before not in (0.4, goal)
-        stop_by(bench, how, stream)
+        stop_by(bench, how)
         begin = bench.out.jaw_set
         assert abs(begin - before) <= bench.arm.instrument.jaw_velocity * TICK * ROUNDING
         told = {"readings": surg_core.Readings(jaw_age=0.3)} if how == "tool" else {}

@@ -185,6 +185,11 @@ class Bench:
                 return n
         raise AssertionError(f"still moving after {most} cycles: {self.out.qd_command}")
 
+    def flange_speed(self) -> float:
+        """Of the arm in the last cycle [m/s]."""
+        now, before = self.arm.chain.forward(self.q), self.arm.chain.forward(self._before)
+        return float(np.linalg.norm(now[:3, 3] - before[:3, 3])) / TICK
+
     def deviation(self) -> float:
         """Distance of the true shaft from the trocar [m]."""
         X_BF = self.arm.chain.forward(self.q)
