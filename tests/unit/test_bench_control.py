@@ -17,15 +17,16 @@ sys.path.insert(0, str(ROOT / "benchmarks" / "control"))
 import scene  # noqa: E402
 import streams  # noqa: E402
 
-CORE = ROOT / "src" / "surg_core"
 OWN = {"exact", "velocity", "paper", "limited", "limited_preview"}
 
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     build = tmp_path_factory.mktemp("bench_control")
+    built = ROOT / "devel" / "lib" / "libsurg_core.so"
+    core = [f"-DBENCH_CORE={built}"] if built.exists() else []
     for argv in (
-        ["cmake", "-S", str(ROOT / "benchmarks" / "control"), "-B", str(build)],
+        ["cmake", "-S", str(ROOT / "benchmarks" / "control"), "-B", str(build), *core],
         ["cmake", "--build", str(build), "--parallel", "2"],
     ):
         done = subprocess.run(argv, capture_output=True, text=True, check=False)

@@ -51,8 +51,8 @@ def test_a_fast_path_is_slowed_on_the_pivot_and_retraced() -> None:
 
     for _ in range(800):
 
-        def path(t: float) -> tuple[np.ndarray, np.ndarray, float, float]:
-            at = min(clock + t, 1.0)
+        def path(t: float, now: float = clock) -> tuple[np.ndarray, np.ndarray, float, float]:
+            at = min(now + t, 1.0)
             angle = 1.0 * (10 * at**3 - 15 * at**4 + 6 * at**5)
             s = np.cos(angle) * s_home + np.sin(angle) * side
             return p_BRcm, s, 0.08 + 0.02 * angle, 0.0

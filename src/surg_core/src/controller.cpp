@@ -19,15 +19,17 @@
 namespace surg {
 namespace {
 
-constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more means a stuck arm
-constexpr double kStandstill = 0.05;      // alpha below it: the limit has stopped the arm
-constexpr double kOutside = 0.15;         // [m] a tip may be above its trocar before 'insert'
-constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
-constexpr double kFlangeReserve = 0.97;   // of its speed: it is looked at to first order, not ahead
+constexpr double kFollowDistance = 0.01;   // [m] set-point to measured tip: more means a stuck arm
+constexpr double kStandstill = 0.05;       // alpha below it: the limit has stopped the arm
+constexpr double kOutside = 0.15;          // [m] a tip may be above its trocar before 'insert'
+constexpr double kToolTimeout = 0.2;       // [s] without a jaw state (F31)
+constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint swings past its command
+constexpr double kFlangeReserve = 0.97;  // of its speed: it is looked at to first order, not ahead
 constexpr double kOntoPivot = 8;       // [1/s] pole with which a start off the pivot comes onto it
 constexpr double kHorizon = 0.45;      // [s] of the set-point's clock that is looked ahead
 constexpr double kRetraceRate = 0.15;  // [rad/s] of the fastest joint
 constexpr double kStill = 1e-3;        // [rad, rad/s] nothing that anybody would see
+constexpr double kCreep = 5e-3;        // [rad/s] may be dropped in one cycle
 constexpr double kSame = 0.02;         // [rad] an arm at rest is still where it was
 constexpr double kHuge = 1e6;          // [m, rad] no command or trocar is ever so large
 constexpr int kHomeBusyCycles = 5;     // is_busy needs an edge that a client can see
@@ -57,6 +59,8 @@ JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law)
     out.acceleration *= ExactFollower::kReferenceAcceleration;
   }
   out.flange_velocity *= kFlangeReserve;
+  out.position_min.array() += kPositionReserve;
+  out.position_max.array() -= kPositionReserve;
   return out;
 }
 
@@ -178,6 +182,9 @@ struct Controller::Impl {
     // Clients home as a habit: on a homed arm that may be moving it changes nothing.
     const bool keep_home =
         command == StateCommand::kHome && operating.homed() && before == State::kEnabled;
+    // A ramp that is under way goes on: dropped, its velocity would be gone in one cycle.
+    const bool moving = ramping();
+    if (command == StateCommand::kHome && !keep_home && moving) return Reason::kNotAtRest;
     const Reason reason = operating.request(command, conditions());
     if (reason != Reason::kNone) return reason;
     if (command == StateCommand::kHome) {
@@ -185,8 +192,27 @@ struct Controller::Impl {
       if (!keep_home) take_home();
     }
     if (before == State::kEnabled && !enabled()) leave_enabled();
-    if (before != State::kEnabled && enabled()) start_here();
+    if (before != State::kEnabled && enabled()) {
+      if (moving) {
+        pilot.stop();
+        force.restart();
+      } else {
+        start_here();
+      }
+    }
     return Reason::kNone;
+  }
+
+  /// The arm moves, and its controller knows how.
+  bool ramping() const {
+    const bool known = sensed && !halted && operating.homed();
+    return known && (pilot.setpoint().mode() != Setpoint::Mode::kRest || !commands_rest());
+  }
+
+  /// The command is at rest but for what holds the arm in place.
+  bool commands_rest() const {
+    const JointVector& qd = law == Law::kExact ? follower.velocity() : qd_last;
+    return qd.cwiseAbs().maxCoeff() < kCreep;
   }
 
   void take_home() {
@@ -415,7 +441,7 @@ struct Controller::Impl {
     return step;
   }
 
-  /// A stop goes on from where the tip will be: of the reference, or of the arm.
+  /// The set-point goes on from where the tip will be: of the reference, or of the arm.
   void slip(const JointVector& qd) {
     Pose X_BF;
     Jacobian J;
@@ -474,7 +500,7 @@ struct Controller::Impl {
     if (!sensed || !trocar.taught() || !operating.homed()) {
       // Geometry unknown: a ramp through the law would be blind (F02, F10).
       if (setpoint.mode() != Setpoint::Mode::kRest) freeze();
-    } else if (!halted && (enabled() || setpoint.mode() != Setpoint::Mode::kRest)) {
+    } else if (!halted && (enabled() || ramping())) {
       setpoint.yield_to(X_BR.linear().transpose() * force.push());
       Setpoint next = setpoint;
       next.advance(T);
@@ -488,7 +514,8 @@ struct Controller::Impl {
       const Vector3 p_before = setpoint.p_RTip();
       if (pilot.retracing()) {
         // The set-point has gone along.
-      } else if (step.tier > 0 && setpoint.mode() == Setpoint::Mode::kStopping) {
+      } else if ((step.tier > 0 && setpoint.has_no_path()) ||
+                 (step.alpha < 1 && setpoint.mode() == Setpoint::Mode::kStopping)) {
         setpoint = next;
         slip(step.qd);
       } else if (step.alpha < kStandstill) {

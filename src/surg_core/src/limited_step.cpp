@@ -18,6 +18,8 @@ constexpr double kPivotTurns = 0.005;     // [m] deeper than that, a moving troc
 constexpr double kStill = 1e-4;  // share of a joint's velocity limit that counts as no motion
 constexpr double kHeld = 0.02;   // alpha below which a still arm counts as held
 
+constexpr double kSagitta = 0.42e-6;  // [m] off the pivot between two samples
+
 // How a displaced tip returns to its path.
 constexpr double kReturnGain = 15;           // [1/s]
 constexpr double kReturnAcceleration = 0.3;  // [m/s^2]
@@ -287,6 +289,7 @@ struct LimitedStep::Affine {
 struct LimitedStep::Node {
   JointVector q, direction;  ///< direction: d q / d clock
   SingularityMeasures measures;
+  double flange = 0;  ///< [m/s] speed of its origin at full clock
 };
 
 struct LimitedStep::Preview {
@@ -404,6 +407,7 @@ class LimitedStep::ExactLaw {
   }
 
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
+  Vector3 p_BRcm() const { return wish_.path(0).p_BRcm; }
   bool node(double t, const JointVector& guess, double arc, Node& node) const {
     return self_.pose_node(guess, pose(t, 1.0), pose(t + kTwistSpacing, 1.0), arc, node);
   }
@@ -481,6 +485,7 @@ class LimitedStep::VelocityLaw {
     return rows;
   }
 
+  Vector3 p_BRcm() const { return here_.shaft.p_BNear + here_.shaft.e; }
   double horizon() const { return wish_.path ? wish_.horizon : 0.0; }
   bool node(double t, const JointVector& guess, double arc, Node& node) const {
     if (!wish_.path) return false;
@@ -517,6 +522,7 @@ class LimitedStep::RetraceLaw {
   }
 
   double horizon() const { return kRetraceHorizon; }
+  Vector3 p_BRcm() const { return p_BRcm_; }
 
   Affine affine() const {
     const double T = self_.T_;
@@ -644,6 +650,7 @@ bool LimitedStep::pose_node(const JointVector& guess, const Pose& pose, const Po
   node.q = guess + rest;
   node.direction = (inverse(displacement(X, later), still) - rest) / kTwistSpacing;
   node.measures = barrier_.measures(X, J);
+  node.flange = (later.translation() - pose.translation()).norm() / kTwistSpacing;
   return true;
 }
 
@@ -657,7 +664,9 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   const double horizon = law.horizon();
   Preview preview;
   std::array<JointVector, kNodes + 1> direction;  // d q / d clock
+  std::array<double, kNodes + 1> flange{};
   direction[0] = affine.tangent;
+  flange[0] = (here.J * affine.tangent).head<3>().norm();
   preview.t[0] = 0;
   SingularityMeasures last;
   if (Law::kBarrier) last = barrier_.measures(here.X_BF, here.J);
@@ -687,6 +696,7 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
       ++k;
       preview.t[k] = t;
       direction[k] = node.direction;
+      flange[k] = node.flange;
       q = node.q;
       last = node.measures;
       spacing = std::min(spacing, 2 * dt) * kSpacingGrowth;
@@ -704,7 +714,8 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   preview.square[k] = 0;
   for (int i = k - 1; i >= 0; --i) {
     const double dt = preview.t[i + 1] - preview.t[i];
-    double most = 1;
+    const double top = kPlanVelocity * limits_.flange_velocity / std::max(flange[i], 1e-9);
+    double most = std::min(1.0, top * top);
     for (Eigen::Index j = 0; j < n; ++j) {
       const double v =
           kPlanVelocity * limits_.velocity[j] / std::max(std::abs(direction[i][j]), 1e-9);
@@ -742,6 +753,19 @@ double LimitedStep::caps(const Law& law, const Here& here, const Affine& affine,
   const Vector6 forward = here.J * affine.qd1;
   const double flange = forward.head<3>().norm();
   if (flange > limits_.flange_velocity) limit(limits_.flange_velocity / flange, "flange_velocity");
+  // Joints go straight between samples, the pivot's curve does not: its sagitta grows with the
+  // square of the speed.
+  {
+    const double speed = affine.expected(here.qd_last, T_);
+    const JointVector half = 0.5 * T_ * speed * affine.qd1;
+    const Vector3 p_BRcm = law.p_BRcm();
+    const auto off = [&](const JointVector& q) {
+      return shaft_state(chain_.forward(q), tool_, p_BRcm).e;
+    };
+    const Vector3 here_off = shaft_state(here.X_BF, tool_, p_BRcm).e;
+    const double sagitta = (off(here.q + half) - 0.5 * (off(here.q + 2 * half) + here_off)).norm();
+    if (sagitta > kSagitta) limit(speed * std::sqrt(kSagitta / sagitta), "pivot_between_samples");
+  }
   // Singularity barrier: rate of each measure along the path, from a small step of it.
   SingularityMeasures now;
   if (Law::kBarrier) now = barrier_.measures(here.X_BF, here.J);
@@ -858,8 +882,10 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
       const Interval interval = box.interval(qd0, affine.qd1);
       const bool bent = interval.empty();  // the linear picture is worthless: go back by halves
       if (bent && (pass == 0 || found)) break;
-      const double next = bent ? (pass + 1 < kPasses ? 0.3 * alpha : 0.0)
-                               : std::clamp(cap, interval.low, interval.high);
+      double next = bent ? (pass + 1 < kPasses ? 0.3 * alpha : 0.0)
+                         : std::clamp(cap, interval.low, interval.high);
+      // A little inside the edge, or rounding would throw the harder braking away.
+      if (found) next += 0.1 * std::max(alpha - next, 0.0);
       if (found && !(next < alpha)) break;
       alpha = next;
       const JointVector linear = qd0 + alpha * affine.qd1;

@@ -95,6 +95,8 @@ Text text(Reason reason) {
     case Reason::kFrameWhileEnabled:
       return {"frame_while_enabled",
               "the base frame may not change while ENABLED: send 'disable' first"};
+    case Reason::kNotAtRest:
+      return {"not_at_rest", "the arm is still coming to rest: send it again in a moment"};
     case Reason::kForce:
       return {
           "force",

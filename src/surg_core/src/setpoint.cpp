@@ -200,8 +200,14 @@ void Setpoint::stand() {
 }
 
 void Setpoint::slip(const Vector3& p_RTip, const Vector3& v_RTip) {
-  if (mode_ != Mode::kStopping || axial_) return;
-  for (int i = 0; i < 3; ++i) dofs_[i] = {p_RTip[i], v_RTip[i], 0};
+  if (!has_no_path() || axial_) return;
+  Dofs there = space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_);
+  for (int i = 0; i < 3; ++i) there[i] = {p_RTip[i], v_RTip[i], 0};
+  if (space_ == Space::kSpherical) there = to_spherical(there);
+  for (int i = 0; i < 3; ++i) {
+    dofs_[i] = there[i];
+    filters_[i].reset(dofs_[i]);
+  }
 }
 
 void Setpoint::come_to_rest() {

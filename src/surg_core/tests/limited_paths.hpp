@@ -237,7 +237,9 @@ inline Reach reach_of(const Scene& scene, const JointLimits& limits) {
   };
   double clock = 0;
   while (clock < scene.duration) {
-    const double coarse = std::min(0.002, scene.duration - clock);
+    // Fine next to a singularity, where the measure has its dips.
+    const double spacing = ur.measures(q).closest() < 0.05 ? 5e-5 : 0.002;
+    const double coarse = std::min(spacing, scene.duration - clock);
     // Joints that turn fast are followed in finer steps, so that no turn is lost.
     double dt = coarse;
     JointVector next = q;
@@ -313,7 +315,7 @@ inline void look(const Scene& scene, const JointLimits& limits, const Step& step
 /// Drives a virtual arm with the exact form along the scene's path. Everything that the limited
 /// step promises is measured here, on the joint velocities that it returned.
 inline Course drive(const Scene& scene, const JointLimits& limits, const JointVector& qd_begin,
-               const DriveOptions& options = {}) {
+                    const DriveOptions& options = {}) {
   const LimitedStep limited(scene.chain, scene.tool, limits, kT);
   Course r;
   r.q = scene.q;
@@ -326,6 +328,7 @@ inline Course drive(const Scene& scene, const JointLimits& limits, const JointVe
     Wish wish;
     wish.path = PathView(path);
     wish.horizon = options.horizon;
+    if (r.q.size() > 6) wish.posture = scene.q - r.q;  // 1 /s
     const Step step = limited.exact(r.q, r.qd, scene.home, wish);
     look(scene, limits, step, r);
     const ShaftState shaft = shaft_state(scene.chain.forward(r.q), scene.tool, scene.p_BRcm);

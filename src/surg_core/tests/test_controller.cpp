@@ -352,6 +352,7 @@ TEST(Controller, RefusesWithAReasonAndDoesNotMove) {
     command.p = p;
     EXPECT_EQ(refused(command), Reason::kOutsideWorkspace) << p.transpose();
   }
+  for (int i = 0; i < 60; ++i) bench.tick();  // a refused stream must end before the next begins
   command.motion = Motion::kServoJp;
   command.joints = Vector4(M_PI, 0, -0.12, 0);  // the same point by folded angles
   EXPECT_EQ(refused(command), Reason::kOutsideWorkspace);

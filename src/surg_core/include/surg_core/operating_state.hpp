@@ -40,6 +40,7 @@ enum class Reason : std::uint8_t {
   kFrameWhileEnabled,  // set_base_frame while ENABLED
   kForce,              // F25 too much force at the tip or on the trocar
   kMasterLost,         // F07 enable and resume without a ROS master
+  kNotAtRest,          // home while the arm is still coming to rest
 };
 
 /// One sentence for people: what was wrong and what to do.

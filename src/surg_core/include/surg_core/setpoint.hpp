@@ -52,8 +52,10 @@ class Setpoint {
   /// a velocity kept from before would hold it there for ever. The target stays.
   void stand();
 
-  /// While it stops: goes on from where and how the tip really is. A stop has no path to keep; one
-  /// that is harder than the joints can follow would leave the tip behind.
+  /// A stop and a velocity have no path to keep.
+  bool has_no_path() const { return mode_ == Mode::kStopping || mode_ == Mode::kVelocity; }
+  /// Then it goes on from where and how the tip really is: a change that is harder than the joints
+  /// can follow would leave the tip behind.
   void slip(const Vector3& p_RTip, const Vector3& v_RTip);
 
   /// Unit direction of a push on the tip, zero for none: streams and velocities no longer move

@@ -47,7 +47,8 @@ void bind_state(py::module_& m) {
       .value("NO_TRACE", Reason::kNoTrace)
       .value("FRAME_WHILE_ENABLED", Reason::kFrameWhileEnabled)
       .value("FORCE", Reason::kForce)
-      .value("MASTER_LOST", Reason::kMasterLost);
+      .value("MASTER_LOST", Reason::kMasterLost)
+      .value("NOT_AT_REST", Reason::kNotAtRest);
   py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
       .value("ENABLE", StateCommand::kEnable)
       .value("DISABLE", StateCommand::kDisable)

@@ -67,6 +67,7 @@ class Reason(enum.Enum):
     FRAME_WHILE_ENABLED = 28
     FORCE = 29
     MASTER_LOST = 30
+    NOT_AT_REST = 31
     def __int__(self) -> int: ...
 
 class StateCommand(enum.Enum):
