@@ -107,8 +107,11 @@ struct Controller::Impl {
   JointTrace trace;  // the way back
 
   Pose X_BR = Pose::Identity();
-  bool sensed = false;    // a finite, fresh joint state has been seen in the last step
-  bool inserted = false;  // the trocar point lies on the shaft, and must go on doing so
+  bool sensed = false;                // a finite, fresh joint state has been seen in the last step
+  Reason unseen = Reason::kLinkLost;  // why not
+  Reason untracked = Reason::kNone;   // why the trocar's last sample was not taken
+  Trocar steady;                      // the trocar before this cycle's sample
+  bool inserted = false;              // the trocar point lies on the shaft, and must go on doing so
   bool tool_lost = false;
   bool halted = false;  // zero at once and until the arm starts anew
   int home_busy = 0;
@@ -144,9 +147,23 @@ struct Controller::Impl {
   bool enabled() const { return operating.state() == State::kEnabled; }
   const ShaftState& shaft() const { return arm.now().shaft; }
 
+  /// A cause that lasts refuses 'enable' and 'resume' by its own name.
   Conditions conditions() const {
-    return {sensed, trocar.taught(), trocar.taught() && on_line() && shaft().depth > -kOutside,
-            force.acceptable()};
+    Conditions now;
+    now.state = sensed ? Reason::kNone : unseen;
+    if (trocar.taught()) now.rcm = untracked;
+    if (now.rcm == Reason::kNone && (torn() || !on_line() || shaft().depth <= -kOutside)) {
+      now.rcm = Reason::kRcmError;
+    }
+    now.force_ok = force.acceptable();
+    return now;
+  }
+
+  /// On the way to rest after the trocar has left the shaft: the stop keeps to the pivot that it
+  /// began on, and does not run after wherever the point is now.
+  bool torn() const {
+    return operating.state() == State::kFault && operating.reason() == Reason::kRcmError &&
+           pilot.setpoint().mode() != Setpoint::Mode::kRest;
   }
 
   /// The shaft's line passes through the trocar, in front of the flange.
@@ -238,6 +255,7 @@ struct Controller::Impl {
 
   void sense(const Inputs& in) {
     sensed = false;
+    unseen = Reason::kLinkLost;
     jaw.sense(in.jaw);
     const int n = arm.chain().dof();
     if (!in.state_valid) {
@@ -246,6 +264,7 @@ struct Controller::Impl {
     }
     const bool sized = in.q.size() == n && in.qd.size() == n;
     if (!sized || !in.q.allFinite() || !in.qd.allFinite()) {
+      unseen = Reason::kStateNotFinite;
       if (operating.state() != State::kDisabled) fault(Reason::kStateNotFinite);
       return;
     }
@@ -254,7 +273,9 @@ struct Controller::Impl {
       return;
     }
     sensed = true;
-    follow_trocar(in);
+    unseen = Reason::kNone;
+    steady = trocar;
+    if (!torn()) follow_trocar(in);
     arm.sense(in.q, in.qd, trocar);
     watch_tool(in);
   }
@@ -262,6 +283,7 @@ struct Controller::Impl {
   void follow_trocar(const Inputs& in) {
     if (!track_rcm || !trocar.taught()) return;
     const Reason reason = trocar.track({in.track_valid, in.track_age, in.p_BTrack, in.v_BTrack}, T);
+    untracked = reason;
     if (reason == Reason::kTrackStale) {
       pause(reason);
     } else if (reason != Reason::kNone && enabled()) {
@@ -288,6 +310,7 @@ struct Controller::Impl {
       inserted = false;  // on the way in or out through the trocar
     if (!on_line() || (inserted && shaft().depth <= 0)) {
       fault(Reason::kRcmError);
+      trocar = steady;
       return;
     }
     // An arm that is stopped from elsewhere must not run after its set-point once it is released.
@@ -576,8 +599,8 @@ struct Controller::Impl {
     image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
     follower.remembered(image);
-    image(trace, back, pivot_offset, pivot_offset_rate, X_BR, sensed, inserted, tool_lost, halted,
-          home_busy, qd_last, out.accepted, out.refused);
+    image(trace, back, pivot_offset, pivot_offset_rate, X_BR, sensed, unseen, untracked, inserted,
+          tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
   }
 };
 

@@ -7,12 +7,14 @@
 namespace surg {
 namespace {
 
-constexpr int kPasses = 5;               // of interval, step and check
-constexpr int kRowPasses = 4;            // of the pivot's rows off the path
-constexpr double kPositionGuard = 1e-9;  // [rad] kept from position limits: rounding
-constexpr double kOnPivot = 1e-12;       // [m]
-constexpr double kRowsKept = 1e-9;       // [m] more than this off the pivot counts as leaving it
-constexpr double kPivotTurns = 0.005;    // [m] deeper than that, a moving trocar turns the shaft
+constexpr int kPasses = 5;                // of interval, step and check
+constexpr int kRowPasses = 4;             // of the pivot's rows off the path
+constexpr double kPositionGuard = 1e-9;   // [rad] kept from position limits: rounding
+constexpr double kApproachGain = 5.0;     // [1/s] speed over distance left, inside the margin
+constexpr double kApproachBraking = 0.8;  // of the acceleration, on the way into the margin
+constexpr double kOnPivot = 1e-12;        // [m]
+constexpr double kRowsKept = 1e-9;        // [m] more than this off the pivot counts as leaving it
+constexpr double kPivotTurns = 0.005;     // [m] deeper than that, a moving trocar turns the shaft
 constexpr double kStill = 1e-4;  // share of a joint's velocity limit that counts as no motion
 constexpr double kHeld = 0.02;   // alpha below which a still arm counts as held
 
@@ -136,6 +138,16 @@ double braking_speed(double distance, double a, double T) {
   return std::sqrt(aT * aT + 2 * a * distance) - aT;
 }
 
+/// Fastest speed towards a position limit. A joint that brakes as hard as it may right at its limit
+/// is overtaken by an arm that answers late; inside the margin it comes in gently.
+double approach_speed(double distance, double a, double margin, double T) {
+  const double hardest = braking_speed(distance, a, T);
+  if (!(margin > 0)) return hardest;
+  const double gentle = kApproachGain * std::clamp(distance, 0.0, margin);
+  const double before = braking_speed(distance - margin, kApproachBraking * a, T);
+  return std::min(hardest, std::hypot(gentle, before));
+}
+
 /// The interval of alpha that the joints leave, with the reason for its upper end.
 struct Interval {
   double low = 0, high = 1;
@@ -204,8 +216,8 @@ double largest_x(const std::array<Row, 2 * kMaxJoints + 4>& rows, int n, double 
 }  // namespace
 
 JointLimits joint_limits(const RobotConfig& robot, const Limits& limits) {
-  return {robot.position_min, robot.position_max, robot.velocity, robot.acceleration,
-          limits.flange_velocity};
+  return {robot.position_min, robot.position_max,     robot.velocity,
+          robot.acceleration, limits.flange_velocity, limits.joint_margin};
 }
 
 /// Where the arm is at the beginning of the cycle.
@@ -585,8 +597,11 @@ LimitedStep::Box LimitedStep::box(const JointVector& q, const JointVector& qd_la
   box.high.resize(n);
   for (Eigen::Index i = 0; i < n; ++i) {
     const double a = limits_.acceleration[i], v = limits_.velocity[i];
-    const double up = braking_speed(limits_.position_max[i] - q[i] - kPositionGuard, a, T_);
-    const double down = braking_speed(q[i] - limits_.position_min[i] - kPositionGuard, a, T_);
+    const double margin = limits_.position_margin;
+    const double up =
+        approach_speed(limits_.position_max[i] - q[i] - kPositionGuard, a, margin, T_);
+    const double down =
+        approach_speed(q[i] - limits_.position_min[i] - kPositionGuard, a, margin, T_);
     const double high = std::min(v, up), low = -std::min(v, down);
     // Shrunk by rounding, so that who divides the difference by T finds it inside.
     const double change = a * T_ * (1 - 1e-9);

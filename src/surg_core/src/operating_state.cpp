@@ -129,11 +129,10 @@ const char* name(State state) {
 }
 
 Reason OperatingState::request(StateCommand command, const Conditions& now) {
-  const Reason obstacle = !now.state_valid ? Reason::kLinkLost
-                          : !now.rcm_set   ? Reason::kRcmUnset
-                          : !now.rcm_near  ? Reason::kRcmError
-                          : !now.force_ok  ? Reason::kForce
-                                           : Reason::kNone;
+  const Reason obstacle = now.state != Reason::kNone ? now.state
+                          : now.rcm != Reason::kNone ? now.rcm
+                          : !now.force_ok            ? Reason::kForce
+                                                     : Reason::kNone;
   const bool may_enter = command == StateCommand::kEnable
                              ? state_ == State::kDisabled || state_ == State::kFault
                              : state_ == State::kPaused;

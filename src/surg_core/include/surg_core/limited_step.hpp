@@ -30,6 +30,8 @@ struct JointLimits {
   JointVector velocity;                    ///< [rad/s]
   JointVector acceleration;                ///< [rad/s^2]
   double flange_velocity = INFINITY;       ///< [m/s] speed of the flange origin
+  /// [rad] Nearer to a position limit, speed towards it <= 5 /s times the distance left (F20).
+  double position_margin = 0;
 };
 JointLimits joint_limits(const RobotConfig& robot, const Limits& limits);
 

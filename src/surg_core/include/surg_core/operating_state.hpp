@@ -53,10 +53,9 @@ enum class StateCommand : std::uint8_t { kEnable, kDisable, kPause, kResume, kHo
 
 /// Facts that a transition may depend on.
 struct Conditions {
-  bool state_valid = false;  ///< a fresh, finite joint state is there
-  bool rcm_set = false;      ///< a trocar point is known
-  bool rcm_near = false;     ///< the shaft passes within rcm_error_fault of it
-  bool force_ok = true;      ///< the measured forces are below their fault levels
+  Reason state = Reason::kLinkLost;  ///< kNone: a fresh, finite joint state is there
+  Reason rcm = Reason::kRcmUnset;    ///< kNone: the shaft passes through a known trocar point
+  bool force_ok = true;              ///< the measured forces are below their fault levels
 };
 
 /// CRTK state machine. Nothing resumes by itself.

@@ -41,17 +41,21 @@ int joints_of(const Array& array, const char* name) {
 void bind_parts(py::module_& m) {
   py::class_<JointLimits>(m, "JointLimits", "What the joints may do; never exceeded.")
       .def(py::init([](const Array& position_min, const Array& position_max, const Array& velocity,
-                       const Array& acceleration, double flange_velocity) {
+                       const Array& acceleration, double flange_velocity, double position_margin) {
              const int n = joints_of(velocity, "velocity");
              return JointLimits{to_joints(position_min, n, "position_min"),
                                 to_joints(position_max, n, "position_max"),
                                 to_joints(velocity, n, "velocity"),
-                                to_joints(acceleration, n, "acceleration"), flange_velocity};
+                                to_joints(acceleration, n, "acceleration"),
+                                flange_velocity,
+                                position_margin};
            }),
            py::arg("position_min"), py::arg("position_max"), py::arg("velocity"),
            py::arg("acceleration"), py::arg("flange_velocity") = INFINITY,
+           py::arg("position_margin") = 0.0,
            "Each (n,): positions [rad], velocity [rad/s], acceleration [rad/s^2]; flange_velocity "
-           "[m/s].")
+           "[m/s];\n"
+           "position_margin [rad]: nearer to a position limit a joint comes in gently.")
       .def_property_readonly(
           "position_min", [](const JointLimits& l) { return frozen(from_matrix(l.position_min)); })
       .def_property_readonly(
@@ -60,7 +64,8 @@ void bind_parts(py::module_& m) {
                              [](const JointLimits& l) { return frozen(from_matrix(l.velocity)); })
       .def_property_readonly(
           "acceleration", [](const JointLimits& l) { return frozen(from_matrix(l.acceleration)); })
-      .def_readonly("flange_velocity", &JointLimits::flange_velocity);
+      .def_readonly("flange_velocity", &JointLimits::flange_velocity)
+      .def_readonly("position_margin", &JointLimits::position_margin);
   m.def("joint_limits", &joint_limits, py::arg("robot"), py::arg("limits"),
         "The joint limits of a robot's configuration.");
 
