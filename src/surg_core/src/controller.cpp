@@ -209,10 +209,20 @@ struct Controller::Impl {
     return known && (pilot.setpoint().mode() != Setpoint::Mode::kRest || !commands_rest());
   }
 
-  /// The command is at rest but for what holds the arm in place.
+  /// What leads the arm is at rest; what is left only holds it in place.
   bool commands_rest() const {
     const JointVector& qd = law == Law::kExact ? follower.velocity() : qd_last;
     return qd.cwiseAbs().maxCoeff() < kCreep;
+  }
+
+  /// The last command on its way to zero. Nothing is followed any more: a joint that was held from
+  /// elsewhere must not run after its reference once it is released.
+  JointVector fading_command() const {
+    double most = 0;
+    for (Eigen::Index i = 0; i < qd_last.size(); ++i) {
+      most = std::max(most, std::abs(qd_last[i]) / (robot.acceleration[i] * T));
+    }
+    return most > 1 ? JointVector(qd_last * (1 - 1 / most)) : JointVector(0 * qd_last);
   }
 
   void take_home() {
@@ -498,8 +508,9 @@ struct Controller::Impl {
     out.v_set.setZero();
     setpoint.elapse(T);
     if (!sensed || !trocar.taught() || !operating.homed()) {
-      // Geometry unknown: a ramp through the law would be blind (F02, F10).
-      if (setpoint.mode() != Setpoint::Mode::kRest) freeze();
+      // Geometry unknown: a ramp through the law would be blind (F02, F10), and so would be going
+      // on with one when the state comes back.
+      freeze();
     } else if (!halted && (enabled() || ramping())) {
       setpoint.yield_to(X_BR.linear().transpose() * force.push());
       Setpoint next = setpoint;
@@ -527,6 +538,9 @@ struct Controller::Impl {
       }
       if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
       out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
+    } else if (!halted) {
+      qd = fading_command();
+      twist = arm.ahead().J * qd;
     }
     if (!qd.allFinite() || !twist.allFinite()) {  // the last statement before the wire
       fault(Reason::kNotFinite);

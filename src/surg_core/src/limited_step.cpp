@@ -18,7 +18,8 @@ constexpr double kPivotTurns = 0.005;     // [m] deeper than that, a moving troc
 constexpr double kStill = 1e-4;  // share of a joint's velocity limit that counts as no motion
 constexpr double kHeld = 0.02;   // alpha below which a still arm counts as held
 
-constexpr double kSagitta = 0.42e-6;  // [m] off the pivot between two samples
+constexpr double kPostureShare = 0.05;  // of the velocity limits, at most, for the null space
+constexpr double kSagitta = 0.42e-6;    // [m] off the pivot between two samples
 
 // How a displaced tip returns to its path.
 constexpr double kReturnGain = 15;           // [1/s]
@@ -359,8 +360,8 @@ class LimitedStep::ExactLaw {
   Affine affine() const {
     const double T = self_.T_;
     Affine a;
-    const JointVector posture =
-        wish_.posture.size() == here_.q.size() ? JointVector(T * wish_.posture) : still_;
+    const JointVector posture = T * self_.gentle(wish_.posture);
+    const bool pulled = posture.squaredNorm() > 0;
     const Inverse inverse(here_.J);
     const auto to = [&](const Pose& pose) {
       return inverse(displacement(here_.X_BF, pose), posture);
@@ -371,8 +372,10 @@ class LimitedStep::ExactLaw {
     const double expected = a.expected(here_.qd_last, T);
     a.qd0 = rest / T;
     a.qd1 = (to(pose(expected * T, keep_)) - rest) / (expected * T);
-    a.returning = returning_ && a.regular;
-    if (a.returning) a.back = (rest - to(pose(0, 1.0))) / T;
+    a.returning = (returning_ || pulled) && a.regular;
+    if (a.returning) {
+      a.back = (rest - inverse(displacement(here_.X_BF, pose(0, 1.0)), still_)) / T;
+    }
     a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
     return a;
   }
@@ -451,7 +454,7 @@ class LimitedStep::VelocityLaw {
     Affine a;
     const Eigen::Index n = here_.q.size();
     const JointVector none = JointVector::Zero(n);
-    const JointVector posture = wish_.posture.size() == n ? wish_.posture : none;
+    const JointVector posture = self_.gentle(wish_.posture);
     const Inverse inverse(here_.J);
     a.regular = inverse.regular();
     a.qd0 = inverse(wish_.feedback, posture);
@@ -463,7 +466,7 @@ class LimitedStep::VelocityLaw {
         wish_.feedback.head<3>() +
         Vector3(wish_.feedback.tail<3>()).cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
     pivot.head<3>() = v - here_.shaft.s * here_.shaft.s.dot(v);
-    a.back = a.qd0 - inverse(pivot, posture);
+    a.back = a.qd0 - inverse(pivot, none);
     a.returning = a.regular;
     return a;
   }
@@ -612,6 +615,15 @@ LimitedStep::Box LimitedStep::box(const JointVector& q, const JointVector& qd_la
         slowest >= low ? "joint_acceleration" : (down < v ? "joint_limit" : "joint_velocity");
   }
   return box;
+}
+
+/// A wish for the null space, small beside what the joints need for the path; zero where there is
+/// no null space or no wish.
+JointVector LimitedStep::gentle(const JointVector& posture) const {
+  const Eigen::Index n = chain_.dof();
+  if (n <= 6 || posture.size() != n || !posture.allFinite()) return JointVector::Zero(n);
+  const double share = (posture.array() / limits_.velocity.array()).abs().maxCoeff();
+  return posture * std::min(1.0, kPostureShare / std::max(share, 1e-12));
 }
 
 /// Whether a node of the preview may follow one with the measures 'from': neither through a

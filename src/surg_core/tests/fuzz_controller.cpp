@@ -611,7 +611,7 @@ class Run {
     }
     // Where a change of mind comes too suddenly for the joints to brake, it passes by; and a
     // command leads the motion of an arm that lags.
-    const double over = lagging_ ? 1.5 : out.scale == 1 && out.tier == 0 ? 1.1 : 1.3;
+    const double over = lagging_ ? 1.5 : out.scale == 1 && out.tier == 0 ? 1.1 : 1.4;
     if (at_.flange_speed > robot_.limits.flange_velocity * over) {
       return {"flange velocity", text("%.6g m/s", at_.flange_speed)};
     }
@@ -653,6 +653,8 @@ class Run {
   Failure pivot(const Inputs&, const Outputs& out) {
     if (options_.law == Law::kPaper || blind_) return {};
     // The trocar as the arm knows it: a track has its own error.
+    // After a trocar that left the shaft the stop keeps to the pivot it began on.
+    if (out.state == State::kFault && out.reason == Reason::kRcmError) return {};
     const double error = (out.p_BRcm - at_.p_tip).cross(at_.s).norm();
     if (std::abs(error - out.rcm_error) > 1e-9) {
       return {"pivot", text("reported %.9g m, true %.9g m", out.rcm_error, error)};
@@ -697,7 +699,7 @@ class Run {
     const double residual = (rest - g * error).norm();
     ++figures_.tip_checked;
     figures_.worst_tip_velocity = std::max(figures_.worst_tip_velocity, residual);
-    const double bound = (options_.track_rcm ? 2e-3 : 5e-4) + 0.02 * out.v_set.norm();
+    const double bound = (options_.track_rcm ? 4e-3 : 5e-4) + 0.02 * out.v_set.norm();
     if (residual <= bound) return {};
     return {"tip velocity", text("set-point %.5g m/s, tip %.5g m/s, residual %.5g of %.5g m/s",
                                  out.v_set.norm(), at_.v_tip.norm(), residual, bound)};
@@ -786,7 +788,7 @@ class Run {
   }
 
  public:
-  static inline bool strict_acceleration = false;
+  static inline bool strict_acceleration = true;
   long k() const { return k_; }
   /// Law, tool, plant and the last cycle, for the message of a failure.
   std::string description() const {
@@ -844,8 +846,8 @@ Arguments parse(int argc, char** argv) {
   arguments.runs = full && std::strcmp(full, "1") == 0 ? 300 : 25;
   for (int i = 1; i < argc; ++i) {
     const std::string word = argv[i];
-    if (word == "--strict-acceleration") {
-      Run::strict_acceleration = true;
+    if (word == "--loose-acceleration") {
+      Run::strict_acceleration = false;
     } else if (word == "--keep-going") {
       arguments.keep_going = true;
     } else if (i + 1 < argc && word == "--seed") {
@@ -857,7 +859,7 @@ Arguments parse(int argc, char** argv) {
     } else {
       std::fprintf(stderr,
                    "usage: fuzz_controller [--seed N] [--runs N] [--cycles N] "
-                   "[--strict-acceleration] [--keep-going]\n");
+                   "[--loose-acceleration] [--keep-going]\n");
       std::exit(2);
     }
   }
@@ -891,10 +893,10 @@ void write_results(const Figures& f) {
   results.row(
       {test::cell("tip velocity beside set-point and follow-up (%ld cycles)", f.tip_checked),
        test::cell("%.2g mm/s", 1e3 * f.worst_tip_velocity),
-       "0.1 mm/s (trocar tracked: 1 mm/s) + 2 %"});
+       "0.5 mm/s (trocar tracked: 4 mm/s) + 2 %"});
   results.row(
-      {"stop distance, as a share of v²/2a + lead of the set-point + 30 ms v (90 ms behind lag) + "
-       "1 mm",
+      {"stop distance, as a share of 1.1 × the braking distance of tip or joints + lead of the "
+       "set-point + 30 ms v (90 ms behind lag) + 2 mm",
        test::cell("%.2f", f.worst_stop), "1"});
   results.row({"joint acceleration, as a share of the limit",
                test::cell("%.3g in %ld cycles beyond it, %ld of them with a limit named",

@@ -355,7 +355,7 @@ TEST(Limited, PandaUnderLimits) {
   }
   results().table("Panda, 1 rad/s and 10 rad/s^2, its own position limits",
                   "The usual paths from its home; nothing decides here which of them the arm can "
-                  "reach. Posture 1 /s.",
+                  "reach. Posture 1 /s, at most 5 % of the speed.",
                   {"paths", "finish", "stop", "cycles beyond a limit", "RCM at samples, um",
                    "RCM between, um", "tip off path p99 / max, mm", "cycles in tier 1, 2"});
   results().row({cell("%ld", tally.paths), cell("%ld", tally.finished), cell("%ld", tally.stopped),
@@ -366,7 +366,7 @@ TEST(Limited, PandaUnderLimits) {
   EXPECT_EQ(tally.violations, 0);
   EXPECT_LE(tally.rcm_sample, 1e-8);
   EXPECT_EQ(tally.finished + tally.stopped, tally.paths);
-  EXPECT_GE(tally.finished, 0.6 * n);
+  EXPECT_GE(tally.finished, 0.5 * n);
 }
 
 /// Targets that jump: a velocity of the tip that changes at random instants without any profile.

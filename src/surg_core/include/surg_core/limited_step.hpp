@@ -63,7 +63,7 @@ struct Wish {
   /// Exact form: the trocar's velocity during this cycle [m/s]. What it alone turns the shaft by is
   /// no displacement off the path.
   Vector3 v_BRcm = Vector3::Zero();
-  JointVector posture;  ///< [rad/s] wish for the null space of redundant arms
+  JointVector posture;  ///< [rad/s] wish for the null space of redundant arms; small ones only
   // Velocity form only: the flange twist is feedback + alpha forward.
   Vector6 feedback = Vector6::Zero();  ///< tip and roll feedback, lateral feedback, trocar velocity
   Vector6 forward = Vector6::Zero();   ///< the path's own motion; lateral velocity at the trocar 0
@@ -124,6 +124,7 @@ class LimitedStep {
   template <typename Law>
   Preview look_ahead(const Law& law, const Here& here, const Affine& affine) const;
 
+  JointVector gentle(const JointVector& posture) const;
   bool passes(const SingularityMeasures& from, const SingularityMeasures& to) const;
   bool inside_positions(const JointVector& q, const JointVector& from) const;
   bool pose_node(const JointVector& guess, const Pose& pose, const Pose& later, double arc,
