@@ -315,35 +315,36 @@ def test_f20_every_joint_stops_before_its_limit_and_leaves_it(
             for _ in range(40):
                 free.step(drive(wish, 0.05))
             pulls.append(side * float(free.out.qd_command[joint]))
-        order = np.argsort(pulls)[::-1]
-        for index in order[: 3 if full else 1]:
-            if pulls[index] < 0.02:
-                continue
+        wish = WISHES[int(np.argmax(pulls))]
+        for speed in (0.03, 0.06, 0.15) if full else (0.06,):
             cases += 1
-            room = 0.12 if index == order[0] else 0.08
-            bench = Bench(robot=robot_with(joint, side, room)).start()
-            limit = bench.robot.home[joint] + side * room
-            seen = []
-            for _ in range(2500):
-                out = bench.step(drive(WISHES[index], 0.06))
+            bench = Bench(robot=robot_with(joint, side, 0.12)).start()
+            limit = bench.robot.home[joint] + side * 0.12
+            left = [0.12]
+            for _ in range(4000):
+                out = bench.step(drive(wish, speed))
                 assert out.state == State.ENABLED, out.reason
-                seen.append(side * (limit - bench.q[joint]))
-                reserve = max(side * (limit - bench.q[joint]), 0.0)
-                fast.append(side * bench.out.qd_command[joint] - 5 * reserve)
-                if reserve < 0.002 and np.abs(out.qd_command).max() < 0.002:
+                left.append(side * (limit - bench.q[joint]))
+                if left[-2] < 0.5 * bench.limits.joint_margin:
+                    fast.append((left[-2] - left[-1]) / TICK - 5 * left[-2])
+                if left[-1] < 0.002 and np.abs(out.qd_command).max() < 0.002:
                     break
-            margins.append(-min(seen))
-            stopped += min(seen) < 0.06
+            margins.append(-min(left))
+            stopped += min(left) < 0.06
             assert bench.deviation() < bench.limits.rcm_error_warn
             assert bench.jerked <= ROUNDING
             at = bench.q[joint]
             for _ in range(300):
-                out = bench.step(drive(WISHES[index], 0.06, backwards=True))
+                out = bench.step(drive(wish, speed, backwards=True))
             assert out.state == State.ENABLED
             assert side * (at - bench.q[joint]) > 0.005, f"joint {joint} does not come back"
     assert cases >= 12
     assert stopped >= 12, f"only {stopped} of {cases} came near their limit"
+    # The arm lags by 12 ms: its speed belongs to a distance that has shrunk meanwhile.
     name = "a joint driven into its limit, each both ways"
+    reactions.add(
+        "F20", name, "speed above 5 /s times the distance, inner half", [max(fast)], 0.05, "rad/s"
+    )
     reactions.add("F20", name, "beyond the limit (negative: before it)", margins, 0.0, "rad")
 
 
@@ -372,7 +373,7 @@ def test_f21_towards_and_past_an_aligned_wrist(runs: int, reactions: Reactions) 
             nearest = min(nearest, abs(bench.q[4]))
             deviations.append(1e3 * bench.deviation())
         before = bench.tip()
-        for _ in range(100):
+        for _ in range(300):  # a set-point whose clock is slow turns round slowly
             out = bench.step(drive(wish, 0.04, backwards=True))
         ways.append(-1e3 * float(-wish @ (bench.tip() - before)))
         assert out.state == State.ENABLED
@@ -380,7 +381,7 @@ def test_f21_towards_and_past_an_aligned_wrist(runs: int, reactions: Reactions) 
     name = "tip driven to an aligned wrist"
     reactions.add("F21", name, "joint speed / its limit", [max(speeds)], ROUNDING, "1")
     reactions.add("F21", name, "deviation from the trocar", [max(deviations)], 1.0, "mm")
-    reactions.add("F21", name, "way back in 0.2 s (negative: it leaves)", ways, -1.0, "mm")
+    reactions.add("F21", name, "way back in 0.6 s (negative: it leaves)", ways, -3.0, "mm")
 
 
 def test_f22_without_a_trocar_nothing_is_enabled(reactions: Reactions) -> None:
@@ -426,9 +427,7 @@ def test_f23_a_trocar_off_the_shaft_faults(runs: int, reactions: Reactions, how:
     reactions.add("F23", f"trocar off the shaft: {how}", "standstill", still, STILL)
 
 
-def test_f24_near_the_trocar_only_the_way_along_the_shaft(
-    runs: int, reactions: Reactions
-) -> None:
+def test_f24_near_the_trocar_only_the_way_along_the_shaft(runs: int, reactions: Reactions) -> None:
     sideways, shallow, flange, out_again = [], [], [], []
     for seed in range(runs):
         bench = Bench(seed).start()
@@ -491,7 +490,7 @@ def test_f25_soft_force_yields_and_pauses_after_100_ms(runs: int, reactions: Rea
             bench.step()
         u, begin = bench.direction(), bench.tip()
         R = np.asarray(bench.controller.X_BR)[:3, :3]
-        above, largest = 0, 0.0
+        above, braking, largest = 0, 0, 0.0
         while bench.out.state == State.ENABLED:
             depth = max(0.0, float((bench.tip() - begin) @ u) - 0.003)
             f = -1500.0 * depth * (R @ u)
@@ -501,10 +500,12 @@ def test_f25_soft_force_yields_and_pauses_after_100_ms(runs: int, reactions: Rea
             largest = max(largest, size)
             if size > bench.limits.tip_force_soft:
                 above += 1
-                into.append(1e6 * float((bench.setpoint() - before) @ u))
+                if float((bench.setpoint() - before) @ u) > 1e-9:
+                    braking = above
             assert bench.cycles < 3000
         assert (out.state, out.reason) == (State.PAUSED, Reason.FORCE)
         pause.append(above - 1)
+        into.append(braking)
         most.append(largest)
         assert bench.jerked <= ROUNDING
         # Away from it is allowed: resume, and back.
@@ -516,7 +517,7 @@ def test_f25_soft_force_yields_and_pauses_after_100_ms(runs: int, reactions: Rea
             assert bench.out.state == State.ENABLED
         assert float((bench.tip() - begin) @ u) < 0.003
     name = "5 N at the tip, wall of 1.5 N/mm at 20 mm/s"
-    reactions.add("F25", name, "set-point further into it, from the sample on", into, 1e-3, "µm")
+    reactions.add("F25", name, "no motion into it after", into, 5)
     reactions.add("F25", name, "PAUSED(force) after the first sample above", pause, 50)
     reactions.add("F25", name, "largest force", most, bench.limits.tip_force_hard, "N")
 

@@ -11,9 +11,10 @@ from pathlib import Path
 HEAD = """\
 # Faults and measured reactions
 
-Written by `./surg test --full tests/faults`. Rows in cycles (2 ms) are the shipped controller on a
-simulated arm and a fake clock: exact, the same in every run; 0 is the cycle that reads the fault.
-Rows in ms are real processes on one machine, by its wall clock, with all that it does beside.
+Written by `./surg test --full tests/faults`. Simulation. Cycles of 2 ms count from the sample that
+carries the fault; 0 is the cycle that reads it, exact and the same in every run, and the test fails
+on any other. Seeded runs; "the node", signals and ms are real processes by the simulator's or this
+machine's clock, which did other things beside. No run may be above the limit.
 
 | id | fault | reaction | median | max | limit | unit | n |
 |---|---|---|---|---|---|---|---|

@@ -1,4 +1,4 @@
-"""A stranger to an arm, in a process of its own: streams sideways, and later says one word."""
+"""A stranger to an arm, in a process of its own: streams beside another's stream, says words."""
 
 from __future__ import annotations
 
@@ -12,24 +12,30 @@ from crtk_msgs.msg import StringStamped
 
 
 def main() -> int:
-    """Streams poses 1 mm beside the set-point at 200 Hz; obeys /test/say: hold, pause, disable."""
+    """Obeys /test/say: stream, quiet, hold, or a word for state_command.
+
+    The stream is at 200 Hz and 1 mm beside the set-point, where it would be accepted.
+    """
     rospy.init_node("stranger")
     newest: list[PoseStamped] = []
-    rospy.Subscriber("/PSM1/setpoint_cp", PoseStamped, lambda m: newest.__setitem__(slice(0), [m]))
-    stream = rospy.Publisher("/PSM1/servo_cp", PoseStamped, queue_size=1)
-    state = rospy.Publisher("/PSM1/state_command", StringStamped, queue_size=10)
-    hold = rospy.Publisher("/PSM1/hold", Empty, queue_size=10)
+    streaming = [False]
+    rospy.Subscriber("/PSM1/setpoint_cp", PoseStamped, lambda m: newest.__setitem__(slice(1), [m]))
+    stream = rospy.Publisher("/PSM1/servo_cp", PoseStamped, queue_size=1, tcp_nodelay=True)
+    state = rospy.Publisher("/PSM1/state_command", StringStamped, queue_size=10, tcp_nodelay=True)
+    hold = rospy.Publisher("/PSM1/hold", Empty, queue_size=10, tcp_nodelay=True)
 
     def say(message: String) -> None:
-        if message.data == "hold":
+        if message.data in ("stream", "quiet"):
+            streaming[0] = message.data == "stream"
+        elif message.data == "hold":
             hold.publish(Empty())
         else:
             state.publish(StringStamped(string=message.data))
 
-    rospy.Subscriber("/test/say", String, say)
+    rospy.Subscriber("/test/say", String, say, tcp_nodelay=True)
     rate = rospy.Rate(200)
     while not rospy.is_shutdown():
-        if newest:
+        if streaming[0] and newest:
             message = PoseStamped()
             message.pose = newest[0].pose
             message.pose.position.y += 0.001

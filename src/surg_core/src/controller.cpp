@@ -163,7 +163,7 @@ struct Controller::Impl {
   /// began on, and does not run after wherever the point is now.
   bool torn() const {
     return operating.state() == State::kFault && operating.reason() == Reason::kRcmError &&
-           pilot.setpoint().mode() != Setpoint::Mode::kRest;
+           ramping();
   }
 
   /// The shaft's line passes through the trocar, in front of the flange.
