@@ -57,6 +57,7 @@ def play(
     mode: Mode,
     duration: float | None = None,
     feedback_gain: float = -1.0,
+    law: surg_core.Law = surg_core.Law.EXACT,
 ) -> Run:
     """Plays a motion into the cell's PSM1."""
     arm = surg_core.load_cell(cell).arms["PSM1"]
@@ -69,7 +70,13 @@ def play(
     )
     operator = Operator(plan, mode, Jaw(arm.instrument.jaw_min, arm.instrument.jaw_max))
     controller = surg_core.Controller(
-        arm.chain, arm.robot, limits, arm.instrument, arm.tool, feedback_gain=feedback_gain
+        arm.chain,
+        arm.robot,
+        limits,
+        arm.instrument,
+        arm.tool,
+        law=law,
+        feedback_gain=feedback_gain,
     )
     controller.set_rcm(arm.trocar.p_BRcm)
     servo = np.array(arm.robot.home, dtype=float)

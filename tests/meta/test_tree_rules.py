@@ -21,7 +21,7 @@ FORBIDDEN_CALLS = {
     ("torch", "load"): "a format without code",
 }
 FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "marshal", "shelve", "joblib", "cloudpickle"}
-TIERS = {"unit", "ros", "faults", "e2e", "meta"}
+TIERS = {"unit", "ros", "faults", "e2e", "meta", "mutants"}
 
 
 def tracked() -> list[Path]:

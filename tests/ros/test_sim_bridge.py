@@ -113,7 +113,9 @@ def lockstep(
     with running(graph, controller, env, **params):
         graph.wait_for(lambda: bool(controller.status.get("done")), 60.0, "the end of the run")
     assert controller.stamps == [TICK_NS * k for k in range(1, last + 1)]
-    assert controller.truths == list(range(1, last + 1))
+    # Nobody waits for an observer's connection: it may miss the first ticks, and then none.
+    assert controller.truths[0] <= 10
+    assert controller.truths == list(range(controller.truths[0], last + 1))
     return controller.status
 
 

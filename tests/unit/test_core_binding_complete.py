@@ -32,9 +32,8 @@ ABSENT = {
     "ForceGuard": "part",
     "OperatingState Conditions Authority check_step": "part",
     "velocity_wish axial_wish paper_wish TwistWish Gains to_spherical to_cartesian": "part",
-    "LimitedStep Wish Step PathView JointLimits joint_limits Barrier SingularityMeasures": "part",
-    "uniform_scale Scale is_servo is_jaw Inputs newton_step": "part",
-    "max_approach JointTrace": "part",
+    "Wish PathView Barrier SingularityMeasures": "part",
+    "is_servo is_jaw Inputs newton_step": "part",
     # plain bytes for the black box, which has a program of its own (rcm_replay)
     "IsPlain ImageWriter ImageReader BlackBox BlackBoxEvent BlackBoxStep BlackBoxLabel": "bytes",
     "BlackBoxRecording BlackBoxError BlackBoxDifference ControllerSetup": "bytes",

@@ -321,7 +321,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
         )
         changed = surg_core.load_robot(folder / ROBOT)
         seen.add(surg_core.limits_hash(changed, changed.limits))
-    assert len(seen) == len(lines) + 1 == 30
+    assert len(seen) == len(lines) + 1 == 34
     assert all(len(digest) == 16 for digest in seen)
 
 
@@ -329,6 +329,6 @@ def test_limits_are_told_by_name(folder: Path) -> None:
     robot = surg_core.load_robot(folder / ROBOT)
     names = robot.limits.as_dict()
     assert names["tip_jerk"] == 40.0
-    assert len(names) == 21
+    assert len(names) == 25
     assert robot.tuning.as_dict()["rcm_gain"] == 40.0
     assert "tip_jerk=40.0" in repr(robot.limits)

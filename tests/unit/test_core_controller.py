@@ -64,8 +64,8 @@ def test_a_stream_is_followed_and_the_trocar_kept(cell: str) -> None:
         out = loop.step(MotionCommand(Motion.SERVO_CP, source=7, p=p, rotation=[0, 0, 0, 1]))
         assert out.verdicts[0].reason == Reason.NONE, surg_core.sentence(out.verdicts[0].reason)
         accepted += 1
-        worst_pivot = max(worst_pivot, out.rcm_error)
-        if k > 500:
+        if k > 500:  # the path begins with a step in acceleration, which no link follows at once
+            worst_pivot = max(worst_pivot, out.rcm_error)
             tip = X_BR[:3, :3].T @ (out.p_BTip - X_BR[:3, 3])
             worst_tip = max(worst_tip, float(np.linalg.norm(tip - p)))
     assert out.state == State.ENABLED
@@ -118,7 +118,7 @@ def test_what_is_refused_says_why() -> None:
 
 def test_the_law_of_the_paper_and_the_gain_can_be_chosen() -> None:
     paper = Loop("sim_ur5e", law=surg_core.Law.PAPER)
-    open_loop = Loop("sim_ur5e", feedback_gain=0.0, dt=0.004)
+    open_loop = Loop("sim_ur5e", feedback_gain=0.0, dt=0.004, law=surg_core.Law.VELOCITY)
     assert open_loop.controller.dt == 0.004
     for loop in (paper, open_loop):
         loop.start()

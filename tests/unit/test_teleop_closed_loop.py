@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import surg_core
 from helpers.third_arm import write_third_arm
 from surg_cli import paths
 from surg_description.make_cell import make_cell
@@ -53,12 +54,12 @@ def test_bundled_motion_meets_the_limits(name: str, mode: Mode, tmp_path: Path) 
 def test_a_lag_nobody_knows_of_needs_the_feedback(
     feedback_gain: float, holds: bool, tmp_path: Path
 ) -> None:
-    """With link_lag 0 the law predicts nothing; without feedback as well the pivot drifts."""
+    """With link_lag 0 the velocity form predicts nothing; without feedback the pivot drifts."""
     text = (DESCRIPTION / "robots/ur5e.yaml").read_text()
     text = re.sub(r"link_lag: [\d.]+", "link_lag: 0.0", text)
     robot = tmp_path / "unaware.yaml"
     robot.write_text(text.replace("../urdf/", f"{DESCRIPTION}/urdf/"))
     cell = make_cell(robot, tmp_path / "cell", DESCRIPTION / "instruments/grasper.yaml")
-    run = play(cell, BUNDLED, Mode.CARTESIAN, 8.0, feedback_gain)
+    run = play(cell, BUNDLED, Mode.CARTESIAN, 8.0, feedback_gain, surg_core.Law.VELOCITY)
     print(f"feedback {feedback_gain}: {describe(run)}")
     assert (run.rcm_error.max() <= 0.3e-3) == holds

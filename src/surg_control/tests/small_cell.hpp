@@ -65,7 +65,8 @@ class SmallCell {
           "  flange_velocity: 0.25\n  cone: 1.0471975512\n  depth_min: 0.02\n"
           "  depth_slow: 0.03\n  depth_max: 0.22\n  stop_deceleration: 4.0\n"
           "  step_slack: 0.002\n  step_roll_slack: 0.0349\n  step_dt_max: 0.1\n"
-          "  rcm_error_warn: 1e-3\n  rcm_error_fault: 0.002\n  tip_force_soft: 5.0\n  tip_force_hard: 8.0\n  trocar_force_warn: 10.0\n"
+          "  rcm_error_warn: 1e-3\n  rcm_error_fault: 0.002\n  tip_force_soft: 5.0\n  "
+          "tip_force_hard: 8.0\n  trocar_force_warn: 10.0\n"
           "  trocar_force_fault: 15.0\n  joint_margin: 0.1\n"
           "tuning:\n  rcm_gain: 20\n  tip_gain: 5\n  roll_gain: 5\n  posture_gain: 1\n"
           "  profiler_duration: 0.5\n  servo_timeout: 0.1\n  link_timeout: 0.1\n  link_lag: 0\n");

@@ -495,37 +495,6 @@ TEST(Controller, RandomCommandsStayInsideEveryLimitOnThePivot) {
   EXPECT_LT(worst_pivot, 3e-4);  // the maximum that every demo is held to
 }
 
-TEST(Controller, UniformScaleKeepsDirectionAndEveryJointInside) {
-  Random random(14);
-  const RobotConfig robot = parse_robot(test::good_robot());
-  const int n = test::family(20000, 2000000);
-  int limited = 0;
-  for (int i = 0; i < n; ++i) {
-    JointVector qd(6), last(6), q(6);
-    for (int j = 0; j < 6; ++j) {
-      qd[j] = random.uniform(-6, 6);
-      last[j] = random.uniform(-0.1, 0.1);
-      q[j] = random.uniform(robot.position_min[j], robot.position_max[j]);
-    }
-    const double speed = random.uniform(0, 1);
-    const Scale scale = uniform_scale(robot, robot.limits, qd, last, q, speed, kT);
-    ASSERT_GE(scale.alpha, 0);
-    ASSERT_LE(scale.alpha, 1);
-    ASSERT_LE(scale.alpha * speed, robot.limits.flange_velocity * (1 + 1e-12));
-    for (int j = 0; j < 6; ++j) {
-      ASSERT_LE(std::abs(scale.alpha * qd[j]), robot.velocity[j] * (1 + 1e-12));
-      const double left = qd[j] > 0 ? robot.position_max[j] - q[j] : q[j] - robot.position_min[j];
-      if (left < robot.limits.joint_margin) {
-        ASSERT_LE(std::abs(scale.alpha * qd[j]), 5.0 * left + 1e-12);
-      }
-    }
-    ASSERT_EQ(scale.alpha < 1, scale.limited_by[0] != '\0');
-    limited += scale.alpha < 1;
-  }
-  EXPECT_GT(limited, n / 2);
-  test::report("random scalings", n);
-}
-
 TEST(Controller, StepLeavesTheHeapAlone) {
 #ifndef SURG_HEAP_IS_WATCHED
   GTEST_SKIP() << "the heap cannot be watched under a sanitizer";

@@ -257,7 +257,7 @@ TEST(LagPlant, TheCommandKeepsTheJointLimitsWhileThePivotHolds) {
   const double seconds = test::family(20, 60);
   results().table(
       "With limits",
-      "The default law behind the limited step, whose reference keeps to four fifths of "
+      "The default law behind the limited step, whose reference keeps to nine tenths of "
       "the joints' accelerations; Lissajous motion from a standing start without a ramp, 60 mm, "
       "10°. Ratio: largest joint velocity and acceleration of the command against their "
       "limits.",

@@ -28,7 +28,7 @@ class ExactFollower {
  public:
   /// What a reference should use of the joints' limits, so that the correction has room.
   static constexpr double kReferenceVelocity = 0.95;
-  static constexpr double kReferenceAcceleration = 0.8;
+  static constexpr double kReferenceAcceleration = 0.9;
 
   struct Options {
     double lag = 0;       ///< [s] of the link, as stated; 0: none, and nothing is learnt
