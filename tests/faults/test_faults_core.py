@@ -348,7 +348,7 @@ def test_f20_every_joint_stops_before_its_limit_and_leaves_it(
     reactions.add("F20", name, "beyond the limit (negative: before it)", margins, 0.0, "rad")
 
 
-def test_f21_towards_and_past_an_aligned_wrist(runs: int, reactions: Reactions) -> None:
+def test_f21_towards_an_aligned_wrist(runs: int, reactions: Reactions) -> None:
     speeds, deviations, ways = [], [], []
     for seed in range(runs):
         arm = shipped("sim_ur5e")
@@ -378,7 +378,7 @@ def test_f21_towards_and_past_an_aligned_wrist(runs: int, reactions: Reactions) 
         ways.append(-1e3 * float(-wish @ (bench.tip() - before)))
         assert out.state == State.ENABLED
         assert bench.jerked <= ROUNDING
-    name = "tip driven to an aligned wrist"
+    name = "tip driven towards an aligned wrist"
     reactions.add("F21", name, "joint speed / its limit", [max(speeds)], ROUNDING, "1")
     reactions.add("F21", name, "deviation from the trocar", [max(deviations)], 1.0, "mm")
     reactions.add("F21", name, "way back in 0.6 s (negative: it leaves)", ways, -3.0, "mm")

@@ -14,7 +14,8 @@ HEAD = """\
 Written by `./surg test --full tests/faults`. Simulation. Cycles of 2 ms count from the sample that
 carries the fault; 0 is the cycle that reads it, exact and the same in every run, and the test fails
 on any other. Seeded runs; "the node", signals and ms are real processes by the simulator's or this
-machine's clock, which did other things beside. No run may be above the limit.
+machine's clock, which did other things beside. No run may be above the limit. n counts values:
+one per run, one per cycle, or 1 for the largest of all runs.
 
 | id | fault | reaction | median | max | limit | unit | n |
 |---|---|---|---|---|---|---|---|
