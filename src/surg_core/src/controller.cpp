@@ -441,7 +441,7 @@ struct Controller::Impl {
     wish.feedback = wished.feedback;
     wish.forward = wished.path;
     wish.posture = posture_at(arm.now().q);
-    if (law == Law::kVelocity) {
+    if (law == Law::kVelocity && gains.rcm > 0) {  // an open loop is not where its path is
       wish.path = PathView(path);
       wish.horizon = kHorizon;
     }
