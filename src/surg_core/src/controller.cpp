@@ -404,11 +404,18 @@ struct Controller::Impl {
     Setpoint there = pilot.setpoint();
     there.advance(std::min(t, T));
     if (t > T) there = there.foreseen(t - T);
-    const Vector3 p_BRcm = trocar.p_B() + T * trocar.v_B() + pivot_offset;
+    const double arrives = T + (law == Law::kExact ? follower.delay() : 0.0);
+    const Vector3 p_BRcm = trocar.p_B() + arrives * trocar.v_B() + pivot_offset;
     const Vector3 p_B = X_BR * there.p_RTip();
     if (!there.axial()) return tip_goal(p_BRcm, p_B, there.roll(), shaft().s);
     const Vector3 s_B = X_BR.linear() * there.s_R();
     return {p_BRcm, s_B, s_B.dot(p_B - p_BRcm), there.roll()};
+  }
+
+  /// What a stream will do is its sender's secret: a look ahead along a guess would slow it down
+  /// for nothing. Barrier and braking distances guard it.
+  double horizon() const {
+    return pilot.setpoint().mode() == Setpoint::Mode::kStream ? 0.0 : kHorizon;
   }
 
   JointVector posture_at(const JointVector& q) const {
@@ -424,7 +431,7 @@ struct Controller::Impl {
     const auto path = [this](double t) { return goal_at(t); };
     Wish wish;
     wish.path = PathView(path);
-    wish.horizon = kHorizon;
+    wish.horizon = horizon();
     wish.v_BRcm = trocar.v_B() + pivot_offset_rate;
     wish.posture = posture_at(follower.reference());
     const Home home{arm.s_home(), arm.R_home()};
@@ -443,7 +450,7 @@ struct Controller::Impl {
     wish.posture = posture_at(arm.now().q);
     if (law == Law::kVelocity && gains.rcm > 0) {  // an open loop is not where its path is
       wish.path = PathView(path);
-      wish.horizon = kHorizon;
+      wish.horizon = horizon();
     }
     const Home home{arm.s_home(), arm.R_home()};
     const Step step = limited.velocity(arm.ahead().q, qd_last, home, trocar.p_B(), wish);

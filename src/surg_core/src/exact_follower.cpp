@@ -13,6 +13,7 @@ constexpr double kQuietPhi = 0.003;  // [rad/s] below it an error says little ab
 
 ExactFollower::ExactFollower(int joints, const Options& options)
     : options_(options), lag_(JointVector::Constant(joints, options.lag)) {
+  n_late_ = std::clamp(static_cast<int>(std::lround(options_.lag / options_.T)), 0, kPast - 1);
   reset(JointVector::Zero(joints));
 }
 
@@ -22,22 +23,26 @@ void ExactFollower::reset(const JointVector& q) {
   qd_last_.setZero(q.size());
   correction_.setZero(q.size());
   phi_.setZero(q.size());
+  past_.fill({q, JointVector::Zero(q.size())});
+  newest_ = 0;
 }
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q) {
   const JointVector v = dq / options_.T;
   const JointVector a = (v - v_last_) / options_.T;
-  const JointVector error = q_ref_ - q;
+  newest_ = (newest_ + 1) % kPast;
+  past_[newest_] = {q_ref_, a};
+  const JointVector error = late().q - q;
   JointVector change(q.size());
   bool linear = true;
   for (Eigen::Index i = 0; i < q.size(); ++i) {
     const double pull = feedback(i, error[i]);
     linear = linear && pull == options_.gain * error[i];
-    change[i] = lag_[i] * a[i] + pull - correction_[i];
+    change[i] = (lag_[i] - delay()) * a[i] + pull - correction_[i];
   }
   const double share = room(v + correction_, change);
   correction_ += share * change;
-  phi_ += options_.T * (a - options_.gain * phi_);
+  phi_ += options_.T * (late().a - options_.gain * phi_);
   // An error that the limits have left says nothing about the lags.
   if (linear && share == 1) learn(error);
   q_ref_ += dq;
@@ -93,7 +98,9 @@ void ExactFollower::learn(const JointVector& error) {
 }
 
 double ExactFollower::behind(const JointVector& q) const {
-  return (q_ref_ - q).cwiseAbs().maxCoeff();
+  const JointVector& then =
+      n_late_ == 0 ? q_ref_ : past_[(newest_ + kPast - n_late_ + 1) % kPast].q;
+  return (then - q).cwiseAbs().maxCoeff();
 }
 
 }  // namespace surg

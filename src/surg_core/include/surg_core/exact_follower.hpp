@@ -2,23 +2,25 @@
 // the real one is made to follow it joint by joint.
 #pragma once
 
+#include <array>
+
 #include "surg_core/types.hpp"
 
 namespace surg {
 
-/// Velocity commands that make a lagging arm follow a virtual reference:
+/// Velocity commands that make a lagging arm follow a virtual reference, later by the link's lag:
 ///
-///   qd = v + lag a + gain (q_ref - q),   v = dq / T,   a = (v - v_last) / T
+///   qd = v + (lag_i - delay) a + feedback(q_late - q),   v = dq / T,   a = (v - v_last) / T
 ///
-/// The reference lies on the constraint by construction and knows neither noise nor lag. A link
-/// that answers late, by delay or first-order, lets each joint fall behind by the lag's error times
-/// its acceleration: the second term takes that away to first order, the third what is left. The
-/// feedback acts on joints, so that pivot, tip and roll come back together.
-///
-/// No two joints lag alike, and only the differences move the pivot. So each joint's lag is learnt
-/// from what is left: a wrong lag leaves the error e = (lag error) phi with phi' = a - gain phi,
-/// and a normalised gradient step on it, bounded at any amplitude, moves the lag. It stays between
-/// 0 and three times the stated one, and stands still where nothing accelerates.
+/// q_late is the reference 'delay' ago, the stated lag in whole periods. The reference lies on the
+/// constraint by construction and knows neither noise nor lag, and an arm whose joints all lag
+/// alike stays on it by itself, only later; making up for the common lag would amplify every jerk,
+/// and the pivot with it (a surgeon's motion: 0.16 instead of 0.02 mm). But no two joints lag
+/// alike, and only the differences move the pivot. So each joint's lag is learnt from what is left:
+/// a wrong lag leaves the error e = (lag error) phi with phi' = a_late - gain phi, and a normalised
+/// gradient step on it, bounded at any amplitude, moves the lag. It stays between 0 and three times
+/// the stated one, and stands still where nothing accelerates. The feedback acts on joints, so that
+/// pivot, tip and roll come back together.
 ///
 /// The feedback is gain e, and for a large e the speed from which the joint can still brake to the
 /// reference at half its acceleration limit. The command keeps the joints' limits whatever happens:
@@ -27,14 +29,14 @@ namespace surg {
 class ExactFollower {
  public:
   /// What a reference should use of the joints' limits, so that the correction has room.
-  static constexpr double kReferenceVelocity = 0.95;
-  static constexpr double kReferenceAcceleration = 0.9;
+  static constexpr double kReferenceVelocity = 0.97;
+  static constexpr double kReferenceAcceleration = 0.97;
 
   struct Options {
-    double lag = 0;       ///< [s] of the link, as stated; 0: none, and nothing is learnt
-    double gain = 50;     ///< [1/s] feedback; stable up to about 1 / lag
-    double learning = 2;  ///< [1/s] of the lags; 0: they stay as stated
-    double T = 0.002;     ///< [s] control period
+    double lag = 0;         ///< [s] of the link, as stated; 0: none, and nothing is learnt
+    double gain = 50;       ///< [1/s] feedback; stable up to about 1 / lag
+    double learning = 0.3;  ///< [1/s] of the lags; 0: they stay as stated
+    double T = 0.002;       ///< [s] control period
     /// Limits of the command per joint [rad/s, rad/s^2]; empty: none. The reference must keep to
     /// less, so that there is room.
     JointVector velocity = {}, acceleration = {};
@@ -53,9 +55,12 @@ class ExactFollower {
   /// Everything that a step reads, for an image of the controller (image.hpp).
   template <typename Image>
   void remembered(Image& image) {
-    image(q_ref_, v_last_, qd_last_, correction_, lag_, phi_);
+    image(q_ref_, v_last_, qd_last_, correction_, lag_, phi_, newest_);
+    for (Moment& moment : past_) image(moment.q, moment.a);
   }
-  /// How far the arm is from the reference [rad], the largest joint.
+  /// How much later than the reference the arm is to be [s].
+  double delay() const { return n_late_ * options_.T; }
+  /// How far the arm is from the reference of then [rad], the largest joint.
   double behind(const JointVector& q) const;
   /// Each joint's lag as learnt so far [s].
   const JointVector& lag() const { return lag_; }
@@ -66,7 +71,16 @@ class ExactFollower {
   JointVector within_limits(JointVector qd) const;
   void learn(const JointVector& error);
 
+  static constexpr int kPast = 32;  // periods
+  struct Moment {
+    JointVector q, a;
+  };
+  const Moment& late() const { return past_[(newest_ + kPast - n_late_) % kPast]; }
+
   Options options_;
+  int n_late_ = 0;
+  std::array<Moment, kPast> past_;  // of the reference
+  int newest_ = 0;
   JointVector q_ref_, v_last_, qd_last_, correction_, lag_, phi_;
 };
 
