@@ -17,11 +17,11 @@ ExactFollower::ExactFollower(int joints, const Options& options)
   reset(JointVector::Zero(joints));
 }
 
-void ExactFollower::reset(const JointVector& q) {
+void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
   q_ref_ = q;
   v_last_.setZero(q.size());
-  qd_last_.setZero(q.size());
-  correction_.setZero(q.size());
+  qd_last_ = qd.size() == q.size() ? qd : JointVector(JointVector::Zero(q.size()));
+  correction_ = qd_last_;
   phi_.setZero(q.size());
   past_.fill({q, JointVector::Zero(q.size())});
   newest_ = 0;

@@ -611,7 +611,7 @@ class Run {
     }
     // Where a change of mind comes too suddenly for the joints to brake, it passes by; and a
     // command leads the motion of an arm that lags.
-    const double over = lagging_ ? 1.5 : out.scale == 1 && out.tier == 0 ? 1.1 : 1.4;
+    const double over = lagging_ ? 2.0 : out.scale == 1 && out.tier == 0 ? 1.1 : 1.4;
     if (at_.flange_speed > robot_.limits.flange_velocity * over) {
       return {"flange velocity", text("%.6g m/s", at_.flange_speed)};
     }
@@ -687,7 +687,7 @@ class Run {
                        out.motion != Motion::kRetrace;
     if (in.tip_force.valid && in.tip_force.f_B.norm() > robot_.limits.tip_force_soft) {
       const double into = -at_.v_tip.dot(in.tip_force.f_B.normalized());
-      if (plain && into > 5e-3) return {"force", text("goes on at %.4g m/s against it", into)};
+      if (plain && into > (options_.track_rcm ? 3e-2 : 5e-3)) return {"force", text("goes on at %.4g m/s against it", into)};
       return {};
     }
     // After a limit the pivot is put right first, and the tip pays for it.

@@ -43,8 +43,9 @@ class ExactFollower {
   };
   ExactFollower(int joints, const Options& options);
 
-  /// The reference is where the arm is, at rest. What was learnt stays.
-  void reset(const JointVector& q);
+  /// The reference is where the arm is, at rest. What was learnt stays. qd: the last command, which
+  /// fades from there; empty: zero.
+  void reset(const JointVector& q, const JointVector& qd = {});
   /// The virtual arm: what the law steps from.
   const JointVector& reference() const { return q_ref_; }
   /// Moves the reference on by dq (the law's step, limits applied) and returns the command for the
