@@ -148,9 +148,9 @@ def test_behind_a_twist_link(robot: str, tmp_path: Path) -> None:
 def test_the_papers_law_and_no_feedback_drift(tmp_path: Path) -> None:
     ours = demo(tmp_path / "ours")
     paper = demo(tmp_path / "paper", "--law", "paper")
-    open_loop = demo(tmp_path / "open", "--feedback-gain", 0)
+    open_loop = demo(tmp_path / "open", "--feedback-gain", 0, "--law", "velocity")
     note("ur5e, cartesian, bundled, `--law paper`", paper)
-    note("ur5e, cartesian, bundled, `--feedback-gain 0`", open_loop)
+    note("ur5e, cartesian, bundled, `--law velocity --feedback-gain 0`", open_loop)
     assert paper["rcm_kinematic_mm"]["max"] >= 1
     assert paper["rcm_kinematic_mm"]["max"] >= 5 * ours["rcm_kinematic_mm"]["max"]
     faulted = any("rcm_error" in reason for reason in open_loop["reasons"])
