@@ -163,15 +163,18 @@ def test_the_follower_learns_the_lag() -> None:
     follower = surg_core.ExactFollower(6, lag=0.015, T=T)
     q, qd = np.zeros(6), np.zeros(6)
     follower.reset(q)
+    references = []
     keep = np.exp(-T / tau)
     for i in range(10000):
         t = i * T
         rate = np.sin(np.arange(1, 7) * t)
         command = follower.advance(T * rate, q)
+        references.append(np.array(follower.reference))
         q = q + T * command + tau * (1 - keep) * (qd - command)
         qd = command + keep * (qd - command)
     np.testing.assert_allclose(follower.lag, tau, atol=5e-4)
-    assert np.abs(follower.reference - q).max() < 2e-4
+    # The arm is where the reference was the stated lag ago, in whole periods.
+    assert np.abs(references[-9] - q).max() < 5e-4
     with pytest.raises(ValueError, match="joints: 1 to 8, not 9"):
         surg_core.ExactFollower(9, 0.01)
     with pytest.raises(ValueError, match="0 or more"):

@@ -687,7 +687,8 @@ class Run {
                        out.motion != Motion::kRetrace;
     if (in.tip_force.valid && in.tip_force.f_B.norm() > robot_.limits.tip_force_soft) {
       const double into = -at_.v_tip.dot(in.tip_force.f_B.normalized());
-      if (plain && into > (options_.track_rcm ? 3e-2 : 5e-3)) return {"force", text("goes on at %.4g m/s against it", into)};
+      if (plain && into > (options_.track_rcm ? 3e-2 : 5e-3))
+        return {"force", text("goes on at %.4g m/s against it", into)};
       return {};
     }
     // After a limit the pivot is put right first, and the tip pays for it.
