@@ -86,7 +86,7 @@ def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
             condim=1,
             # The tissue's softness, whatever the finger weighs.
             priority=1,
-            solref=[0.02, 1.0],
+            solref=[0.008, 1.0],
             solimp=[0.0, 0.9, 0.004, 0.5, 2.0],
         )
         touch = spec.add_sensor(
@@ -174,8 +174,8 @@ class Grasp:
     @property
     def force(self) -> Array:
         """Force of the tissue on the jaws in the last MuJoCo step [N], world, (3,)."""
-        touch = sum(self._data.sensordata[part] for part in self._forces)
-        return np.asarray(self.pull + touch)
+        first, second = (self._data.sensordata[part] for part in self._forces)
+        return np.asarray(self.pull - first - second)  # the sensors see the jaws' force
 
     @property
     def pull(self) -> Array:

@@ -174,12 +174,18 @@ def add_bowel(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters, loo
     for kind, a, b in _pairs(n):
         stiffness = float(p.springs[kind])
         spring = spec.add_tendon(
-            name=f"{NAME}_{a}_{b}", stiffness=[stiffness, 0, 0], damping=[p.damping * stiffness, 0, 0]
+            name=f"{NAME}_{a}_{b}",
+            stiffness=[stiffness, 0, 0],
+            damping=[p.damping * stiffness, 0, 0],
+            group=4,
         )
         spring.wrap_site(f"{NAME}_{a}")
         spring.wrap_site(f"{NAME}_{b}")
     floor = spec.worldbody.add_body(
-        name=f"{NAME}_floor", mocap=True, pos=_floor(site, p).tolist(), quat=quaternion(site.R).tolist()
+        name=f"{NAME}_floor",
+        mocap=True,
+        pos=_floor(site, p).tolist(),
+        quat=quaternion(site.R).tolist(),
     )
     floor.add_geom(
         name=f"{NAME}_floor",
