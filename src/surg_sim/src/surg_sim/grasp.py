@@ -157,7 +157,7 @@ class Grasp:
         self._rest = 0.0
         self._slides = 0
         self.slips = 0
-        """Times that held tissue slid since the reset, the last one included in which it was lost."""
+        """Times that held tissue slid since the reset; the slide in which it was lost counts too."""
         self.losses = 0
         """Times that held tissue was lost without the jaws being opened, since the reset."""
 

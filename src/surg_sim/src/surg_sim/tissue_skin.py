@@ -234,7 +234,7 @@ class BowelSkin:
         offset -= ((_FLAT - _NARROW) * weight)[:, None, None] * across
 
     def _sheet(self, centre: Array) -> Array:
-        """Vertices of the mesentery from the tube's back to its root on the bed, (rings, rows, 3)."""
+        """Vertices of the mesentery from the tube to its root on the bed, (rings, rows, 3)."""
         local = (centre - self._site.work) @ self._site.R
         root = np.column_stack(
             [_ROOT[0] * local[:, 0], np.full(len(local), _ROOT[1]), np.full(len(local), _ROOT[2])]
