@@ -77,7 +77,6 @@ def test_rates_are_limited_and_the_goal_is_not_passed(phantom: Phantom, full: bo
         velocity = np.diff(path, axis=0) / TICK
         acceleration = np.diff(velocity, axis=0) / TICK
         assert (np.abs(velocity) <= VELOCITY * (1 + 1e-9)).all()
-        # The very last step to the goal may be shorter than the brake's.
         assert (np.abs(acceleration) <= ACCELERATION * (1 + 1e-6)).all()
         low, high = np.minimum(start, goal), np.maximum(start, goal)
         assert (np.array(path) >= low - 1e-12).all() and (np.array(path) <= high + 1e-12).all()
