@@ -7,6 +7,7 @@ limited velocity and acceleration, as a hand does.
 
 from __future__ import annotations
 
+import math
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,13 +93,26 @@ def swing(yaw: float, pitch: float) -> Array:
 
 
 def twist(yaw: float, pitch: float) -> float:
-    """Angle about the shaft between turning by yaw, then pitch, and the smallest rotation [rad]."""
-    cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
-    gimbal = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]) @ np.array(
-        [[1, 0, 0], [0, cp, sp], [0, -sp, cp]]
-    )
-    rest = gimbal.T @ swing(yaw, pitch)
-    return float(np.arctan2(rest[1, 0], rest[0, 0]))
+    """Angle about the shaft from turning by yaw, then pitch, to the smallest rotation [rad].
+
+    As quaternions, turning by yaw then pitch is (cos y cos p, -cos y sin p, sin y cos p,
+    sin y sin p) with half the angles; its part about z is what the smallest rotation leaves out.
+    """
+    y, p = yaw / 2.0, pitch / 2.0
+    return -2.0 * math.atan2(math.sin(y) * math.sin(p), math.cos(y) * math.cos(p))
+
+
+def towards(place: float, speed: float, goal: float, fastest: float, hardest: float) -> float:
+    """Speed in the coming tick of a motion to a goal with limited speed and acceleration.
+
+    Not faster than so that n more steps, each slower by no more than the limit, end at the goal:
+    left = n v T - a T^2 n (n - 1) / 2.
+    """
+    left, change = goal - place, hardest * TICK
+    n = max(math.ceil((math.sqrt(1.0 + 8.0 * abs(left) / (change * TICK)) - 1.0) / 2.0), 1)
+    brake = abs(left) / (n * TICK) + change * (n - 1) / 2.0
+    wanted = math.copysign(min(brake, fastest), left)
+    return speed + min(max(wanted - speed, -change), change)
 
 
 def forward(joints: Array) -> Array:
@@ -268,16 +282,11 @@ class Assistant:
 
     def advance(self) -> None:
         """Move the servos' targets one tick on; called before the physics of that tick."""
-        left = self._goal - self.target
-        # The fastest step from which n steps, each slower by no more than the limit, end there:
-        # left = n v T - a T^2 n (n - 1) / 2.
-        distance, unit = np.abs(left), ACCELERATION * TICK**2
-        n = np.maximum(np.ceil((np.sqrt(1.0 + 8.0 * distance / unit) - 1.0) / 2.0), 1.0)
-        brake = distance / (n * TICK) + ACCELERATION * TICK * (n - 1.0) / 2.0
-        wanted = np.sign(left) * np.minimum(brake, VELOCITY)
-        step = ACCELERATION * TICK
-        self._velocity += np.clip(wanted - self._velocity, -step, step)
-        self.target = self.target + self._velocity * TICK
+        for i, place in enumerate(self.target.tolist()):
+            speed, goal = float(self._velocity[i]), float(self._goal[i])
+            speed = towards(place, speed, goal, float(VELOCITY[i]), float(ACCELERATION[i]))
+            self._velocity[i] = speed
+            self.target[i] = place + speed * TICK
         step_jaw = JAW_VELOCITY * TICK
         self.jaw_target += min(max(self._jaw_goal - self.jaw_target, -step_jaw), step_jaw)
         self._drive()
