@@ -62,7 +62,8 @@ def test_jaws_that_close_on_nothing_hold_nothing(phantom: Phantom) -> None:
 def test_shut_jaws_that_are_pushed_into_the_tube_hold_nothing(phantom: Phantom) -> None:
     place, roll = phantom.bowel.nodes[18], phantom.across(18)
     shaft = phantom.shaft(place)
-    phantom.go(place - 0.03 * shaft, roll, SHUT)
+    phantom.go(place - 0.03 * shaft, roll, OPEN)
+    phantom.run(150, jaw=SHUT)  # the attempt to grasp was in the air
     phantom.go(place, roll, SHUT)
     first, second = phantom.grasp.touched()
     assert first and second
@@ -126,6 +127,24 @@ def test_a_pull_below_the_slip_force_holds(phantom: Phantom) -> None:
     assert 0.5 < strength < phantom.bowel.parameters.slip_force
     assert phantom.grasp.held is not None
     assert phantom.grasp.slips == 0
+
+
+@pytest.mark.parametrize("way", [-1, 1])
+def test_tissue_slides_towards_its_tight_side(phantom: Phantom, way: int) -> None:
+    """Jaws that are pulled along the tube come nearer to the end towards which they are pulled."""
+    phantom.take(18)
+    nodes, roll = phantom.bowel.nodes, phantom.across(18)
+    along = way * (nodes[22] - nodes[14])
+    along = along / np.linalg.norm(along) + 0.2 * LIFT
+    held = [phantom.grasp.held]
+    for _ in range(40):
+        phantom.go(phantom.assistant.p_WTip + 0.004 * along, roll, ticks=20)
+        if phantom.grasp.held != held[-1]:
+            held.append(phantom.grasp.held)
+    print(f"pulled towards node {0 if way < 0 else 35}: held {held}")
+    assert held[-1] is None
+    assert all(isinstance(i, int) for i in held[:-1])
+    assert np.diff(np.array(held[:-1], dtype=int)).tolist() == [way, way]
 
 
 def test_a_jerk_takes_the_tissue_out_at_once(phantom: Phantom) -> None:

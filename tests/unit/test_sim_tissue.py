@@ -188,14 +188,17 @@ def test_breathing_carries_the_bowel(phantom: Phantom) -> None:
     motion = CONDITIONS["in_vivo"].breathing.bed()
     assert isinstance(motion, Sinusoid)
     phantom.bowel.bed.move(motion)
-    start, heights = phantom.bowel.nodes, []
+    start, heights, worst = phantom.bowel.nodes, [], 0.0
     for _ in range(100):
         phantom.run(20)
-        heights.append(phantom.bowel.nodes[:, 2] - start[:, 2])
-    top, bottom = np.max(heights, axis=0), np.min(heights, axis=0)
-    print(f"rises {top.mean() * 1e3:.2f} mm, sinks {bottom.mean() * 1e3:.2f} mm")
-    assert np.abs(top / motion.amplitude - 1).max() < 0.15
-    assert np.abs(bottom / motion.amplitude + 1).max() < 0.15
+        moved = phantom.bowel.nodes - start
+        heights.append(float(moved[:, 2].mean()))
+        if len(heights) > 20:  # it begins with a jerk
+            worst = max(worst, float(np.abs(moved - phantom.bowel.bed.p_B).max()))
+    print(f"{min(heights) * 1e3:.2f} to {max(heights) * 1e3:.2f} mm, off by {worst * 1e6:.0f} um")
+    assert max(heights) == pytest.approx(motion.amplitude, rel=0.02)
+    assert min(heights) == pytest.approx(-motion.amplitude, rel=0.02)
+    assert worst < 0.02 * motion.amplitude
     assert phantom.bowel.tensions.max() < 0.05
     phantom.reset()
     phantom.run(20)
