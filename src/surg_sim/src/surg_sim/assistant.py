@@ -7,6 +7,7 @@ limited velocity and acceleration, as a hand does.
 
 from __future__ import annotations
 
+import itertools
 import math
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
@@ -173,7 +174,8 @@ def add_assistant(
 
     grasper = mujoco.MjSpec.from_string(instrument.read_text("utf-8"))
     shaft = grasper.body(_SHAFT)  # parallel to the mount, as is its tip: no rotation to undo
-    offset = -(np.asarray(shaft.pos) + np.asarray(grasper.body(_TIP).pos))
+    to_tip = np.array(grasper.body(_TIP).pos)
+    offset = -(np.asarray(shaft.pos) + to_tip)
     body.add_frame(pos=offset.tolist()).attach_body(shaft, f"{NAME}_", "")
     for name in _JAWS:
         spec.joint(f"{NAME}_{name}").armature = _JAW_ARMATURE
@@ -184,6 +186,46 @@ def add_assistant(
         from surg_sim.scene import draw_cannula
 
         draw_cannula(pivot, np.array([0.0, 0.0, 1.0]))
+        _draw_handle(body, -float(to_tip[2]))
+
+
+def _draw_handle(body: mujoco.MjsBody, end: float) -> None:
+    """The handle that the assistant's hand would hold, where the shaft ends: only seen.
+
+    Args:
+        body: Carries the shaft; the tip is its origin, z the shaft's axis.
+        end: The shaft's outer end on z [m].
+    """
+    from surg_sim.scene import OUTSIDE
+
+    def rod(start: Array, stop: Array, radius: float, material: str, kind: str) -> None:
+        body.add_geom(
+            type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"),
+            fromto=[*start, *stop],
+            size=[radius, 0.0, 0.0],
+            material=material,
+            group=OUTSIDE,
+            contype=0,
+            conaffinity=0,
+            mass=0.0,
+        )
+
+    axis, side = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    back = end * axis
+    rod(back + 0.012 * axis, back - 0.012 * axis, 0.011, "seal", "CYLINDER")  # turns the shaft
+    rod(back - 0.012 * axis, back - 0.050 * axis, 0.007, "scope", "CYLINDER")
+    around = np.linspace(0.0, 2.0 * np.pi, 13)
+    for lean, ring in ((-0.15, 0.012), (-0.75, 0.014)):  # for the fingers, for the thumb
+        away = np.cos(lean) * side + np.sin(lean) * axis
+        root = back - 0.044 * axis
+        centre = root + (0.075 + ring) * away
+        rod(root, root + 0.075 * away, 0.0042, "scope", "CAPSULE")
+        across = np.cross([1.0, 0.0, 0.0], away)
+        loop = centre + ring * (
+            np.cos(around)[:, None] * away + 1.5 * np.sin(around)[:, None] * across
+        )
+        for start, stop in itertools.pairwise(loop):
+            rod(start, stop, 0.0034, "scope", "CAPSULE")
 
 
 def port_frame(site: Site, port: AssistantPort) -> Array:
