@@ -91,6 +91,8 @@ Pose rcm_frame(const Vector3& s_home, const Vector3& p_BRcm) {
   return X_BR;
 }
 
+double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
+
 Matrix3 minimal_rotation(const Vector3& a, const Vector3& b) {
   const Vector3 w = a.cross(b);
   const double c = a.dot(b);

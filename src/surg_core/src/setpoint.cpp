@@ -10,7 +10,6 @@ namespace surg {
 namespace {
 
 constexpr double kOverdue = 0.004;  // [s] a gap in a fast stream that is still bridged
-constexpr double kAside = 0.002;    // [m] off the shaft a profile may be near the trocar
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
@@ -170,8 +169,7 @@ bool Setpoint::plan_leaves_workspace() const {
     const Dofs& dofs = ahead.state();
     const Vector3 p = position(space_ == Space::kCartesian ? dofs : to_cartesian(dofs));
     if (further_out(p)) return true;
-    const bool aside = (p - s * s.dot(p)).norm() > kAside;
-    if (aside && p.norm() < shallow) return true;
+    if (aside_near_trocar(p, s, shallow)) return true;
   }
   return false;
 }
