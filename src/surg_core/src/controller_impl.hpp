@@ -115,15 +115,15 @@ struct Controller::Impl {
   void command(JointVector qd, bool moving);
   Step next_step(const Setpoint& next, JointVector& qd);
   /// Exact form: the reference's next step, and what makes the link follow it.
-  Step exact_step(JointVector& qd);
+  Step exact_step(const Setpoint& next, JointVector& qd);
   /// Velocity form and the paper's law: from the measured state, where the command will find it.
   Step velocity_step(const Setpoint& next, JointVector& qd) const;
   /// Back along the trace, once the motion before has come to rest; the set-point goes along.
   Step retrace_step(JointVector& qd);
   TwistWish wish_for(const Setpoint& next) const;
   /// Where the set-point leads in t [s] of its own clock; the trocar is where it will be after this
-  /// cycle.
-  ShaftGoal goal_at(double t) const;
+  /// cycle. 'next': the set-point a whole cycle on, from where it is only foreseen.
+  ShaftGoal goal_at(const Setpoint& next, double t) const;
   /// What a stream will do is its sender's secret: a look ahead along a guess would slow it down
   /// for nothing. Barrier and braking distances guard it.
   double horizon() const;

@@ -86,15 +86,15 @@ Step Controller::Impl::next_step(const Setpoint& next, JointVector& qd) {
   }
   back = 0;
   if (enabled()) trace.record(law == Law::kExact ? follower.reference() : arm.now().q);
-  return law == Law::kExact ? exact_step(qd) : velocity_step(next, qd);
+  return law == Law::kExact ? exact_step(next, qd) : velocity_step(next, qd);
 }
 
-Step Controller::Impl::exact_step(JointVector& qd) {
+Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
   // Critically damped: no jump in velocity at the start.
   const Vector3 pull = -kOntoPivot * (kOntoPivot * pivot_offset + 2 * pivot_offset_rate);
   pivot_offset_rate += T * pull;
   pivot_offset += T * pivot_offset_rate;
-  const auto path = [this](double t) { return goal_at(t); };
+  const auto path = [&](double t) { return goal_at(next, t); };
   Wish wish;
   wish.path = PathView(path);
   wish.horizon = horizon();
@@ -108,7 +108,7 @@ Step Controller::Impl::exact_step(JointVector& qd) {
 
 Step Controller::Impl::velocity_step(const Setpoint& next, JointVector& qd) const {
   const TwistWish wished = wish_for(next);
-  const auto path = [this](double t) { return goal_at(t); };
+  const auto path = [&](double t) { return goal_at(next, t); };
   Wish wish;
   wish.feedback = wished.feedback;
   wish.forward = wished.path;
@@ -153,16 +153,15 @@ TwistWish Controller::Impl::wish_for(const Setpoint& next) const {
                                           force.push(), limits, T);
 }
 
-ShaftGoal Controller::Impl::goal_at(double t) const {
-  Setpoint there = pilot.setpoint();
-  there.advance(std::min(t, T));
-  if (t > T) there = there.foreseen(t - T);
+ShaftGoal Controller::Impl::goal_at(const Setpoint& next, double t) const {
+  const Setpoint& setpoint = pilot.setpoint();
+  const Setpoint::Place there = t < T ? setpoint.after(t) : next.foreseen(t - T);
   const double arrives = T + (law == Law::kExact ? follower.delay() : 0.0);
   const Vector3 p_BRcm = trocar.p_B() + arrives * trocar.v_B() + pivot_offset;
-  const Vector3 p_B = X_BR * there.p_RTip();
-  if (!there.axial()) return tip_goal(p_BRcm, p_B, there.roll(), shaft().s);
-  const Vector3 s_B = X_BR.linear() * there.s_R();
-  return {p_BRcm, s_B, s_B.dot(p_B - p_BRcm), there.roll()};
+  const Vector3 p_B = X_BR * there.p_RTip;
+  if (!setpoint.axial()) return tip_goal(p_BRcm, p_B, there.roll, shaft().s);
+  const Vector3 s_B = X_BR.linear() * setpoint.s_R();
+  return {p_BRcm, s_B, s_B.dot(p_B - p_BRcm), there.roll};
 }
 
 double Controller::Impl::horizon() const {
