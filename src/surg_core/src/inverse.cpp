@@ -21,47 +21,79 @@ Inverse::Inverse(const Jacobian& J) : J_(J), n_(J.cols()) {
     }
   }
   double smallest = INFINITY, greatest = 0;
+#pragma GCC unroll 6
   for (int k = 0; k < 6; ++k) {
     int best = k;
+    double most = std::abs(A_(k, k));
+#pragma GCC unroll 6
     for (int i = k + 1; i < 6; ++i) {
-      if (std::abs(A_(i, k)) > std::abs(A_(best, k))) best = i;
+      const double size = std::abs(A_(i, k));
+      best = size > most ? i : best;
+      most = size > most ? size : most;
     }
     swap_[k] = best;
     if (best != k) {
+#pragma GCC unroll 6
       for (int c = 0; c < 6; ++c) std::swap(A_(k, c), A_(best, c));
     }
-    const double pivot = std::abs(A_(k, k));
-    smallest = std::min(smallest, pivot);
-    greatest = std::max(greatest, pivot);
+    smallest = std::min(smallest, most);
+    greatest = std::max(greatest, most);
     const double inverse = 1.0 / A_(k, k);
+#pragma GCC unroll 6
     for (int i = k + 1; i < 6; ++i) A_(i, k) *= inverse;
+#pragma GCC unroll 6
     for (int c = k + 1; c < 6; ++c) {
-      for (int i = k + 1; i < 6; ++i) A_(i, c) -= A_(i, k) * A_(k, c);
+      const double top = A_(k, c);
+#pragma GCC unroll 6
+      for (int i = k + 1; i < 6; ++i) A_(i, c) -= A_(i, k) * top;
     }
   }
   // Written so that a NaN fails as well; J J^T has the squares.
   regular_ = n_ >= 6 && smallest > (n_ == 6 ? kSingular : kSingular * kSingular) * greatest;
 }
 
-JointVector Inverse::operator()(Vector6 x, const JointVector& posture) const {
-  if (!regular_) return JointVector::Zero(n_);
+JointVector Inverse::operator()(const Vector6& x, const JointVector& posture) const {
+  return both(x, x, posture)[0];
+}
+
+std::array<JointVector, 2> Inverse::both(const Vector6& x, const Vector6& y,
+                                         const JointVector& posture) const {
+  if (!regular_) return {JointVector::Zero(n_), JointVector::Zero(n_)};
+  Pair pair;
+  pair.col(0) = x;
+  pair.col(1) = y;
   if (n_ > 6) {
-    for (Eigen::Index i = 0; i < n_; ++i) x -= Vector6(J_.col(i)) * posture[i];
+    for (Eigen::Index i = 0; i < n_; ++i) {
+      const Vector6 moved = Vector6(J_.col(i)) * posture[i];
+      pair.col(0) -= moved;
+      pair.col(1) -= moved;
+    }
   }
-  for (int k = 0; k < 6; ++k) {
-    std::swap(x[k], x[swap_[k]]);
+  substitute(pair);
+  if (n_ == 6) return {JointVector(pair.col(0)), JointVector(pair.col(1))};
+  const Vector6 first = pair.col(0), second = pair.col(1);
+  std::array<JointVector, 2> dq{posture, posture};
+  for (Eigen::Index i = 0; i < n_; ++i) {
+    dq[0][i] += J_.col(i).dot(first);
+    dq[1][i] += J_.col(i).dot(second);
   }
-  for (int k = 0; k < 6; ++k) {
-    for (int i = k + 1; i < 6; ++i) x[i] -= A_(i, k) * x[k];
-  }
-  for (int k = 5; k >= 0; --k) {
-    x[k] /= A_(k, k);
-    for (int i = 0; i < k; ++i) x[i] -= A_(i, k) * x[k];
-  }
-  if (n_ == 6) return x;
-  JointVector dq = posture;
-  for (Eigen::Index i = 0; i < n_; ++i) dq[i] += J_.col(i).dot(x);
   return dq;
+}
+
+/// Forwards through L, back through U; the two columns side by side in one register.
+void Inverse::substitute(Pair& x) const {
+  for (int k = 0; k < 6; ++k) x.row(k).swap(x.row(swap_[k]));
+#pragma GCC unroll 6
+  for (int k = 0; k < 6; ++k) {
+#pragma GCC unroll 6
+    for (int i = k + 1; i < 6; ++i) x.row(i) -= A_(i, k) * x.row(k);
+  }
+#pragma GCC unroll 6
+  for (int k = 5; k >= 0; --k) {
+    x.row(k) /= A_(k, k);
+#pragma GCC unroll 6
+    for (int i = 0; i < k; ++i) x.row(i) -= A_(i, k) * x.row(k);
+  }
 }
 
 Vector6 displacement(const Pose& from, const Pose& to) {

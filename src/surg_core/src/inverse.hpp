@@ -17,9 +17,15 @@ class Inverse {
 
   bool regular() const { return regular_; }
   /// dq with J dq = x, for redundant arms the one next to 'posture'; zero where J is singular.
-  JointVector operator()(Vector6 x, const JointVector& posture) const;
+  JointVector operator()(const Vector6& x, const JointVector& posture) const;
+  /// The same for two at a time, which costs no more than one.
+  std::array<JointVector, 2> both(const Vector6& x, const Vector6& y,
+                                  const JointVector& posture) const;
 
  private:
+  using Pair = Eigen::Matrix<double, 6, 2, Eigen::RowMajor>;
+  void substitute(Pair& x) const;
+
   const Jacobian& J_;
   Eigen::Index n_;
   Eigen::Matrix<double, 6, 6> A_;  ///< factors L and U of J, or of J J^T, with rows swapped

@@ -52,10 +52,10 @@ bool LimitedStep::Law::pose_node(const JointVector& guess, const Pose& pose, con
   self_.chain_.forward(guess, X, J);
   const Inverse inverse(J);
   if (!inverse.regular()) return false;
-  const JointVector rest = inverse(displacement(X, pose), still);
+  const auto [rest, further] = inverse.both(displacement(X, pose), displacement(X, later), still);
   if (largest(rest) > 0.35 * arc + kArcReserve) return false;
   node.q = guess + rest;
-  node.direction = (inverse(displacement(X, later), still) - rest) / kTwistSpacing;
+  node.direction = (further - rest) / kTwistSpacing;
   node.measures = self_.barrier_.measures(X, J);
   node.flange = (later.translation() - pose.translation()).norm() / kTwistSpacing;
   return true;
@@ -115,15 +115,13 @@ LimitedStep::Affine LimitedStep::ExactLaw::affine() const {
   const JointVector posture = T * gentle(wish_.posture);
   const bool pulled = posture.squaredNorm() > 0;
   const Inverse inverse(here_.J);
-  const auto to = [&](const Pose& pose) {
-    return inverse(displacement(here_.X_BF, pose), posture);
-  };
+  const auto to = [&](double t) { return displacement(here_.X_BF, pose(t, keep_)); };
   a.regular = inverse.regular();
-  const JointVector rest = to(pose(0, keep_));
-  a.tangent = (to(pose(kTwistSpacing, keep_)) - rest) / kTwistSpacing;
+  const auto [rest, soon] = inverse.both(to(0), to(kTwistSpacing), posture);
+  a.tangent = (soon - rest) / kTwistSpacing;
   const double expected = a.expected(here_.qd_last, T);
   a.qd0 = rest / T;
-  a.qd1 = (to(pose(expected * T, keep_)) - rest) / (expected * T);
+  a.qd1 = (inverse(to(expected * T), posture) - rest) / (expected * T);
   a.returning = (returning_ || pulled) && a.regular;
   if (a.returning) {
     a.back = (rest - inverse(displacement(here_.X_BF, pose(0, 1.0)), still_)) / T;
