@@ -28,6 +28,7 @@ double signed_pivot_ratio(const Jacobian& J) {
     }
   }
   double smallest = INFINITY, largest = 0, sign = 1;
+// Unrolled: asked for at every point ahead.
 #pragma GCC unroll 6
   for (int k = 0; k < 6; ++k) {
     int best = k;

@@ -10,6 +10,10 @@ constexpr double kSingular = 1e-12;  // smallest pivot of J over its greatest
 
 }  // namespace
 
+// The loops over six rows are unrolled: a look ahead spends most of its time here, and loops as
+// short as these take twice as long where the compiler leaves them as they are.
+
+/// L and U in place, rows swapped for the greatest pivot.
 Inverse::Inverse(const Jacobian& J) : J_(J), n_(J.cols()) {
   if (n_ == 6) {
     A_ = J;
@@ -36,7 +40,7 @@ Inverse::Inverse(const Jacobian& J) : J_(J), n_(J.cols()) {
 #pragma GCC unroll 6
       for (int c = 0; c < 6; ++c) std::swap(A_(k, c), A_(best, c));
     }
-    smallest = std::min(smallest, most);
+    if (!(most >= smallest)) smallest = most;  // a NaN as well
     greatest = std::max(greatest, most);
     const double inverse = 1.0 / A_(k, k);
 #pragma GCC unroll 6
@@ -48,7 +52,7 @@ Inverse::Inverse(const Jacobian& J) : J_(J), n_(J.cols()) {
       for (int i = k + 1; i < 6; ++i) A_(i, c) -= A_(i, k) * top;
     }
   }
-  // Written so that a NaN fails as well; J J^T has the squares.
+  // J J^T has the squares.
   regular_ = n_ >= 6 && smallest > (n_ == 6 ? kSingular : kSingular * kSingular) * greatest;
 }
 
