@@ -91,14 +91,20 @@ Pose rcm_frame(const Vector3& s_home, const Vector3& p_BRcm) {
   return X_BR;
 }
 
+double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
+
 Matrix3 minimal_rotation(const Vector3& a, const Vector3& b) {
   const Vector3 w = a.cross(b);
-  const double c = a.dot(b);
-  Matrix3 W;
-  W << 0, -w.z(), w.y(), w.z(), 0, -w.x(), -w.y(), w.x(), 0;
+  const double x = w.x(), y = w.y(), z = w.z();
   // Opposite directions have no unique minimal rotation; the cone limit keeps the shaft far from
   // there.
-  return Matrix3::Identity() + W + W * W / std::max(1.0 + c, 1e-9);
+  const double d = std::max(1.0 + a.dot(b), 1e-9);
+  const double xy = x * y / d, xz = x * z / d, yz = y * z / d;
+  Matrix3 R;  // I + [w] + [w]^2 / (1 + a . b), written out: it is asked for at every point ahead
+  R << 1 + (-z * z - y * y) / d, xy - z, xz + y,  //
+      xy + z, 1 + (-z * z - x * x) / d, yz - x,   //
+      xz - y, yz + x, 1 + (-y * y - x * x) / d;
+  return R;
 }
 
 double absolute_roll(const Matrix3& R, const Matrix3& R_home, const Vector3& s_home,
