@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli import environment, paths, provision, workspace
-from surg_cli.terminal import Problem
+from surg_cli import environment, logged, paths, provision, workspace
+from surg_cli.terminal import Problem, Progress
 
 
 def test_package_list_ignores_comments(tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_nothing_is_done_when_nothing_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(provision, "missing_packages", lambda names: [])
-    monkeypatch.setattr(provision, "_logged", lambda *a, **k: pytest.fail("ran a program"))
+    monkeypatch.setattr(provision.logged, "run", lambda *a, **k: pytest.fail("ran a program"))
     assert not provision.install_packages(tmp_path / "log")
 
 
@@ -58,7 +58,7 @@ def test_a_failing_step_shows_the_end_of_its_output(tmp_path: Path) -> None:
     log = tmp_path / "log"
     argv = ["/bin/sh", "-c", "echo the reason; exit 3"]
     with pytest.raises(Problem, match="the reason") as caught:
-        provision._logged(argv, log, provision.Progress("x"), "w")
+        logged.run(argv, log, Progress("x"))
     assert str(log) in str(caught.value)
     assert "the reason" in log.read_text()
 
