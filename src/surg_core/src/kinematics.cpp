@@ -5,6 +5,8 @@
 #include <stdexcept>
 #include <utility>
 
+#include "sines.hpp"
+
 namespace surg {
 namespace {
 
@@ -171,13 +173,9 @@ struct Chain::Frames {
 
 Pose Chain::walk(const JointVector& q, Frames& frames) const {
   const int n = dof();
-  // Sines first: a call between the products would put every register aside.
-  std::array<double, kMaxJoints> c, s;
-  for (int i = 0; i < n; ++i) {
-    const double angle = q[i] + links_[i].turn;
-    c[i] = std::cos(angle);
-    s[i] = std::sin(angle);
-  }
+  Angles angle = Angles::Zero(), s, c;
+  for (int i = 0; i < n; ++i) angle[i] = q[i] + links_[i].turn;
+  sines(angle, s, c);
   for (int i = 0; i < n; ++i) {
     frames.origin[i] = frames.p;
     frames.axis[i] = frames.z;
