@@ -57,6 +57,7 @@ tuning:
   roll_gain: 10
   posture_gain: 1
   profiler_duration: 0.5
+  stream_delay: 0.0
   servo_timeout: 0.1
   link_timeout: 0.05
   link_lag: 0.008

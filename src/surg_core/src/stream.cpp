@@ -105,6 +105,27 @@ void AlphaBeta::update(double x, double spacing) {
 
 Kinematic AlphaBeta::predict(double age) const { return {x_ + v_ * age, v_ + a_ * age, a_}; }
 
+void StreamDelay::step(double x, double T) {
+  if (!works(T)) return;
+  // y''' D^3 = 15 (x - y) - 15 D y' - 6 D^2 y'', and the derivatives of it while x stands still: the
+  // series to the fourth order is stable from T = D down.
+  const double D = delay_;
+  const auto next = [D](double y0, double y1, double y2) {
+    return -(15 * y0 + 15 * D * y1 + 6 * D * D * y2) / (D * D * D);
+  };
+  const double y0 = state_.x - x, y1 = state_.v, y2 = state_.a;
+  const double y3 = next(y0, y1, y2), y4 = next(y1, y2, y3);
+  const double y5 = next(y2, y3, y4), y6 = next(y3, y4, y5);
+  state_.x += T * (y1 + T / 2 * (y2 + T / 3 * (y3 + T / 4 * y4)));
+  state_.v += T * (y2 + T / 2 * (y3 + T / 3 * (y4 + T / 4 * y5)));
+  state_.a += T * (y3 + T / 2 * (y4 + T / 3 * (y5 + T / 4 * y6)));
+}
+
+Kinematic StreamDelay::predict(double ahead) const {
+  return {state_.x + ahead * (state_.v + 0.5 * ahead * state_.a), state_.v + ahead * state_.a,
+          state_.a};
+}
+
 StreamFilter::StreamFilter(const DofLimits& limits) : limits_(limits) {
   if (!(limits.velocity > 0 && limits.acceleration > 0 && limits.jerk > 0)) {
     throw std::invalid_argument(
