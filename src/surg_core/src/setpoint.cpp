@@ -42,7 +42,7 @@ Dofs to_cartesian(const Dofs& spherical) {
           Kinematic{roll.x, roll.v, 0}};
 }
 
-Setpoint::Setpoint(const Limits& limits, double profiler_duration, double stream_delay, bool paper)
+Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay)
     : limits_(limits), paper_(paper), duration_(profiler_duration) {
   delays_.fill(StreamDelay(stream_delay));
   profiler_ = Profiler(dof_limits(Space::kCartesian), duration_);

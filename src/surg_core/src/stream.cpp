@@ -107,18 +107,23 @@ Kinematic AlphaBeta::predict(double age) const { return {x_ + v_ * age, v_ + a_ 
 
 void StreamDelay::step(double x, double T) {
   if (!works(T)) return;
-  // y''' D^3 = 15 (x - y) - 15 D y' - 6 D^2 y'', and the derivatives of it while x stands still: the
-  // series to the fourth order is stable from T = D down.
+  // Y / X = 15 / (15 + 15 D s + 6 D^2 s^2 + D^3 s^3), Bessel's polynomial of third order. While x
+  // stands still the equation gives every derivative of y from the three before it; the series to
+  // the fourth order is exact to 1e-5 in steps of an eighth of D.
   const double D = delay_;
   const auto next = [D](double y0, double y1, double y2) {
     return -(15 * y0 + 15 * D * y1 + 6 * D * D * y2) / (D * D * D);
   };
-  const double y0 = state_.x - x, y1 = state_.v, y2 = state_.a;
-  const double y3 = next(y0, y1, y2), y4 = next(y1, y2, y3);
-  const double y5 = next(y2, y3, y4), y6 = next(y3, y4, y5);
-  state_.x += T * (y1 + T / 2 * (y2 + T / 3 * (y3 + T / 4 * y4)));
-  state_.v += T * (y2 + T / 2 * (y3 + T / 3 * (y4 + T / 4 * y5)));
-  state_.a += T * (y3 + T / 2 * (y4 + T / 3 * (y5 + T / 4 * y6)));
+  const int steps = static_cast<int>(std::ceil(8 * T / D));  // at most 8, as D >= T
+  const double h = T / steps;
+  for (int i = 0; i < steps; ++i) {
+    const double y0 = state_.x - x, y1 = state_.v, y2 = state_.a;
+    const double y3 = next(y0, y1, y2), y4 = next(y1, y2, y3);
+    const double y5 = next(y2, y3, y4), y6 = next(y3, y4, y5);
+    state_.x += h * (y1 + h / 2 * (y2 + h / 3 * (y3 + h / 4 * y4)));
+    state_.v += h * (y2 + h / 2 * (y3 + h / 3 * (y4 + h / 4 * y5)));
+    state_.a += h * (y3 + h / 2 * (y4 + h / 3 * (y5 + h / 4 * y6)));
+  }
 }
 
 Kinematic StreamDelay::predict(double ahead) const {

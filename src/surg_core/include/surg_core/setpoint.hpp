@@ -28,9 +28,9 @@ class Setpoint {
   enum class Mode { kRest, kStream, kVelocity, kProfile, kStopping };
 
   Setpoint() = default;
-  /// stream_delay [s]: a stream is followed that much later, see StreamDelay.
   /// paper: every stream goes through the paper's quintic of fixed duration, re-planned each cycle.
-  Setpoint(const Limits& limits, double profiler_duration, double stream_delay, bool paper);
+  /// stream_delay [s]: a stream is followed that much later, see StreamDelay; not with 'paper'.
+  Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay = 0);
 
   /// Stands still at a tip position [m] in the rcm frame, the shaft along unit s_R, and a roll
   /// [rad].
@@ -63,7 +63,7 @@ class Setpoint {
   /// against it, and a profile that does is stopped (F25).
   void yield_to(const Vector3& push_R);
 
-  /// Real time passes: stream samples get older.
+  /// Real time passes: stream samples get older, and their delay goes by.
   void elapse(double T);
   /// The set-point moves on by dt <= T of its own clock.
   void advance(double dt);

@@ -23,8 +23,9 @@ class AlphaBeta {
 };
 
 /// One axis of a delay: a third-order Bessel low-pass, whose group delay is the same at all
-/// frequencies that it lets pass and whose overshoot is below 1 %. A stream keeps its shape and only
-/// comes later, with less acceleration: for arms that cannot follow a hand's, and would overshoot.
+/// frequencies that it lets pass and whose overshoot is below 1 %. A stream keeps its shape and
+/// only comes later, with less acceleration: for arms that cannot follow a hand's, and would
+/// overshoot.
 class StreamDelay {
  public:
   StreamDelay() = default;
