@@ -34,7 +34,7 @@ Pilot::Pilot(const Limits& limits, const Tuning& tuning, double dt, bool paper)
     : limits_(limits),
       timeout_(tuning.servo_timeout),
       dt_(dt),
-      setpoint_(limits, tuning.profiler_duration, paper) {}
+      setpoint_(limits, tuning.profiler_duration, paper, tuning.stream_delay) {}
 
 void Pilot::start(const Whereabouts& at) {
   setpoint_.reset(at.p_RTip, at.s_R, at.roll);

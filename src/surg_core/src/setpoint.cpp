@@ -41,8 +41,9 @@ Dofs to_cartesian(const Dofs& spherical) {
           Kinematic{roll.x, roll.v, 0}};
 }
 
-Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper)
+Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay)
     : limits_(limits), paper_(paper), duration_(profiler_duration) {
+  delays_.fill(StreamDelay(stream_delay));
   profiler_ = Profiler(dof_limits(Space::kCartesian), duration_);
 }
 
@@ -81,6 +82,7 @@ void Setpoint::follow(Space space, const std::array<double, 4>& target, double T
   if (first) {
     axial_ = false;
     enter(space);
+    for (int i = 0; i < 4; ++i) delays_[i].reset(dofs_[i]);
     if (paper_) profiler_ = Profiler(dof_limits(space), duration_);
     mode_ = Mode::kStream;
   }
@@ -265,6 +267,23 @@ void Setpoint::hinder(const Vector3& p_before) {
   for (int i = 0; i < 3; ++i) filters_[i].reset(dofs_[i]);
 }
 
+void Setpoint::elapse(double T) {
+  age_ += T;
+  tick_ = T;
+  if (mode_ != Mode::kStream) return;
+  for (int i = 0; i < 4; ++i) {
+    delays_[i].step(overdue() ? target_[i] : estimates_[i].predict(age_).x, T);
+  }
+}
+
+/// An overdue sample is not extrapolated any further: the tip comes to rest at it.
+bool Setpoint::overdue() const { return age_ > std::max(1.5 * spacing_, kOverdue); }
+
+Kinematic Setpoint::stream_target(int dof, double dt) const {
+  if (delays_[dof].works(tick_)) return delays_[dof].predict(dt);
+  return overdue() ? Kinematic{target_[dof], 0, 0} : estimates_[dof].predict(age_ + dt);
+}
+
 void Setpoint::advance_stream(double dt) {
   if (paper_) {
     profiler_.reset(dofs_);
@@ -273,14 +292,10 @@ void Setpoint::advance_stream(double dt) {
     dofs_ = profiler_.state();
     return;
   }
-  // An overdue sample is not extrapolated any further: the tip comes to rest at it. The tick is
-  // taken only if the hardest stop after it still ends inside the workspace; otherwise that stop
-  // begins (or goes on), which was possible before.
-  const bool overdue = age_ > std::max(1.5 * spacing_, kOverdue);
+  // The tick is taken only if the hardest stop after it still ends inside the workspace; otherwise
+  // that stop begins (or goes on), which was possible before.
   auto next = filters_;
-  for (int i = 0; i < 4; ++i) {
-    next[i].step(overdue ? Kinematic{target_[i], 0, 0} : estimates_[i].predict(age_ + dt), dt);
-  }
+  for (int i = 0; i < 4; ++i) next[i].step(stream_target(i, dt), dt);
   at_wall_ = stop_leaves_workspace(next);
   for (int i = 0; i < 4; ++i) {
     if (at_wall_ && i < 3) {
