@@ -53,6 +53,7 @@ def test_forward_is_what_the_conventions_say(full: bool) -> None:
 @pytest.mark.parametrize("cell", ["sim_ur5e", "sim_panda"])
 def test_the_simulated_tip_is_where_forward_says(cell: str, full: bool) -> None:
     phantom = Phantom(cell)
+    phantom.model.geom_conaffinity[:] = 0  # the bowel would press on the jaws
     rng, worst = np.random.default_rng(2), 0.0
     for _ in range(20 if full else 2):
         joints = random_joints(rng)

@@ -172,21 +172,23 @@ def test_a_jerk_takes_the_tissue_out_at_once(phantom: Phantom) -> None:
 
 
 def test_the_force_on_the_jaws_is_what_statics_demands(phantom: Phantom) -> None:
-    """At rest, what the jaws carry is what mesentery and anchors pull at the bowel."""
+    """At rest, what all jaws carry is what mesentery and anchors pull at the bowel."""
     phantom.take(18)
+    phantom.model.geom_contype[phantom.model.geom("bowel_floor").id] = 0
     errors = []
     for height in (0.02, 0.015, 0.015):
         phantom.go(phantom.assistant.p_WTip + height * LIFT, ticks=1300)
         expected = phantom.bowel.pulls.sum(axis=0)
-        error = np.linalg.norm(phantom.grasp.force - expected)
-        errors.append(error)
-        assert error < 2e-3
+        # On its way up the tube brushes against the robot's jaws: both tools' forces count.
+        felt = phantom.grasp.force + phantom.robot_grasp.force
+        errors.append(float(np.linalg.norm(felt - expected)))
+        assert errors[-1] < 1e-6
         assert phantom.grasp.force[2] < 0.0
     strength = float(np.linalg.norm(phantom.grasp.force))
     note(
         "force on the jaws against statics",
         len(errors),
-        f"within {1e3 * max(errors):.1f} mN at up to {strength:.1f} N",
+        f"within {max(max(errors), 1e-9):.0e} N at up to {strength:.1f} N",
     )
 
 

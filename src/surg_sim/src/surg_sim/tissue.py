@@ -62,7 +62,8 @@ class TissueParameters:
         anchor: Stiffness at the two ends, where the tube goes on [N/m].
         height: Of the tube's axis above the work point [m].
         slip_force: Pull at which the tissue slips in closed jaws [N].
-        bend: Largest random displacement of the course [m].
+        bend: Amplitude of the longest of three random waves in the course; the others are a half
+            and a third of it [m].
         shift: Largest random displacement of the whole [m].
         turn: Largest random turn of the whole about the vertical [rad].
     """
@@ -109,16 +110,21 @@ def rest_shape(
     """
     knots = np.column_stack([_KNOTS, np.full(len(_KNOTS), parameters.height)])
     if rng is not None:
-        knots[:, :2] += rng.uniform(-parameters.bend, parameters.bend, (len(knots), 2))
+        # Long waves only: a bend sharper than the tube's radius would be a kink.
+        along, order = np.linspace(0.0, 1.0, len(knots))[:, None], np.arange(1, 4)
+        for axis in range(2):
+            size = rng.uniform(-parameters.bend, parameters.bend, 3) / order
+            phase = rng.uniform(0.0, 2.0 * np.pi, 3)
+            knots[:, axis] += np.sin(np.pi * order * along + phase) @ size
         angle = rng.uniform(-parameters.turn, parameters.turn)
         c, s = np.cos(angle), np.sin(angle)
         knots[:, :2] = knots[:, :2] @ np.array([[c, s], [-s, c]])
         knots[:, :2] += rng.uniform(-parameters.shift, parameters.shift, 2)
     curve = smooth_curve(knots, 400)
     length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
-    along = (np.arange(parameters.nodes) - (parameters.nodes - 1) / 2) * parameters.spacing
-    along += length[-1] / 2
-    local = np.column_stack([np.interp(along, length, curve[:, i]) for i in range(3)])
+    place = (np.arange(parameters.nodes) - (parameters.nodes - 1) / 2) * parameters.spacing
+    place += length[-1] / 2
+    local = np.column_stack([np.interp(place, length, curve[:, i]) for i in range(3)])
     # The curve is longer than the tube for every draw; were it not, the ends would coincide.
     ends = np.minimum(np.arange(parameters.nodes), np.arange(parameters.nodes)[::-1])
     local[:, 2] -= _DIP * np.clip(1.0 - ends / 4.0, 0.0, 1.0) ** 2
