@@ -197,7 +197,7 @@ def test_pressing_on_the_tube_is_felt(phantom: Phantom) -> None:
     place, roll = phantom.bowel.nodes[18], phantom.across(18)
     shaft = phantom.shaft(place)
     phantom.go(place - 0.03 * shaft, roll, SHUT)
-    phantom.go(place - 0.0095 * shaft, roll, ticks=1500)
+    phantom.go(place - 0.0080 * shaft, roll, ticks=1500)
     expected = phantom.bowel.pulls.sum(axis=0)
     assert expected[2] > 1e-4
     assert np.linalg.norm(phantom.grasp.force - expected) < 0.05 * np.linalg.norm(expected)

@@ -95,7 +95,7 @@ class TissueParameters:
     @property
     def collision_radius(self) -> float:
         """Of the soft sphere in every node that jaw pads meet [m]."""
-        return 0.85 * self.radius
+        return 0.72 * self.radius
 
 
 def rest_shape(
