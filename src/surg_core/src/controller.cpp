@@ -6,6 +6,7 @@
 
 #include "surg_core/arm_state.hpp"
 #include "surg_core/exact_follower.hpp"
+#include "surg_core/flange_cap.hpp"
 #include "surg_core/gate.hpp"
 #include "surg_core/image.hpp"
 #include "surg_core/jaw.hpp"
@@ -25,6 +26,7 @@ constexpr double kOutside = 0.15;          // [m] a tip may be above its trocar 
 constexpr double kToolTimeout = 0.2;       // [s] without a jaw state (F31)
 constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint swings past its command
 constexpr double kFlangeReserve = 0.97;  // of its speed: it is looked at to first order, not ahead
+constexpr double kMostLead = 0.5;        // of it: the follower may not bring the reference to rest
 constexpr double kOntoPivot = 8;       // [1/s] pole with which a start off the pivot comes onto it
 constexpr double kHorizon = 0.45;      // [s] of the set-point's clock that is looked ahead
 constexpr double kRetraceRate = 0.15;  // [rad/s] of the fastest joint
@@ -64,14 +66,15 @@ JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law)
   return out;
 }
 
-ExactFollower::Options follower_options(const RobotConfig& robot, double gain, double lag,
-                                        double T) {
+ExactFollower::Options follower_options(const RobotConfig& robot, const Limits& limits, double gain,
+                                        double lag, double T) {
   ExactFollower::Options out;
   out.lag = lag;
   out.gain = gain;
   out.T = T;
   out.velocity = robot.velocity;
   out.acceleration = robot.acceleration;
+  out.flange_velocity = limits.flange_velocity;
   return out;
 }
 
@@ -116,7 +119,8 @@ struct Controller::Impl {
   bool halted = false;  // zero at once and until the arm starts anew
   int home_busy = 0;
   JointVector qd_last;
-  double back = 0;  // [rad] of the trace that 'retrace' has gone back
+  double back = 0;         // [rad] of the trace that 'retrace' has gone back
+  bool replaying = false;  // in the last step
   // The reference starts where the arm is, off the pivot by its error, and comes onto it smoothly.
   Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
@@ -138,8 +142,8 @@ struct Controller::Impl {
         force(limits_in),
         limited(chain, {tool.s_F, tool.p_FTip}, step_limits(robot_in, limits_in, options.law),
                 options.dt),
-        follower(chain.dof(),
-                 follower_options(robot_in, gains.rcm, lag_for(robot_in, options), options.dt)),
+        follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
+                                               lag_for(robot_in, options), options.dt)),
         qd_last(JointVector::Zero(chain.dof())) {
     out.qd_command = qd_last;
   }
@@ -217,13 +221,7 @@ struct Controller::Impl {
 
   /// The last command on its way to zero. Nothing is followed any more: a joint that was held from
   /// elsewhere must not run after its reference once it is released.
-  JointVector fading_command() const {
-    double most = 0;
-    for (Eigen::Index i = 0; i < qd_last.size(); ++i) {
-      most = std::max(most, std::abs(qd_last[i]) / (robot.acceleration[i] * T));
-    }
-    return most > 1 ? JointVector(qd_last * (1 - 1 / most)) : JointVector(0 * qd_last);
-  }
+  JointVector fading_command() const { return braked_together(qd_last, robot.acceleration, T); }
 
   void take_home() {
     arm.take_home();
@@ -422,6 +420,14 @@ struct Controller::Impl {
     return robot.tuning.posture_gain * (robot.home - q);
   }
 
+  /// What the follower's correction takes of the flange's speed: the reference leaves it that room,
+  /// as a command that is cut short would be off the pivot.
+  double flange_lead() const {
+    const Jacobian& J = arm.now().J;
+    const double lead = (J * qd_last).head<3>().norm() - (J * follower.velocity()).head<3>().norm();
+    return std::clamp(lead, 0.0, kMostLead * limits.flange_velocity);
+  }
+
   /// Exact form: the reference's next step, and what makes the link follow it.
   Step exact_step(JointVector& qd) {
     // Critically damped: no jump in velocity at the start.
@@ -434,9 +440,10 @@ struct Controller::Impl {
     wish.horizon = horizon();
     wish.v_BRcm = trocar.v_B() + pivot_offset_rate;
     wish.posture = posture_at(follower.reference());
+    wish.flange_lead = flange_lead();
     const Home home{arm.s_home(), arm.R_home()};
     const Step step = limited.exact(follower.reference(), follower.velocity(), home, wish);
-    qd = follower.advance(T * step.qd, arm.now().q);
+    qd = follower.advance(T * step.qd, arm.now().q, arm.now().J);
     return step;
   }
 
@@ -473,11 +480,14 @@ struct Controller::Impl {
 
   /// Back along the trace, once the motion before has come to rest; the set-point goes along.
   Step retrace_step(JointVector& qd) {
-    const bool exact = law == Law::kExact;
-    const JointVector q = exact ? follower.reference() : arm.ahead().q;
-    const Step step = limited.retrace(q, exact ? follower.velocity() : qd_last, trace, back,
-                                      kRetraceRate, trocar.p_B());
-    qd = exact ? follower.advance(T * step.qd, arm.now().q) : step.qd;
+    // Joints are replayed, so a reference is followed whatever the law: the replay's way onto the
+    // pivot takes one cycle, and from the state of an arm that answers late it would swing.
+    if (!replaying && law != Law::kExact) follower.reset(arm.now().q, qd_last);
+    replaying = true;
+    const JointVector q = follower.reference();
+    const Step step = limited.retrace(q, follower.velocity(), trace, back, kRetraceRate,
+                                      trocar.p_B(), flange_lead());
+    qd = follower.advance(T * step.qd, arm.now().q, arm.now().J);
     back += step.alpha * kRetraceRate * T;
     const Pose X_BF = arm.chain().forward(JointVector(q + T * step.qd));
     const Vector3 s_B = X_BF.linear() * arm.tool().s_F;
@@ -500,6 +510,7 @@ struct Controller::Impl {
       return retrace_step(qd);
     }
     back = 0;
+    replaying = false;
     if (enabled()) trace.record(law == Law::kExact ? follower.reference() : arm.now().q);
     return law == Law::kExact ? exact_step(qd) : velocity_step(next, qd);
   }
@@ -620,8 +631,8 @@ struct Controller::Impl {
     image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
     follower.remembered(image);
-    image(trace, back, pivot_offset, pivot_offset_rate, X_BR, sensed, unseen, untracked, inserted,
-          tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
+    image(trace, back, replaying, pivot_offset, pivot_offset_rate, X_BR, sensed, unseen, untracked,
+          inserted, tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
   }
 };
 

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <limits>
 
+#include "surg_core/flange_cap.hpp"
+
 namespace surg {
 namespace {
 
@@ -226,6 +228,7 @@ struct LimitedStep::Here {
   Pose X_BF;
   Jacobian J;
   ShaftState shaft;
+  double flange_velocity = 0;  ///< [m/s] what there is of the limit
 };
 
 struct LimitedStep::Box {
@@ -560,6 +563,7 @@ class LimitedStep::RetraceLaw {
     node.q = on_pivot(trace_.at(back_ + rate_ * t));
     node.direction =
         (on_pivot(trace_.at(back_ + rate_ * (t + kTraceSpacing))) - node.q) / kTraceSpacing;
+    node.flange = self_.flange_speed(node.q, node.direction);
     return true;
   }
 
@@ -677,9 +681,11 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   Preview preview;
   std::array<JointVector, kNodes + 1> direction;  // d q / d clock
   std::array<double, kNodes + 1> flange{};
+  std::array<JointVector, kNodes + 1> at;  // q
   direction[0] = affine.tangent;
   flange[0] = (here.J * affine.tangent).head<3>().norm();
   preview.t[0] = 0;
+  at[0] = here.q;
   SingularityMeasures last;
   if (Law::kBarrier) last = barrier_.measures(here.X_BF, here.J);
   JointVector q = here.q;
@@ -709,7 +715,7 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
       preview.t[k] = t;
       direction[k] = node.direction;
       flange[k] = node.flange;
-      q = node.q;
+      at[k] = q = node.q;
       last = node.measures;
       spacing = std::min(spacing, 2 * dt) * kSpacingGrowth;
       arc *= kSpacingGrowth;
@@ -726,11 +732,14 @@ LimitedStep::Preview LimitedStep::look_ahead(const Law& law, const Here& here,
   preview.square[k] = 0;
   for (int i = k - 1; i >= 0; --i) {
     const double dt = preview.t[i + 1] - preview.t[i];
-    const double top = kPlanVelocity * limits_.flange_velocity / std::max(flange[i], 1e-9);
+    const double top = kPlanVelocity * here.flange_velocity / std::max(flange[i], 1e-9);
     double most = std::min(1.0, top * top);
     for (Eigen::Index j = 0; j < n; ++j) {
-      const double v =
-          kPlanVelocity * limits_.velocity[j] / std::max(std::abs(direction[i][j]), 1e-9);
+      const double speed = std::max(std::abs(direction[i][j]), 1e-9);
+      const double left = direction[i][j] > 0 ? limits_.position_max[j] - at[i][j]
+                                              : at[i][j] - limits_.position_min[j];
+      const double in = approach_speed(left, limits_.acceleration[j], limits_.position_margin, T_);
+      const double v = kPlanVelocity * std::min(limits_.velocity[j], in) / speed;
       most = std::min(most, v * v);
     }
     std::array<Row, 2 * kMaxJoints + 4> rows;
@@ -764,7 +773,7 @@ double LimitedStep::caps(const Law& law, const Here& here, const Affine& affine,
   if (!affine.moves) return cap;
   const Vector6 forward = here.J * affine.qd1;
   const double flange = forward.head<3>().norm();
-  if (flange > limits_.flange_velocity) limit(limits_.flange_velocity / flange, "flange_velocity");
+  if (flange > here.flange_velocity) limit(here.flange_velocity / flange, "flange_velocity");
   // Joints go straight between samples, the pivot's curve does not: its sagitta grows with the
   // square of the speed.
   {
@@ -807,7 +816,8 @@ double LimitedStep::caps(const Law& law, const Here& here, const Affine& affine,
       if (std::abs(speed) < 1e-9) continue;
       const double left =
           speed > 0 ? limits_.position_max[i] - here.q[i] : here.q[i] - limits_.position_min[i];
-      limit(std::sqrt(2 * deceleration * std::max(left, 0.0) / std::abs(speed)), "joint_limit");
+      const double a = deceleration * std::abs(speed);
+      limit(approach_speed(left, a, limits_.position_margin, T_) / std::abs(speed), "joint_limit");
     }
     Node next;
     if (law.node(T_, here.q + T_ * affine.tangent, T_ * largest(affine.tangent), next)) {
@@ -875,6 +885,13 @@ double nearest_on_rows(const RcmRows& rows, const JointVector& wanted, const Joi
 
 }  // namespace
 
+double LimitedStep::flange_speed(const JointVector& q, const JointVector& qd) const {
+  Pose X;
+  Jacobian J;
+  chain_.forward(q, X, J);
+  return (J * qd).head<3>().norm();
+}
+
 template <typename Law>
 Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
   const Affine affine = law.affine();
@@ -884,6 +901,7 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
 
   // First tier: on the path. How much of the way back is taken goes down before the path is left.
   JointVector missed = JointVector::Zero(here.q.size());
+  bool too_fast = false;  // for the flange: on the path the joints cannot brake as hard as it takes
   for (double beta = 1; affine.regular; beta = beta > 0.2 ? 0.4 * beta : 0.0) {
     missed.setZero();
     double alpha = 0;
@@ -916,7 +934,9 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
     if (found) {
       step.held = affine.moves && step.alpha < kHeld &&
                   (step.qd.array().abs() < kStill * limits_.velocity.array()).all();
-      return step;
+      if (!((here.J * step.qd).head<3>().norm() > here.flange_velocity)) return step;
+      too_fast = true;
+      break;
     }
     if (!affine.returning || beta == 0) break;
   }
@@ -924,14 +944,13 @@ Step LimitedStep::run(const Law& law, const Here& here, const Box& box) const {
   // Second tier: the pivot's rows stay exact, the tip as near to the path as the joints can.
   step.tier = 1;
   step.alpha = affine.regular ? box.nearest(affine.qd0, affine.qd1, cap) : 0.0;
-  step.limited_by = affine.regular ? "joint_acceleration" : "singularity";
+  step.limited_by = !affine.regular ? "singularity"
+                    : too_fast      ? "flange_velocity"
+                                    : "joint_acceleration";
   // All joints brake together, so that the tip stays near its tangent; from rest the path is tried
   // again.
-  double stop = T_;
-  for (Eigen::Index i = 0; i < here.q.size(); ++i) {
-    stop = std::max(stop, std::abs(here.qd_last[i]) / limits_.acceleration[i]);
-  }
-  JointVector wanted = (1 - T_ / stop) * here.qd_last;
+  JointVector wanted = braked_together(here.qd_last, limits_.acceleration, T_);
+  if (too_fast) wanted = slowed_flange(here.J, here.flange_velocity, step.qd, wanted);
   for (int attempt = 0; attempt < 2; ++attempt) {
     JointVector qd = box.clamped(wanted);
     double left = INFINITY;
@@ -964,6 +983,7 @@ Step LimitedStep::exact(const JointVector& q, const JointVector& qd_last, const 
   Here here;
   here.q = q;
   here.qd_last = qd_last;
+  here.flange_velocity = limits_.flange_velocity - wish.flange_lead;
   chain_.forward(q, here.X_BF, here.J);
   const ExactLaw law(*this, here, home, wish);
   return run(law, here, box(q, qd_last));
@@ -974,6 +994,7 @@ Step LimitedStep::velocity(const JointVector& q, const JointVector& qd_last, con
   Here here;
   here.q = q;
   here.qd_last = qd_last;
+  here.flange_velocity = limits_.flange_velocity;
   chain_.forward(q, here.X_BF, here.J);
   here.shaft = shaft_state(here.X_BF, tool_, p_BRcm);
   const VelocityLaw law(*this, here, home, wish);
@@ -981,10 +1002,12 @@ Step LimitedStep::velocity(const JointVector& q, const JointVector& qd_last, con
 }
 
 Step LimitedStep::retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,
-                          double back, double rate, const Vector3& p_BRcm) const {
+                          double back, double rate, const Vector3& p_BRcm,
+                          double flange_lead) const {
   Here here;
   here.q = q;
   here.qd_last = qd_last;
+  here.flange_velocity = limits_.flange_velocity - flange_lead;
   chain_.forward(q, here.X_BF, here.J);
   const RetraceLaw law(*this, here, trace, back, rate, p_BRcm);
   return run(law, here, box(q, qd_last));
