@@ -120,7 +120,7 @@ struct Controller::Impl {
   int home_busy = 0;
   JointVector qd_last;
   double back = 0;         // [rad] of the trace that 'retrace' has gone back
-  bool replaying = false;  // in the last step
+  bool replaying = false;  // in the last step: 'retrace' first waits for rest
   // The reference starts where the arm is, off the pivot by its error, and comes onto it smoothly.
   Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
@@ -541,7 +541,7 @@ struct Controller::Impl {
       if (step.held && enabled()) out.reason = Reason::kUnreachable;
       // The profile clock runs as fast as the arm may follow.
       const Vector3 p_before = setpoint.p_RTip();
-      if (pilot.retracing()) {
+      if (replaying) {
         // The set-point has gone along.
       } else if ((step.tier > 0 && setpoint.has_no_path()) ||
                  (step.alpha < 1 && setpoint.mode() == Setpoint::Mode::kStopping)) {
