@@ -70,10 +70,17 @@ class Setpoint {
   /// The set-point moves on by dt <= T of its own clock.
   void advance(double dt);
 
+  /// Tip and roll: all that a look ahead needs, at its many points.
+  struct Place {
+    Vector3 p_RTip;
+    double roll;
+  };
+  /// Where advance(dt) would lead.
+  Place after(double dt) const;
   /// Where the set-point will be in t [s] of its own clock, as far as is known now: along its
   /// profile, and straight on where a stream or a velocity leads it. For looking ahead, not for
   /// moving.
-  Setpoint foreseen(double t) const;
+  Place foreseen(double t) const;
 
   Mode mode() const { return mode_; }
   Space space() const { return space_; }
@@ -92,6 +99,8 @@ class Setpoint {
   double roll_rate() const { return dofs_[3].v; }
 
  private:
+  /// Of four degrees of freedom in the present space.
+  Vector3 tip_of(double x, double y, double z) const;
   void enter(Space space);
   bool plan(Space space, const std::array<double, 4>& target);
   void come_to_rest();
