@@ -10,7 +10,7 @@ namespace surg {
 namespace {
 
 constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint swings past its command
-constexpr double kFlangeReserve = 0.97;  // of its speed: it is looked at to first order, not ahead
+constexpr double kFlangeReserve = 0.97;    // of its speed: a follower's correction needs some
 
 /// Knowing the link's lag belongs to the feedback: open loops do without.
 double lag_for(const RobotConfig& robot, const Controller::Options& options) {

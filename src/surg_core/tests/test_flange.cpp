@@ -1,6 +1,7 @@
 // The flange's speed: inside its limit in every command, whatever is asked, whatever the plant, and
 // on the way back along the trace; and the look ahead that knows the margin before a joint's limit.
 #include "bench.hpp"
+#include "lagging_arm.hpp"
 #include "support.hpp"
 #include "surg_core/flange_cap.hpp"
 
@@ -123,6 +124,51 @@ TEST(Flange, EveryCommandKeepsItsSpeedAndTheJointsAccelerationWhoeverAnswers) {
   }
   EXPECT_GT(total_at_limit, 1000 * runs);
   report("cycles at the limit", total_at_limit);
+}
+
+/// F24: driven to the trocar the tip comes close to the pivot, and the flange at the other end
+/// moves many times as fast. The command keeps the limit; joints that answer late, each by another
+/// lag, may add a little of their own.
+TEST(Flange, F24DrivenToTheTrocarTheCommandKeepsIt) {
+  Random random(35);
+  const int runs = family(4, 100);
+  double commanded_most = 0, moved_most = 0;
+  for (int run = 0; run < runs; ++run) {
+    RobotConfig robot = Bench::robot_with_lag(0.012);  // the bundled UR5e's figures
+    robot.home = (JointVector(6) << -0.294, -1.234, 1.511, -1.29, -1.63, -2.134).finished();
+    robot.acceleration.setConstant(40);
+    robot.tuning.rcm_gain = 50;
+    robot.limits.tip_jerk = 100;
+    Bench bench({}, 0, 0, 0.012, &robot);  // its own plant is not used
+    LaggingArm arm(bench.in().q, random);
+    const double limit = bench.robot().limits.flange_velocity;
+    const double around = random.uniform(0, 2 * M_PI), up = random.uniform(0.06, 0.25),
+                 aside = random.uniform(0, 0.1);
+    MotionCommand command;
+    command.motion = Motion::kServoCv;
+    command.source = kMe;
+    for (int k = 0; k < 1200; ++k) {
+      const Vector3 s = bench.tip_in_R().normalized();
+      const Vector3 u(std::cos(around), std::sin(around), 0);
+      command.p = -up * s + aside * std::sin(0.01 * k) * u;
+      bench.send(command);
+      const JointVector q = bench.in().q, before = arm.truth();
+      bench.tick();
+      ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
+      arm.obey(bench.out().qd_command);
+      bench.in().q = arm.measured();
+      bench.in().qd = (arm.truth() - before) / kT;
+      commanded_most = std::max(commanded_most, commanded(bench, q));
+      const Vector3 moved = bench.chain().forward(arm.truth()).translation() -
+                            bench.chain().forward(before).translation();
+      moved_most = std::max(moved_most, moved.norm() / kT);
+    }
+    ASSERT_LE(commanded_most, limit * (1 + 1e-9));
+    ASSERT_LE(moved_most, 1.02 * limit);
+  }
+  EXPECT_GT(commanded_most, 0.2);
+  std::printf("[   count  ] %d ways to the trocar, flange %.4f m/s commanded, %.4f m/s moved\n",
+              runs, commanded_most, moved_most);
 }
 
 /// The replay puts itself on the pivot within one cycle: from the measured state of an arm that
