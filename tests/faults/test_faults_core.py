@@ -428,7 +428,7 @@ def test_f23_a_trocar_off_the_shaft_faults(runs: int, reactions: Reactions, how:
 
 
 def test_f24_near_the_trocar_only_the_way_along_the_shaft(runs: int, reactions: Reactions) -> None:
-    sideways, shallow, flange, out_again = [], [], [], []
+    sideways, shallow, commanded, flange, out_again = [], [], [], [], []
     for seed in range(runs):
         bench = Bench(seed).start()
         limits = bench.limits
@@ -449,6 +449,7 @@ def test_f24_near_the_trocar_only_the_way_along_the_shaft(runs: int, reactions: 
             allowed = limits.tip_velocity * math.sqrt(3) * min(max(fade, 0.0), 1.0)
             sideways.append(1e3 * (float(lateral) - allowed))
             flange.append(bench.flange_speed())
+            commanded.append(bench.commanded_flange_speed())
             previous = p
         shallow.append(1e3 * (limits.depth_min - out.depth))
         assert out.depth < limits.depth_min + 0.003, "it never came near the trocar"
@@ -463,6 +464,7 @@ def test_f24_near_the_trocar_only_the_way_along_the_shaft(runs: int, reactions: 
         for _ in range(4000):
             out = bench.step()
             flange.append(bench.flange_speed())
+            commanded.append(bench.commanded_flange_speed())
             assert bench.deviation() < 1e-4
             if not out.busy:
                 break
@@ -472,9 +474,10 @@ def test_f24_near_the_trocar_only_the_way_along_the_shaft(runs: int, reactions: 
     name = "tip driven to the trocar"
     reactions.add("F24", name, "sideways speed above what is allowed there", sideways, 1e-3, "mm/s")
     reactions.add("F24", name, "above depth_min", shallow, 0.5, "mm")
-    # The flange's limit is looked at to first order and not ahead.
-    most = 1.05 * bench.limits.flange_velocity
-    reactions.add("F24", name, "flange speed", [max(flange)], most, "m/s")
+    # The command keeps the limit; joints that answer late, each by another lag, may add a little.
+    limit = bench.limits.flange_velocity
+    reactions.add("F24", name, "flange speed, commanded", [max(commanded)], limit * ROUNDING, "m/s")
+    reactions.add("F24", name, "flange speed of the late arm", [max(flange)], 1.02 * limit, "m/s")
     reactions.add("F24", "rcm/withdraw", "depth at its end", out_again, -9.0, "mm")
 
 

@@ -190,6 +190,10 @@ class Bench:
         now, before = self.arm.chain.forward(self.q), self.arm.chain.forward(self._before)
         return float(np.linalg.norm(now[:3, 3] - before[:3, 3])) / TICK
 
+    def commanded_flange_speed(self) -> float:
+        """That the last command asks for, by the twist that goes with it [m/s]."""
+        return float(np.linalg.norm(self.out.twist_command[:3]))
+
     def deviation(self) -> float:
         """Distance of the true shaft from the trocar [m]."""
         X_BF = self.arm.chain.forward(self.q)

@@ -294,6 +294,45 @@ MUTANTS: tuple[Mutant, ...] = (
         "double j = A > 0 ? jerk : 0;",
         ("test_stream",),
     ),
+    # -- the flange, and the way back
+    one(
+        "flange_goes_too_fast",
+        "the wrist passes its speed where the joints cannot brake on the path",
+        "src/limited_step.cpp",
+        "const bool too_fast = found && ",
+        "const bool too_fast = false && found && ",
+    ),
+    one(
+        "follower_forgets_the_flange",
+        "what makes an arm of unknown lag follow takes the wrist beyond its speed",
+        "src/exact_follower.cpp",
+        "qd = slowed_flange(J, options_.flange_velocity, qd, slow);",
+        "",
+    ),
+    one(
+        "retrace_in_motion_never_rests",
+        "the way out, asked for in motion, goes on with that motion instead",
+        "src/controller_motion.cpp",
+        "if (!replaying) advance_setpoint",
+        "if (!pilot.retracing()) advance_setpoint",
+        ("test_flange",),
+    ),
+    one(
+        "retrace_from_the_measured_state",
+        "the replay swings behind an arm that answers late",
+        "src/controller_motion.cpp",
+        "if (!replaying && law != Law::kExact)",
+        "if (law != Law::kExact)",
+        ("test_flange",),
+    ),
+    one(
+        "look_ahead_forgets_the_margin",
+        "a profile that ends near a joint's limit leaves its path, or the pivot, in the last moment",
+        "src/look_ahead.cpp",
+        "if (left < limits.position_margin + v",
+        "if (false && left < limits.position_margin + v",
+        ("test_flange",),
+    ),
     # -- kinematics, configuration, evidence
     one(
         "inverse_a_little_off",

@@ -10,7 +10,7 @@ namespace surg {
 namespace {
 
 constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint swings past its command
-constexpr double kFlangeReserve = 0.97;  // of its speed: it is looked at to first order, not ahead
+constexpr double kFlangeReserve = 0.97;    // of its speed: a follower's correction needs some
 
 /// Knowing the link's lag belongs to the feedback: open loops do without.
 double lag_for(const RobotConfig& robot, const Controller::Options& options) {
@@ -31,14 +31,15 @@ JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law)
   return out;
 }
 
-ExactFollower::Options follower_options(const RobotConfig& robot, double gain, double lag,
-                                        double T) {
+ExactFollower::Options follower_options(const RobotConfig& robot, const Limits& limits, double gain,
+                                        double lag, double T) {
   ExactFollower::Options out;
   out.lag = lag;
   out.gain = gain;
   out.T = T;
   out.velocity = robot.velocity;
   out.acceleration = robot.acceleration;
+  out.flange_velocity = limits.flange_velocity;
   return out;
 }
 
@@ -76,8 +77,8 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       force(limits_in),
       limited(chain, {tool.s_F, tool.p_FTip}, step_limits(robot_in, limits_in, options.law),
               options.dt),
-      follower(chain.dof(),
-               follower_options(robot_in, gains.rcm, lag_for(robot_in, options), options.dt)),
+      follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
+                                             lag_for(robot_in, options), options.dt)),
       qd_last(JointVector::Zero(chain.dof())) {
   out.qd_command = qd_last;
 }

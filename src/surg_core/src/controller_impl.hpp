@@ -63,7 +63,8 @@ struct Controller::Impl {
   bool halted = false;  // zero at once and until the arm starts anew
   int home_busy = 0;
   JointVector qd_last;
-  double back = 0;  // [rad] of the trace that 'retrace' has gone back
+  double back = 0;         // [rad] of the trace that 'retrace' has gone back
+  bool replaying = false;  // in the last step: 'retrace' first waits for rest
   // The reference starts where the arm is, off the pivot by its error, and comes onto it smoothly.
   Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
@@ -133,6 +134,9 @@ struct Controller::Impl {
   /// The last command on its way to zero. Nothing is followed any more: a joint that was held from
   /// elsewhere must not run after its reference once it is released.
   JointVector fading_command() const;
+  /// [m/s] What the follower's correction takes of the flange's speed: the reference leaves it that
+  /// room, as a command that is cut short would be off the pivot.
+  double flange_lead() const;
 
   // Report and image.
   void report(const Inputs& in);
@@ -143,8 +147,8 @@ struct Controller::Impl {
     image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
     follower.remembered(image);
-    image(trace, back, pivot_offset, pivot_offset_rate, X_BR, sensed, unseen, untracked, inserted,
-          tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
+    image(trace, back, replaying, pivot_offset, pivot_offset_rate, X_BR, sensed, unseen, untracked,
+          inserted, tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
   }
 };
 

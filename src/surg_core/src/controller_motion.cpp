@@ -2,13 +2,15 @@
 #include <cmath>
 
 #include "controller_impl.hpp"
+#include "surg_core/flange_cap.hpp"
 
 namespace surg {
 namespace {
 
-constexpr double kStandstill = 0.05;   // alpha below it: the limit has stopped the arm
-constexpr double kOntoPivot = 8;       // [1/s] pole with which a start off the pivot comes onto it
-constexpr double kHorizon = 0.45;      // [s] of the set-point's clock that is looked ahead
+constexpr double kStandstill = 0.05;  // alpha below it: the limit has stopped the arm
+constexpr double kMostLead = 0.5;  // of the flange's speed: the follower may not stop the reference
+constexpr double kOntoPivot = 8;   // [1/s] pole with which a start off the pivot comes onto it
+constexpr double kHorizon = 0.45;  // [s] of the set-point's clock that is looked ahead
 constexpr double kRetraceRate = 0.15;  // [rad/s] of the fastest joint
 constexpr double kStill = 1e-3;        // [rad, rad/s] nothing that anybody would see
 
@@ -38,7 +40,7 @@ void Controller::Impl::move() {
     out.tier = step.tier;
     if (step.held && enabled()) out.reason = Reason::kUnreachable;
     const Vector3 p_before = setpoint.p_RTip();
-    if (!pilot.retracing()) advance_setpoint(step, next);  // else it has gone along
+    if (!replaying) advance_setpoint(step, next);  // else it has gone along
     if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
     out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
   } else if (!halted) {
@@ -85,6 +87,7 @@ Step Controller::Impl::next_step(const Setpoint& next, JointVector& qd) {
     return retrace_step(qd);
   }
   back = 0;
+  replaying = false;
   if (enabled()) trace.record(law == Law::kExact ? follower.reference() : arm.now().q);
   return law == Law::kExact ? exact_step(next, qd) : velocity_step(next, qd);
 }
@@ -100,9 +103,10 @@ Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
   wish.horizon = horizon();
   wish.v_BRcm = trocar.v_B() + pivot_offset_rate;
   wish.posture = posture_at(follower.reference());
+  wish.flange_lead = flange_lead();
   const Home home{arm.s_home(), arm.R_home()};
   const Step step = limited.exact(follower.reference(), follower.velocity(), home, wish);
-  qd = follower.advance(T * step.qd, arm.now().q);
+  qd = follower.advance(T * step.qd, arm.now().q, arm.now().J);
   return step;
 }
 
@@ -124,11 +128,14 @@ Step Controller::Impl::velocity_step(const Setpoint& next, JointVector& qd) cons
 }
 
 Step Controller::Impl::retrace_step(JointVector& qd) {
-  const bool exact = law == Law::kExact;
-  const JointVector q = exact ? follower.reference() : arm.ahead().q;
-  const Step step = limited.retrace(q, exact ? follower.velocity() : qd_last, trace, back,
-                                    kRetraceRate, trocar.p_B());
-  qd = exact ? follower.advance(T * step.qd, arm.now().q) : step.qd;
+  // Joints are replayed, so a reference is followed whatever the law: the replay's way onto the
+  // pivot takes one cycle, and from the state of an arm that answers late it would swing.
+  if (!replaying && law != Law::kExact) follower.reset(arm.now().q, qd_last);
+  replaying = true;
+  const JointVector q = follower.reference();
+  const Step step = limited.retrace(q, follower.velocity(), trace, back, kRetraceRate, trocar.p_B(),
+                                    flange_lead());
+  qd = follower.advance(T * step.qd, arm.now().q, arm.now().J);
   back += step.alpha * kRetraceRate * T;
   const Pose X_BF = arm.chain().forward(JointVector(q + T * step.qd));
   const Vector3 s_B = X_BF.linear() * arm.tool().s_F;
@@ -184,12 +191,14 @@ void Controller::Impl::slip(const JointVector& qd) {
   pilot.setpoint().slip(X_BR.inverse() * p_BTip, X_BR.linear().transpose() * v_BTip);
 }
 
+double Controller::Impl::flange_lead() const {
+  const Jacobian& J = arm.now().J;
+  const double lead = (J * qd_last).head<3>().norm() - (J * follower.velocity()).head<3>().norm();
+  return std::clamp(lead, 0.0, kMostLead * limits.flange_velocity);
+}
+
 JointVector Controller::Impl::fading_command() const {
-  double most = 0;
-  for (Eigen::Index i = 0; i < qd_last.size(); ++i) {
-    most = std::max(most, std::abs(qd_last[i]) / (robot.acceleration[i] * T));
-  }
-  return most > 1 ? JointVector(qd_last * (1 - 1 / most)) : JointVector(0 * qd_last);
+  return braked_together(qd_last, robot.acceleration, T);
 }
 
 }  // namespace surg

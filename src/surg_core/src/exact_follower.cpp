@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "surg_core/flange_cap.hpp"
+
 namespace surg {
 namespace {
 
@@ -27,7 +29,7 @@ void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
   newest_ = 0;
 }
 
-JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q) {
+JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J) {
   const JointVector v = dq / options_.T;
   const JointVector a = (v - v_last_) / options_.T;
   newest_ = (newest_ + 1) % kPast;
@@ -47,7 +49,7 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q) 
   if (linear && share == 1) learn(error);
   q_ref_ += dq;
   v_last_ = v;
-  qd_last_ = within_limits(v + correction_);
+  qd_last_ = within_limits(v + correction_, J);
   return qd_last_;
 }
 
@@ -77,13 +79,17 @@ double ExactFollower::room(const JointVector& from, const JointVector& change) c
 }
 
 /// The last word: a reference that leaves no room does not break a limit either.
-JointVector ExactFollower::within_limits(JointVector qd) const {
+JointVector ExactFollower::within_limits(JointVector qd, const Jacobian& J) const {
   for (Eigen::Index i = 0; i < options_.velocity.size(); ++i) {
     qd[i] = std::clamp(qd[i], -options_.velocity[i], options_.velocity[i]);
   }
   for (Eigen::Index i = 0; i < options_.acceleration.size(); ++i) {
     const double most = options_.acceleration[i] * options_.T * (1 - 1e-9);  // for rounding
     qd[i] = std::clamp(qd[i], qd_last_[i] - most, qd_last_[i] + most);
+  }
+  if (J.cols() == qd.size() && options_.acceleration.size() == qd.size()) {
+    const JointVector slow = braked_together(qd_last_, options_.acceleration, options_.T);
+    qd = slowed_flange(J, options_.flange_velocity, qd, slow);
   }
   return qd;
 }

@@ -18,8 +18,8 @@ double braking_speed(double distance, double a, double T) {
   return std::sqrt(aT * aT + 2 * a * distance) - aT;
 }
 
-/// Fastest speed towards a position limit. A joint that brakes as hard as it may right at its limit
-/// is overtaken by an arm that answers late; inside the margin it comes in gently.
+}  // namespace
+
 double approach_speed(double distance, double a, double margin, double T) {
   const double hardest = braking_speed(distance, a, T);
   if (!(margin > 0)) return hardest;
@@ -27,8 +27,6 @@ double approach_speed(double distance, double a, double margin, double T) {
   const double before = braking_speed(distance - margin, kApproachBraking * a, T);
   return std::min(hardest, std::hypot(gentle, before));
 }
-
-}  // namespace
 
 void AlphaRange::keep(double at_0, double rate, double lowest, double highest, const char* low_by,
                       const char* top_by) {

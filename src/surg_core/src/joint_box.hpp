@@ -9,6 +9,11 @@
 
 namespace surg {
 
+/// Fastest speed towards a position limit that a joint may have 'distance' [rad] before it, braking
+/// with a [rad/s^2] at most. One that brakes as hard as it may right at its limit is overtaken by
+/// an arm that answers late; inside the margin [rad] it comes in gently.
+double approach_speed(double distance, double a, double margin, double T);
+
 /// The alphas that the joints allow, with the reason for the upper end.
 struct AlphaRange {
   double low = 0, high = 1;

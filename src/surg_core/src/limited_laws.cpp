@@ -251,6 +251,10 @@ bool LimitedStep::RetraceLaw::node(double t, const JointVector&, double, Node& n
   node.q = on_pivot(trace_.at(back_ + rate_ * t));
   node.direction =
       (on_pivot(trace_.at(back_ + rate_ * (t + kTraceSpacing))) - node.q) / kTraceSpacing;
+  Pose X;
+  Jacobian J;
+  self_.chain_.forward(node.q, X, J);
+  node.flange = (J * node.direction).head<3>().norm();
   return true;
 }
 

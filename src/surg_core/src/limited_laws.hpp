@@ -20,6 +20,7 @@ struct LimitedStep::Here {
   Pose X_BF;
   Jacobian J;
   ShaftState shaft;
+  double flange_velocity = 0;  ///< [m/s] what there is of the limit
 };
 
 /// q_dot(alpha) to first order. 'back' is the part of the correction that may wait.

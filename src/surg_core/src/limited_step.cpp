@@ -6,6 +6,7 @@
 #include "joint_box.hpp"
 #include "limited_laws.hpp"
 #include "look_ahead.hpp"
+#include "surg_core/flange_cap.hpp"
 
 namespace surg {
 namespace {
@@ -29,30 +30,33 @@ JointLimits joint_limits(const RobotConfig& robot, const Limits& limits) {
 LimitedStep::LimitedStep(const Chain& chain, const Tool& tool, const JointLimits& limits, double T)
     : chain_(chain), tool_(tool), limits_(limits), barrier_(chain), T_(T) {}
 
-LimitedStep::Here LimitedStep::at(const JointVector& q, const JointVector& qd_last) const {
+LimitedStep::Here LimitedStep::at(const JointVector& q, const JointVector& qd_last,
+                                  double flange_lead) const {
   Here here;
   here.q = q;
   here.qd_last = qd_last;
+  here.flange_velocity = limits_.flange_velocity - flange_lead;
   chain_.forward(q, here.X_BF, here.J);
   return here;
 }
 
 Step LimitedStep::exact(const JointVector& q, const JointVector& qd_last, const Home& home,
                         const Wish& wish) const {
-  const Here here = at(q, qd_last);
+  const Here here = at(q, qd_last, wish.flange_lead);
   return run(ExactLaw(*this, here, home, wish), here);
 }
 
 Step LimitedStep::velocity(const JointVector& q, const JointVector& qd_last, const Home& home,
                            const Vector3& p_BRcm, const Wish& wish) const {
-  Here here = at(q, qd_last);
+  Here here = at(q, qd_last, 0);
   here.shaft = shaft_state(here.X_BF, tool_, p_BRcm);
   return run(VelocityLaw(*this, here, home, wish), here);
 }
 
 Step LimitedStep::retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,
-                          double back, double rate, const Vector3& p_BRcm) const {
-  const Here here = at(q, qd_last);
+                          double back, double rate, const Vector3& p_BRcm,
+                          double flange_lead) const {
+  const Here here = at(q, qd_last, flange_lead);
   return run(RetraceLaw(*this, here, trace, back, rate, p_BRcm), here);
 }
 
@@ -61,10 +65,13 @@ Step LimitedStep::run(const Law& law, const Here& here) const {
   const Affine affine = law.affine();
   const Cap most = affine.regular ? cap(law, here, affine) : Cap{0.0, ""};
   Step step;
-  if (on_path(law, affine, box, most, step)) {
+  const bool found = on_path(law, affine, box, most, step);
+  // On the path the joints may not be able to brake as hard as the flange needs it.
+  const bool too_fast = found && (here.J * step.qd).head<3>().norm() > here.flange_velocity;
+  if (found && !too_fast) {
     step.held = affine.moves && step.alpha < kHeld && is_still(step.qd);
   } else {
-    off_path(law, here, affine, box, most, step);
+    off_path(law, here, affine, box, most, too_fast, step);
     step.held = affine.moves && is_still(step.qd);
   }
   return step;
@@ -81,8 +88,8 @@ LimitedStep::Cap LimitedStep::cap(const Law& law, const Here& here, const Affine
   Cap cap;
   if (!affine.moves) return cap;
   const double flange = (here.J * affine.qd1).head<3>().norm();
-  if (flange > limits_.flange_velocity) {
-    cap.limit(limits_.flange_velocity / flange, "flange_velocity");
+  if (flange > here.flange_velocity) {
+    cap.limit(here.flange_velocity / flange, "flange_velocity");
   }
   cap_sagitta(law, here, affine, cap);
   if (law.has_barrier()) cap_approach(here, affine, cap);
@@ -144,7 +151,9 @@ void LimitedStep::cap_unseen(const Law& law, const Here& here, const Affine& aff
     if (std::abs(speed) < 1e-9) continue;
     const double left =
         speed > 0 ? limits_.position_max[i] - here.q[i] : here.q[i] - limits_.position_min[i];
-    cap.limit(std::sqrt(2 * deceleration * std::max(left, 0.0) / std::abs(speed)), "joint_limit");
+    const double in =
+        approach_speed(left, deceleration * std::abs(speed), limits_.position_margin, T_);
+    cap.limit(in / std::abs(speed), "joint_limit");
   }
   Node next;
   if (!law.node(T_, here.q + T_ * affine.tangent, T_ * largest(affine.tangent), next)) return;
@@ -205,17 +214,18 @@ bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, 
 
 /// Second tier: the pivot's rows stay exact, the tip as near to the path as the joints can. All
 /// joints brake together, so that the tip stays near its tangent; from rest the path is tried
-/// again. Third: brake, as near to the pivot as may be.
+/// again. Where the step on the path is too fast for the flange, only as much braking as that
+/// takes. Third: brake, as near to the pivot as may be.
 void LimitedStep::off_path(const Law& law, const Here& here, const Affine& affine, const Box& box,
-                           const Cap& cap, Step& step) const {
+                           const Cap& cap, bool too_fast, Step& step) const {
   step.tier = 1;
   step.alpha = affine.regular ? box.least_beyond(affine.qd0, affine.qd1, cap.alpha) : 0.0;
-  step.limited_by = affine.regular ? "joint_acceleration" : "singularity";
-  double stop = T_;
-  for (Eigen::Index i = 0; i < here.q.size(); ++i) {
-    stop = std::max(stop, std::abs(here.qd_last[i]) / limits_.acceleration[i]);
-  }
-  if (on_rows(law, box, (1 - T_ / stop) * here.qd_last, step.qd)) return;
+  step.limited_by = !affine.regular ? "singularity"
+                    : too_fast      ? "flange_velocity"
+                                    : "joint_acceleration";
+  JointVector wanted = braked_together(here.qd_last, limits_.acceleration, T_);
+  if (too_fast) wanted = slowed_flange(here.J, here.flange_velocity, step.qd, wanted);
+  if (on_rows(law, box, wanted, step.qd)) return;
   step.tier = 2;
   step.alpha = 0;
   on_rows(law, box, JointVector::Zero(here.q.size()), step.qd);

@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "joint_box.hpp"
+
 namespace surg {
 namespace {
 
@@ -61,7 +63,12 @@ double largest_x(const Rows& rows, int n, double X, double Y) {
 
 LimitedStep::LookAhead::LookAhead(const LimitedStep& self, const Law& law, const Here& here,
                                   const Affine& affine)
-    : self_(self), horizon_(law.horizon()), q_(here.q), spacing_(kFirstSpacing), arc_(kFirstArc) {
+    : self_(self),
+      horizon_(law.horizon()),
+      flange_velocity_(here.flange_velocity),
+      spacing_(kFirstSpacing),
+      arc_(kFirstArc) {
+  at_[0] = here.q;
   direction_[0] = affine.tangent;
   flange_[0] = (here.J * affine.tangent).head<3>().norm();
   if (law.has_barrier()) measures_ = self.barrier_.measures(here.X_BF, here.J);
@@ -83,7 +90,7 @@ bool LimitedStep::LookAhead::advance(const Law& law, const Here& here) {
     ++evaluations_;
     const double t = t_[last_] + dt;
     Node node;
-    if (!law.node(t, q_ + dt * direction_[last_], speed * dt, node)) continue;
+    if (!law.node(t, at_[last_] + dt * direction_[last_], speed * dt, node)) continue;
     if (!passes(node.measures)) {
       by_ = "singularity";
       continue;
@@ -96,7 +103,7 @@ bool LimitedStep::LookAhead::advance(const Law& law, const Here& here) {
     t_[last_] = t;
     direction_[last_] = node.direction;
     flange_[last_] = node.flange;
-    q_ = node.q;
+    at_[last_] = node.q;
     measures_ = node.measures;
     spacing_ = std::min(spacing_, 2 * dt) * kSpacingGrowth;
     arc_ *= kSpacingGrowth;
@@ -127,14 +134,23 @@ bool LimitedStep::LookAhead::inside_positions(const JointVector& q, const JointV
   return true;
 }
 
-/// The clock's squared speed at a node that flange and joints allow there.
+/// The clock's squared speed at a node that flange and joints allow there, in the margin before a
+/// position limit as well.
 double LimitedStep::LookAhead::fastest(int i) const {
   const JointLimits& limits = self_.limits_;
-  const double top = kPlanVelocity * limits.flange_velocity / std::max(flange_[i], 1e-9);
+  const double top = kPlanVelocity * flange_velocity_ / std::max(flange_[i], 1e-9);
   double most = std::min(1.0, top * top);
   for (Eigen::Index j = 0; j < limits.velocity.size(); ++j) {
-    const double v =
-        kPlanVelocity * limits.velocity[j] / std::max(std::abs(direction_[i][j]), 1e-9);
+    const double speed = direction_[i][j];
+    const double left =
+        speed > 0 ? limits.position_max[j] - at_[i][j] : at_[i][j] - limits.position_min[j];
+    double v = limits.velocity[j];
+    // Farther away the margin has no word: more than it takes to brake.
+    const double a = limits.acceleration[j];
+    if (left < limits.position_margin + v * (v / a + 2 * self_.T_)) {
+      v = std::min(v, approach_speed(left, a, limits.position_margin, self_.T_));
+    }
+    v *= kPlanVelocity / std::max(std::abs(speed), 1e-9);
     most = std::min(most, v * v);
   }
   return most;

@@ -33,9 +33,10 @@ class LimitedStep::LookAhead {
   int last_ = 0;                                   ///< index of the last node; 0 is here
   std::array<double, kNodes + 1> t_{}, square_{};  ///< [s] of the clock; its largest squared speed
   std::array<JointVector, kNodes + 1> direction_;  ///< d q / d clock
+  std::array<JointVector, kNodes + 1> at_;         ///< q
   std::array<double, kNodes + 1> flange_{};        ///< [m/s] at full clock
+  double flange_velocity_;                         ///< [m/s] what there is of the limit
   // Of the last node, and of the way to the next.
-  JointVector q_;
   SingularityMeasures measures_;
   double spacing_, arc_;
   int evaluations_ = 0;

@@ -190,16 +190,20 @@ inline bool singular_scene(int measure, double distance, Random& random, Scene& 
   return scene.q.cwiseAbs().maxCoeff() < 2 * M_PI;
 }
 
-/// From where the arm stands at the clock of 'scene' back to a goal of it, at rest in between.
-inline Scene way_back(const Scene& scene, const JointVector& q, double clock, double to,
-                      double duration) {
-  Scene back = scene;
-  back.q = q;
-  back.duration = duration;
-  const ShaftGoal from = scene.at(clock), goal = scene.at(to);
+/// From where the arm stands to a goal, straight in tilt, depth and roll, at rest at both ends.
+inline Scene way_to(const Scene& scene, const JointVector& q, const ShaftGoal& goal,
+                    double duration) {
+  Scene way = scene;
+  way.q = q;
+  way.duration = duration;
+  const Pose X_BF = scene.chain.forward(q);
+  const ShaftState shaft = shaft_state(X_BF, scene.tool, scene.p_BRcm);
+  const double turn = absolute_roll(X_BF.linear(), scene.home.R_BF, scene.home.s_B, shaft.s);
+  const ShaftGoal from{scene.p_BRcm, shaft.s, shaft.depth,
+                       goal.roll + std::remainder(turn - goal.roll, 2 * M_PI)};
   const Vector3 axis = from.s_B.cross(goal.s_B);
   const double angle = std::atan2(axis.norm(), from.s_B.dot(goal.s_B));
-  back.goal = [=](double at) {
+  way.goal = [=](double at) {
     const double x = ease(at / duration);
     ShaftGoal now = from;
     if (angle > 1e-9) now.s_B = Eigen::AngleAxisd(x * angle, axis.normalized()) * from.s_B;
@@ -207,7 +211,7 @@ inline Scene way_back(const Scene& scene, const JointVector& q, double clock, do
     now.roll += x * (goal.roll - from.roll);
     return now;
   };
-  return back;
+  return way;
 }
 
 struct Reach {
@@ -258,6 +262,26 @@ inline Reach reach_of(const Scene& scene, const JointLimits& limits) {
   }
   reach.until = clock;
   return reach;
+}
+
+/// A way from where the arm is held, at 'clock' of its path, to a new target: drawn until the
+/// inverse kinematics reaches all of it. Half of the draws lie on the path behind, half anywhere
+/// within 65 degrees of home, 10 to 120 mm deep.
+inline bool reachable_way(const Scene& scene, const JointVector& q, double clock,
+                          const JointLimits& limits, Random& random, Scene& way) {
+  for (int draw = 0; draw < 100; ++draw) {
+    ShaftGoal goal = scene.at(random.uniform(0, clock));
+    if (draw % 2 == 1) {
+      const double tilt = random.uniform(0, 65 * M_PI / 180), to = random.uniform(0, 2 * M_PI);
+      const Vector3 z = scene.home.s_B;
+      goal.s_B = tilted(z, z.unitOrthogonal(), tilt * std::cos(to), tilt * std::sin(to));
+      goal.depth = random.uniform(0.01, 0.12);
+      goal.roll = random.uniform(-0.8, 0.8);
+    }
+    way = way_to(scene, q, goal, 1.5);
+    if (reach_of(way, limits).all) return true;
+  }
+  return false;
 }
 
 struct Course {

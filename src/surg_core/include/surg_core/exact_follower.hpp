@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <limits>
 
 #include "surg_core/types.hpp"
 
@@ -40,6 +41,8 @@ class ExactFollower {
     /// Limits of the command per joint [rad/s, rad/s^2]; empty: none. The reference must keep to
     /// less, so that there is room.
     JointVector velocity = {}, acceleration = {};
+    /// [m/s] of the flange's origin; counts where 'advance' is given the arm's Jacobian.
+    double flange_velocity = std::numeric_limits<double>::infinity();
   };
   ExactFollower(int joints, const Options& options);
 
@@ -49,8 +52,8 @@ class ExactFollower {
   /// The virtual arm: what the law steps from.
   const JointVector& reference() const { return q_ref_; }
   /// Moves the reference on by dq (the law's step, limits applied) and returns the command for the
-  /// link [rad/s], 'q' being measured before the step.
-  JointVector advance(const JointVector& dq, const JointVector& q);
+  /// link [rad/s], 'q' being measured before the step; J: the arm's Jacobian there.
+  JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {});
   /// Velocity of the reference in the last period [rad/s].
   const JointVector& velocity() const { return v_last_; }
   /// Everything that a step reads, for an image of the controller (image.hpp).
@@ -69,7 +72,7 @@ class ExactFollower {
  private:
   double feedback(Eigen::Index i, double error) const;
   double room(const JointVector& from, const JointVector& change) const;
-  JointVector within_limits(JointVector qd) const;
+  JointVector within_limits(JointVector qd, const Jacobian& J) const;
   void learn(const JointVector& error);
 
   static constexpr int kPast = 32;  // periods

@@ -64,6 +64,8 @@ struct Wish {
   /// no displacement off the path.
   Vector3 v_BRcm = Vector3::Zero();
   JointVector posture;  ///< [rad/s] wish for the null space of redundant arms; small ones only
+  /// Exact form: how much faster than this step what follows it has the flange move [m/s].
+  double flange_lead = 0;
   // Velocity form only: the flange twist is feedback + alpha forward.
   Vector6 feedback = Vector6::Zero();  ///< tip and roll feedback, lateral feedback, trocar velocity
   Vector6 forward = Vector6::Zero();   ///< the path's own motion; lateral velocity at the trocar 0
@@ -100,8 +102,9 @@ class LimitedStep {
 
   /// The recorded trace backwards, 'back' [rad] of it behind (JointTrace::at): the guaranteed way
   /// out. 'rate' [rad/s]: how fast where no limit is met; 'back' is to be advanced by alpha rate T.
+  /// flange_lead: as in Wish.
   Step retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,
-               double back, double rate, const Vector3& p_BRcm) const;
+               double back, double rate, const Vector3& p_BRcm, double flange_lead = 0) const;
 
   const JointLimits& limits() const { return limits_; }
   const Barrier& barrier() const { return barrier_; }
@@ -118,7 +121,7 @@ class LimitedStep {
   class RetraceLaw;
   class LookAhead;
 
-  Here at(const JointVector& q, const JointVector& qd_last) const;
+  Here at(const JointVector& q, const JointVector& qd_last, double flange_lead) const;
   Step run(const Law& law, const Here& here) const;
   bool is_still(const JointVector& qd) const;
 
@@ -132,7 +135,7 @@ class LimitedStep {
   bool on_path(const Law& law, const Affine& affine, const Box& box, const Cap& cap, double beta,
                Step& step) const;
   void off_path(const Law& law, const Here& here, const Affine& affine, const Box& box,
-                const Cap& cap, Step& step) const;
+                const Cap& cap, bool too_fast, Step& step) const;
   bool on_rows(const Law& law, const Box& box, const JointVector& wanted, JointVector& qd) const;
 
   Chain chain_;
