@@ -6,7 +6,7 @@ pose finds its patient under its instrument. URDF is the single source of truth 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,6 +106,7 @@ def build(
     actuators: ActuatorParameters | None = None,
     trocar: TrocarParameters | None = None,
     tool_errors: Mapping[str, ToolError] | None = None,
+    add: Callable[[mujoco.MjSpec, Site], None] | None = None,
 ) -> mujoco.MjModel:
     """Compile the scene once.
 
@@ -116,6 +117,7 @@ def build(
         actuators: Drive parameters.
         trocar: Wall parameters.
         tool_errors: By arm name, how the true tool differs from its URDF.
+        add: Puts a task's things into the scene.
 
     Raises:
         ValueError: A URDF does not fit its YAML.
@@ -129,8 +131,10 @@ def build(
         add_jaw(spec, arm)
     for arm in arms:
         add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
+    site = site_of(arms[0])
+    if add is not None:
+        add(spec, site)
     if looks:
-        site = site_of(arms[0])
         seen = _home_points(spec.compile(), arms)
         rng = np.random.default_rng(seed)
         _add_materials(spec, rng)
