@@ -233,6 +233,7 @@ class Bowel:
         # crossing[i, t]: spring t passes the cut between node i and node i + 1.
         cut = np.arange(n - 1)[:, None]
         self._crossing = ((self._from <= cut) & (cut < self._to)).astype(np.float64)
+        self._joints = slice(int(first.id), int(first.id) + 3 * n)
         self._mocap = int(model.body(f"{NAME}_floor").mocapid[0])
         self.sites = np.array([model.site(f"{NAME}_{i}").id for i in range(n)])
         """Site of every node, (n,)."""
@@ -260,8 +261,8 @@ class Bowel:
         self._data.qfrc_applied[self._dofs] = 0.0
         length = np.linalg.norm(shape[self._to] - shape[self._from], axis=1)
         self._model.tendon_lengthspring[self._tendons] = length[:, None]
-        self._model.geom_conaffinity[self.outer] = self._affinity[self.outer]
-        self._model.geom_conaffinity[self.inner] = self._affinity[self.inner]
+        self._holders: dict[int, int] = {}  # node: contact bit of the tool that holds it
+        self._set_contacts()
         self._place_floor()
 
     def advance(self) -> None:
@@ -293,9 +294,13 @@ class Bowel:
 
         The sum over all springs that cross the cut; negative: compressed.
         """
-        stretch = np.linalg.norm(np.diff(self.nodes[[self._from, self._to]], axis=0)[0], axis=1)
-        stretch = stretch - self._model.tendon_lengthspring[self._tendons, 0]
-        return np.asarray(self._crossing @ (self._stiffness * stretch))
+        return np.asarray(self._crossing @ (self._stiffness * self._stretch()))
+
+    def _stretch(self) -> Array:
+        """Elongation of every spring [m]."""
+        nodes = self.nodes
+        length = np.linalg.norm(nodes[self._to] - nodes[self._from], axis=1)
+        return np.asarray(length - self._model.tendon_lengthspring[self._tendons, 0])
 
     def tension(self, i: int) -> float:
         """Elastic tension between node i and node i + 1 [N]."""
@@ -304,7 +309,7 @@ class Bowel:
     @property
     def pulls(self) -> Array:
         """Force of mesentery and anchors on every node [N], world, (n, 3)."""
-        stiffness = self._model.jnt_stiffness[self._joints()].reshape(-1, 3)
+        stiffness = self._model.jnt_stiffness[self._joints].reshape(-1, 3)
         moved = self._data.qpos[self._qpos] - self._model.qpos_spring[self._qpos]
         return np.asarray(-stiffness * moved.reshape(-1, 3))
 
@@ -316,36 +321,42 @@ class Bowel:
     @property
     def energy(self) -> float:
         """Elastic and kinetic energy [J]."""
-        stretch = np.linalg.norm(self.nodes[self._to] - self.nodes[self._from], axis=1)
-        stretch = stretch - self._model.tendon_lengthspring[self._tendons, 0]
         moved = self._data.qpos[self._qpos] - self._model.qpos_spring[self._qpos]
         mass = self.parameters.mass / self.parameters.nodes
         speed = self._data.qvel[self._dofs]
-        springs = self._stiffness @ stretch**2
-        held = self._model.jnt_stiffness[self._joints()] @ moved**2
+        springs = self._stiffness @ self._stretch() ** 2
+        held = self._model.jnt_stiffness[self._joints] @ moved**2
         return float(springs + held + mass * speed @ speed) / 2
-
-    def _joints(self) -> slice:
-        joint = int(self._model.joint(f"{NAME}_0_x").id)
-        return slice(joint, joint + 3 * self.parameters.nodes)
 
     def nearest(self, p_W: Array) -> int:
         """The node nearest to a point in the world [m]."""
         return int(np.argmin(np.linalg.norm(self.nodes - np.asarray(p_W), axis=1)))
 
+    def free(self, node: int) -> bool:
+        """Whether no tool holds this node."""
+        return node not in self._holders
+
     def hold(self, node: int, tool_bit: int) -> None:
-        """A tool holds this node: its jaws no longer push it and its neighbours away."""
-        self._model.geom_conaffinity[self.outer[node]] = 0
-        self._model.geom_conaffinity[self.inner[node]] = 0
-        for other in self._beside(node):
-            self._model.geom_conaffinity[self.inner[other]] &= ~tool_bit
+        """A tool holds this node: its jaws no longer push it and its neighbours away.
 
-    def release(self, node: int, tool_bit: int) -> None:
-        """The tool lets go of this node."""
-        self._model.geom_conaffinity[self.outer[node]] = self._affinity[self.outer[node]]
-        self._model.geom_conaffinity[self.inner[node]] = self._affinity[self.inner[node]]
-        for other in self._beside(node):
-            self._model.geom_conaffinity[self.inner[other]] |= tool_bit
+        Args:
+            node: The node.
+            tool_bit: Contact bit of the tool's pads.
+        """
+        self._holders[node] = tool_bit
+        self._set_contacts()
 
-    def _beside(self, node: int) -> list[int]:
-        return [i for i in (node - 1, node + 1) if 0 <= i < self.parameters.nodes]
+    def release(self, node: int) -> None:
+        """The tool that holds this node lets go."""
+        del self._holders[node]
+        self._set_contacts()
+
+    def _set_contacts(self) -> None:
+        """What meets what: a held node nothing, its neighbours not the jaws that hold it."""
+        affinity, geoms = self._model.geom_conaffinity, np.append(self.outer, self.inner)
+        affinity[geoms] = self._affinity[geoms]
+        for node, bit in self._holders.items():
+            for beside in range(max(node - 1, 0), min(node + 2, self.parameters.nodes)):
+                affinity[self.inner[beside]] &= ~bit
+        for node in self._holders:
+            affinity[self.outer[node]] = affinity[self.inner[node]] = 0
