@@ -135,9 +135,9 @@ def build(
         add(spec, site_of(arms[0]))
     if looks:
         site = site_of(arms[0])
-        seen = _home_points(spec.compile(), arms)
         rng = np.random.default_rng(seed)
         _add_materials(spec, rng)
+        seen = _home_points(spec.compile(), arms)
         _add_room(spec, site)
         _add_patient(spec, site, rng)
         for arm in arms:
