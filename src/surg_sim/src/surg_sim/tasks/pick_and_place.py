@@ -65,6 +65,7 @@ class PickAndPlace(Task):
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
         """Two boards with pegs, the ring, the pads."""
         del looks  # boards and ring are physics; their colour costs nothing
+        self._pegs = np.array([site.place(foot) for foot in PEGS])
         boards = spec.worldbody.add_body(
             name="boards", pos=site.work.tolist(), quat=quaternion(site.R).tolist()
         )
@@ -107,11 +108,7 @@ class PickAndPlace(Task):
 
     def bind(self, world: World) -> None:
         """Find ring and tip."""
-        from surg_sim.scene import site_of
-
         self._data = world.data
-        site = site_of(world.cell.arms[world.arms[0]])
-        self._pegs = np.array([site.place(foot) for foot in PEGS])
         self._body = int(world.model.body(RING).id)
         joint = world.model.joint(RING)
         self._qpos = slice(int(joint.qposadr[0]), int(joint.qposadr[0]) + 7)
