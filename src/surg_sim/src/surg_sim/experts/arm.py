@@ -29,7 +29,6 @@ from surg_sim.experts.base import (
     out_of,
     tip_quaternion,
 )
-from surg_sim.tasks.base import GRID
 
 if TYPE_CHECKING:
     import surg_core
@@ -89,9 +88,8 @@ class ArmExpert(Expert):
         if self.reason:
             return Wishes()
         if me.state == ENABLED and me.homed:
-            if view.tick % GRID == 0:
-                self.view = view
-                self._act(wish)
+            self.view = view
+            self._act(wish)
         elif me.state == DISABLED and self._script is None:
             if view.tick - self._asked >= RETRY or (me.homed and self._last == "home"):
                 self._asked, self._last = view.tick, "enable" if me.homed else "home"

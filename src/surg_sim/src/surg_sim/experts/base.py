@@ -1,6 +1,6 @@
 """A sender's view, its commands, and the motion that both scripted senders share.
 
-A sender acts on every 25th tick (20 Hz). A target is where the set-point shall be at the next grid
+A sender looks and acts on every 25th tick (20 Hz). A target is where the set-point shall be at the next grid
 time, never a place far away: the path is a minimum-jerk profile that stays inside the limits.
 """
 
@@ -155,10 +155,10 @@ class Expert(ABC):
 
     @abstractmethod
     def tick(self, view: View) -> Wishes:
-        """Look at tick k; call it for every tick, in order.
+        """Look at tick k and act; call it for every 25th tick (``GRID``), in order.
 
         Returns:
-            What to send for k + 1; nothing in most ticks.
+            What to send for k + 1.
         """
 
 

@@ -13,7 +13,6 @@ from surg_sim.assistant import AssistantCommand, inverse
 from surg_sim.experts.arm import ArmExpert
 from surg_sim.experts.base import STEP, Expert, MinimumJerk, View, Wishes, into
 from surg_sim.grasp import GRIP_DEPTH
-from surg_sim.tasks.base import GRID
 from surg_sim.tasks.bgr import APART, PHASES, ROBOT, TAUT
 
 if TYPE_CHECKING:
@@ -124,8 +123,6 @@ class AssistantExpert(Expert):
 
     def tick(self, view: View) -> Wishes:
         """See :class:`Expert`."""
-        if view.tick % GRID != 0:
-            return Wishes()
         self.view = view
         if self._script is None:
             self._X = view.point("X_WAssistant")

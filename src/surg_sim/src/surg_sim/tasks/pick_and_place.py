@@ -174,7 +174,9 @@ class PickAndPlace(Task):
             if self._round(self.goal):
                 return Verdict(done=True, success=True, reward=1.0, phase="done")
             if not self._round(self.start):
-                return Verdict(done=True, reason="the ring was dropped beside the pegs", phase=phase)
+                return Verdict(
+                    done=True, reason="the ring was dropped beside the pegs", phase=phase
+                )
         return self.late(phase) or Verdict(phase=phase)
 
 
