@@ -19,6 +19,8 @@ from surg_sim.tasks.base import GRID
 
 Array = NDArray[np.float64]
 
+_Sample = tuple[float, float, float, float]  # kinematic, true, force, displacement
+
 
 @dataclass(frozen=True)
 class Spread:
@@ -94,9 +96,7 @@ def run_episode(
         experts = session.task.experts(session.cell, seed)
     senders = [experts[name] for name in sorted(experts)]
     commands, assistant = merge([])
-    samples: dict[str, list[tuple[float, float, float, float]]] = {
-        a: [] for a in session.world.arms
-    }
+    samples: dict[str, list[_Sample]] = {name: [] for name in session.world.arms}
     reward = 0.0
     while True:
         tick = session.tick(commands, assistant)
@@ -132,7 +132,7 @@ def run_episode(
     )
 
 
-def _report(rows: list[tuple[float, float, float, float]]) -> ArmReport:
+def _report(rows: list[_Sample]) -> ArmReport:
     columns = np.array(rows).reshape(-1, 4).T
     kinematic, true, force, displacement = (Spread.of(column) for column in columns)
     return ArmReport(kinematic, true, force, displacement)

@@ -81,7 +81,7 @@ class ArmExpert(Expert):
     def script(self) -> Iterator[None]:
         """What is done, action by action: move ``path``, ``roll``, ``jaw``; yield."""
 
-    def tick(self, view: View) -> Wishes:
+    def act(self, view: View) -> Wishes:
         """See :class:`Expert`."""
         wish = ArmWish()
         me = view.arms[self._arm]

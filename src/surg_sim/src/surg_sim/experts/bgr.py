@@ -121,7 +121,7 @@ class AssistantExpert(Expert):
         self._script: Iterator[None] | None = None
         self.view: View
 
-    def tick(self, view: View) -> Wishes:
+    def act(self, view: View) -> Wishes:
         """See :class:`Expert`."""
         self.view = view
         if self._script is None:

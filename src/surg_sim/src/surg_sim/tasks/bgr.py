@@ -1,7 +1,7 @@
 """Bowel grasping and retraction: the paper's collaborative task.
 
-The assistant points at a place; the robot grasps there; it holds while the assistant takes a hold of
-its own; both retract until the tissue between them is taut and visible; both hold still for 2 s.
+The assistant points at a place; the robot grasps there; it holds while the assistant takes a hold
+of its own; both retract until the tissue between them is taut and visible; both hold still for 2 s.
 docs/tasks.md defines success; every number of the definition stands below.
 """
 

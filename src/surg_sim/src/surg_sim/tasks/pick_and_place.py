@@ -6,6 +6,7 @@ within the time limit. A ring that comes to rest anywhere else but on its first 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -81,7 +82,7 @@ class PickAndPlace(Task):
         for foot in PEGS:
             boards.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                fromto=[*foot, *(foot + [0.0, 0.0, PEG_HEIGHT - PEG_RADIUS])],
+                fromto=[*foot, foot[0], foot[1], foot[2] + PEG_HEIGHT - PEG_RADIUS],
                 size=[PEG_RADIUS, 0, 0],
                 rgba=[0.85, 0.86, 0.88, 1],
                 **fixed,
@@ -92,7 +93,7 @@ class PickAndPlace(Task):
         ring.ipos = [0.0, 0.0, 0.0]  # not stated, the compiler takes the place of the body for it
         angles = np.linspace(0.0, 2.0 * np.pi, _SEGMENTS + 1)
         places = RING_RADIUS * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
-        for start, end in zip(places[:-1], places[1:], strict=True):
+        for start, end in itertools.pairwise(places):
             ring.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,
                 fromto=[*start, *end],
