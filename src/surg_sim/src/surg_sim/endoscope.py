@@ -90,12 +90,13 @@ def add_held(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
     _add_light(spec.body(f"{arm.name}_{arm.instrument.tip_link}"), np.zeros(3), np.eye(3)[2])
 
 
-def add_standing(spec: mujoco.MjSpec, site: Site) -> None:
-    """Put one camera, its light and the scope behind it where a surgeon would hold them.
+def add_standing(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    """Put one camera and its light where a surgeon would hold them.
 
     Args:
         spec: The scene.
         site: The patient.
+        looks: Draw the scope behind the camera.
     """
     eye = site.place(
         _STANDING_DISTANCE
@@ -106,6 +107,8 @@ def add_standing(spec: mujoco.MjSpec, site: Site) -> None:
     world = spec.worldbody
     world.add_camera(name=LEFT, pos=eye.tolist(), quat=quaternion(R).tolist(), fovy=FOVY)
     _add_light(world, eye, forward)
+    if not looks:
+        return
     for start, end, radius, material in (
         (0.006, 0.260, 0.005, "scope"),
         (0.255, 0.300, 0.013, "scope_head"),

@@ -49,7 +49,8 @@ def _dome(site: Site) -> tuple[anatomy.Dome, float]:
     One port fixes its height; with a second one it is moved along the patient until it holds both.
     """
     room = -table_of(site).near - 0.012
-    ports = np.array([site.local(port) for port in site.ports[:2]]) + [0, 0, BED_DEPTH]
+    ports = np.array([site.local(port) for port in site.ports[:2]])
+    ports[:, 2] += BED_DEPTH
     two = len(ports) == 2
     half_length, half_width = min(0.190 if two else 0.180, room), 0.270 if two else 0.225
 
@@ -66,6 +67,7 @@ def _dome(site: Site) -> tuple[anatomy.Dome, float]:
         height=height(ports[0], middle),
         window=np.radians(50.0),
         window_top=np.radians(50.0),
+        towards=np.radians(-62.0 if two else -90.0),  # to the spectator
     ), middle
 
 
@@ -108,8 +110,9 @@ def add_patient(spec: mujoco.MjSpec, site: Site, rng: np.random.Generator) -> No
         over = np.maximum(np.maximum(table.near - x, x - table.far), table.foot - up)
         hang = 0.18 * np.clip(over / 0.025, 0, 1)
         within = 0.09 * np.clip(4 * (1.0 - r), 0, 1)
-        screen = _SCREEN * _smooth((up - _SCREEN_AT) / 0.02)
-        return np.maximum(skirt, _body(x, up)) + crease - _TORSO - hang - within + screen
+        lying = np.maximum(skirt, _body(x, up)) + crease
+        screen = _smooth((up - _SCREEN_AT) / 0.02)  # before the patient's head
+        return lying + screen * (_SCREEN - lying) - _TORSO - hang - within
 
     x = np.linspace(table.near - 0.03, table.far + 0.03, 121)
     y = np.concatenate(
@@ -122,7 +125,7 @@ def add_patient(spec: mujoco.MjSpec, site: Site, rng: np.random.Generator) -> No
 
 
 _TORSO = 0.072  # [m] from the drape on the table to where the inflated wall begins
-_SCREEN, _SCREEN_AT = 0.26, 0.42  # [m] the drape before the patient's head: height, place
+_SCREEN, _SCREEN_AT = 0.30, 0.42  # [m] the drape before the patient's head: height, place
 
 
 def _smooth(share: Array) -> Array:

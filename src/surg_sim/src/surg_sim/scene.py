@@ -183,10 +183,12 @@ def build(
         endoscope.add_held(spec, scope)
     for arm in arms:
         add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
+    site = site_of(arms)
     if add is not None:
-        add(spec, site_of(arms))
+        add(spec, site)
+    if scope is None:
+        endoscope.add_standing(spec, site, looks)
     if looks:
-        site = site_of(arms)
         rng = np.random.default_rng(seed)
         add_materials(spec, rng)
         seen = _home_points(spec.compile(), arms)
@@ -194,8 +196,6 @@ def build(
         add_patient(spec, site, rng)
         for arm in arms:
             _add_cannula(spec, arm)
-        if scope is None:
-            endoscope.add_standing(spec, site)
         room.add_overview(spec, site, seen)
     return spec.compile()
 

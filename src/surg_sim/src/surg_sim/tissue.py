@@ -11,6 +11,7 @@ An episode changes only joint positions, their spring references and the tendons
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ from surg_sim.trocar_motion import MovingPoint
 
 if TYPE_CHECKING:
     from surg_sim.scene import Site
+    from surg_sim.tissue_skin import BowelSkin
 
 Array = NDArray[np.float64]
 
@@ -171,8 +173,9 @@ def add_bowel(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters, loo
                 solref=[0.02, 1.0],
                 solimp=[0.0, 0.95, 0.004, 0.5, 2.0],
             )
-    for kind, a, b in _pairs(n):
-        stiffness = float(p.springs[kind])
+    springs = p.springs
+    for rank, a, b in _pairs(n):
+        stiffness = float(springs[rank])
         spring = spec.add_tendon(
             name=f"{NAME}_{a}_{b}",
             stiffness=[stiffness, 0, 0],
@@ -259,6 +262,7 @@ class Bowel:
             rng: Draws the shape; None: the one without a random part.
         """
         self.bed.reset()
+        self._motion = np.zeros(6)
         shape = self._base if rng is None else rest_shape(self._site, self.parameters, rng)
         self._rest = shape - self._base
         self._model.qpos_spring[self._qpos] = self._rest.ravel()
@@ -274,6 +278,10 @@ class Bowel:
     def advance(self) -> None:
         """Move what carries the bowel one tick on; called before the physics of that tick."""
         self.bed.advance()
+        motion = np.append(self.bed.p_B, self.bed.v_B)
+        if np.array_equal(motion, self._motion):
+            return
+        self._motion = motion
         rest = self._rest + self.bed.p_B
         self._model.qpos_spring[self._qpos] = rest.ravel()
         # The mesentery's dampers act on the difference to the moving bed.
@@ -337,6 +345,13 @@ class Bowel:
     def nearest(self, p_W: Array) -> int:
         """The node nearest to a point in the world [m]."""
         return int(np.argmin(np.linalg.norm(self.nodes - np.asarray(p_W), axis=1)))
+
+    @functools.cached_property
+    def skin(self) -> BowelSkin:
+        """What draws the bowel in pictures of this scene, which must have been built with looks."""
+        from surg_sim.tissue_skin import BowelSkin
+
+        return BowelSkin(self._model, self._site, self.parameters)
 
     def free(self, node: int) -> bool:
         """Whether no tool holds this node."""
