@@ -112,7 +112,7 @@ def bowel_loop(centre: Array, radius: float, rng: np.random.Generator) -> Mesh:
         + 0.02 * np.sin(2 * np.pi * 13.0 * s + phase[2])
     )
     start = (float(rng.random()), float(rng.random()))
-    return tube(centre, radius * swell, texture_start=start)
+    return tube(centre, radius * swell, segments=40, texture_start=start)
 
 
 def surface(

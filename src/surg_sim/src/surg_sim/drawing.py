@@ -17,7 +17,7 @@ OUTSIDE = 2
 
 def add_materials(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
     """The procedural materials of tissue, skin and cloth."""
-    wet = {"specular": 0.55, "shininess": 0.75}
+    wet = {"specular": 0.85, "shininess": 0.9}
     dry = {"specular": 0.12, "shininess": 0.2}
     for make, gloss in (
         (textures.fat, wet),

@@ -66,7 +66,7 @@ def _dome(site: Site) -> tuple[anatomy.Dome, float]:
         half_width=half_width,
         height=height(ports[0], middle),
         window=np.radians(50.0),
-        window_top=np.radians(50.0),
+        window_top=np.radians(60.0 if two else 50.0),
         towards=np.radians(-62.0 if two else -90.0),  # to the spectator
     ), middle
 
@@ -90,7 +90,7 @@ def add_patient(spec: mujoco.MjSpec, site: Site, rng: np.random.Generator) -> No
         if name == "near" and spec.body("bowel_0") is not None:
             continue  # the living piece lies here
         share = 0.94 - 1.15 * radius / dome.half_length
-        course = anatomy.smooth_curve(np.array(knots), 80) - [0.0, middle, 0.0]
+        course = anatomy.smooth_curve(np.array(knots), 140) - [0.0, middle, 0.0]
         loop = anatomy.bowel_loop(dome.inside(course, share), radius, rng)
         add_mesh(spec, patient, f"loop_{name}", loop, "bowel")
 
