@@ -37,6 +37,10 @@ ENDOSCOPE = endoscope.LEFT
 """Name of the (left) endoscope camera, and of its optical frame on the wire."""
 OVERVIEW = room.OVERVIEW
 """Name of the camera that looks at the room."""
+PATIENT = 0.35
+"""Largest distance of the endoscope's trocar from the instrument's [m]."""
+VIEW_NEAR = 0.02
+"""Smallest distance of the work point from the endoscope's lenses [m]."""
 HOME_MISS = 0.010
 """Largest distance of the shaft from its trocar at home [m]: the wall gives way by as much."""
 
@@ -113,11 +117,13 @@ def choose_arms(cell: surg_core.Cell, names: Iterable[str] | None) -> list[surg_
 
 
 def check_reach(arms: Iterable[surg_core.Arm]) -> None:
-    """Refuse arms that do not stand at their trocars: every episode begins there.
+    """Refuse arms that do not stand at their trocars, or at one patient: an episode begins there.
 
     Raises:
-        ValueError: The shaft misses the trocar at home, or its tip is not as deep as it may be.
+        ValueError: A shaft misses its trocar at home, its tip is not as deep as it may be, the
+            trocars are too far apart, or the endoscope does not see where the instrument works.
     """
+    arms = list(arms)
     for arm in arms:
         p_WRcm, s = wall_frame(arm)
         p_FTip, _ = shaft_in_flange(arm)
@@ -145,6 +151,38 @@ def check_reach(arms: Iterable[surg_core.Arm]) -> None:
                 f"{where}the tip is {1000 * depth:.0f} mm behind it; allowed are "
                 f"{1000 * limits.depth_min:.0f} to {1000 * limits.depth_max:.0f} mm{advice}"
             )
+    scope = endoscope.holder(arms)
+    for arm in arms:
+        if scope is not None and arm is not scope:
+            _check_patient(arm, scope)
+
+
+def _check_patient(arm: surg_core.Arm, scope: surg_core.Arm) -> None:
+    """Refuse an instrument and an endoscope that are not in one abdomen."""
+    p_WRcm, s = wall_frame(arm)
+    work = p_WRcm + WORK_DEPTH * s
+    p_WScope, view = wall_frame(scope)
+    apart = float(np.linalg.norm(p_WScope - p_WRcm))
+    advice = f"; move arms.{scope.name}.base (or .home) in cell.yaml, or see surg_sim.placement"
+    if apart > PATIENT:
+        raise ValueError(
+            f"the trocars of {arm.name} and {scope.name} are {apart:.2f} m apart; allowed are "
+            f"{PATIENT:.2f} m, one patient{advice}"
+        )
+    p_FTip, _ = shaft_in_flange(scope)
+    X_WF = scope.X_WB @ np.asarray(scope.chain.forward(np.asarray(scope.robot.home)))
+    to_work = work - (X_WF[:3, :3] @ p_FTip + X_WF[:3, 3])
+    ahead = float(view @ to_work)
+    beside = float(np.linalg.norm(to_work - ahead * view))
+    camera = scope.instrument.camera
+    assert camera is not None
+    if ahead < VIEW_NEAR or beside > ahead * np.tan(camera.fovy / 2.0):
+        raise ValueError(
+            f"the endoscope of {scope.name} does not see where {arm.name} works: from its lenses "
+            f"that is {1000 * ahead:.0f} mm ahead and {1000 * beside:.0f} mm to the side; allowed "
+            f"are {1000 * VIEW_NEAR:.0f} mm ahead or more, within {np.degrees(camera.fovy) / 2:.0f}"
+            f" degrees of the view's axis{advice}"
+        )
 
 
 def build(
