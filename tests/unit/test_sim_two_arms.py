@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import os
 import re
@@ -37,6 +36,12 @@ TASKS = {"PSM1": placement.INSTRUMENT, "ECM": placement.ENDOSCOPE}
 @pytest.fixture(scope="module", params=CELLS)
 def cell(request: pytest.FixtureRequest) -> surg_core.Cell:
     return surg_core.load_cell(paths.ROOT / "cells" / request.param)
+
+
+@pytest.fixture(scope="module")
+def seen(cell: surg_core.Cell) -> World:
+    """The cell with looks, at home; nobody moves it."""
+    return World(cell, looks=True)
 
 
 def stereo(model: mujoco.MjModel, **keys: object) -> StereoRenderer:
@@ -101,13 +106,14 @@ def test_at_home_nothing_moves_or_touches(cell: surg_core.Cell) -> None:
     assert world.data.ncon == 0
 
 
-def test_looks_do_not_change_the_motion(cell: surg_core.Cell) -> None:
+def test_looks_do_not_change_the_motion(cell: surg_core.Cell, seen: World) -> None:
     hashes = []
-    for looks in (False, True):
-        world = World(cell, looks=looks)
+    for world in (World(cell), seen):
+        world.reset()
         for k in range(50):
             world.step({"ECM": ArmCommand(velocity=np.full(6, 0.02 * math.sin(0.1 * k)))})
         hashes.append(world.hash)
+    seen.reset()
     assert hashes[0] == hashes[1]
 
 
@@ -423,8 +429,8 @@ def test_a_stereo_pair_triangulates_a_bead(cell: surg_core.Cell) -> None:
     assert max(errors) < 0.0005
 
 
-def test_the_instrument_is_in_both_views(cell: surg_core.Cell) -> None:
-    world = World(cell, looks=True)
+def test_the_instrument_is_in_both_views(cell: surg_core.Cell, seen: World) -> None:
+    world = seen
     show_only(world.model, lamps=False)
     renderer = stereo(world.model)
     left, right = renderer.pair(np.array(world.data.qpos))
@@ -445,7 +451,7 @@ def test_the_instrument_is_in_both_views(cell: surg_core.Cell) -> None:
     renderer.close()
 
 
-def test_skins_are_drawn_once_per_pair(cell: surg_core.Cell) -> None:
+def test_skins_are_drawn_once_per_pair(seen: World) -> None:
     class Counter:
         drawn = 0
 
@@ -455,9 +461,8 @@ def test_skins_are_drawn_once_per_pair(cell: surg_core.Cell) -> None:
             self.drawn += 1
 
     counter = Counter()
-    world = World(cell, looks=True)
-    home = np.array(world.data.qpos)
-    renderer = stereo(world.model, skins=[counter])
+    home = np.array(seen.data.qpos)
+    renderer = stereo(seen.model, skins=[counter])
     renderer.pair(home)
     assert counter.drawn == 1
     renderer.render(home)
@@ -466,19 +471,19 @@ def test_skins_are_drawn_once_per_pair(cell: surg_core.Cell) -> None:
 
 
 def test_a_pair_needs_two_cameras() -> None:
-    world = World(surg_core.load_cell(paths.ROOT / "cells/sim_ur5e"), looks=True)
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><worldbody><camera name="{endoscope.LEFT}"/></worldbody></mujoco>'
+    )
     with pytest.raises(ValueError, match="one camera: a pair needs a cell with"):
-        StereoRenderer(world.model, 640, 480)
+        StereoRenderer(model, 640, 480)
 
 
-def test_stereo_is_fast_enough_for_two_cores() -> None:
+def test_stereo_is_fast_enough_for_two_cores(seen: World) -> None:
     """Processor time, as wall-clock time says little here: 0.2 s are 10 pairs/s on 2 cores."""
-    world = World(surg_core.load_cell(paths.ROOT / "cells/sim_two_arms"), looks=True)
     try:
-        speed = stereo_speed(world, pairs=60 if FULL else 12)
+        speed = stereo_speed(seen, pairs=60 if FULL else 12)
     except NoOpenGL as error:
         pytest.skip(str(error))
     print(f"{speed.pairs_per_s:.1f} pairs/s, {1e3 * speed.cpu_s_per_pair:.0f} ms of processor each")
     assert speed.cpu_s_per_pair < 0.2
-    assert all(math.isfinite(v) for v in (speed.pairs_per_s, speed.cpu_s_per_pair))
-    assert list(itertools.islice(speed.backend, 1))
+    assert speed.pairs_per_s > 0

@@ -144,16 +144,17 @@ def reserve(arm: surg_core.Arm, q_home: Array, task: Task) -> Reserve | None:
     for signs in itertools.product((-1, 1), repeat=3):
         corner = R_BR @ (np.array([0.0, 0.0, depth]) + np.array(signs) * task.box)
         for roll in (-task.roll, 0.0, task.roll):
-            q: Array | None = q_home
+            q = q_home
             for share in (0.5, 1.0):
                 p = (1 - share) * depth * s + share * corner
                 axis = p / np.linalg.norm(p)
                 R = _between(s, axis) @ _turn(s, share * roll) @ R_home
                 X = np.eye(4)
                 X[:3, :3], X[:3, 3] = R, p_Rcm + p - R @ p_FTip
-                q = inverse(arm.chain, q, X, 20)
-                if q is None:
+                reached = inverse(arm.chain, q, X, 20)
+                if reached is None:
                     return None
+                q = reached
             found.append(q)
             J = np.asarray(arm.chain.jacobian(q))
             singular = min(singular, float(np.linalg.svd(J, compute_uv=False)[5]))
