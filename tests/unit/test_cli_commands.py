@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from surg_cli import __main__ as cli
-from surg_cli import cells, demo, master, paths, processes, running, system, testing
+from surg_cli import cells, demo, follow, master, paths, processes, running, system, testing
 from surg_cli.processes import Supervisor
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, table
@@ -126,7 +126,7 @@ def test_a_missing_gl_library_is_said_with_the_cure(tmp_path: Path) -> None:
         code = "echo \"ImportError: ('Unable to load EGL library', 'libEGL.so.1')\"; exit 1"
         child = supervisor.start("/endoscope", ["/bin/sh", "-c", code])
         assert processes.wait_until(lambda: child.exit_code is not None, 5.0)
-        text = demo.death_notice(child)
+        text = follow.death_notice(child)
     assert "/endoscope ended (1)" in text
     assert "--no-video" in text
 

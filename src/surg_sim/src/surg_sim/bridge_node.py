@@ -11,102 +11,40 @@ from __future__ import annotations
 import json
 import os
 import random
-import select
 import struct
 import sys
 import threading
 import time
-import warnings
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlparse
 
 import rospy
-from geometry_msgs.msg import TwistStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 import surg_core
-from surg_msgs.msg import GroundTruth, LinkStatus, PointVelocityStamped, Ready, SimSnapshot
+from surg_msgs.msg import (
+    GroundTruth,
+    LinkStatus,
+    PointVelocityStamped,
+    Ready,
+    SimSnapshot,
+)
 from surg_sim import faults, wire
 from surg_sim.arm import ArmCommand
 from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
+from surg_sim.ports_node import Output, RawJointState, RawTwist
 from surg_sim.settings import BridgeSettings, SettingsError
+from surg_sim.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.world import TICK_NS, World
 
 SNAPSHOT_TICKS = 25
 """A snapshot every 25th tick: 20 Hz."""
 _STATUS_PERIOD = 0.2  # [s] wall
 _LATE = 0.05  # [s] free-run gives up catching up when it is later than this
-
-
-class _RawJointState(JointState):  # type: ignore[misc]
-    """A JointState that keeps its bytes; ``wire`` reads what the bridge needs of them."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def deserialize(self, data: bytes) -> _RawJointState:
-        self.data = data
-        return self
-
-
-class _RawTwist(TwistStamped):  # type: ignore[misc]
-    """A TwistStamped that keeps its bytes."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def deserialize(self, data: bytes) -> _RawTwist:
-        self.data = data
-        return self
-
-
-class _Output:
-    """A publisher of ready-made bytes, sent by the calling thread.
-
-    Args:
-        topic: Its name.
-        kind: Its message class.
-        patient: True: waits for a slow subscriber, nothing is ever lost (lock-step). False: a
-            subscriber whose socket is full misses the message, so that none can stop the arm
-            (free-run).
-    """
-
-    def __init__(self, topic: str, kind: type, patient: bool) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SyntaxWarning)  # rospy's hint on queue_size=None
-            self.publisher = rospy.Publisher(topic, kind, tcp_nodelay=True, queue_size=None)
-        self._message = rospy.AnyMsg()
-        self._patient = patient
-
-    @property
-    def connections(self) -> int:
-        return int(self.publisher.get_num_connections())
-
-    def send(self, data: bytes) -> None:
-        self._message._buff = data
-        if self._patient:
-            self.publisher.publish(self._message)
-            return
-        topic = self.publisher.impl
-        topic.acquire()
-        try:
-            for connection in topic.connections:
-                if _writable(connection.socket):
-                    topic.publish(self._message, connection)
-        finally:
-            topic.release()
-
-
-def _writable(socket: Any) -> bool:
-    """Whether a socket takes a small message at once (a third of its buffer is free)."""
-    try:
-        return socket is not None and bool(select.select((), (socket,), (), 0)[1])
-    except (OSError, ValueError):  # closed meanwhile
-        return False
 
 
 class _ArmTopics:
@@ -122,9 +60,9 @@ class _ArmTopics:
         self.jaw: float | None = None
         self.last_command_ns = 0
         root = f"/{arm.name}"
-        self.state = _Output(f"{root}/robot/measured_js", JointState, patient)
-        self.status = _Output(f"{root}/robot/status", LinkStatus, patient)
-        self.tool = _Output(f"{root}/tool/measured_js", JointState, patient)
+        self.state = Output(f"{root}/robot/measured_js", JointState, patient)
+        self.status = Output(f"{root}/robot/status", LinkStatus, patient)
+        self.tool = Output(f"{root}/tool/measured_js", JointState, patient)
 
         def listen(topic: str, kind: type, take: Callable[[_ArmTopics, bytes], None]) -> Any:
             def callback(message: Any) -> None:
@@ -139,15 +77,15 @@ class _ArmTopics:
         self.stale = round(bridge.track_stale * wire.NS / TICK_NS)
         self.frame = wire.text(f"{arm.name}_base")
         self.tracked = 0
-        self.track: _Output | None = None
+        self.track: Output | None = None
         if self.stale >= 0:
-            self.track = _Output(f"{root}/rcm/track", PointVelocityStamped, patient)
+            self.track = Output(f"{root}/rcm/track", PointVelocityStamped, patient)
 
         self.inputs = [
-            listen("robot/servo_jv", _RawJointState, bridge.on_velocity),
-            listen("robot/servo_cv", _RawTwist, bridge.on_twist),
+            listen("robot/servo_jv", RawJointState, bridge.on_velocity),
+            listen("robot/servo_cv", RawTwist, bridge.on_twist),
         ]
-        self.tool_input = listen("tool/servo_jp", _RawJointState, bridge.on_jaw)
+        self.tool_input = listen("tool/servo_jp", RawJointState, bridge.on_jaw)
 
     def take_commands(self) -> tuple[int, ArmCommand]:
         """What has arrived since the last tick, with the stamp of the robot command [ns]."""
@@ -199,15 +137,17 @@ class Bridge:
             {name: OBSERVER_WINDOWS[name] for name in settings.observers},
             republish=settings.abort_timeout / 5,
             abort=settings.abort_timeout,
+            strict=world.task is not None,
         )
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1000
         self._deterministic = self.lockstep
         self._done = False
         self._aborted: str | None = None
         self._start_ns = 0
+        self._stamp_ns = 0  # of the state that is out
         self._overruns = 0
-        self._truth = _Output("/sim/ground_truth/state", GroundTruth, self.lockstep)
-        self._clock = _Output("/clock", Clock, self.lockstep)
+        self._truth = Output("/sim/ground_truth/state", GroundTruth, self.lockstep)
+        self._clock = Output("/clock", Clock, self.lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
         )
@@ -222,6 +162,7 @@ class Bridge:
         if settings.inject:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
+        self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
 
     # --- what arrives -----------------------------------------------------------------------
 
@@ -258,9 +199,24 @@ class Bridge:
         tick, rest = divmod(stamp_ns, TICK_NS)
         return rest == 0 and self._book.answer(arm.name, link, tick)
 
+    def on_assistant(
+        self, assistant: AssistantTopics, sender: str, stamp_ns: int, what: str, value: Any
+    ) -> None:
+        """``/assistant/servo_jp``, ``/assistant/jaw/servo_jp``; a value of None must not be used."""
+        with self._lock:
+            declared = self.lockstep and self._book.declared(sender)
+            if self.lockstep and not declared:
+                self._deterministic = False
+            if value is not None:
+                assistant.keep(stamp_ns // TICK_NS if declared else 0, sender, what, value)
+            self._book.received(sender)
+            if self.lockstep:
+                self._advance()
+
     def _on_ready(self, message: Ready) -> None:
         with self._lock:
-            self._book.ready(message.participant, message.tick, message.done)
+            sent = dict(zip(message.arms, message.sent, strict=False)).get("assistant", 0)
+            self._book.ready(message.participant, message.tick, message.done, sent)
             if self.lockstep:
                 self._advance()
 
@@ -288,10 +244,11 @@ class Bridge:
         """Lock-step, with the lock held: execute the tick if everything for it is here."""
         if self._done or self._aborted or not self._book.may_step():
             return
-        last = self._book.finished()
+        self._done = self._book.finished()
         self._step()
-        if last:
-            self._done = True
+        if self._done:
+            if self._task is not None:
+                self._task.publish(self._world.tick, self._world.tick * TICK_NS)
             self._publish_status()
             return
         if self._jitter:
@@ -308,14 +265,24 @@ class Bridge:
 
     def _step(self) -> None:
         arrived = {arm.name: arm.take_commands() for arm in self._arms}
-        self._world.step(self._injector.commands(arrived))
+        commands = self._injector.commands(arrived)
+        if self._task is None:
+            self._world.step(commands)
+            return
+        tick = self._world.tick
+        self._task.publish_forces(tick, self._stamp_ns)
+        self._world.step(commands, self._task.take(tick))
+        self._done |= self._task.judge()
 
     def _publish_state(self, stamp_ns: int) -> None:
         tick, world = self._world.tick, self._world
+        self._stamp_ns = stamp_ns
         if self._clock.connections:
             self._clock.send(struct.pack("<2I", *divmod(stamp_ns, wire.NS)))
         for arm in self._arms:
             self._publish_links(arm, tick, stamp_ns)
+        if self._task is not None:
+            self._task.publish(tick, stamp_ns)
         if self._truth.connections:
             truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
             self._truth.send(wire.pack_ground_truth(stamp_ns, tick, truths))
@@ -369,6 +336,7 @@ class Bridge:
             "aborted": self._aborted,
             "overruns": self._overruns,
             "faults": self._injector.active,
+            "task": None if self._task is None else self._task.status(),
         }
         self._status.publish(String(json.dumps(status)))
 
@@ -443,7 +411,7 @@ class Bridge:
         self._start_ns = time.time_ns() - self._world.tick * TICK_NS
         deadline = time.monotonic()
         period = TICK_NS / wire.NS
-        while not rospy.is_shutdown():
+        while not (rospy.is_shutdown() or self._done):
             deadline += period
             left = deadline - time.monotonic()
             if left > 0:

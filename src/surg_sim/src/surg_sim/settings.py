@@ -21,6 +21,13 @@ def _text(name: str, value: Any) -> str:
     return value
 
 
+def _word(name: str, value: Any) -> str:
+    """A text that may be empty."""
+    if not isinstance(value, str):
+        raise SettingsError(f"parameter ~{name} is {value!r}: give a text, or none")
+    return value
+
+
 def _texts(name: str, value: Any) -> tuple[str, ...]:
     """A list of names, or one string with commas (what a rosrun line can pass)."""
     items: Iterable[Any] = value.split(",") if isinstance(value, str) else value
@@ -57,12 +64,6 @@ def _flag(name: str, value: Any) -> bool:
     return value
 
 
-def _faults(value: Any) -> str:
-    if not isinstance(value, str):
-        raise SettingsError(f"parameter ~faults is {value!r}: give a text of JSON, or none")
-    return value
-
-
 Get = Callable[[str, Any], Any]
 """Looks a private parameter up: (name without ~, default) -> value."""
 
@@ -81,6 +82,8 @@ class BridgeSettings:
         view: Open a viewer window where there is a display.
         track_stale: The simulator tracks the trocars and publishes ``rcm/track``, this old [s];
             -1: it does not. In lock-step the controller must have ``sim`` among its participants.
+        task: Name or file of the task that is played; empty: none.
+        setting: Name of the physical setting; empty: with a task ``phantom``, else the defaults.
         faults: Faults from the start, as JSON (``faults``).
         inject: Take further faults on ``/sim/inject``.
         connect_timeout: Longest wait for everybody to connect in lock-step [s].
@@ -95,6 +98,8 @@ class BridgeSettings:
     seed: int
     view: bool
     track_stale: float
+    task: str
+    setting: str
     faults: str
     inject: bool
     connect_timeout: float
@@ -122,7 +127,9 @@ class BridgeSettings:
             seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
             view=_flag("view", get("view", False)),
             track_stale=_real("track_stale", get("track_stale", -1), -1.0, 1.0),
-            faults=_faults(get("faults", "")),
+            task=_word("task", get("task", "")),
+            setting=_word("setting", get("setting", "")),
+            faults=_word("faults", get("faults", "")),
             inject=_flag("inject", get("inject", False)),
             connect_timeout=_real("connect_timeout", get("connect_timeout", 60.0), 1.0, 3600.0),
             abort_timeout=_real("abort_timeout", get("abort_timeout", 10.0), 1.0, 600.0),
