@@ -6,7 +6,7 @@ pose finds its patient under its instrument. URDF is the single source of truth 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -106,6 +106,7 @@ def build(
     actuators: ActuatorParameters | None = None,
     trocar: TrocarParameters | None = None,
     tool_errors: Mapping[str, ToolError] | None = None,
+    add: Callable[[mujoco.MjSpec, Site], None] | None = None,
 ) -> mujoco.MjModel:
     """Compile the scene once.
 
@@ -116,6 +117,7 @@ def build(
         actuators: Drive parameters.
         trocar: Wall parameters.
         tool_errors: By arm name, how the true tool differs from its URDF.
+        add: Puts more into the scene, after arms and trocars: what a task needs.
 
     Raises:
         ValueError: A URDF does not fit its YAML.
@@ -129,6 +131,8 @@ def build(
         add_jaw(spec, arm)
     for arm in arms:
         add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
+    if add is not None:
+        add(spec, site_of(arms[0]))
     if looks:
         site = site_of(arms[0])
         seen = _home_points(spec.compile(), arms)
@@ -227,6 +231,13 @@ def _table(site: Site) -> _Table:
     return _Table(near=-float(np.clip(reach - 0.13, 0.15, 0.32)), far=0.34, half=0.62)
 
 
+def wall_height(site: Site, x: float, y: float) -> float:
+    """Height of the abdominal wall above the work point at a place in patient axes [m]."""
+    dome = _dome(site)
+    radius = min((x / dome.half_length) ** 2 + (y / dome.half_width) ** 2, 1.0)
+    return float(dome.height * np.sqrt(1.0 - radius)) - _BED_DEPTH
+
+
 def _dome(site: Site) -> anatomy.Dome:
     """The wall over the bed, as high as it must be to pass through the trocar."""
     x, y, z = site.local(site.trocar)
@@ -270,6 +281,8 @@ def _add_patient(spec: mujoco.MjSpec, site: Site, rng: np.random.Generator) -> N
 
     # What is in front is drawn first, so that what it hides costs nothing.
     for name, (radius, knots) in _LOOPS.items():
+        if name == "near" and spec.body("bowel_0") is not None:
+            continue  # the living piece lies here
         share = 0.94 - 1.15 * radius / dome.half_length
         centre = dome.inside(anatomy.smooth_curve(np.array(knots), 80), share)
         _add_mesh(spec, patient, f"loop_{name}", anatomy.bowel_loop(centre, radius, rng), "bowel")
@@ -329,12 +342,20 @@ def _add_room(spec: mujoco.MjSpec, site: Site) -> None:
 def _add_cannula(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
     """The cannula in the wall; it moves with the wall, not with the shaft."""
     _, s_W = wall_frame(arm)
-    s_B = arm.X_WB[:3, :3].T @ s_W
-    wall = spec.body(f"{arm.name}_wall")
+    draw_cannula(spec.body(f"{arm.name}_wall"), arm.X_WB[:3, :3].T @ s_W)
+
+
+def draw_cannula(wall: mujoco.MjsBody, axis: Array) -> None:
+    """Draw a cannula on a body whose origin is the trocar point.
+
+    Args:
+        wall: The body.
+        axis: Unit vector into the patient, in the body's axes, (3,).
+    """
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
 
     def ring(start: float, end: float, radius: float, material: str) -> None:
-        _add_seen(wall, cylinder, material, fromto=[*(start * s_B), *(end * s_B)],
+        _add_seen(wall, cylinder, material, fromto=[*(start * axis), *(end * axis)],
                   size=[radius, 0, 0])  # fmt: skip
 
     ring(-0.030, 0.022, 0.0045, "cannula")

@@ -22,6 +22,8 @@ from surg_sim.truth import ArmTruth, TruthReader
 
 if TYPE_CHECKING:
     import surg_core
+    from surg_sim.assistant import AssistantCommand
+    from surg_sim.tasks.base import Task
 
 Array = NDArray[np.float64]
 
@@ -69,6 +71,7 @@ class World:
         actuators: Drive parameters.
         trocar: Wall parameters.
         tool_errors: By arm name, how the true tool differs from its URDF (calibration error).
+        task: What is done in it.
 
     Raises:
         ValueError: An arm is not in the cell, or a URDF does not fit its YAML.
@@ -83,10 +86,17 @@ class World:
         actuators: ActuatorParameters | None = None,
         trocar: TrocarParameters | None = None,
         tool_errors: Mapping[str, ToolError] | None = None,
+        task: Task | None = None,
     ) -> None:
         actuators, trocar = actuators or ActuatorParameters(), trocar or TrocarParameters()
         chosen = scene.choose_arms(cell, arms)
-        self.model = scene.build(chosen, seed, looks, actuators, trocar, tool_errors)
+        self.task, self._seed = task, seed
+
+        def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
+            if task is not None:
+                task.add(spec, site, looks)
+
+        self.model = scene.build(chosen, seed, looks, actuators, trocar, tool_errors, add)
         self.data = mujoco.MjData(self.model)
         self._members: dict[str, _Member] = {}
         for arm in chosen:
@@ -97,6 +107,8 @@ class World:
                 trocar=sleeve,
                 truth=TruthReader(self.model, self.data, arm, sleeve),
             )
+        if task is not None:
+            task.bind(self)
         self.reset()
 
     @property
@@ -104,8 +116,12 @@ class World:
         """Names of the simulated arms."""
         return tuple(self._members)
 
-    def reset(self) -> None:
-        """Home posture at rest, tick 1, fresh hash."""
+    def reset(self, seed: int | None = None) -> None:
+        """Home posture at rest, tick 1, fresh hash, a new episode of the task.
+
+        Args:
+            seed: Draws the episode; None: the seed that the world was made with.
+        """
         mujoco.mj_resetData(self.model, self.data)
         for member in self._members.values():
             member.link.reset()
@@ -113,21 +129,30 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
         for member in self._members.values():
             member.trocar.reset()
+        if self.task is not None:
+            self.task.reset(np.random.default_rng(self._seed if seed is None else seed))
         mujoco.mj_forward(self.model, self.data)
         self.tick = 1
         self._hash = hashlib.sha256()
 
-    def step(self, commands: Mapping[str, ArmCommand]) -> None:
+    def step(
+        self, commands: Mapping[str, ArmCommand], assistant: AssistantCommand | None = None
+    ) -> None:
         """One tick: take the commands that answer this tick's state, then 2 x 1 ms of physics.
 
         Args:
             commands: By arm name; an arm that is not named received nothing.
+            assistant: What the assistant's instrument received; None: nothing.
         """
         for name, member in self._members.items():
             command = commands.get(name, _NOTHING)
             member.link.accept(command)
             member.jaw.accept(command.jaw)
             member.trocar.advance()
+        if self.task is not None:
+            if self.task.assistant is not None:
+                self.task.assistant.accept(assistant)
+            self.task.advance()
         # mj_step is step1 (positions, velocities) then step2 (forces, integration). Ending on step1
         # leaves kinematics that belong to the new state, at no extra cost.
         for _ in range(SUBSTEPS):

@@ -1,0 +1,144 @@
+"""The settings phantom, ex vivo and in vivo: sets of physical parameters, each with its source.
+
+They describe the world, not a result: every value was written down from the literature or assumed
+before any RCM deviation in a setting was looked at, and none was changed afterwards; nothing is
+tuned to a published figure. ``SOURCES`` says where each comes from; docs/simulation.md prints it.
+The robot is the same in every setting, and so are its drives and encoders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import pi, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import ActuatorParameters, ToolError
+from surg_sim.tissue import TissueParameters
+from surg_sim.trocar import TrocarParameters
+from surg_sim.trocar_motion import Sinusoid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Breathing:
+    """How the abdomen rises and falls: a sinusoid along the vertical.
+
+    Attributes:
+        amplitude: Of the wall at the trocar [m], half of peak to peak; 0: it does not breathe.
+        period: Of one breath [s].
+        bed_share: Share of the amplitude with which what lies in the abdomen moves.
+    """
+
+    amplitude: float = 0.0
+    period: float = 4.0
+    bed_share: float = 0.5
+
+    def wall(self, R_WB: Array) -> Sinusoid | None:
+        """Motion of a trocar in the axes of its arm's base, for ``Trocar.point.move``.
+
+        Args:
+            R_WB: Orientation of the arm's base in the world, (3, 3).
+        """
+        return self._vertical(self.amplitude, np.asarray(R_WB)[2])
+
+    def bed(self) -> Sinusoid | None:
+        """Motion of the tissue bed in the world, for ``Bowel.bed.move``."""
+        return self._vertical(self.amplitude * self.bed_share, np.array([0.0, 0.0, 1.0]))
+
+    def _vertical(self, amplitude: float, up: Array) -> Sinusoid | None:
+        if amplitude == 0.0:
+            return None
+        x, y, z = (float(v) for v in up)
+        return Sinusoid(amplitude, 1.0 / self.period, (x, y, z))
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One setting.
+
+    Attributes:
+        name: Of the setting.
+        actuators: Drives of the robot arms: servo stiffness, lag, delay.
+        trocar: Wall and seal.
+        breathing: Motion of the wall and of what lies below it.
+        tool_error: How wrong the instrument's calibration is; None: exact.
+        encoder: Smallest joint angle that the robot reports [rad]; 0: exact.
+        tissue: The bowel and how it is held.
+    """
+
+    name: str
+    actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
+    trocar: TrocarParameters = field(default_factory=TrocarParameters)
+    breathing: Breathing = field(default_factory=Breathing)
+    tool_error: ToolError | None = None
+    encoder: float = 0.0
+    tissue: TissueParameters = field(default_factory=TissueParameters)
+
+
+_ENCODER = 2.0 * pi / 2**19
+
+CONDITIONS: Mapping[str, Condition] = {
+    "phantom": Condition(
+        name="phantom",
+        trocar=TrocarParameters(stiffness=1500.0, friction=0.5),
+        breathing=Breathing(),
+        tool_error=ToolError(tip=0.0001, axis=radians(0.07)),
+        encoder=_ENCODER,
+        tissue=TissueParameters(stretch=21.0, slip_force=3.0),
+    ),
+    "ex_vivo": Condition(
+        name="ex_vivo",
+        trocar=TrocarParameters(stiffness=800.0, friction=1.0),
+        breathing=Breathing(),
+        tool_error=ToolError(tip=0.0002, axis=radians(0.14)),
+        encoder=_ENCODER,
+        tissue=TissueParameters(stretch=33.0, slip_force=2.0),
+    ),
+    "in_vivo": Condition(
+        name="in_vivo",
+        trocar=TrocarParameters(stiffness=800.0, friction=1.5),
+        breathing=Breathing(amplitude=0.002, period=4.0, bed_share=0.5),
+        tool_error=ToolError(tip=0.0003, axis=radians(0.21)),
+        encoder=_ENCODER,
+        tissue=TissueParameters(stretch=33.0, slip_force=2.0),
+    ),
+}
+
+SOURCES: Mapping[str, str] = {
+    "wall stiffness": "order of modulus times thickness of the insufflated human wall: "
+    "22.5 to 42.5 kPa (Song et al. 2006, Surg Endosc 20:987) times 25 mm (assumed) is 560 to "
+    "1060 N/m; phantom (rubber sheet on a frame): assumed",
+    "seal friction": "within the measured 0.25 to 3.0 N of a 5 mm grasper in six trocars "
+    "(van den Dobbelsteen et al. 2007, Surg Endosc 21:1338); the choice within it: assumed",
+    "breathing amplitude": "half of the 3 to 5 mm of tidal motion of the chest wall "
+    "(De Groote et al. 1997, J Appl Physiol 83:1531); that a trocar moves as much: assumed",
+    "breathing period": "assumed: 15 breaths a minute of a ventilator",
+    "bed share": "assumed",
+    "calibration error": "phantom: what the project's own routine leaves in simulation "
+    "(docs/results/calibration.md: 0.1 mm, 0.07 deg); ex vivo twice, in vivo three times that: "
+    "assumed",
+    "drive lag, delay, servo stiffness": "assumed (arm.ActuatorParameters says why)",
+    "encoder": "assumed: 19 bits per turn at the joint",
+    "tissue stretch stiffness": "307 kPa of the pig's small bowel along it (Terry et al. 2014, "
+    "IJECB 2:4) times a wall of 1.5 mm round 23 mm (assumed) is 33 N; phantom (silicone): assumed",
+    "mesentery stiffness": "assumed",
+    "slip force": "assumed; at 5 N of pull, pinches of 3 to 22 N are needed against slip "
+    "(Heijnsdijk et al. 2004, Surg Endosc 18:974), so an ordinary pinch of a few newton holds "
+    "one to a few newton; wet bowel holds less (Guo et al. 2021, Biosurf Biotribol 8:58)",
+}
+"""Where each parameter comes from; the word "assumed" means that nobody measured it for us."""
+
+
+def condition(name: str) -> Condition:
+    """The setting of this name.
+
+    Raises:
+        ValueError: There is none; the message lists what exists.
+    """
+    if name not in CONDITIONS:
+        raise ValueError(f"no setting '{name}': there are {', '.join(CONDITIONS)}")
+    return CONDITIONS[name]

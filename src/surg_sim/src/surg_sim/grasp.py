@@ -1,0 +1,278 @@
+"""Grasping that can fail: jaws hold tissue only after closing on it, and lose it when it is pulled.
+
+Each finger has a pad that meets the tissue. When the jaws close, from open to nearly closed, and in
+this movement both pads touch the same piece, a connect constraint between the jaws and the nearest
+node holds it; a pull above the slip force lets the tissue slide, to the neighbouring node on its
+slack side first and out of the jaws in the end; opening releases. Jaws that close on nothing, that
+touch with one pad, or that were closed before they touched, hold nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import TICK
+from surg_sim.tissue import NAME as BOWEL
+from surg_sim.tissue import Bowel
+
+Array = NDArray[np.float64]
+
+GRIP_DEPTH = 0.005
+"""Where tissue is held: this far behind the tip on the shaft axis [m]."""
+
+_PAD = (0.0018, 0.0009, 0.0075)  # [m] half sizes across, thick, along the finger
+_PAD_START = 0.003  # [m] from the pivot to the near end of a pad
+_FIRST_BIT = 9
+_MOST_TOOLS = 4
+
+
+@dataclass(frozen=True)
+class GraspParameters:
+    """When jaws hold. Fixed before any deviation is looked at; all assumed.
+
+    Attributes:
+        close: Jaw angle below which the jaws hold what is between the pads [rad].
+        open: Jaw angle above which they let go [rad].
+        reach: Largest distance of the grip to the axis of the tissue [m]: the jaws must be round
+            it, not only on it.
+        slides: How often held tissue slides to a neighbouring place before it is lost.
+        rest: Time after a slide in which the pull is not judged again [s].
+        tear: Pull, as a multiple of the slip force, that takes the tissue out at once.
+        smoothing: Time constant with which the pull is judged [s].
+    """
+
+    close: float = 0.25
+    open: float = 0.32
+    reach: float = 0.012
+    slides: int = 2
+    rest: float = 0.10
+    tear: float = 3.0
+    smoothing: float = 0.010
+
+
+def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
+    """Give a jawed tool its pads and its hold; after ``add_bowel``.
+
+    Args:
+        spec: The scene, with the tool and the bowel in it.
+        name: Of the tool: its bodies and joints begin with ``<name>_``; its jaw joints are called
+            ``jaw`` and ``jaw_mirror``.
+        tip: Name of its tip body without the prefix; z along the shaft, outwards.
+
+    Raises:
+        ValueError: The tool has no jaws, or there are too many tools.
+    """
+    index = sum(equality.name.endswith("_grasp") for equality in spec.equalities)
+    if index >= _MOST_TOOLS:
+        raise ValueError(f"'{name}' would be tool {index + 1} that grasps; {_MOST_TOOLS} can")
+    for side in ("jaw", "jaw_mirror"):
+        joint = spec.joint(f"{name}_{side}")
+        if joint is None:
+            raise ValueError(f"'{name}' has no joint '{side}': it cannot grasp")
+        outward = np.cross(joint.axis, [0.0, 0.0, 1.0])  # where the finger goes when it opens
+        joint.parent.add_geom(
+            name=f"{name}_{side}_pad",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            size=list(_PAD),
+            pos=(outward * _PAD[1] + [0.0, 0.0, _PAD_START + _PAD[2]]).tolist(),
+            group=4,
+            mass=0.0,
+            contype=1 << (_FIRST_BIT + index),
+            conaffinity=0,
+            condim=1,
+            # The tissue's softness, whatever the finger weighs.
+            priority=1,
+            solref=[0.02, 1.0],
+            solimp=[0.0, 0.9, 0.004, 0.5, 2.0],
+        )
+        touch = spec.add_sensor(
+            name=f"{name}_{side}_force",
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_GEOM,
+            objname=f"{name}_{side}_pad",
+            datatype=mujoco.mjtDataType.mjDATATYPE_REAL,
+        )
+        touch.intprm[:3] = [1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1]
+    spec.body(f"{name}_{tip}").add_site(
+        name=f"{name}_grip", pos=[0.0, 0.0, -GRIP_DEPTH], size=[0.001] * 3, group=4
+    )
+    spec.add_equality(
+        name=f"{name}_grasp",
+        type=mujoco.mjtEq.mjEQ_CONNECT,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=f"{name}_grip",
+        name2=f"{BOWEL}_0",
+        active=False,
+        # Draws the tissue into the jaws within a tenth of a second, then holds it.
+        solref=[0.03, 1.0],
+        solimp=[0.9995, 0.9999, 0.001, 0.5, 2.0],
+    )
+
+
+class Grasp:
+    """The hold of one jawed tool on the bowel in a compiled scene.
+
+    Args:
+        model: The compiled scene.
+        data: Its state.
+        name: Of the tool, as for ``add_grasp``.
+        bowel: What it can hold.
+        parameters: When it holds.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        data: mujoco.MjData,
+        name: str,
+        bowel: Bowel,
+        parameters: GraspParameters | None = None,
+    ) -> None:
+        self._model, self._data, self._bowel = model, data, bowel
+        self._parameters = parameters or GraspParameters()
+        self._jaw = int(model.joint(f"{name}_jaw").qposadr[0])
+        self._pads = [int(model.geom(f"{name}_{s}_pad").id) for s in ("jaw", "jaw_mirror")]
+        self._bit = int(model.geom_contype[self._pads[0]])
+        self._forces = [
+            slice(int(s.adr[0]), int(s.adr[0]) + 3)
+            for s in (model.sensor(f"{name}_{side}_force") for side in ("jaw", "jaw_mirror"))
+        ]
+        self._site = int(model.site(f"{name}_grip").id)
+        self._equality = int(model.equality(f"{name}_grasp").id)
+        self._node_of = {int(geom): i for i, geom in enumerate(bowel.inner)}
+        self.held: int | None = None
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing held, counts at zero; the bowel is reset by itself."""
+        self.held = None
+        self._data.eq_active[self._equality] = 0
+        self._armed = False
+        self._before = self.jaw
+        self._smooth = np.zeros(3)
+        self._rest = 0.0
+        self._slides = 0
+        self.slips = 0
+        """Times that held tissue slid since the reset, the last one included in which it was lost."""
+        self.losses = 0
+        """Times that held tissue was lost without the jaws being opened, since the reset."""
+
+    @property
+    def jaw(self) -> float:
+        """Angle of a finger as it is [rad]."""
+        return float(self._data.qpos[self._jaw])
+
+    @property
+    def place(self) -> Array:
+        """Where the tool holds or would hold, in the world [m], (3,)."""
+        return np.array(self._data.site_xpos[self._site])
+
+    @property
+    def force(self) -> Array:
+        """Force of the tissue on the jaws in the last MuJoCo step [N], world, (3,)."""
+        touch = sum(self._data.sensordata[part] for part in self._forces)
+        return np.asarray(self.pull + touch)
+
+    @property
+    def pull(self) -> Array:
+        """The part of ``force`` that goes through the hold [N], world, (3,)."""
+        return np.zeros(3) if self.held is None else -self._bowel.held_force(self.held)
+
+    @property
+    def pressures(self) -> tuple[float, float]:
+        """Contact force on the two pads in the last MuJoCo step [N]."""
+        first, second = (float(np.linalg.norm(self._data.sensordata[p])) for p in self._forces)
+        return first, second
+
+    def touched(self) -> tuple[set[int], set[int]]:
+        """Nodes that each of the two pads touches now."""
+        nodes: tuple[set[int], set[int]] = (set(), set())
+        for a, b in self._data.contact.geom[: self._data.ncon]:
+            for pad, found in zip(self._pads, nodes, strict=True):
+                if pad in (a, b):
+                    other = int(b if pad == a else a)
+                    if other in self._node_of:
+                        found.add(self._node_of[other])
+        return nodes
+
+    def advance(self) -> None:
+        """Take, keep, let slip or release; called before the physics of each tick."""
+        jaw, p = self.jaw, self._parameters
+        if self.held is not None:
+            if jaw > p.open:
+                self._release()
+            else:
+                self._keep()
+        elif jaw > p.close:
+            self._armed = True
+        elif self._armed:
+            self._armed = jaw < self._before  # the closing movement ends the attempt
+            node = self._between()
+            if node is not None:
+                self._take(node)
+        self._before = jaw
+
+    def _between(self) -> int | None:
+        """The free node that both pads touch, or nearly, and that the jaws are round."""
+        first, second = self.touched()
+        near = [i for i in first | second if self._near(i, first) and self._near(i, second)]
+        near = [i for i in near if self._bowel.free(i)]
+        if not near:
+            return None
+        distance = np.linalg.norm(self._bowel.nodes[near] - self.place, axis=1)
+        best = int(np.argmin(distance))
+        return near[best] if distance[best] <= self._parameters.reach else None
+
+    @staticmethod
+    def _near(node: int, touched: set[int]) -> bool:
+        return any(abs(node - other) <= 1 for other in touched)
+
+    def _take(self, node: int) -> None:
+        self._hold(node)
+        self._armed, self._slides = False, 0
+
+    def _hold(self, node: int) -> None:
+        self.held = node
+        self._bowel.hold(node, self._bit)
+        self._model.eq_obj2id[self._equality] = self._bowel.sites[node]
+        self._data.eq_active[self._equality] = 1
+        self._smooth = np.zeros(3)
+        self._rest = self._parameters.rest
+
+    def _release(self) -> None:
+        assert self.held is not None
+        self._bowel.release(self.held)
+        self._data.eq_active[self._equality] = 0
+        self.held = None
+
+    def _keep(self) -> None:
+        """Judge the pull: hold, slide or lose."""
+        p, limit = self._parameters, self._bowel.parameters.slip_force
+        self._smooth += (1.0 - np.exp(-TICK / p.smoothing)) * (self.pull - self._smooth)
+        strength = float(np.linalg.norm(self._smooth))
+        self._rest = max(0.0, self._rest - TICK)
+        if strength <= limit or (self._rest > 0.0 and strength <= p.tear * limit):
+            return
+        self.slips += 1
+        node = self._slack_side()
+        self._release()
+        if node is None or self._slides >= p.slides or strength > p.tear * limit:
+            self.losses += 1
+            return
+        self._slides += 1
+        self._hold(node)
+
+    def _slack_side(self) -> int | None:
+        """The free neighbour that comes between the jaws when the tube slides to its tight side."""
+        node = self.held
+        assert node is not None
+        tensions = self._bowel.tensions
+        before = tensions[node - 1] if node > 0 else 0.0
+        after = tensions[node] if node < len(tensions) else 0.0
+        neighbour = node + 1 if before >= after else node - 1
+        inside = 0 <= neighbour <= len(tensions)
+        return neighbour if inside and self._bowel.free(neighbour) else None
