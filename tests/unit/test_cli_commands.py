@@ -20,7 +20,7 @@ def plan(tmp_path: Path, **changes: object) -> Plan:
         "cell": tmp_path,
         "arms": ("PSM1",),
         "lockstep": True,
-        "video": True,
+        "cameras": ("left",),
         "out": tmp_path / "out",
         "operator": {"cell": "c"},
     }
@@ -52,7 +52,7 @@ def test_nodes_of_a_lock_step_run(tmp_path: Path) -> None:
 
 
 def test_nodes_without_video_and_operator(tmp_path: Path) -> None:
-    nodes = {n.name: n for n in system.nodes(plan(tmp_path, video=False, operator=None))}
+    nodes = {n.name: n for n in system.nodes(plan(tmp_path, cameras=(), operator=None))}
     assert set(nodes) == {"/sim", "/PSM1/controller", "/recorder"}
     assert nodes["/sim"].params["participants"] == []
     assert nodes["/sim"].params["observers"] == ["recorder"]
@@ -103,8 +103,8 @@ def test_gain_range(text: str) -> None:
 def test_an_out_folder_with_content_is_refused(tmp_path: Path) -> None:
     (tmp_path / "old").write_text("")
     with pytest.raises(Problem, match="not an empty folder"):
-        demo._run_folder(tmp_path)
-    assert demo._run_folder(tmp_path / "new") == tmp_path / "new"
+        demo.run_folder(tmp_path)
+    assert demo.run_folder(tmp_path / "new") == tmp_path / "new"
 
 
 def test_a_taken_port_is_said_with_the_cure(tmp_path: Path) -> None:

@@ -49,7 +49,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     if options.view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise Problem("--view needs a display: neither DISPLAY nor WAYLAND_DISPLAY is set", 2)
     # Everything a person can get wrong is found before anything moves.
-    out = _run_folder(options.out)
+    out = run_folder(options.out)
     try:
         cell = cells.for_robot(options.robot, out / "cell")
         loaded = cells.load(cell)
@@ -320,7 +320,7 @@ def _only_arm(loaded: Any, cell: Path) -> str:
     return str(names[0])
 
 
-def _run_folder(wanted: Path | None) -> Path:
+def run_folder(wanted: Path | None) -> Path:
     """The folder of the run: a new one, or an empty one.
 
     Raises:

@@ -17,7 +17,6 @@ from surg_cli.processes import Child, Supervisor
 from surg_cli.terminal import Problem
 
 OPERATOR = "operator"
-EXPERT = "expert"
 ASSISTANT = "assistant"
 RECORDER = "recorder"
 ENDOSCOPE = "endoscope"
@@ -42,7 +41,7 @@ class Plan:
         operator: Parameters of the operator node, None for a system without one.
         task: Name or file of the task that is played; empty: none.
         setting: Its physical setting.
-        senders: Which of expert and assistant play it.
+        senders: Names of the scripted nodes that play it.
         extra_participants: Nodes from elsewhere that a lock-step tick waits for.
         run_info: What the recorder writes into the manifest.
     """
@@ -191,14 +190,8 @@ def nodes(plan: Plan) -> list[Node]:
 
 def senders(plan: Plan) -> list[Node]:
     """The nodes that play the plan's task."""
-    params: dict[str, object] = {
-        "cell": str(plan.cell),
-        "arms": list(plan.arms),
-        "task": plan.task,
-        "setting": plan.setting,
-        "seed": plan.seed,
-    }
-    return [Node(f"/{name}", "surg_sim", f"{name}_node.py", params) for name in plan.senders]
+    params: dict[str, object] = {"cell": str(plan.cell), "task": plan.task, "seed": plan.seed}
+    return [Node(f"/{name}", "surg_sim", "expert_node.py", dict(params)) for name in plan.senders]
 
 
 def operator_node(plan: Plan) -> Node:

@@ -101,7 +101,7 @@ def make(
     strip, video_problem = _strip(recorded)
     write_json(folder / "summary.json", result)
     page = _page(recorded, result, drawn, strip, video_problem)
-    (folder / "report.html").writetext(page, encoding="utf-8")
+    (folder / "report.html").write_text(page, encoding="utf-8")
     return dict(result)
 
 

@@ -15,6 +15,7 @@ import struct
 import sys
 import threading
 import time
+import traceback
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlparse
@@ -32,7 +33,7 @@ from surg_msgs.msg import (
     Ready,
     SimSnapshot,
 )
-from surg_sim import faults, wire
+from surg_sim import conditions, faults, tasks, wire
 from surg_sim.arm import ArmCommand
 from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
@@ -244,16 +245,18 @@ class Bridge:
         """Lock-step, with the lock held: execute the tick if everything for it is here."""
         if self._done or self._aborted or not self._book.may_step():
             return
-        self._done = self._book.finished()
-        self._step()
-        if self._done:
-            if self._task is not None:
-                self._task.publish(self._world.tick, self._world.tick * TICK_NS)
-            self._publish_status()
+        last = self._book.finished()
+        try:
+            if self._step() or last:
+                self._end()
+                return
+            if self._jitter:
+                time.sleep(random.uniform(0.0, self._jitter))
+            self._publish_state(self._world.tick * TICK_NS)
+        except Exception as error:  # a task may be anybody's code: its mistake ends the run by name
+            rospy.logerr(traceback.format_exc())
+            self._aborted = f"tick {self._world.tick}: {type(error).__name__}: {error}"
             return
-        if self._jitter:
-            time.sleep(random.uniform(0.0, self._jitter))
-        self._publish_state(self._world.tick * TICK_NS)
         self._open_tick()
 
     def _open_tick(self) -> None:
@@ -263,16 +266,23 @@ class Bridge:
             if self._injector.tool_lost(arm.name):
                 self._book.answer(arm.name, "tool", self._world.tick)
 
-    def _step(self) -> None:
+    def _step(self) -> bool:
+        """Execute the present tick; returns whether the task's episode ends with it."""
         arrived = {arm.name: arm.take_commands() for arm in self._arms}
         commands = self._injector.commands(arrived)
         if self._task is None:
             self._world.step(commands)
-            return
+            return False
         tick = self._world.tick
         self._task.publish_forces(tick, self._stamp_ns)
+        over = self._task.verdict.done
         self._world.step(commands, self._task.take(tick))
-        self._done |= self._task.judge()
+        return over or self._task.distrust()
+
+    def _end(self) -> None:
+        """The last tick has been executed; with the lock held."""
+        self._done = True
+        self._publish_status()
 
     def _publish_state(self, stamp_ns: int) -> None:
         tick, world = self._world.tick, self._world
@@ -411,7 +421,7 @@ class Bridge:
         self._start_ns = time.time_ns() - self._world.tick * TICK_NS
         deadline = time.monotonic()
         period = TICK_NS / wire.NS
-        while not (rospy.is_shutdown() or self._done):
+        while not rospy.is_shutdown():
             deadline += period
             left = deadline - time.monotonic()
             if left > 0:
@@ -422,7 +432,9 @@ class Bridge:
                 deadline -= left
                 self._start_ns -= int(left * wire.NS)
             with self._lock:
-                self._step()
+                if self._step():
+                    self._end()
+                    return
                 self._publish_state(self._start_ns + self._world.tick * TICK_NS)
 
 
@@ -463,9 +475,14 @@ def main() -> int:
         _only_here(settings)
         cell = surg_core.load_cell(settings.cell)
         known = faults.parse(settings.faults, settings.arms or tuple(cell.arms))
-        errors = tool_errors(known, settings.seed)
         world = World(
-            cell, settings.seed, looks=settings.view, arms=settings.arms, tool_errors=errors
+            cell,
+            settings.seed,
+            looks=settings.view,
+            arms=settings.arms,
+            tool_errors=tool_errors(known, settings.seed) or None,
+            condition=conditions.condition(settings.setting) if settings.setting else None,
+            task=tasks.load(settings.task) if settings.task else None,
         )
         injector = Injector(world, known, settings.seed, settings.mode == "lockstep")
     except (SettingsError, faults.FaultError, surg_core.ConfigError, ValueError, OSError) as error:

@@ -1,9 +1,9 @@
 """What the nodes of scripted senders share: their part in lock-step.
 
-A participant looks at tick k (control cycles of its arms, task state), sends what it wants to send
-for tick k + 1, and says Ready with the running totals. Most ticks it has nothing to say, so a
-message is kept as bytes until somebody looks into it: reading every cycle would cost more than
-everything else that such a node does.
+A participant looks at tick k (control cycles of its arms; on the grid the task's state), sends what
+it wants to send for tick k + 1, and says Ready with the running totals. Most ticks it has nothing to
+say, so a message is kept as bytes until somebody looks into it: reading every cycle would cost more
+than everything else that such a node does.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import rospy
 
 from surg_msgs.msg import Cycle, Ready, TaskState
 from surg_sim import wire
+from surg_sim.tasks import GRID
 from surg_sim.world import TICK_NS
 
 ASSISTANT = "assistant"
@@ -52,13 +53,13 @@ class _RawTaskState(TaskState):  # type: ignore[misc]
 
 
 @dataclass(frozen=True)
-class View:
+class Seen:
     """What a participant sees of one tick; messages are read when they are asked for.
 
     Attributes:
         tick: The tick.
         cycles: Bytes of the control cycle by arm.
-        task: Bytes of the task's state; empty where no task runs.
+        task: Bytes of the task's state at this tick; empty off the grid.
     """
 
     tick: int
@@ -83,7 +84,8 @@ class Participant:
     """A declared sender.
 
     Args:
-        arms: Whose cycles it looks at.
+        arms: Whose cycles it looks at. One that looks at none has the task's state only: it acts on
+            the grid, and says Ready from one grid tick to the next.
         commands: Message class by topic; a topic below ``/<arm>/`` counts for that arm.
         act: Called once per tick with what is seen; uses :meth:`send` and returns whether it is
             done.
@@ -94,7 +96,7 @@ class Participant:
         self,
         arms: Sequence[str],
         commands: Mapping[str, type],
-        act: Callable[[View], bool],
+        act: Callable[[Seen], bool],
         task: bool,
     ) -> None:
         self._name = rospy.get_name().lstrip("/")
@@ -136,7 +138,7 @@ class Participant:
             time.sleep(0.02)
         with self._lock:
             if self._tick == 0:
-                self._say_ready(1)
+                self._say_ready(1 if self._cycles else GRID)
 
     def _missing(self) -> str:
         """Who is not there yet; nothing may be sent before, for it would be lost."""
@@ -171,16 +173,19 @@ class Participant:
 
     def _advance(self) -> None:
         """Answer the present tick when all of it is here; with the lock held."""
-        seen = [*self._cycles.values(), *([self._state] if self._task else [])]
-        tick = seen[0][0]
-        if self._done or tick <= self._tick or any(other != tick for other, _ in seen):
+        ticks = {tick for tick, _ in self._cycles.values()} or {self._state[0]}
+        tick = max(ticks)
+        if self._done or tick <= self._tick or len(ticks) > 1:
             return
+        on_grid = self._task and tick % GRID == 0
+        if on_grid != (self._task and self._state[0] == tick):
+            return  # the state is still to come, or it is the one that ends the episode
         self._tick = tick
         if self._jitter:
             time.sleep(random.uniform(0.0, self._jitter))
         cycles = {arm: data for arm, (_, data) in self._cycles.items()}
-        self._done = self._act(View(tick, cycles, self._state[1]))
-        self._say_ready(tick + 1)
+        self._done = self._act(Seen(tick, cycles, self._state[1] if on_grid else b""))
+        self._say_ready(tick + 1 if self._cycles else tick + GRID)
 
     def _say_ready(self, tick: int) -> None:
         self._ready.publish(

@@ -9,6 +9,8 @@ from typing import Any
 from surg_sim.lockstep import OBSERVER_WINDOWS
 
 MODES = ("lockstep", "freerun")
+DEFAULT_SETTING = "phantom"
+"""The physical setting of a task that names none."""
 
 
 class SettingsError(ValueError):
@@ -83,7 +85,7 @@ class BridgeSettings:
         track_stale: The simulator tracks the trocars and publishes ``rcm/track``, this old [s];
             -1: it does not. In lock-step the controller must have ``sim`` among its participants.
         task: Name or file of the task that is played; empty: none.
-        setting: Name of the physical setting; empty: with a task ``phantom``, else the defaults.
+        setting: Name of the physical setting; empty: the simulator's own parameters.
         faults: Faults from the start, as JSON (``faults``).
         inject: Take further faults on ``/sim/inject``.
         connect_timeout: Longest wait for everybody to connect in lock-step [s].
@@ -118,6 +120,7 @@ class BridgeSettings:
             raise SettingsError(
                 f"parameter ~observers names {strangers}: allowed are {', '.join(OBSERVER_WINDOWS)}"
             )
+        task = _word("task", get("task", ""))
         return cls(
             cell=_text("cell", get("cell", "")),
             mode=_mode(get("mode", "lockstep")),
@@ -127,8 +130,8 @@ class BridgeSettings:
             seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
             view=_flag("view", get("view", False)),
             track_stale=_real("track_stale", get("track_stale", -1), -1.0, 1.0),
-            task=_word("task", get("task", "")),
-            setting=_word("setting", get("setting", "")),
+            task=task,
+            setting=_word("setting", get("setting", DEFAULT_SETTING if task else "")),
             faults=_word("faults", get("faults", "")),
             inject=_flag("inject", get("inject", False)),
             connect_timeout=_real("connect_timeout", get("connect_timeout", 60.0), 1.0, 3600.0),
@@ -173,4 +176,32 @@ class EndoscopeSettings:
             width=_whole("width", get("width", 640), 16, 1920),
             height=_whole("height", get("height", 480), 16, 1080),
             vignette=_flag("vignette", get("vignette", True)),
+        )
+
+
+@dataclass(frozen=True)
+class SenderSettings:
+    """Parameters of a scripted sender.
+
+    Attributes:
+        cell: Path of the cell, the same as the bridge's.
+        task: As for the bridge.
+        seed: Of the sender's imperfections.
+    """
+
+    cell: str
+    task: str
+    seed: int
+
+    @classmethod
+    def read(cls, get: Get) -> SenderSettings:
+        """Read and check all parameters.
+
+        Raises:
+            SettingsError: One is missing or out of range.
+        """
+        return cls(
+            cell=_text("cell", get("cell", "")),
+            task=_text("task", get("task", "")),
+            seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,6 +15,7 @@ from surg_sim import wire
 from surg_sim.assistant import AssistantCommand
 from surg_sim.ports_node import Output, RawJointState
 from surg_sim.stability import trouble
+from surg_sim.tasks import GRID, Verdict
 from surg_sim.world import World
 
 if TYPE_CHECKING:
@@ -78,27 +78,22 @@ class AssistantTopics:
             self._jaw.send(_JAW.pack(tick, stamp_ns, np.array([jaw]), np.zeros(0)))
 
 
-class _ForceTopics:
-    """The force sensors of one arm."""
+class _TrocarForce:
+    """A force sensor at the trocar of one arm."""
 
     def __init__(self, arm: str, patient: bool) -> None:
         self._arm, self._frame = arm, wire.text(f"{arm}_base")
-        self._tip = Output(f"/{arm}/tool/measured_cf", WrenchStamped, patient)
-        self._trocar = Output(f"/{arm}/trocar/measured_cf", WrenchStamped, patient)
+        self._output = Output(f"/{arm}/trocar/measured_cf", WrenchStamped, patient)
 
     def publish(self, tick: int, stamp_ns: int, world: World) -> None:
-        """Both forces, in the arm's base frame."""
-        samples = (
-            (self._tip, world.tip_force(self._arm)),
-            (self._trocar, world.truth(self._arm).trocar_force),
-        )
-        for output, force in samples:
-            if force is not None and output.connections:
-                output.send(wire.pack_wrench(stamp_ns, tick, self._frame, force))
+        """Force of the shaft on the wall, in the arm's base frame."""
+        if self._output.connections:
+            force = world.truth(self._arm).trocar_force
+            self._output.send(wire.pack_wrench(stamp_ns, tick, self._frame, force))
 
 
 class TaskTopics:
-    """A task's state and outcome, its assistant, and what force sensors would say.
+    """A task's state and verdict, its assistant, and what force sensors would say.
 
     Args:
         bridge: Receives the commands to the assistant.
@@ -111,43 +106,44 @@ class TaskTopics:
         self._world, self._task, self._setting = world, world.task, setting
         self._layout = wire.TaskStateLayout(self._task.state())
         self._state = Output("/sim/task_state", TaskState, bridge.lockstep)
-        self._assistant = AssistantTopics(bridge)
-        self._forces = [_ForceTopics(name, bridge.lockstep) for name in world.arms]
+        self._assistant = None if self._task.assistant is None else AssistantTopics(bridge)
+        self._forces = [_TrocarForce(name, bridge.lockstep) for name in world.arms]
         self.verdict = self._task.verdict()
+        """How the episode stands at the state that is out."""
 
     def take(self, tick: int) -> AssistantCommand | None:
         """What the assistant shall do in this tick."""
-        return self._assistant.take(tick)
+        return None if self._assistant is None else self._assistant.take(tick)
 
-    def judge(self) -> bool:
-        """Look at the world after a step; returns whether the episode is over."""
-        self.verdict = self._task.verdict()
+    def distrust(self) -> bool:
+        """After a step: whether the simulation has become unstable, which ends the episode."""
         why = trouble(self._world.data)
         if why:
-            self.verdict = replace(self.verdict, done=True, success=False, reason=why)
-        return self.verdict.done
+            self.verdict = Verdict(done=True, reason=why, phase=self.verdict.phase)
+        return bool(why)
 
     def publish(self, tick: int, stamp_ns: int) -> None:
-        """The state of a tick, and what the assistant's instrument measures."""
-        verdict, assistant = self.verdict, self._world.assistant
-        if self._state.connections:
+        """Judge the state of a tick; send it on the grid and when the episode ends with it."""
+        verdict = self.verdict = self._task.verdict()
+        if self._state.connections and (tick % GRID == 0 or verdict.done):
             outcome = (verdict.done, verdict.success, verdict.reason)
             self._state.send(
                 self._layout.pack(
                     stamp_ns, tick, self._task.state(), verdict.phase, outcome, verdict.reward
                 )
             )
-        if assistant is not None:
-            self._assistant.publish(tick, stamp_ns, assistant.joints, assistant.jaw)
+        if self._assistant is not None:
+            instrument = self._task.assistant
+            self._assistant.publish(tick, stamp_ns, instrument.joints, instrument.jaw)
 
     def publish_forces(self, tick: int, stamp_ns: int) -> None:
-        """What force sensors at tip and trocar measured in a state that has been answered.
+        """What a force sensor at the trocar measured in a state that has been answered.
 
-        A controller takes the newest sample that it has. Sent between its answer and the next state,
-        a sample counts from the next cycle on, in every run.
+        A controller takes the newest sample that it has. Sent between its answer and the next
+        state, a sample counts from the next cycle on, in every run.
         """
-        for port in self._forces:
-            port.publish(tick, stamp_ns, self._world)
+        for sensor in self._forces:
+            sensor.publish(tick, stamp_ns, self._world)
 
     def status(self) -> dict[str, object]:
         """For ``/sim/status``."""
