@@ -11,6 +11,7 @@ from surg_core._core import (
     Braking,
     CalibrationError,
     CalibrationLimits,
+    CameraConfig,
     CellArm,
     CellConfig,
     Chain,
@@ -100,6 +101,7 @@ from surg_core._core import (
     tip_goal,
     tool_calibration,
     trocar_calibration,
+    with_home,
 )
 from surg_core.calibration import (
     Recording,
@@ -141,6 +143,7 @@ __all__ = [
     "Braking",
     "CalibrationError",
     "CalibrationLimits",
+    "CameraConfig",
     "Cell",
     "CellArm",
     "CellConfig",
@@ -252,6 +255,7 @@ __all__ = [
     "tip_goal",
     "tool_calibration",
     "trocar_calibration",
+    "with_home",
     "write_tool",
     "write_trocar",
 ]

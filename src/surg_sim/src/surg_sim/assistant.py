@@ -318,5 +318,7 @@ def _jaw_range(instrument: Path) -> tuple[float, float]:
     root = ElementTree.parse(instrument).getroot()
     limit = root.find("joint[@name='jaw']/limit")
     if limit is None:
-        raise ValueError(f"{instrument}: no joint 'jaw' with a limit: the assistant needs a grasper")
+        raise ValueError(
+            f"{instrument}: no joint 'jaw' with a limit: the assistant needs a grasper"
+        )
     return float(limit.get("lower", "0")), float(limit.get("upper", "0"))

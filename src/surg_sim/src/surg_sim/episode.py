@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_sim.arm import TICK
-from surg_sim.experts.base import Expert, Wishes
+from surg_sim.experts.base import Expert
 from surg_sim.session import Session, Tick, merge
+from surg_sim.tasks.base import GRID
 
 Array = NDArray[np.float64]
 
-NOTHING = Wishes()
+_Sample = tuple[float, float, float, float]  # kinematic, true, force, displacement
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class ArmReport:
     """What one arm did to its trocar; SI.
 
     Attributes:
-        kinematic: Distance of the commanded pivot to the shaft by joint states (the paper's metric).
+        kinematic: Distance of the commanded pivot to the shaft by joint states: the paper's.
         true: Distance of the undisturbed trocar point to the true shaft axis.
         force: Of the shaft on the wall.
         displacement: Of the wall's hole from its undisturbed point.
@@ -95,7 +96,7 @@ def run_episode(
         experts = session.task.experts(session.cell, seed)
     senders = [experts[name] for name in sorted(experts)]
     commands, assistant = merge([])
-    samples: dict[str, list[tuple[float, float, float, float]]] = {a: [] for a in session.world.arms}
+    samples: dict[str, list[_Sample]] = {name: [] for name in session.world.arms}
     reward = 0.0
     while True:
         tick = session.tick(commands, assistant)
@@ -115,8 +116,11 @@ def run_episode(
             watch(tick)
         if tick.verdict.done:
             break
-        view = tick.view()
-        commands, assistant = merge([sender.tick(view) for sender in senders])
+        said = []
+        if tick.tick % GRID == 0:
+            view = tick.view()
+            said = [sender.tick(view) for sender in senders]
+        commands, assistant = merge(said)
     return EpisodeReport(
         seed=seed,
         success=tick.verdict.success,
@@ -128,7 +132,7 @@ def run_episode(
     )
 
 
-def _report(rows: list[tuple[float, float, float, float]]) -> ArmReport:
+def _report(rows: list[_Sample]) -> ArmReport:
     columns = np.array(rows).reshape(-1, 4).T
     kinematic, true, force, displacement = (Spread.of(column) for column in columns)
     return ArmReport(kinematic, true, force, displacement)

@@ -86,7 +86,7 @@ def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
             condim=1,
             # The tissue's softness, whatever the finger weighs.
             priority=1,
-            solref=[0.02, 1.0],
+            solref=[0.008, 1.0],
             solimp=[0.0, 0.9, 0.004, 0.5, 2.0],
         )
         touch = spec.add_sensor(
@@ -157,7 +157,7 @@ class Grasp:
         self._rest = 0.0
         self._slides = 0
         self.slips = 0
-        """Times that held tissue slid since the reset, the last one included in which it was lost."""
+        """Times that held tissue slid since the reset; the slide in which it was lost counts too."""
         self.losses = 0
         """Times that held tissue was lost without the jaws being opened, since the reset."""
 
@@ -174,8 +174,8 @@ class Grasp:
     @property
     def force(self) -> Array:
         """Force of the tissue on the jaws in the last MuJoCo step [N], world, (3,)."""
-        touch = sum(self._data.sensordata[part] for part in self._forces)
-        return np.asarray(self.pull + touch)
+        first, second = (self._data.sensordata[part] for part in self._forces)
+        return np.asarray(self.pull - first - second)  # the sensors see the jaws' force
 
     @property
     def pull(self) -> Array:

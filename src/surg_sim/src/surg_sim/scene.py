@@ -133,16 +133,16 @@ def build(
         add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
     if add is not None:
         add(spec, site_of(arms[0]))
+    _add_endoscope(spec, site_of(arms[0]), looks)
     if looks:
         site = site_of(arms[0])
-        seen = _home_points(spec.compile(), arms)
         rng = np.random.default_rng(seed)
         _add_materials(spec, rng)
+        seen = _home_points(spec.compile(), arms)
         _add_room(spec, site)
         _add_patient(spec, site, rng)
         for arm in arms:
             _add_cannula(spec, arm)
-        _add_endoscope(spec, site)
         _add_overview(spec, site, seen)
     return spec.compile()
 
@@ -372,7 +372,7 @@ def _look(forward: Array, up: Array) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def _add_endoscope(spec: mujoco.MjSpec, site: Site) -> None:
+def _add_endoscope(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
     """Camera, its light, and the scope behind it."""
     eye = site.place(
         _SCOPE_DISTANCE * np.array([0.0, -np.cos(_SCOPE_ELEVATION), np.sin(_SCOPE_ELEVATION)])
@@ -381,6 +381,8 @@ def _add_endoscope(spec: mujoco.MjSpec, site: Site) -> None:
     R = _look(forward, np.array([0.0, 0.0, 1.0]))
     world = spec.worldbody
     world.add_camera(name=ENDOSCOPE, pos=eye.tolist(), quat=quaternion(R).tolist(), fovy=FOVY)
+    if not looks:
+        return
     world.add_light(
         name="scope",
         type=mujoco.mjtLightType.mjLIGHT_SPOT,

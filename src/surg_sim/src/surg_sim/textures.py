@@ -102,6 +102,17 @@ def bowel(n: int, rng: np.random.Generator) -> Picture:
     return _picture(_blend(base, (160, 46, 46), 0.45 * vessels(n, 12, 1.1, rng)))
 
 
+def mesentery(n: int, rng: np.random.Generator) -> Picture:
+    """Mesentery: a thin yellowish-pink membrane with fat along branching vessels."""
+    soft, grain = noise(n, 1.8, rng), noise(n, 1.1, rng)
+    tree = vessels(n, 12, 2.6, rng, wander=0.02)
+    base = np.empty((n, n, 3))
+    base[:] = (222, 164, 118)
+    base = _blend(base, (236, 192, 128), np.clip(0.5 * soft + 0.2 * grain, 0, 0.8))
+    base = _blend(base, (196, 110, 88), np.clip(-0.4 * soft - 0.1 * grain, 0, 0.7))
+    return _picture(_blend(base, (138, 30, 34), 0.7 * tree))
+
+
 def peritoneum(n: int, rng: np.random.Generator) -> Picture:
     """Inside of the abdominal wall: dull red with a vessel net."""
     soft = noise(n, 1.8, rng)

@@ -11,6 +11,7 @@ An episode changes only joint positions, their spring references and the tendons
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,6 +25,7 @@ from surg_sim.trocar_motion import MovingPoint
 
 if TYPE_CHECKING:
     from surg_sim.scene import Site
+    from surg_sim.tissue_skin import BowelSkin
 
 Array = NDArray[np.float64]
 
@@ -171,15 +173,22 @@ def add_bowel(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters, loo
                 solref=[0.02, 1.0],
                 solimp=[0.0, 0.95, 0.004, 0.5, 2.0],
             )
-    for kind, a, b in _pairs(n):
-        stiffness = float(p.springs[kind])
+    springs = p.springs
+    for rank, a, b in _pairs(n):
+        stiffness = float(springs[rank])
         spring = spec.add_tendon(
-            name=f"{NAME}_{a}_{b}", stiffness=[stiffness, 0, 0], damping=[p.damping * stiffness, 0, 0]
+            name=f"{NAME}_{a}_{b}",
+            stiffness=[stiffness, 0, 0],
+            damping=[p.damping * stiffness, 0, 0],
+            group=4,
         )
         spring.wrap_site(f"{NAME}_{a}")
         spring.wrap_site(f"{NAME}_{b}")
     floor = spec.worldbody.add_body(
-        name=f"{NAME}_floor", mocap=True, pos=_floor(site, p).tolist(), quat=quaternion(site.R).tolist()
+        name=f"{NAME}_floor",
+        mocap=True,
+        pos=_floor(site, p).tolist(),
+        quat=quaternion(site.R).tolist(),
     )
     floor.add_geom(
         name=f"{NAME}_floor",
@@ -331,6 +340,13 @@ class Bowel:
     def nearest(self, p_W: Array) -> int:
         """The node nearest to a point in the world [m]."""
         return int(np.argmin(np.linalg.norm(self.nodes - np.asarray(p_W), axis=1)))
+
+    @functools.cached_property
+    def skin(self) -> BowelSkin:
+        """What draws the bowel in pictures of this scene, which must have been built with looks."""
+        from surg_sim.tissue_skin import BowelSkin
+
+        return BowelSkin(self._model, self._site, self.parameters)
 
     def free(self, node: int) -> bool:
         """Whether no tool holds this node."""

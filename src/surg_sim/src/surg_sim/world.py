@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from surg_sim import scene
 from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
+from surg_sim.conditions import Condition
 from surg_sim.jaw import JawLink
 from surg_sim.trocar import Trocar, TrocarParameters
 from surg_sim.truth import ArmTruth, TruthReader
@@ -71,6 +72,7 @@ class World:
         actuators: Drive parameters.
         trocar: Wall parameters.
         tool_errors: By arm name, how the true tool differs from its URDF (calibration error).
+        condition: Physical parameters of a setting; None: those of the arguments, no breathing.
         task: What is done in it.
 
     Raises:
@@ -86,11 +88,19 @@ class World:
         actuators: ActuatorParameters | None = None,
         trocar: TrocarParameters | None = None,
         tool_errors: Mapping[str, ToolError] | None = None,
+        condition: Condition | None = None,
         task: Task | None = None,
     ) -> None:
+        if condition is not None:
+            actuators, trocar = actuators or condition.actuators, trocar or condition.trocar
+            if tool_errors is None and condition.tool_error is not None:
+                tool_errors = dict.fromkeys(cell.arms, condition.tool_error)
         actuators, trocar = actuators or ActuatorParameters(), trocar or TrocarParameters()
+        self._condition = condition
+        if task is not None:
+            task.prepare(cell, condition or Condition(name="default"))
         chosen = scene.choose_arms(cell, arms)
-        self.task, self._seed = task, seed
+        self.cell, self.task, self._seed = cell, task, seed
 
         def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
             if task is not None:
@@ -98,6 +108,7 @@ class World:
 
         self.model = scene.build(chosen, seed, looks, actuators, trocar, tool_errors, add)
         self.data = mujoco.MjData(self.model)
+        self._R_WB = {arm.name: np.asarray(arm.X_WB)[:3, :3] for arm in chosen}
         self._members: dict[str, _Member] = {}
         for arm in chosen:
             sleeve = Trocar(self.model, self.data, arm, trocar)
@@ -129,6 +140,9 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
         for member in self._members.values():
             member.trocar.reset()
+        if self._condition is not None:
+            for name, member in self._members.items():
+                member.trocar.point.move(self._condition.breathing.wall(self._R_WB[name]))
         if self.task is not None:
             self.task.reset(np.random.default_rng(self._seed if seed is None else seed))
         mujoco.mj_forward(self.model, self.data)
@@ -167,7 +181,10 @@ class World:
     def state(self, arm: str) -> ArmState:
         """What the links of an arm measure now."""
         member = self._members[arm]
-        return ArmState(member.link.q, member.link.qd, member.jaw.angle, member.jaw.velocity)
+        q, step = member.link.q, self._condition.encoder if self._condition else 0.0
+        if step > 0.0:
+            q = np.round(q / step) * step
+        return ArmState(q, member.link.qd, member.jaw.angle, member.jaw.velocity)
 
     def truth(self, arm: str) -> ArmTruth:
         """The truth of an arm now."""

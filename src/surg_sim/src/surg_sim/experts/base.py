@@ -1,7 +1,7 @@
 """A sender's view, its commands, and the motion that both scripted senders share.
 
-A sender acts on every 25th tick (20 Hz). A target is where the set-point shall be at the next grid
-time, never a place far away: the path is a minimum-jerk profile that stays inside the limits.
+A sender looks and acts on every 25th tick (20 Hz). A target is where the set-point shall be at the
+next grid time, never a place far away: the path is a minimum-jerk profile inside the limits.
 """
 
 from __future__ import annotations
@@ -153,13 +153,13 @@ class Expert(ABC):
     arms: tuple[str, ...] = ()
     reason: str = ""
 
-    @abstractmethod
     def tick(self, view: View) -> Wishes:
-        """Look at tick k; call it for every tick, in order.
+        """What to send for k + 1; nothing off the grid, whose ticks need not be shown."""
+        return self.act(view) if view.tick % GRID == 0 else Wishes()
 
-        Returns:
-            What to send for k + 1; nothing in most ticks.
-        """
+    @abstractmethod
+    def act(self, view: View) -> Wishes:
+        """Look at a tick of the grid, one after another, and say what to send."""
 
 
 def tip_quaternion(p: Array, roll: float) -> Array:
