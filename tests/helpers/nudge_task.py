@@ -22,7 +22,7 @@ from surg_sim.experts.base import (
     Wishes,
     tip_quaternion,
 )
-from surg_sim.tasks import GRID, State, Task, Verdict
+from surg_sim.tasks import State, Task, Verdict
 from surg_sim.world import World
 
 DEPTH = 0.12
@@ -73,10 +73,8 @@ class Nudger(Expert):
         self.arms = arms
         self._ways: dict[str, MinimumJerk] = {}
 
-    def tick(self, view: View) -> Wishes:
+    def act(self, view: View) -> Wishes:
         wishes = Wishes()
-        if view.tick % GRID:
-            return wishes
         for name in self.arms:
             arm = view.arms[name]
             wish = wishes.arms[name] = ArmWish()

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -39,22 +39,6 @@ ARM_COMMANDS: dict[str, type] = {
 ASSISTANT_COMMANDS: dict[str, type] = {"servo_jp": JointState, "jaw/servo_jp": JointState}
 
 
-class _Arms(Mapping[str, ArmView]):
-    """What a sender sees of its arms; a cycle is read when it is looked at."""
-
-    def __init__(self, seen: Seen) -> None:
-        self._seen = seen
-
-    def __getitem__(self, arm: str) -> ArmView:
-        return arm_view(self._seen.cycle(arm))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._seen.cycles)
-
-    def __len__(self) -> int:
-        return len(self._seen.cycles)
-
-
 def arm_view(cycle: Cycle) -> ArmView:
     """What a sender looks at in a cycle message."""
     return ArmView(
@@ -79,7 +63,7 @@ class ExpertNode:
     """
 
     def __init__(self, expert: Expert, assistant: bool) -> None:
-        self._expert, self._reason, self._phase = expert, "", ""
+        self._expert, self._reason = expert, ""
         commands = {f"/{arm}/{t}": kind for arm in expert.arms for t, kind in ARM_COMMANDS.items()}
         if assistant:
             commands.update({f"/{ASSISTANT}/{t}": k for t, k in ASSISTANT_COMMANDS.items()})
@@ -88,11 +72,12 @@ class ExpertNode:
         self.connect: Callable[[], None] = self._participant.connect
 
     def _act(self, seen: Seen) -> bool:
-        state: Mapping[str, Any] = {}
-        if seen.task:
-            message = seen.task_state()
-            state, self._phase = wire.task_state(message.names, message.values), message.phase
-        wishes = self._expert.tick(View(seen.tick, _Arms(seen), state, self._phase))
+        if not seen.task:  # off the grid: nobody looks, nobody acts
+            return False
+        message = seen.task_state()
+        arms = {arm: arm_view(seen.cycle(arm)) for arm in seen.cycles}
+        state = wire.task_state(message.names, message.values)
+        wishes = self._expert.tick(View(seen.tick, arms, state, message.phase))
         for arm, wish in wishes.arms.items():
             self._send_to_arm(arm, wish, seen.stamp)
         if wishes.assistant is not None:
