@@ -57,7 +57,7 @@ def write_plan(plan: Plan) -> None:
 def read_plan(folder: Path) -> Plan:
     """The plan in a folder."""
     values = json.loads((folder / PLAN).read_text("utf-8"))
-    for name in ("arms", "cameras", "senders", "extra_participants"):
+    for name in ("arms", "cameras", "extra_participants"):
         values[name] = tuple(values[name])
     return Plan(**{**values, "cell": Path(values["cell"]), "out": Path(values["out"])})
 
@@ -80,7 +80,7 @@ def play(plan: Plan) -> Ended:
                 entry.nodes = {child.name: child.process.pid for child in supervisor.children}
                 entry.save()
                 os.environ.update(supervisor.env)
-                with Watch(plan.arms, senders=plan.senders) as watch:
+                with Watch(plan.arms, senders=list(plan.senders)) as watch:
                     return _follow(plan, supervisor, watch)
     finally:
         with processes.signals_ignored():

@@ -182,7 +182,7 @@ def _plan(
         for each in conditions:
             task = tasks.load(name)
             task.prepare(loaded, condition(each.setting))
-        senders = tuple(task.experts(loaded, options.seed))
+        senders = {n: tuple(e.arms) for n, e in task.experts(loaded, options.seed).items()}
     except ValueError as error:  # a TaskError is one
         raise Problem(str(error), 2) from error
     if not senders:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +18,6 @@ from surg_cli.processes import Child, Supervisor
 from surg_cli.terminal import Problem
 
 OPERATOR = "operator"
-ASSISTANT = "assistant"
 RECORDER = "recorder"
 ENDOSCOPE = "endoscope"
 
@@ -41,7 +41,7 @@ class Plan:
         operator: Parameters of the operator node, None for a system without one.
         task: Name or file of the task that is played; empty: none.
         setting: Its physical setting.
-        senders: Names of the scripted nodes that play it.
+        senders: Names of the scripted nodes that play it, with the arms that each commands.
         extra_participants: Nodes from elsewhere that a lock-step tick waits for.
         run_info: What the recorder writes into the manifest.
     """
@@ -60,7 +60,7 @@ class Plan:
     operator: dict[str, object] | None = None
     task: str = ""
     setting: str = ""
-    senders: tuple[str, ...] = ()
+    senders: Mapping[str, Sequence[str]] = field(default_factory=dict)
     extra_participants: tuple[str, ...] = ()
     run_info: dict[str, object] = field(default_factory=dict)
 
@@ -75,10 +75,14 @@ class Plan:
         ours = [OPERATOR] if self.operator is not None else []
         return [*ours, *self.senders, *self.extra_participants]
 
-    @property
-    def commanders(self) -> list[str]:
-        """Those of them who command an arm: the assistant's commands go to the simulator."""
-        return [name for name in self.participants if name != ASSISTANT]
+    def commanders(self, arm: str) -> list[str]:
+        """Names of the nodes whose commands an arm's controller waits for.
+
+        A scripted node that does not command an arm does not look at its cycles either: it may be a
+        tick ahead of them, and must not be waited for.
+        """
+        senders = [name for name, arms in self.senders.items() if arm in arms]
+        return [name for name in self.participants if name not in self.senders or name in senders]
 
     @property
     def streams(self) -> list[str]:
@@ -158,7 +162,7 @@ def nodes(plan: Plan) -> list[Node]:
             "cell": str(plan.cell),
             "arm": arm,
             "mode": plan.mode,
-            "participants": plan.commanders,
+            "participants": plan.commanders(arm),
             "law": plan.law,
         }
         if plan.link is not None:
