@@ -1,14 +1,14 @@
 """Where two robots stand: a search over base placements, written out as a cell.
 
 The instrument's shaft and the scope's shaft are put where a surgeon would want them in the patient;
-then every base beside the table that can hold its shaft there is tried, and the one with the largest
-reserve is taken. ::
+then every base beside the table that can hold its shaft there is tried, and the one with the
+largest reserve is taken. ::
 
-    python3 -m surg_sim.placement OUT --instrument-robot ur5e --endoscope-robot panda
+    python3 -m surg_sim.placement OUT --instrument-robot ROBOT.yaml --endoscope-robot ROBOT.yaml
 
-Reserve of an arm: the worst over the corners of a box round the home tip, at three rolls, of what is
-left of each joint's range, speed and acceleration. Refused are placements in which the arms come
-nearer to each other than ``CLEARANCE``, or to the table or the patient, in any of these postures.
+Reserve of an arm: the worst over the corners of a box round the home tip, at three rolls, of what
+is left of each joint's range, speed and acceleration. Refused are placements in which a robot comes
+too near to the other arm, to the table or to the patient.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,7 +38,7 @@ VIEW = 0.100
 CLEARANCE = 0.04
 """Smallest distance between the arms, and of an arm to table and patient [m]."""
 BEDSIDE = 0.42
-"""Smallest distance of a base from the patient's long axis [m]: half a table and half a pedestal."""
+"""Smallest distance of a base from the patient's long axis [m]: half a table and a pedestal."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class Reserve:
 
 
 def inverse(chain: surg_core.Chain, start: Array, X: Array, steps: int = 60) -> Array | None:
-    """Joints (n,) that put the flange at X (4, 4), by Newton steps from ``start``; None: not found."""
+    """Joints (n,) that put the flange at X (4, 4), by Newton steps from a start; None: no way."""
     q = start.copy()
     for _ in range(steps):
         present = np.asarray(chain.forward(q))

@@ -1,7 +1,8 @@
 """The scene: a room in MJCF, arms from URDF, trocars and a patient where the cell says.
 
-Everything is placed by the first arm's trocar point and home shaft axis, so that any robot in any
-pose finds its patient under its instrument. URDF is the single source of truth for the arms.
+Everything is placed by the instrument arm's trocar point and home shaft axis, so that any robot in
+any pose finds its patient under its instrument; an arm that holds the endoscope turns the patient
+so that it looks along the patient's y axis. URDF is the single source of truth for the arms.
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import anatomy, textures
+from surg_sim import anatomy, endoscope, textures
 from surg_sim.arm import ActuatorParameters, ToolError, add_arm, quaternion
 from surg_sim.jaw import add_jaw
-from surg_sim.trocar import TrocarParameters, add_trocar, wall_frame
+from surg_sim.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
 
 if TYPE_CHECKING:
     import surg_core
@@ -27,12 +28,13 @@ Array = NDArray[np.float64]
 
 WORK_DEPTH = 0.120
 """Depth of the work point behind the trocar [m]: the home tip of the bundled cells."""
-ENDOSCOPE = "endoscope_left"
-"""Name of the endoscope camera, and of its optical frame on the wire."""
+ENDOSCOPE = endoscope.LEFT
+"""Name of the (left) endoscope camera, and of its optical frame on the wire."""
 OVERVIEW = "overview"
 """Name of the camera that looks at the room."""
-FOVY = 56.0
-"""Vertical field of view of the endoscope [deg]."""
+
+HOME_MISS = 0.010
+"""Largest distance of the shaft from its trocar at home [m]: the wall gives way by as much."""
 
 OUTSIDE = 2
 """Group of geoms that the endoscope cannot see: room, drape, skin. (URDF visuals: group 1.)"""
@@ -44,20 +46,22 @@ _BED_DEPTH = 0.056  # [m] work point to the tissue bed: below every bundled moti
 
 @dataclass(frozen=True)
 class Site:
-    """Where things are, in the world frame; all derived from one arm's trocar and home axis.
+    """Where things are, in the world frame; derived from the arms' trocars and home axes.
 
     Attributes:
         work: Work point, WORK_DEPTH behind the trocar along the home shaft axis, (3,) [m].
         trocar: Trocar point, (3,) [m].
         base: Origin of the arm's base, (3,) [m].
-        R: Patient axes as columns, (3, 3): x horizontal away from the robot, y horizontal, z up.
-            Endoscope and spectator look along +y.
+        R: Patient axes as columns, (3, 3): z up, y horizontal as the endoscope looks. Where no arm
+            holds it, x points away from the robot.
+        ports: Trocar points of all arms, the instrument's first, (k, 3) [m].
     """
 
     work: Array
     trocar: Array
     base: Array
     R: Array
+    ports: Array
 
     def place(self, offset: Iterable[float]) -> Array:
         """World position of a point given in patient axes from the work point [m], (3,)."""
@@ -68,19 +72,28 @@ class Site:
         return np.asarray(self.R.T @ (point - self.work))
 
 
-def site_of(arm: surg_core.Arm) -> Site:
-    """The site that an arm's trocar and home posture define."""
+def site_of(arms: list[surg_core.Arm]) -> Site:
+    """The site that the trocars and home postures of arms define."""
+    scope = endoscope.holder(arms)
+    arm = next((arm for arm in arms if arm is not scope), arms[0])
     trocar, s = wall_frame(arm)
     away = trocar - arm.X_WB[:3, 3]
     away[2] = 0.0
     length = np.linalg.norm(away)
     x = away / length if length > 0.05 else np.array([1.0, 0.0, 0.0])
+    if scope is not None:
+        view = wall_frame(scope)[1]
+        across = np.cross(view, [0.0, 0.0, 1.0])
+        if np.linalg.norm(across) > 0.05:  # else it looks straight down: any way round will do
+            x = across / np.linalg.norm(across)
     y = np.cross([0.0, 0.0, 1.0], x)
+    ordered = [arm, *(other for other in arms if other is not arm)]
     return Site(
         work=trocar + WORK_DEPTH * s,
         trocar=trocar,
         base=np.array(arm.X_WB[:3, 3]),
         R=np.column_stack([x, y, [0.0, 0.0, 1.0]]),
+        ports=np.array([wall_frame(other)[0] for other in ordered]),
     )
 
 
@@ -99,6 +112,41 @@ def choose_arms(cell: surg_core.Cell, names: Iterable[str] | None) -> list[surg_
     return [cell.arms[name] for name in wanted]
 
 
+def check_reach(arms: Iterable[surg_core.Arm]) -> None:
+    """Refuse arms that do not stand at their trocars: every episode begins there.
+
+    Raises:
+        ValueError: The shaft misses the trocar at home, or its tip is not as deep as it may be.
+    """
+    for arm in arms:
+        p_WRcm, s = wall_frame(arm)
+        p_FTip, _ = shaft_in_flange(arm)
+        X_BF = np.asarray(arm.chain.forward(np.asarray(arm.robot.home)))
+        tip = arm.X_WB[:3, :3] @ (X_BF[:3, :3] @ p_FTip + X_BF[:3, 3]) + arm.X_WB[:3, 3]
+        depth = float(s @ (tip - p_WRcm))
+        off = float(np.linalg.norm(tip - p_WRcm - depth * s))
+        limits = arm.limits
+        far = float(np.linalg.norm(np.asarray(arm.trocar.p_BRcm)))
+        where = (
+            f"arm {arm.name}: its trocar, {far:.2f} m from the base, is out of reach of the home "
+            "posture: "
+        )
+        advice = (
+            "; move the arm's base, give the arm another 'home' in cell.yaml, or teach the trocar "
+            f"anew (calibration/trocar_{arm.name}.yaml)"
+        )
+        if off > HOME_MISS:
+            raise ValueError(
+                f"{where}the shaft passes {1000 * off:.1f} mm beside it; allowed are "
+                f"{1000 * HOME_MISS:.0f} mm{advice}"
+            )
+        if not limits.depth_min <= depth <= limits.depth_max:
+            raise ValueError(
+                f"{where}the tip is {1000 * depth:.0f} mm behind it; allowed are "
+                f"{1000 * limits.depth_min:.0f} to {1000 * limits.depth_max:.0f} mm{advice}"
+            )
+
+
 def build(
     arms: list[surg_core.Arm],
     seed: int = 0,
@@ -111,7 +159,7 @@ def build(
     """Compile the scene once.
 
     Args:
-        arms: The arms; the first one places the patient.
+        arms: The arms; the first one that holds no endoscope places the patient.
         seed: Seeds the look of the tissue.
         looks: False leaves out everything that only pictures need; the physics is the same.
         actuators: Drive parameters.
@@ -120,8 +168,9 @@ def build(
         add: Puts more into the scene, after arms and trocars: what a task needs.
 
     Raises:
-        ValueError: A URDF does not fit its YAML.
+        ValueError: A URDF does not fit its YAML, or an arm does not reach its trocar.
     """
+    check_reach(arms)
     errors = tool_errors or {}
     # Beside this file, not importlib.resources: catkin's devel space relays code but no data files.
     room = Path(__file__).with_name("assets") / "scene.xml"
@@ -129,13 +178,15 @@ def build(
     for arm in arms:
         add_arm(spec, arm, actuators or ActuatorParameters(), errors.get(arm.name))
         add_jaw(spec, arm)
+    scope = endoscope.holder(arms)
+    if scope is not None:
+        endoscope.add_held(spec, scope)
     for arm in arms:
         add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
     if add is not None:
-        add(spec, site_of(arms[0]))
-    _add_endoscope(spec, site_of(arms[0]), looks)
+        add(spec, site_of(arms))
     if looks:
-        site = site_of(arms[0])
+        site = site_of(arms)
         rng = np.random.default_rng(seed)
         _add_materials(spec, rng)
         seen = _home_points(spec.compile(), arms)
@@ -143,6 +194,8 @@ def build(
         _add_patient(spec, site, rng)
         for arm in arms:
             _add_cannula(spec, arm)
+        if scope is None:
+            _add_endoscope(spec, site)
         _add_overview(spec, site, seen)
     return spec.compile()
 
@@ -372,30 +425,14 @@ def _look(forward: Array, up: Array) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def _add_endoscope(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-    """Camera, its light, and the scope behind it."""
+def _add_endoscope(spec: mujoco.MjSpec, site: Site) -> None:
+    """A camera that stands still, its light, and the scope behind it."""
     eye = site.place(
         _SCOPE_DISTANCE * np.array([0.0, -np.cos(_SCOPE_ELEVATION), np.sin(_SCOPE_ELEVATION)])
     )
     forward = (site.work - eye) / _SCOPE_DISTANCE
-    R = _look(forward, np.array([0.0, 0.0, 1.0]))
+    endoscope.add_standing(spec, eye, _look(forward, np.array([0.0, 0.0, 1.0])))
     world = spec.worldbody
-    world.add_camera(name=ENDOSCOPE, pos=eye.tolist(), quat=quaternion(R).tolist(), fovy=FOVY)
-    if not looks:
-        return
-    world.add_light(
-        name="scope",
-        type=mujoco.mjtLightType.mjLIGHT_SPOT,
-        pos=(eye - 0.004 * forward).tolist(),
-        dir=forward.tolist(),
-        castshadow=False,
-        ambient=[0.06, 0.05, 0.05],
-        diffuse=[1.0, 0.97, 0.93],
-        specular=[0.6, 0.6, 0.6],
-        attenuation=[0.55, 0.5, 21.0],
-        cutoff=62.0,
-        exponent=5.0,
-    )
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
     for start, end, radius, material in (
         (0.006, 0.260, 0.005, "scope"),

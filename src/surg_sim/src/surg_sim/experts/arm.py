@@ -112,7 +112,8 @@ class ArmExpert(Expert):
             except StopIteration:
                 self.done = True
         wish.p = self.path.advance(STEP)
-        wish.q = tip_quaternion(wish.p, float(self.roll.advance(STEP)[0]))
+        wish.roll = float(self.roll.advance(STEP)[0])
+        wish.q = tip_quaternion(wish.p, wish.roll)
         wish.jaw = self.jaw
 
     # --- what scripts are made of -------------------------------------------------------------

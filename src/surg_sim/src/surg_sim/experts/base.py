@@ -113,6 +113,7 @@ class ArmWish:
         jaw: Jaw angle for jaw/servo_jp [rad].
         p: Tip for servo_cp, rcm frame, (3,) [m].
         q: Orientation for servo_cp, x, y, z, w.
+        roll: The roll that ``q`` holds [rad]; not sent by itself.
         hold: True: stop where you are.
     """
 
@@ -120,6 +121,7 @@ class ArmWish:
     jaw: float | None = None
     p: Array | None = None
     q: Array | None = None
+    roll: float = 0.0
     hold: bool = False
 
     @property
