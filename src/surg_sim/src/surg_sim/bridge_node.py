@@ -314,7 +314,7 @@ class Bridge:
         jaw = injector.jaw(arm.name)
         if jaw is not None:
             arm.tool.send(_JAW.pack(tick, stamp_ns, _one(jaw[0]), _one(jaw[1])))
-        if injector.speaks(arm.name):
+        if arm.status.connections and injector.speaks(arm.name):
             arm.status.send(
                 wire.pack_link_status(
                     stamp_ns,

@@ -21,6 +21,7 @@ import rospy
 
 from surg_msgs.msg import Cycle, Ready, TaskState
 from surg_sim import wire
+from surg_sim.ports_node import Output
 from surg_sim.tasks import GRID
 from surg_sim.world import TICK_NS
 
@@ -109,7 +110,8 @@ class Participant:
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
         keys: dict[str, Any] = {"queue_size": 0, "tcp_nodelay": True}
         self._out = {topic: rospy.Publisher(topic, kind, **keys) for topic, kind in commands.items()}
-        self._ready = rospy.Publisher("/sim/ready", Ready, latch=True, **keys)
+        self._ready = Output("/sim/ready", Ready, patient=True, latch=True)
+        self._layout = wire.ReadyLayout(self._name, list(self._sent))
         listen: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
         self._inputs = [
             rospy.Subscriber(f"/{arm}/cycle", _RawCycle, self._on_cycle, arm, **listen)
@@ -188,15 +190,7 @@ class Participant:
         self._say_ready(tick + 1 if self._cycles else tick + GRID)
 
     def _say_ready(self, tick: int) -> None:
-        self._ready.publish(
-            Ready(
-                tick=tick,
-                participant=self._name,
-                arms=list(self._sent),
-                sent=list(self._sent.values()),
-                done=self._done,
-            )
-        )
+        self._ready.send(self._layout.pack(tick, self._sent.values(), self._done))
 
 
 def _receiver(topic: str) -> str:

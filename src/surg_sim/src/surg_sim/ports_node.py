@@ -6,6 +6,7 @@ Building, queueing and parsing message objects at 500 Hz would cost more than th
 from __future__ import annotations
 
 import select
+import struct
 import warnings
 from typing import Any
 
@@ -39,38 +40,55 @@ class RawTwist(TwistStamped):  # type: ignore[misc]
 class Output:
     """A publisher of ready-made bytes, sent by the calling thread.
 
+    It writes to rospy's connections itself: rospy's own ``publish`` spends three times as long on
+    turning bytes into the same bytes.
+
     Args:
         topic: Its name.
         kind: Its message class.
         patient: True: waits for a slow subscriber, nothing is ever lost (lock-step). False: a
             subscriber whose socket is full misses the message, so that none can stop the arm
             (free-run).
+        latch: Whether a late subscriber gets the last message.
     """
 
-    def __init__(self, topic: str, kind: type, patient: bool) -> None:
+    def __init__(self, topic: str, kind: type, patient: bool, latch: bool = False) -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", SyntaxWarning)  # rospy's hint on queue_size=None
-            self.publisher = rospy.Publisher(topic, kind, tcp_nodelay=True, queue_size=None)
-        self._message = rospy.AnyMsg()
-        self._patient = patient
+            self.publisher = rospy.Publisher(
+                topic, kind, tcp_nodelay=True, queue_size=None, latch=latch
+            )
+        self._patient, self._latch = patient, latch
 
     @property
     def connections(self) -> int:
+        """How many subscribers are connected."""
         return int(self.publisher.get_num_connections())
 
     def send(self, data: bytes) -> None:
-        self._message._buff = data
-        if self._patient:
-            self.publisher.publish(self._message)
-            return
+        """Send a message."""
+        framed = struct.pack("<I", len(data)) + data
         topic = self.publisher.impl
         topic.acquire()
         try:
+            if self._latch:
+                topic.latch = rospy.AnyMsg()
+                topic.latch._buff = data
             for connection in topic.connections:
-                if _writable(connection.socket):
-                    topic.publish(self._message, connection)
+                if self._patient or _writable(connection.socket):
+                    _write(topic, connection, framed)
         finally:
             topic.release()
+
+
+def _write(topic: Any, connection: Any, framed: bytes) -> None:
+    """Send to one subscriber; one that has gone is forgotten, as rospy does."""
+    try:
+        connection.write_data(framed)
+    except (OSError, rospy.exceptions.TransportException):
+        if not rospy.is_shutdown():
+            connection.close()
+            topic.remove_connection(connection)
 
 
 def _writable(socket: Any) -> bool:

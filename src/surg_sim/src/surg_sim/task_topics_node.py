@@ -21,6 +21,8 @@ from surg_sim.world import World
 if TYPE_CHECKING:
     from surg_sim.bridge_node import Bridge
 
+FORCE_TICKS = 5
+"""A force sensor measures every fifth tick: 100 Hz."""
 _JAW = wire.JointStateLayout(["jaw"])
 
 
@@ -142,6 +144,8 @@ class TaskTopics:
         A controller takes the newest sample that it has. Sent between its answer and the next
         state, a sample counts from the next cycle on, in every run.
         """
+        if tick % FORCE_TICKS:
+            return
         for sensor in self._forces:
             sensor.publish(tick, stamp_ns, self._world)
 
