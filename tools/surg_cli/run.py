@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, episode, paths, processes
+from surg_cli import cells, episode, processes
 from surg_cli.demo import run_folder
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, Progress, is_interactive, say, table, warn
@@ -272,8 +272,8 @@ def run_process(folder: Path, show: Callable[[float, str], None]) -> str:
 
 def _describe(plan: Plan, ended: episode.Ended) -> dict[str, Any]:
     """The entry of an episode, its own report beside its recording."""
-    from surg_recording import report, trials
     from surg_recording import episode as episodes
+    from surg_recording import report, trials
     from surg_recording.errors import EpisodeError
 
     outcome = trials.Outcome(

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlparse
 
+import mujoco
 import rospy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -470,6 +471,8 @@ def _only_here(settings: BridgeSettings) -> None:
 def main() -> int:
     """Entry point; returns the exit code (0 done, 1 aborted, 2 broken configuration)."""
     rospy.init_node("sim")
+    # MuJoCo's own way is a file in whatever folder the node was started from.
+    mujoco.set_mju_user_warning(lambda text: rospy.logwarn(f"MuJoCo: {text}"))
     try:
         settings = BridgeSettings.read(lambda name, default: rospy.get_param(f"~{name}", default))
         _only_here(settings)

@@ -27,7 +27,7 @@ from surg_sim import wire
 from surg_sim.assistant import JOINTS, AssistantCommand
 from surg_sim.experts.base import ArmView, ArmWish, Expert, View
 from surg_sim.participant_node import ASSISTANT, Participant, Seen
-from surg_sim.settings import SettingsError, SenderSettings
+from surg_sim.settings import SenderSettings, SettingsError
 from surg_sim.tasks import load
 
 ARM_COMMANDS: dict[str, type] = {
