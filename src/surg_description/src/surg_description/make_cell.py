@@ -224,7 +224,7 @@ def _arm_lines(name: str, plan: ArmPlan, folder: Path) -> list[str]:
         f"      rpy: {_short(plan.base_rpy)}",
     ]
     if plan.home is not None:
-        lines += [f"    # rad. {plan.home_reason or 'Not the home posture of the robot file.'}"]
+        lines += [f"    # rad; {plan.home_reason or 'not the home posture of the robot file'}"]
         lines += [f"    home: {_short(plan.home)}"]
     if not plan.limits:
         return [*lines, "    limits: {}  # a cell may only tighten"]

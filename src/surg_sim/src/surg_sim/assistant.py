@@ -269,9 +269,12 @@ class Assistant:
     def advance(self) -> None:
         """Move the servos' targets one tick on; called before the physics of that tick."""
         left = self._goal - self.target
-        half = ACCELERATION * TICK / 2.0
-        brake = np.sqrt(half**2 + 2.0 * ACCELERATION * np.abs(left)) - half  # still stops in time
-        wanted = np.sign(left) * np.minimum(np.minimum(brake, VELOCITY), np.abs(left) / TICK)
+        # The fastest step from which n steps, each slower by no more than the limit, end there:
+        # left = n v T - a T^2 n (n - 1) / 2.
+        distance, unit = np.abs(left), ACCELERATION * TICK**2
+        n = np.maximum(np.ceil((np.sqrt(1.0 + 8.0 * distance / unit) - 1.0) / 2.0), 1.0)
+        brake = distance / (n * TICK) + ACCELERATION * TICK * (n - 1.0) / 2.0
+        wanted = np.sign(left) * np.minimum(brake, VELOCITY)
         step = ACCELERATION * TICK
         self._velocity += np.clip(wanted - self._velocity, -step, step)
         self.target = self.target + self._velocity * TICK

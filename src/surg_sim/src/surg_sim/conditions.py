@@ -8,9 +8,9 @@ The robot is the same in every setting, and so are its drives and encoders.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from math import pi, radians
+from math import degrees, pi, radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,16 +119,16 @@ SOURCES: Mapping[str, str] = {
     "breathing period": "assumed: 15 breaths a minute of a ventilator",
     "bed share": "assumed",
     "calibration error": "phantom: what the project's own routine leaves in simulation "
-    "(docs/results/calibration.md: 0.1 mm, 0.07 deg); ex vivo twice, in vivo three times that: "
+    "(results/calibration.md: 0.1 mm, 0.07°); ex vivo twice, in vivo three times that: "
     "assumed",
-    "drive lag, delay, servo stiffness": "assumed (arm.ActuatorParameters says why)",
+    "drives": "assumed, the same robot in all settings (`arm.ActuatorParameters` says why)",
     "encoder": "assumed: 19 bits per turn at the joint",
     "tissue stretch stiffness": "307 kPa of the pig's small bowel along it (Terry et al. 2014, "
     "IJECB 2:4) times a wall of 1.5 mm round 23 mm (assumed) is 33 N; phantom (silicone): assumed",
     "mesentery stiffness": "assumed",
     "slip force": "assumed; at 5 N of pull, pinches of 3 to 22 N are needed against slip "
     "(Heijnsdijk et al. 2004, Surg Endosc 18:974), so an ordinary pinch of a few newton holds "
-    "one to a few newton; wet bowel holds less (Guo et al. 2021, Biosurf Biotribol 8:58)",
+    "one to a few newton; wet bowel holds less (Guo et al. 2022, Biosurf Biotribol 8:58)",
 }
 """Where each parameter comes from; the word "assumed" means that nobody measured it for us."""
 
@@ -142,3 +142,32 @@ def condition(name: str) -> Condition:
     if name not in CONDITIONS:
         raise ValueError(f"no setting '{name}': there are {', '.join(CONDITIONS)}")
     return CONDITIONS[name]
+
+
+def table() -> str:
+    """The settings as a Markdown table, for docs/simulation.md."""
+    rows: list[tuple[str, str, Callable[[Condition], float]]] = [
+        ("wall stiffness, N/m", "wall stiffness", lambda c: c.trocar.stiffness),
+        ("seal friction, N", "seal friction", lambda c: c.trocar.friction),
+        ("breathing at the wall, mm", "breathing amplitude", lambda c: 1e3 * c.breathing.amplitude),
+        ("breathing period, s", "breathing period", lambda c: c.breathing.period),
+        ("share of it at the bed", "bed share", lambda c: c.breathing.bed_share),
+        ("calibration error, tip, mm", "calibration error", lambda c: 1e3 * _error(c).tip),
+        ("calibration error, axis, °", "calibration error", lambda c: degrees(_error(c).axis)),
+        ("drive lag, ms", "drives", lambda c: 1e3 * c.actuators.lag),
+        ("command delay, ticks", "drives", lambda c: c.actuators.delay),
+        ("servo stiffness, N m/rad", "drives", lambda c: c.actuators.stiffness),
+        ("encoder step, µrad", "encoder", lambda c: 1e6 * c.encoder),
+        ("tissue stretch stiffness, N", "tissue stretch stiffness", lambda c: c.tissue.stretch),
+        ("mesentery, N/m per node", "mesentery stiffness", lambda c: c.tissue.mesentery),
+        ("slip force in the jaws, N", "slip force", lambda c: c.tissue.slip_force),
+    ]
+    lines = [f"| | {' | '.join(CONDITIONS)} | source |", "|" + "---|" * (len(CONDITIONS) + 2)]
+    for title, source, value in rows:
+        values = " | ".join(f"{value(c):.5g}" for c in CONDITIONS.values())
+        lines.append(f"| {title} | {values} | {SOURCES[source]} |")
+    return "\n".join(lines)
+
+
+def _error(setting: Condition) -> ToolError:
+    return setting.tool_error or ToolError(0.0, 0.0)

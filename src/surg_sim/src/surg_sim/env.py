@@ -179,6 +179,8 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         senders = dict(session.task.experts(session.cell, self.seed))
         senders.pop(POLICY, None)
         self._partners: list[Expert] = [senders[name] for name in sorted(senders)]
+        self._said: list[Wishes] = []
+        self._expert = None
         self._go(Wishes())
         for _ in range(_READY):
             waking = {arm: self._wake(arm) for arm in self.arms}
@@ -226,8 +228,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
 
     def _go(self, wishes: Wishes) -> float:
         """Tick to the next grid time or to the end; returns the reward of these ticks."""
-        said = [wishes, *self._said] if self._tick is not None else [wishes]
-        commands, assistant = merge(said)
+        commands, assistant = merge([wishes, *self._said])
         reward, self._worst = 0.0, dict.fromkeys(self.session.world.arms, 0.0)
         for i in range(GRID):
             tick = self.session.tick(commands if i == 0 else None, assistant if i == 0 else None)
@@ -311,10 +312,8 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
 
     def expert_action(self) -> Array:
         """What the task's expert would do now; call it in every step of an episode, or in none."""
-        if self._expert is None or self._expert_of != (self.seed, id(self._partners)):
-            senders = self.session.task.experts(self.session.cell, self.seed)
-            self._expert = senders[POLICY]
-            self._expert_of = (self.seed, id(self._partners))
+        if self._expert is None:
+            self._expert = self.session.task.experts(self.session.cell, self.seed)[POLICY]
         wishes = self._expert.tick(self.view)
         action: list[float] = []
         for arm in self.arms:

@@ -37,6 +37,8 @@ class GraspParameters:
     Attributes:
         close: Jaw angle below which the jaws hold what is between the pads [rad].
         open: Jaw angle above which they let go [rad].
+        attempt: Time after passing ``close`` in which both pads must touch [s]; jaws that were
+            closed before they met the tissue hold nothing.
         reach: Largest distance of the grip to the axis of the tissue [m]: the jaws must be round
             it, not only on it.
         slides: How often held tissue slides to a neighbouring place before it is lost.
@@ -47,6 +49,7 @@ class GraspParameters:
 
     close: float = 0.25
     open: float = 0.32
+    attempt: float = 0.15
     reach: float = 0.012
     slides: int = 2
     rest: float = 0.10
@@ -151,13 +154,12 @@ class Grasp:
         """Nothing held, counts at zero; the bowel is reset by itself."""
         self.held = None
         self._data.eq_active[self._equality] = 0
-        self._armed = False
-        self._before = self.jaw
+        self._attempt = 0.0  # [s] left in which closing jaws may take hold
         self._smooth = np.zeros(3)
         self._rest = 0.0
         self._slides = 0
         self.slips = 0
-        """Times that held tissue slid since the reset; the slide in which it was lost counts too."""
+        """Times that held tissue slid since the reset, the slide in which it was lost included."""
         self.losses = 0
         """Times that held tissue was lost without the jaws being opened, since the reset."""
 
@@ -208,13 +210,13 @@ class Grasp:
             else:
                 self._keep()
         elif jaw > p.close:
-            self._armed = True
-        elif self._armed:
-            self._armed = jaw < self._before  # the closing movement ends the attempt
+            self._attempt = p.attempt
+        elif self._attempt > 0.0:
+            self._attempt -= TICK
             node = self._between()
             if node is not None:
-                self._take(node)
-        self._before = jaw
+                self._attempt, self._slides = 0.0, 0
+                self._hold(node)
 
     def _between(self) -> int | None:
         """The free node that both pads touch, or nearly, and that the jaws are round."""
@@ -230,10 +232,6 @@ class Grasp:
     @staticmethod
     def _near(node: int, touched: set[int]) -> bool:
         return any(abs(node - other) <= 1 for other in touched)
-
-    def _take(self, node: int) -> None:
-        self._hold(node)
-        self._armed, self._slides = False, 0
 
     def _hold(self, node: int) -> None:
         self.held = node

@@ -183,10 +183,12 @@ def build(
         endoscope.add_held(spec, scope)
     for arm in arms:
         add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
+    site = site_of(arms)
     if add is not None:
-        add(spec, site_of(arms))
+        add(spec, site)
+    if scope is None:
+        _add_endoscope(spec, site, looks)
     if looks:
-        site = site_of(arms)
         rng = np.random.default_rng(seed)
         _add_materials(spec, rng)
         seen = _home_points(spec.compile(), arms)
@@ -194,8 +196,6 @@ def build(
         _add_patient(spec, site, rng)
         for arm in arms:
             _add_cannula(spec, arm)
-        if scope is None:
-            _add_endoscope(spec, site)
         _add_overview(spec, site, seen)
     return spec.compile()
 
@@ -425,13 +425,15 @@ def _look(forward: Array, up: Array) -> Array:
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def _add_endoscope(spec: mujoco.MjSpec, site: Site) -> None:
-    """A camera that stands still, its light, and the scope behind it."""
+def _add_endoscope(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    """A camera that stands still, its light, and (for pictures) the scope behind it."""
     eye = site.place(
         _SCOPE_DISTANCE * np.array([0.0, -np.cos(_SCOPE_ELEVATION), np.sin(_SCOPE_ELEVATION)])
     )
     forward = (site.work - eye) / _SCOPE_DISTANCE
     endoscope.add_standing(spec, eye, _look(forward, np.array([0.0, 0.0, 1.0])))
+    if not looks:
+        return
     world = spec.worldbody
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
     for start, end, radius, material in (

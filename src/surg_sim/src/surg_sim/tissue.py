@@ -262,6 +262,7 @@ class Bowel:
             rng: Draws the shape; None: the one without a random part.
         """
         self.bed.reset()
+        self._motion = np.zeros(6)
         shape = self._base if rng is None else rest_shape(self._site, self.parameters, rng)
         self._rest = shape - self._base
         self._model.qpos_spring[self._qpos] = self._rest.ravel()
@@ -277,6 +278,10 @@ class Bowel:
     def advance(self) -> None:
         """Move what carries the bowel one tick on; called before the physics of that tick."""
         self.bed.advance()
+        motion = np.append(self.bed.p_B, self.bed.v_B)
+        if np.array_equal(motion, self._motion):
+            return
+        self._motion = motion
         rest = self._rest + self.bed.p_B
         self._model.qpos_spring[self._qpos] = rest.ravel()
         # The mesentery's dampers act on the difference to the moving bed.

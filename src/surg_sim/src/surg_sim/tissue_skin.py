@@ -31,8 +31,10 @@ _ROWS = 9  # of the mesentery, from the tube to its root
 _TEXTURE_LENGTH = 0.12  # [m] along the tube
 _CLOSED, _OPEN = 0.20, 0.40  # [rad] jaw angles between which a pinch grows
 _NEAR, _FAR = 0.003, 0.0075  # [m] distances of grip and centre line between which it fades
-_WIDTH = 0.0075  # [m] length of tube that a pinch narrows
-_FLAT, _NARROW = 0.90, 0.55  # how much a pinch takes, across the jaws and along them
+_WIDTH = 0.009  # [m] length of tube that is drawn into the jaws
+_HANG = 0.55  # how far the section hangs below the grip, as a share of the radius
+_THIN = 0.12  # share of its width that is left between the jaws
+_GRIPPED, _DROP = 0.003, 0.011  # [m] depth below the grip at which it begins, and takes, to widen
 _ROOT = (0.45, 0.064, -0.042)  # root of the mesentery: share of x, then y and z [m] of the patient
 
 _BED = -0.0475  # [m] above the work point: what lies below carries the mesentery
@@ -215,23 +217,30 @@ class BowelSkin:
             self._pinch(offset, centre, data, site, float(data.qpos[jaw]))
         return np.asarray(centre[:, None] + offset)
 
-    @staticmethod
-    def _pinch(offset: Array, centre: Array, data: mujoco.MjData, site: int, jaw: float) -> None:
-        """Flatten the tube in place where closed jaws are on its axis."""
-        grip = data.site_xpos[site]
+    def _pinch(
+        self, offset: Array, centre: Array, data: mujoco.MjData, site: int, jaw: float
+    ) -> None:
+        """Draw a fold of the tube into closed jaws that are on its axis, in place.
+
+        The jaws hold the near edge: the section there hangs below the grip and narrows towards it
+        like a drop.
+        """
+        grip, frame = data.site_xpos[site], data.site_xmat[site].reshape(3, 3)
+        squeeze, deep = frame[:, 1], frame[:, 2]  # the jaws close along their y
         distance = np.linalg.norm(centre - grip, axis=1)
         shut = np.clip((_OPEN - jaw) / (_OPEN - _CLOSED), 0.0, 1.0)
         near = np.clip((_FAR - distance.min()) / (_FAR - _NEAR), 0.0, 1.0)
         strength = float(shut * near)
         if strength <= 0.0:
             return
-        squeeze = data.site_xmat[site].reshape(3, 3)[:, 1]  # the jaws close along their y
         weight = strength * np.exp(-0.5 * (distance / _WIDTH) ** 2)
-        # What is squeezed out swells beside the pinch.
-        bulge = 0.10 * strength * np.exp(-0.5 * ((distance - 0.019) / 0.006) ** 2)
-        across = (offset @ squeeze)[..., None] * squeeze
-        offset *= (1.0 - _NARROW * weight + bulge)[:, None, None]
-        offset -= ((_FLAT - _NARROW) * weight)[:, None, None] * across
+        hang = _HANG * self._parameters.radius * weight
+        depth = (offset + (centre - grip)[:, None]) @ deep + hang[:, None]
+        open_ = np.clip((depth - _GRIPPED) / _DROP, 0.0, 1.0)
+        open_ = open_ * open_ * (3.0 - 2.0 * open_)
+        taken = weight[:, None] * (1.0 - _THIN) * (1.0 - open_)
+        offset -= (taken * (offset @ squeeze))[..., None] * squeeze
+        offset += hang[:, None, None] * deep
 
     def _sheet(self, centre: Array) -> Array:
         """Vertices of the mesentery from the tube to its root on the bed, (rings, rows, 3)."""

@@ -75,7 +75,7 @@ class Bgr(Task):
 
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
         """Bowel, the assistant's instrument, both holds."""
-        self._site = site
+        self._site, self._looks = site, looks
         add_bowel(spec, site, self._tissue, looks)
         add_assistant(spec, site, self._urdf, looks=looks)
         add_grasp(spec, ROBOT, self._tip)
@@ -89,6 +89,10 @@ class Bgr(Task):
         self.assistant = Assistant(model, data, self._urdf)
         self.grasps = {name: Grasp(model, data, name, self.bowel) for name in (ROBOT, ASSISTANT)}
         self.view = EndoscopeView(model, data)
+        if self._looks:
+            from surg_sim.tissue_skin import BowelSkin
+
+            self.skins = [BowelSkin(model, self._site, self._tissue)]
         self._tip_body = int(model.body(f"{ROBOT}_{self._tip}").id)
 
     def reset(self, rng: np.random.Generator) -> None:

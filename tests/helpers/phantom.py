@@ -1,0 +1,147 @@
+"""Arm, bowel and assistant in one scene, without a controller: for the tissue's tests."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+import surg_core
+from surg_cli import paths
+from surg_sim import scene
+from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmLink
+from surg_sim.assistant import Assistant, AssistantCommand, add_assistant, forward
+from surg_sim.grasp import Grasp, add_grasp
+from surg_sim.tissue import Bowel, TissueParameters, add_bowel
+
+Array = NDArray[np.float64]
+
+OPEN, SHUT = 0.6, 0.0
+"""Jaw angles [rad]."""
+
+
+@functools.cache
+def arm_of(cell: str) -> surg_core.Arm:
+    """The instrument arm of a bundled cell."""
+    return surg_core.load_cell(paths.ROOT / "cells" / cell).arms["PSM1"]
+
+
+@functools.cache
+def compiled(cell: str, parameters: TissueParameters, looks: bool) -> mujoco.MjModel:
+    """The scene of this helper, compiled once per process; ``Phantom`` works on copies."""
+    arm = arm_of(cell)
+
+    def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
+        add_bowel(spec, site, parameters, looks)
+        add_assistant(spec, site, arm.instrument_urdf, looks=looks)
+        add_grasp(spec, "PSM1")
+        add_grasp(spec, "assistant")
+
+    return scene.build([arm], looks=looks, add=add)
+
+
+class Phantom:
+    """The scene of a bundled cell with bowel and assistant; the robot stands still.
+
+    Args:
+        cell: Name of the cell.
+        parameters: Of the tissue.
+        looks: Whether the scene can be drawn.
+    """
+
+    def __init__(
+        self,
+        cell: str = "sim_ur5e",
+        parameters: TissueParameters | None = None,
+        looks: bool = False,
+    ) -> None:
+        import copy
+
+        arm, parameters = arm_of(cell), parameters or TissueParameters()
+        self.model = copy.copy(compiled(cell, parameters, looks))
+        self.data = mujoco.MjData(self.model)
+        self.site = scene.site_of(arm)
+        self.link = ArmLink(self.model, self.data, arm, ActuatorParameters())
+        self.bowel = Bowel(self.model, self.data, self.site, parameters)
+        self.assistant = Assistant(self.model, self.data, arm.instrument_urdf)
+        self.grasp = Grasp(self.model, self.data, "assistant", self.bowel)
+        self.robot_grasp = Grasp(self.model, self.data, "PSM1", self.bowel)
+        self.reset()
+
+    def reset(self, seed: int | None = None) -> None:
+        """All at rest; the bowel in a shape drawn with this seed, or the plain one."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.link.reset()
+        self.bowel.reset(None if seed is None else np.random.default_rng(seed))
+        self.assistant.reset()
+        self.grasp.reset()
+        self.robot_grasp.reset()
+        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_step1(self.model, self.data)
+        self._hash = hashlib.sha256()
+
+    def run(self, ticks: int, joints: Array | None = None, jaw: float | None = None) -> None:
+        """Let time pass; the assistant is told once, at the beginning."""
+        self.assistant.accept(AssistantCommand(joints, jaw))
+        for _ in range(ticks):
+            self.bowel.advance()
+            self.grasp.advance()
+            self.robot_grasp.advance()
+            self.assistant.advance()
+            for _ in range(SUBSTEPS):
+                mujoco.mj_step2(self.model, self.data)
+                mujoco.mj_step1(self.model, self.data)
+            self._hash.update(self.data.qpos.tobytes() + self.data.qvel.tobytes())
+
+    @property
+    def hash(self) -> str:
+        """Of all states since the reset."""
+        return self._hash.hexdigest()
+
+    @property
+    def warnings(self) -> int:
+        """MuJoCo's warnings since the reset."""
+        return int(sum(w.number for w in self.data.warning))
+
+    def across(self, node: int) -> float:
+        """Roll of the assistant with which its jaws close across the tube at a node [rad]."""
+        nodes = self.bowel.nodes
+        along = nodes[min(node + 1, len(nodes) - 1)] - nodes[max(node - 1, 0)]
+        X = self.assistant.X_WRcm[:3, :3] @ forward(self.assistant.joints_for(nodes[node]))[:3, :3]
+        local = X.T @ along
+        roll = float(np.arctan2(local[1], local[0]))
+        return (roll + np.pi / 2) % np.pi - np.pi / 2
+
+    def shaft(self, p_W: Array) -> Array:
+        """Direction of the assistant's shaft when its tip is at a point, world, (3,)."""
+        d = p_W - self.assistant.X_WRcm[:3, 3]
+        return np.asarray(d / np.linalg.norm(d))
+
+    def go(self, p_W: Array, roll: float = 0.0, jaw: float | None = None, ticks: int = 300) -> None:
+        """Bring the assistant's tip to a point in the world."""
+        self.run(ticks, self.assistant.joints_for(p_W, roll), jaw)
+
+    def approach(self, node: int, aside: float = 0.0, depth: float = 0.002) -> float:
+        """Open the jaws and bring them round a node; returns the roll.
+
+        Args:
+            node: Where.
+            aside: Displacement across the tube, along the jaws' opening [m].
+            depth: Of the tip beyond the tube's axis [m].
+        """
+        place, roll = self.bowel.nodes[node], self.across(node)
+        shaft = self.shaft(place)
+        X = self.assistant.X_WRcm[:3, :3] @ forward(self.assistant.joints_for(place, roll))[:3, :3]
+        place = place + aside * X[:, 1]
+        self.go(place - 0.03 * shaft, roll, OPEN)
+        self.go(place + depth * shaft, roll, OPEN, 150)
+        return roll
+
+    def take(self, node: int) -> float:
+        """Grasp at a node; returns the roll."""
+        roll = self.approach(node)
+        self.run(200, jaw=SHUT)
+        return roll
