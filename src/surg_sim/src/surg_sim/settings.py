@@ -9,6 +9,8 @@ from typing import Any
 from surg_sim.lockstep import OBSERVER_WINDOWS
 
 MODES = ("lockstep", "freerun")
+VIEWS = (("left",), ("left", "right"))
+"""Which views an endoscope can be asked for."""
 DEFAULT_SETTING = "phantom"
 """The physical setting of a task that names none."""
 
@@ -148,6 +150,9 @@ class EndoscopeSettings:
         mode: ``lockstep`` (every snapshot) or ``freerun`` (the newest one only).
         arms: As for the bridge.
         seed: As for the bridge: it draws the tissue.
+        task: As for the bridge.
+        setting: As for the bridge.
+        views: Which of ``left`` and ``right`` are rendered.
         width: [px].
         height: [px].
         vignette: Draw the round edge of an endoscope's picture.
@@ -157,6 +162,9 @@ class EndoscopeSettings:
     mode: str
     arms: tuple[str, ...]
     seed: int
+    task: str
+    setting: str
+    views: tuple[str, ...]
     width: int
     height: int
     vignette: bool
@@ -168,11 +176,19 @@ class EndoscopeSettings:
         Raises:
             SettingsError: One is missing or out of range.
         """
+        views = _texts("views", get("views", ["left"]))
+        if views not in VIEWS:
+            allowed = " or ".join(",".join(each) for each in VIEWS)
+            raise SettingsError(f"parameter ~views is {list(views)}: allowed are {allowed}")
+        task = _word("task", get("task", ""))
         return cls(
             cell=_text("cell", get("cell", "")),
             mode=_mode(get("mode", "lockstep")),
             arms=_texts("arms", get("arms", [])),
             seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
+            task=task,
+            setting=_word("setting", get("setting", DEFAULT_SETTING if task else "")),
+            views=views,
             width=_whole("width", get("width", 640), 16, 1920),
             height=_whole("height", get("height", 480), 16, 1080),
             vignette=_flag("vignette", get("vignette", True)),
