@@ -1,7 +1,7 @@
 """A task from outside the tree, for tests of the graph: both arms go a few millimetres and back.
 
-It succeeds when the first arm's tip has gone where the seed says, and fails, with a reason, for
-one seed in five (3 succeeds, 0 does not).
+It succeeds when the first arm's tip has gone where the seed says. One seed in five is unlucky and
+fails with a reason, and one in five breaks the simulation.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from surg_sim.world import World
 
 DEPTH = 0.12
 """Of the tip at home in the bundled cells [m]."""
+LUCKY, UNLUCKY, BREAKING = 36, 0, 35
+"""Seeds."""
 
 
 class Nudge(Task):
@@ -37,17 +39,28 @@ class Nudge(Task):
     commanded = ("PSM1", "ECM")
 
     def bind(self, world: World) -> None:
+        """Keep the world."""
         self._world = world
 
     def reset(self, rng: np.random.Generator) -> None:
+        """Draw where to go, and how it ends."""
         super().reset(rng)
         self._offset = rng.uniform(-0.006, 0.006, 3)
-        self._unlucky = bool(rng.random() < 0.2)
+        luck = float(rng.random())
+        self._unlucky, self._breaking = luck < 0.2, luck > 0.8
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
+        """One, who moves every arm of the cell."""
         return {"expert": Nudger(tuple(cell.arms))}
 
+    def advance(self) -> None:
+        """A breaking one breaks after 0.3 s."""
+        super().advance()
+        if self._breaking and self.time > 0.3:
+            self._world.data.qvel[0] = np.nan
+
     def state(self) -> State:
+        """A vector, a number and an array."""
         truth = self._world.truth("PSM1")
         return {
             "offset": self._offset,
@@ -56,6 +69,7 @@ class Nudge(Task):
         }
 
     def verdict(self) -> Verdict:
+        """After a second and a half."""
         phase = "rest" if self.time > 1.2 else "go"
         if self.time > 1.5 and self._unlucky:
             return Verdict(done=True, reason="this seed is unlucky", phase=phase)
@@ -73,6 +87,7 @@ class Nudger(Expert):
         self._ways: dict[str, MinimumJerk] = {}
 
     def act(self, view: View) -> Wishes:
+        """Home, enable, stream."""
         wishes = Wishes()
         for name in self.arms:
             arm = view.arms[name]
@@ -90,5 +105,3 @@ class Nudger(Expert):
                 wish.q = tip_quaternion(wish.p, 0.1 * float(np.linalg.norm(wish.p - p)) / 0.006)
                 wish.jaw = 0.3
         return wishes
-
-

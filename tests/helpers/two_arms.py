@@ -1,4 +1,4 @@
-"""A cell with two bundled arms that are far from each other: for tests of the graph, not of a task."""
+"""A cell with two bundled arms far from each other: for tests of the graph, not of a task."""
 
 from __future__ import annotations
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import datetime
 import json
 import math
 import os
@@ -14,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, environment, follow, master, paths, processes, running, system
+from surg_cli import cells, environment, follow, master, paths, processes, run, running, system
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, Progress, say, table, warn
 from surg_cli.watch import Watch
@@ -42,14 +41,23 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--no-video", action="store_true", help="without the endoscope camera")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master (default: a free one)")
+    add(
+        "--task",
+        metavar="TASK",
+        help="play a task instead of a motion, as ./surg run TASK does",
+    )
+    run.add_options(parser)
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check everything, run, report; the last line printed is the path of summary.json."""
+    _check_mixture(options, command)
+    if options.task is not None:
+        return run.main(options, command)
     if options.view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise Problem("--view needs a display: neither DISPLAY nor WAYLAND_DISPLAY is set", 2)
     # Everything a person can get wrong is found before anything moves.
-    out = run_folder(options.out)
+    out = paths.run_folder(options.out)
     try:
         cell = cells.for_robot(options.robot, out / "cell")
         loaded = cells.load(cell)
@@ -65,7 +73,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"scale {options.scale:g}, {options.mode}, "
         f"{'lock-step' if plan.lockstep else 'free-run'} -> {out}"
     )
-    reasons = run(plan, motion.duration_s, options.port)
+    reasons = play(plan, motion.duration_s, options.port)
     for reason in reasons:
         warn(f"surg: {reason}")
     summary = make_report(out, reasons)
@@ -76,6 +84,22 @@ def main(options: argparse.Namespace, command: str) -> int:
             warn(f"surg: {reason}")
     say(str(out / "summary.json"))
     return 0 if summary["ok"] else 1
+
+
+def _check_mixture(options: argparse.Namespace, command: str) -> None:
+    """Refuse options of a motion with a task, and of a task with a motion.
+
+    Raises:
+        Problem: Names those that must not be there.
+    """
+    parser = argparse.ArgumentParser()
+    add_arguments(parser, command)
+    of_task, shared = {"setting", "episodes", "cameras"}, {"task", "robot", "law", "seed", "out"}
+    given = {name for name, value in vars(options).items() if value != parser.get_default(name)}
+    wrong = given & of_task if options.task is None else given - of_task - shared
+    if wrong:
+        names = ", ".join(sorted(f"--{name.replace('_', '-')}" for name in wrong))
+        raise Problem(f"{names}: only {'with' if options.task is None else 'without'} --task", 2)
 
 
 @dataclass(frozen=True)
@@ -94,7 +118,7 @@ class CheckedMotion:
     whole: bool
 
 
-def run(plan: Plan, duration_s: float, port: int | None) -> list[str]:
+def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
     """Run a plan with an operator to its end.
 
     Args:
@@ -318,25 +342,6 @@ def _only_arm(loaded: Any, cell: Path) -> str:
     if len(names) != 1:
         raise Problem(f"{cell}: the demonstration drives one arm, this cell has {len(names)}", 2)
     return str(names[0])
-
-
-def run_folder(wanted: Path | None) -> Path:
-    """The folder of the run: a new one, or an empty one.
-
-    Raises:
-        Problem: When the wanted folder holds something.
-    """
-    if wanted is not None:
-        out = wanted.absolute()
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise Problem(f"--out {wanted}: not an empty folder; name another or remove it", 2)
-        return out
-    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
-    out, count = paths.RUNS / now, 1
-    while out.exists():
-        count += 1
-        out = paths.RUNS / f"{now}_{count}"
-    return out
 
 
 def _forget(out: Path) -> None:

@@ -1,8 +1,8 @@
 """One episode of a task in a graph of its own: `python -m surg_cli.episode FOLDER`.
 
-A process of its own, because a process can be a node of one ROS master only. It reads `plan.json` in
-its folder, starts the graph, follows it to the end and writes `outcome.json`. On standard output it
-prints a JSON object per line on how far it is.
+A process of its own, because a process can be a node of one ROS master only. It reads `plan.json`
+in its folder, starts the graph, follows it to the end and writes `outcome.json`. On standard output
+it prints a JSON object per line on how far it is.
 """
 
 from __future__ import annotations
@@ -59,6 +59,7 @@ def read_plan(folder: Path) -> Plan:
     values = json.loads((folder / PLAN).read_text("utf-8"))
     for name in ("arms", "cameras", "extra_participants"):
         values[name] = tuple(values[name])
+    values["senders"] = {name: tuple(arms) for name, arms in values["senders"].items()}
     return Plan(**{**values, "cell": Path(values["cell"]), "out": Path(values["out"])})
 
 

@@ -26,7 +26,7 @@ def failure(
     Args:
         watch: What the system says.
         supervisor: Its processes.
-        fault_at: Steady clock [s] when the first FAULT was seen; it is given time to explain itself.
+        fault_at: Steady clock [s] when the first FAULT was seen; it gets time to explain itself.
         may_end: Names of nodes that may end by themselves, well, while the run goes on.
 
     Returns:
@@ -73,7 +73,8 @@ def death_notice(child: processes.Child) -> str:
     if any(word in lowered for word in graphics):
         text += (
             "\nA library for off-screen rendering is missing or does not work: run ./surg setup, "
-            "try MUJOCO_GL=osmesa ./surg demo, or leave the camera out (demo: --no-video, run: no --cameras)."
+            "try MUJOCO_GL=osmesa ./surg demo, or leave the camera out (demo: --no-video; run: "
+            "without --cameras)."
         )
     return text
 

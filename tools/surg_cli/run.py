@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, episode, processes
-from surg_cli.demo import run_folder
+from surg_cli import cells, episode, paths, processes
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, Progress, is_interactive, say, table, warn
 
@@ -64,23 +64,24 @@ class Condition:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check everything, play, report; the last line printed is the path of summary.json."""
-    conditions = [
-        Condition(setting, law) for setting in _settings(options.setting) for law in _laws(options.law)
-    ]
+    settings, laws = _settings(options.setting), _laws(options.law)
+    conditions = [Condition(setting, law) for setting in settings for law in laws]
     _check_numbers(options)
-    out = run_folder(options.out)
-    plan, title = _plan(options, conditions, out)
+    out = paths.run_folder(options.out)
+    cell = _cell(options.robot)
+    cameras = VIEWS[options.cameras]
+    plan = make_plan(options.task, cell, cells.load(cell), conditions, options.seed, cameras, out)
     out.mkdir(parents=True, exist_ok=True)
     count = len(conditions) * options.episodes
     say(
-        f"run: {title}, {plan.run_info['robot']}, {', '.join(c.setting for c in conditions)}, "
+        f"run: {plan.run_info['title']}, {plan.run_info['robot']}, {', '.join(settings)}, "
         f"{count} episode{'s' * (count != 1)} from seed {options.seed} -> {out}"
     )
     entries: list[dict[str, Any]] = []
     with Progress("run") as progress:
         for condition in conditions:
             for seed in range(options.seed, options.seed + options.episodes):
-                one = _one(plan, condition, seed, out / "episodes" / f"{len(entries):03d}")
+                one = of_episode(plan, condition, seed, out / "episodes" / f"{len(entries):03d}")
                 entries.append(_play(one, len(entries), count, progress))
     summary = _report(plan, entries, out)
     _print_summary(summary)
@@ -103,14 +104,10 @@ def real_time_factor(task: str, robot: str, seed: int, out: Path, cameras: str =
     Raises:
         Problem: It was not played to its end.
     """
-    parser = argparse.ArgumentParser()
-    add_arguments(parser, "run")
-    words = [task, "--robot", robot, "--seed", str(seed), "--cameras", cameras]
-    options = parser.parse_args(words)
-    condition = Condition("phantom", "ours")
-    plan, _ = _plan(options, [condition], out)
+    condition, cell = Condition("phantom", "ours"), _cell(robot)
+    plan = make_plan(task, cell, cells.load(cell), [condition], seed, VIEWS[cameras], out)
     with Progress("episode") as progress:
-        entry = _play(_one(plan, condition, seed, out), 0, 1, progress)
+        entry = _play(of_episode(plan, condition, seed, out), 0, 1, progress)
     factor = entry["real_time_factor"]
     if not entry["played"] or factor is None:
         raise Problem(f"no rate: {entry['failure_reason'] or 'the episode is too short'}")
@@ -162,10 +159,25 @@ def _cell(robot: str) -> Path:
         raise Problem(f"--robot {robot}: neither {known} nor a cell ({problem})", 2) from problem
 
 
-def _plan(
-    options: argparse.Namespace, conditions: list[Condition], out: Path
-) -> tuple[Plan, str]:
-    """What every episode has in common, and the task's title; nothing has been started.
+def make_plan(
+    task: str,
+    cell: Path,
+    loaded: Any,
+    conditions: Sequence[Condition],
+    seed: int,
+    cameras: tuple[str, ...],
+    out: Path,
+) -> Plan:
+    """What every episode of a run has in common; nothing has been started.
+
+    Args:
+        task: Its name, or the path of its file.
+        cell: Folder of the cell.
+        loaded: The cell.
+        conditions: What it is played in.
+        seed: Of the first episode.
+        cameras: Views that are rendered and recorded.
+        out: Folder of the run.
 
     Raises:
         Problem: The task is unknown, does not fit the cell, or has nobody who plays it.
@@ -173,43 +185,39 @@ def _plan(
     from surg_sim import tasks
     from surg_sim.conditions import condition
 
-    folder = _cell(options.robot)
-    loaded = cells.load(folder)
-    name = options.task
-    if name.endswith(".py"):
-        name = str(Path(name).absolute())
+    if task.endswith(".py"):
+        task = str(Path(task).absolute())
     try:
         for each in conditions:
-            task = tasks.load(name)
-            task.prepare(loaded, condition(each.setting))
-        senders = {n: tuple(e.arms) for n, e in task.experts(loaded, options.seed).items()}
+            found = tasks.load(task)
+            found.prepare(loaded, condition(each.setting))
+        senders = {name: tuple(e.arms) for name, e in found.experts(loaded, seed).items()}
     except ValueError as error:  # a TaskError is one
         raise Problem(str(error), 2) from error
     if not senders:
-        raise Problem(f"task '{task.name}' has no scripted sender: nobody would play it", 2)
+        raise Problem(f"task '{found.name}' has no scripted sender: nobody would play it", 2)
     arms = tuple(str(arm) for arm in loaded.arms)
-    info: dict[str, object] = {
-        "task": task.name,
-        "operator": "scripted expert",
-        "robot": loaded.arms[arms[0]].robot.name,
-        "mode": "cartesian",
-        "timing": "lockstep",
-    }
-    plan = Plan(
-        cell=folder,
+    return Plan(
+        cell=cell,
         arms=arms,
         lockstep=True,
-        cameras=VIEWS[options.cameras],
-        task=name,
+        cameras=cameras,
+        task=task,
         senders=senders,
         out=out,
-        run_info=info,
+        run_info={
+            "task": found.name,
+            "title": found.title,
+            "operator": "scripted expert",
+            "robot": loaded.arms[arms[0]].robot.name,
+            "mode": "cartesian",
+            "timing": "lockstep",
+        },
     )
-    return plan, str(task.title)
 
 
-def _one(plan: Plan, condition: Condition, seed: int, folder: Path) -> Plan:
-    """The plan of one episode."""
+def of_episode(plan: Plan, condition: Condition, seed: int, folder: Path) -> Plan:
+    """The plan of one episode of a run."""
     info = {**plan.run_info, "seed": seed, "setting": condition.setting, "law": condition.law}
     return replace(
         plan, setting=condition.setting, law=condition.law, seed=seed, out=folder, run_info=info
@@ -250,8 +258,6 @@ def run_process(folder: Path, show: Callable[[float, str], None]) -> str:
     Returns:
         What it said on ending without an outcome; empty when there is one.
     """
-    import os
-
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     argv = [sys.executable, "-s", "-m", "surg_cli.episode", str(folder)]
     logs = folder / "logs"
@@ -332,5 +338,3 @@ def _median_and_worst(spread: dict[str, Any]) -> str:
     if not spread["n"]:
         return "not measured"
     return f"{spread['median']:.4g} (worst {spread['max']:.4g})"
-
-

@@ -223,8 +223,7 @@ def _numbers(result: Mapping[str, Any]) -> str:
         rows.append(("Period", _pair(controller["period_us"], "p50", "p99", "max"), "µs"))
     rows.append(("Overruns", number(controller["overruns"]), ""))
     cells = "".join(
-        f"<tr><td>{text(name)}</td><td>{text(value)} {unit}</td></tr>"
-        for name, value, unit in rows
+        f"<tr><td>{text(name)}</td><td>{text(value)} {unit}</td></tr>" for name, value, unit in rows
     )
     return f"<section><h2>All numbers</h2><table>{cells}</table></section>"
 

@@ -42,8 +42,10 @@ def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:
         for i, condition in enumerate(summary["conditions"]):
             for bound in condition["bounds"]:
                 if bound["metric"] == metric:
-                    axes.plot([i - 0.45, i + 0.45], [bound["value"]] * 2, "--", color=LIMIT, lw=1.0)
+                    # Over the kinematic box only: the other one is not held against it.
+                    axes.plot([i - 0.4, i - 0.02], [bound["value"]] * 2, "--", color=LIMIT, lw=1.2)
         axes.set_yscale("log")
+        axes.margins(y=0.12)
         axes.yaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda y, _: f"{y:g}"))
         axes.set(title=f"RCM deviation, {metric} of each episode", ylabel="mm")
     axes.plot([], [], "--", color=LIMIT, lw=1.0, label="bound (kinematic)")
@@ -148,7 +150,7 @@ def _boxes(axes: Axes, groups: Groups, series: Series) -> None:
             )
             # Spread the dots evenly over the box, by rank of seed order: no random numbers.
             x = i + offset + np.linspace(-0.25, 0.25, len(numbers) + 2)[1:-1] * width
-            axes.plot(x, numbers, "o", color=colour, markersize=3.2, alpha=0.65)
+            axes.plot(x, numbers, "o", color=colour, markersize=3.2, alpha=0.65, zorder=3)
         axes.plot([], [], "o", color=colour, markersize=5, label=label)
     axes.set_xticks(range(len(groups)), [label for label, _ in groups])
     axes.set_xlim(-0.6, len(groups) - 0.4)

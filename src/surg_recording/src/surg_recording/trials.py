@@ -163,7 +163,9 @@ def summarise(
     ]
     wrong = [*reasons, *broken]
     conditions = [
-        _condition(setting, law, [e for e in episodes if (e["setting"], e["law"]) == (setting, law)])
+        _condition(
+            setting, law, [e for e in episodes if (e["setting"], e["law"]) == (setting, law)]
+        )
         for setting, law in dict.fromkeys((e["setting"], e["law"]) for e in episodes)
     ]
     settings = list(dict.fromkeys(e["setting"] for e in episodes))

@@ -204,7 +204,7 @@ class Bridge:
     def on_assistant(
         self, assistant: AssistantTopics, sender: str, stamp_ns: int, what: str, value: Any
     ) -> None:
-        """``/assistant/servo_jp``, ``/assistant/jaw/servo_jp``; a value of None must not be used."""
+        """``/assistant/servo_jp``, ``/assistant/jaw/servo_jp``; None: unusable."""
         with self._lock:
             declared = self.lockstep and self._book.declared(sender)
             if self.lockstep and not declared:

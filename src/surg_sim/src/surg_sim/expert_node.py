@@ -1,8 +1,8 @@
 """A scripted sender of a task as a node, on the topics that a person uses; in lock-step only.
 
 A task has one or more senders (``Task.experts``), each with a name: this node plays the one whose
-name it bears. Parameters: ``~cell``, ``~task``, ``~seed`` (of the sender's imperfections). Exit code
-1: it could not connect; 2: a parameter that must not be used. What made it give up stands on
+name it bears. Parameters: ``~cell``, ``~task``, ``~seed`` (of the sender's imperfections). Exit
+code 1: it could not connect; 2: a parameter that must not be used. What made it give up stands on
 ``~status``; the episode's end is the simulator's affair.
 """
 

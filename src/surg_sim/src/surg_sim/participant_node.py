@@ -1,9 +1,9 @@
 """What the nodes of scripted senders share: their part in lock-step.
 
-A participant looks at tick k (control cycles of its arms; on the grid the task's state), sends what
-it wants to send for tick k + 1, and says Ready with the running totals. Most ticks it has nothing to
-say, so a message is kept as bytes until somebody looks into it: reading every cycle would cost more
-than everything else that such a node does.
+A participant looks at tick k (control cycles of its arms; on the grid the task's state), sends
+what it wants to send for tick k + 1, and says Ready with the running totals. In most ticks it has
+nothing to say, so a message is kept as bytes until somebody looks into it: reading every cycle
+would cost more than everything else that such a node does.
 """
 
 from __future__ import annotations
@@ -109,7 +109,9 @@ class Participant:
         self._sent = {topic.split("/")[1]: 0 for topic in commands}
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
         keys: dict[str, Any] = {"queue_size": 0, "tcp_nodelay": True}
-        self._out = {topic: rospy.Publisher(topic, kind, **keys) for topic, kind in commands.items()}
+        self._out = {
+            topic: rospy.Publisher(topic, kind, **keys) for topic, kind in commands.items()
+        }
         self._ready = Output("/sim/ready", Ready, patient=True, latch=True)
         self._layout = wire.ReadyLayout(self._name, list(self._sent))
         listen: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
@@ -197,4 +199,3 @@ def _receiver(topic: str) -> str:
     """The node that must hear a command topic."""
     first = topic.split("/")[1]
     return "/sim" if first == ASSISTANT else f"/{first}/controller"
-

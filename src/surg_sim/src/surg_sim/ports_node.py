@@ -1,4 +1,4 @@
-"""How the bridge sends and receives the messages of every tick: as bytes, on the thread that has them.
+"""How the messages of every tick are sent and received: as bytes, on the thread that has them.
 
 Building, queueing and parsing message objects at 500 Hz would cost more than the physics.
 """
@@ -22,6 +22,7 @@ class RawJointState(JointState):  # type: ignore[misc]
         self.data = b""
 
     def deserialize(self, data: bytes) -> RawJointState:
+        """Keep the bytes; rospy calls this."""
         self.data = data
         return self
 
@@ -33,6 +34,7 @@ class RawTwist(TwistStamped):  # type: ignore[misc]
         self.data = b""
 
     def deserialize(self, data: bytes) -> RawTwist:
+        """Keep the bytes; rospy calls this."""
         self.data = data
         return self
 

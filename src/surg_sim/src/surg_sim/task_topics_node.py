@@ -1,4 +1,4 @@
-"""The bridge's topics of a task: its state, the assistant's instrument, forces for the controllers."""
+"""The bridge's topics of a task: its state, the assistant's instrument, measured forces."""
 
 from __future__ import annotations
 
