@@ -93,7 +93,7 @@ def test_what_does_not_exist_is_said_before_anything_starts(
 @pytest.mark.full
 @pytest.mark.parametrize("robot", ["ur5e", "panda"])
 def test_bowel_grasping_and_retraction_with_the_camera(tmp_path: Path, robot: str) -> None:
-    """Whole episodes with a recorded pair of views; the rate is printed, it needs a quiet machine."""
+    """A whole episode with a recorded pair of views; its rate needs a quiet machine."""
     out = tmp_path / "run"
     done = surg("run", "bgr", "--robot", robot, "--seed", 10_000, "--cameras", "--out", out)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -117,9 +117,9 @@ def save_all(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
     return drawn
 
 
-def grouped(summary: Mapping[str, Any]) -> list[tuple[str, Entries]]:
+def grouped(summary: Mapping[str, Any]) -> Groups:
     """Label and episodes of each condition; a law is named where it is not ours."""
-    groups = []
+    groups: list[tuple[str, Entries]] = []
     for condition in summary["conditions"]:
         setting, law = condition["setting"], condition["law"]
         entries = [e for e in summary["episodes"] if (e["setting"], e["law"]) == (setting, law)]
