@@ -1,4 +1,4 @@
-"""A task in one file: touch a ball with the tip of the instrument. docs/adding_a_task.md tells it."""
+"""A task in one file: touch a ball with the instrument's tip. docs/adding_a_task.md tells it."""
 
 from __future__ import annotations
 

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
-
-from gymnasium.utils.env_checker import check_env
-
 from conftest import FULL
 from surg_sim import seeds
-from surg_sim.env import ACTION, ARM_STATE, SurgEnv
 from surg_sim.episode import run_episode
 from surg_sim.evaluate import wilson
+
+gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
+
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+
+from surg_sim.env import ACTION, ARM_STATE, SurgEnv  # noqa: E402
 
 Policy = Callable[[SurgEnv, dict[str, Any]], Any]
 
@@ -90,7 +91,7 @@ def test_a_bad_action_is_named(pegs: SurgEnv) -> None:
 
 
 def test_a_step_that_is_too_large_is_refused_not_clipped(pegs: SurgEnv) -> None:
-    observation, info = pegs.reset(seed=1)
+    observation, _ = pegs.reset(seed=1)
     action = still(pegs, observation)
     pegs.step(action)
     before = pegs.step(action)[4]["refused"]

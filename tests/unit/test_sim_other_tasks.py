@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -37,15 +35,9 @@ def test_the_ring_is_put_over_the_other_peg(pegs: Session) -> None:
 
 def test_a_ring_that_falls_beside_the_pegs_is_a_failure(pegs: Session) -> None:
     class Careless(PegTransferExpert):
-        opened = False
-
-        def script(self) -> Iterator[None]:
-            for _ in super().script():
-                away = self.view.point("ring") - self.view.point("start")
-                self.opened |= float(np.hypot(*away[:2])) > 0.008
-                if self.opened:
-                    self.jaw = 0.5
-                yield
+        def act(self, view):  # type: ignore[no-untyped-def]
+            view.task["goal"] = (view.task["goal"] + view.task["start"]) / 2
+            return super().act(view)
 
     report = run_episode(pegs, SEED, {"expert": Careless(pegs.cell, SEED)})
     assert (report.success, report.reason) == (False, "the ring was dropped beside the pegs")
