@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_sim.arm import quaternion
+from surg_sim.drawing import add_seen, look
 
 if TYPE_CHECKING:
     import surg_core
+    from surg_sim.scene import Site
 
 Array = NDArray[np.float64]
 
@@ -26,6 +28,8 @@ LIGHT = "scope"
 FOVY = 56.0
 """Vertical field of view of the endoscope that stands still [deg]."""
 
+_STANDING_DISTANCE = 0.100  # [m] camera to work point
+_STANDING_ELEVATION = np.radians(38.0)  # above the horizontal
 _OPTICAL = np.diag([1.0, -1.0, -1.0])  # a MuJoCo camera looks along -z with y up
 _BEHIND = 0.004  # [m] of the light behind the lenses, where the fibres end
 
@@ -86,16 +90,37 @@ def add_held(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
     _add_light(spec.body(f"{arm.name}_{arm.instrument.tip_link}"), np.zeros(3), np.eye(3)[2])
 
 
-def add_standing(spec: mujoco.MjSpec, eye: Array, R: Array) -> None:
-    """Put one camera and its light into the world.
+def add_standing(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+    """Put one camera and its light where a surgeon would hold them.
 
     Args:
         spec: The scene.
-        eye: (3,) place [m].
-        R: (3, 3) axes of a MuJoCo camera: x right, y up, z backwards.
+        site: The patient.
+        looks: Draw the scope behind the camera.
     """
-    spec.worldbody.add_camera(name=LEFT, pos=eye.tolist(), quat=quaternion(R).tolist(), fovy=FOVY)
-    _add_light(spec.worldbody, eye, -R[:, 2])
+    eye = site.place(
+        _STANDING_DISTANCE
+        * np.array([0.0, -np.cos(_STANDING_ELEVATION), np.sin(_STANDING_ELEVATION)])
+    )
+    forward = (site.work - eye) / _STANDING_DISTANCE
+    R = look(forward, np.array([0.0, 0.0, 1.0]))
+    world = spec.worldbody
+    world.add_camera(name=LEFT, pos=eye.tolist(), quat=quaternion(R).tolist(), fovy=FOVY)
+    _add_light(world, eye, forward)
+    if not looks:
+        return
+    for start, end, radius, material in (
+        (0.006, 0.260, 0.005, "scope"),
+        (0.255, 0.300, 0.013, "scope_head"),
+        (0.300, 0.365, 0.020, "scope"),
+    ):
+        add_seen(
+            world,
+            mujoco.mjtGeom.mjGEOM_CYLINDER,
+            material,
+            size=[radius, 0, 0],
+            fromto=[*(eye - start * forward), *(eye - end * forward)],
+        )
 
 
 def _add_light(body: mujoco.MjsBody, eye: Array, forward: Array) -> None:

@@ -135,6 +135,16 @@ class Intrinsics:
         """Camera matrix, (3, 3)."""
         return np.array([[self.f, 0, self.cx], [0, self.f, self.cy], [0, 0, 1]])
 
+    def P(self, baseline: float = 0.0) -> Array:
+        """Projection matrix, (3, 4), of a camera this far [m] to the right of the left one.
+
+        A point in the left optical frame gives the picture of this camera: P[0, 3] = -f baseline,
+        as in sensor_msgs/CameraInfo.
+        """
+        P = np.hstack([self.K, np.zeros((3, 1))])
+        P[0, 3] = -self.f * baseline
+        return P
+
     def project(self, point: Array) -> Array:
         """Pixel (x, y) of a point in the optical frame (x right, y down, z away) [m], (2,)."""
         return np.asarray((self.K @ point)[:2] / point[2])
