@@ -7,13 +7,12 @@ them and says so.
 from __future__ import annotations
 
 import shutil
-import subprocess
 import tarfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_cli import environment, paths
-from surg_cli.terminal import Progress, say, warn
+from surg_cli import logged, paths
+from surg_cli.terminal import Problem, Progress, say, warn
 
 VENV = paths.ROOT / ".venv-bench"
 LOCK = paths.ROOT / "benchmarks" / "requirements.lock"
@@ -38,37 +37,18 @@ class Libraries:
     ruckig: Path | None = None
 
 
-def run(argv: list[str], title: str) -> bool:
+def run(argv: list[str], title: str) -> None:
     """Run one step with its output in the log.
 
     Args:
         argv: Program and arguments.
         title: Shown while it runs.
 
-    Returns:
-        Whether it ended well; the reader has been told if not.
+    Raises:
+        Problem: When it fails.
     """
-    LOG.parent.mkdir(parents=True, exist_ok=True)
-    with LOG.open("a", encoding="utf-8") as log, Progress(title) as progress:
-        log.write("$ " + " ".join(argv) + "\n")
-        log.flush()
-        process = subprocess.Popen(
-            argv,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            env=environment.clean(),
-        )
-        assert process.stdout is not None
-        for line in process.stdout:
-            log.write(line)
-            progress.update(None, line.strip()[:60])
-        ended = process.wait()
-    if ended != 0:
-        warn(f"bench: '{title}' failed (exit status {ended}); the output is in {LOG}")
-    return ended == 0
+    with Progress(title) as progress:
+        logged.run(argv, LOG, progress)
 
 
 def installed() -> Libraries:
@@ -102,10 +82,12 @@ def install() -> Libraries:
         "install libraries": [*pip, "install", *strict, *binary],
         "fetch sources": [*pip, "download", *strict, *source, "--dest", str(sources)],
     }
-    for title, argv in steps.items():
-        if not run(argv, title):
-            warn("bench: going on without the libraries of others")
-            return Libraries()
+    try:
+        for title, argv in steps.items():
+            run(argv, title)
+    except Problem as problem:
+        warn(f"bench: going on without the libraries of others; {problem}")
+        return Libraries()
     for archive in sorted(sources.glob("*.tar.gz")):
         with tarfile.open(archive) as tar:
             tar.extractall(sources, [member for member in tar if _wanted_source(member)])

@@ -12,6 +12,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -53,8 +54,79 @@ def rcm_rows(p: Any, s: Any, J: Any, trocar: Any) -> tuple[Any, Any]:
     return rows @ lateral(p, s, trocar), rows @ (J[:3] + moment)
 
 
-def run_pink(scene: dict[str, Any]) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """(step to a tip pose, forward kinematics) with pink."""
+@dataclass
+class Law:
+    """One library with the task set up in it.
+
+    Attributes:
+        library: The module, with its ``solve_ik``.
+        configuration: Its arm with the present joints.
+        read: Present pose of the tip ``(4, 4)`` and its Jacobian ``(6, n)`` in its own axes.
+        tip: Its frame task for the tip.
+        target: From a pose ``(4, 4)`` to what the frame task takes.
+        rcm: The two rows of the pivot.
+        limits: Its limits.
+        period: Control period [s].
+    """
+
+    library: Any
+    configuration: Any
+    read: Callable[[Any], tuple[Any, Any]]
+    tip: Any
+    target: Callable[[Any], Any]
+    rcm: Any
+    limits: list[Any]
+    period: float
+
+    def step(self, X: Any) -> None:
+        """Take the tip to a pose within one period."""
+        self.tip.set_target(self.target(X))
+        v = self.library.solve_ik(
+            self.configuration,
+            [self.tip],
+            self.period,
+            solver="daqp",
+            damping=1e-9,
+            limits=self.limits,
+            constraints=[self.rcm],
+        )
+        self.configuration.integrate_inplace(v, self.period)
+
+    def pose(self) -> Any:
+        """Pose of the tip in the base."""
+        return self.read(self.configuration)[0]
+
+
+def pivot_task(base: type, read: Callable[[Any], tuple[Any, Any]], trocar: Any, cost: Any) -> Any:
+    """The two rows of the pivot as a task of a library.
+
+    Args:
+        base: The library's class of tasks.
+        read: As in `Law`.
+        trocar: Trocar point in the base.
+        cost: What `base` takes; without effect on an equality.
+    """
+
+    class Pivot(base):  # type: ignore[misc]
+        def rows(self, configuration: Any) -> tuple[Any, Any]:
+            X, J_local = read(configuration)
+            J = np.vstack([X[:3, :3] @ J_local[:3], X[:3, :3] @ J_local[3:]])
+            return rcm_rows(X[:3, 3], X[:3, 2], J, trocar)
+
+        def compute_error(self, configuration: Any) -> Any:
+            return -self.rows(configuration)[0]
+
+        def compute_jacobian(self, configuration: Any) -> Any:
+            return self.rows(configuration)[1]
+
+        def __repr__(self) -> str:
+            return "Pivot()"
+
+    return Pivot(cost=cost)
+
+
+def with_pink(scene: dict[str, Any]) -> Law:
+    """The task in pink, on Pinocchio."""
     import pink
     import pinocchio as pin
 
@@ -66,53 +138,25 @@ def run_pink(scene: dict[str, Any]) -> tuple[Callable[[Any], Any], Callable[[Any
         pin.Frame("tip", parent.parentJoint, flange, parent.placement * X_FTip, pin.OP_FRAME)
     )
     model.velocityLimit = np.asarray(scene["velocity"])
-    configuration = pink.Configuration(model, model.createData(), scene["home"])
 
-    class Rcm(pink.tasks.Task):
-        def rows(self, now: Any) -> tuple[Any, Any]:
-            X = now.get_transform_frame_to_world("tip")
-            J_local = now.get_frame_jacobian("tip")
-            J = np.vstack([X.rotation @ J_local[:3], X.rotation @ J_local[3:]])
-            return rcm_rows(X.translation, X.rotation[:, 2], J, scene["trocar"])
+    def read(now: Any) -> tuple[Any, Any]:
+        X = now.get_transform_frame_to_world("tip").homogeneous
+        return X, now.get_frame_jacobian("tip")
 
-        def compute_error(self, configuration: Any) -> Any:
-            return -self.rows(configuration)[0]
-
-        def compute_jacobian(self, configuration: Any) -> Any:
-            return self.rows(configuration)[1]
-
-        def __repr__(self) -> str:
-            return "Rcm()"
-
-    tip = pink.tasks.FrameTask("tip", position_cost=1.0, orientation_cost=0.1)
-    limits = [
-        pink.limits.ConfigurationLimit(model),
-        pink.limits.VelocityLimit(model),
-    ]
-    rcm = Rcm(cost=1.0)
-
-    def step(X: Any) -> Any:
-        tip.set_target(pin.SE3(X))
-        v = pink.solve_ik(
-            configuration,
-            [tip],
-            scene["period"],
-            solver="daqp",
-            damping=1e-9,
-            limits=limits,
-            constraints=[rcm],
-        )
-        configuration.integrate_inplace(v, scene["period"])
-        return v
-
-    def forward(_: Any) -> Any:
-        return configuration.get_transform_frame_to_world("tip").homogeneous
-
-    return step, forward
+    return Law(
+        library=pink,
+        configuration=pink.Configuration(model, model.createData(), scene["home"]),
+        read=read,
+        tip=pink.tasks.FrameTask("tip", position_cost=1.0, orientation_cost=0.1),
+        target=pin.SE3,
+        rcm=pivot_task(pink.tasks.Task, read, scene["trocar"], 1.0),
+        limits=[pink.limits.ConfigurationLimit(model), pink.limits.VelocityLimit(model)],
+        period=scene["period"],
+    )
 
 
-def run_mink(scene: dict[str, Any]) -> tuple[Callable[[Any], Any], Callable[[Any], Any]]:
-    """(step to a tip pose, forward kinematics) with mink."""
+def with_mink(scene: dict[str, Any]) -> Law:
+    """The task in mink, on MuJoCo."""
     import mink
     import mujoco
 
@@ -124,46 +168,25 @@ def run_mink(scene: dict[str, Any]) -> tuple[Callable[[Any], Any], Callable[[Any
     model = spec.compile()
     configuration = mink.Configuration(model)
     configuration.update(np.asarray(scene["home"]))
-
-    class Rcm(mink.Task):
-        def rows(self, now: Any) -> tuple[Any, Any]:
-            X = now.get_transform_frame_to_world("tip", "site").as_matrix()
-            J_local = now.get_frame_jacobian("tip", "site")
-            J = np.vstack([X[:3, :3] @ J_local[:3], X[:3, :3] @ J_local[3:]])
-            return rcm_rows(X[:3, 3], X[:3, 2], J, scene["trocar"])
-
-        def compute_error(self, configuration: Any) -> Any:
-            return -self.rows(configuration)[0]
-
-        def compute_jacobian(self, configuration: Any) -> Any:
-            return self.rows(configuration)[1]
-
-    tip = mink.FrameTask("tip", "site", position_cost=1.0, orientation_cost=0.1)
     names = [model.joint(i).name for i in range(model.njnt)]
-    limits = [
-        mink.ConfigurationLimit(model),
-        mink.VelocityLimit(model, dict(zip(names, scene["velocity"], strict=True))),
-    ]
-    rcm = Rcm(cost=np.ones(2))
 
-    def step(X: Any) -> Any:
-        tip.set_target(mink.SE3.from_matrix(X))
-        v = mink.solve_ik(
-            configuration,
-            [tip],
-            scene["period"],
-            solver="daqp",
-            damping=1e-9,
-            limits=limits,
-            constraints=[rcm],
-        )
-        configuration.integrate_inplace(v, scene["period"])
-        return v
+    def read(now: Any) -> tuple[Any, Any]:
+        X = now.get_transform_frame_to_world("tip", "site").as_matrix()
+        return X, now.get_frame_jacobian("tip", "site")
 
-    def forward(_: Any) -> Any:
-        return configuration.get_transform_frame_to_world("tip", "site").as_matrix()
-
-    return step, forward
+    return Law(
+        library=mink,
+        configuration=configuration,
+        read=read,
+        tip=mink.FrameTask("tip", "site", position_cost=1.0, orientation_cost=0.1),
+        target=mink.SE3.from_matrix,
+        rcm=pivot_task(mink.Task, read, scene["trocar"], np.ones(2)),
+        limits=[
+            mink.ConfigurationLimit(model),
+            mink.VelocityLimit(model, dict(zip(names, scene["velocity"], strict=True))),
+        ],
+        period=scene["period"],
+    )
 
 
 def main() -> None:
@@ -175,8 +198,8 @@ def main() -> None:
         key: np.asarray(value) if isinstance(value, list) else value for key, value in scene.items()
     }
     path = np.fromfile(folder / "tip.path").reshape(-1, 3)[: cycles + 1]
-    libraries = {}
-    for name, start in (("py_pink", run_pink), ("py_mink", run_mink)):
+    libraries: dict[str, Law] = {}
+    for name, start in (("py_pink", with_pink), ("py_mink", with_mink)):
         try:
             libraries[name] = start(scene)
         except ImportError as error:
@@ -185,10 +208,10 @@ def main() -> None:
     rcm: dict[str, list[float]] = {name: [] for name in libraries}
     tips: dict[str, list[float]] = {name: [] for name in libraries}
     failed: dict[str, int] = dict.fromkeys(libraries, 0)
-    homes = {name: forward(None).copy() for name, (_, forward) in libraries.items()}
+    homes = {name: law.pose().copy() for name, law in libraries.items()}
     rounds = 100  # cycles that one has its turn
     for begin in range(0, len(path) - 1, rounds):
-        for name, (step, forward) in libraries.items():
+        for name, law in libraries.items():
             for p in path[begin + 1 : begin + 1 + rounds]:
                 s = p - scene["trocar"]
                 s = s / np.linalg.norm(s)
@@ -197,13 +220,13 @@ def main() -> None:
                 X[:3, 3] = p
                 t = time.perf_counter()
                 try:
-                    step(X)
+                    law.step(X)
                 except Exception as error:
                     failed[name] += 1
                     if failed[name] == 1:
                         print(f"{name}: {error!r}", file=sys.stderr)
                 times[name].append(time.perf_counter() - t)
-                now = forward(None)
+                now = law.pose()
                 rcm[name].append(
                     float(np.linalg.norm(lateral(now[:3, 3], now[:3, 2], scene["trocar"])))
                 )

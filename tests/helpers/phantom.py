@@ -14,7 +14,7 @@ from surg_cli import paths
 from surg_sim import scene
 from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmLink
 from surg_sim.assistant import Assistant, AssistantCommand, add_assistant, forward
-from surg_sim.grasp import Grasp, add_grasp
+from surg_sim.grasp import GRIP_DEPTH, Grasp, add_grasp
 from surg_sim.tissue import Bowel, TissueParameters, add_bowel
 
 Array = NDArray[np.float64]
@@ -124,13 +124,13 @@ class Phantom:
         """Bring the assistant's tip to a point in the world."""
         self.run(ticks, self.assistant.joints_for(p_W, roll), jaw)
 
-    def approach(self, node: int, aside: float = 0.0, depth: float = 0.002) -> float:
+    def approach(self, node: int, aside: float = 0.0, depth: float = GRIP_DEPTH) -> float:
         """Open the jaws and bring them round a node; returns the roll.
 
         Args:
             node: Where.
             aside: Displacement across the tube, along the jaws' opening [m].
-            depth: Of the tip beyond the tube's axis [m].
+            depth: Of the tip beyond the tube's axis [m]; by default the grip is on it.
         """
         place, roll = self.bowel.nodes[node], self.across(node)
         shaft = self.shaft(place)

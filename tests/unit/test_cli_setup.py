@@ -2,12 +2,13 @@
 
 import os
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from surg_cli import environment, paths, provision, workspace
-from surg_cli.terminal import Problem
+from surg_cli import environment, logged, paths, provision, workspace
+from surg_cli.terminal import Problem, Progress
 
 
 def test_package_list_ignores_comments(tmp_path: Path) -> None:
@@ -50,7 +51,7 @@ def test_nothing_is_done_when_nothing_is_missing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(provision, "missing_packages", lambda names: [])
-    monkeypatch.setattr(provision, "_logged", lambda *a, **k: pytest.fail("ran a program"))
+    monkeypatch.setattr(provision.logged, "run", lambda *a, **k: pytest.fail("ran a program"))
     assert not provision.install_packages(tmp_path / "log")
 
 
@@ -58,9 +59,36 @@ def test_a_failing_step_shows_the_end_of_its_output(tmp_path: Path) -> None:
     log = tmp_path / "log"
     argv = ["/bin/sh", "-c", "echo the reason; exit 3"]
     with pytest.raises(Problem, match="the reason") as caught:
-        provision._logged(argv, log, provision.Progress("x"), "w")
+        logged.run(argv, log, Progress("x"))
     assert str(log) in str(caught.value)
     assert "the reason" in log.read_text()
+
+
+def test_a_log_is_continued_or_replaced_and_progress_sees_every_line(tmp_path: Path) -> None:
+    log = tmp_path / "folder" / "log"
+    seen: list[int] = []
+
+    def fraction(lines: Sequence[str]) -> None:
+        seen.append(len(lines))
+
+    for word, anew in (("one", True), ("two", False), ("three", True), ("four", False)):
+        argv = ["/bin/sh", "-c", f"echo {word}; echo again >&2"]
+        logged.run(argv, log, Progress("x"), anew=anew, fraction=fraction)
+    assert seen == 4 * [1, 2]
+    text = log.read_text()
+    assert "one" not in text and "two" not in text
+    assert text.index("three") < text.index("four")
+
+
+def test_progress_is_read_from_apt_and_make() -> None:
+    fraction = provision._apt_fraction()
+    lines = ["Reading package lists..."]
+    assert fraction(lines) is None
+    lines.append("0 upgraded, 2 newly installed, 0 to remove and 0 not upgraded.")
+    assert fraction(lines) == pytest.approx(2 / 12)
+    assert fraction([*lines, *20 * ["Setting up"]]) == 1.0
+    assert workspace._make_fraction(["-- Configuring"]) is None
+    assert workspace._make_fraction(["[  5%] a", "[ 42%] Building", "a warning"]) == 0.42
 
 
 def test_foreign_python_and_workspace_do_not_leak() -> None:

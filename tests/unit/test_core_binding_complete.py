@@ -33,7 +33,7 @@ ABSENT = {
     "OperatingState Conditions Authority check_step": "part",
     "velocity_wish axial_wish paper_wish TwistWish Gains to_spherical to_cartesian": "part",
     "Wish PathView Barrier SingularityMeasures": "part",
-    "is_servo is_jaw Inputs newton_step": "part",
+    "is_servo is_jaw Inputs newton_step wrapped aside_near_trocar": "part",
     # plain bytes for the black box, which has a program of its own (rcm_replay)
     "IsPlain ImageWriter ImageReader BlackBox BlackBoxEvent BlackBoxStep BlackBoxLabel": "bytes",
     "BlackBoxRecording BlackBoxError BlackBoxDifference ControllerSetup": "bytes",

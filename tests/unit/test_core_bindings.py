@@ -254,6 +254,17 @@ def test_stream_filter_follows_the_estimate() -> None:
     assert np.abs(errors[500:]).max() < 2e-4
 
 
+def test_stream_delay_is_late_by_its_delay() -> None:
+    delay = surg_core.StreamDelay(0.05)
+    delay.reset(Kinematic())
+    assert delay.works(0.002)
+    assert not surg_core.StreamDelay(0.0).works(0.002)
+    for k in range(1000):
+        delay.step(0.1 * 0.002 * (k + 0.5), 0.002)
+    assert delay.predict(0.0).x == pytest.approx(0.1 * (2.0 - 0.05), abs=1e-6)
+    assert delay.predict(0.01).x == pytest.approx(0.1 * (2.01 - 0.05), abs=1e-6)
+
+
 def test_shaft_state_is_plain_geometry() -> None:
     rng = np.random.default_rng(8)
     for _ in range(100):

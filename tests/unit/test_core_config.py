@@ -57,6 +57,7 @@ tuning:
   roll_gain: 10
   posture_gain: 1
   profiler_duration: 0.5
+  stream_delay: 0.01
   servo_timeout: 0.1
   link_timeout: 0.05
   link_lag: 0.008
@@ -321,7 +322,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
         )
         changed = surg_core.load_robot(folder / ROBOT)
         seen.add(surg_core.limits_hash(changed, changed.limits))
-    assert len(seen) == len(lines) + 1 == 34
+    assert len(seen) == len(lines) + 1 == 35
     assert all(len(digest) == 16 for digest in seen)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.phantom import Phantom, arm_of
+from helpers.tissue_results import note
 from surg_sim import scene
 from surg_sim.arm import ActuatorParameters, ArmCommand, ArmLink
 from surg_sim.conditions import CONDITIONS
@@ -46,7 +47,12 @@ def test_every_drawn_shape_is_at_rest_and_evenly_spaced(phantom: Phantom, full: 
         assert np.abs(phantom.bowel.tensions).max() < 1e-9
         places.append(phantom.bowel.nodes[18])
     spread = np.ptp(places, axis=0) * 1e3
-    print(f"{count} shapes: speed {worst:.1e} m/s; node 18 within {spread.round(1)} mm")
+    x, y, _ = spread
+    note(
+        "a drawn shape is at rest",
+        count,
+        f"below {max(worst, 1e-12):.0e} m/s; node 18 lies within {x:.0f} x {y:.0f} mm",
+    )
     assert worst < 1e-9
     assert spread[:2].min() > 10
 
@@ -65,7 +71,8 @@ def test_an_episode_needs_no_compilation(phantom: Phantom) -> None:
 
 
 def test_energy_only_decays_when_nobody_pulls(phantom: Phantom, full: bool) -> None:
-    count = 20 if full else 4
+    count = 20 if full else 3
+    left = []
     for seed in range(count):
         phantom.reset(seed)
         rng = np.random.default_rng(seed)
@@ -77,13 +84,18 @@ def test_energy_only_decays_when_nobody_pulls(phantom: Phantom, full: bool) -> N
             energies.append(phantom.bowel.energy)
         ratio = np.array(energies[1:]) / np.array(energies[:-1])
         assert ratio.max() < 1.0, f"seed {seed}: energy grows by {ratio.max():.4f}"
-        assert energies[-1] < 1e-3 * energies[0]
-    print(f"{count} kicks: {energies[0]:.2e} J to {energies[-1]:.2e} J in a second")
+        left.append(energies[-1] / energies[0])
+        assert left[-1] < 1e-3
+    note(
+        "a kick dies out in 1 s",
+        count,
+        f"energy falls every 10 ms, to {max(left):.0e} of what it was at most",
+    )
 
 
 def test_hard_pulls_break_nothing(phantom: Phantom, full: bool) -> None:
     """Random pulls of up to a hundred newton, ten times what any instrument gives."""
-    count, furthest = (30 if full else 4), 0.0
+    count, furthest = (30 if full else 2), 0.0
     for seed in range(count):
         phantom.reset(seed)
         rng, start = np.random.default_rng(seed), phantom.bowel.nodes
@@ -100,7 +112,11 @@ def test_hard_pulls_break_nothing(phantom: Phantom, full: bool) -> None:
         phantom.run(1500)
         # Back at rest; a fold in itself may keep a little energy, for nothing stops one.
         assert phantom.bowel.energy < 1e-3
-    print(f"{count} x 20 pulls: no warning; pulled {furthest * 1e3:.0f} mm")
+    note(
+        "pulls of up to 100 N at three nodes",
+        20 * count,
+        f"no NaN, no warning; furthest node {furthest:.2f} m away",
+    )
 
 
 def _unit(rng: np.random.Generator) -> np.ndarray:
@@ -128,7 +144,7 @@ def test_the_tension_is_what_statics_demands(phantom: Phantom) -> None:
     phantom.run(1500)
     total = bowel.pulls.sum(axis=0) + force
     assert np.abs(total).max() < 1e-6
-    checked = 0
+    checked, worst = 0, 0.0
     for cut in range(35):
         before = bowel.pulls[: cut + 1].sum(axis=0)
         if cut >= 18:
@@ -139,8 +155,13 @@ def test_the_tension_is_what_statics_demands(phantom: Phantom) -> None:
         bent = np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum() / straight - 1
         if bent < 0.005 and carried > 0.3:
             checked += 1
-            assert bowel.tension(cut) == pytest.approx(carried, rel=0.05)
-    print(f"{checked} straight cuts agree with statics")
+            worst = max(worst, abs(bowel.tension(cut) / carried - 1))
+            assert worst < 0.05
+    note(
+        "tension along the tube against statics",
+        checked,
+        f"within {100 * worst:.1f} % at straight pieces",
+    )
     assert checked >= 8
 
 
@@ -153,8 +174,8 @@ def test_stretch_stiffness_is_the_parameter() -> None:
 
 
 def test_mirrored_pulls_give_mirrored_shapes(full: bool) -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(10 if full else 3):
+    rng, count, worst = np.random.default_rng(4), 10 if full else 3, 0.0
+    for _ in range(count):
         node, force = int(rng.integers(6, 18)), rng.uniform([-1, -1, -0.3], [1, 1, 2])
         left, right = Phantom(), Phantom()
         R = left.site.R
@@ -168,7 +189,9 @@ def test_mirrored_pulls_give_mirrored_shapes(full: bool) -> None:
         a = (left.bowel.nodes - left.site.work) @ R
         b = (right.bowel.nodes - right.site.work) @ R
         assert np.abs(a - b[::-1] * [-1, 1, 1]).max() < 1e-9
+        worst = max(worst, float(np.abs(a - b[::-1] * [-1, 1, 1]).max()))
         assert np.abs(left.bowel.tensions - right.bowel.tensions[::-1]).max() < 1e-6
+    note("mirrored pulls", count, f"mirrored shapes within {max(worst, 1e-15):.0e} m")
 
 
 def test_the_floor_carries_what_is_pressed_down(phantom: Phantom) -> None:
@@ -188,14 +211,18 @@ def test_breathing_carries_the_bowel(phantom: Phantom) -> None:
     motion = CONDITIONS["in_vivo"].breathing.bed()
     assert isinstance(motion, Sinusoid)
     phantom.bowel.bed.move(motion)
-    start, heights = phantom.bowel.nodes, []
-    for _ in range(200):
+    start, heights, worst = phantom.bowel.nodes, [], 0.0
+    for _ in range(100):
         phantom.run(20)
-        heights.append(phantom.bowel.nodes[:, 2] - start[:, 2])
-    top, bottom = np.max(heights, axis=0), np.min(heights, axis=0)
-    print(f"rises {top.mean() * 1e3:.2f} mm, sinks {bottom.mean() * 1e3:.2f} mm")
-    assert np.abs(top / motion.amplitude - 1).max() < 0.15
-    assert np.abs(bottom / motion.amplitude + 1).max() < 0.15
+        moved = phantom.bowel.nodes - start
+        heights.append(float(moved[:, 2].mean()))
+        if len(heights) > 20:  # it begins with a jerk
+            worst = max(worst, float(np.abs(moved - phantom.bowel.bed.p_B).max()))
+    low, high = min(heights) * 1e3, max(heights) * 1e3
+    note("the bed breathes", 36, f"{low:.2f} to {high:.2f} mm, nodes off by {worst * 1e6:.0f} µm")
+    assert max(heights) == pytest.approx(motion.amplitude, rel=0.02)
+    assert min(heights) == pytest.approx(-motion.amplitude, rel=0.02)
+    assert worst < 0.02 * motion.amplitude
     assert phantom.bowel.tensions.max() < 0.05
     phantom.reset()
     phantom.run(20)

@@ -26,7 +26,7 @@ def drawn() -> mujoco.MjModel:
     def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
         spec.add_material(name="bowel")
         add_bowel(spec, site, P, True)
-        add_assistant(spec, site, arm.instrument_urdf)
+        add_assistant(spec, site, arm.instrument_urdf, looks=True)
         add_grasp(spec, "PSM1")
         add_grasp(spec, "assistant")
 

@@ -10,11 +10,10 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from surg_cli import paths
-from surg_cli.environment import clean
+from surg_cli import logged, paths
 from surg_cli.terminal import Problem, Progress, say
 
 VENV_STAMP = paths.VENV / ".surg-lock"
@@ -81,11 +80,10 @@ def install_packages(log: Path) -> bool:
             f"apt-get update && {line}\n"
         )
     say(f"Debian packages: installing {len(missing)} of {len(listed_packages())} (log: {log})")
-    log.parent.mkdir(parents=True, exist_ok=True)
     base = [*prefix, "/usr/bin/env", "DEBIAN_FRONTEND=noninteractive", "apt-get", *APT_OPTIONS]
     with Progress("apt-get") as progress:
-        _logged([*base, "update"], log, progress, "w")
-        _logged([*base, "install", *missing], log, progress, "a")
+        logged.run([*base, "update"], log, progress, anew=True)
+        logged.run([*base, "install", *missing], log, progress, fraction=_apt_fraction())
     still = missing_packages(missing)
     if still:
         raise Problem(f"apt-get ended well but {', '.join(still)} is still missing; see {log}")
@@ -111,14 +109,13 @@ def install_python(log: Path) -> bool:
     if paths.VENV_PYTHON.exists() and VENV_STAMP.exists() and VENV_STAMP.read_text() == wanted:
         return False
     say(f"Python environment: {paths.VENV} (log: {log})")
-    log.parent.mkdir(parents=True, exist_ok=True)
     with Progress("Python environment") as progress:
         if not paths.VENV_PYTHON.exists():
             make = [str(paths.SYSTEM_PYTHON), "-m", "venv", "--system-site-packages"]
-            _logged([*make, str(paths.VENV)], log, progress, "w")
+            logged.run([*make, str(paths.VENV)], log, progress, anew=True)
         pip = [str(paths.VENV_PYTHON), "-m", "pip", "--disable-pip-version-check", "install"]
         strict = ["--no-deps", "--require-hashes", "--only-binary", ":all:"]
-        _logged([*pip, *strict, "-r", str(paths.LOCK_FILE)], log, progress, "a")
+        logged.run([*pip, *strict, "-r", str(paths.LOCK_FILE)], log, progress)
     paths.write_text(VENV_STAMP, wanted)
     return True
 
@@ -136,39 +133,15 @@ def _root_prefix() -> list[str] | None:
     return [sudo, "-n"] if allowed.returncode == 0 else None
 
 
-def _logged(argv: Sequence[str], log: Path, progress: Progress, mode: str) -> None:
-    """Run a program with its output in a log file and its progress shown.
-
-    Args:
-        argv: Program and arguments.
-        log: The file; `mode` says whether it is replaced ("w") or continued ("a").
-        progress: Redrawn with each line.
-        mode: See `log`.
-
-    Raises:
-        Problem: When it fails.
-    """
-    lines: list[str] = []
+def _apt_fraction() -> Callable[[Sequence[str]], float | None]:
+    """How far apt-get is: it says at first how many packages it will install."""
     total = 0
-    with log.open(mode, encoding="utf-8") as stream:
-        stream.write("$ " + " ".join(argv) + "\n")
-        process = subprocess.Popen(
-            argv,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            env=clean(),
-        )
-        assert process.stdout is not None
-        for line in process.stdout:
-            stream.write(line)
-            lines.append(line.rstrip())
-            announced = re.search(r"(\d+) newly installed", line)
-            if announced:
-                total = len(lines) + APT_LINES_PER_PACKAGE * int(announced.group(1))
-            progress.update(min(len(lines) / total, 1.0) if total else None, line.strip()[:60])
-    if process.wait() != 0:
-        tail = "\n".join(lines[-15:])
-        raise Problem(f"failed: {' '.join(argv)[:200]}\n{tail}\nThe whole output: {log}")
+
+    def fraction(lines: Sequence[str]) -> float | None:
+        nonlocal total
+        announced = re.search(r"(\d+) newly installed", lines[-1])
+        if announced:
+            total = len(lines) + APT_LINES_PER_PACKAGE * int(announced.group(1))
+        return min(len(lines) / total, 1.0) if total else None
+
+    return fraction

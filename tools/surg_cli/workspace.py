@@ -6,12 +6,10 @@ import hashlib
 import os
 import re
 import shutil
-import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from surg_cli import paths
-from surg_cli.environment import clean
+from surg_cli import logged, paths
 from surg_cli.terminal import Problem, Progress, say
 
 STAMP = paths.STATE / "build.stamp"
@@ -76,34 +74,13 @@ def build(log: Path, force: bool = False) -> bool:
     if not force and is_current():
         return False
     say(f"build: {paths.BUILD} -> {paths.DEVEL} (log: {log})")
-    log.parent.mkdir(parents=True, exist_ok=True)
     _forget_moved_tree()
     configure = [_cmake(), "-S", str(paths.ROOT), "-B", str(paths.BUILD)]
     configure += ["-G", "Unix Makefiles", f"-DCATKIN_DEVEL_PREFIX={paths.DEVEL}"]
     compile_ = [_cmake(), "--build", str(paths.BUILD), f"-j{jobs()}"]
-    with Progress("build") as progress, log.open("w", encoding="utf-8") as stream:
-        for argv in (configure, compile_):
-            stream.write("$ " + " ".join(argv) + "\n")
-            process = subprocess.Popen(
-                argv,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                errors="replace",
-                env=clean(),
-            )
-            assert process.stdout is not None
-            fraction = 0.0
-            lines: list[str] = []
-            for line in process.stdout:
-                stream.write(line)
-                lines.append(line.rstrip())
-                done = re.match(r"\[\s*(\d+)%\]", line)
-                fraction = int(done.group(1)) / 100 if done else fraction
-                progress.update(fraction, "" if argv is configure else line[6:66].strip())
-            if process.wait() != 0:
-                raise Problem(failure_text(lines, log))
+    with Progress("build") as progress:
+        logged.run(configure, log, progress, anew=True, failure=failure_text)
+        logged.run(compile_, log, progress, fraction=_make_fraction, failure=failure_text)
     # Sources may have changed meanwhile: the stamp says what was there at the start.
     paths.write_text(STAMP, before)
     return True
@@ -132,7 +109,13 @@ def _forget_moved_tree() -> None:
         shutil.rmtree(paths.BUILD)
 
 
-def failure_text(lines: list[str], log: Path) -> str:
+def _make_fraction(lines: Sequence[str]) -> float | None:
+    """How far make is: CMake's rules begin their lines with it."""
+    done = (re.match(r"\[\s*(\d+)%\]", line) for line in reversed(lines))
+    return next((int(found.group(1)) / 100 for found in done if found), None)
+
+
+def failure_text(lines: Sequence[str], log: Path) -> str:
     """What to show of a failed build: the first errors, else the last lines.
 
     Args:

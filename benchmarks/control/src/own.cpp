@@ -11,11 +11,14 @@ surg::ShaftGoal goal_at(const Scene& scene, const Vector3& p_BTip) {
   return surg::tip_goal(scene.p_BRcm, p_BTip, 0.0, scene.home.s_B);
 }
 
-/// Two stages, a prediction and a correction: surg_core/exact.hpp.
+/// Two stages, a prediction and a correction, or the closed form where the arm's geometry has one:
+/// surg_core/exact.hpp.
 struct Exact : Law {
-  Exact() {
-    name = "exact";
-    what = "surg_core, exact form: next pose on the constraint, two Newton stages";
+  explicit Exact(const surg::NextPose& next) : next(next) {
+    name = next.closed_form() ? "exact_closed" : "exact";
+    what = next.closed_form()
+               ? "surg_core, exact form: next pose on the constraint, closed form of the UR family"
+               : "surg_core, exact form: next pose on the constraint, two Newton stages";
   }
   JointVector step(const JointVector& q, const JointVector&, const Goal& goal) override {
     const Scene& scene = *goal.scene;
@@ -23,8 +26,9 @@ struct Exact : Law {
         surg::pose_on_pivot(scene.home, scene.tool, goal_at(scene, goal.p_next));
     JointVector posture = JointVector::Zero(q.size());
     if (q.size() > 6) posture = kPostureGain * T * (scene.q_home - q);
-    return surg::exact_step(scene.chain, q, X_BF, posture).dq / T;
+    return next.step(q, X_BF, posture).dq / T;
   }
+  surg::NextPose next;
 };
 
 /// Flange twist with lateral feedback, then the inverse: surg_core/rcm.hpp.
@@ -87,7 +91,10 @@ struct Limited : Law {
 }  // namespace
 
 void add_own(Laws& laws, const Scene& scene) {
-  laws.push_back(std::make_unique<Exact>());
+  laws.push_back(std::make_unique<Exact>(surg::NextPose(scene.chain, false)));
+  if (surg::NextPose closed(scene.chain); closed.closed_form()) {
+    laws.push_back(std::make_unique<Exact>(closed));
+  }
   laws.push_back(std::make_unique<Velocity>());
   laws.push_back(std::make_unique<Paper>());
   laws.push_back(std::make_unique<Limited>(scene, 0.0));

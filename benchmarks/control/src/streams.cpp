@@ -117,8 +117,8 @@ double rms(Follower& follower, const std::vector<Sample>& samples,
 struct FollowerRun {
   Follower* follower;
   std::size_t next = 1;
-  std::vector<float> times;
-  std::vector<double> path;  // x, y, z at (k + 1) T
+  std::vector<float> times, updates;  // of all ticks, and of those with a new sample
+  std::vector<double> path;           // x, y, z at (k + 1) T
   Axes before{};
   long violations = 0;
 
@@ -132,6 +132,7 @@ struct FollowerRun {
     const Sample& newest = samples[next - 1];
     const Axes* state = nullptr;
     times.push_back(nanoseconds([&] { state = &follower->tick(t, newest, fresh); }));
+    if (fresh) updates.push_back(times.back());
     bool broken = false;
     for (int i = 0; i < 3; ++i) {
       const Kinematic& now = (*state)[i];
@@ -199,12 +200,12 @@ int streams(const std::string& samples_file, const std::string& truth_file,
     std::ofstream(file, std::ios::binary)
         .write(reinterpret_cast<const char*>(run.path.data()),
                static_cast<std::streamsize>(run.path.size() * sizeof(double)));
-    const Cost cost(run.times, empty);
+    const Cost cost(run.times, empty), update(run.updates, empty);
     std::printf(
-        "%s\n\"%s\": {\"what\": \"%s\", \"cost_us\": %.4f, \"p99_us\": %.4f, \"violations\": %ld, "
-        "\"failures\": %ld}",
-        separator, run.follower->name.c_str(), run.follower->what.c_str(), cost.median, cost.p99,
-        run.violations, run.follower->failures);
+        "%s\n\"%s\": {\"what\": \"%s\", \"cost_us\": %.4f, \"median_us\": %.4f, "
+        "\"update_us\": %.4f, \"p99_us\": %.4f, \"violations\": %ld, \"failures\": %ld}",
+        separator, run.follower->name.c_str(), run.follower->what.c_str(), cost.mean, cost.median,
+        update.median, cost.p99, run.violations, run.follower->failures);
     separator = ",";
   }
   std::printf("}}\n");

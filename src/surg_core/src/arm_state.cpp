@@ -23,7 +23,7 @@ void ArmState::look(const JointVector& q, const Vector3& p_BRcm, Sight& sight) c
   sight.shaft = shaft_state(sight.X_BF, tool_, p_BRcm);
   if (!homed_) return;
   const double roll = absolute_roll(sight.X_BF.linear(), R_home_, s_home_, sight.shaft.s);
-  sight.roll += std::remainder(roll - sight.roll, 2 * M_PI);  // continues through half turns
+  sight.roll += wrapped(roll - sight.roll);  // continues through half turns
 }
 
 void ArmState::sense(const JointVector& q, const JointVector& qd, const Trocar& trocar) {

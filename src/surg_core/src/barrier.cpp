@@ -28,6 +28,8 @@ double signed_pivot_ratio(const Jacobian& J) {
     }
   }
   double smallest = INFINITY, largest = 0, sign = 1;
+// Unrolled: asked for at every point ahead.
+#pragma GCC unroll 6
   for (int k = 0; k < 6; ++k) {
     int best = k;
     if (n == 6) {  // J J^T needs no pivoting
@@ -44,8 +46,10 @@ double signed_pivot_ratio(const Jacobian& J) {
     smallest = std::min(smallest, std::abs(pivot));
     largest = std::max(largest, std::abs(pivot));
     if (!(std::abs(pivot) > 0)) return 0;
+#pragma GCC unroll 6
     for (int i = k + 1; i < 6; ++i) {
       const double factor = A(i, k) / pivot;
+#pragma GCC unroll 6
       for (int c = k + 1; c < 6; ++c) A(i, c) -= factor * A(k, c);
     }
   }

@@ -70,6 +70,7 @@ constexpr TuningKey kTuningKeys[] = {
     {"roll_gain", &Tuning::roll_gain, 0.0, 50.0, "1/s"},
     {"posture_gain", &Tuning::posture_gain, 0.0, 10.0, "1/s"},
     {"profiler_duration", &Tuning::profiler_duration, 0.05, 5.0, "s"},
+    {"stream_delay", &Tuning::stream_delay, 0.0, 0.1, "s"},
     {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
     {"link_timeout", &Tuning::link_timeout, 0.01, 0.2, "s"},
     {"link_lag", &Tuning::link_lag, 0.0, 0.05, "s"},

@@ -34,13 +34,17 @@ void JointTrace::record(const JointVector& q) {
 /// Back where it has been before: what lies between is no part of the way out. Whole working
 /// sessions in one place so keep a short, fine trace.
 bool JointTrace::cut_loop(const JointVector& q) {
-  for (int i = 0; i + 1 < n_; ++i) {
-    if (std::abs(points_[i][0] - q[0]) >= spacing_) continue;
+  constexpr double kRounding = 1e-9;  // [rad] of a sum of lengths
+  for (int i = 0; i + 1 < n_;) {
     const double distance = (points_[i] - q).cwiseAbs().maxCoeff();
-    if (distance >= spacing_) continue;
-    n_ = i + 1;
-    ahead_ = distance;
-    return true;
+    if (distance < spacing_) {
+      n_ = i + 1;
+      ahead_ = distance;
+      return true;
+    }
+    // No point can be near before the trace has gone at least the distance that is missing.
+    const double near = arc_[i] + distance - spacing_ - kRounding;
+    for (++i; i + 1 < n_ && arc_[i] <= near;) ++i;
   }
   return false;
 }

@@ -1,10 +1,11 @@
 #include "surg_core/kinematics.hpp"
 
-#include <Eigen/Cholesky>
 #include <array>
 #include <cmath>
 #include <stdexcept>
 #include <utility>
+
+#include "sines.hpp"
 
 namespace surg {
 namespace {
@@ -72,6 +73,33 @@ Solution6 solve(const Jacobian& A, const Vector6& b) {
   return solution;
 }
 
+/// x of J J^T x = b with the pivots, by L D L^T: no square roots, and no products of dynamic size
+/// that might take a heap-using path.
+Solution6 solve_gram(const Jacobian& J, const Vector6& b) {
+  std::array<Vector6, 6> A;
+  for (int k = 0; k < 6; ++k) {
+    A[k] = J.col(0) * J(k, 0);
+    for (Eigen::Index i = 1; i < J.cols(); ++i) A[k] += J.col(i) * J(k, i);
+  }
+  Solution6 solution;
+  Vector6& x = solution.x;
+  x = b;
+  Vector6 inverse;
+  for (int k = 0; k < 6; ++k) {
+    solution.pivots[k] = A[k][k];
+    inverse[k] = 1.0 / A[k][k];
+    const Vector6 factor = A[k] * inverse[k];
+    for (int c = k + 1; c < 6; ++c) A[c] -= factor * A[k][c];
+    for (int i = k + 1; i < 6; ++i) x[i] -= factor[i] * x[k];
+    A[k] = factor;
+  }
+  x = x.cwiseProduct(inverse);
+  for (int k = 4; k >= 0; --k) {
+    for (int i = k + 1; i < 6; ++i) x[k] -= A[k][i] * x[i];
+  }
+  return solution;
+}
+
 }  // namespace
 
 Chain::Chain(std::vector<Joint> joints, const Pose& X_LF)
@@ -112,46 +140,42 @@ Chain::Chain(std::vector<Joint> joints, const Pose& X_LF)
   end_ = Pose(Z.transpose()) * X_LF_;
 }
 
-/// Origin and z of every joint, and the flange, in B.
+/// Origin and z of every joint, and the flange, in B. Homogeneous, as four numbers fill two
+/// registers where three take three.
 struct Chain::Frames {
-  std::array<Vector3, kMaxJoints> origin, axis;
-  Vector3 x, y, z, p;  ///< of the present frame, at last the flange: axes, origin
+  std::array<Vector4, kMaxJoints> origin, axis;
+  Vector4 x, y, z, p;  ///< of the present frame, at last the flange: axes, origin
 
   explicit Frames(const Pose& start)
-      : x(start.linear().col(0)),
-        y(start.linear().col(1)),
-        z(start.linear().col(2)),
-        p(start.translation()) {}
+      : x(start.matrix().col(0)),
+        y(start.matrix().col(1)),
+        z(start.matrix().col(2)),
+        p(start.matrix().col(3)) {}
   void turn(double c, double s) {
-    const Vector3 x_new = x * c + y * s;
+    const Vector4 x_new = x * c + y * s;
     y = y * c - x * s;
     x = x_new;
   }
   void shift(const Vector3& t) { p += x * t[0] + y * t[1] + z * t[2]; }
   void tilt(double c, double s) {
-    const Vector3 y_new = y * c + z * s;
+    const Vector4 y_new = y * c + z * s;
     z = z * c - y * s;
     y = y_new;
   }
   Pose move(const Pose& X) const {
-    const Matrix3& R = X.linear();
-    const Vector3 t = X.translation();
-    Pose moved = Pose::Identity();
-    for (int i = 0; i < 3; ++i) moved.linear().col(i) = x * R(0, i) + y * R(1, i) + z * R(2, i);
-    moved.translation() = p + x * t[0] + y * t[1] + z * t[2];
+    const Eigen::Matrix4d& A = X.matrix();
+    Pose moved;
+    for (int i = 0; i < 3; ++i) moved.matrix().col(i) = x * A(0, i) + y * A(1, i) + z * A(2, i);
+    moved.matrix().col(3) = p + x * A(0, 3) + y * A(1, 3) + z * A(2, 3);
     return moved;
   }
 };
 
 Pose Chain::walk(const JointVector& q, Frames& frames) const {
   const int n = dof();
-  // Sines first: a call between the products would put every register aside.
-  std::array<double, kMaxJoints> c, s;
-  for (int i = 0; i < n; ++i) {
-    const double angle = q[i] + links_[i].turn;
-    c[i] = std::cos(angle);
-    s[i] = std::sin(angle);
-  }
+  Angles angle = Angles::Zero(), s, c;
+  for (int i = 0; i < n; ++i) angle[i] = q[i] + links_[i].turn;
+  sines(angle, s, c);
   for (int i = 0; i < n; ++i) {
     frames.origin[i] = frames.p;
     frames.axis[i] = frames.z;
@@ -172,12 +196,12 @@ Pose Chain::forward(const JointVector& q) const {
 void Chain::forward(const JointVector& q, Pose& X_BF, Jacobian& J) const {
   Frames frames(start_);
   X_BF = walk(q, frames);
-  const Vector3 p = X_BF.translation();
+  const Vector4 p = X_BF.matrix().col(3);
   const int n = dof();
   J.resize(6, n);
   for (int i = 0; i < n; ++i) {
-    const Vector3& z = frames.axis[i];
-    const Vector3 r = p - frames.origin[i];
+    const Vector4& z = frames.axis[i];
+    const Vector4 r = p - frames.origin[i];
     double* column = J.data() + 6 * i;
     column[0] = z[1] * r[2] - z[2] * r[1];
     column[1] = z[2] * r[0] - z[0] * r[2];
@@ -192,37 +216,26 @@ InverseVelocity inverse_velocity(const Jacobian& J, const Vector6& twist,
                                  const JointVector& posture) {
   const Eigen::Index n = J.cols();
   InverseVelocity result;
-  result.qd.setZero(n);
   if (n == 6) {
     const Solution6 solution = solve(J, twist);
-    result.conditioning = pivot_ratio(solution.pivots);
+    if (solution.x.allFinite()) result.conditioning = pivot_ratio(solution.pivots);
     if (result.conditioning > 0) result.qd = solution.x;
   } else if (n > 6 && posture.size() == n) {
     // qd = J^T (J J^T)^-1 (twist - J posture) + posture, which is J^+ twist + (I - J^+ J) posture.
-    // Column by column: products of fixed 6-vectors never take Eigen's heap-using paths.
-    Matrix6 A = Matrix6::Zero();
     Vector6 rest = twist;
-    for (Eigen::Index i = 0; i < n; ++i) {
-      const Vector6 column = J.col(i);
-      A.noalias() += column * column.transpose();
-      rest -= column * posture[i];
-    }
-    const Eigen::LLT<Matrix6> llt(A);
-    if (llt.info() == Eigen::Success) {
-      // The factor scales like J itself, so the ratio compares with the one for six joints.
-      result.conditioning = pivot_ratio(llt.matrixLLT().diagonal());
+    for (Eigen::Index i = 0; i < n; ++i) rest -= J.col(i) * posture[i];
+    const Solution6 multiplier = solve_gram(J, rest);
+    // The root scales like J itself, so the ratio compares with the one for six joints.
+    if (multiplier.x.allFinite()) {
+      result.conditioning = pivot_ratio(multiplier.pivots.cwiseMax(0.0).cwiseSqrt());
     }
     if (result.conditioning > 0) {
-      const Vector6 multiplier = llt.solve(rest);
-      for (Eigen::Index i = 0; i < n; ++i) {
-        result.qd[i] = J.col(i).dot(multiplier) + posture[i];
-      }
+      result.qd = posture;
+      for (Eigen::Index i = 0; i < n; ++i) result.qd[i] += J.col(i).dot(multiplier.x);
+      if (!result.qd.allFinite()) result.conditioning = 0;
     }
   }
-  if (!result.qd.allFinite()) {
-    result.qd.setZero(n);
-    result.conditioning = 0;
-  }
+  if (!(result.conditioning > 0)) result.qd.setZero(n);
   return result;
 }
 

@@ -4,6 +4,11 @@
 #include <cmath>
 
 namespace surg {
+namespace {
+
+constexpr double kAside = 0.002;  // [m] off the shaft is still along it
+
+}  // namespace
 
 double outside_workspace(const Limits& limits, const Vector3& p_RTip) {
   const double depth = p_RTip.norm();
@@ -13,6 +18,10 @@ double outside_workspace(const Limits& limits, const Vector3& p_RTip) {
 
 bool inside_workspace(const Limits& limits, const Vector3& p_RTip) {
   return p_RTip.allFinite() && outside_workspace(limits, p_RTip) <= 0;
+}
+
+bool aside_near_trocar(const Vector3& p_RTip, const Vector3& s_R, double depth) {
+  return p_RTip.norm() < depth && (p_RTip - s_R * s_R.dot(p_RTip)).norm() > kAside;
 }
 
 double lateral_fade(const Limits& limits, double depth) {

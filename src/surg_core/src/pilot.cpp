@@ -12,12 +12,9 @@ namespace {
 constexpr double kArrivedDistance = 5e-4;  // [m]
 constexpr double kArrivedRoll = 0.01;      // [rad]
 constexpr double kArriveWithin = 1.0;      // [s] after the profile's end; then the move is given up
-constexpr double kAsideDistance = 0.002;   // [m] near the trocar only axial targets are taken
 constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
 constexpr double kNotInsertedSlack = 1e-3;  // [m] a tip that rests on depth_min is still inserted
-
-double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
 
 /// Angle of the twist about z in a rotation (swing-twist about the shaft at its target).
 double twist_about_z(const Eigen::Quaterniond& q) { return 2 * std::atan2(q.z(), q.w()); }
@@ -37,7 +34,7 @@ Pilot::Pilot(const Limits& limits, const Tuning& tuning, double dt, bool paper)
     : limits_(limits),
       timeout_(tuning.servo_timeout),
       dt_(dt),
-      setpoint_(limits, tuning.profiler_duration, paper) {}
+      setpoint_(limits, tuning.profiler_duration, paper, tuning.stream_delay) {}
 
 void Pilot::start(const Whereabouts& at) {
   setpoint_.reset(at.p_RTip, at.s_R, at.roll);
@@ -158,10 +155,8 @@ Reason Pilot::go_along(Motion motion) {
 
 /// Inside the workspace, and near the trocar (F24) straight along the shaft only.
 bool Pilot::targets_reachable(const Vector3& p_RTip) const {
-  if (!inside_workspace(limits_, p_RTip)) return false;
-  const Vector3 s_R = setpoint_.s_R();
-  return p_RTip.norm() >= limits_.depth_slow ||
-         (p_RTip - s_R * s_R.dot(p_RTip)).norm() <= kAsideDistance;
+  return inside_workspace(limits_, p_RTip) &&
+         !aside_near_trocar(p_RTip, setpoint_.s_R(), limits_.depth_slow);
 }
 
 /// Absolute roll that a tool orientation in R asks for, continued from the present roll.

@@ -182,6 +182,19 @@ void Profiler::advance(double dt) {
   }
 }
 
+std::array<double, Profiler::kDof> Profiler::position_after(double dt) const {
+  const double end = duration(), t = std::min(t_ + dt, end);
+  std::array<double, kDof> x;
+  for (int i = 0; i < kDof; ++i) {
+    if (t < brake_duration_) {
+      x[i] = brake_[i].at(t).x;
+    } else {
+      x[i] = q_[i].position(t >= end ? q_[i].duration() : t - brake_duration_);
+    }
+  }
+  return x;
+}
+
 bool Profiler::done() const { return t_ >= duration(); }
 
 double Profiler::duration() const { return brake_duration_ + q_[0].duration(); }

@@ -106,6 +106,10 @@ Kinematic Quintic::at(double t) const {
   return {evaluate(c_, 5, s), evaluate(v, 4, s) / d_, evaluate(a, 3, s) / (d_ * d_)};
 }
 
+double Quintic::position(double t) const {
+  return t >= d_ ? to_.x : evaluate(c_, 5, std::max(t, 0.0) / d_);
+}
+
 double Quintic::jerk(double t) const {
   if (d_ == 0) return 0;
   const double s = std::clamp(t / d_, 0.0, 1.0);

@@ -91,25 +91,36 @@ Pose rcm_frame(const Vector3& s_home, const Vector3& p_BRcm) {
   return X_BR;
 }
 
+double wrapped(double angle) { return std::remainder(angle, 2 * M_PI); }
+
 Matrix3 minimal_rotation(const Vector3& a, const Vector3& b) {
   const Vector3 w = a.cross(b);
-  const double c = a.dot(b);
-  Matrix3 W;
-  W << 0, -w.z(), w.y(), w.z(), 0, -w.x(), -w.y(), w.x(), 0;
+  const double x = w.x(), y = w.y(), z = w.z();
   // Opposite directions have no unique minimal rotation; the cone limit keeps the shaft far from
   // there.
-  return Matrix3::Identity() + W + W * W / std::max(1.0 + c, 1e-9);
+  const double d = std::max(1.0 + a.dot(b), 1e-9);
+  const double xy = x * y / d, xz = x * z / d, yz = y * z / d;
+  Matrix3 R;  // I + [w] + [w]^2 / (1 + a . b), written out: it is asked for at every point ahead
+  R << 1 + (-z * z - y * y) / d, xy - z, xz + y,  //
+      xy + z, 1 + (-z * z - x * x) / d, yz - x,   //
+      xz - y, yz + x, 1 + (-y * y - x * x) / d;
+  return R;
 }
 
 double absolute_roll(const Matrix3& R, const Matrix3& R_home, const Vector3& s_home,
                      const Vector3& s) {
-  // A direction across the shaft at home, swung to s without roll, and where R has really taken it.
-  const Vector3 u = s_home.unitOrthogonal();
-  const Vector3 w = s_home.cross(s);
-  const Vector3 wu = w.cross(u);
-  const Vector3 swung = u + wu + w.cross(wu) / std::max(1.0 + s_home.dot(s), 1e-9);
-  const Vector3 taken = R * Vector3(R_home.transpose() * u);
-  return std::atan2(s.dot(swung.cross(taken)), swung.dot(taken));
+  // D = R R_home^T = minimal_rotation(s_home, s) exp(psi s_home) has the quaternion (w, v) with
+  // tan(psi / 2) = v . s_home / w, as the swing turns across s_home. Of that the double angle, in
+  // products of w and v that D's entries give, so that no half turn is near a division by zero:
+  // 4 w v is the vector of D - D^T, and 2 (w^2 - (v . s_home)^2) = tr D - s_home . s.
+  Vector3 skew = Vector3::Zero();
+  double trace = 0;
+  for (int i = 0; i < 3; ++i) {  // D is the sum of the columns' outer products
+    const Vector3 home = R_home.col(i), now = R.col(i);
+    skew += home.cross(now);
+    trace += home.dot(now);
+  }
+  return std::atan2(s_home.dot(skew), trace - s_home.dot(s));
 }
 
 double roll_holonomy_rate(const Vector3& s_home, const Vector3& s, const Vector3& s_dot) {

@@ -10,7 +10,6 @@ namespace surg {
 namespace {
 
 constexpr double kOverdue = 0.004;  // [s] a gap in a fast stream that is still bridged
-constexpr double kAside = 0.002;    // [m] off the shaft a profile may be near the trocar
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
@@ -42,8 +41,9 @@ Dofs to_cartesian(const Dofs& spherical) {
           Kinematic{roll.x, roll.v, 0}};
 }
 
-Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper)
+Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay)
     : limits_(limits), paper_(paper), duration_(profiler_duration) {
+  delays_.fill(StreamDelay(stream_delay));
   profiler_ = Profiler(dof_limits(Space::kCartesian), duration_);
 }
 
@@ -82,6 +82,7 @@ void Setpoint::follow(Space space, const std::array<double, 4>& target, double T
   if (first) {
     axial_ = false;
     enter(space);
+    for (int i = 0; i < 4; ++i) delays_[i].reset(dofs_[i]);
     if (paper_) profiler_ = Profiler(dof_limits(space), duration_);
     mode_ = Mode::kStream;
   }
@@ -168,10 +169,9 @@ bool Setpoint::plan_leaves_workspace() const {
   for (int i = 0; i < kSamples; ++i) {
     ahead.advance(step);
     const Dofs& dofs = ahead.state();
-    const Vector3 p = position(space_ == Space::kCartesian ? dofs : to_cartesian(dofs));
+    const Vector3 p = tip_of(dofs[0].x, dofs[1].x, dofs[2].x);
     if (further_out(p)) return true;
-    const bool aside = (p - s * s.dot(p)).norm() > kAside;
-    if (aside && p.norm() < shallow) return true;
+    if (aside_near_trocar(p, s, shallow)) return true;
   }
   return false;
 }
@@ -219,7 +219,7 @@ void Setpoint::advance(double dt) {
   if (!(dt > 0)) return;
   if (tick_ > 0) clock_ = std::min(dt / tick_, 1.0);
   at_wall_ = false;
-  if (mode_ == Mode::kProfile && v_RTip().dot(push_R_) < 0) stop();
+  if (mode_ == Mode::kProfile && !push_R_.isZero(0) && v_RTip().dot(push_R_) < 0) stop();
   const Vector3 p_before = p_RTip();
   switch (mode_) {
     case Mode::kRest:
@@ -267,6 +267,23 @@ void Setpoint::hinder(const Vector3& p_before) {
   for (int i = 0; i < 3; ++i) filters_[i].reset(dofs_[i]);
 }
 
+void Setpoint::elapse(double T) {
+  age_ += T;
+  tick_ = T;
+  if (mode_ != Mode::kStream) return;
+  for (int i = 0; i < 4; ++i) {
+    delays_[i].step(overdue() ? target_[i] : estimates_[i].predict(age_).x, T);
+  }
+}
+
+/// An overdue sample is not extrapolated any further: the tip comes to rest at it.
+bool Setpoint::overdue() const { return age_ > std::max(1.5 * spacing_, kOverdue); }
+
+Kinematic Setpoint::stream_target(int dof, double dt) const {
+  if (delays_[dof].works(tick_)) return delays_[dof].predict(dt);
+  return overdue() ? Kinematic{target_[dof], 0, 0} : estimates_[dof].predict(age_ + dt);
+}
+
 void Setpoint::advance_stream(double dt) {
   if (paper_) {
     profiler_.reset(dofs_);
@@ -275,14 +292,10 @@ void Setpoint::advance_stream(double dt) {
     dofs_ = profiler_.state();
     return;
   }
-  // An overdue sample is not extrapolated any further: the tip comes to rest at it. The tick is
-  // taken only if the hardest stop after it still ends inside the workspace; otherwise that stop
-  // begins (or goes on), which was possible before.
-  const bool overdue = age_ > std::max(1.5 * spacing_, kOverdue);
+  // The tick is taken only if the hardest stop after it still ends inside the workspace; otherwise
+  // that stop begins (or goes on), which was possible before.
   auto next = filters_;
-  for (int i = 0; i < 4; ++i) {
-    next[i].step(overdue ? Kinematic{target_[i], 0, 0} : estimates_[i].predict(age_ + dt), dt);
-  }
+  for (int i = 0; i < 4; ++i) next[i].step(stream_target(i, dt), dt);
   at_wall_ = stop_leaves_workspace(next);
   for (int i = 0; i < 4; ++i) {
     if (at_wall_ && i < 3) {
@@ -299,17 +312,16 @@ void Setpoint::advance_stream(double dt) {
 bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const {
   constexpr int kPlaces = 8;
   const auto limits = dof_limits(space_);
-  std::array<Braking, 4> stops;
+  std::array<Braking, 3> stops;
   double duration = 0;
-  for (int i = 0; i < 4; ++i) {
+  for (int i = 0; i < 3; ++i) {
     stops[i] = Braking::stop(filters[i].state(), limits[i]);
-    if (i < 3) duration = std::max(duration, stops[i].duration());
+    duration = std::max(duration, stops[i].duration());
   }
   for (int k = 1; k <= kPlaces; ++k) {
-    Dofs there;
-    for (int i = 0; i < 4; ++i) there[i] = stops[i].at(duration * k / kPlaces);
-    const Dofs cartesian = space_ == Space::kCartesian ? there : to_cartesian(there);
-    if (further_out(position(cartesian))) return true;
+    std::array<double, 3> x;
+    for (int i = 0; i < 3; ++i) x[i] = stops[i].at(duration * k / kPlaces).x;
+    if (further_out(tip_of(x[0], x[1], x[2]))) return true;
   }
   return false;
 }
@@ -360,22 +372,32 @@ void Setpoint::advance_stopping(double dt) {
   if (slower == 0 && roll_speed == 0) come_to_rest();
 }
 
-Vector3 Setpoint::p_RTip() const {
-  return position(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
+Vector3 Setpoint::p_RTip() const { return tip_of(dofs_[0].x, dofs_[1].x, dofs_[2].x); }
+
+Vector3 Setpoint::tip_of(double x, double y, double z) const {
+  return space_ == Space::kCartesian ? Vector3(x, y, z) : Vector3(z * shaft_direction(x, y));
 }
 
 Vector3 Setpoint::v_RTip() const {
   return velocity(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
 }
 
-Setpoint Setpoint::foreseen(double t) const {
-  Setpoint there = *this;
-  if (mode_ == Mode::kProfile) {
-    there.advance(t);
-    return there;
+Setpoint::Place Setpoint::after(double dt) const {
+  if (!(dt > 0)) return {p_RTip(), roll()};
+  if (mode_ == Mode::kProfile && push_R_.isZero(0)) {
+    const auto x = profiler_.position_after(dt);
+    return {tip_of(x[0], x[1], x[2]), x[3]};
   }
-  for (auto& dof : there.dofs_) dof.x += t * dof.v;
-  return there;
+  Setpoint there = *this;
+  there.advance(dt);
+  return {there.p_RTip(), there.roll()};
+}
+
+Setpoint::Place Setpoint::foreseen(double t) const {
+  if (mode_ == Mode::kProfile) return after(t);
+  std::array<double, 4> x;
+  for (int i = 0; i < 4; ++i) x[i] = dofs_[i].x + t * dofs_[i].v;
+  return {tip_of(x[0], x[1], x[2]), x[3]};
 }
 
 Vector3 Setpoint::s_R() const { return axial_ ? axis_R_ : Vector3(p_RTip().normalized()); }

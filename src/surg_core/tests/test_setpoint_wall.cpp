@@ -27,7 +27,7 @@ Vector3 direction(Random& random) {
 
 // A hand runs into the wall at up to the tip's own limit and stops there dead: every target is
 // inside, but the filter comes too fast for its own way of slowing down.
-double worst_outside(Space space, int count, unsigned seed) {
+double worst_outside(Space space, int count, unsigned seed, double stream_delay = 0) {
   const double T = 0.002;
   const Limits limits = workspace();
   Random random(seed);
@@ -37,7 +37,7 @@ double worst_outside(Space space, int count, unsigned seed) {
     do {
       hand = {random.uniform(-0.18, 0.18), random.uniform(-0.18, 0.18), random.uniform(0.02, 0.22)};
     } while (outside_workspace(limits, hand) > -0.02);
-    Setpoint setpoint(limits, 0.5, false);
+    Setpoint setpoint(limits, 0.5, false, stream_delay);
     setpoint.reset(hand, hand.normalized(), 0);
     Vector3 velocity = Vector3::Zero();
     const int spacing = k % 2 == 0 ? 1 : 17;  // ticks: 500 or 30 Hz
@@ -68,6 +68,55 @@ TEST(SetpointWall, AStreamStopsAtTheWall) {
   test::report("hands that run into the wall, in each space", count);
   std::printf("[  figures ] farthest outside: %.2f mm (servo_cp), %.2f mm (servo_jp)\n",
               1e3 * cartesian, 1e3 * spherical);
+}
+
+TEST(SetpointWall, ADelayedStreamStopsThereToo) {
+  const int count = test::family(100, 3000);
+  const double cartesian = worst_outside(Space::kCartesian, count, 3, 0.05);
+  const double spherical = worst_outside(Space::kSpherical, count, 4, 0.05);
+  EXPECT_LT(cartesian, 0.5e-3);
+  EXPECT_LT(spherical, 0.5e-3);
+  test::report("hands that run into the wall, followed 50 ms later, in each space", count);
+}
+
+// A circle, then silence: late by the delay, and at rest at the last sample.
+TEST(SetpointDelay, FollowsItsStreamLaterAndComesToRestAtItsEnd) {
+  const double T = 0.002, w = 2 * M_PI * 0.5;
+  const auto hand = [w](double t) {
+    return Vector3(0.02 * std::sin(w * t), 0.02 * (1 - std::cos(w * t)), 0.12);
+  };
+  for (const Space space : {Space::kCartesian, Space::kSpherical}) {
+    for (const double D : {0.0, 0.05}) {
+      Setpoint setpoint(workspace(), 0.5, false, D);
+      setpoint.reset(hand(0), hand(0).normalized(), 0);
+      double worst = 0;
+      int k = 1;
+      for (; k <= 2000; ++k) {
+        const Vector3 p = hand(k * T);
+        const Dofs cartesian{Kinematic{p.x(), 0, 0}, Kinematic{p.y(), 0, 0}, Kinematic{p.z(), 0, 0},
+                             Kinematic{}};
+        const Dofs dofs = space == Space::kCartesian ? cartesian : to_spherical(cartesian);
+        setpoint.follow(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
+        setpoint.elapse(T);
+        setpoint.advance(T);
+        // At the end of the coming cycle; the estimate is one more ahead.
+        const double behind = D - 2 * T;
+        if (k > 500) worst = std::max(worst, (setpoint.p_RTip() - hand(k * T - behind)).norm());
+      }
+      const Vector3 last = hand(2000 * T);
+      for (k = 0; k < 50; ++k) {
+        setpoint.elapse(T);
+        setpoint.advance(T);
+      }
+      std::printf(
+          "[  figures ] delay %2.0f ms: off the delayed circle %.3f mm; 0.1 s after the "
+          "last sample %.3f mm from it at %.2f mm/s\n",
+          1e3 * D, 1e3 * worst, 1e3 * (setpoint.p_RTip() - last).norm(),
+          1e3 * setpoint.v_RTip().norm());
+      EXPECT_LT(worst, 0.15e-3);
+      EXPECT_LT((setpoint.p_RTip() - last).norm(), 1e-3);  // it stopped dead, from 63 mm/s
+    }
+  }
 }
 
 }  // namespace

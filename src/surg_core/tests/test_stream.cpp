@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <complex>
 #include <functional>
 #include <stdexcept>
 #include <vector>
@@ -292,6 +293,94 @@ TEST(AlphaBeta, BurstsDoNotBecomeVelocity) {
   estimate.update(0.002, 0);
   EXPECT_EQ(estimate.predict(0).x, 0.002);
   EXPECT_LT(estimate.predict(0).v, 1e-3);
+}
+
+TEST(StreamDelay, DelaysEveryMotionOfAHandByTheSameTime) {
+  // The transfer function, evaluated apart from the recursion: amplitude and group delay.
+  const double D = 0.05, T = 0.002;
+  double worst_shape = 0;
+  for (const double f : {0.2, 0.5, 1.0, 2.0, 4.0, 8.0}) {
+    const double w = 2 * M_PI * f, x = w * D;
+    const std::complex<double> H = 15.0 / std::complex<double>(15 - 6 * x * x, x * (15 - x * x));
+    StreamDelay delay(D);
+    delay.reset({});
+    double worst = 0;
+    for (int k = 0; k < 5000; ++k) {
+      delay.step(std::sin(w * (k + 0.5) * T), T);  // of a tick that begins at k T
+      const Kinematic now = delay.predict(0);
+      if (k < 1000) continue;  // what the start has left
+      const std::complex<double> y = H * std::polar(1.0, w * (k + 1) * T);
+      worst = std::max({worst, std::abs(now.x - y.imag()),
+                        D * std::abs(now.v - (std::complex<double>(0, w) * y).imag()),
+                        D * D * std::abs(now.a + w * w * y.imag())});
+    }
+    EXPECT_LT(worst, 1e-3 * std::max(f, 1.0)) << f;  // the input is a staircase
+    if (f > 2) continue;
+    worst_shape = std::max(worst_shape, std::abs(H - std::polar(1.0, -x)));
+    EXPECT_LE(std::abs(H), 1) << f;
+  }
+  std::printf("[  figures ] off a pure delay of 50 ms, up to 2 Hz: %.1f %% of the amplitude\n",
+              100 * worst_shape);
+  EXPECT_LT(worst_shape, 0.05);
+}
+
+TEST(StreamDelay, IsLateByItsDelayAndHardlyOvershoots) {
+  for (const double D : {0.002, 0.01, 0.05, 0.1}) {
+    const double T = 0.002;
+    StreamDelay ramp(D), jump(D);
+    ramp.reset({});
+    jump.reset({});
+    double highest = 0;
+    for (int k = 0; k < 1000; ++k) {
+      ramp.step(0.1 * (k + 0.5) * T, T);
+      jump.step(1, T);
+      highest = std::max(highest, jump.predict(0).x);
+    }
+    EXPECT_NEAR(ramp.predict(0).x, 0.1 * (1000 * T - D), 2e-5) << D;
+    EXPECT_NEAR(jump.predict(0).x, 1, 1e-9) << D;
+    EXPECT_LT(highest, 1.01) << D;
+    if (D < 5 * T) continue;  // against a delay of one tick the input is a staircase
+    EXPECT_NEAR(ramp.predict(T).x, 0.1 * (1001 * T - D), 2e-6) << D;
+    EXPECT_NEAR(ramp.predict(0).v, 0.1, 1e-3) << D;
+  }
+}
+
+TEST(StreamDelay, DoesNothingBelowOneTick) {
+  EXPECT_FALSE(StreamDelay().works(0.002));
+  EXPECT_FALSE(StreamDelay(0.001).works(0.002));
+  EXPECT_TRUE(StreamDelay(0.002).works(0.002));
+  StreamDelay delay(0.001);
+  delay.reset({1, 2, 3});
+  delay.step(5, 0.002);
+  EXPECT_EQ(delay.predict(0).x, 1);
+  EXPECT_EQ(delay.predict(0).v, 2);
+}
+
+TEST(StreamDelay, SparesAWeakArmWhatItWouldOvershootBy) {
+  // A hand stops dead from 0.1 m/s, which takes 83 ms at 0.6 m/s^2 in any case.
+  const DofLimits weak{0.25, 0.6, 100.0};
+  const auto overshoot = [&](double D) {
+    const double T = 0.002;
+    StreamFilter filter(weak);
+    filter.reset({0, 0.1, 0});
+    StreamDelay delay(D);
+    delay.reset({-0.1 * D, 0.1, 0});
+    AlphaBeta estimate;
+    estimate.reset(0, 0.1);
+    double farthest = 0;
+    for (int k = 0; k < 1000; ++k) {
+      const double hand = std::min(0.1 * (k + 1) * T, 0.1);
+      estimate.update(hand, T);
+      delay.step(estimate.predict(0).x, T);
+      filter.step(delay.works(T) ? delay.predict(T) : estimate.predict(T), T);
+      farthest = std::max(farthest, filter.state().x);
+    }
+    return 1e3 * (farthest - 0.1);
+  };
+  const double without = overshoot(0), with = overshoot(0.05);
+  std::printf("[  figures ] overshoot %.2f mm, with a delay of 50 ms %.2f mm\n", without, with);
+  EXPECT_GT(without, 5);
+  EXPECT_LT(with, 0.6 * without);
 }
 
 TEST(Stream, LeavesTheHeapAlone) {

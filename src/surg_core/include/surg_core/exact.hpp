@@ -60,7 +60,7 @@ JointStep exact_step(const Chain& chain, const JointVector& q, const Pose& X_BFG
                      const JointVector& posture);
 
 /// The joints for the next pose, by the quickest way that the arm's geometry has: the closed form
-/// for arms of the UR family (3 times as fast, exact to rounding), 'exact_step' for all others.
+/// for arms of the UR family (twice as fast, exact to rounding), 'exact_step' for all others.
 class NextPose {
  public:
   /// 'closed_form' false: 'exact_step' for every arm.

@@ -108,27 +108,32 @@ class LimitedStep {
 
  private:
   struct Here;
-  struct Box;
   struct Affine;
   struct Node;
-  struct Preview;
+  struct Cap;
+  class Box;
+  class Law;
   class ExactLaw;
   class VelocityLaw;
   class RetraceLaw;
+  class LookAhead;
 
-  Box box(const JointVector& q, const JointVector& qd_last) const;
-  template <typename Law>
-  Step run(const Law& law, const Here& here, const Box& box) const;
-  template <typename Law>
-  double caps(const Law& law, const Here& here, const Affine& affine, const char*& by) const;
-  template <typename Law>
-  Preview look_ahead(const Law& law, const Here& here, const Affine& affine) const;
+  Here at(const JointVector& q, const JointVector& qd_last) const;
+  Step run(const Law& law, const Here& here) const;
+  bool is_still(const JointVector& qd) const;
 
-  JointVector gentle(const JointVector& posture) const;
-  bool passes(const SingularityMeasures& from, const SingularityMeasures& to) const;
-  bool inside_positions(const JointVector& q, const JointVector& from) const;
-  bool pose_node(const JointVector& guess, const Pose& pose, const Pose& later, double arc,
-                 Node& node) const;
+  Cap cap(const Law& law, const Here& here, const Affine& affine) const;
+  void cap_sagitta(const Law& law, const Here& here, const Affine& affine, Cap& cap) const;
+  void cap_approach(const Here& here, const Affine& affine, Cap& cap) const;
+  void cap_unseen(const Law& law, const Here& here, const Affine& affine, Cap& cap) const;
+
+  bool on_path(const Law& law, const Affine& affine, const Box& box, const Cap& cap,
+               Step& step) const;
+  bool on_path(const Law& law, const Affine& affine, const Box& box, const Cap& cap, double beta,
+               Step& step) const;
+  void off_path(const Law& law, const Here& here, const Affine& affine, const Box& box,
+                const Cap& cap, Step& step) const;
+  bool on_rows(const Law& law, const Box& box, const JointVector& wanted, JointVector& qd) const;
 
   Chain chain_;
   Tool tool_;

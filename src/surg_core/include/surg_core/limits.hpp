@@ -14,6 +14,10 @@ double outside_workspace(const Limits& limits, const Vector3& p_RTip);
 /// Whether a tip target in the rcm frame lies within depth_min..depth_max and the cone.
 bool inside_workspace(const Limits& limits, const Vector3& p_RTip);
 
+/// Whether a tip position nearer to the trocar than 'depth' [m] lies aside of the shaft (unit s_R):
+/// there targets and profiles may only lead along it (F24).
+bool aside_near_trocar(const Vector3& p_RTip, const Vector3& s_R, double depth);
+
 /// Factor for lateral tip motion near the trocar (F24): 1 above depth_slow, 0 below depth_min.
 double lateral_fade(const Limits& limits, double depth);
 

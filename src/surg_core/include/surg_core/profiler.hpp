@@ -45,6 +45,8 @@ class Profiler {
   /// Advances the profile clock by dt.
   void advance(double dt);
   const std::array<Kinematic, kDof>& state() const { return state_; }
+  /// The positions that advance(dt) would lead to.
+  std::array<double, kDof> position_after(double dt) const;
   bool done() const;                                         ///< the end of the profile is reached
   double duration() const;                                   ///< of the present profile [s]
   const Quintic& quintic(int dof) const { return q_[dof]; }  ///< the part after the braking, if any

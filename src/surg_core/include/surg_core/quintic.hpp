@@ -33,7 +33,8 @@ class Quintic {
   Quintic() = default;
   Quintic(const Kinematic& from, const Kinematic& to, double duration);
   double duration() const { return d_; }
-  Kinematic at(double t) const;  ///< clamped to [0, d]; from d on exactly the end state
+  Kinematic at(double t) const;     ///< clamped to [0, d]; from d on exactly the end state
+  double position(double t) const;  ///< at(t).x
   double jerk(double t) const;
   double max_velocity() const;      ///< max |v| on [0, d], exact
   double max_acceleration() const;  ///< max |a|, exact

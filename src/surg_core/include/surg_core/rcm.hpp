@@ -49,6 +49,9 @@ Vector3 shaft_direction_rate(double yaw, double pitch, double yaw_rate, double p
 /// perpendicular to z (base y where base x runs along the shaft).
 Pose rcm_frame(const Vector3& s_home, const Vector3& p_BRcm);
 
+/// The same angle [rad] within half a turn.
+double wrapped(double angle);
+
 /// Rotation of least angle taking unit a to unit b.
 Matrix3 minimal_rotation(const Vector3& a, const Vector3& b);
 /// Absolute roll psi in R = minimal_rotation(s_home, s) exp(psi s_home) R_home, in (-pi, pi].

@@ -29,7 +29,8 @@ class Setpoint {
 
   Setpoint() = default;
   /// paper: every stream goes through the paper's quintic of fixed duration, re-planned each cycle.
-  Setpoint(const Limits& limits, double profiler_duration, bool paper);
+  /// stream_delay [s]: a stream is followed that much later, see StreamDelay; not with 'paper'.
+  Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay = 0);
 
   /// Stands still at a tip position [m] in the rcm frame, the shaft along unit s_R, and a roll
   /// [rad].
@@ -62,18 +63,22 @@ class Setpoint {
   /// against it, and a profile that does is stopped (F25).
   void yield_to(const Vector3& push_R);
 
-  /// Real time passes: stream samples get older.
-  void elapse(double T) {
-    age_ += T;
-    tick_ = T;
-  }
+  /// Real time passes: stream samples get older, and their delay goes by.
+  void elapse(double T);
   /// The set-point moves on by dt <= T of its own clock.
   void advance(double dt);
 
+  /// Tip and roll: all that a look ahead needs, at its many points.
+  struct Place {
+    Vector3 p_RTip;
+    double roll;
+  };
+  /// Where advance(dt) would lead.
+  Place after(double dt) const;
   /// Where the set-point will be in t [s] of its own clock, as far as is known now: along its
   /// profile, and straight on where a stream or a velocity leads it. For looking ahead, not for
   /// moving.
-  Setpoint foreseen(double t) const;
+  Place foreseen(double t) const;
 
   Mode mode() const { return mode_; }
   Space space() const { return space_; }
@@ -92,9 +97,13 @@ class Setpoint {
   double roll_rate() const { return dofs_[3].v; }
 
  private:
+  /// Of four degrees of freedom in the present space.
+  Vector3 tip_of(double x, double y, double z) const;
   void enter(Space space);
   bool plan(Space space, const std::array<double, 4>& target);
   void come_to_rest();
+  bool overdue() const;
+  Kinematic stream_target(int dof, double dt) const;
   void advance_stream(double dt);
   void advance_velocity(double dt);
   void advance_stopping(double dt);
@@ -116,6 +125,7 @@ class Setpoint {
   Vector3 push_R_ = Vector3::Zero();   ///< of the force at the tip
   std::array<StreamFilter, 4> filters_{};
   std::array<AlphaBeta, 4> estimates_{};
+  std::array<StreamDelay, 4> delays_{};
   std::array<double, 4> rate_{};
   std::array<double, 4> target_{};
   Space target_space_ = Space::kCartesian;

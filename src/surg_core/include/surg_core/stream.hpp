@@ -22,6 +22,28 @@ class AlphaBeta {
   double x_ = 0, v_ = 0, a_ = 0;
 };
 
+/// One axis of a delay: a third-order Bessel low-pass, whose group delay is the same at all
+/// frequencies that it lets pass and whose overshoot is below 1 %. A stream keeps its shape and
+/// only comes later, with less acceleration: for arms that cannot follow a hand's, and would
+/// overshoot.
+class StreamDelay {
+ public:
+  StreamDelay() = default;
+  /// delay [s] >= 0; 0 is no delay.
+  explicit StreamDelay(double delay) : delay_(delay) {}
+  void reset(const Kinematic& state) { state_ = state; }
+  /// Whether it does anything at this tick; a delay of less than one tick cannot.
+  bool works(double T) const { return delay_ > 0 && delay_ >= T; }
+  /// T seconds go by with the input at x.
+  void step(double x, double T);
+  /// The delayed stream 'ahead' seconds later.
+  Kinematic predict(double ahead) const;
+
+ private:
+  double delay_ = 0;
+  Kinematic state_{};
+};
+
 /// One axis of the jerk-limited tracking filter.
 class StreamFilter {
  public:

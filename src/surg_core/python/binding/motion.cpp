@@ -209,6 +209,17 @@ void bind_stream(py::module_& m) {
       .def("predict", &AlphaBeta::predict, py::arg("age"),
            "Estimate 'age' seconds after the last sample.");
 
+  py::class_<StreamDelay>(m, "StreamDelay",
+                          "Bessel low-pass: a stream keeps its shape, later and more gently.")
+      .def(py::init<double>(), py::arg("delay"))
+      .def("reset", &StreamDelay::reset, py::arg("state"))
+      .def("works", &StreamDelay::works, py::arg("T"),
+           "Whether it does anything at a tick of T seconds.")
+      .def("step", &StreamDelay::step, py::arg("x"), py::arg("T"),
+           "T seconds go by with the input at x.")
+      .def("predict", &StreamDelay::predict, py::arg("ahead"),
+           "The delayed stream 'ahead' seconds later.");
+
   py::class_<StreamFilter>(
       m, "StreamFilter",
       "Follows a stream of targets within velocity, acceleration and jerk limits.")

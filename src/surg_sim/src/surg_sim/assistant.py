@@ -7,6 +7,8 @@ limited velocity and acceleration, as a hand does.
 
 from __future__ import annotations
 
+import itertools
+import math
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,13 +94,26 @@ def swing(yaw: float, pitch: float) -> Array:
 
 
 def twist(yaw: float, pitch: float) -> float:
-    """Angle about the shaft between turning by yaw, then pitch, and the smallest rotation [rad]."""
-    cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
-    gimbal = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]]) @ np.array(
-        [[1, 0, 0], [0, cp, sp], [0, -sp, cp]]
-    )
-    rest = gimbal.T @ swing(yaw, pitch)
-    return float(np.arctan2(rest[1, 0], rest[0, 0]))
+    """Angle about the shaft from turning by yaw, then pitch, to the smallest rotation [rad].
+
+    As quaternions, turning by yaw then pitch is (cos y cos p, -cos y sin p, sin y cos p,
+    sin y sin p) with half the angles; its part about z is what the smallest rotation leaves out.
+    """
+    y, p = yaw / 2.0, pitch / 2.0
+    return -2.0 * math.atan2(math.sin(y) * math.sin(p), math.cos(y) * math.cos(p))
+
+
+def towards(place: float, speed: float, goal: float, fastest: float, hardest: float) -> float:
+    """Speed in the coming tick of a motion to a goal with limited speed and acceleration.
+
+    Not faster than so that n more steps, each slower by no more than the limit, end at the goal:
+    left = n v T - a T^2 n (n - 1) / 2.
+    """
+    left, change = goal - place, hardest * TICK
+    n = max(math.ceil((math.sqrt(1.0 + 8.0 * abs(left) / (change * TICK)) - 1.0) / 2.0), 1)
+    brake = abs(left) / (n * TICK) + change * (n - 1) / 2.0
+    wanted = math.copysign(min(brake, fastest), left)
+    return speed + min(max(wanted - speed, -change), change)
 
 
 def forward(joints: Array) -> Array:
@@ -159,7 +174,8 @@ def add_assistant(
 
     grasper = mujoco.MjSpec.from_string(instrument.read_text("utf-8"))
     shaft = grasper.body(_SHAFT)  # parallel to the mount, as is its tip: no rotation to undo
-    offset = -(np.asarray(shaft.pos) + np.asarray(grasper.body(_TIP).pos))
+    to_tip = np.array(grasper.body(_TIP).pos)
+    offset = -(np.asarray(shaft.pos) + to_tip)
     body.add_frame(pos=offset.tolist()).attach_body(shaft, f"{NAME}_", "")
     for name in _JAWS:
         spec.joint(f"{NAME}_{name}").armature = _JAW_ARMATURE
@@ -170,6 +186,46 @@ def add_assistant(
         from surg_sim.scene import draw_cannula
 
         draw_cannula(pivot, np.array([0.0, 0.0, 1.0]))
+        _draw_handle(body, -float(to_tip[2]))
+
+
+def _draw_handle(body: mujoco.MjsBody, end: float) -> None:
+    """The handle that the assistant's hand would hold, where the shaft ends: only seen.
+
+    Args:
+        body: Carries the shaft; the tip is its origin, z the shaft's axis.
+        end: The shaft's outer end on z [m].
+    """
+    from surg_sim.scene import OUTSIDE
+
+    def rod(start: Array, stop: Array, radius: float, material: str, kind: str) -> None:
+        body.add_geom(
+            type=getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"),
+            fromto=[*start, *stop],
+            size=[radius, 0.0, 0.0],
+            material=material,
+            group=OUTSIDE,
+            contype=0,
+            conaffinity=0,
+            mass=0.0,
+        )
+
+    axis, side = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    back = end * axis
+    rod(back + 0.012 * axis, back - 0.012 * axis, 0.011, "seal", "CYLINDER")  # turns the shaft
+    rod(back - 0.012 * axis, back - 0.050 * axis, 0.007, "scope", "CYLINDER")
+    around = np.linspace(0.0, 2.0 * np.pi, 13)
+    for lean, ring in ((-0.15, 0.012), (-0.75, 0.014)):  # for the fingers, for the thumb
+        away = np.cos(lean) * side + np.sin(lean) * axis
+        root = back - 0.044 * axis
+        centre = root + (0.075 + ring) * away
+        rod(root, root + 0.075 * away, 0.0042, "scope", "CAPSULE")
+        across = np.cross([1.0, 0.0, 0.0], away)
+        loop = centre + ring * (
+            np.cos(around)[:, None] * away + 1.5 * np.sin(around)[:, None] * across
+        )
+        for start, stop in itertools.pairwise(loop):
+            rod(start, stop, 0.0034, "scope", "CAPSULE")
 
 
 def port_frame(site: Site, port: AssistantPort) -> Array:
@@ -268,16 +324,11 @@ class Assistant:
 
     def advance(self) -> None:
         """Move the servos' targets one tick on; called before the physics of that tick."""
-        left = self._goal - self.target
-        # The fastest step from which n steps, each slower by no more than the limit, end there:
-        # left = n v T - a T^2 n (n - 1) / 2.
-        distance, unit = np.abs(left), ACCELERATION * TICK**2
-        n = np.maximum(np.ceil((np.sqrt(1.0 + 8.0 * distance / unit) - 1.0) / 2.0), 1.0)
-        brake = distance / (n * TICK) + ACCELERATION * TICK * (n - 1.0) / 2.0
-        wanted = np.sign(left) * np.minimum(brake, VELOCITY)
-        step = ACCELERATION * TICK
-        self._velocity += np.clip(wanted - self._velocity, -step, step)
-        self.target = self.target + self._velocity * TICK
+        for i, place in enumerate(self.target.tolist()):
+            speed, goal = float(self._velocity[i]), float(self._goal[i])
+            speed = towards(place, speed, goal, float(VELOCITY[i]), float(ACCELERATION[i]))
+            self._velocity[i] = speed
+            self.target[i] = place + speed * TICK
         step_jaw = JAW_VELOCITY * TICK
         self.jaw_target += min(max(self._jaw_goal - self.jaw_target, -step_jaw), step_jaw)
         self._drive()

@@ -37,7 +37,7 @@ from surg_sim.experts.base import (
     tip_quaternion,
 )
 from surg_sim.session import Session, Tick, merge
-from surg_sim.tasks import GRID, names
+from surg_sim.tasks import GRID, load, names
 
 if TYPE_CHECKING:
     from surg_sim.experts.base import Expert, View
@@ -73,7 +73,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
 
     Args:
         task: Of ``tasks.names()``, or the path of a task's file.
-        cell: A bundled cell's name or the path of one; default: the task's smallest.
+        cell: A bundled cell's name or the path of one; default: the task's own.
         setting: Of ``conditions.CONDITIONS``.
         images: Cameras to observe, of ``CAMERAS``.
         width: Of the pictures [px].
@@ -104,7 +104,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
                 f"{', '.join(CAMERAS)} and render_mode None or 'rgb_array'"
             )
         looks = bool(images) or render_mode is not None
-        path = cells.find(cell or default_cell(task))
+        path = cells.find(cell or load(task).home_cell)
         self.session = Session(path, task, setting, seed_look, looks, law)
         self.render_mode, self._images = render_mode, tuple(images)
         self._size = (width, height)
@@ -325,11 +325,6 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             jaw = wish.jaw if wish.jaw is not None else float(out.jaw_set)
             action += [*wish.p, wish.roll, jaw]
         return np.array(action)
-
-
-def default_cell(task: str) -> str:
-    """The bundled cell that a task is at home in."""
-    return "sim_ur5e" if task == "pick_and_place" else "sim_two_arms"
 
 
 def register() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 import surg_core
 from surg_sim.arm import ArmCommand
 from surg_sim.assistant import AssistantCommand
-from surg_sim.conditions import condition
+from surg_sim.conditions import Condition, condition
 from surg_sim.experts.base import ArmView, ArmWish, View, Wishes
 from surg_sim.stability import trouble
 from surg_sim.tasks import GRID, State, Task, Verdict, load
@@ -66,7 +66,7 @@ class Session:
     Args:
         cell: A loaded cell, or its path.
         task: A task, or what ``tasks.load`` takes.
-        setting: Of ``conditions.CONDITIONS``.
+        setting: Of ``conditions.CONDITIONS``, or a condition of one's own.
         seed: Of the first episode, and of the look of the tissue.
         looks: Build also what only pictures need; the physics is the same.
         law: Of ``LAWS``.
@@ -80,7 +80,7 @@ class Session:
         self,
         cell: surg_core.Cell | Path | str,
         task: Task | str,
-        setting: str = "phantom",
+        setting: str | Condition = "phantom",
         seed: int = 0,
         looks: bool = False,
         law: str = "ours",
@@ -90,7 +90,7 @@ class Session:
             raise ValueError(f"no law '{law}': there are {', '.join(LAWS)}")
         self.cell = cell if isinstance(cell, surg_core.Cell) else surg_core.load_cell(cell)
         self.task = load(task) if isinstance(task, str) else task
-        self.condition = condition(setting)
+        self.condition = condition(setting) if isinstance(setting, str) else setting
         self.law, self.every = law, every
         self.world = World(self.cell, seed, looks, condition=self.condition, task=self.task)
         self.seed = seed

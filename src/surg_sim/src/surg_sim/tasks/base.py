@@ -67,8 +67,10 @@ class Task(ABC):
         name: What a person types.
         title: What a person reads.
         time_limit: Longest episode [s].
+        home_cell: The bundled cell that is taken when none is named.
         commanded: Arms that the task's policy commands, by CRTK name; the others stand still under
             their controllers.
+        plotted: Numbers of the state that a figure of an episode shows, with their units.
         tick: Ticks since the episode began.
         assistant: The assistant's instrument in the scene, where there is one.
         skins: What the renderer draws by itself (``render.Skin``).
@@ -77,7 +79,9 @@ class Task(ABC):
     name: ClassVar[str]
     title: ClassVar[str]
     time_limit: ClassVar[float]
+    home_cell: ClassVar[str] = "sim_two_arms"
     commanded: ClassVar[tuple[str, ...]] = ("PSM1",)
+    plotted: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self) -> None:
         self.tick = 0

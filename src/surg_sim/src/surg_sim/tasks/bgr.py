@@ -8,7 +8,7 @@ docs/tasks.md defines success; every number of the definition stands below.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
@@ -63,6 +63,7 @@ class Bgr(Task):
     name = "bgr"
     title = "Bowel grasping and retraction"
     time_limit = 45.0
+    plotted: ClassVar[Mapping[str, str]] = {"tension": "N", "still": "s"}
 
     def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
         """The robot's instrument must have jaws."""

@@ -8,7 +8,7 @@ stays small on average and never becomes so large that the tip leaves the middle
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,7 @@ class EndoscopeGuidance(Task):
     title = "Endoscope guidance"
     time_limit = READY + DURATION
     commanded = (SCOPE,)
+    plotted: ClassVar[Mapping[str, str]] = {"error": "px"}
 
     def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
         """Two arms are needed, and the second must hold a camera."""

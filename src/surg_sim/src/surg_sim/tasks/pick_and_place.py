@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
@@ -57,6 +57,8 @@ class PickAndPlace(Task):
     name = "pick_and_place"
     title = "Peg transfer"
     time_limit = 30.0
+    home_cell = "sim_ur5e"
+    plotted: ClassVar[Mapping[str, str]] = {"held": "0 or 1"}
 
     def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
         """The arm must be there and have jaws."""

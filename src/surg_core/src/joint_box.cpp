@@ -1,0 +1,163 @@
+#include "joint_box.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+namespace {
+
+constexpr double kPositionGuard = 1e-9;   // [rad] kept from position limits: rounding
+constexpr double kApproachGain = 5.0;     // [1/s] speed over distance left, inside the margin
+constexpr double kApproachBraking = 0.8;  // of the acceleration, on the way into the margin
+
+/// Fastest speed towards a limit at 'distance' from which braking by 'a' in steps of T still stops
+/// before it: T v + v^2 / (2 a) <= distance, which the next cycle's v - a T fulfils again.
+double braking_speed(double distance, double a, double T) {
+  if (!(distance > 0)) return 0;
+  const double aT = a * T;
+  return std::sqrt(aT * aT + 2 * a * distance) - aT;
+}
+
+/// Fastest speed towards a position limit. A joint that brakes as hard as it may right at its limit
+/// is overtaken by an arm that answers late; inside the margin it comes in gently.
+double approach_speed(double distance, double a, double margin, double T) {
+  const double hardest = braking_speed(distance, a, T);
+  if (!(margin > 0)) return hardest;
+  const double gentle = kApproachGain * std::clamp(distance, 0.0, margin);
+  const double before = braking_speed(distance - margin, kApproachBraking * a, T);
+  return std::min(hardest, std::hypot(gentle, before));
+}
+
+}  // namespace
+
+void AlphaRange::keep(double at_0, double rate, double lowest, double highest, const char* low_by,
+                      const char* top_by) {
+  if (std::abs(rate) < 1e-12) {
+    if (at_0 < lowest || at_0 > highest) low = INFINITY;
+    return;
+  }
+  double from = (lowest - at_0) / rate, to = (highest - at_0) / rate;
+  const char* by = top_by;
+  if (rate < 0) {
+    std::swap(from, to);
+    by = low_by;
+  }
+  low = std::max(low, from);
+  if (to < high) {
+    high = to;
+    high_by = by;
+  }
+}
+
+LimitedStep::Box::Box(const JointLimits& limits, double T, const JointVector& q,
+                      const JointVector& qd_last) {
+  const Eigen::Index n = q.size();
+  low_.resize(n);
+  high_.resize(n);
+  for (Eigen::Index i = 0; i < n; ++i) {
+    const double a = limits.acceleration[i], v = limits.velocity[i];
+    const double margin = limits.position_margin;
+    const double up = approach_speed(limits.position_max[i] - q[i] - kPositionGuard, a, margin, T);
+    const double down =
+        approach_speed(q[i] - limits.position_min[i] - kPositionGuard, a, margin, T);
+    const double high = std::min(v, up), low = -std::min(v, down);
+    // Shrunk by rounding, so that who divides the difference by T finds it inside.
+    const double change = a * T * (1 - 1e-9);
+    const double fastest = qd_last[i] + change, slowest = qd_last[i] - change;
+    // Where both cannot be (a state from outside), acceleration wins: it brakes as it may.
+    high_[i] = std::clamp(high, slowest, fastest);
+    low_[i] = std::clamp(low, slowest, fastest);
+    high_by_[i] =
+        fastest <= high ? "joint_acceleration" : (up < v ? "joint_limit" : "joint_velocity");
+    low_by_[i] =
+        slowest >= low ? "joint_acceleration" : (down < v ? "joint_limit" : "joint_velocity");
+  }
+}
+
+bool LimitedStep::Box::holds(const JointVector& qd) const {
+  for (Eigen::Index i = 0; i < qd.size(); ++i) {
+    if (!(qd[i] >= low_[i] && qd[i] <= high_[i])) return false;
+  }
+  return true;
+}
+
+JointVector LimitedStep::Box::clamped(const JointVector& qd) const {
+  return qd.cwiseMax(low_).cwiseMin(high_);
+}
+
+AlphaRange LimitedStep::Box::alphas(const JointVector& qd0, const JointVector& qd1) const {
+  AlphaRange range;
+  for (Eigen::Index i = 0; i < qd0.size(); ++i) {
+    range.keep(qd0[i], qd1[i], low_[i], high_[i], low_by_[i], high_by_[i]);
+  }
+  return range;
+}
+
+/// Convex in alpha: ternary search.
+double LimitedStep::Box::least_beyond(const JointVector& qd0, const JointVector& qd1,
+                                      double highest) const {
+  const auto excess = [&](double alpha) {
+    double worst = 0;
+    for (Eigen::Index i = 0; i < qd0.size(); ++i) {
+      const double v = qd0[i] + alpha * qd1[i];
+      worst = std::max({worst, low_[i] - v, v - high_[i]});
+    }
+    return worst;
+  };
+  double from = 0, to = highest;
+  for (int i = 0; i < 40; ++i) {
+    const double third = (to - from) / 3;
+    if (excess(from + third) <= excess(to - third)) {
+      to -= third;
+    } else {
+      from += third;
+    }
+  }
+  return 0.5 * (from + to);
+}
+
+/// Dual Newton method on two multipliers: qd = clamp(wanted + J^T lambda).
+double LimitedStep::Box::nearest_on_rows(const RcmRows& rows, const JointVector& wanted,
+                                         JointVector& qd) const {
+  const Eigen::Index n = wanted.size();
+  double l0 = 0, l1 = 0;
+  const auto residual = [&](double m0, double m1, Eigen::Vector2d& r, Eigen::Matrix2d& H) {
+    r = rows.e;
+    H.setZero();
+    for (Eigen::Index i = 0; i < n; ++i) {
+      const double free = wanted[i] + rows.J(0, i) * m0 + rows.J(1, i) * m1;
+      qd[i] = std::clamp(free, low_[i], high_[i]);
+      const double moved = qd[i] - wanted[i];
+      r[0] -= rows.J(0, i) * moved;
+      r[1] -= rows.J(1, i) * moved;
+      if (free == qd[i]) {
+        H(0, 0) += rows.J(0, i) * rows.J(0, i);
+        H(0, 1) += rows.J(0, i) * rows.J(1, i);
+        H(1, 1) += rows.J(1, i) * rows.J(1, i);
+      }
+    }
+  };
+  Eigen::Vector2d r;
+  Eigen::Matrix2d H;
+  residual(l0, l1, r, H);
+  for (int pass = 0; pass < 12 && r.squaredNorm() > 1e-28; ++pass) {
+    const double ridge = 1e-9 + 1e-3 * (H(0, 0) + H(1, 1) < 1e-6);
+    const double a = H(0, 0) + ridge, b = H(0, 1), c = H(1, 1) + ridge;
+    const double determinant = a * c - b * b;
+    const double d0 = (c * r[0] - b * r[1]) / determinant;
+    const double d1 = (a * r[1] - b * r[0]) / determinant;
+    // The residual is the gradient of a concave function: go on until it turns.
+    double step = 1;
+    Eigen::Vector2d r_next;
+    for (int half = 0; half < 6; ++half, step *= 0.5) {
+      residual(l0 + step * d0, l1 + step * d1, r_next, H);
+      if (r_next[0] * d0 + r_next[1] * d1 >= -0.5 * std::abs(r[0] * d0 + r[1] * d1)) break;
+    }
+    l0 += step * d0;
+    l1 += step * d1;
+    r = r_next;
+  }
+  return r.norm();
+}
+
+}  // namespace surg

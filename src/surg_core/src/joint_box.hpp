@@ -1,0 +1,44 @@
+// What the limits leave to each joint in one cycle, and what they leave of alpha: velocity,
+// acceleration, and the distance in which a joint can still brake before its position limit.
+#pragma once
+
+#include <array>
+
+#include "surg_core/limited_step.hpp"
+#include "surg_core/types.hpp"
+
+namespace surg {
+
+/// The alphas that the joints allow, with the reason for the upper end.
+struct AlphaRange {
+  double low = 0, high = 1;
+  const char* high_by = "";
+
+  /// Keeps lowest <= at_0 + alpha rate <= highest.
+  void keep(double at_0, double rate, double lowest, double highest, const char* low_by,
+            const char* top_by);
+  bool empty() const { return !(low <= high); }
+};
+
+/// The joint velocities [rad/s] of one cycle, each between two values.
+class LimitedStep::Box {
+ public:
+  /// q, qd_last: joint positions and last velocities; T: control period [s].
+  Box(const JointLimits& limits, double T, const JointVector& q, const JointVector& qd_last);
+
+  bool holds(const JointVector& qd) const;
+  JointVector clamped(const JointVector& qd) const;
+  /// The alphas for which qd0 + alpha qd1 is inside.
+  AlphaRange alphas(const JointVector& qd0, const JointVector& qd1) const;
+  /// The alpha in [0, highest] that leaves the box least.
+  double least_beyond(const JointVector& qd0, const JointVector& qd1, double highest) const;
+  /// The joint velocities nearest to 'wanted' inside the box with rows J qd = J wanted + e. Returns
+  /// what is left of the rows.
+  double nearest_on_rows(const RcmRows& rows, const JointVector& wanted, JointVector& qd) const;
+
+ private:
+  JointVector low_, high_;
+  std::array<const char*, kMaxJoints> low_by_, high_by_;
+};
+
+}  // namespace surg

@@ -1,0 +1,269 @@
+#include "limited_laws.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include "inverse.hpp"
+
+namespace surg {
+namespace {
+
+constexpr double kOnPivot = 1e-12;      // [m]
+constexpr double kPivotTurns = 0.005;   // [m] deeper than that, a moving trocar turns the shaft
+constexpr double kPostureShare = 0.05;  // of the velocity limits, at most, for the null space
+constexpr double kArcReserve = 2e-3;    // [rad] that a node may always be beside its guess
+
+// How a displaced tip returns to its path.
+constexpr double kReturnGain = 15;           // [1/s]
+constexpr double kReturnAcceleration = 0.3;  // [m/s^2]
+constexpr double kReturnAtOnce = 2e-8;  // [m] per cycle, always taken back: no visible joint motion
+constexpr double kRollLever = 0.05;     // [m/rad] weighs roll against length
+
+// How an arm returns to its recorded trace, in joint space.
+constexpr double kRetraceReturn = 1.0;    // [rad/s^2]
+constexpr double kRetraceAtOnce = 1e-7;   // [rad] per cycle
+constexpr double kRetraceHorizon = 0.45;  // [s]
+constexpr double kTraceSpacing = 1e-3;    // [s] for the trace's direction
+
+/// Share of a displacement that is left after a cycle of T: taken back gently, and at once where
+/// nobody could see it.
+double kept(double off, double acceleration, double at_once, double T) {
+  if (!(off > 0)) return 0;
+  const double gentle = std::min(kReturnGain * off, std::sqrt(2 * acceleration * off)) * T;
+  return 1 - std::min(std::max(gentle, at_once) / off, 1.0);
+}
+
+}  // namespace
+
+double LimitedStep::Affine::expected(const JointVector& qd_last, double T) const {
+  const double squared = tangent.squaredNorm();
+  return squared > 0 ? std::clamp(qd_last.dot(tangent) / squared, kTwistSpacing / T, 1.0) : 1.0;
+}
+
+// --- what the laws share ----------------------------------------------------------------------
+
+/// Newton's method from 'guess', one step: joints, and their direction from the second pose. A step
+/// as long as the arc itself has left the path or is at its end.
+bool LimitedStep::Law::pose_node(const JointVector& guess, const Pose& pose, const Pose& later,
+                                 double arc, Node& node) const {
+  const JointVector still = JointVector::Zero(guess.size());
+  Pose X;
+  Jacobian J;
+  self_.chain_.forward(guess, X, J);
+  const Inverse inverse(J);
+  if (!inverse.regular()) return false;
+  const auto [rest, further] = inverse.both(displacement(X, pose), displacement(X, later), still);
+  if (largest(rest) > 0.35 * arc + kArcReserve) return false;
+  node.q = guess + rest;
+  node.direction = (further - rest) / kTwistSpacing;
+  node.measures = self_.barrier_.measures(X, J);
+  node.flange = (later.translation() - pose.translation()).norm() / kTwistSpacing;
+  return true;
+}
+
+RcmRows LimitedStep::Law::rows_after(const JointVector& qd, const Vector3& p_BRcm) const {
+  Pose X;
+  Jacobian J;
+  self_.chain_.forward(here_.q + self_.T_ * qd, X, J);
+  RcmRows rows = rcm_rows(J, shaft_state(X, self_.tool_, p_BRcm));
+  rows.e /= self_.T_;
+  return rows;
+}
+
+/// A wish for the null space, small beside what the joints need for the path; zero where there is
+/// no null space or no wish.
+JointVector LimitedStep::Law::gentle(const JointVector& posture) const {
+  const Eigen::Index n = self_.chain_.dof();
+  if (n <= 6 || posture.size() != n || !posture.allFinite()) return JointVector::Zero(n);
+  const double share = (posture.array() / self_.limits_.velocity.array()).abs().maxCoeff();
+  return posture * std::min(1.0, kPostureShare / std::max(share, 1e-12));
+}
+
+// --- the exact form ---------------------------------------------------------------------------
+
+LimitedStep::ExactLaw::ExactLaw(const LimitedStep& self, const Here& here, const Home& home,
+                                const Wish& wish)
+    : Law(self, here), home_(home), wish_(wish), still_(JointVector::Zero(here.q.size())) {
+  ShaftGoal goal = wish.path(0);
+  if (!wish.v_BRcm.isZero(0)) {  // the trocar is still where it was
+    const Vector3 p_BTip = goal.p_BTip();
+    goal.p_BRcm -= self.T_ * wish.v_BRcm;
+    if (goal.depth > kPivotTurns) goal = tip_goal(goal.p_BRcm, p_BTip, goal.roll, goal.s_B);
+  }
+  measure_displacement(goal);
+}
+
+/// Where the instrument is, relative to where its path is now: zero unless a limit pushed it off.
+void LimitedStep::ExactLaw::measure_displacement(const ShaftGoal& goal) {
+  const ShaftState shaft = shaft_state(here_.X_BF, self_.tool_, goal.p_BRcm);
+  const Vector3 axis = goal.s_B.cross(shaft.s);
+  const double sine = axis.norm(), cosine = goal.s_B.dot(shaft.s);
+  off_swing_ =
+      sine > 1e-15 ? Vector3(axis * (std::atan2(sine, cosine) / sine)) : Vector3(Vector3::Zero());
+  off_depth_ = shaft.depth - goal.depth;
+  off_roll_ =
+      wrapped(absolute_roll(here_.X_BF.linear(), home_.R_BF, home_.s_B, shaft.s) - goal.roll);
+  const double off = off_swing_.norm() * std::max(std::abs(shaft.depth), kRollLever) +
+                     std::abs(off_depth_) + std::abs(off_roll_) * kRollLever;
+  keep_ = kept(off, kReturnAcceleration, kReturnAtOnce, self_.T_);
+  returning_ = off > kReturnAtOnce;
+}
+
+LimitedStep::Affine LimitedStep::ExactLaw::affine() const {
+  const double T = self_.T_;
+  Affine a;
+  const JointVector posture = T * gentle(wish_.posture);
+  const bool pulled = posture.squaredNorm() > 0;
+  const Inverse inverse(here_.J);
+  const auto to = [&](double t) { return displacement(here_.X_BF, pose(t, keep_)); };
+  a.regular = inverse.regular();
+  const auto [rest, soon] = inverse.both(to(0), to(kTwistSpacing), posture);
+  a.tangent = (soon - rest) / kTwistSpacing;
+  const double expected = a.expected(here_.qd_last, T);
+  a.qd0 = rest / T;
+  a.qd1 = (inverse(to(expected * T), posture) - rest) / (expected * T);
+  a.returning = (returning_ || pulled) && a.regular;
+  if (a.returning) {
+    a.back = (rest - inverse(displacement(here_.X_BF, pose(0, 1.0)), still_)) / T;
+  }
+  a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
+  return a;
+}
+
+JointVector LimitedStep::ExactLaw::finish(double alpha, double beta, const JointVector& qd) const {
+  const double T = self_.T_;
+  const double keep = 1 - beta * (1 - keep_);
+  JointVector q = here_.q + T * qd;
+  Pose X;
+  Jacobian J;
+  self_.chain_.forward(q, X, J);
+  q += Inverse(J)(displacement(X, pose(alpha * T, keep)), still_);
+  // The pivot's own rows: well conditioned even where J is singular.
+  for (int pass = 0; pass < 2; ++pass) {
+    X = self_.chain_.forward(q);
+    const ShaftState shaft = shaft_state(X, self_.tool_, p_BRcm());
+    if (shaft.e.squaredNorm() < kOnPivot * kOnPivot) break;
+    q += rcm_correction(rcm_rows(J, shaft)).dq;
+  }
+  return (q - here_.q) / T;
+}
+
+bool LimitedStep::ExactLaw::node(double t, const JointVector& guess, double arc, Node& node) const {
+  return pose_node(guess, pose(t, 1.0), pose(t + kTwistSpacing, 1.0), arc, node);
+}
+
+/// The path's pose at t, displaced by the share 'keep' of what the arm is off it now.
+Pose LimitedStep::ExactLaw::pose(double t, double keep) const {
+  ShaftGoal goal = wish_.path(t);
+  if (returning_ && keep > 0) {
+    const Vector3 swing = keep * off_swing_;
+    const double angle = swing.norm();
+    if (angle > 1e-15) {
+      goal.s_B = Eigen::AngleAxisd(angle, swing / angle) * goal.s_B;
+      goal.s_B.normalize();
+    }
+    goal.depth += keep * off_depth_;
+    goal.roll += keep * off_roll_;
+  }
+  return pose_on_pivot(home_, self_.tool_, goal);
+}
+
+// --- the velocity form ------------------------------------------------------------------------
+
+LimitedStep::Affine LimitedStep::VelocityLaw::affine() const {
+  Affine a;
+  const JointVector none = JointVector::Zero(here_.q.size());
+  const JointVector posture = gentle(wish_.posture);
+  const Inverse inverse(here_.J);
+  a.regular = inverse.regular();
+  a.qd0 = inverse(wish_.feedback, posture);
+  a.qd1 = a.tangent = inverse(wish_.forward, none);
+  a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
+  // Lateral velocity that the pivot needs; the rest of the feedback may wait.
+  Vector6 pivot = Vector6::Zero();
+  const Vector3 v = feedback_at_pivot();
+  pivot.head<3>() = v - here_.shaft.s * here_.shaft.s.dot(v);
+  a.back = a.qd0 - inverse(pivot, none);
+  a.returning = a.regular;
+  return a;
+}
+
+RcmRows LimitedStep::VelocityLaw::rows(const JointVector& qd) const {
+  RcmRows rows = rows_;
+  const Vector3& s = here_.shaft.s;
+  const Vector3 u = s.unitOrthogonal(), w = s.cross(u);
+  const Vector3 v = feedback_at_pivot();
+  rows.e = {u.dot(v), w.dot(v)};
+  for (Eigen::Index i = 0; i < qd.size(); ++i) {
+    rows.e[0] -= rows.J(0, i) * qd[i];
+    rows.e[1] -= rows.J(1, i) * qd[i];
+  }
+  return rows;
+}
+
+bool LimitedStep::VelocityLaw::node(double t, const JointVector& guess, double arc,
+                                    Node& node) const {
+  if (!wish_.path) return false;
+  return pose_node(guess, pose_on_pivot(home_, self_.tool_, wish_.path(t)),
+                   pose_on_pivot(home_, self_.tool_, wish_.path(t + kTwistSpacing)), arc, node);
+}
+
+/// Velocity that the feedback gives the shaft's point at the pivot.
+Vector3 LimitedStep::VelocityLaw::feedback_at_pivot() const {
+  return wish_.feedback.head<3>() +
+         Vector3(wish_.feedback.tail<3>()).cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
+}
+
+// --- back along the trace ---------------------------------------------------------------------
+
+LimitedStep::RetraceLaw::RetraceLaw(const LimitedStep& self, const Here& here,
+                                    const JointTrace& trace, double back, double rate,
+                                    const Vector3& p_BRcm)
+    : Law(self, here), trace_(trace), back_(back), rate_(rate), p_BRcm_(p_BRcm) {
+  at_0_ = on_pivot(trace.at(back));
+  off_ = here.q - at_0_;
+  keep_ = kept(largest(off_), kRetraceReturn, kRetraceAtOnce, self.T_);
+}
+
+double LimitedStep::RetraceLaw::horizon() const { return kRetraceHorizon; }
+
+LimitedStep::Affine LimitedStep::RetraceLaw::affine() const {
+  const double T = self_.T_;
+  Affine a;
+  a.qd0 = (at_0_ + keep_ * off_ - here_.q) / T;
+  a.tangent = (on_pivot(trace_.at(back_ + rate_ * kTraceSpacing)) - at_0_) / kTraceSpacing;
+  const double expected = a.expected(here_.qd_last, T);
+  a.qd1 = (on_pivot(trace_.at(back_ + expected * rate_ * T)) - at_0_) / (expected * T);
+  a.back = (keep_ - 1) * off_ / T;
+  a.returning = true;
+  a.moves = back_ < trace_.length();
+  return a;
+}
+
+JointVector LimitedStep::RetraceLaw::finish(double alpha, double beta, const JointVector&) const {
+  const double T = self_.T_;
+  const double keep = 1 - beta * (1 - keep_);
+  const JointVector on_trace = on_pivot(trace_.at(back_ + alpha * rate_ * T));
+  return (on_pivot(on_trace + keep * off_) - here_.q) / T;
+}
+
+bool LimitedStep::RetraceLaw::node(double t, const JointVector&, double, Node& node) const {
+  node.q = on_pivot(trace_.at(back_ + rate_ * t));
+  node.direction =
+      (on_pivot(trace_.at(back_ + rate_ * (t + kTraceSpacing))) - node.q) / kTraceSpacing;
+  return true;
+}
+
+JointVector LimitedStep::RetraceLaw::on_pivot(JointVector q) const {
+  for (int pass = 0; pass < 3; ++pass) {
+    Pose X;
+    Jacobian J;
+    self_.chain_.forward(q, X, J);
+    const ShaftState shaft = shaft_state(X, self_.tool_, p_BRcm_);
+    if (shaft.e.squaredNorm() < kOnPivot * kOnPivot) break;
+    q += rcm_correction(rcm_rows(J, shaft)).dq;
+  }
+  return q;
+}
+
+}  // namespace surg

@@ -1,0 +1,162 @@
+// What a limited step needs to know of a law: where its path leads the joints. Three laws: the
+// exact form, the velocity form, and the recorded trace backwards.
+#pragma once
+
+#include <algorithm>
+
+#include "surg_core/barrier.hpp"
+#include "surg_core/limited_step.hpp"
+
+namespace surg {
+
+constexpr double kTwistSpacing = 1e-4;     ///< [s] of the clock, for a path's direction
+constexpr double kPlanAcceleration = 0.8;  ///< of the limits: the step keeps reserves to follow
+
+inline double largest(const JointVector& v) { return v.size() > 0 ? v.cwiseAbs().maxCoeff() : 0.0; }
+
+/// Where the arm is at the beginning of the cycle.
+struct LimitedStep::Here {
+  JointVector q, qd_last;
+  Pose X_BF;
+  Jacobian J;
+  ShaftState shaft;
+};
+
+/// q_dot(alpha) to first order. 'back' is the part of the correction that may wait.
+struct LimitedStep::Affine {
+  JointVector qd0, qd1;
+  JointVector tangent;  ///< d q / d clock at the beginning
+  JointVector back;
+  bool returning = false;  ///< 'back' is not zero
+  bool moves = false;      ///< the path is not at rest
+  bool regular = true;     ///< J could be inverted
+
+  /// The clock speed that the arm's momentum suggests. qd1 is the path's secant over that much of
+  /// the cycle: the one over all of it misses a bent path by more than the joints can brake.
+  double expected(const JointVector& qd_last, double T) const;
+};
+
+/// A point of the path ahead.
+struct LimitedStep::Node {
+  JointVector q, direction;  ///< direction: d q / d clock
+  SingularityMeasures measures;
+  double flange = 0;  ///< [m/s] speed of its origin at full clock
+};
+
+/// The largest alpha that something allows, and its name.
+struct LimitedStep::Cap {
+  double alpha = 1;
+  const char* by = "";
+
+  void limit(double lower, const char* reason) {
+    if (!(lower < alpha)) return;
+    alpha = std::max(lower, 0.0);
+    by = reason;
+  }
+};
+
+/// A law at the beginning of a cycle.
+class LimitedStep::Law {
+ public:
+  Law(const LimitedStep& self, const Here& here) : self_(self), here_(here) {}
+  virtual ~Law() = default;
+
+  virtual Affine affine() const = 0;
+  /// The step without linearisation, near the linear one qd. beta: how much of the way back to the
+  /// path is taken.
+  virtual JointVector finish(double alpha, double beta, const JointVector& qd) const = 0;
+  /// Rows of the pivot at the end of a cycle with qd: J qd' = J qd + e puts it on the trocar.
+  virtual RcmRows rows(const JointVector& qd) const = 0;
+  virtual Vector3 p_BRcm() const = 0;
+  /// [s] of the clock to look ahead; 0: none.
+  virtual double horizon() const = 0;
+  /// The path at t [s] of the clock, near the joints 'guess', 'arc' [rad] from the node before;
+  /// false where it cannot be followed.
+  virtual bool node(double t, const JointVector& guess, double arc, Node& node) const = 0;
+  /// A singularity stops the law: the barrier counts.
+  virtual bool has_barrier() const { return true; }
+
+ protected:
+  /// A node by its flange pose, and the pose kTwistSpacing later.
+  bool pose_node(const JointVector& guess, const Pose& pose, const Pose& later, double arc,
+                 Node& node) const;
+  /// Rows of the pivot's point on the shaft after qd, in velocities.
+  RcmRows rows_after(const JointVector& qd, const Vector3& p_BRcm) const;
+  JointVector gentle(const JointVector& posture) const;
+
+  const LimitedStep& self_;
+  const Here& here_;
+};
+
+/// The exact form: joints of a pose that is on the constraint by construction.
+class LimitedStep::ExactLaw : public Law {
+ public:
+  ExactLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish);
+
+  Affine affine() const override;
+  JointVector finish(double alpha, double beta, const JointVector& qd) const override;
+  RcmRows rows(const JointVector& qd) const override { return rows_after(qd, p_BRcm()); }
+  Vector3 p_BRcm() const override { return wish_.path(0).p_BRcm; }
+  double horizon() const override { return wish_.path ? wish_.horizon : 0.0; }
+  bool node(double t, const JointVector& guess, double arc, Node& node) const override;
+
+ private:
+  void measure_displacement(const ShaftGoal& goal);
+  Pose pose(double t, double keep) const;
+
+  const Home& home_;
+  const Wish& wish_;
+  JointVector still_;
+  Vector3 off_swing_;  ///< the tip's displacement off its path: of the shaft, as rotation vector
+  double off_depth_ = 0, off_roll_ = 0;
+  double keep_ = 0;  ///< share of it that is left after this cycle
+  bool returning_ = false;
+};
+
+/// The velocity form: a twist, linear in alpha.
+class LimitedStep::VelocityLaw : public Law {
+ public:
+  VelocityLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish)
+      : Law(self, here), home_(home), wish_(wish), rows_(rcm_rows(here.J, here.shaft)) {}
+
+  Affine affine() const override;
+  JointVector finish(double, double, const JointVector& qd) const override { return qd; }
+  RcmRows rows(const JointVector& qd) const override;
+  Vector3 p_BRcm() const override { return here_.shaft.p_BNear + here_.shaft.e; }
+  double horizon() const override { return wish_.path ? wish_.horizon : 0.0; }
+  bool node(double t, const JointVector& guess, double arc, Node& node) const override;
+
+ private:
+  Vector3 feedback_at_pivot() const;
+
+  const Home& home_;
+  const Wish& wish_;
+  RcmRows rows_;
+};
+
+/// The recorded joint path backwards, put back on the pivot by its own rows alone: no inverse of J,
+/// so no singularity can stop it.
+class LimitedStep::RetraceLaw : public Law {
+ public:
+  RetraceLaw(const LimitedStep& self, const Here& here, const JointTrace& trace, double back,
+             double rate, const Vector3& p_BRcm);
+
+  Affine affine() const override;
+  JointVector finish(double alpha, double beta, const JointVector&) const override;
+  RcmRows rows(const JointVector& qd) const override { return rows_after(qd, p_BRcm_); }
+  Vector3 p_BRcm() const override { return p_BRcm_; }
+  double horizon() const override;
+  bool node(double t, const JointVector&, double, Node& node) const override;
+  bool has_barrier() const override { return false; }
+
+ private:
+  JointVector on_pivot(JointVector q) const;
+
+  const JointTrace& trace_;
+  double back_, rate_;
+  Vector3 p_BRcm_;
+  JointVector at_0_, off_;
+  double keep_ = 0;
+};
+
+}  // namespace surg

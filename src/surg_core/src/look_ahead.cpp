@@ -1,0 +1,188 @@
+#include "look_ahead.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+namespace {
+
+// The plan takes less than the limits, so that the step has reserves to follow it.
+constexpr double kPlanVelocity = 0.995;
+constexpr double kFirstSpacing = 0.002;  // [s] of the clock
+constexpr double kSpacingGrowth = 1.4;
+constexpr double kFirstArc = 0.002;    // [rad]
+constexpr double kSmallestArc = 1e-5;  // [rad] a path that cannot be followed this far ends here
+constexpr double kShorter = 0.4;       // of the way to a node that could not be reached
+
+/// A x + B y <= c.
+struct Row {
+  double A, B, c;
+};
+/// Two for each joint.
+using Rows = std::array<Row, 2 * kMaxJoints>;
+
+/// Largest x with all n rows, 0 <= x <= X, 0 <= y <= Y; the origin must be inside. Seidel's
+/// incremental method: each row that the optimum so far breaks becomes the line on which the new
+/// one lies.
+double largest_x(const Rows& rows, int n, double X, double Y) {
+  double x = X, y = Y;
+  for (int i = 0; i < n; ++i) {
+    const Row& row = rows[i];
+    if (row.A * x + row.B * y <= row.c + 1e-12 * row.c) continue;
+    const double size = std::hypot(row.A, row.B);
+    if (!(size > 0)) return 0;
+    // The line: foot of the origin, then along (B, -A).
+    const double ux = row.B / size, uy = -row.A / size;
+    const double fx = row.A / size * (row.c / size), fy = row.B / size * (row.c / size);
+    double from = -INFINITY, to = INFINITY;
+    const auto keep = [&](double A, double B, double c) {
+      const double rate = A * ux + B * uy, rest = c - A * fx - B * fy;
+      if (std::abs(rate) < 1e-15 * (std::abs(A) + std::abs(B))) return;
+      if (rate > 0) {
+        to = std::min(to, rest / rate);
+      } else {
+        from = std::max(from, rest / rate);
+      }
+    };
+    keep(1, 0, X);
+    keep(-1, 0, 0);
+    keep(0, 1, Y);
+    keep(0, -1, 0);
+    for (int k = 0; k < i; ++k) keep(rows[k].A, rows[k].B, rows[k].c);
+    if (!(from <= to)) return 0;  // rounding only: the origin is inside
+    const double s = ux >= 0 ? to : from;
+    x = fx + s * ux;
+    y = fy + s * uy;
+  }
+  return std::clamp(x, 0.0, X);
+}
+
+}  // namespace
+
+LimitedStep::LookAhead::LookAhead(const LimitedStep& self, const Law& law, const Here& here,
+                                  const Affine& affine)
+    : self_(self), horizon_(law.horizon()), q_(here.q), spacing_(kFirstSpacing), arc_(kFirstArc) {
+  direction_[0] = affine.tangent;
+  flange_[0] = (here.J * affine.tangent).head<3>().norm();
+  if (law.has_barrier()) measures_ = self.barrier_.measures(here.X_BF, here.J);
+  while (last_ < kNodes && evaluations_ < 2 * kNodes && t_[last_] < horizon_) {
+    if (advance(law, here)) continue;
+    if (by_[0] == 'p') by_ = "unreachable";
+    break;
+  }
+  plan();
+}
+
+/// One node more, at first as far as the spacing allows; false where there is none.
+bool LimitedStep::LookAhead::advance(const Law& law, const Here& here) {
+  const double speed = largest(direction_[last_]);
+  double dt = std::min(spacing_, horizon_ - t_[last_]);
+  if (speed * dt > arc_) dt = arc_ / speed;
+  for (; evaluations_ < 2 * kNodes; dt *= kShorter) {
+    if (speed * dt < kSmallestArc && dt < 1e-4) return false;
+    ++evaluations_;
+    const double t = t_[last_] + dt;
+    Node node;
+    if (!law.node(t, q_ + dt * direction_[last_], speed * dt, node)) continue;
+    if (!passes(node.measures)) {
+      by_ = "singularity";
+      continue;
+    }
+    if (!inside_positions(node.q, here.q)) {
+      by_ = "joint_limit";
+      continue;
+    }
+    ++last_;
+    t_[last_] = t;
+    direction_[last_] = node.direction;
+    flange_[last_] = node.flange;
+    q_ = node.q;
+    measures_ = node.measures;
+    spacing_ = std::min(spacing_, 2 * dt) * kSpacingGrowth;
+    arc_ *= kSpacingGrowth;
+    return true;
+  }
+  return false;
+}
+
+/// Whether a node may follow the last one: neither through a singularity nor, on the way there,
+/// closer than the barrier allows.
+bool LimitedStep::LookAhead::passes(const SingularityMeasures& to) const {
+  const double phi_min = self_.barrier_.phi_min();
+  for (int i = 0; i < std::min(measures_.n, to.n); ++i) {
+    const double before = std::abs(measures_.phi[i]), after = std::abs(to.phi[i]);
+    if (to.phi[i] * measures_.phi[i] <= 0) return false;
+    if (after < phi_min && after < before) return false;
+  }
+  return true;
+}
+
+/// Within the position limits, or not further beyond one than 'from'.
+bool LimitedStep::LookAhead::inside_positions(const JointVector& q, const JointVector& from) const {
+  const JointLimits& limits = self_.limits_;
+  for (Eigen::Index i = 0; i < q.size(); ++i) {
+    if (q[i] > std::max(limits.position_max[i], from[i])) return false;
+    if (q[i] < std::min(limits.position_min[i], from[i])) return false;
+  }
+  return true;
+}
+
+/// The clock's squared speed at a node that flange and joints allow there.
+double LimitedStep::LookAhead::fastest(int i) const {
+  const JointLimits& limits = self_.limits_;
+  const double top = kPlanVelocity * limits.flange_velocity / std::max(flange_[i], 1e-9);
+  double most = std::min(1.0, top * top);
+  for (Eigen::Index j = 0; j < limits.velocity.size(); ++j) {
+    const double v =
+        kPlanVelocity * limits.velocity[j] / std::max(std::abs(direction_[i][j]), 1e-9);
+    most = std::min(most, v * v);
+  }
+  return most;
+}
+
+/// From standstill at the last node backwards to here: q_ddot = u q'' + u' q' / 2 with u the
+/// squared clock speed, in the middle of each interval, within the joints' accelerations.
+void LimitedStep::LookAhead::plan() {
+  const JointVector& acceleration = self_.limits_.acceleration;
+  square_[last_] = 0;
+  for (int i = last_ - 1; i >= 0; --i) {
+    const double dt = t_[i + 1] - t_[i];
+    Rows rows;
+    int n = 0;
+    for (Eigen::Index j = 0; j < acceleration.size(); ++j) {
+      const double bend = (direction_[i + 1][j] - direction_[i][j]) / dt;
+      const double along = 0.5 * (direction_[i + 1][j] + direction_[i][j]) / dt;
+      const double a = kPlanAcceleration * acceleration[j];
+      const double A = 0.5 * (bend - along), B = 0.5 * (bend + along);
+      if (std::abs(A) + std::abs(B) < 1e-12) continue;
+      rows[n++] = {A, B, a};
+      rows[n++] = {-A, -B, a};
+    }
+    square_[i] = largest_x(rows, n, fastest(i), square_[i + 1]);
+  }
+}
+
+/// alpha^2 below the curve here and after alpha T.
+double LimitedStep::LookAhead::alpha() const {
+  const double T = self_.T_;
+  const int n = last_ + 1;
+  double alpha = std::min(1.0, std::sqrt(square_[0]));
+  for (int pass = 0; pass < 4; ++pass) {
+    const double at = alpha * T;
+    int k = 0;
+    while (k + 2 < n && t_[k + 1] <= at) ++k;
+    if (n < 2) return 0;
+    const double slope = (square_[k + 1] - square_[k]) / std::max(t_[k + 1] - t_[k], 1e-15);
+    if (slope >= 0 && k == 0) return alpha;
+    // alpha^2 = square_k + slope (alpha T - t_k), for a falling line the larger root.
+    const double free = std::max(square_[k] - slope * t_[k], 0.0);
+    const double b = 0.5 * slope * T;
+    const double root = b + std::sqrt(b * b + free);
+    const double next = std::clamp(root, 0.0, alpha);
+    if (!(next < alpha * (1 - 1e-9))) return alpha;
+    alpha = next;
+  }
+  return alpha;
+}
+
+}  // namespace surg

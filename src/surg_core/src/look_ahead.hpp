@@ -1,0 +1,45 @@
+// How fast the set-point's clock may run so that the joints can still brake on the path ahead.
+#pragma once
+
+#include <array>
+
+#include "limited_laws.hpp"
+
+namespace surg {
+
+/// The path ahead as nodes, spaced wider the farther away, and from the last one backwards the
+/// clock's largest speed from which the joints can still brake to standstill at the end: a plan to
+/// stop exists in every cycle.
+class LimitedStep::LookAhead {
+ public:
+  /// affine: the law at 'here'.
+  LookAhead(const LimitedStep& self, const Law& law, const Here& here, const Affine& affine);
+
+  /// Largest alpha with which the clock may go on, and what keeps it there.
+  Cap cap() const { return {alpha(), by_}; }
+
+ private:
+  static constexpr int kNodes = 14;
+
+  double alpha() const;
+  bool advance(const Law& law, const Here& here);
+  double fastest(int i) const;
+  void plan();
+  bool passes(const SingularityMeasures& to) const;
+  bool inside_positions(const JointVector& q, const JointVector& from) const;
+
+  const LimitedStep& self_;
+  double horizon_;
+  int last_ = 0;                                   ///< index of the last node; 0 is here
+  std::array<double, kNodes + 1> t_{}, square_{};  ///< [s] of the clock; its largest squared speed
+  std::array<JointVector, kNodes + 1> direction_;  ///< d q / d clock
+  std::array<double, kNodes + 1> flange_{};        ///< [m/s] at full clock
+  // Of the last node, and of the way to the next.
+  JointVector q_;
+  SingularityMeasures measures_;
+  double spacing_, arc_;
+  int evaluations_ = 0;
+  const char* by_ = "preview";
+};
+
+}  // namespace surg

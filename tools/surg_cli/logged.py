@@ -1,0 +1,59 @@
+"""A long program with its output in a log file and its progress on the terminal."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from surg_cli.environment import clean
+from surg_cli.terminal import Problem, Progress
+
+TAIL = 15  # lines of a failed program's output that are shown
+
+
+def run(
+    argv: Sequence[str],
+    log: Path,
+    progress: Progress,
+    *,
+    anew: bool = False,
+    fraction: Callable[[Sequence[str]], float | None] = lambda lines: None,
+    failure: Callable[[Sequence[str], Path], str] | None = None,
+) -> None:
+    """Run a program to its end, in a clean environment and without an input.
+
+    Args:
+        argv: Program and arguments.
+        log: File for its output; made with its folder.
+        progress: Redrawn with each line.
+        anew: Whether the log is replaced; otherwise it is continued.
+        fraction: From the lines so far to the part that is done, None when unknown.
+        failure: From all lines and `log` to the text of the problem (default: the last lines).
+
+    Raises:
+        Problem: When the program fails.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    lines: list[str] = []
+    with log.open("w" if anew else "a", encoding="utf-8") as stream:
+        stream.write("$ " + " ".join(argv) + "\n")
+        process = subprocess.Popen(
+            argv,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            env=clean(),
+        )
+        assert process.stdout is not None
+        for line in process.stdout:
+            stream.write(line)
+            lines.append(line.rstrip())
+            progress.update(fraction(lines), line.strip()[:60])
+    if process.wait() != 0:
+        if failure is not None:
+            raise Problem(failure(lines, log))
+        tail = "\n".join(lines[-TAIL:])
+        raise Problem(f"failed: {' '.join(argv)[:200]}\n{tail}\nThe whole output: {log}")
