@@ -16,6 +16,8 @@ import yaml
 
 import surg_core
 from helpers import dh
+from helpers.bead_task import BeadTask
+from helpers.beads import centre, triangulate
 from surg_cli import paths
 from surg_core import Motion, MotionCommand, StateCommand
 from surg_description.make_cell import home_pose
@@ -367,65 +369,28 @@ def test_cameras_that_do_not_fit_their_baseline_are_refused(
 
 # --- what it sees -----------------------------------------------------------------------------
 
-BEAD = "bead"
-
-
-def bead_model(cell: surg_core.Cell) -> mujoco.MjModel:
-    """The scene with a glowing 2 mm bead that can be put anywhere."""
-
-    def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
-        spec.add_material(name=BEAD, emission=1.0, rgba=[0, 1, 0, 1])
-        body = spec.worldbody.add_body(name=BEAD, mocap=True, pos=site.work.tolist())
-        body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[0.001, 0, 0],
-            material=BEAD,
-            contype=0,
-            conaffinity=0,
-            mass=0.0,
-        )
-
-    return scene.build(scene.choose_arms(cell, None), looks=True, add=add)
-
-
-def centre(picture: np.ndarray) -> np.ndarray:
-    """Pixel (x, y) of what glows green, weighted by how green it is."""
-    r, g, b = (picture[..., i].astype(float) for i in range(3))
-    weight = np.clip(g - np.maximum(r, b), 0.0, None)
-    weight[weight < 40] = 0.0
-    assert weight.sum() > 0, "the bead is not in the picture"
-    y, x = np.mgrid[: picture.shape[0], : picture.shape[1]]
-    return np.array([(weight * x).sum(), (weight * y).sum()]) / weight.sum()
-
 
 def test_a_stereo_pair_triangulates_a_bead(cell: surg_core.Cell) -> None:
-    """2 mm bead at 60 mm: within 0.5 mm, by what camera_info says (P of both cameras)."""
-    model = bead_model(cell)
-    show_only(model, lamps=False)
-    renderer = stereo(model)
-    home = World(cell).data.qpos
+    """2 mm bead at 60 mm: within 0.5 mm, by the projection matrices of both cameras."""
+    world = World(cell, looks=True, task=BeadTask())
+    show_only(world.model, lamps=False)
+    renderer = stereo(world.model)
+    home = np.array(world.data.qpos)
+    slides = [int(world.model.joint(f"bead_{letter}").qposadr[0]) for letter in "xyz"]
     rng = np.random.default_rng(5)
     renderer.render(home)
     X_WC = renderer.camera_pose()
-    P_left, P_right = renderer.intrinsics.P(), renderer.intrinsics.P(renderer.baseline)
+    projections = [renderer.intrinsics.P(), renderer.intrinsics.P(renderer.baseline)]
     assert renderer.baseline == pytest.approx(0.004, abs=1e-12)
+    site = scene.site_of(list(cell.arms.values()))
     errors = []
-    body = model.body(BEAD)
-    for _ in range(12):
+    for _ in range(200 if FULL else 12):
         p_C = np.array([*rng.uniform(-0.012, 0.012, 2), 0.060])
-        renderer._data.mocap_pos[body.mocapid[0]] = X_WC[:3, :3] @ p_C + X_WC[:3, 3]
-        left, right = renderer.pair(home)
-        # Two rows per view of P [x y z 1]' ~ pixel, solved by least squares.
-        rows, values = [], []
-        for P, pixel in ((P_left, centre(left)), (P_right, centre(right))):
-            for axis in range(2):
-                row = P[axis] - pixel[axis] * P[2]
-                rows.append(row[:3])
-                values.append(-row[3])
-        found = np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0]
+        home[slides] = X_WC[:3, :3] @ p_C + X_WC[:3, 3] - site.work
+        found = triangulate(projections, [centre(picture) for picture in renderer.pair(home)])
         errors.append(float(np.linalg.norm(found - p_C)))
     renderer.close()
-    print(f"triangulation of a bead at 60 mm: worst {1e3 * max(errors):.3f} mm of {len(errors)}")
+    print(f"a bead at 60 mm is found within {1e3 * max(errors):.3f} mm, {len(errors)} places")
     assert max(errors) < 0.0005
 
 
