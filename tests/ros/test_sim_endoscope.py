@@ -89,6 +89,90 @@ def test_every_snapshot_is_rendered_in_lockstep(ros_graph: RosGraph, rospy_node:
     assert list(info.K) == pytest.approx([f, 0, 159.5, 0, f, 119.5, 0, 0, 1])
 
 
+class Eye:
+    """Keeps what one view of the endoscope sends."""
+
+    def __init__(self, view: str) -> None:
+        import rospy
+        from sensor_msgs.msg import CameraInfo, Image
+
+        self.images: list[Image] = []
+        self.infos: list[CameraInfo] = []
+        root = f"/endoscope/{view}"
+        self.topics = [
+            rospy.Subscriber(f"{root}/image_raw", Image, self.images.append),
+            rospy.Subscriber(f"{root}/camera_info", CameraInfo, self.infos.append),
+        ]
+
+
+def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: str) -> None:
+    """2 mm bead at 60 mm from both topics, with the P of their camera_info and nothing else."""
+    import rospy
+
+    import surg_core
+    from helpers.bead_task import BeadTask
+    from helpers.beads import centre, triangulate
+    from surg_msgs.msg import SimSnapshot
+    from surg_sim import endoscope, scene
+    from surg_sim.world import World
+
+    path = paths.ROOT / "cells" / "sim_two_arms"
+    cell = surg_core.load_cell(path)
+    world = World(cell, task=BeadTask())
+    site = scene.site_of(list(cell.arms.values()))
+    slides = [int(world.model.joint(f"bead_{letter}").qposadr[0]) for letter in "xyz"]
+    arm = cell.arms["ECM"]
+    X_WC = arm.X_WB @ arm.chain.forward(arm.robot.home) @ endoscope.camera_poses(arm)[0]
+    snapshots = rospy.Publisher("/sim/snapshot", SimSnapshot, queue_size=0)
+    eyes = [Eye("left"), Eye("right")]
+    topics = [snapshots, *eyes[0].topics, *eyes[1].topics]
+    params = {
+        "cell": str(path),
+        "mode": "lockstep",
+        "task": str(paths.ROOT / "tests" / "helpers" / "bead_task.py"),
+        "views": ["left", "right"],
+    }
+    child = ros_graph.node("surg_sim", "endoscope_node.py", "/endoscope", params)
+    rng = np.random.default_rng(8)
+    places = [np.array([*rng.uniform(-0.012, 0.012, 2), 0.060]) for _ in range(6)]
+    try:
+        ros_graph.wait_for(
+            lambda: (
+                child.exit_code is not None or all(topic.get_num_connections() for topic in topics)
+            ),
+            40.0,
+            "the endoscope",
+        )
+        if child.exit_code == 1 and "OpenGL" in child.log_tail():
+            pytest.skip(child.log_tail())
+        for k, p_C in enumerate(places, start=1):
+            qpos = np.array(world.data.qpos)
+            qpos[slides] = X_WC[:3, :3] @ p_C + X_WC[:3, 3] - site.work
+            snapshot = SimSnapshot(tick=25 * k, qpos=qpos.tolist())
+            snapshot.header.stamp = rospy.Time(*divmod(25 * k * TICK_NS, 10**9))
+            snapshots.publish(snapshot)
+        ros_graph.wait_for(
+            lambda: all(len(eye.images) == len(places) for eye in eyes), 40.0, "six pairs"
+        )
+    finally:
+        ros_graph.supervisor.stop([child])
+        for topic in topics:
+            topic.unregister()
+    left, right = eyes
+    stamps = [[m.header.stamp.to_nsec() for m in eye.images] for eye in eyes]
+    assert stamps[0] == stamps[1] == [25 * k * TICK_NS for k in range(1, len(places) + 1)]
+    assert right.images[0].header.frame_id == right.infos[-1].header.frame_id == "endoscope_right"
+    P_left, P_right = (np.array(eye.infos[-1].P).reshape(3, 4) for eye in eyes)
+    assert P_right[0, 3] == pytest.approx(-0.004 * P_left[0, 0], abs=1e-9)
+    errors = []
+    for p_C, *pair in zip(places, left.images, right.images, strict=True):
+        pictures = [np.frombuffer(m.data, np.uint8).reshape(m.height, m.width, 3) for m in pair]
+        found = triangulate([P_left, P_right], [centre(picture) for picture in pictures])
+        errors.append(float(np.linalg.norm(found - p_C)))
+    print(f"worst {1e3 * max(errors):.3f} mm of {len(errors)}")
+    assert max(errors) < 0.0005
+
+
 def test_a_picture_too_large_is_refused(ros_graph: RosGraph, rospy_node: str) -> None:
     params = {"cell": str(CELL), "width": 5000}
     child = ros_graph.node("surg_sim", "endoscope_node.py", "/endoscope", params)

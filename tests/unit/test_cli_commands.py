@@ -9,7 +9,18 @@ from pathlib import Path
 import pytest
 
 from surg_cli import __main__ as cli
-from surg_cli import cells, demo, master, paths, processes, running, system, testing
+from surg_cli import (
+    cells,
+    demo,
+    episode,
+    follow,
+    master,
+    paths,
+    processes,
+    running,
+    system,
+    testing,
+)
 from surg_cli.processes import Supervisor
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, table
@@ -20,7 +31,7 @@ def plan(tmp_path: Path, **changes: object) -> Plan:
         "cell": tmp_path,
         "arms": ("PSM1",),
         "lockstep": True,
-        "video": True,
+        "cameras": ("left",),
         "out": tmp_path / "out",
         "operator": {"cell": "c"},
     }
@@ -52,7 +63,7 @@ def test_nodes_of_a_lock_step_run(tmp_path: Path) -> None:
 
 
 def test_nodes_without_video_and_operator(tmp_path: Path) -> None:
-    nodes = {n.name: n for n in system.nodes(plan(tmp_path, video=False, operator=None))}
+    nodes = {n.name: n for n in system.nodes(plan(tmp_path, cameras=(), operator=None))}
     assert set(nodes) == {"/sim", "/PSM1/controller", "/recorder"}
     assert nodes["/sim"].params["participants"] == []
     assert nodes["/sim"].params["observers"] == ["recorder"]
@@ -103,8 +114,8 @@ def test_gain_range(text: str) -> None:
 def test_an_out_folder_with_content_is_refused(tmp_path: Path) -> None:
     (tmp_path / "old").write_text("")
     with pytest.raises(Problem, match="not an empty folder"):
-        demo._run_folder(tmp_path)
-    assert demo._run_folder(tmp_path / "new") == tmp_path / "new"
+        paths.run_folder(tmp_path)
+    assert paths.run_folder(tmp_path / "new") == tmp_path / "new"
 
 
 def test_a_taken_port_is_said_with_the_cure(tmp_path: Path) -> None:
@@ -126,7 +137,7 @@ def test_a_missing_gl_library_is_said_with_the_cure(tmp_path: Path) -> None:
         code = "echo \"ImportError: ('Unable to load EGL library', 'libEGL.so.1')\"; exit 1"
         child = supervisor.start("/endoscope", ["/bin/sh", "-c", code])
         assert processes.wait_until(lambda: child.exit_code is not None, 5.0)
-        text = demo.death_notice(child)
+        text = follow.death_notice(child)
     assert "/endoscope ended (1)" in text
     assert "--no-video" in text
 
@@ -151,3 +162,46 @@ def test_counts_in_pytests_closing_line() -> None:
 def test_tables_line_up() -> None:
     assert table([["a", "b"], ["ccc", "d"]], "") == "a    b\nccc  d"
     assert table([]) == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--task", "bgr", "--motion", "m.csv"], "--motion: only without --task"),
+        (["--task", "bgr", "--scale", "2", "--free-run"], "--free-run, --scale: only without"),
+        (["--setting", "in_vivo", "--episodes", "3"], "--episodes, --setting: only with --task"),
+    ],
+)
+def test_a_motion_and_a_task_do_not_mix(words: list[str], said: str) -> None:
+    parser = argparse.ArgumentParser()
+    demo.add_arguments(parser, "demo")
+    with pytest.raises(Problem, match=said) as caught:
+        demo.main(parser.parse_args(words), "demo")
+    assert caught.value.code == 2
+
+
+def test_a_controller_waits_for_those_who_command_its_arm(tmp_path: Path) -> None:
+    wanted = plan(
+        tmp_path,
+        arms=("PSM1", "ECM"),
+        operator=None,
+        task="bgr",
+        setting="in_vivo",
+        cameras=("left", "right"),
+        senders={"expert": ("PSM1",), "assistant": ()},
+    )
+    nodes = {node.name: node.params for node in system.nodes(wanted)}
+    assert nodes["/sim"]["participants"] == ["expert", "assistant"]
+    assert nodes["/PSM1/controller"]["participants"] == ["expert"]
+    assert nodes["/ECM/controller"]["participants"] == []
+    for name in ("/sim", "/endoscope"):
+        assert (nodes[name]["task"], nodes[name]["setting"]) == ("bgr", "in_vivo")
+    assert nodes["/recorder"]["cameras"] == ["endoscope_left", "endoscope_right"]
+    assert [node.name for node in system.senders(wanted)] == ["/expert", "/assistant"]
+    assert episode_plan(wanted) == wanted
+
+
+def episode_plan(wanted: Plan) -> Plan:
+    """The plan as the process of an episode reads it."""
+    episode.write_plan(wanted)
+    return episode.read_plan(wanted.out)

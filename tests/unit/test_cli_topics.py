@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from surg_cli.graph_probe import Seen
-from surg_cli.topic_contract import PAGE, SOURCE, Contract, compare, load, render
+from surg_cli.topic_contract import PAGE, REFERENCE, SOURCE, Contract, compare, load, render
 
 NODES = ("controller", "sim")
 
@@ -30,7 +30,7 @@ def graph(contract: Contract) -> list[Seen]:
             latched=entry.direction == "out" and entry.latched[1],
         )
         for entry in contract.entries
-        if entry.node in NODES
+        if entry.node in NODES and entry.only in {None, *REFERENCE}
     ]
 
 
@@ -94,3 +94,14 @@ def test_a_contract_that_cannot_be_read_is_refused(tmp_path) -> None:
         broken.write_text(text.replace(old, new, 1))
         with pytest.raises(ValueError, match="unknown"):
             load(broken)
+
+
+def test_a_topic_of_a_task_is_promised_with_a_task_only(
+    contract: Contract, graph: list[Seen]
+) -> None:
+    of_task = [e for e in contract.entries if e.only == "task"]
+    assert len(of_task) >= 5
+    assert wrong(contract, graph) == []
+    with_task = compare(contract, graph, "PSM1", NODES, False, parameters={"task", *REFERENCE})
+    assert len(with_task) == len(of_task)
+    assert all("promised and not on the graph" in sentence for sentence in with_task)

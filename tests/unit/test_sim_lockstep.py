@@ -143,3 +143,32 @@ def test_any_order_of_arrival_gives_the_same_steps(seed: int) -> None:
         assert counted == 4
         assert machine.may_step()
         machine.publish(tick + 1, 0.001 * tick)
+
+
+def test_announced_commands_to_this_side_are_waited_for() -> None:
+    """The assistant's commands go to the simulator: it holds them to what Ready has announced."""
+    machine = Lockstep(["PSM1"], ["assistant", "op"], strict=True)
+    machine.publish(1, 0.0)
+    machine.answer("PSM1", "robot", 1)
+    machine.answer("PSM1", "tool", 1)
+    machine.ready("op", 1, False)
+    assert not machine.may_step(), "strict: the assistant has not been heard of"
+    machine.ready("assistant", 25, False, sent=2)
+    assert not machine.may_step()
+    machine.received("stranger")
+    machine.received("assistant")
+    assert not machine.may_step()
+    assert "has sent the assistant 2 commands of which 1 arrived" in "; ".join(machine.missing())
+    machine.received("assistant")
+    assert machine.may_step()
+    assert machine.missing() == []
+
+
+def test_a_participant_may_be_ready_far_ahead() -> None:
+    machine = Lockstep(["PSM1"], ["assistant"], strict=True)
+    machine.ready("assistant", 25, False)
+    for tick in range(1, 27):
+        machine.publish(tick, 0.0)
+        machine.answer("PSM1", "robot", tick)
+        machine.answer("PSM1", "tool", tick)
+        assert machine.may_step() is (tick <= 25)

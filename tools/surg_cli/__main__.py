@@ -20,6 +20,7 @@ from surg_cli.terminal import Problem, say, warn
 # command -> (module, needs the workspace, one line of help)
 COMMANDS = {
     "demo": ("demo", True, "drive an instrument through its trocar and report how well it went"),
+    "run": ("run", True, "episodes of a task by scripted senders, with success and deviations"),
     "test": ("testing", True, "build and run the tests"),
     "setup": ("setup", False, "install Debian packages and .venv"),
     "build": ("setup", False, "build the workspace (does setup first)"),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import datetime
 import json
 import math
 import os
@@ -14,16 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, environment, master, paths, processes, running, system
+from surg_cli import cells, environment, follow, master, paths, processes, run, running, system
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, Progress, say, table, warn
 from surg_cli.watch import Watch
 
-START_TIMEOUT_S = 60.0
-STALL_TIMEOUT_S = 30.0
-RECORDER_TIMEOUT_S = 120.0
 OPERATOR_TIMEOUT_S = 15.0
-FAULT_GRACE_S = 1.0
 # Homing, the way to the start, settling and the last hold, for the progress line only.
 AROUND_MOTION_S = 2.5
 BUNDLED_MOTION = paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv"
@@ -46,14 +41,23 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--no-video", action="store_true", help="without the endoscope camera")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master (default: a free one)")
+    add(
+        "--task",
+        metavar="TASK",
+        help="play a task instead of a motion, as ./surg run TASK does",
+    )
+    run.add_options(parser)
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check everything, run, report; the last line printed is the path of summary.json."""
+    _check_mixture(options, command)
+    if options.task is not None:
+        return run.main(options, command)
     if options.view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise Problem("--view needs a display: neither DISPLAY nor WAYLAND_DISPLAY is set", 2)
     # Everything a person can get wrong is found before anything moves.
-    out = _run_folder(options.out)
+    out = paths.run_folder(options.out)
     try:
         cell = cells.for_robot(options.robot, out / "cell")
         loaded = cells.load(cell)
@@ -69,7 +73,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"scale {options.scale:g}, {options.mode}, "
         f"{'lock-step' if plan.lockstep else 'free-run'} -> {out}"
     )
-    reasons = run(plan, motion.duration_s, options.port)
+    reasons = play(plan, motion.duration_s, options.port)
     for reason in reasons:
         warn(f"surg: {reason}")
     summary = make_report(out, reasons)
@@ -80,6 +84,22 @@ def main(options: argparse.Namespace, command: str) -> int:
             warn(f"surg: {reason}")
     say(str(out / "summary.json"))
     return 0 if summary["ok"] else 1
+
+
+def _check_mixture(options: argparse.Namespace, command: str) -> None:
+    """Refuse options of a motion with a task, and of a task with a motion.
+
+    Raises:
+        Problem: Names those that must not be there.
+    """
+    parser = argparse.ArgumentParser()
+    add_arguments(parser, command)
+    of_task, shared = {"setting", "episodes", "cameras"}, {"task", "robot", "law", "seed", "out"}
+    given = {name for name, value in vars(options).items() if value != parser.get_default(name)}
+    wrong = given & of_task if options.task is None else given - of_task - shared
+    if wrong:
+        names = ", ".join(sorted(f"--{name.replace('_', '-')}" for name in wrong))
+        raise Problem(f"{names}: only {'with' if options.task is None else 'without'} --task", 2)
 
 
 @dataclass(frozen=True)
@@ -98,7 +118,7 @@ class CheckedMotion:
     whole: bool
 
 
-def run(plan: Plan, duration_s: float, port: int | None) -> list[str]:
+def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
     """Run a plan with an operator to its end.
 
     Args:
@@ -142,7 +162,9 @@ def _follow(
     reasons: list[str] = []
     with Watch(plan.arms) as watch, Progress("demo") as progress:
         watch.record(True)
-        _await(lambda: watch.recording is True, supervisor, progress, "the recorder")
+        follow.wait_for(
+            lambda: watch.recording is True, supervisor, progress.update, "the recorder"
+        )
         operator = system.start(supervisor, system.operator_node(plan))
         entry.nodes = {child.name: child.process.pid for child in supervisor.children}
         entry.save()
@@ -155,87 +177,21 @@ def _follow(
             progress.update(fraction, f"{seconds:5.1f} s simulated, {note}")
             if watch.faulted and fault_at is None:
                 fault_at = time.monotonic()
-            reasons = _failure(watch, supervisor, fault_at)
+            reasons = follow.failure(watch, supervisor, fault_at, (f"/{system.OPERATOR}",))
             if reasons:
                 break
         progress.update(1.0, "writing the recording")
         if not reasons:
             reasons = _operator_verdict(operator)
-        reasons += _finish_recording(watch, supervisor)
+        reasons += follow.finish_recording(watch, supervisor)
     return reasons
-
-
-def _failure(watch: Watch, supervisor: processes.Supervisor, fault_at: float | None) -> list[str]:
-    """Why the run must end now; empty while all is well."""
-    sim = watch.sim
-    if sim.get("aborted"):
-        return [f"the simulator gave up: {sim['aborted']}"]
-    if sim.get("done"):
-        return []
-    dead = supervisor.first_dead()
-    # The operator ends by itself, well, when it has played the motion.
-    if dead is not None and not (dead.name == f"/{system.OPERATOR}" and dead.exit_code == 0):
-        return [death_notice(dead)]
-    if fault_at is not None and time.monotonic() - fault_at > FAULT_GRACE_S:
-        arm = watch.faulted[0]
-        return [f"{arm} went into FAULT: {watch.last_error(arm) or 'it gave no reason'}"]
-    if watch.stalled_s > STALL_TIMEOUT_S:
-        tick = sim.get("tick", "none")
-        return [f"the simulator has stood still for {STALL_TIMEOUT_S:.0f} s at tick {tick}"]
-    return []
 
 
 def _operator_verdict(operator: processes.Child) -> list[str]:
     """What the operator says at its end; empty when it has played the whole motion."""
     if not processes.wait_until(lambda: operator.exit_code is not None, OPERATOR_TIMEOUT_S):
         return ["the operator did not end"]
-    return [] if operator.exit_code == 0 else [death_notice(operator)]
-
-
-def _finish_recording(watch: Watch, supervisor: processes.Supervisor) -> list[str]:
-    """Stop the recorder and wait for its files; say what is wrong with them."""
-    recorder = next(c for c in supervisor.children if c.name == f"/{system.RECORDER}")
-    watch.record(False)
-    ended = processes.wait_until(
-        lambda: watch.recording is False or recorder.exit_code is not None, RECORDER_TIMEOUT_S
-    )
-    if not ended or watch.recording is not False:
-        return ["the recorder did not finish its files"]
-    problem = watch.record_status.get("problem")
-    return [f"the recording is incomplete: {problem}"] if problem else []
-
-
-def death_notice(child: processes.Child) -> str:
-    """What to say of a node that has ended: its name, status, last words, and a cure if known."""
-    code = child.exit_code
-    how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended ({code})"
-    tail = child.log_tail()
-    text = f"node {child.name} {how}; the end of {child.log}:\n{tail}"
-    lowered = tail.lower()
-    graphics = ("libegl", "libosmesa", "libopengl", "gladloadgl", "eglerror", "opengl platform")
-    if any(word in lowered for word in graphics):
-        text += (
-            "\nA library for off-screen rendering is missing or does not work: run ./surg setup, "
-            "try MUJOCO_GL=osmesa ./surg demo, or leave the camera out with --no-video."
-        )
-    return text
-
-
-def _await(condition: Any, supervisor: processes.Supervisor, progress: Progress, what: str) -> None:
-    """Wait for a condition while the system starts.
-
-    Raises:
-        Problem: When a node ends meanwhile (its exit code is kept), or after a minute.
-    """
-    deadline = time.monotonic() + START_TIMEOUT_S
-    while not condition():
-        dead = supervisor.first_dead()
-        if dead is not None:
-            raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
-        if time.monotonic() > deadline:
-            raise Problem(f"waited {START_TIMEOUT_S:.0f} s for {what}; see {supervisor.logs}")
-        progress.update(0.0, f"waiting for {what}")
-        time.sleep(0.02)
+    return [] if operator.exit_code == 0 else [follow.death_notice(operator)]
 
 
 def make_report(out: Path, reasons: list[str]) -> dict[str, Any]:
@@ -344,7 +300,7 @@ def _plan(
         cell=cell,
         arms=(arm,),
         lockstep=not options.free_run,
-        video=not options.no_video,
+        cameras=() if options.no_video else ("left",),
         view=options.view,
         law=options.law,
         link=options.link,
@@ -386,25 +342,6 @@ def _only_arm(loaded: Any, cell: Path) -> str:
     if len(names) != 1:
         raise Problem(f"{cell}: the demonstration drives one arm, this cell has {len(names)}", 2)
     return str(names[0])
-
-
-def _run_folder(wanted: Path | None) -> Path:
-    """The folder of the run: a new one, or an empty one.
-
-    Raises:
-        Problem: When the wanted folder holds something.
-    """
-    if wanted is not None:
-        out = wanted.absolute()
-        if out.exists() and (not out.is_dir() or any(out.iterdir())):
-            raise Problem(f"--out {wanted}: not an empty folder; name another or remove it", 2)
-        return out
-    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
-    out, count = paths.RUNS / now, 1
-    while out.exists():
-        count += 1
-        out = paths.RUNS / f"{now}_{count}"
-    return out
 
 
 def _forget(out: Path) -> None:

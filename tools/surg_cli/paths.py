@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import datetime
 import hashlib
 import os
 import tempfile
 from pathlib import Path
+
+from surg_cli.terminal import Problem
 
 ROOT = Path(__file__).resolve().parents[2]
 VENV = ROOT / ".venv"
@@ -38,3 +41,25 @@ def write_text(path: Path, text: str) -> None:
 def file_digest(path: Path) -> str:
     """SHA-256 of a file's bytes, in hex."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def run_folder(wanted: Path | None) -> Path:
+    """The folder of a run: a new one, or an empty one. Nothing is made.
+
+    Args:
+        wanted: What a person asked for; None for one named by the time, in UTC.
+
+    Raises:
+        Problem: When the wanted folder holds something.
+    """
+    if wanted is not None:
+        out = wanted.absolute()
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise Problem(f"--out {wanted}: not an empty folder; name another or remove it", 2)
+        return out
+    now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
+    out, count = RUNS / now, 1
+    while out.exists():
+        count += 1
+        out = RUNS / f"{now}_{count}"
+    return out

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,7 +30,7 @@ class Plan:
         cell: Folder of the cell.
         arms: CRTK names of its arms.
         lockstep: Step by step and reproducible, or in real time.
-        video: Whether the endoscope renders.
+        cameras: Views that the endoscope renders: "left", "right"; none: there is no endoscope.
         view: Whether the simulator opens its window.
         law: "ours", "velocity" or "paper".
         link: "joint", "twist", or None for what the robot's YAML says.
@@ -38,6 +39,9 @@ class Plan:
         out: Folder of the run.
         record: Whether a recorder runs.
         operator: Parameters of the operator node, None for a system without one.
+        task: Name or file of the task that is played; empty: none.
+        setting: Its physical setting.
+        senders: Names of the scripted nodes that play it, with the arms that each commands.
         extra_participants: Nodes from elsewhere that a lock-step tick waits for.
         run_info: What the recorder writes into the manifest.
     """
@@ -45,7 +49,7 @@ class Plan:
     cell: Path
     arms: tuple[str, ...]
     lockstep: bool
-    video: bool
+    cameras: tuple[str, ...]
     out: Path
     view: bool = False
     law: str = "ours"
@@ -54,6 +58,9 @@ class Plan:
     seed: int = 0
     record: bool = True
     operator: dict[str, object] | None = None
+    task: str = ""
+    setting: str = ""
+    senders: Mapping[str, Sequence[str]] = field(default_factory=dict)
     extra_participants: tuple[str, ...] = ()
     run_info: dict[str, object] = field(default_factory=dict)
 
@@ -66,13 +73,40 @@ class Plan:
     def participants(self) -> list[str]:
         """Names of the nodes whose commands a lock-step tick waits for."""
         ours = [OPERATOR] if self.operator is not None else []
-        return [*ours, *self.extra_participants]
+        return [*ours, *self.senders, *self.extra_participants]
+
+    def commanders(self, arm: str) -> list[str]:
+        """Names of the nodes whose commands an arm's controller waits for.
+
+        A scripted node that does not command an arm does not look at its cycles either: it may be a
+        tick ahead of them, and must not be waited for.
+        """
+        senders = [name for name, arms in self.senders.items() if arm in arms]
+        return [name for name in self.participants if name not in self.senders or name in senders]
+
+    @property
+    def streams(self) -> list[str]:
+        """Names of the recorded cameras."""
+        return [f"{ENDOSCOPE}_{view}" for view in self.cameras]
+
+    @property
+    def scene(self) -> dict[str, object]:
+        """Parameters that every node that builds the scene must agree on."""
+        found: dict[str, object] = {
+            "cell": str(self.cell),
+            "mode": self.mode,
+            "arms": list(self.arms),
+            "seed": self.seed,
+        }
+        if self.task:
+            found.update(task=self.task, setting=self.setting)
+        return found
 
     @property
     def observers(self) -> list[str]:
         """Names of the nodes that may fall behind by a bounded number of ticks only."""
         names = [RECORDER] if self.record else []
-        return [*names, ENDOSCOPE] if self.video else names
+        return [*names, ENDOSCOPE] if self.cameras else names
 
 
 @dataclass(frozen=True)
@@ -108,42 +142,27 @@ class Node:
 
 
 def nodes(plan: Plan) -> list[Node]:
-    """The nodes of a system in the order they are started, without the operator.
+    """The nodes of a system in the order they are started, without those that play.
 
     Args:
         plan: What is wanted.
     """
-    cell = str(plan.cell)
-    found = [
-        Node(
-            "/sim",
-            "surg_sim",
-            "bridge_node.py",
-            {
-                "cell": cell,
-                "mode": plan.mode,
-                "participants": plan.participants,
-                "observers": plan.observers,
-                "seed": plan.seed,
-                "arms": list(plan.arms),
-                **({"view": True} if plan.view else {}),
-            },
-        )
-    ]
-    if plan.video:
-        params: dict[str, object] = {
-            "cell": cell,
-            "mode": plan.mode,
-            "arms": list(plan.arms),
-            "seed": plan.seed,
-        }
+    params: dict[str, object] = {
+        **plan.scene,
+        "participants": plan.participants,
+        "observers": plan.observers,
+        **({"view": True} if plan.view else {}),
+    }
+    found = [Node("/sim", "surg_sim", "bridge_node.py", params)]
+    if plan.cameras:
+        params = {**plan.scene, "views": list(plan.cameras)}
         found.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))
     for arm in plan.arms:
         params = {
-            "cell": cell,
+            "cell": str(plan.cell),
             "arm": arm,
             "mode": plan.mode,
-            "participants": plan.participants,
+            "participants": plan.commanders(arm),
             "law": plan.law,
         }
         if plan.link is not None:
@@ -162,15 +181,21 @@ def nodes(plan: Plan) -> list[Node]:
     if plan.record:
         params = {
             "out": str(plan.out / "episode"),
-            "cell": cell,
+            "cell": str(plan.cell),
             "mode": plan.mode,
             "arms": list(plan.arms),
             "autostart": False,
-            "cameras": ["endoscope_left"] if plan.video else [],
+            "cameras": plan.streams,
             "run_info": json.dumps(plan.run_info, sort_keys=True),
         }
         found.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
     return found
+
+
+def senders(plan: Plan) -> list[Node]:
+    """The nodes that play the plan's task."""
+    params: dict[str, object] = {"cell": str(plan.cell), "task": plan.task, "seed": plan.seed}
+    return [Node(f"/{name}", "surg_sim", "expert_node.py", dict(params)) for name in plan.senders]
 
 
 def operator_node(plan: Plan) -> Node:

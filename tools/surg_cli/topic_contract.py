@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,8 @@ PAGE = paths.ROOT / "docs" / "topics.md"
 ARM = "<arm>"
 EXTERNAL = ("/rosout", "/rosout_agg", "/use_sim_time")
 """Topics that come with ROS itself."""
+REFERENCE = frozenset({"track_rcm", "track_stale", "inject"})
+"""Optional parameters that the reference graph switches on: all but those of a task."""
 _KEYS = {
     "topic", "service", "type", "use", "node", "dir", "only", "rate", "hz", "frame", "latched",
     "valid", "meaning",
@@ -36,7 +38,7 @@ class Entry:
         hz: Rate in lock-step (of simulated time) and in free-run; None: not periodic.
         frame: What header.frame_id must be; None: not checked.
         valid: From when on there are valid data: `always`, `link`, `homed`; None: not checked.
-        only: Parameter without which the topic does not exist.
+        only: Parameter without which the topic does not exist; see ``REFERENCE``.
     """
 
     name: str
@@ -111,7 +113,12 @@ def _entry(row: dict[str, Any]) -> Entry:
 
 
 def compare(
-    contract: Contract, seen: Iterable[Seen], arm: str, nodes: Iterable[str], lockstep: bool
+    contract: Contract,
+    seen: Iterable[Seen],
+    arm: str,
+    nodes: Iterable[str],
+    lockstep: bool,
+    parameters: Collection[str] = REFERENCE,
 ) -> list[str]:
     """Where contract and graph differ, one sentence each.
 
@@ -121,6 +128,7 @@ def compare(
         arm: Name of the arm.
         nodes: Base names of the nodes that run; others are not looked at.
         lockstep: Mode of the graph.
+        parameters: Optional parameters that its nodes have.
     """
     running = set(nodes)
     there = {(s.name, s.node.rpartition("/")[2], s.direction): s for s in seen}
@@ -129,7 +137,11 @@ def compare(
         for key, s in there.items()
         if key[1] in running and s.name not in EXTERNAL and not _logger(s)
     }
-    promised = {(e.resolved(arm), e.node, e.direction): e for e in contract.entries}
+    promised = {
+        (e.resolved(arm), e.node, e.direction): e
+        for e in contract.entries
+        if e.only is None or e.only in parameters
+    }
     internal = _internal(contract, arm)
     wrong = [
         f"{name} ({node}, {way}) is on the graph and not in {SOURCE.name}"

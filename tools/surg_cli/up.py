@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 
 from surg_cli import cells, environment, master, paths, processes, running, system
-from surg_cli.demo import death_notice, tcp_port
+from surg_cli.demo import tcp_port
+from surg_cli.follow import death_notice
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, Progress, say
 from surg_cli.watch import Watch
@@ -49,7 +50,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         cell=cell,
         arms=arms,
         lockstep=options.lock_step,
-        video=not options.no_video,
+        cameras=() if options.no_video else ("left",),
         view=options.view,
         law=options.law,
         link=options.link,

@@ -22,12 +22,15 @@ class Watch:
 
     KEPT = 50
 
-    def __init__(self, arms: Sequence[str], name: str = "surg") -> None:
+    def __init__(
+        self, arms: Sequence[str], name: str = "surg", senders: Sequence[str] = ()
+    ) -> None:
         """Become a ROS node and subscribe.
 
         Args:
             arms: CRTK names of the arms.
             name: Name of the node; a number is added.
+            senders: Names of scripted nodes whose reasons are wanted.
         """
         import rospy
         from std_msgs.msg import Bool, String
@@ -43,6 +46,7 @@ class Watch:
         self._states: dict[str, str] = {}
         self._faulted: list[str] = []
         self._errors: dict[str, str] = {}
+        self._gave_up: dict[str, str] = {}
         self._news: deque[tuple[str, str]] = deque(maxlen=self.KEPT)
         self._bool = Bool
         self._record_switch = rospy.Publisher("/record/record", Bool, queue_size=1, latch=True)
@@ -52,6 +56,10 @@ class Watch:
             subscribe("/record/recording", Bool, self._on_recording),
             subscribe("/record/status", String, self._on_record),
         ]
+        for sender in senders:
+            self._subscribers.append(
+                subscribe(f"/{sender}/status", String, self._on_sender, sender)
+            )
         for arm in arms:
             topic = f"/{arm}/operating_state"
             self._subscribers.append(subscribe(topic, OperatingState, self._on_state, arm))
@@ -109,6 +117,12 @@ class Watch:
         with self._lock:
             return list(self._faulted)
 
+    @property
+    def gave_up(self) -> dict[str, str]:
+        """Scripted sender -> why it gave up."""
+        with self._lock:
+            return dict(self._gave_up)
+
     def news(self) -> list[tuple[str, str]]:
         """(arm and kind, text) of the errors and warnings since the last call, oldest first.
 
@@ -139,6 +153,12 @@ class Watch:
         status = _parse(message.data, "/record/status")
         with self._lock:
             self._record = status
+
+    def _on_sender(self, message: Any, sender: str) -> None:
+        reason = _parse(message.data, f"/{sender}/status").get("reason")
+        if reason:
+            with self._lock:
+                self._gave_up[sender] = str(reason)
 
     def _on_state(self, message: Any, arm: str) -> None:
         with self._lock:

@@ -181,7 +181,7 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   setup.X_WB = pose_from_xyz_rpy(setup.arm.base_xyz, setup.arm.base_rpy);
   const std::string robot_file = beside(cell_file, setup.arm.robot);
   const std::string instrument_file = beside(cell_file, setup.arm.instrument);
-  setup.robot = surg::parse_robot(load_document(robot_file));
+  setup.robot = surg::with_home(surg::parse_robot(load_document(robot_file)), setup.arm, cell_file);
   setup.instrument = surg::parse_instrument(load_document(instrument_file));
   setup.limits = surg::tighten(setup.robot.limits, setup.arm, cell_file);
   setup.tool =

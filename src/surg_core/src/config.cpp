@@ -170,6 +170,17 @@ class Reader {
     return {list[0], list[1], list[2]};
   }
 
+  /// Whether the document says the key, or any key of a section of this name.
+  bool has(const std::string& name) const {
+    const auto next = document_.values.lower_bound(name + ".");
+    return document_.values.count(name) != 0 ||
+           (next != document_.values.end() && next->first.rfind(name + ".", 0) == 0);
+  }
+
+  std::vector<double> numbers(const std::string& key) {
+    return get<std::vector<double>>(key, "a list of numbers");
+  }
+
   std::vector<std::string> words(const std::string& key) {
     return get<std::vector<std::string>>(key, "a list of texts");
   }
@@ -260,6 +271,41 @@ Evidence read_evidence(Reader& reader) {
   return evidence;
 }
 
+CameraConfig read_camera(Reader& reader) {
+  CameraConfig camera;
+  camera.frames = reader.words("camera.frames");
+  const std::size_t n = camera.frames.size();
+  if (n != 1 && n != 2) {
+    reader.fail("camera.frames",
+                std::to_string(n) + " links; allowed are one, or two: the left and the right one");
+  }
+  if (n == 2 && camera.frames[0] == camera.frames[1]) {
+    reader.fail("camera.frames", "names '" + camera.frames[0] + "' twice");
+  }
+  camera.fovy = reader.real("camera.fovy", 0.2, 2.0, "rad");
+  if (n == 2) camera.baseline = reader.real("camera.baseline", 0.0005, 0.05, "m");
+  return camera;
+}
+
+/// The text between "arms." and the next dot of every key.
+std::vector<std::string> arm_names(const Document& document) {
+  std::vector<std::string> names;
+  for (const auto& [key, value] : document.values) {
+    if (key.rfind("arms.", 0) != 0) continue;
+    const auto dot = key.find('.', 5);
+    const std::string name = key.substr(5, dot == std::string::npos ? dot : dot - 5);
+    if (names.empty() || names.back() != name) names.push_back(name);  // keys are sorted
+  }
+  const auto line = [&document](const std::string& name) {
+    const auto found = document.lines.find("arms." + name);
+    return found == document.lines.end() ? 0 : found->second;
+  };
+  std::stable_sort(names.begin(), names.end(), [&line](const std::string& a, const std::string& b) {
+    return line(a) < line(b);
+  });
+  return names;
+}
+
 }  // namespace
 
 RobotConfig parse_robot(const Document& document) {
@@ -322,13 +368,17 @@ InstrumentConfig parse_instrument(const Document& document) {
   instrument.urdf = reader.word("urdf");
   instrument.mount_link = reader.word("mount_link");
   instrument.tip_link = reader.word("tip_link");
-  instrument.jaw_min = reader.real("jaw.min", -0.5, 3.2, "rad");
-  instrument.jaw_max = reader.real("jaw.max", -0.5, 3.2, "rad");
-  instrument.jaw_velocity = reader.real("jaw.velocity", 0.05, 20.0, "rad/s");
-  if (!(instrument.jaw_min < instrument.jaw_max)) {
-    reader.fail("jaw.min", number(instrument.jaw_min) + " rad is not below jaw.max " +
-                               number(instrument.jaw_max) + " rad");
+  instrument.jaw_min = instrument.jaw_max = instrument.jaw_velocity = 0;
+  if (reader.has("jaw")) {
+    instrument.jaw_min = reader.real("jaw.min", -0.5, 3.2, "rad");
+    instrument.jaw_max = reader.real("jaw.max", -0.5, 3.2, "rad");
+    instrument.jaw_velocity = reader.real("jaw.velocity", 0.05, 20.0, "rad/s");
+    if (!(instrument.jaw_min < instrument.jaw_max)) {
+      reader.fail("jaw.min", number(instrument.jaw_min) + " rad is not below jaw.max " +
+                                 number(instrument.jaw_max) + " rad");
+    }
   }
+  if (reader.has("camera")) instrument.camera = read_camera(reader);
   reader.finish();
   return instrument;
 }
@@ -371,12 +421,7 @@ CellConfig parse_cell(const Document& document) {
   cell.file = document.file;
   cell.name = reader.word("name");
   cell.network = reader.choice("network", {"loopback", "isolated"});
-  std::set<std::string> names;
-  for (const auto& [key, value] : document.values) {
-    if (key.rfind("arms.", 0) != 0) continue;
-    const auto dot = key.find('.', 5);
-    names.insert(key.substr(5, dot == std::string::npos ? dot : dot - 5));
-  }
+  const std::vector<std::string> names = arm_names(document);
   if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
   for (const auto& name : names) {
     const std::string prefix = "arms." + name + ".";
@@ -394,6 +439,7 @@ CellConfig parse_cell(const Document& document) {
     arm.link = reader.choice(prefix + "link", {"simulator"});
     arm.base_xyz = reader.vector(prefix + "base.xyz", 10.0, "m");
     arm.base_rpy = reader.vector(prefix + "base.rpy", 6.3, "rad");
+    if (reader.has(prefix + "home")) arm.home = reader.numbers(prefix + "home");
     for (const auto& [key, value] : document.values) {
       if (key.rfind(prefix + "limits.", 0) != 0) continue;
       const std::string limit = key.substr(prefix.size() + std::strlen("limits."));
@@ -425,6 +471,25 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
     result.*key->member = value;
   }
   check_limits(result, cell_file);
+  return result;
+}
+
+RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file) {
+  RobotConfig result = robot;
+  if (arm.home.empty()) return result;
+  const std::string where = cell_file + ": arms." + arm.name + ".home: ";
+  if (arm.home.size() != robot.joint_names.size()) {
+    throw ConfigError(where + "has " + std::to_string(arm.home.size()) + " values; " + robot.name +
+                      " has " + std::to_string(robot.joint_names.size()) + " joints");
+  }
+  for (int i = 0; i < static_cast<int>(arm.home.size()); ++i) {
+    if (!(arm.home[i] > robot.position_min[i] && arm.home[i] < robot.position_max[i])) {
+      throw ConfigError(where + robot.joint_names[i] + ": " + number(arm.home[i]) +
+                        " rad is outside its limits " + number(robot.position_min[i]) + " to " +
+                        number(robot.position_max[i]) + " rad");
+    }
+    result.home[i] = arm.home[i];
+  }
   return result;
 }
 

@@ -4,6 +4,7 @@
 #include "arm.hpp"
 #include "support.hpp"
 #include "surg_core/config.hpp"
+#include "surg_core/jaw.hpp"
 
 namespace surg {
 namespace {
@@ -96,6 +97,90 @@ TEST(Config, ACellMayOnlyTighten) {
                                                          {"tip_velocity", NAN}}) {
     arm.limits = {loose};
     EXPECT_NE(error_of([&] { tighten(limits, arm, "cell.yaml"); }).find(loose.first),
+              std::string::npos);
+  }
+}
+
+Document instrument_document() {
+  Document d;
+  d.file = "scope.yaml";
+  d.values = {{"format", std::string("surg_instrument/1")},
+              {"name", std::string("scope")},
+              {"urdf", std::string("scope.urdf")},
+              {"mount_link", std::string("mount")},
+              {"tip_link", std::string("tip")}};
+  return d;
+}
+
+TEST(Config, AnInstrumentMayLackAJawAndHaveCameras) {
+  Document d = instrument_document();
+  const InstrumentConfig bare = parse_instrument(d);
+  EXPECT_EQ(bare.jaw_min, 0);
+  EXPECT_EQ(bare.jaw_max, 0);
+  EXPECT_EQ(bare.jaw_velocity, 0);
+  EXPECT_TRUE(bare.camera.frames.empty());
+  d.values["camera.frames"] = std::vector<std::string>{"left", "right"};
+  d.values["camera.fovy"] = 1.0;
+  EXPECT_NE(error_of([&] { parse_instrument(d); }).find("camera.baseline: is missing"),
+            std::string::npos);
+  d.values["camera.baseline"] = 0.004;
+  EXPECT_EQ(parse_instrument(d).camera.baseline, 0.004);
+  d.values["camera.frames"] = std::vector<std::string>{"left"};
+  EXPECT_NE(error_of([&] { parse_instrument(d); }).find("camera.baseline: is not a known key"),
+            std::string::npos);
+  d.values.erase("camera.baseline");
+  EXPECT_EQ(parse_instrument(d).camera.frames.size(), 1u);
+  // Part of a jaw is no jaw.
+  d.values["jaw.max"] = 1.0;
+  EXPECT_NE(error_of([&] { parse_instrument(d); }).find("jaw.min: is missing"), std::string::npos);
+}
+
+TEST(Config, AJawThatIsNotThereNeverMoves) {
+  Jaw jaw(parse_instrument(instrument_document()), 0.002);
+  jaw.sense(0.0);
+  jaw.go_to(0.7, true);
+  for (int k = 0; k < 500; ++k) {
+    jaw.advance(true);
+    EXPECT_EQ(jaw.setpoint(), 0);
+  }
+  EXPECT_FALSE(jaw.busy());
+}
+
+TEST(Config, ArmsComeInTheFilesOrderWithTheirOwnHomes) {
+  Document d;
+  d.file = "cell.yaml";
+  d.values = {{"format", std::string("surg_cell/1")},
+              {"name", std::string("pair")},
+              {"network", std::string("loopback")}};
+  int line = 10;
+  for (const std::string name : {"PSM1", "ECM", "A"}) {
+    const std::string prefix = "arms." + name;
+    d.lines[prefix] = line++;
+    d.values[prefix + ".robot"] = std::string("robot.yaml");
+    d.values[prefix + ".instrument"] = std::string("tool.yaml");
+    d.values[prefix + ".link"] = std::string("simulator");
+    d.values[prefix + ".base.xyz"] = std::vector<double>{0, 0, 0};
+    d.values[prefix + ".base.rpy"] = std::vector<double>{0, 0, 0};
+  }
+  d.values["arms.ECM.home"] = std::vector<double>{0.1, 0.2, 0.3, 0.4, 0.5, 0.6};
+  const CellConfig cell = parse_cell(d);
+  ASSERT_EQ(cell.arms.size(), 3u);
+  EXPECT_EQ(cell.arms[0].name, "PSM1");
+  EXPECT_EQ(cell.arms[1].name, "ECM");
+  EXPECT_EQ(cell.arms[2].name, "A");
+  const RobotConfig robot = parse_robot(good_robot());
+  EXPECT_EQ(with_home(robot, cell.arms[0], cell.file).home, robot.home);
+  EXPECT_EQ(with_home(robot, cell.arms[1], cell.file).home[5], 0.6);
+  CellArm wrong = cell.arms[1];
+  wrong.home.pop_back();
+  EXPECT_NE(error_of([&] {
+              with_home(robot, wrong, cell.file);
+            }).find("cell.yaml: arms.ECM.home: has 5 values"),
+            std::string::npos);
+  wrong = cell.arms[1];
+  for (const double bad : {100.0, -100.0, double{NAN}}) {
+    wrong.home[2] = bad;
+    EXPECT_NE(error_of([&] { with_home(robot, wrong, cell.file); }).find("is outside its limits"),
               std::string::npos);
   }
 }

@@ -86,10 +86,19 @@ struct RobotConfig {
   Tuning tuning;
 };
 
+/// The cameras in an endoscope's tip: parallel, with the same intrinsics.
+struct CameraConfig {
+  /// URDF links, optical (x right, y down, z away): left and right, or one. Empty: no endoscope.
+  std::vector<std::string> frames;
+  double fovy = 0;      ///< [rad] vertical field of view
+  double baseline = 0;  ///< [m] from left to right; 0 for one camera
+};
+
 /// One instrument: its YAML. Jaw angles [rad]; 'closed' is jaw_min.
 struct InstrumentConfig {
   std::string file, name, urdf, mount_link, tip_link;
-  double jaw_min, jaw_max, jaw_velocity;
+  double jaw_min, jaw_max, jaw_velocity;  ///< all 0 without a jaw: it stays 0 whatever is commanded
+  CameraConfig camera = {};               ///< no part of the black box: it moves nothing
 };
 
 /// Calibrated tool: shaft axis and tip in the flange frame F, with the evidence for it.
@@ -115,13 +124,14 @@ struct CellArm {
   std::string instrument;                ///< path of the instrument YAML, relative to the cell file
   std::string link;                      ///< "simulator"
   Vector3 base_xyz, base_rpy;            ///< X_WB
+  std::vector<double> home;              ///< [rad] instead of the robot's; empty: the robot's
   std::map<std::string, double> limits;  ///< tightened limits by name
 };
 
 /// A user's whole system.
 struct CellConfig {
   std::string file, name, network;
-  std::vector<CellArm> arms;
+  std::vector<CellArm> arms;  ///< in the file's order
 };
 
 RobotConfig parse_robot(const Document& document);
@@ -132,6 +142,9 @@ CellConfig parse_cell(const Document& document);
 
 /// Limits with a cell's values put in. Throws when a value would loosen one.
 Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file);
+
+/// The robot with the cell's home posture put in. Throws when it does not fit the robot's joints.
+RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file);
 
 /// SHA-256-free fingerprint of everything above that moves the arm: FNV-1a over the values, as 16
 /// hex digits.

@@ -2,6 +2,8 @@
 
 #include <pybind11/stl.h>
 
+#include <optional>
+
 #include "convert.hpp"
 #include "surg_core/limits.hpp"
 
@@ -150,6 +152,13 @@ void bind_robot(py::module_& m) {
 }
 
 void bind_calibrations(py::module_& m) {
+  py::class_<CameraConfig>(m, "CameraConfig", "The parallel cameras in an endoscope's tip.")
+      .def_property_readonly(
+          "frames", [](const CameraConfig& c) { return py::tuple(py::cast(c.frames)); },
+          "URDF links, optical (x right, y down, z away): left and right, or one.")
+      .def_readonly("fovy", &CameraConfig::fovy, "Vertical field of view [rad].")
+      .def_readonly("baseline", &CameraConfig::baseline, "Left to right [m]; 0: one camera.");
+
   py::class_<InstrumentConfig>(m, "InstrumentConfig", "One instrument's YAML. Jaw angles [rad].")
       .def_readonly("file", &InstrumentConfig::file)
       .def_readonly("name", &InstrumentConfig::name)
@@ -158,7 +167,14 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("tip_link", &InstrumentConfig::tip_link)
       .def_readonly("jaw_min", &InstrumentConfig::jaw_min, "Closed.")
       .def_readonly("jaw_max", &InstrumentConfig::jaw_max)
-      .def_readonly("jaw_velocity", &InstrumentConfig::jaw_velocity, "[rad/s]");
+      .def_readonly("jaw_velocity", &InstrumentConfig::jaw_velocity, "[rad/s]; 0: has no jaw.")
+      .def_property_readonly(
+          "camera",
+          [](const InstrumentConfig& self) -> std::optional<CameraConfig> {
+            if (self.camera.frames.empty()) return std::nullopt;
+            return self.camera;
+          },
+          "None: not an endoscope.");
 
   py::class_<ToolCalibration>(m, "ToolCalibration", "Shaft axis and tip in the flange frame.")
       .def_property_readonly(
@@ -192,6 +208,9 @@ void bind_cell(py::module_& m) {
       .def_property_readonly(
           "base_rpy", [](const CellArm& a) { return frozen(from_matrix(a.base_rpy)); },
           "[rad] (3,)")
+      .def_property_readonly(
+          "home", [](const CellArm& a) { return py::tuple(py::cast(a.home)); },
+          "[rad] Instead of the robot's; empty: the robot's.")
       .def_property_readonly("limits", [](const CellArm& a) { return a.limits; });
 
   py::class_<CellConfig>(m, "CellConfig", "A user's whole system: cell.yaml.")
@@ -231,6 +250,8 @@ void bind_config(py::module_& m) {
   m.def("parse_cell", &parse_cell, py::arg("document"), text);
   m.def("tighten", &tighten, py::arg("limits"), py::arg("arm"), py::arg("cell_file"),
         "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");
+  m.def("with_home", &with_home, py::arg("robot"), py::arg("arm"), py::arg("cell_file"),
+        "The robot with the cell's home posture put in. Raises ConfigError when it does not fit.");
   m.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),
         "16 hex digits over every value that moves the arm (FNV-1a).");
   m.def(

@@ -11,6 +11,7 @@ from surg_core._core import (
     Braking,
     CalibrationError,
     CalibrationLimits,
+    CameraConfig,
     CellArm,
     CellConfig,
     Chain,
@@ -101,6 +102,7 @@ from surg_core._core import (
     tip_goal,
     tool_calibration,
     trocar_calibration,
+    with_home,
 )
 from surg_core.calibration import (
     Recording,
@@ -142,6 +144,7 @@ __all__ = [
     "Braking",
     "CalibrationError",
     "CalibrationLimits",
+    "CameraConfig",
     "Cell",
     "CellArm",
     "CellConfig",
@@ -254,6 +257,7 @@ __all__ = [
     "tip_goal",
     "tool_calibration",
     "trocar_calibration",
+    "with_home",
     "write_tool",
     "write_trocar",
 ]

@@ -33,6 +33,7 @@ from surg_core._core import (
     parse_tool,
     parse_trocar,
     tighten,
+    with_home,
 )
 from surg_core.transforms import FloatArray, make_pose
 from surg_core.urdf import chain_from_urdf, fixed_transform
@@ -52,7 +53,7 @@ class Arm:
     Attributes:
         name: CRTK name, for example ``PSM1``.
         link: what moves it, for example ``simulator``.
-        robot: the robot's YAML.
+        robot: the robot's YAML, with the cell's home posture where it has one.
         instrument: the instrument's YAML.
         limits: the robot's limits with the cell's tightened ones put in.
         tool: calibrated shaft axis and tip in the flange frame.
@@ -82,7 +83,7 @@ class Cell:
 
     Attributes:
         config: what cell.yaml states.
-        arms: arms by name, in the file's sorted order.
+        arms: arms by name, in the file's order.
         folder: the cell's folder, absolute.
     """
 
@@ -133,7 +134,7 @@ def load_cell(path: PathLike) -> Cell:
     for stated in config.arms:
         robot_file = _beside(file, stated.robot)
         instrument_file = _beside(file, stated.instrument)
-        robot = load_robot(robot_file)
+        robot = with_home(load_robot(robot_file), stated, str(file))
         instrument = load_instrument(instrument_file)
         urdf = _beside(robot_file, robot.urdf)
         instrument_urdf = _beside(instrument_file, instrument.urdf)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
@@ -134,8 +135,34 @@ def _joint(path: str | os.PathLike[str], element: ElementTree.Element) -> _UrdfJ
         kind=kind,
         parent=_attribute(path, element, "parent", "link"),
         child=_attribute(path, element, "child", "link"),
-        X_PJ=make_pose(xyz, rpy),
+        X_PJ=make_pose(xyz, _rotation(rpy)),
         axis=axis / length if length > 0.0 else axis,
+    )
+
+
+def _rotation(rpy: FloatArray) -> FloatArray:
+    """Rotation of URDF's ``rpy``, to the last bit what a node gets that reads the same file.
+
+    The node's way is urdfdom's quaternion, then Eigen's normalisation and matrix: every product and
+    sum in their order. A last bit that differs would grow into another trajectory within seconds,
+    and simulations with and without ROS could not be compared by their hash.
+    """
+    (sx, cx), (sy, cy), (sz, cz) = ((math.sin(a / 2.0), math.cos(a / 2.0)) for a in rpy.tolist())
+    x = sx * cy * cz - cx * sy * sz
+    y = cx * sy * cz + sx * cy * sz
+    z = cx * cy * sz - sx * sy * cz
+    w = cx * cy * cz + sx * sy * sz
+    length = math.sqrt(x * x + y * y + z * z + w * w)
+    x, y, z, w = x / length, y / length, z / length, w / length
+    length = math.sqrt((x * x + z * z) + (y * y + w * w))
+    x, y, z, w = x / length, y / length, z / length, w / length
+    tx, ty, tz = 2.0 * x, 2.0 * y, 2.0 * z
+    return np.array(
+        [
+            [1.0 - (ty * y + tz * z), ty * x - tz * w, tz * x + ty * w],
+            [ty * x + tz * w, 1.0 - (tx * x + tz * z), tz * y - tx * w],
+            [tz * x - ty * w, tz * y + tx * w, 1.0 - (tx * x + ty * y)],
+        ]
     )
 
 

@@ -1,14 +1,14 @@
-"""Writes a cell folder round a robot: the generator behind the bundled cells.
+"""Writes a cell folder round one robot or several: the generator behind the bundled cells.
 
-The trocar point is put on the instrument's shaft at the robot's home posture, and the tool
+Each trocar point is put on the instrument's shaft at the robot's home posture, and the tool
 calibration is taken from the URDFs, so a written cell is calibrated exactly.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,30 +41,62 @@ class HomePose:
     p_BRcm: Matrix
 
 
-def home_pose(robot_yaml: Path, instrument_yaml: Path, depth: float = 0.120) -> HomePose:
+@dataclass(frozen=True)
+class ArmPlan:
+    """One arm of a cell to be written.
+
+    Attributes:
+        robot_yaml: The robot's YAML, from anywhere.
+        instrument_yaml: The instrument's YAML.
+        depth: Insertion depth of the tip at home [m], 0.005 to 0.5.
+        base_xyz: (3,) robot base in the world [m].
+        base_rpy: (3,) its roll, pitch, yaw [rad].
+        home: (n,) home posture instead of the robot's own [rad]; None: the robot's own.
+        home_reason: Why, in one line.
+        limits: Tightened limits by name, each with its value and the reason.
+    """
+
+    robot_yaml: Path
+    instrument_yaml: Path
+    depth: float = 0.120
+    base_xyz: Sequence[float] = (0.0, 0.0, 0.0)
+    base_rpy: Sequence[float] = (0.0, 0.0, 0.0)
+    home: Sequence[float] | None = None
+    home_reason: str = ""
+    limits: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+
+
+def home_pose(
+    robot_yaml: Path,
+    instrument_yaml: Path,
+    depth: float = 0.120,
+    home: Sequence[float] | None = None,
+) -> HomePose:
     """Pose of the instrument at the robot's home posture, with the trocar on its shaft.
 
     Args:
         robot_yaml: A robots/<name>.yaml.
         instrument_yaml: An instruments/<name>.yaml.
         depth: Insertion depth of the tip at home [m], 0.005 to 0.5.
+        home: Another home posture than the robot's own [rad].
 
     Returns:
         The pose.
 
     Raises:
         UrdfError: A URDF does not hold what the YAML names.
-        ValueError: A YAML lacks a key, or depth is out of range.
+        ValueError: A YAML lacks a key, or depth is out of range, or the home posture does not fit.
     """
     if not 0.005 <= depth <= 0.5:
         raise ValueError(f"depth: {depth} m; allowed: 0.005 to 0.5 m")
     robot, instrument = _load(robot_yaml), _load(instrument_yaml)
     joints = _get(robot_yaml, robot, "joints")
     names = list(_get(robot_yaml, joints, "names", "joints."))
-    home = [float(value) for value in _get(robot_yaml, joints, "home", "joints.")]
-    if len(names) != len(home):
+    own = [float(value) for value in _get(robot_yaml, joints, "home", "joints.")]
+    angles = own if home is None else [float(value) for value in home]
+    if len(names) != len(angles):
         raise ValueError(
-            f"{robot_yaml}: joints.home: {len(home)} values; allowed: {len(names)}, one per name"
+            f"{robot_yaml}: joints.home: {len(angles)} values; allowed: {len(names)}, one per name"
         )
     arm = read_chain(
         robot_yaml.parent / _get(robot_yaml, robot, "urdf"),
@@ -82,7 +114,7 @@ def home_pose(robot_yaml: Path, instrument_yaml: Path, depth: float = 0.120) -> 
         _get(instrument_yaml, instrument, "mount_link"),
         _get(instrument_yaml, instrument, "tip_link"),
     )
-    X_BF = arm.forward(dict(zip(names, home, strict=True)))
+    X_BF = arm.forward(dict(zip(names, angles, strict=True)))
     X_FTip = tool.forward()
     X_BTip = X_BF @ X_FTip
     s_B = X_BTip[:3, 2]
@@ -120,40 +152,86 @@ def make_cell(
         ValueError: A YAML lacks a key, or depth is out of range.
         OSError: The folder cannot be written.
     """
-    pose = home_pose(robot_yaml, instrument_yaml, depth)
+    return make_cell_of(out_dir, {arm: ArmPlan(robot_yaml, instrument_yaml, depth)})
+
+
+def make_cell_of(out_dir: Path, plans: Mapping[str, ArmPlan], note: str = "") -> Path:
+    """Writes a cell of several arms: cell.yaml and two calibrations for each.
+
+    Args:
+        out_dir: Folder to write; made if missing, its files replaced. Its name is the cell's name.
+        plans: By CRTK name, in the order in which the arms shall stand in the file.
+        note: Further comment lines for the head of the file.
+
+    Returns:
+        The path of the written cell.yaml.
+
+    Raises:
+        UrdfError, ValueError, OSError: as ``make_cell``.
+    """
+    if not plans:
+        raise ValueError(f"{out_dir}: no arms; a cell needs at least one")
+    poses = {
+        name: home_pose(
+            plan.robot_yaml,
+            plan.instrument_yaml,
+            plan.depth,
+            None if plan.home is None else _rounded(plan.home),
+        )
+        for name, plan in plans.items()
+    }
     calibration = out_dir / "calibration"
     calibration.mkdir(parents=True, exist_ok=True)
+    count = "One simulated arm" if len(plans) == 1 else f"{len(plans)} simulated arms"
+    lines = [f"# {count}. Written by surg_description.make_cell."]
+    lines += [f"# {line}" for line in note.splitlines()]
+    lines += [
+        "format: surg_cell/1",
+        f"name: {out_dir.resolve().name}",
+        "network: loopback  # every port stays on this machine",
+        "arms:",
+    ]
+    for name, plan in plans.items():
+        lines += _arm_lines(name, plan, out_dir)
+        pose = poses[name]
+        (calibration / f"tool_{name}.yaml").write_text(
+            "# Shaft axis and tip in the flange frame, taken from the URDFs: exact, not measured.\n"
+            "format: surg_tool/1\n"
+            f"shaft_axis: {_numbers(pose.s_F)}  # unit vector, flange to tip\n"
+            f"tip: {_numbers(pose.p_FTip)}  # m\n" + _evidence(),
+            encoding="utf-8",
+        )
+        (calibration / f"trocar_{name}.yaml").write_text(
+            "# Trocar point in the robot base frame: on the shaft at home, the tip "
+            f"{plan.depth:g} m deep.\n"
+            "format: surg_trocar/1\n"
+            f"point: {_numbers(pose.p_BRcm)}  # m\n" + _evidence(),
+            encoding="utf-8",
+        )
     cell = out_dir / "cell.yaml"
-    cell.write_text(
-        "# One simulated arm. Written by surg_description.make_cell.\n"
-        "format: surg_cell/1\n"
-        f"name: {out_dir.resolve().name}\n"
-        "network: loopback  # every port stays on this machine\n"
-        "arms:\n"
-        f"  {arm}:\n"
-        f"    robot: {_relative(robot_yaml, out_dir)}\n"
-        f"    instrument: {_relative(instrument_yaml, out_dir)}\n"
-        "    link: simulator\n"
-        "    base:  # pose of the robot base in the world [m, rad]\n"
-        "      xyz: [0.0, 0.0, 0.0]\n"
-        "      rpy: [0.0, 0.0, 0.0]\n"
-        "    limits: {}  # a cell may only tighten\n",
-        encoding="utf-8",
-    )
-    (calibration / f"tool_{arm}.yaml").write_text(
-        "# Shaft axis and tip in the flange frame, taken from the URDFs: exact, not measured.\n"
-        "format: surg_tool/1\n"
-        f"shaft_axis: {_numbers(pose.s_F)}  # unit vector, flange to tip\n"
-        f"tip: {_numbers(pose.p_FTip)}  # m\n" + _evidence(),
-        encoding="utf-8",
-    )
-    (calibration / f"trocar_{arm}.yaml").write_text(
-        f"# Trocar point in the robot base frame: on the shaft at home, the tip {depth:g} m deep.\n"
-        "format: surg_trocar/1\n"
-        f"point: {_numbers(pose.p_BRcm)}  # m\n" + _evidence(),
-        encoding="utf-8",
-    )
+    cell.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return cell
+
+
+def _arm_lines(name: str, plan: ArmPlan, folder: Path) -> list[str]:
+    lines = [
+        f"  {name}:",
+        f"    robot: {_relative(plan.robot_yaml, folder)}",
+        f"    instrument: {_relative(plan.instrument_yaml, folder)}",
+        "    link: simulator",
+        "    base:  # pose of the robot base in the world [m, rad]",
+        f"      xyz: {_short(plan.base_xyz)}",
+        f"      rpy: {_short(plan.base_rpy)}",
+    ]
+    if plan.home is not None:
+        lines += [f"    # rad; {plan.home_reason or 'not the home posture of the robot file'}"]
+        lines += [f"    home: {_short(plan.home)}"]
+    if not plan.limits:
+        return [*lines, "    limits: {}  # a cell may only tighten"]
+    lines += ["    limits:  # a cell may only tighten"]
+    return lines + [
+        f"      {limit}: {value:g}  # {reason}" for limit, (value, reason) in plan.limits.items()
+    ]
 
 
 def _evidence() -> str:
@@ -168,6 +246,15 @@ def _evidence() -> str:
 def _numbers(vector: Matrix) -> str:
     # 12 decimals: 1e-12 m. Adding 0.0 turns -0.0 into 0.0.
     return "[" + ", ".join(f"{round(float(value), 12) + 0.0:.12f}" for value in vector) + "]"
+
+
+def _rounded(values: Sequence[float]) -> list[float]:
+    """To what the file says: 1e-4 m or rad. Adding 0.0 turns -0.0 into 0.0."""
+    return [round(float(value), 4) + 0.0 for value in values]
+
+
+def _short(values: Sequence[float]) -> str:
+    return "[" + ", ".join(str(value) for value in _rounded(values)) + "]"
 
 
 def _relative(path: Path, folder: Path) -> str:

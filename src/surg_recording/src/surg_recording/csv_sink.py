@@ -12,7 +12,7 @@ import os
 import threading
 import time
 from collections import deque
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,24 +37,24 @@ def _text(value: str) -> str:
 
 def format_row(row: Row) -> str:
     """One line of CSV without its newline; ``None`` is an empty field, a bool 0 or 1."""
-    return ",".join(map(_format, row))
+    return ",".join([_FIELD.get(type(value), _other)(value) for value in row])
 
 
-def _format(value: Any) -> str:
-    kind = type(value)
-    if kind is float:
-        return float.__repr__(value)
-    if kind is int:
-        return int.__repr__(value)
-    if kind is str:
-        return _text(value)
-    if value is None:
-        return ""
+def _other(value: Any) -> str:
+    """A field of a type that is rare in a row."""
     if isinstance(value, float):  # numpy.float64
         return float.__repr__(value)
     if isinstance(value, str):
         return _text(str(value))
     return str(int(value))  # bool and numpy integers
+
+
+_FIELD: dict[type, Callable[[Any], str]] = {
+    float: float.__repr__,
+    int: int.__repr__,
+    str: _text,
+    type(None): lambda _: "",
+}
 
 
 class CsvTable:

@@ -23,7 +23,7 @@ INK, FAINT, GRID = "#1f2933", "#7b8794", "#e4e7eb"
 INPUT, EXECUTED, TRUE, LIMIT, GOOD = "#8a94a0", "#1d6fb8", "#d9762b", "#c62f3b", "#2f8f5b"
 JOINTS = ("#1d6fb8", "#d9762b", "#2f8f5b", "#8a5cb8", "#c62f3b", "#4a5568", "#b8a11d")
 
-_STYLE: dict[str, Any] = {
+STYLE: dict[str, Any] = {
     "figure.facecolor": "white",
     "figure.dpi": 100,
     "savefig.dpi": 150,
@@ -76,7 +76,7 @@ class Subject:
 
 def rcm_deviation(subject: Subject) -> Figure:
     """Distance between pivot and shaft over time, with its distribution."""
-    run, figure = subject.run, _figure(3.4)
+    run, figure = subject.run, blank(3.4)
     over_time, spread = figure.subplots(1, 2, width_ratios=[4.2, 1], sharey=True)
     series = [("kinematic", run.t, run.rcm_kinematic, EXECUTED)]
     if run.truth is not None:
@@ -122,7 +122,7 @@ def rcm_deviation(subject: Subject) -> Figure:
 
 def tip_path(subject: Subject) -> Figure:
     """Input and executed tip path about the trocar, with the shaft's fan."""
-    run, figure = subject.run, _figure(5.2)
+    run, figure = subject.run, blank(5.2)
     figure.set_layout_engine("none")  # a 3D axes reserves far more room than it draws
     space = figure.add_axes((0.02, 0.1, 0.36, 0.8), projection="3d")
     side = figure.add_axes((0.44, 0.11, 0.2, 0.82))
@@ -159,7 +159,7 @@ def tip_path(subject: Subject) -> Figure:
 
 def tip_error(subject: Subject) -> Figure:
     """Distance between executed tip and input over time, lag removed."""
-    run, figure = subject.run, _figure(3.0)
+    run, figure = subject.run, blank(3.0)
     axes = figure.subplots()
     tracking = run.tracking
     assert tracking is not None
@@ -183,7 +183,7 @@ def tip_error(subject: Subject) -> Figure:
 
 def speed(subject: Subject) -> Figure:
     """Tip speed of input and executed motion, at loop rate and at the metrics' rate."""
-    run, figure = subject.run, _figure(3.6)
+    run, figure = subject.run, blank(3.6)
     axes = figure.subplots()
     fs = round(1.0 / float(np.median(np.diff(run.t))), 6)
     smoothness = subject.summary["smoothness"]
@@ -226,7 +226,7 @@ def speed(subject: Subject) -> Figure:
 
 def joints(subject: Subject) -> Figure:
     """Joint positions and velocities beside their limits."""
-    run, figure = subject.run, _figure(5.2)
+    run, figure = subject.run, blank(5.2)
     position, velocity = figure.subplots(2, 1, sharex=True)
     stated = subject.robot.get("joints") or {}
     q, qd = run.cycle.joints("q"), run.cycle.joints("qd")
@@ -270,7 +270,7 @@ def joints(subject: Subject) -> Figure:
 
 def trocar(subject: Subject) -> Figure:
     """Force on the wall and how far it gave way."""
-    run, figure = subject.run, _figure(3.8)
+    run, figure = subject.run, blank(3.8)
     force, moved = figure.subplots(2, 1, sharex=True)
     truth = run.truth
     assert truth is not None
@@ -294,7 +294,7 @@ def timing(subject: Subject) -> Figure:
     """How long a cycle computes and, in free-run, how regular the cycles are."""
     controller = subject.summary["controller"]
     period = controller["period_us"]
-    figure = _figure(2.9)
+    figure = blank(2.9)
     drawn = figure.subplots(1, 2 if period else 1)
     panels: Sequence[Axes] = list(np.atleast_1d(drawn))
     compute = subject.run.cycle["compute_us"]
@@ -369,7 +369,7 @@ def save_all(
         ):
             continue
         path = folder / f"{name}.png"
-        with matplotlib.rc_context(_STYLE):
+        with matplotlib.rc_context(STYLE):
             figure = draw(subject)
             figure.savefig(path, metadata={"Software": None})
         drawn.append(Drawn(name, title, caption, path))
@@ -379,7 +379,8 @@ def save_all(
 # --- helpers ------------------------------------------------------------------------------------
 
 
-def _figure(height: float) -> Figure:
+def blank(height: float) -> Figure:
+    """An empty figure of the common width and this height [inch]."""
     figure = Figure(figsize=(WIDTH, height), layout="constrained")
     figure.get_layout_engine().set(w_pad=0.09, h_pad=0.09)
     FigureCanvasAgg(figure)

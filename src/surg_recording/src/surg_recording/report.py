@@ -7,8 +7,6 @@ limits, 1 when not, 2 when there is no readable episode).
 from __future__ import annotations
 
 import argparse
-import base64
-import html
 import io
 import sys
 from collections.abc import Mapping, Sequence
@@ -22,31 +20,9 @@ from surg_recording import episode as episodes
 from surg_recording import figures, summary, video_file
 from surg_recording.episode_writer import clean_json, write_json
 from surg_recording.errors import EpisodeError, NoMotionError
+from surg_recording.page import document, embed, figure_section, number, text
 
 STRIP_FRAMES = 6
-
-_CSS = """
-:root { color-scheme: light; }
-body { margin: 0; background: #f3f4f6; color: #1f2933;
-       font: 15px/1.5 system-ui, "DejaVu Sans", sans-serif; }
-main { max-width: 960px; margin: 0 auto; padding: 24px 16px 64px; }
-section { background: #fff; border: 1px solid #e4e7eb; border-radius: 8px; padding: 16px 22px;
-          margin: 16px 0; }
-h1 { font-size: 24px; margin: 8px 0 2px; } h2 { font-size: 18px; margin: 4px 0 10px; }
-.faint { color: #5f6c7b; } .small { font-size: 13px; }
-.verdict { border-left: 8px solid; } .ok { border-left-color: #2f8f5b; }
-.bad { border-left-color: #c62f3b; }
-table { border-collapse: collapse; width: 100%; }
-th, td { text-align: left; padding: 4px 12px 4px 0; border-bottom: 1px solid #e4e7eb;
-         vertical-align: top; }
-th { font-weight: 600; } td.n { text-align: right; font-variant-numeric: tabular-nums; }
-.met { color: #2f8f5b; font-weight: 600; } .missed { color: #c62f3b; font-weight: 600; }
-img { max-width: 100%; height: auto; display: block; }
-.strip { display: grid; grid-template-columns: repeat(3, 1fr); gap: 8px; }
-.strip figure { margin: 0; } figcaption { color: #5f6c7b; font-size: 13px; }
-dt { font-weight: 600; margin-top: 8px; } dd { margin: 0 0 4px; }
-code { font-size: 13px; overflow-wrap: anywhere; }
-"""
 
 _DEFINITIONS = (
     (
@@ -146,9 +122,9 @@ def _page(
 ) -> str:
     title = f"{result['robot'] or 'robot'}: {result['motion'] or 'motion'}"
     body = [
-        f"<h1>{_text(title)}</h1>",
-        f"<p class='faint'>Recorded {_text(recorded.manifest.get('created'))}"
-        f" with software version {_text(result['versions'].get('software') or 'unknown')}</p>",
+        f"<h1>{text(title)}</h1>",
+        f"<p class='faint'>Recorded {text(recorded.manifest.get('created'))}"
+        f" with software version {text(result['versions'].get('software') or 'unknown')}</p>",
         _verdict(result),
         _what_was_run(recorded, result),
     ]
@@ -157,15 +133,9 @@ def _page(
         body.append(_numbers(result))
     if strip or video_problem:
         body.append(_frames(strip, video_problem))
-    body += [_figure(figure) for figure in drawn]
+    body += [figure_section(figure) for figure in drawn]
     body += [_recording(recorded, result), _definitions()]
-    return (
-        "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
-        "<meta name='viewport' content='width=device-width, initial-scale=1'>"
-        f"<title>{_text(title)}</title><style>{_CSS}</style></head>\n<body><main>\n"
-        + "\n".join(body)
-        + "\n</main></body></html>\n"
-    )
+    return document(title, body)
 
 
 def _verdict(result: Mapping[str, Any]) -> str:
@@ -174,7 +144,7 @@ def _verdict(result: Mapping[str, Any]) -> str:
             "<section class='verdict ok'><h2>The run met every stated limit</h2>"
             "<p>The shaft stayed in the trocar while the tip followed its input.</p></section>"
         )
-    reasons = "".join(f"<li>{_text(reason)}</li>" for reason in result["reasons"])
+    reasons = "".join(f"<li>{text(reason)}</li>" for reason in result["reasons"])
     return (
         "<section class='verdict bad'><h2>The run did not meet its limits</h2>"
         f"<ul>{reasons}</ul></section>"
@@ -200,7 +170,7 @@ def _what_was_run(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
         ("Operator", (recorded.manifest.get("run") or {}).get("operator")),
     ]
     cells = "".join(
-        f"<tr><th>{_text(name)}</th><td>{_text(value)}</td></tr>"
+        f"<tr><th>{text(name)}</th><td>{text(value)}</td></tr>"
         for name, value in rows
         if value is not None
     )
@@ -219,7 +189,7 @@ def _limits(result: Mapping[str, Any]) -> str:
             mark += " <span class='faint small'>(for information)</span>"
         sign = "≥" if limit["sense"] == "at least" else "≤"
         rows.append(
-            f"<tr><td>{_text(limit['text'])}</td><td class='n'>{_number(limit['measured'])}</td>"
+            f"<tr><td>{text(limit['text'])}</td><td class='n'>{number(limit['measured'])}</td>"
             f"<td class='n'>{sign} {limit['bound']:g}</td><td>{mark}</td></tr>"
         )
     return (
@@ -235,48 +205,38 @@ def _numbers(result: Mapping[str, Any]) -> str:
         ("True RCM deviation", _spread(result["rcm_true_mm"]), "mm"),
         ("Tip error", _pair(result["tip_error_mm"], "rms", "max"), "mm"),
         ("Tip error by joint states", _pair(result["tip_error_measured_mm"], "rms", "max"), "mm"),
-        ("Tip lag", _number(result["tip_lag_ms"]), "ms"),
+        ("Tip lag", number(result["tip_lag_ms"]), "ms"),
         ("Path length", _pair(result["path_length_mm"], "input", "executed"), "mm"),
-        ("Shaft sweep", _number(result["shaft_sweep_deg"]), "°"),
+        ("Shaft sweep", number(result["shaft_sweep_deg"]), "°"),
     ]
     for name, values in smooth["presets"].items():
         for metric in ("sparc", "ldlj"):
-            text = f"executed {_number(values[metric])}, input {_number(values['input'][metric])}"
-            rows.append((f"{metric.upper()} (preset {name})", text, ""))
+            words = f"executed {number(values[metric])}, input {number(values['input'][metric])}"
+            rows.append((f"{metric.upper()} (preset {name})", words, ""))
     if result["trocar"]:
         rows.append(("Trocar force", _pair(result["trocar"]["force_n"], "mean", "max"), "N"))
         moved = _pair(result["trocar"]["displacement_mm"], "mean", "max")
         rows.append(("Trocar displacement", moved, "mm"))
-    rows.append(("Controller rate", _number(controller["rate_hz"]), "Hz"))
+    rows.append(("Controller rate", number(controller["rate_hz"]), "Hz"))
     rows.append(("Compute time", _pair(controller["compute_us"], "p50", "p99"), "µs"))
     if controller["period_us"]:
         rows.append(("Period", _pair(controller["period_us"], "p50", "p99", "max"), "µs"))
-    rows.append(("Overruns", _number(controller["overruns"]), ""))
+    rows.append(("Overruns", number(controller["overruns"]), ""))
     cells = "".join(
-        f"<tr><td>{_text(name)}</td><td>{_text(value)} {unit}</td></tr>"
-        for name, value, unit in rows
+        f"<tr><td>{text(name)}</td><td>{text(value)} {unit}</td></tr>" for name, value, unit in rows
     )
     return f"<section><h2>All numbers</h2><table>{cells}</table></section>"
 
 
 def _frames(strip: Sequence[tuple[str, bytes]], problem: str | None) -> str:
     shown = "".join(
-        f"<figure><img alt='endoscope at {_text(caption)}' src='{_embed(data, 'jpeg')}'>"
-        f"<figcaption>{_text(caption)}</figcaption></figure>"
+        f"<figure><img alt='endoscope at {text(caption)}' src='{embed(data, 'jpeg')}'>"
+        f"<figcaption>{text(caption)}</figcaption></figure>"
         for caption, data in strip
     )
-    note = f"<p class='missed'>{_text(problem)}</p>" if problem else ""
+    note = f"<p class='missed'>{text(problem)}</p>" if problem else ""
     return (
         f"<section><h2>Through the endoscope</h2>{note}<div class='strip'>{shown}</div></section>"
-    )
-
-
-def _figure(figure: figures.Drawn) -> str:
-    image = _embed(figure.path.read_bytes(), "png")
-    return (
-        f"<section><h2>{_text(figure.title)}</h2>"
-        f"<img alt='{_text(figure.title)}' src='{image}'>"
-        f"<p class='faint small'>{_text(figure.caption)}</p></section>"
     )
 
 
@@ -287,8 +247,8 @@ def _recording(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
         count = entry.get("rows", entry.get("frames"))
         gap = None if entry.get("gap_max_s") is None else entry["gap_max_s"] * 1e3
         rows.append(
-            f"<tr><td>{_text(name)}</td><td class='n'>{count}</td>"
-            f"<td class='n'>{_number(entry.get('rate_hz'))}</td><td class='n'>{_number(gap)}</td>"
+            f"<tr><td>{text(name)}</td><td class='n'>{count}</td>"
+            f"<td class='n'>{number(entry.get('rate_hz'))}</td><td class='n'>{number(gap)}</td>"
             f"<td class='n'>{entry.get('dropped', 0)}</td></tr>"
         )
     versions = ", ".join(f"{k} {v}" for k, v in result["versions"].items() if v)
@@ -297,20 +257,20 @@ def _recording(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
         outcome = f"{outcome}: {recorded.manifest['reason']}"
     cell = recorded.manifest.get("cell") or {}
     files = "".join(
-        f"<tr><td><code>{_text(name)}</code></td><td><code>{_text(sha[:16])}…</code></td></tr>"
+        f"<tr><td><code>{text(name)}</code></td><td><code>{text(sha[:16])}…</code></td></tr>"
         for name, sha in (cell.get("files") or {}).items()
     )
     return (
-        f"<section><h2>The recording</h2><p>{_text(outcome)}</p><table><tr><th>Stream</th>"
+        f"<section><h2>The recording</h2><p>{text(outcome)}</p><table><tr><th>Stream</th>"
         "<th>Rows or frames</th><th>Rate [Hz]</th><th>Largest gap [ms]</th><th>Dropped</th></tr>"
-        f"{''.join(rows)}</table><p class='small faint'>Versions: {_text(versions)}</p>"
+        f"{''.join(rows)}</table><p class='small faint'>Versions: {text(versions)}</p>"
         f"<details><summary class='small'>Configuration files and their SHA-256</summary>"
         f"<table class='small'>{files}</table></details></section>"
     )
 
 
 def _definitions() -> str:
-    terms = "".join(f"<dt>{_text(t)}</dt><dd>{_text(d)}</dd>" for t, d in _DEFINITIONS)
+    terms = "".join(f"<dt>{text(t)}</dt><dd>{text(d)}</dd>" for t, d in _DEFINITIONS)
     return f"<section><h2>Definitions</h2><dl>{terms}</dl></section>"
 
 
@@ -340,24 +300,10 @@ def _strip(recorded: episodes.Episode) -> tuple[list[tuple[str, bytes]], str | N
     return strip, None
 
 
-def _embed(data: bytes, kind: str) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
-
-
-def _text(value: Any) -> str:
-    return html.escape("–" if value is None else str(value), quote=True)
-
-
-def _number(value: Any) -> str:
-    if value is None:
-        return "–"
-    return str(value) if isinstance(value, (int, str)) else f"{value:.4g}"
-
-
 def _pair(values: Mapping[str, Any] | None, *keys: str) -> str:
     if values is None:
         return "–"
-    return ", ".join(f"{key} {_number(values[key])}" for key in keys)
+    return ", ".join(f"{key} {number(values[key])}" for key in keys)
 
 
 def _spread(values: Mapping[str, Any] | None) -> str:

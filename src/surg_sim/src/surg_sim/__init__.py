@@ -2,8 +2,8 @@
 
 Pure modules (no ROS): ``scene``, ``arm``, ``jaw``, ``trocar``, ``trocar_motion``, ``truth``,
 ``world``, ``faults``, ``injector``, ``lockstep``, ``wire``, ``settings``, ``render``, ``picture``,
-``anatomy``, ``textures``. Nodes: ``bridge_node``
-(``/sim``) and ``endoscope_node`` (``/endoscope``).
+``anatomy``, ``textures``, ``endoscope``, ``patient``, ``room``, ``drawing``, ``placement``,
+``speed``. Nodes: ``bridge_node`` (``/sim``) and ``endoscope_node`` (``/endoscope``).
 """
 
 __version__ = "0.1.0"

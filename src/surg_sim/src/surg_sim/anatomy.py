@@ -112,7 +112,7 @@ def bowel_loop(centre: Array, radius: float, rng: np.random.Generator) -> Mesh:
         + 0.02 * np.sin(2 * np.pi * 13.0 * s + phase[2])
     )
     start = (float(rng.random()), float(rng.random()))
-    return tube(centre, radius * swell, texture_start=start)
+    return tube(centre, radius * swell, segments=40, texture_start=start)
 
 
 def surface(
@@ -167,8 +167,9 @@ class Dome:
         half_length: Half axis along x (head to feet) [m].
         half_width: Half axis along y [m].
         height: Top above the base plane [m].
-        window: Half angle of the opening about the -y direction [rad].
+        window: Half angle of the opening [rad].
         window_top: Polar height of its upper edge, 0 at the base, pi/2 at the top [rad].
+        towards: Azimuth of its middle from +x [rad].
     """
 
     half_length: float
@@ -176,6 +177,7 @@ class Dome:
     height: float
     window: float
     window_top: float
+    towards: float = -np.pi / 2
 
     def point(self, azimuth: Array, rise: Array) -> Array:
         """Points of the surface; azimuth from +x [rad], rise 0..pi/2 from base to top."""
@@ -199,10 +201,10 @@ class Dome:
     def wall(self, columns: int = 120, rows: int = 40) -> Mesh:
         """The outside of the wall without the window."""
         # Azimuth runs once round, from one side of the window to the other.
-        start = -np.pi / 2 + self.window
+        start = self.towards + self.window
         azimuth = np.linspace(start, start + 2 * np.pi - 2 * self.window, columns)
         parts = [self._patch(azimuth, np.linspace(0, np.pi / 2, rows))]
-        above = np.linspace(-np.pi / 2 - self.window, start, max(columns // 4, 2))
+        above = np.linspace(self.towards - self.window, start, max(columns // 4, 2))
         parts.append(self._patch(above, np.linspace(self.window_top, np.pi / 2, rows // 2)))
         return join(parts)
 
@@ -215,7 +217,7 @@ class Dome:
 
     def rim(self, thickness: float) -> Mesh:
         """The cut edge of the window, as a rounded hem of this radius [m]."""
-        left, right = -np.pi / 2 - self.window, -np.pi / 2 + self.window
+        left, right = self.towards - self.window, self.towards + self.window
         up = np.linspace(0, self.window_top, 24)
         along = np.linspace(left, right, 36)[1:-1]
         azimuth = np.concatenate([np.full(24, left), along, np.full(24, right)])

@@ -11,102 +11,42 @@ from __future__ import annotations
 import json
 import os
 import random
-import select
 import struct
 import sys
 import threading
 import time
-import warnings
+import traceback
 from collections.abc import Callable
 from typing import Any
 from urllib.parse import urlparse
 
+import mujoco
 import rospy
-from geometry_msgs.msg import TwistStamped
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 import surg_core
-from surg_msgs.msg import GroundTruth, LinkStatus, PointVelocityStamped, Ready, SimSnapshot
-from surg_sim import faults, wire
+from surg_msgs.msg import (
+    GroundTruth,
+    LinkStatus,
+    PointVelocityStamped,
+    Ready,
+    SimSnapshot,
+)
+from surg_sim import conditions, faults, tasks, wire
 from surg_sim.arm import ArmCommand
 from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
+from surg_sim.ports_node import Output, RawJointState, RawTwist
 from surg_sim.settings import BridgeSettings, SettingsError
+from surg_sim.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.world import TICK_NS, World
 
 SNAPSHOT_TICKS = 25
 """A snapshot every 25th tick: 20 Hz."""
 _STATUS_PERIOD = 0.2  # [s] wall
 _LATE = 0.05  # [s] free-run gives up catching up when it is later than this
-
-
-class _RawJointState(JointState):  # type: ignore[misc]
-    """A JointState that keeps its bytes; ``wire`` reads what the bridge needs of them."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def deserialize(self, data: bytes) -> _RawJointState:
-        self.data = data
-        return self
-
-
-class _RawTwist(TwistStamped):  # type: ignore[misc]
-    """A TwistStamped that keeps its bytes."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def deserialize(self, data: bytes) -> _RawTwist:
-        self.data = data
-        return self
-
-
-class _Output:
-    """A publisher of ready-made bytes, sent by the calling thread.
-
-    Args:
-        topic: Its name.
-        kind: Its message class.
-        patient: True: waits for a slow subscriber, nothing is ever lost (lock-step). False: a
-            subscriber whose socket is full misses the message, so that none can stop the arm
-            (free-run).
-    """
-
-    def __init__(self, topic: str, kind: type, patient: bool) -> None:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SyntaxWarning)  # rospy's hint on queue_size=None
-            self.publisher = rospy.Publisher(topic, kind, tcp_nodelay=True, queue_size=None)
-        self._message = rospy.AnyMsg()
-        self._patient = patient
-
-    @property
-    def connections(self) -> int:
-        return int(self.publisher.get_num_connections())
-
-    def send(self, data: bytes) -> None:
-        self._message._buff = data
-        if self._patient:
-            self.publisher.publish(self._message)
-            return
-        topic = self.publisher.impl
-        topic.acquire()
-        try:
-            for connection in topic.connections:
-                if _writable(connection.socket):
-                    topic.publish(self._message, connection)
-        finally:
-            topic.release()
-
-
-def _writable(socket: Any) -> bool:
-    """Whether a socket takes a small message at once (a third of its buffer is free)."""
-    try:
-        return socket is not None and bool(select.select((), (socket,), (), 0)[1])
-    except (OSError, ValueError):  # closed meanwhile
-        return False
 
 
 class _ArmTopics:
@@ -122,9 +62,9 @@ class _ArmTopics:
         self.jaw: float | None = None
         self.last_command_ns = 0
         root = f"/{arm.name}"
-        self.state = _Output(f"{root}/robot/measured_js", JointState, patient)
-        self.status = _Output(f"{root}/robot/status", LinkStatus, patient)
-        self.tool = _Output(f"{root}/tool/measured_js", JointState, patient)
+        self.state = Output(f"{root}/robot/measured_js", JointState, patient)
+        self.status = Output(f"{root}/robot/status", LinkStatus, patient)
+        self.tool = Output(f"{root}/tool/measured_js", JointState, patient)
 
         def listen(topic: str, kind: type, take: Callable[[_ArmTopics, bytes], None]) -> Any:
             def callback(message: Any) -> None:
@@ -139,15 +79,15 @@ class _ArmTopics:
         self.stale = round(bridge.track_stale * wire.NS / TICK_NS)
         self.frame = wire.text(f"{arm.name}_base")
         self.tracked = 0
-        self.track: _Output | None = None
+        self.track: Output | None = None
         if self.stale >= 0:
-            self.track = _Output(f"{root}/rcm/track", PointVelocityStamped, patient)
+            self.track = Output(f"{root}/rcm/track", PointVelocityStamped, patient)
 
         self.inputs = [
-            listen("robot/servo_jv", _RawJointState, bridge.on_velocity),
-            listen("robot/servo_cv", _RawTwist, bridge.on_twist),
+            listen("robot/servo_jv", RawJointState, bridge.on_velocity),
+            listen("robot/servo_cv", RawTwist, bridge.on_twist),
         ]
-        self.tool_input = listen("tool/servo_jp", _RawJointState, bridge.on_jaw)
+        self.tool_input = listen("tool/servo_jp", RawJointState, bridge.on_jaw)
 
     def take_commands(self) -> tuple[int, ArmCommand]:
         """What has arrived since the last tick, with the stamp of the robot command [ns]."""
@@ -199,15 +139,17 @@ class Bridge:
             {name: OBSERVER_WINDOWS[name] for name in settings.observers},
             republish=settings.abort_timeout / 5,
             abort=settings.abort_timeout,
+            strict=world.task is not None,
         )
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1000
         self._deterministic = self.lockstep
         self._done = False
         self._aborted: str | None = None
         self._start_ns = 0
+        self._stamp_ns = 0  # of the state that is out
         self._overruns = 0
-        self._truth = _Output("/sim/ground_truth/state", GroundTruth, self.lockstep)
-        self._clock = _Output("/clock", Clock, self.lockstep)
+        self._truth = Output("/sim/ground_truth/state", GroundTruth, self.lockstep)
+        self._clock = Output("/clock", Clock, self.lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
         )
@@ -222,6 +164,7 @@ class Bridge:
         if settings.inject:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
+        self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
 
     # --- what arrives -----------------------------------------------------------------------
 
@@ -258,9 +201,24 @@ class Bridge:
         tick, rest = divmod(stamp_ns, TICK_NS)
         return rest == 0 and self._book.answer(arm.name, link, tick)
 
+    def on_assistant(
+        self, assistant: AssistantTopics, sender: str, stamp_ns: int, what: str, value: Any
+    ) -> None:
+        """``/assistant/servo_jp``, ``/assistant/jaw/servo_jp``; None: unusable."""
+        with self._lock:
+            declared = self.lockstep and self._book.declared(sender)
+            if self.lockstep and not declared:
+                self._deterministic = False
+            if value is not None:
+                assistant.keep(stamp_ns // TICK_NS if declared else 0, sender, what, value)
+            self._book.received(sender)
+            if self.lockstep:
+                self._advance()
+
     def _on_ready(self, message: Ready) -> None:
         with self._lock:
-            self._book.ready(message.participant, message.tick, message.done)
+            sent = dict(zip(message.arms, message.sent, strict=False)).get("assistant", 0)
+            self._book.ready(message.participant, message.tick, message.done, sent)
             if self.lockstep:
                 self._advance()
 
@@ -289,14 +247,17 @@ class Bridge:
         if self._done or self._aborted or not self._book.may_step():
             return
         last = self._book.finished()
-        self._step()
-        if last:
-            self._done = True
-            self._publish_status()
+        try:
+            if self._step() or last:
+                self._end()
+                return
+            if self._jitter:
+                time.sleep(random.uniform(0.0, self._jitter))
+            self._publish_state(self._world.tick * TICK_NS)
+        except Exception as error:  # a task may be anybody's code: its mistake ends the run by name
+            rospy.logerr(traceback.format_exc())
+            self._aborted = f"tick {self._world.tick}: {type(error).__name__}: {error}"
             return
-        if self._jitter:
-            time.sleep(random.uniform(0.0, self._jitter))
-        self._publish_state(self._world.tick * TICK_NS)
         self._open_tick()
 
     def _open_tick(self) -> None:
@@ -306,16 +267,33 @@ class Bridge:
             if self._injector.tool_lost(arm.name):
                 self._book.answer(arm.name, "tool", self._world.tick)
 
-    def _step(self) -> None:
+    def _step(self) -> bool:
+        """Execute the present tick; returns whether the task's episode ends with it."""
         arrived = {arm.name: arm.take_commands() for arm in self._arms}
-        self._world.step(self._injector.commands(arrived))
+        commands = self._injector.commands(arrived)
+        if self._task is None:
+            self._world.step(commands)
+            return False
+        tick = self._world.tick
+        self._task.publish_forces(tick, self._stamp_ns)
+        over = self._task.verdict.done
+        self._world.step(commands, self._task.take(tick))
+        return over or self._task.distrust()
+
+    def _end(self) -> None:
+        """The last tick has been executed; with the lock held."""
+        self._done = True
+        self._publish_status()
 
     def _publish_state(self, stamp_ns: int) -> None:
         tick, world = self._world.tick, self._world
+        self._stamp_ns = stamp_ns
         if self._clock.connections:
             self._clock.send(struct.pack("<2I", *divmod(stamp_ns, wire.NS)))
         for arm in self._arms:
             self._publish_links(arm, tick, stamp_ns)
+        if self._task is not None:
+            self._task.publish(tick, stamp_ns)
         if self._truth.connections:
             truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
             self._truth.send(wire.pack_ground_truth(stamp_ns, tick, truths))
@@ -337,7 +315,7 @@ class Bridge:
         jaw = injector.jaw(arm.name)
         if jaw is not None:
             arm.tool.send(_JAW.pack(tick, stamp_ns, _one(jaw[0]), _one(jaw[1])))
-        if injector.speaks(arm.name):
+        if arm.status.connections and injector.speaks(arm.name):
             arm.status.send(
                 wire.pack_link_status(
                     stamp_ns,
@@ -369,6 +347,7 @@ class Bridge:
             "aborted": self._aborted,
             "overruns": self._overruns,
             "faults": self._injector.active,
+            "task": None if self._task is None else self._task.status(),
         }
         self._status.publish(String(json.dumps(status)))
 
@@ -454,7 +433,9 @@ class Bridge:
                 deadline -= left
                 self._start_ns -= int(left * wire.NS)
             with self._lock:
-                self._step()
+                if self._step():
+                    self._end()
+                    return
                 self._publish_state(self._start_ns + self._world.tick * TICK_NS)
 
 
@@ -490,14 +471,21 @@ def _only_here(settings: BridgeSettings) -> None:
 def main() -> int:
     """Entry point; returns the exit code (0 done, 1 aborted, 2 broken configuration)."""
     rospy.init_node("sim")
+    # MuJoCo's own way is a file in whatever folder the node was started from.
+    mujoco.set_mju_user_warning(lambda text: rospy.logwarn(f"MuJoCo: {text}"))
     try:
         settings = BridgeSettings.read(lambda name, default: rospy.get_param(f"~{name}", default))
         _only_here(settings)
         cell = surg_core.load_cell(settings.cell)
         known = faults.parse(settings.faults, settings.arms or tuple(cell.arms))
-        errors = tool_errors(known, settings.seed)
         world = World(
-            cell, settings.seed, looks=settings.view, arms=settings.arms, tool_errors=errors
+            cell,
+            settings.seed,
+            looks=settings.view,
+            arms=settings.arms,
+            tool_errors=tool_errors(known, settings.seed) or None,
+            condition=conditions.condition(settings.setting) if settings.setting else None,
+            task=tasks.load(settings.task) if settings.task else None,
         )
         injector = Injector(world, known, settings.seed, settings.mode == "lockstep")
     except (SettingsError, faults.FaultError, surg_core.ConfigError, ValueError, OSError) as error:

@@ -15,15 +15,24 @@ from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
 from surg_msgs.msg import Ready, SimSnapshot
-from surg_sim import scene
-from surg_sim.render import Intrinsics, NoOpenGL, Renderer, show_only
+from surg_sim import conditions, endoscope, scene, tasks
+from surg_sim.render import Intrinsics, NoOpenGL, Picture, Renderer, StereoRenderer, show_only
 from surg_sim.settings import EndoscopeSettings, SettingsError
+from surg_sim.world import World
 
 PARTICIPANT = "endoscope"
+FRAMES = {"left": endoscope.LEFT, "right": endoscope.RIGHT}
+"""Optical frame of each view."""
 
 
-def camera_info(intrinsics: Intrinsics) -> CameraInfo:
-    """The camera's model as a message without a stamp."""
+def camera_info(intrinsics: Intrinsics, frame: str, baseline: float = 0.0) -> CameraInfo:
+    """The camera's model as a message without a stamp.
+
+    Args:
+        intrinsics: Of the camera.
+        frame: Its optical frame.
+        baseline: How far it stands to the right of the first camera [m].
+    """
     f, cx, cy = intrinsics.f, intrinsics.cx, intrinsics.cy
     info = CameraInfo(
         width=intrinsics.width,
@@ -32,35 +41,69 @@ def camera_info(intrinsics: Intrinsics) -> CameraInfo:
         D=[0.0] * 5,
         K=[f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0],
         R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        P=[f, 0.0, cx, 0.0, 0.0, f, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        P=[f, 0.0, cx, -f * baseline, 0.0, f, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
     )
-    info.header.frame_id = scene.ENDOSCOPE
+    info.header.frame_id = frame
     return info
+
+
+class View:
+    """The topics of one camera.
+
+    Args:
+        name: ``left`` or ``right``.
+        info: Its model.
+        queue: Of the publishers; 0: without end.
+    """
+
+    def __init__(self, name: str, info: CameraInfo, queue: int) -> None:
+        self._info = info
+        root = f"/endoscope/{name}"
+        self._image = rospy.Publisher(
+            f"{root}/image_raw", Image, queue_size=queue, tcp_nodelay=True
+        )
+        self._camera_info = rospy.Publisher(
+            f"{root}/camera_info", CameraInfo, queue_size=queue, latch=True
+        )
+        self._camera_info.publish(info)
+
+    def show(self, picture: Picture, stamp: rospy.Time) -> None:
+        """Publish a picture with its camera's model, both of this stamp."""
+        height, width, _ = picture.shape
+        image = Image(
+            height=height, width=width, encoding="rgb8", step=3 * width, data=picture.tobytes()
+        )
+        image.header.frame_id = self._info.header.frame_id
+        image.header.stamp = self._info.header.stamp = stamp
+        self._image.publish(image)
+        self._camera_info.publish(self._info)
 
 
 class Endoscope:
     """Renders in the main thread what the subscriber's thread has put into the queue.
 
     Args:
-        renderer: Of the endoscope camera.
+        renderer: Of the endoscope's camera, or of both.
         keep_all: True: every snapshot in order (lock-step); False: the newest only (free-run).
     """
 
     def __init__(self, renderer: Renderer, keep_all: bool) -> None:
         self._renderer = renderer
-        self._info = camera_info(renderer.intrinsics)
         self._waiting: deque[SimSnapshot] = deque(maxlen=None if keep_all else 1)
         self._arrived = threading.Condition()
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1000 if keep_all else 0.0
-        queue = 0 if keep_all else 2
-        self._image = rospy.Publisher(
-            "/endoscope/left/image_raw", Image, queue_size=queue, tcp_nodelay=True
-        )
-        self._camera_info = rospy.Publisher(
-            "/endoscope/left/camera_info", CameraInfo, queue_size=queue, latch=True
-        )
+        baselines = {"left": 0.0}
+        if isinstance(renderer, StereoRenderer):
+            baselines["right"] = renderer.baseline
+        self._views = [
+            View(
+                name,
+                camera_info(renderer.intrinsics, FRAMES[name], baseline),
+                0 if keep_all else 2,
+            )
+            for name, baseline in baselines.items()
+        ]
         self._ready = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
-        self._camera_info.publish(self._info)
         rospy.Subscriber("/sim/snapshot", SimSnapshot, self._on_snapshot, tcp_nodelay=True)
 
     def _on_snapshot(self, snapshot: SimSnapshot) -> None:
@@ -79,18 +122,40 @@ class Endoscope:
             self._show(snapshot)
 
     def _show(self, snapshot: SimSnapshot) -> None:
-        picture = self._renderer.render(np.asarray(snapshot.qpos))
+        qpos = np.asarray(snapshot.qpos)
+        pictures: tuple[Picture, ...]
+        if isinstance(self._renderer, StereoRenderer):
+            pictures = self._renderer.pair(qpos)
+        else:
+            pictures = (self._renderer.render(qpos),)
         if self._jitter:
             time.sleep(random.uniform(0.0, self._jitter))
-        height, width, _ = picture.shape
-        image = Image(
-            height=height, width=width, encoding="rgb8", step=3 * width, data=picture.tobytes()
-        )
-        image.header.frame_id = scene.ENDOSCOPE
-        image.header.stamp = self._info.header.stamp = snapshot.header.stamp
-        self._image.publish(image)
-        self._camera_info.publish(self._info)
+        for view, picture in zip(self._views, pictures, strict=True):
+            view.show(picture, snapshot.header.stamp)
         self._ready.publish(Ready(tick=snapshot.tick, participant=PARTICIPANT))
+
+
+def make_renderer(settings: EndoscopeSettings) -> Renderer:
+    """The scene that the bridge has, with looks, and what draws it.
+
+    Raises:
+        ValueError: The scene cannot be built, or has no second camera.
+        NoOpenGL: No platform works.
+    """
+    world = World(
+        surg_core.load_cell(settings.cell),
+        settings.seed,
+        looks=True,
+        arms=settings.arms,
+        condition=conditions.condition(settings.setting) if settings.setting else None,
+        task=tasks.load(settings.task) if settings.task else None,
+    )
+    show_only(world.model, lamps=False)
+    size = (settings.width, settings.height, settings.vignette)
+    skins = world.task.skins if world.task is not None else ()
+    if len(settings.views) == 2:
+        return StereoRenderer(world.model, *size, hidden=[scene.OUTSIDE], skins=skins)
+    return Renderer(world.model, endoscope.LEFT, *size, hidden=[scene.OUTSIDE], skins=skins)
 
 
 def main() -> int:
@@ -101,17 +166,7 @@ def main() -> int:
         settings = EndoscopeSettings.read(
             lambda name, default: rospy.get_param(f"~{name}", default)
         )
-        cell = surg_core.load_cell(settings.cell)
-        model = scene.build(scene.choose_arms(cell, settings.arms), settings.seed, looks=True)
-        show_only(model, lamps=False)
-        renderer = Renderer(
-            model,
-            scene.ENDOSCOPE,
-            settings.width,
-            settings.height,
-            vignette=settings.vignette,
-            hidden=[scene.OUTSIDE],
-        )
+        renderer = make_renderer(settings)
     except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2

@@ -105,6 +105,7 @@ class Injector:
         self._lasting: list[Lasting] = []
         self._channels: dict[tuple[str, str], tuple[Wire, Channel]] = {}
         self._shown: dict[str, tuple[int, ArmState]] = {}  # newest that has arrived, lock-step
+        self._read: dict[str, tuple[int, ArmState]] = {}
         self._answers: dict[
             str, tuple[int, list[tuple[int, ArmState]]]
         ] = {}  # by arm: tick, states
@@ -147,15 +148,23 @@ class Injector:
         In lock-step exactly one, under the present stamp. Asked again, it says the same again.
         """
         if not self._lasting:
-            return [(stamp, self._world.state(arm))]
+            return [(stamp, self._measured(arm))]
         tick, answer = self._answers.get(arm, (0, []))
         if tick != self._world.tick:
             answer = self._sent(arm, stamp)
             self._answers[arm] = (self._world.tick, answer)
         return answer
 
+    def _measured(self, arm: str) -> ArmState:
+        """What the links measure at the present tick; read once per tick."""
+        tick, state = self._read.get(arm, (0, None))
+        if state is None or tick != self._world.tick:
+            state = self._world.state(arm)
+            self._read[arm] = (self._world.tick, state)
+        return state
+
     def _sent(self, arm: str, stamp: int) -> list[tuple[int, ArmState]]:
-        state = self._world.state(arm)
+        state = self._measured(arm)
         bad = self._now(NotFinite, arm)
         if bad is not None:
             name = "q" if bad.quantity == "position" else "qd"
@@ -181,7 +190,7 @@ class Injector:
     def jaw(self, arm: str) -> tuple[float, float] | None:
         """Jaw angle [rad] and velocity [rad/s] that leave the tool link; None: nothing does."""
         if self._now(ToolLost, arm) is None:
-            state = self._world.state(arm)
+            state = self._measured(arm)
             return state.jaw, state.jaw_velocity
         return (np.nan, 0.0) if self._lockstep else None
 

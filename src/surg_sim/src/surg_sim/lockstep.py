@@ -4,7 +4,8 @@ Pure: times are arguments (seconds of any steady clock). One ``Lockstep`` follow
 
 * tick k may be executed when every arm has answered k on both links, every participant has sent
   Ready for k (the controller waited for it too, but its ``done`` must be known here before the tick
-  is executed), and no observer is further behind than its window;
+  is executed), all that it has announced to this side (commands to the assistant's instrument) has
+  arrived, and no observer is further behind than its window;
 * nothing for ``republish`` seconds: publish state k again (receivers answer a tick once only);
 * nothing for ``abort`` seconds: give up and name who is missing;
 * every declared participant has said ``done``: tick k is the last one that is executed.
@@ -35,6 +36,8 @@ class Action(enum.Enum):
 class _Participant:
     tick: int = 0
     last: int | None = None  # first tick said to be the last; a participant may run ahead of it
+    sent: int = 0  # announced to this side
+    received: int = 0
 
 
 class Lockstep:
@@ -46,6 +49,8 @@ class Lockstep:
         observers: Observers by name with the window of each [ticks].
         republish: Silence after which a state is published again [s].
         abort: Silence after which the run is given up [s].
+        strict: Every participant is waited for from tick 1 on. For participants who latch their
+            Ready, so that it cannot get lost.
     """
 
     def __init__(
@@ -55,12 +60,13 @@ class Lockstep:
         observers: Mapping[str, int] | None = None,
         republish: float = 2.0,
         abort: float = 10.0,
+        strict: bool = False,
     ) -> None:
         self._answered = {(arm, link): 0 for arm in arms for link in LINKS}
         self._participants = {name: _Participant() for name in participants}
         self._observers = dict.fromkeys(observers or {}, 0)
         self._windows = dict(observers or {})
-        self._republish, self._abort = republish, abort
+        self._republish, self._abort, self._strict = republish, abort, strict
         self._waiting_since = self._asked_at = 0.0
         self.tick = 0
         """The tick whose state is out; 0 before ``publish``."""
@@ -83,11 +89,28 @@ class Lockstep:
         self._answered[key] = tick
         return True
 
-    def ready(self, name: str, tick: int, done: bool) -> None:
-        """A ``Ready`` has arrived; strangers are ignored."""
+    def declared(self, name: str) -> bool:
+        """Whether this is a participant."""
+        return name in self._participants
+
+    def received(self, name: str) -> None:
+        """A command of a sender to this side has arrived; strangers are not counted."""
+        if name in self._participants:
+            self._participants[name].received += 1
+
+    def ready(self, name: str, tick: int, done: bool, sent: int = 0) -> None:
+        """A ``Ready`` has arrived; strangers are ignored.
+
+        Args:
+            name: Of the sender.
+            tick: It has sent all it wants to for this tick.
+            done: It will send no more.
+            sent: Running total of its commands to this side.
+        """
         if name in self._participants:
             participant = self._participants[name]
             participant.tick = max(participant.tick, tick)
+            participant.sent = max(participant.sent, sent)
             if done and participant.last is None:
                 participant.last = tick
         elif name in self._observers:
@@ -109,7 +132,9 @@ class Lockstep:
         the controller, which needs its commands, waits for it.
         """
         done = participant.last is not None
-        return done or participant.tick == 0 or participant.tick >= self.tick
+        here = participant.received >= participant.sent
+        unheard = participant.tick == 0 and not self._strict
+        return here and (done or unheard or participant.tick >= self.tick)
 
     def finished(self) -> bool:
         """True when the answer to the present tick is the last one to execute."""
@@ -128,6 +153,12 @@ class Lockstep:
             f"participant '{name}' has not sent Ready for tick {self.tick} (last: {p.tick})"
             for name, p in self._participants.items()
             if p.tick < self.tick and p.last is None
+        ]
+        sentences += [
+            f"participant '{name}' has sent the assistant {p.sent} commands of which {p.received} "
+            f"arrived"
+            for name, p in self._participants.items()
+            if p.received < p.sent
         ]
         topics = {"robot": "a robot command", "tool": "tool/servo_jp"}
         sentences += [

@@ -1,4 +1,4 @@
-"""Two pictures of a cell's home posture, side by side: ``python -m surg_sim.picture OUT.png``."""
+"""Pictures of a cell at home: ``python -m surg_sim.picture OUT.png --view stereo``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_sim import scene
+from surg_sim import endoscope, scene, tasks
 from surg_sim.render import NoOpenGL, Picture, Renderer, show_only
 from surg_sim.world import World
 
@@ -42,7 +42,7 @@ def take(world: World, camera: str, width: int, height: int) -> Picture:
         width: Of the result [px].
         height: Of the result [px].
     """
-    inside = camera == scene.ENDOSCOPE
+    inside = camera != scene.OVERVIEW
     show_only(world.model, lamps=not inside)
     limit = world.model.vis.global_
     factor = 2 if 2 * width <= limit.offwidth and 2 * height <= limit.offheight else 1
@@ -53,6 +53,7 @@ def take(world: World, camera: str, width: int, height: int) -> Picture:
         factor * height,
         vignette=inside,
         hidden=[scene.OUTSIDE] if inside else [],
+        skins=world.task.skins if world.task is not None else (),
     )
     try:
         large = renderer.render(np.array(world.data.qpos))
@@ -62,6 +63,15 @@ def take(world: World, camera: str, width: int, height: int) -> Picture:
     return np.asarray(blocks.mean(axis=(1, 3)).round(), dtype=np.uint8)
 
 
+VIEWS = {
+    "overview": ((scene.OVERVIEW, 853, 480),),
+    "endoscope": ((scene.ENDOSCOPE, 640, 480),),
+    "both": ((scene.OVERVIEW, 853, 480), (scene.ENDOSCOPE, 640, 480)),
+    "stereo": ((endoscope.LEFT, 640, 480), (endoscope.RIGHT, 640, 480)),
+}
+"""What can be asked for: camera, width and height of each picture [px]."""
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code (2: broken configuration, 1: no OpenGL)."""
     import surg_core
@@ -69,16 +79,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m surg_sim.picture", description=__doc__)
     parser.add_argument("out", type=Path, help="PNG file to write")
     parser.add_argument("--cell", default="cells/sim_ur5e", help="folder of the cell")
-    parser.add_argument("--view", choices=("both", "overview", "endoscope"), default="both")
+    parser.add_argument("--view", choices=sorted(VIEWS), default="both")
     parser.add_argument("--seed", type=int, default=0, help="seed of the tissue's look")
+    parser.add_argument("--task", default="", help="show the beginning of this task's episode")
     options = parser.parse_args(arguments)
     try:
-        world = World(surg_core.load_cell(options.cell), options.seed, looks=True)
-        pictures = []
-        if options.view in ("both", "overview"):
-            pictures.append(take(world, scene.OVERVIEW, 853, 480))
-        if options.view in ("both", "endoscope"):
-            pictures.append(take(world, scene.ENDOSCOPE, 640, 480))
+        world = World(
+            surg_core.load_cell(options.cell),
+            options.seed,
+            looks=True,
+            task=tasks.load(options.task) if options.task else None,
+        )
+        if options.view == "stereo" and endoscope.RIGHT not in _cameras(world):
+            raise ValueError(f"{options.cell}: its endoscope has one camera; --view endoscope")
+        pictures = [take(world, *view) for view in VIEWS[options.view]]
     except (surg_core.ConfigError, ValueError) as error:
         print(f"surg_sim.picture: {error}", file=sys.stderr)
         return 2
@@ -88,6 +102,10 @@ def main(arguments: list[str] | None = None) -> int:
     options.out.write_bytes(png(np.concatenate(pictures, axis=1)))
     print(options.out)
     return 0
+
+
+def _cameras(world: World) -> set[str]:
+    return {world.model.camera(i).name for i in range(world.model.ncam)}
 
 
 if __name__ == "__main__":

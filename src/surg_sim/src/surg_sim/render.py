@@ -11,14 +11,16 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_sim import endoscope
+
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Sequence
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -133,9 +135,26 @@ class Intrinsics:
         """Camera matrix, (3, 3)."""
         return np.array([[self.f, 0, self.cx], [0, self.f, self.cy], [0, 0, 1]])
 
+    def P(self, baseline: float = 0.0) -> Array:
+        """Projection matrix, (3, 4), of a camera this far [m] to the right of the left one.
+
+        A point in the left optical frame gives the picture of this camera: P[0, 3] = -f baseline,
+        as in sensor_msgs/CameraInfo.
+        """
+        P = np.hstack([self.K, np.zeros((3, 1))])
+        P[0, 3] = -self.f * baseline
+        return P
+
     def project(self, point: Array) -> Array:
         """Pixel (x, y) of a point in the optical frame (x right, y down, z away) [m], (2,)."""
         return np.asarray((self.K @ point)[:2] / point[2])
+
+
+class Skin(Protocol):
+    """What changes its shape from picture to picture."""
+
+    def draw(self, scene: mujoco.MjvScene, data: mujoco.MjData) -> None:
+        """Write the shape at the state in ``data`` into the scene's skins."""
 
 
 class Renderer:
@@ -148,6 +167,7 @@ class Renderer:
         height: [px].
         vignette: Draw the round edge of an endoscope's picture.
         hidden: Groups of geoms to leave out.
+        skins: Drawn after everything else has its place.
 
     Raises:
         NoOpenGL: No platform works.
@@ -162,6 +182,7 @@ class Renderer:
         height: int,
         vignette: bool = False,
         hidden: Iterable[int] = (),
+        skins: Sequence[Skin] = (),
     ) -> None:
         limit = model.vis.global_
         if width > limit.offwidth or height > limit.offheight or min(width, height) < 16:
@@ -170,6 +191,7 @@ class Renderer:
                 f"{limit.offwidth} x {limit.offheight}"
             )
         self._model, self._data = model, mujoco.MjData(model)
+        self._skins = tuple(skins)
         self.backend = choose_backend()
         self._gl, self._mjr = context(self.backend, model, width, height)
         self._sharpen()
@@ -180,9 +202,7 @@ class Renderer:
         self._option = mujoco.MjvOption()
         for group in hidden:
             self._option.geomgroup[group] = 0
-        self._camera = mujoco.MjvCamera()
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
-        self._camera.fixedcamid = model.camera(camera).id
+        self._camera = _fixed(model, camera)
         self._rect = mujoco.MjrRect(0, 0, width, height)
         self._upside_down = np.empty((height, width, 3), dtype=np.uint8)
         self.intrinsics = Intrinsics.from_fovy(
@@ -208,6 +228,11 @@ class Renderer:
         Raises:
             ValueError: qpos has the wrong length: the snapshot is of another scene.
         """
+        self._arrange(qpos)
+        return self._shoot()
+
+    def _arrange(self, qpos: Array) -> None:
+        """Put everything in its place, once for all cameras."""
         if len(qpos) != self._model.nq:
             raise ValueError(f"qpos has {len(qpos)} values, this scene has {self._model.nq}")
         self._data.qpos[:] = qpos
@@ -222,6 +247,11 @@ class Renderer:
             mujoco.mjtCatBit.mjCAT_ALL,
             self._scene,
         )
+        for skin in self._skins:
+            skin.draw(self._scene, self._data)
+
+    def _shoot(self) -> Picture:
+        """The picture of the camera that the scene is set to."""
         mujoco.mjr_render(self._rect, self._scene, self._mjr)
         mujoco.mjr_readPixels(self._upside_down, None, self._rect, self._mjr)
         picture = np.ascontiguousarray(self._upside_down[::-1])
@@ -241,6 +271,59 @@ class Renderer:
         """Give the context back."""
         self._mjr.free()
         self._gl.free()
+
+
+class StereoRenderer(Renderer):
+    """Renders both cameras of an endoscope that has two.
+
+    The scene is set up once per pair, skins included: only the second view is added.
+
+    Args:
+        model: A scene built with ``looks=True``, with the cameras of ``endoscope``.
+        width: Of each picture [px].
+        height: Of each picture [px].
+        vignette: As for ``Renderer``.
+        hidden: As for ``Renderer``.
+        skins: As for ``Renderer``.
+
+    Raises:
+        NoOpenGL: No platform works.
+        ValueError: The scene has one camera only, or the picture is too large.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        width: int,
+        height: int,
+        vignette: bool = False,
+        hidden: Iterable[int] = (),
+        skins: Sequence[Skin] = (),
+    ) -> None:
+        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, endoscope.RIGHT) < 0:
+            raise ValueError(
+                "this scene's endoscope has one camera: a pair needs a cell with an arm that holds "
+                "a stereo endoscope, such as cells/sim_two_arms"
+            )
+        super().__init__(model, endoscope.LEFT, width, height, vignette, hidden, skins)
+        self._right = _fixed(model, endoscope.RIGHT)
+        left, right = (self._data.cam_xpos[c.fixedcamid] for c in (self._camera, self._right))
+        self.baseline = float(np.linalg.norm(right - left))
+        """Distance between the cameras [m]."""
+
+    def pair(self, qpos: Array) -> tuple[Picture, Picture]:
+        """The left and the right picture at joint positions qpos, as ``render``."""
+        self._arrange(qpos)
+        left = self._shoot()
+        mujoco.mjv_updateCamera(self._model, self._data, self._right, self._scene)
+        return left, self._shoot()
+
+
+def _fixed(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
+    camera = mujoco.MjvCamera()
+    camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+    camera.fixedcamid = model.camera(name).id
+    return camera
 
 
 def show_only(model: mujoco.MjModel, lamps: bool) -> None:

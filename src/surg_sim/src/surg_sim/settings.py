@@ -9,6 +9,10 @@ from typing import Any
 from surg_sim.lockstep import OBSERVER_WINDOWS
 
 MODES = ("lockstep", "freerun")
+VIEWS = (("left",), ("left", "right"))
+"""Which views an endoscope can be asked for."""
+DEFAULT_SETTING = "phantom"
+"""The physical setting of a task that names none."""
 
 
 class SettingsError(ValueError):
@@ -18,6 +22,13 @@ class SettingsError(ValueError):
 def _text(name: str, value: Any) -> str:
     if not isinstance(value, str) or not value:
         raise SettingsError(f"parameter ~{name} is {value!r}: give a non-empty string")
+    return value
+
+
+def _word(name: str, value: Any) -> str:
+    """A text that may be empty."""
+    if not isinstance(value, str):
+        raise SettingsError(f"parameter ~{name} is {value!r}: give a text, or none")
     return value
 
 
@@ -57,12 +68,6 @@ def _flag(name: str, value: Any) -> bool:
     return value
 
 
-def _faults(value: Any) -> str:
-    if not isinstance(value, str):
-        raise SettingsError(f"parameter ~faults is {value!r}: give a text of JSON, or none")
-    return value
-
-
 Get = Callable[[str, Any], Any]
 """Looks a private parameter up: (name without ~, default) -> value."""
 
@@ -81,6 +86,8 @@ class BridgeSettings:
         view: Open a viewer window where there is a display.
         track_stale: The simulator tracks the trocars and publishes ``rcm/track``, this old [s];
             -1: it does not. In lock-step the controller must have ``sim`` among its participants.
+        task: Name or file of the task that is played; empty: none.
+        setting: Name of the physical setting; empty: the simulator's own parameters.
         faults: Faults from the start, as JSON (``faults``).
         inject: Take further faults on ``/sim/inject``.
         connect_timeout: Longest wait for everybody to connect in lock-step [s].
@@ -95,6 +102,8 @@ class BridgeSettings:
     seed: int
     view: bool
     track_stale: float
+    task: str
+    setting: str
     faults: str
     inject: bool
     connect_timeout: float
@@ -113,6 +122,7 @@ class BridgeSettings:
             raise SettingsError(
                 f"parameter ~observers names {strangers}: allowed are {', '.join(OBSERVER_WINDOWS)}"
             )
+        task = _word("task", get("task", ""))
         return cls(
             cell=_text("cell", get("cell", "")),
             mode=_mode(get("mode", "lockstep")),
@@ -122,7 +132,9 @@ class BridgeSettings:
             seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
             view=_flag("view", get("view", False)),
             track_stale=_real("track_stale", get("track_stale", -1), -1.0, 1.0),
-            faults=_faults(get("faults", "")),
+            task=task,
+            setting=_word("setting", get("setting", DEFAULT_SETTING if task else "")),
+            faults=_word("faults", get("faults", "")),
             inject=_flag("inject", get("inject", False)),
             connect_timeout=_real("connect_timeout", get("connect_timeout", 60.0), 1.0, 3600.0),
             abort_timeout=_real("abort_timeout", get("abort_timeout", 10.0), 1.0, 600.0),
@@ -138,6 +150,9 @@ class EndoscopeSettings:
         mode: ``lockstep`` (every snapshot) or ``freerun`` (the newest one only).
         arms: As for the bridge.
         seed: As for the bridge: it draws the tissue.
+        task: As for the bridge.
+        setting: As for the bridge.
+        views: Which of ``left`` and ``right`` are rendered.
         width: [px].
         height: [px].
         vignette: Draw the round edge of an endoscope's picture.
@@ -147,6 +162,9 @@ class EndoscopeSettings:
     mode: str
     arms: tuple[str, ...]
     seed: int
+    task: str
+    setting: str
+    views: tuple[str, ...]
     width: int
     height: int
     vignette: bool
@@ -158,12 +176,48 @@ class EndoscopeSettings:
         Raises:
             SettingsError: One is missing or out of range.
         """
+        views = _texts("views", get("views", ["left"]))
+        if views not in VIEWS:
+            allowed = " or ".join(",".join(each) for each in VIEWS)
+            raise SettingsError(f"parameter ~views is {list(views)}: allowed are {allowed}")
+        task = _word("task", get("task", ""))
         return cls(
             cell=_text("cell", get("cell", "")),
             mode=_mode(get("mode", "lockstep")),
             arms=_texts("arms", get("arms", [])),
             seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
+            task=task,
+            setting=_word("setting", get("setting", DEFAULT_SETTING if task else "")),
+            views=views,
             width=_whole("width", get("width", 640), 16, 1920),
             height=_whole("height", get("height", 480), 16, 1080),
             vignette=_flag("vignette", get("vignette", True)),
+        )
+
+
+@dataclass(frozen=True)
+class SenderSettings:
+    """Parameters of a scripted sender.
+
+    Attributes:
+        cell: Path of the cell, the same as the bridge's.
+        task: As for the bridge.
+        seed: Of the sender's imperfections.
+    """
+
+    cell: str
+    task: str
+    seed: int
+
+    @classmethod
+    def read(cls, get: Get) -> SenderSettings:
+        """Read and check all parameters.
+
+        Raises:
+            SettingsError: One is missing or out of range.
+        """
+        return cls(
+            cell=_text("cell", get("cell", "")),
+            task=_text("task", get("task", "")),
+            seed=_whole("seed", get("seed", 0), 0, 2**31 - 1),
         )

@@ -7,8 +7,9 @@ test compares every layout with the generated classes.
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,6 +107,120 @@ def pack_ground_truth(stamp_ns: int, tick: int, arms: Iterable[tuple[str, ArmTru
         ]
     count = struct.pack("<QI", tick, len(parts) // 2)
     return b"".join((header(tick, stamp_ns), count, *parts))
+
+
+class TaskStateLayout:
+    """surg_msgs/TaskState of a task, whose entries keep their names, order and shapes.
+
+    Args:
+        state: An example of what the task says of itself.
+    """
+
+    def __init__(self, state: Mapping[str, float | Array]) -> None:
+        self._shapes = {name: np.shape(value) for name, value in state.items()}
+        self.names = [_entry(name, shape) for name, shape in self._shapes.items()]
+        self._head = struct.pack("<I", len(self.names)) + b"".join(map(text, self.names))
+
+    def pack(
+        self,
+        stamp_ns: int,
+        tick: int,
+        state: Mapping[str, float | Array],
+        phase: str,
+        outcome: tuple[bool, bool, str],
+        reward: float,
+    ) -> bytes:
+        """The message as bytes.
+
+        Args:
+            stamp_ns: Of the state [ns].
+            tick: Its tick.
+            state: Entries as in the example.
+            phase: Name of the phase.
+            outcome: Done, success, reason.
+            reward: Of this tick.
+
+        Raises:
+            ValueError: An entry has come, gone or changed its shape.
+        """
+        shapes = {name: np.shape(value) for name, value in state.items()}
+        if shapes != self._shapes:
+            raise ValueError(f"the task's state was {self._shapes} and is {shapes}")
+        flat = [np.ravel(value) for value in state.values()]
+        values = np.concatenate(flat) if flat else np.zeros(0)
+        done, success, reason = outcome
+        return b"".join(
+            (
+                header(tick, stamp_ns),
+                struct.pack("<Q", tick),
+                self._head,
+                _doubles(values),
+                text(phase),
+                struct.pack("<2B", done, success),
+                text(reason),
+                struct.pack("<d", reward),
+            )
+        )
+
+
+def _entry(name: str, shape: tuple[int, ...]) -> str:
+    return f"{name}[{','.join(map(str, shape))}]" if shape else name
+
+
+def task_state(names: Iterable[str], values: Sequence[float]) -> dict[str, float | Array]:
+    """The dictionary that ``TaskStateLayout`` has packed.
+
+    Raises:
+        ValueError: Names and number of values do not belong together.
+    """
+    found: dict[str, float | Array] = {}
+    start = 0
+    for entry in names:
+        name, _, rest = entry.partition("[")
+        shape = tuple(int(n) for n in rest.rstrip("]").split(",") if n)
+        end = start + math.prod(shape)
+        part = np.array(values[start:end], dtype=np.float64)
+        if len(part) != end - start:
+            raise ValueError(f"{len(values)} values end within {entry!r}")
+        found[name] = part.reshape(shape) if rest else float(part[0])
+        start = end
+    if start != len(values):
+        raise ValueError(f"{len(values)} values for names of {start}")
+    return found
+
+
+class ReadyLayout:
+    """surg_msgs/Ready of one participant.
+
+    Args:
+        participant: Its name.
+        arms: Whom it commands.
+    """
+
+    def __init__(self, participant: str, arms: Sequence[str]) -> None:
+        count = struct.pack("<I", len(arms))
+        self._head = text(participant) + count + b"".join(map(text, arms)) + count
+        self._tail = struct.Struct(f"<{len(arms)}QB")
+
+    def pack(self, tick: int, sent: Iterable[int], done: bool) -> bytes:
+        """The message as bytes; ``sent`` in the order of the arms."""
+        return struct.pack("<Q", tick) + self._head + self._tail.pack(*sent, done)
+
+
+def pack_wrench(stamp_ns: int, seq: int, frame: bytes, force: Array) -> bytes:
+    """A geometry_msgs/WrenchStamped without torque; ``frame`` as for ``header``."""
+    return header(seq, stamp_ns, frame) + struct.pack("<6d", *force, 0.0, 0.0, 0.0)
+
+
+def unpack_tick(data: bytes) -> int:
+    """The tick of a message that has it right behind its header (Cycle, TaskState).
+
+    Raises:
+        struct.error: The data are too short.
+    """
+    _, offset = unpack_header(data)
+    (tick,) = struct.unpack_from("<Q", data, offset)
+    return int(tick)
 
 
 def unpack_header(data: bytes) -> tuple[int, int]:

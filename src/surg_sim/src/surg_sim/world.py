@@ -16,12 +16,15 @@ from numpy.typing import NDArray
 
 from surg_sim import scene
 from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
+from surg_sim.conditions import Condition
 from surg_sim.jaw import JawLink
 from surg_sim.trocar import Trocar, TrocarParameters
 from surg_sim.truth import ArmTruth, TruthReader
 
 if TYPE_CHECKING:
     import surg_core
+    from surg_sim.assistant import AssistantCommand
+    from surg_sim.tasks.base import Task
 
 Array = NDArray[np.float64]
 
@@ -69,6 +72,8 @@ class World:
         actuators: Drive parameters.
         trocar: Wall parameters.
         tool_errors: By arm name, how the true tool differs from its URDF (calibration error).
+        condition: Physical parameters of a setting; None: those of the arguments, no breathing.
+        task: What is done in it.
 
     Raises:
         ValueError: An arm is not in the cell, or a URDF does not fit its YAML.
@@ -83,11 +88,27 @@ class World:
         actuators: ActuatorParameters | None = None,
         trocar: TrocarParameters | None = None,
         tool_errors: Mapping[str, ToolError] | None = None,
+        condition: Condition | None = None,
+        task: Task | None = None,
     ) -> None:
+        if condition is not None:
+            actuators, trocar = actuators or condition.actuators, trocar or condition.trocar
+            if tool_errors is None and condition.tool_error is not None:
+                tool_errors = dict.fromkeys(cell.arms, condition.tool_error)
         actuators, trocar = actuators or ActuatorParameters(), trocar or TrocarParameters()
+        self._condition = condition
+        if task is not None:
+            task.prepare(cell, condition or Condition(name="default"))
         chosen = scene.choose_arms(cell, arms)
-        self.model = scene.build(chosen, seed, looks, actuators, trocar, tool_errors)
+        self.cell, self.task, self._seed = cell, task, seed
+
+        def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
+            if task is not None:
+                task.add(spec, site, looks)
+
+        self.model = scene.build(chosen, seed, looks, actuators, trocar, tool_errors, add)
         self.data = mujoco.MjData(self.model)
+        self._R_WB = {arm.name: np.asarray(arm.X_WB)[:3, :3] for arm in chosen}
         self._members: dict[str, _Member] = {}
         for arm in chosen:
             sleeve = Trocar(self.model, self.data, arm, trocar)
@@ -97,6 +118,8 @@ class World:
                 trocar=sleeve,
                 truth=TruthReader(self.model, self.data, arm, sleeve),
             )
+        if task is not None:
+            task.bind(self)
         self.reset()
 
     @property
@@ -104,8 +127,12 @@ class World:
         """Names of the simulated arms."""
         return tuple(self._members)
 
-    def reset(self) -> None:
-        """Home posture at rest, tick 1, fresh hash."""
+    def reset(self, seed: int | None = None) -> None:
+        """Home posture at rest, tick 1, fresh hash, a new episode of the task.
+
+        Args:
+            seed: Draws the episode; None: the seed that the world was made with.
+        """
         mujoco.mj_resetData(self.model, self.data)
         for member in self._members.values():
             member.link.reset()
@@ -113,21 +140,33 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
         for member in self._members.values():
             member.trocar.reset()
+        if self._condition is not None:
+            for name, member in self._members.items():
+                member.trocar.point.move(self._condition.breathing.wall(self._R_WB[name]))
+        if self.task is not None:
+            self.task.reset(np.random.default_rng(self._seed if seed is None else seed))
         mujoco.mj_forward(self.model, self.data)
         self.tick = 1
         self._hash = hashlib.sha256()
 
-    def step(self, commands: Mapping[str, ArmCommand]) -> None:
+    def step(
+        self, commands: Mapping[str, ArmCommand], assistant: AssistantCommand | None = None
+    ) -> None:
         """One tick: take the commands that answer this tick's state, then 2 x 1 ms of physics.
 
         Args:
             commands: By arm name; an arm that is not named received nothing.
+            assistant: What the assistant's instrument received; None: nothing.
         """
         for name, member in self._members.items():
             command = commands.get(name, _NOTHING)
             member.link.accept(command)
             member.jaw.accept(command.jaw)
             member.trocar.advance()
+        if self.task is not None:
+            if self.task.assistant is not None:
+                self.task.assistant.accept(assistant)
+            self.task.advance()
         # mj_step is step1 (positions, velocities) then step2 (forces, integration). Ending on step1
         # leaves kinematics that belong to the new state, at no extra cost.
         for _ in range(SUBSTEPS):
@@ -142,7 +181,10 @@ class World:
     def state(self, arm: str) -> ArmState:
         """What the links of an arm measure now."""
         member = self._members[arm]
-        return ArmState(member.link.q, member.link.qd, member.jaw.angle, member.jaw.velocity)
+        q, step = member.link.q, self._condition.encoder if self._condition else 0.0
+        if step > 0.0:
+            q = np.round(q / step) * step
+        return ArmState(q, member.link.qd, member.jaw.angle, member.jaw.velocity)
 
     def truth(self, arm: str) -> ArmTruth:
         """The truth of an arm now."""

@@ -1,0 +1,157 @@
+"""Box plots of many episodes, one box per condition, every episode a dot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from surg_recording import trials
+from surg_recording.figures import (
+    EXECUTED,
+    FAINT,
+    INK,
+    LIMIT,
+    STYLE,
+    TRUE,
+    Drawn,
+    blank,
+)
+
+Entries = Sequence[Mapping[str, Any]]
+Groups = Sequence[tuple[str, Entries]]
+"""Label and episodes of each condition."""
+Series = Sequence[tuple[str, str, tuple[str, ...]]]
+"""Label, colour, and path of the number in an episode, of each box beside another."""
+
+
+def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:
+    """Mean and maximum of the RCM deviation of each episode."""
+    figure = blank(3.9)
+    for axes, metric in zip(figure.subplots(1, 2), ("mean", "max"), strict=True):
+        series = [
+            ("kinematic", EXECUTED, ("rcm_kinematic_mm", metric)),
+            ("true", TRUE, ("rcm_true_mm", metric)),
+        ]
+        _boxes(axes, groups, series)
+        for i, condition in enumerate(summary["conditions"]):
+            for bound in condition["bounds"]:
+                if bound["metric"] == metric:
+                    # Over the kinematic box only: the other one is not held against it.
+                    axes.plot([i - 0.4, i - 0.02], [bound["value"]] * 2, "--", color=LIMIT, lw=1.2)
+        axes.set_yscale("log")
+        axes.margins(y=0.12)
+        axes.yaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda y, _: f"{y:g}"))
+        axes.set(title=f"RCM deviation, {metric} of each episode", ylabel="mm")
+    axes.plot([], [], "--", color=LIMIT, lw=1.0, label="bound (kinematic)")
+    axes.legend(loc="best")
+    return figure
+
+
+def smoothness(groups: Groups, summary: Mapping[str, Any]) -> Figure:
+    """SPARC and LDLJ of the instrument's tip."""
+    figure = blank(3.5)
+    for axes, name in zip(figure.subplots(1, 2), ("sparc", "ldlj"), strict=True):
+        _boxes(axes, groups, [("tip", EXECUTED, ("smoothness", name))])
+        axes.set(title=f"{name.upper()} (closer to zero: smoother)", ylabel=name.upper())
+    return figure
+
+
+def load(groups: Groups, summary: Mapping[str, Any]) -> Figure:
+    """Greatest force on the trocar and displacement of it in each episode, and how long it took."""
+    figure = blank(3.5)
+    panels = (
+        ("Trocar force, max", "N", ("trocar", "force_n", "max"), TRUE),
+        ("Trocar displacement, max", "mm", ("trocar", "displacement_mm", "max"), TRUE),
+        ("Duration", "s simulated", ("duration_s",), FAINT),
+    )
+    for axes, (title, unit, path, colour) in zip(figure.subplots(1, 3), panels, strict=True):
+        _boxes(axes, groups, [(title, colour, path)])
+        axes.set(title=title, ylabel=unit)
+        axes.set_ylim(bottom=0)
+    return figure
+
+
+FIGURES: dict[str, tuple[str, str, Callable[[Groups, Mapping[str, Any]], Figure]]] = {
+    "rcm_deviation": (
+        "Does the shaft stay in the trocar?",
+        "One dot per episode, first arm. Box: quartiles, line: median, whiskers: 1.5 times the"
+        " box. Kinematic: computed from joint states; true: from the simulator's shaft axis."
+        " Logarithmic scale.",
+        deviation,
+    ),
+    "smoothness": (
+        "How smooth is the tip's motion?",
+        "Executed tip of the first arm at 5 Hz.",
+        smoothness,
+    ),
+    "load": (
+        "What does the wall bear, and how long does it take?",
+        "Of the first arm, from the simulator's truth.",
+        load,
+    ),
+}
+"""Name → question it answers, caption, function."""
+
+
+def save_all(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
+    """Draw every figure of a run as ``<folder>/<name>.png``.
+
+    Args:
+        summary: Made by ``trials.summarise``.
+        folder: Where they go.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    groups = grouped(summary)
+    drawn = []
+    for name, (title, caption, draw) in FIGURES.items():
+        path = folder / f"{name}.png"
+        with matplotlib.rc_context(STYLE):
+            draw(groups, summary).savefig(path, metadata={"Software": None})
+        drawn.append(Drawn(name, title, caption, path))
+    return drawn
+
+
+def grouped(summary: Mapping[str, Any]) -> Groups:
+    """Label and episodes of each condition; a law is named where it is not ours."""
+    groups: list[tuple[str, Entries]] = []
+    for condition in summary["conditions"]:
+        setting, law = condition["setting"], condition["law"]
+        entries = [e for e in summary["episodes"] if (e["setting"], e["law"]) == (setting, law)]
+        name = setting if law == "ours" else f"{setting}, {law}"
+        groups.append((f"{name}\nn = {len(entries)}", entries))
+    return groups
+
+
+def _boxes(axes: Axes, groups: Groups, series: Series) -> None:
+    """Boxes of every series beside one another, for each group."""
+    width = 0.7 / len(series)
+    for j, (label, colour, path) in enumerate(series):
+        offset = (j - (len(series) - 1) / 2) * width
+        for i, (_, entries) in enumerate(groups):
+            numbers = trials.values(entries, *path)
+            if not numbers:
+                continue
+            axes.boxplot(
+                numbers,
+                positions=[i + offset],
+                widths=0.8 * width,
+                showfliers=False,
+                patch_artist=True,
+                boxprops={"facecolor": "white", "edgecolor": colour},
+                medianprops={"color": INK, "linewidth": 1.6},
+                whiskerprops={"color": colour},
+                capprops={"color": colour},
+            )
+            # Spread the dots evenly over the box, by rank of seed order: no random numbers.
+            x = i + offset + np.linspace(-0.25, 0.25, len(numbers) + 2)[1:-1] * width
+            axes.plot(x, numbers, "o", color=colour, markersize=3.2, alpha=0.65, zorder=3)
+        axes.plot([], [], "o", color=colour, markersize=5, label=label)
+    axes.set_xticks(range(len(groups)), [label for label, _ in groups])
+    axes.set_xlim(-0.6, len(groups) - 0.4)
+    axes.grid(visible=False, axis="x")

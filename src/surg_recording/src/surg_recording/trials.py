@@ -1,0 +1,235 @@
+"""Many episodes of one task: what each came to, and what they come to together.
+
+A *condition* is what episodes have in common: the physical setting and the control law. Episodes of
+one condition differ by their seeds only. What the numbers mean is said in docs/run.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from surg_recording import summary
+from surg_recording.episode import Episode
+
+Z_95 = 1.959963984540054
+"""Two-sided 95 % quantile of the normal distribution."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """A deviation that a condition is held against, for information.
+
+    Attributes:
+        metric: ``mean`` or ``max`` of an episode's kinematic RCM deviation.
+        value: [mm], to be stayed below by every episode.
+    """
+
+    metric: str
+    value: float
+
+
+BOUNDS: Mapping[str, tuple[Bound, ...]] = {"phantom": (Bound("mean", 0.05), Bound("max", 0.3))}
+EVERY_SETTING = (Bound("max", 1.0),)
+"""For a setting without bounds of its own."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """How an episode ended.
+
+    Attributes:
+        success: By the task's own definition, from ground truth.
+        reason: Why it was none; empty for a success.
+        phase: Of the task, at the end.
+        duration_s: Simulated time.
+        played: False where it did not come to an end of its own: a node died, the recording broke.
+    """
+
+    success: bool
+    reason: str
+    phase: str
+    duration_s: float
+    played: bool = True
+
+
+def wilson(k: int, n: int, z: float = Z_95) -> tuple[float, float]:
+    """Wilson's score interval of a proportion.
+
+    It holds near 0 and 1, where k/n ± z σ does not.
+
+    Args:
+        k: Successes.
+        n: Trials.
+        z: Quantile of the normal distribution.
+
+    Returns:
+        Lower and upper end in [0, 1]; (0, 1) without trials.
+
+    Raises:
+        ValueError: k is not within 0 … n.
+    """
+    if not 0 <= k <= n:
+        raise ValueError(f"{k} successes of {n} trials")
+    if n == 0:
+        return 0.0, 1.0
+    share = k / n
+    centre = share + z * z / (2 * n)
+    half = z * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    scale = 1 + z * z / n
+    low, high = (centre - half) / scale, (centre + half) / scale
+    # At the ends the formula gives 0 and 1 exactly; floating point almost does.
+    return (0.0 if k == 0 else low), (1.0 if k == n else high)
+
+
+def success_rate(successes: Sequence[bool]) -> dict[str, float | int]:
+    """Number of trials and successes, and the ends of the 95 % interval."""
+    k, n = sum(successes), len(successes)
+    low, high = wilson(k, n)
+    return {"n": n, "k": k, "low": low, "high": high}
+
+
+def describe(
+    seed: int, setting: str, law: str, outcome: Outcome, recorded: Episode | None
+) -> dict[str, Any]:
+    """One entry of ``episodes`` in ``summary.json``.
+
+    Args:
+        seed: Of the episode.
+        setting: Its physical setting.
+        law: Its control law.
+        outcome: How it ended.
+        recorded: Its recording; None where there is none that can be read.
+
+    Returns:
+        The entry. The deviations at its top are the first arm's, the instrument's; ``arms`` has
+        those of every arm. An arm that was never moved has None.
+    """
+    arms: dict[str, dict[str, Any]] = {}
+    sim: Mapping[str, Any] = {}
+    if recorded is not None:
+        sim = recorded.manifest.get("sim") or {}
+        arms = {arm: _arm(recorded, arm) for arm in recorded.arms}
+    first = next(iter(arms.values()), dict.fromkeys(_OF_AN_ARM))
+    return {
+        "seed": seed,
+        "setting": setting,
+        "law": law,
+        "success": outcome.success,
+        "failure_reason": None if outcome.success else outcome.reason,
+        "phase": outcome.phase,
+        "duration_s": outcome.duration_s,
+        "played": outcome.played,
+        **first,
+        "arms": arms,
+        "deterministic": sim.get("deterministic"),
+        "state_hash": sim.get("state_hash"),
+    }
+
+
+_OF_AN_ARM = ("rcm_kinematic_mm", "rcm_true_mm", "trocar", "smoothness")
+
+
+def _arm(recorded: Episode, arm: str) -> dict[str, Any]:
+    measured = summary.summarise(recorded, arm)
+    found = {name: measured[name] for name in _OF_AN_ARM}
+    if found["smoothness"] is not None:
+        found["smoothness"] = {key: found["smoothness"][key] for key in ("preset", "sparc", "ldlj")}
+    return found
+
+
+def summarise(
+    episodes: Sequence[Mapping[str, Any]], info: Mapping[str, Any], reasons: Iterable[str] = ()
+) -> dict[str, Any]:
+    """The dictionary of a run's ``summary.json``.
+
+    Args:
+        episodes: Entries made by ``describe``, in the order they were played.
+        info: What they have in common: ``task``, ``robot``, ``seed``, ``versions``, …; copied.
+        reasons: What else went wrong.
+
+    Returns:
+        The summary. ``ok`` says that every episode was played to its end and recorded, not that the
+        task succeeded: a failure of the task is a result.
+    """
+    broken = [
+        f"episode {i} (seed {e['seed']}, {e['setting']}): {e['failure_reason']}"
+        for i, e in enumerate(episodes)
+        if not e["played"]
+    ]
+    wrong = [*reasons, *broken]
+    conditions = [
+        _condition(
+            setting, law, [e for e in episodes if (e["setting"], e["law"]) == (setting, law)]
+        )
+        for setting, law in dict.fromkeys((e["setting"], e["law"]) for e in episodes)
+    ]
+    settings = list(dict.fromkeys(e["setting"] for e in episodes))
+    return {
+        "ok": not wrong,
+        "reasons": wrong,
+        **info,
+        "setting": settings[0] if len(settings) == 1 else settings,
+        "success_rate": success_rate([e["success"] for e in episodes]),
+        "conditions": conditions,
+        "episodes": [dict(e) for e in episodes],
+    }
+
+
+def _condition(setting: str, law: str, episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What the episodes of one condition come to."""
+    found: dict[str, Any] = {
+        "setting": setting,
+        "law": law,
+        "success_rate": success_rate([e["success"] for e in episodes]),
+        "duration_s": _spread([e["duration_s"] for e in episodes]),
+    }
+    for name in ("rcm_kinematic_mm", "rcm_true_mm"):
+        found[name] = {key: _spread(values(episodes, name, key)) for key in ("mean", "max")}
+    for name in ("force_n", "displacement_mm"):
+        found[f"trocar_{name}"] = _spread(values(episodes, "trocar", name, "max"))
+    for name in ("sparc", "ldlj"):
+        found[name] = _spread(values(episodes, "smoothness", name))
+    found["bounds"] = [
+        {
+            "metric": bound.metric,
+            "value": bound.value,
+            "worst": found["rcm_kinematic_mm"][bound.metric]["max"],
+            "met": _below(found["rcm_kinematic_mm"][bound.metric]["max"], bound.value),
+        }
+        for bound in BOUNDS.get(setting, EVERY_SETTING)
+    ]
+    return found
+
+
+def values(episodes: Iterable[Mapping[str, Any]], *path: str) -> list[float]:
+    """One number of every episode that has it.
+
+    Args:
+        episodes: Entries made by ``describe``.
+        *path: Keys from the entry down to the number.
+    """
+    found = []
+    for episode in episodes:
+        value: Any = episode
+        for key in path:
+            value = None if value is None else value.get(key)
+        if isinstance(value, int | float) and math.isfinite(value):
+            found.append(float(value))
+    return found
+
+
+def _spread(numbers: Sequence[float]) -> dict[str, float | int | None]:
+    """Count, least, median and greatest of one number per episode."""
+    if not numbers:
+        return {"n": 0, "min": None, "median": None, "max": None}
+    low, high = min(numbers), max(numbers)
+    return {"n": len(numbers), "min": low, "median": float(np.median(numbers)), "max": high}
+
+
+def _below(value: float | int | None, bound: float) -> bool:
+    return value is not None and value < bound

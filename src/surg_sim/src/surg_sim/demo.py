@@ -1,0 +1,176 @@
+"""One episode of a task with the scripted senders, without ROS: a video and a figure.
+
+As a program: ``python -m surg_sim.demo --task bgr --setting phantom --seed 20000 --out demo``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim import cells, conditions, seeds, tasks
+from surg_sim.arm import TICK
+from surg_sim.episode import EpisodeReport, run_episode
+from surg_sim.render import NoOpenGL, Renderer
+from surg_sim.scene import ENDOSCOPE, OUTSIDE
+from surg_sim.session import LAWS, Session, Tick
+from surg_sim.tasks.base import GRID
+
+Picture = NDArray[np.uint8]
+
+FPS = round(1.0 / (GRID * TICK))
+
+
+@dataclass
+class Watch:
+    """Collects what video and figure show.
+
+    Attributes:
+        session: The episode's.
+        camera: Draws the endoscope's picture; None: no pictures.
+        pictures: At 20 fps.
+        phases: (time [s], name) of every change.
+        deviation: Rows of time [s], kinematic and true deviation of the commanded arm [m].
+        numbers: Rows of time [s] and the task's plotted numbers.
+    """
+
+    session: Session
+    camera: Renderer | None
+    pictures: list[Picture] = field(default_factory=list)
+    phases: list[tuple[float, str]] = field(default_factory=list)
+    deviation: list[tuple[float, float, float]] = field(default_factory=list)
+    numbers: list[tuple[float, ...]] = field(default_factory=list)
+
+    def __call__(self, tick: Tick) -> None:
+        """After a tick."""
+        session, t = self.session, tick.tick * TICK
+        if not self.phases or self.phases[-1][1] != tick.verdict.phase:
+            self.phases.append((t, tick.verdict.phase))
+        if tick.tick % GRID != 0:
+            return
+        arm = session.task.commanded[0]
+        out = tick.outputs[arm]
+        if out.homed:
+            self.deviation.append((t, out.rcm_error, session.world.truth(arm).deviation))
+        self.numbers.append((t, *(float(tick.state[key]) for key in session.task.plotted)))
+        if self.camera is not None:
+            self.pictures.append(self.camera.render(session.world.data.qpos))
+
+
+def write_video(pictures: Sequence[Picture], stem: Path) -> Path:
+    """An MP4 where PyAV is installed, else an animated GIF.
+
+    Args:
+        pictures: (height, width, 3), rgb8, 20 per second.
+        stem: Path without an ending.
+
+    Returns:
+        The file.
+    """
+    if importlib.util.find_spec("av") is not None:
+        import av
+
+        file = stem.with_suffix(".mp4")
+        with av.open(str(file), "w") as container:
+            stream = container.add_stream("libx264", rate=FPS)
+            stream.height, stream.width = pictures[0].shape[:2]
+            stream.pix_fmt = "yuv420p"
+            for picture in pictures:
+                for packet in stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")):
+                    container.mux(packet)
+            for packet in stream.encode():
+                container.mux(packet)
+        return file
+    from PIL import Image
+
+    file = stem.with_suffix(".gif")
+    frames = [Image.fromarray(picture).quantize(128) for picture in pictures[::2]]
+    frames[0].save(file, save_all=True, append_images=frames[1:], duration=2000 // FPS, loop=0)
+    return file
+
+
+def write_figure(watch: Watch, report: EpisodeReport, file: Path) -> None:
+    """Deviation and the task's numbers over time, with its phases."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    task = watch.session.task
+    rows = 1 + len(task.plotted)
+    figure = Figure(figsize=(8.0, 1.2 + 1.8 * rows), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False)[:, 0]
+    t, kinematic, true = np.array(watch.deviation).reshape(-1, 3).T
+    axes[0].plot(t, 1e3 * true, color="0.6", label="true")
+    axes[0].plot(t, 1e3 * kinematic, color="tab:blue", label="kinematic")
+    axes[0].set_ylabel("RCM deviation [mm]")
+    axes[0].legend(loc="upper right")
+    numbers = np.array(watch.numbers).T
+    for axis, (name, unit), values in zip(axes[1:], task.plotted.items(), numbers[1:], strict=True):
+        axis.plot(numbers[0], values, color="tab:orange")
+        axis.set_ylabel(f"{name} [{unit}]")
+    for axis in axes:
+        for start, _ in watch.phases:
+            axis.axvline(start, color="0.85", linewidth=0.8, zorder=0)
+    for start, name in watch.phases:
+        axes[0].annotate(
+            name, (start, 1.0), xycoords=("data", "axes fraction"), fontsize=8, rotation=20
+        )
+    axes[-1].set_xlabel("time [s]")
+    outcome = "success" if report.success else report.reason
+    figure.suptitle(f"{task.title}, {watch.session.condition.name}, seed {report.seed}: {outcome}")
+    figure.savefig(file, dpi=120)
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Entry point: 0 after a success, 1 after a failure, 2 for words that cannot be used."""
+    parser = argparse.ArgumentParser(
+        prog="surg_sim.demo", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("--task", default="bgr", help=", ".join(tasks.names()))
+    parser.add_argument("--cell", help="name or path; default: the task's")
+    parser.add_argument("--setting", default="phantom", help=", ".join(conditions.CONDITIONS))
+    parser.add_argument("--law", default="ours", help=", ".join(LAWS))
+    parser.add_argument("--seed", type=int, default=seeds.TEST.start)
+    parser.add_argument("--out", type=Path, default=Path("surg_sim_demo"), help="folder")
+    parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
+    parser.add_argument("--no-video", action="store_true")
+    options = parser.parse_args(words)
+    try:
+        cell = cells.find(options.cell or tasks.load(options.task).home_cell)
+        looks = not options.no_video
+        session = Session(cell, options.task, options.setting, options.seed, looks, options.law)
+        camera = None
+        if looks:
+            camera = Renderer(
+                session.world.model, ENDOSCOPE, *options.size, True, [OUTSIDE], session.task.skins
+            )
+    except (ValueError, OSError, NoOpenGL) as error:
+        hint = "; --no-video needs none" if isinstance(error, NoOpenGL) else ""
+        print(f"surg_sim.demo: {error}{hint}", file=sys.stderr)
+        return 2
+    watch = Watch(session, camera)
+    report = run_episode(session, options.seed, watch=watch)
+    options.out.mkdir(parents=True, exist_ok=True)
+    stem = options.out / f"{options.task}_{options.setting}_{options.seed}"
+    if watch.pictures:
+        print(write_video(watch.pictures, stem))
+    write_figure(watch, report, stem.with_suffix(".png"))
+    print(stem.with_suffix(".png"))
+    arm = report.arms[session.task.commanded[0]].kinematic
+    print(
+        f"{'success' if report.success else 'failed: ' + report.reason}; {report.duration:.1f} s; "
+        f"kinematic RCM deviation mean {1e3 * arm.mean:.4f}, max {1e3 * arm.max:.4f} mm; "
+        f"state hash {report.hash[:16]}"
+    )
+    return 0 if report.success else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

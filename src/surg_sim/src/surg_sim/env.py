@@ -1,0 +1,338 @@
+"""Gymnasium environments: a task, its scene and its controllers in this process, without ROS.
+
+One step is 25 ticks (20 Hz), in the order of events of the lock-step: the same seed and the same
+commands give the same state hash here and in a ROS graph. Import this module, then ::
+
+    env = gymnasium.make("surg_sim/bgr-v0", setting="phantom")
+
+docs/tasks.md says what each number of the spaces means.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+try:
+    import gymnasium
+    from gymnasium import spaces
+except ImportError as error:  # pragma: no cover - of an installation without the extra
+    raise ImportError(
+        "the environments need gymnasium: pip install 'surg_sim[gym]' or pip install gymnasium"
+    ) from error
+
+from surg_sim import cells, seeds
+from surg_sim.experts.base import (
+    ENABLED,
+    ArmWish,
+    Wishes,
+    home_frame,
+    into,
+    out_of,
+    tip_quaternion,
+)
+from surg_sim.session import Session, Tick, merge
+from surg_sim.tasks import GRID, load, names
+
+if TYPE_CHECKING:
+    from surg_sim.experts.base import Expert, View
+
+Array = NDArray[np.float64]
+
+POLICY = "expert"
+"""The sender of a task whose place the policy takes; the others stay scripted."""
+ACTION = ("x", "y", "z", "roll", "jaw")
+"""Of each commanded arm: tip [m], roll [rad], jaw [rad] at the next grid time, rcm frame."""
+ARM_STATE = (
+    *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
+    *("set_x", "set_y", "set_z", "roll_set"),
+)
+"""Of each arm in ``state``: measured tip, roll, jaw; set-point of tip and roll; rcm frame."""
+ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
+"""Of the assistant's instrument in ``state`` [rad, rad, m, rad, rad], where there is one."""
+CAMERAS = ("left", "right")
+
+_READY = 10  # grid steps that homing and enabling may take
+
+
+class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
+    """One task as an environment.
+
+    Observation, a dict: ``state`` (what a robot could measure; ``state_names``), ``images`` (only
+    with ``images``; left and right, (height, width, 3), rgb8), ``privileged`` (the task's ground
+    truth, which no policy for a robot may read). Action: where set-point and jaw shall be at the
+    next grid time, ``ACTION`` of every commanded arm. A step that is too large is refused by the
+    controller, as on a robot, and counted in ``info["refused"]``. Reward: the task's. Terminated:
+    success or failure; truncated: time limit. ``info``: ``success``, ``reason``, ``phase``,
+    ``seed``, ``refused``, ``rcm_error`` (largest kinematic deviation of the step, by arm [m]).
+
+    Args:
+        task: Of ``tasks.names()``, or the path of a task's file.
+        cell: A bundled cell's name or the path of one; default: the task's own.
+        setting: Of ``conditions.CONDITIONS``.
+        images: Cameras to observe, of ``CAMERAS``.
+        width: Of the pictures [px].
+        height: [px].
+        render_mode: None or ``rgb_array`` (left camera).
+        law: Of ``session.LAWS``.
+        seed_look: Draws the look of the tissue, once for the environment.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
+
+    def __init__(
+        self,
+        task: str = "bgr",
+        cell: str | Path | None = None,
+        setting: str = "phantom",
+        images: Sequence[str] = (),
+        width: int = 320,
+        height: int = 240,
+        render_mode: str | None = None,
+        law: str = "ours",
+        seed_look: int = 0,
+    ) -> None:
+        strange = [name for name in images if name not in CAMERAS]
+        if strange or render_mode not in (None, "rgb_array"):
+            raise ValueError(
+                f"images {list(images)}, render_mode {render_mode!r}: allowed are images of "
+                f"{', '.join(CAMERAS)} and render_mode None or 'rgb_array'"
+            )
+        looks = bool(images) or render_mode is not None
+        path = cells.find(cell or load(task).home_cell)
+        self.session = Session(path, task, setting, seed_look, looks, law)
+        self.render_mode, self._images = render_mode, tuple(images)
+        self._size = (width, height)
+        self._eyes: dict[str, Any] = {}
+        self.arms = self.session.task.commanded
+        """Arms that the action commands, in its order."""
+        self._frames = {
+            name: (home_frame(arm), np.asarray(arm.X_WB))
+            for name, arm in self.session.cell.arms.items()
+        }
+        self._expert: Expert | None = None
+        self._tick: Tick | None = None
+        self.action_space = self._action_space()
+        self.observation_space = self._observation_space()
+
+    # --- spaces -------------------------------------------------------------------------------
+
+    @property
+    def state_names(self) -> list[str]:
+        """Names of the numbers in ``state``, such as ``PSM1/tip_x``."""
+        found = [f"{arm}/{name}" for arm in self.session.world.arms for name in ARM_STATE]
+        if self.session.task.assistant is not None:
+            found += [f"assistant/{name}" for name in ASSISTANT_STATE]
+        return found
+
+    @property
+    def action_names(self) -> list[str]:
+        """Names of the numbers of an action, such as ``PSM1/x``."""
+        return [f"{arm}/{name}" for arm in self.arms for name in ACTION]
+
+    def _action_space(self) -> spaces.Box:
+        low, high = [], []
+        for name in self.arms:
+            arm = self.session.cell.arms[name]
+            far = float(arm.limits.depth_max)
+            wide = far * math.sin(min(float(arm.limits.cone), math.pi / 2))
+            low += [-wide, -wide, 0.0, -math.pi, float(arm.instrument.jaw_min)]
+            high += [wide, wide, far, math.pi, float(arm.instrument.jaw_max)]
+        return spaces.Box(np.array(low), np.array(high), dtype=np.float64)
+
+    def _observation_space(self) -> spaces.Dict:
+        def free(shape: tuple[int, ...]) -> spaces.Box:
+            return spaces.Box(-np.inf, np.inf, shape, np.float64)
+
+        task = self.session.task.state()
+        found: dict[str, spaces.Space[Any]] = {
+            "state": free((len(self.state_names),)),
+            "privileged": spaces.Dict({key: free(np.shape(task[key])) for key in task}),
+        }
+        if self._images:
+            width, height = self._size
+            picture = spaces.Box(0, 255, (height, width, 3), np.uint8)
+            found["images"] = spaces.Dict(dict.fromkeys(self._images, picture))
+        return spaces.Dict(found)
+
+    # --- an episode ---------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Begin an episode; the arms are homed and enabled, nothing has moved.
+
+        Args:
+            seed: Of the episode; None: drawn from ``seeds.TUNING``.
+            options: Not used.
+        """
+        super().reset(seed=seed)
+        drawn = int(self.np_random.integers(seeds.TUNING.start, seeds.TUNING.stop))
+        self.seed = drawn if seed is None else seed
+        session = self.session
+        session.reset(self.seed)
+        senders = dict(session.task.experts(session.cell, self.seed))
+        senders.pop(POLICY, None)
+        self._partners: list[Expert] = [senders[name] for name in sorted(senders)]
+        self._said: list[Wishes] = []
+        self._expert = None
+        self._go(Wishes())
+        for _ in range(_READY):
+            waking = {arm: self._wake(arm) for arm in self.arms}
+            if not any(wish.count for wish in waking.values()):
+                return self._observation(), self._info()
+            self._go(Wishes(arms=waking))
+        raise RuntimeError(f"{self.arms} did not become ready: {self._info()['reason']}")
+
+    def _wake(self, arm: str) -> ArmWish:
+        """What an arm needs to be told before it takes motions."""
+        assert self._tick is not None
+        out = self._tick.outputs[arm]
+        if not out.homed:
+            return ArmWish(state="home")
+        return ArmWish() if int(out.state) == ENABLED else ArmWish(state="enable")
+
+    def step(self, action: Array) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Send one action and let 25 ticks pass.
+
+        Raises:
+            ValueError: The action has the wrong length or is not finite.
+            RuntimeError: The episode is over or has not begun.
+        """
+        if self._tick is None or self._tick.verdict.done:
+            raise RuntimeError("no episode: call reset() first")
+        values = np.asarray(action, dtype=np.float64)
+        if values.shape != self.action_space.shape or not np.isfinite(values).all():
+            raise ValueError(
+                f"action {values.tolist()}: {len(self.action_names)} finite numbers are needed: "
+                f"{', '.join(self.action_names)}"
+            )
+        wishes = {}
+        for arm, part in zip(self.arms, values.reshape(-1, len(ACTION)), strict=True):
+            p, roll, jaw = part[:3].copy(), float(part[3]), float(part[4])
+            wishes[arm] = ArmWish(jaw=jaw, p=p, q=tip_quaternion(p, roll))
+        reward = self._go(Wishes(arms=wishes))
+        verdict = self._tick.verdict
+        return (
+            self._observation(),
+            reward,
+            verdict.done and not verdict.timeout,
+            verdict.timeout,
+            self._info(),
+        )
+
+    def _go(self, wishes: Wishes) -> float:
+        """Tick to the next grid time or to the end; returns the reward of these ticks."""
+        commands, assistant = merge([wishes, *self._said])
+        reward, self._worst = 0.0, dict.fromkeys(self.session.world.arms, 0.0)
+        for i in range(GRID):
+            tick = self.session.tick(commands if i == 0 else None, assistant if i == 0 else None)
+            reward += tick.verdict.reward
+            for arm, out in tick.outputs.items():
+                self._worst[arm] = max(self._worst[arm], out.rcm_error)
+            if tick.verdict.done:
+                break
+        self._tick = tick
+        self._said = []
+        if not tick.verdict.done:
+            self.view: View = tick.view()
+            self._said = [partner.tick(self.view) for partner in self._partners]
+        return reward
+
+    # --- what comes out -----------------------------------------------------------------------
+
+    def _observation(self) -> dict[str, Any]:
+        assert self._tick is not None
+        task = self.session.task
+        state: list[float] = []
+        for arm, out in self._tick.outputs.items():
+            X_WR, X_WB = self._frames[arm]
+            for p_B, *others in (
+                (out.p_BTip, out.roll, out.jaw),
+                (out.p_set, out.roll_set),
+            ):
+                state += [*into(X_WR, out_of(X_WB, np.asarray(p_B))), *others]
+        if task.assistant is not None:
+            state += [*task.assistant.joints, task.assistant.jaw]
+        truth = self._tick.state or task.state()
+        found: dict[str, Any] = {
+            "state": np.array(state),
+            "privileged": {key: np.asarray(truth[key], dtype=np.float64) for key in truth},
+        }
+        if self._images:
+            found["images"] = {name: self._picture(name) for name in self._images}
+        return found
+
+    def _info(self) -> dict[str, Any]:
+        assert self._tick is not None
+        verdict, outputs = self._tick.verdict, self._tick.outputs
+        return {
+            "success": verdict.success,
+            "reason": verdict.reason,
+            "phase": verdict.phase,
+            "seed": self.seed,
+            "refused": sum(int(outputs[arm].refused) for arm in self.arms),
+            "rcm_error": dict(self._worst),
+        }
+
+    def _picture(self, name: str) -> NDArray[np.uint8]:
+        from surg_sim.render import Renderer
+
+        if name not in self._eyes:
+            from surg_sim.scene import OUTSIDE
+
+            session, (width, height) = self.session, self._size
+            self._eyes[name] = Renderer(
+                session.world.model,
+                f"endoscope_{name}",
+                width,
+                height,
+                vignette=True,
+                hidden=[OUTSIDE],
+                skins=session.task.skins,
+            )
+        return self._eyes[name].render(self.session.world.data.qpos)
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """The left camera's picture in mode ``rgb_array``."""
+        return self._picture("left") if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Give the OpenGL contexts back."""
+        for eye in self._eyes.values():
+            eye.close()
+        self._eyes = {}
+
+    # --- the scripted policy ------------------------------------------------------------------
+
+    def expert_action(self) -> Array:
+        """What the task's expert would do now; call it in every step of an episode, or in none."""
+        if self._expert is None:
+            self._expert = self.session.task.experts(self.session.cell, self.seed)[POLICY]
+        wishes = self._expert.tick(self.view)
+        action: list[float] = []
+        for arm in self.arms:
+            wish = wishes.arms.get(arm)
+            out = self._tick.outputs[arm] if self._tick else None
+            if wish is None or wish.p is None:
+                raise RuntimeError(f"the expert has no motion for {arm}: {self._expert.reason}")
+            assert out is not None
+            jaw = wish.jaw if wish.jaw is not None else float(out.jaw_set)
+            action += [*wish.p, wish.roll, jaw]
+        return np.array(action)
+
+
+def register() -> None:
+    """Make ``gymnasium.make("surg_sim/<task>-v0")`` work for all tasks that have a name."""
+    for name in names():
+        key = f"surg_sim/{name}-v0"
+        if key not in gymnasium.registry:
+            gymnasium.register(key, entry_point="surg_sim.env:SurgEnv", kwargs={"task": name})
+
+
+register()

@@ -1,0 +1,138 @@
+"""Runs an episode in this process and measures it.
+
+The deviations are counted from the first motion command on, as the paper does: while the arm is
+being homed it does not move.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import TICK
+from surg_sim.experts.base import Expert
+from surg_sim.session import Session, Tick, merge
+from surg_sim.tasks.base import GRID
+
+Array = NDArray[np.float64]
+
+_Sample = tuple[float, float, float, float]  # kinematic, true, force, displacement
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean and largest value over an episode."""
+
+    mean: float
+    max: float
+
+    @classmethod
+    def of(cls, values: Array) -> Spread:
+        """Of samples (n,); not a number where there are none."""
+        if len(values) == 0:
+            return cls(float("nan"), float("nan"))
+        return cls(float(np.mean(values)), float(np.max(values)))
+
+
+@dataclass(frozen=True)
+class ArmReport:
+    """What one arm did to its trocar; SI.
+
+    Attributes:
+        kinematic: Distance of the commanded pivot to the shaft by joint states: the paper's.
+        true: Distance of the undisturbed trocar point to the true shaft axis.
+        force: Of the shaft on the wall.
+        displacement: Of the wall's hole from its undisturbed point.
+    """
+
+    kinematic: Spread
+    true: Spread
+    force: Spread
+    displacement: Spread
+
+
+@dataclass(frozen=True)
+class EpisodeReport:
+    """One episode.
+
+    Attributes:
+        seed: Its seed.
+        success: Whether it was one.
+        reason: Why not; empty after a success.
+        duration: [s] of simulated time.
+        reward: Sum over the episode.
+        arms: By name.
+        hash: Of the states of all ticks.
+    """
+
+    seed: int
+    success: bool
+    reason: str
+    duration: float
+    reward: float
+    arms: Mapping[str, ArmReport]
+    hash: str
+
+
+def run_episode(
+    session: Session,
+    seed: int,
+    experts: Mapping[str, Expert] | None = None,
+    watch: Callable[[Tick], None] | None = None,
+) -> EpisodeReport:
+    """Run one episode to its end.
+
+    Args:
+        session: The scene; it is reset.
+        seed: Of the episode.
+        experts: Senders by node name; None: those of the task; empty: nobody does anything.
+        watch: Called after every tick.
+    """
+    session.reset(seed)
+    if experts is None:
+        experts = session.task.experts(session.cell, seed)
+    senders = [experts[name] for name in sorted(experts)]
+    commands, assistant = merge([])
+    samples: dict[str, list[_Sample]] = {name: [] for name in session.world.arms}
+    reward = 0.0
+    while True:
+        tick = session.tick(commands, assistant)
+        reward += tick.verdict.reward
+        for name, rows in samples.items():
+            if int(tick.outputs[name].accepted) > 0:
+                truth = session.world.truth(name)
+                rows.append(
+                    (
+                        tick.outputs[name].rcm_error,
+                        truth.deviation,
+                        float(np.linalg.norm(truth.trocar_force)),
+                        float(np.linalg.norm(truth.displacement)),
+                    )
+                )
+        if watch is not None:
+            watch(tick)
+        if tick.verdict.done:
+            break
+        said = []
+        if tick.tick % GRID == 0:
+            view = tick.view()
+            said = [sender.tick(view) for sender in senders]
+        commands, assistant = merge(said)
+    return EpisodeReport(
+        seed=seed,
+        success=tick.verdict.success,
+        reason=tick.verdict.reason,
+        duration=tick.tick * TICK,
+        reward=reward,
+        arms={name: _report(rows) for name, rows in samples.items()},
+        hash=session.hash,
+    )
+
+
+def _report(rows: list[_Sample]) -> ArmReport:
+    columns = np.array(rows).reshape(-1, 4).T
+    kinematic, true, force, displacement = (Spread.of(column) for column in columns)
+    return ArmReport(kinematic, true, force, displacement)

@@ -1,0 +1,234 @@
+"""Figures of the scripted senders and of the controller over many episodes, in process.
+
+Two tables: every task in every setting over test seeds, and an ablation of the settings'
+disturbances, each alone and all together, with the paper's law in the same table. ::
+
+    python3 -m surg_sim.evaluate --episodes 100 --out docs/results/phantom.md
+
+These are figures of a simulation.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from surg_sim import cells, seeds, tasks
+from surg_sim.conditions import CONDITIONS, Breathing, Condition, condition
+from surg_sim.episode import EpisodeReport, run_episode
+from surg_sim.session import Session
+from surg_sim.trocar import TrocarParameters
+
+ROBOTS = {"UR5e": "sim_two_arms", "Panda": "sim_two_arms_panda"}
+"""Robot of the instrument, and the bundled cell with it."""
+GONE = TrocarParameters(stiffness=0.1, friction=0.0)
+"""A wall that is not felt."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Episodes of one task under one condition.
+
+    Attributes:
+        label: What a reader sees.
+        cell: Name or path.
+        task: Name.
+        condition: Physical parameters.
+        law: Of ``session.LAWS``.
+        seeds: Of the episodes.
+    """
+
+    label: str
+    cell: str
+    task: str
+    condition: Condition
+    law: str
+    seeds: tuple[int, ...]
+
+    def run(self) -> list[EpisodeReport]:
+        """All episodes, one after another, in one compiled scene."""
+        path = cells.find(self.cell)
+        session = Session(path, self.task, self.condition, self.seeds[0], law=self.law)
+        return [run_episode(session, seed) for seed in self.seeds]
+
+
+def wilson(successes: int, n: int, z: float = 1.959964) -> tuple[float, float]:
+    """95 % interval of a proportion after Wilson (1927)."""
+    share, square = successes / n, z * z
+    middle = (share + square / (2 * n)) / (1 + square / n)
+    half = z * math.sqrt(share * (1 - share) / n + square / (4 * n * n)) / (1 + square / n)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def alone(setting: Condition) -> dict[str, Condition]:
+    """The disturbances of a setting, each alone, then all together; drives are the robot's own.
+
+    Nothing disturbs the first one: no wall, no breathing, an exact calibration and encoder. What
+    acts through the wall (friction, breathing) needs one.
+    """
+    none = replace(
+        setting, name="none", trocar=GONE, breathing=Breathing(), tool_error=None, encoder=0.0
+    )
+    wall = replace(setting.trocar, friction=0.0)
+    found = {
+        "nothing but the drives": none,
+        "wall": replace(none, trocar=wall),
+        "seal friction with the wall": replace(none, trocar=setting.trocar),
+        "breathing with the wall": replace(none, trocar=wall, breathing=setting.breathing),
+        "calibration error": replace(none, tool_error=setting.tool_error),
+        "encoder": replace(none, encoder=setting.encoder),
+        "all together": setting,
+    }
+    return {name: replace(value, name=name) for name, value in found.items()}
+
+
+def _line(series: Series, reports: Sequence[EpisodeReport]) -> str:
+    """A row: success with interval, deviations, force and displacement."""
+    label, arm = series.label, tasks.load(series.task).commanded[0]
+    felt = series.condition.trocar is not GONE
+    good = sum(report.success for report in reports)
+    low, high = wilson(good, len(reports))
+    parts = [report.arms[arm] for report in reports]
+
+    def of(name: str, scale: float) -> str:
+        means = [getattr(part, name).mean for part in parts]
+        largest = [getattr(part, name).max for part in parts]
+        return f"{scale * np.median(means):.3f} / {scale * np.max(largest):.3f}"
+
+    duration = float(np.median([report.duration for report in reports]))
+    return (
+        f"| {label} | {good}/{len(reports)} ({100 * low:.1f} to {100 * high:.1f} %) | "
+        f"{duration:.1f} | {of('kinematic', 1e3)} | {of('true', 1e3)} | {of('force', 1.0)} | "
+        f"{of('displacement', 1e3) if felt else 'no wall'} |"
+    )
+
+
+_HEAD = (
+    "| {} | success (95 % interval) | duration [s] | kinematic deviation [mm] | true deviation [mm]"
+    " | trocar force [N] | trocar displacement [mm] |\n|---|---|---|---|---|---|---|"
+)
+
+
+def failures(rows: Iterable[tuple[str, Sequence[EpisodeReport]]]) -> list[str]:
+    """Every cause of failure with its count and seeds."""
+    found: list[str] = []
+    for label, reports in rows:
+        causes = Counter(report.reason for report in reports if not report.success)
+        for cause, n in sorted(causes.items()):
+            bad = [str(report.seed) for report in reports if report.reason == cause]
+            found.append(f"- {label}: {n} × {cause} (seeds {', '.join(bad)})")
+    return found or ["None."]
+
+
+def run_all(series: Sequence[Series], jobs: int) -> list[list[EpisodeReport]]:
+    """Run series, several at a time; says how far it is on stderr."""
+    with ProcessPoolExecutor(max_workers=jobs) as pool:
+        waiting = [pool.submit(Series.run, each) for each in series]
+        results = []
+        for each, future in zip(series, waiting, strict=True):
+            results.append(future.result())
+            print(_line(each, results[-1]), file=sys.stderr, flush=True)
+    return results
+
+
+def plan(
+    episodes: int, ablation: int, robots: Mapping[str, str], names: Sequence[str]
+) -> tuple[list[Series], list[Series]]:
+    """The series of both tables.
+
+    Args:
+        episodes: Of each task, setting and robot.
+        ablation: Episodes of each row of the ablation.
+        robots: Label of a robot and cell with it.
+        names: Tasks.
+    """
+    test = tuple(seeds.test_seeds(episodes))
+    first = [
+        Series(f"{name}, {setting}, {robot}", cell, name, condition(setting), "ours", test)
+        for name in names
+        for robot, cell in robots.items()
+        for setting in CONDITIONS
+    ]
+    few = tuple(seeds.test_seeds(ablation))
+    cell = next(iter(robots.values()))
+    second = [
+        Series(f"{setting}: {label}{', ' + law + ' law' if law != 'ours' else ''}",
+               cell, "bgr", each, law, few)
+        for setting in CONDITIONS
+        for label, each in alone(condition(setting)).items()
+        for law in (("ours", "velocity", "paper") if label == "all together" else ("ours",))
+    ]  # fmt: skip
+    return first, second
+
+
+def _count(rows: Sequence[tuple[Series, list[EpisodeReport]]]) -> int:
+    return len(rows[0][0].seeds) if rows else 0
+
+
+def report(
+    first: Sequence[tuple[Series, list[EpisodeReport]]],
+    second: Sequence[tuple[Series, list[EpisodeReport]]],
+    command: str,
+) -> str:
+    """Both tables as Markdown."""
+    lines = [
+        f"# The phantom: tasks and settings\n\nGenerated by `{command}`. Figures of the simulation,"
+        " in process.\n",
+        "Deviations, force and displacement: median over the episodes of the episode's mean / "
+        "largest of all samples, of the arm that the task commands. Kinematic: the paper's metric; "
+        "true: of the simulator's shaft to the undisturbed trocar point; both from the first "
+        "motion command on.\n",
+        f"## Success of the scripted senders, {_count(first)} test seeds\n",
+        _HEAD.format("task, setting, robot"),
+        *[_line(series, done) for series, done in first],
+        "\nFailures:\n",
+        *failures((series.label, done) for series, done in first),
+        f"\n## Each disturbance alone (bgr, {_count(second)} test seeds)\n",
+        _HEAD.format("setting: disturbance"),
+        *[_line(series, done) for series, done in second],
+        "\nFailures:\n",
+        *failures((series.label, done) for series, done in second),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(prog="surg_sim.evaluate", description=__doc__.splitlines()[0])
+    parser.add_argument("--episodes", type=int, default=100, help="of each row of the first table")
+    parser.add_argument("--ablation", type=int, default=10, help="of each row of the second table")
+    parser.add_argument("--tasks", nargs="*", default=list(tasks.names()))
+    parser.add_argument("--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS))
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--out", type=Path, help="Markdown file; default: standard output")
+    options = parser.parse_args(words)
+    robots = {name: ROBOTS[name] for name in options.robots}
+    try:
+        first, second = plan(options.episodes, options.ablation, robots, options.tasks)
+        results = run_all([*first, *second], options.jobs)
+    except ValueError as error:
+        print(f"surg_sim.evaluate: {error}", file=sys.stderr)
+        return 2
+    n = len(first)
+    text = report(
+        list(zip(first, results[:n], strict=True)),
+        list(zip(second, results[n:], strict=True)),
+        f"python3 -m surg_sim.evaluate --episodes {options.episodes} --ablation {options.ablation}",
+    )
+    if options.out is None:
+        print(text)
+    else:
+        options.out.write_text(text, encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

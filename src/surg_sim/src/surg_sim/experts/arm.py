@@ -1,0 +1,149 @@
+"""The robot's sender: homes and enables the arm, then streams the tip along minimum-jerk profiles.
+
+What differs from task to task is a script: a generator that moves ``path`` and ``jaw`` and yields
+once per action.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.experts.base import (
+    DISABLED,
+    ENABLED,
+    RETRY,
+    STEP,
+    ArmView,
+    ArmWish,
+    Expert,
+    MinimumJerk,
+    View,
+    Wishes,
+    home_frame,
+    into,
+    out_of,
+    tip_quaternion,
+)
+
+if TYPE_CHECKING:
+    import surg_core
+
+Array = NDArray[np.float64]
+
+SHARE = 0.4
+"""Of the arm's limits that a profile uses: a calm hand, and room for what a filter adds."""
+ROLL_VELOCITY, ROLL_ACCELERATION = 1.0, 4.0
+"""[rad/s], [rad/s^2]"""
+
+
+class ArmExpert(Expert):
+    """A scripted sender for one arm.
+
+    Args:
+        cell: The cell.
+        seed: Of its imperfections.
+        arm: Name of the arm.
+    """
+
+    def __init__(self, cell: surg_core.Cell, seed: int, arm: str) -> None:
+        self.arms = (arm,)
+        self._arm = arm
+        self.rng = np.random.default_rng([seed, *arm.encode()])
+        limits = cell.arms[arm].limits
+        self.X_WR = home_frame(cell.arms[arm])
+        self.X_WB = np.asarray(cell.arms[arm].X_WB)
+        self._limits = (SHARE * limits.tip_velocity, SHARE * limits.tip_acceleration)
+        instrument = cell.arms[arm].instrument
+        self.jaw_open, self.jaw_closed = float(instrument.jaw_max), float(instrument.jaw_min)
+        self.jaw: float | None = None
+        """Jaw angle to be sent [rad]; None: none is sent."""
+        self.path: MinimumJerk = MinimumJerk(np.zeros(3), *self._limits)
+        """Of the tip, rcm frame [m]."""
+        self.roll = MinimumJerk(np.zeros(1), ROLL_VELOCITY, ROLL_ACCELERATION)
+        """Of the roll [rad]."""
+        self.done = False
+        """The script is over: the last pose is held."""
+        self.view: View
+        self._script: Iterator[None] | None = None
+        self._asked = -RETRY
+
+    @property
+    def me(self) -> ArmView:
+        """The arm as it is now."""
+        return self.view.arms[self._arm]
+
+    @abstractmethod
+    def script(self) -> Iterator[None]:
+        """What is done, action by action: move ``path``, ``roll``, ``jaw``; yield."""
+
+    def act(self, view: View) -> Wishes:
+        """See :class:`Expert`."""
+        wish = ArmWish()
+        me = view.arms[self._arm]
+        if self.reason:
+            return Wishes()
+        if me.state == ENABLED and me.homed:
+            self.view = view
+            self._act(wish)
+        elif me.state == DISABLED and self._script is None:
+            if view.tick - self._asked >= RETRY or (me.homed and self._last == "home"):
+                self._asked, self._last = view.tick, "enable" if me.homed else "home"
+                wish.state = self._last
+        else:
+            why = f": {me.reason}" if me.reason else ""
+            self.reason = f"{self._arm} left ENABLED{why}"
+        return Wishes(arms={self._arm: wish} if wish.count else {})
+
+    _last = ""
+
+    def _act(self, wish: ArmWish) -> None:
+        if self._script is None:
+            self.path.stay(self.p_set)
+            self.roll.stay(np.array([self.me.roll_set]))
+            self._script = self.script()
+        if not self.done:
+            try:
+                next(self._script)
+            except StopIteration:
+                self.done = True
+        wish.p = self.path.advance(STEP)
+        wish.roll = float(self.roll.advance(STEP)[0])
+        wish.q = tip_quaternion(wish.p, wish.roll)
+        wish.jaw = self.jaw
+
+    # --- what scripts are made of -------------------------------------------------------------
+
+    @property
+    def p_set(self) -> Array:
+        """Set-point of the tip, rcm frame [m], (3,)."""
+        return into(self.X_WR, out_of(self.X_WB, self.me.p_set))
+
+    def local(self, p_W: Array) -> Array:
+        """A point of the world in the rcm frame [m], (3,)."""
+        return into(self.X_WR, p_W)
+
+    def wait(self, seconds: float) -> Iterator[None]:
+        """Stay as things are."""
+        for _ in range(max(1, round(seconds / STEP))):
+            yield
+
+    def move(self, p_W: Array, slowest: float = 0.0) -> Iterator[None]:
+        """Bring the tip to a point of the world [m], in at least ``slowest`` [s]."""
+        self.path.go(self.local(p_W), slowest)
+        while not self.path.arrived:
+            yield
+        yield from self.wait(SETTLED)
+
+    def squeeze(self, angle: float, seconds: float) -> Iterator[None]:
+        """Bring the jaws to an angle [rad] and wait."""
+        self.jaw = angle
+        yield from self.wait(seconds)
+
+
+SETTLED = 0.15
+"""The arm follows its set-point a little later; after this it is there [s]."""

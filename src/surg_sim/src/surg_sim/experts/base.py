@@ -1,0 +1,256 @@
+"""A sender's view, its commands, and the motion that both scripted senders share.
+
+A sender looks and acts on every 25th tick (20 Hz). A target is where the set-point shall be at the
+next grid time, never a place far away: the path is a minimum-jerk profile inside the limits.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import TICK
+from surg_sim.tasks.base import GRID
+
+if TYPE_CHECKING:
+    import surg_core
+    from surg_sim.assistant import AssistantCommand
+
+Array = NDArray[np.float64]
+
+DISABLED, ENABLED, PAUSED, FAULT = range(4)
+"""CRTK operating states, numbered as in surg_msgs/Cycle."""
+STEP = GRID * TICK
+"""Between two actions [s]."""
+RETRY = 250
+"""A state command that shows no effect is sent again after so many ticks."""
+
+
+@dataclass(frozen=True)
+class ArmView:
+    """What a sender looks at in one control cycle; vectors in the arm's base frame, (3,), SI.
+
+    The members are those of surg_msgs/Cycle, bit for bit.
+
+    Attributes:
+        state: Operating state.
+        homed: Home is set.
+        reason: Why the arm is PAUSED, in FAULT or held.
+        p_tip: Measured tip.
+        s: Shaft axis, flange to tip.
+        p_set: Set-point of the tip.
+        roll: Measured roll [rad].
+        roll_set: Set-point of the roll [rad].
+        jaw: Measured jaw angle [rad].
+    """
+
+    state: int
+    homed: bool
+    reason: str
+    p_tip: Array
+    s: Array
+    p_set: Array
+    roll: float
+    roll_set: float
+    jaw: float
+
+    @classmethod
+    def of(cls, out: surg_core.Outputs) -> ArmView:
+        """From a control cycle in this process."""
+        import surg_core
+
+        reason = surg_core.reason_name(out.reason) if int(out.reason) else ""
+        return cls(
+            state=int(out.state),
+            homed=out.homed,
+            reason=reason,
+            p_tip=np.array(out.p_BTip),
+            s=np.array(out.s_B),
+            p_set=np.array(out.p_set),
+            roll=out.roll,
+            roll_set=out.roll_set,
+            jaw=out.jaw,
+        )
+
+
+@dataclass(frozen=True)
+class View:
+    """Everything that a sender sees of tick k.
+
+    Attributes:
+        tick: k.
+        arms: By name.
+        task: The task's ground truth at k.
+        phase: The task's phase at k.
+    """
+
+    tick: int
+    arms: Mapping[str, ArmView]
+    task: Mapping[str, float | Array]
+    phase: str
+
+    def point(self, name: str) -> Array:
+        """A vector of the task's state."""
+        return np.asarray(self.task[name], dtype=np.float64)
+
+    def number(self, name: str) -> float:
+        """A number of the task's state."""
+        return float(np.asarray(self.task[name]))
+
+
+@dataclass
+class ArmWish:
+    """What to send to one arm for tick k + 1; what is None is not sent.
+
+    Attributes:
+        state: A state_command.
+        jaw: Jaw angle for jaw/servo_jp [rad].
+        p: Tip for servo_cp, rcm frame, (3,) [m].
+        q: Orientation for servo_cp, x, y, z, w.
+        roll: The roll that ``q`` holds [rad]; not sent by itself.
+        hold: True: stop where you are.
+    """
+
+    state: str | None = None
+    jaw: float | None = None
+    p: Array | None = None
+    q: Array | None = None
+    roll: float = 0.0
+    hold: bool = False
+
+    @property
+    def count(self) -> int:
+        """Number of messages."""
+        pose = self.p is not None
+        return (self.state is not None) + (self.jaw is not None) + pose + self.hold
+
+
+@dataclass
+class Wishes:
+    """What a sender sends for one tick.
+
+    Attributes:
+        arms: By arm.
+        assistant: To the assistant's instrument.
+    """
+
+    arms: dict[str, ArmWish] = field(default_factory=dict)
+    assistant: AssistantCommand | None = None
+
+
+class Expert(ABC):
+    """A scripted sender.
+
+    Attributes:
+        arms: Arms whose cycles it needs, which are those that it commands.
+        reason: Why it gave up; empty otherwise.
+    """
+
+    arms: tuple[str, ...] = ()
+    reason: str = ""
+
+    def tick(self, view: View) -> Wishes:
+        """What to send for k + 1; nothing off the grid, whose ticks need not be shown."""
+        return self.act(view) if view.tick % GRID == 0 else Wishes()
+
+    @abstractmethod
+    def act(self, view: View) -> Wishes:
+        """Look at a tick of the grid, one after another, and say what to send."""
+
+
+def tip_quaternion(p: Array, roll: float) -> Array:
+    """Orientation of a tool whose tip is at p, with an absolute roll.
+
+    R = minimal rotation (z to p) * Rz(roll), see docs/conventions.md.
+
+    Args:
+        p: Tip in the rcm frame [m], not above the trocar, (3,).
+        roll: [rad].
+
+    Returns:
+        Unit quaternion x, y, z, w.
+    """
+    px, py, pz = (float(v) for v in p)
+    x, y, w = -py, px, math.hypot(px, py, pz) + pz  # (z x p, |p| + z . p)
+    length = math.hypot(x, y, w)
+    x, y, w = x / length, y / length, w / length
+    c, n = math.cos(roll / 2.0), math.sin(roll / 2.0)
+    return np.array([x * c + y * n, y * c - x * n, w * n, w * c])
+
+
+def home_frame(arm: surg_core.Arm) -> Array:
+    """The rcm frame of an arm that is homed at its home posture, in the world, (4, 4).
+
+    A sender knows the cell and not the sensor noise of the moment of homing; the two differ by
+    what the encoders cannot see.
+    """
+    import surg_core
+
+    R_BF = np.asarray(arm.chain.forward(np.asarray(arm.robot.home)))[:3, :3]
+    s_home = R_BF @ np.asarray(arm.tool.s_F)
+    X_BR = np.asarray(surg_core.rcm_frame(s_home, np.asarray(arm.trocar.p_BRcm)))
+    return np.asarray(arm.X_WB @ X_BR)
+
+
+def into(X: Array, p: Array) -> Array:
+    """A point of the outer frame in the frame X (4, 4): X^-1 p."""
+    return np.asarray(X[:3, :3].T @ (p - X[:3, 3]))
+
+
+def out_of(X: Array, p: Array) -> Array:
+    """A point of the frame X (4, 4) in the outer frame: X p."""
+    return np.asarray(X[:3, :3] @ p + X[:3, 3])
+
+
+class MinimumJerk:
+    """A coordinate vector on its way along a minimum-jerk profile, from rest to rest.
+
+    s(u) = 10 u^3 - 15 u^4 + 6 u^5: the velocity peaks at 1.875 of the mean, the acceleration at
+    5.774 distance / duration^2. The duration is the shortest that keeps both limits.
+
+    Args:
+        start: Where it is, (n,).
+        velocity: Limit of the velocity of each coordinate, or (n,).
+        acceleration: Limit of the acceleration.
+    """
+
+    def __init__(self, start: Array, velocity: Array | float, acceleration: Array | float) -> None:
+        self._velocity, self._acceleration = velocity, acceleration
+        self.stay(start)
+
+    def stay(self, at: Array) -> None:
+        """Be at rest there."""
+        self._from = self._to = self.at = np.array(at, dtype=np.float64)
+        self._duration = self._time = 0.0
+
+    def go(self, target: Array, slowest: float = 0.0) -> None:
+        """Set out from here, at rest, to a target; take at least ``slowest`` [s]."""
+        self._from, self._to = self.at, np.array(target, dtype=np.float64)
+        way = np.abs(self._to - self._from)
+        needed = np.maximum(1.875 * way / self._velocity, np.sqrt(5.774 * way / self._acceleration))
+        self._duration = max(float(needed.max()), slowest)
+        self._time = 0.0
+
+    @property
+    def goal(self) -> Array:
+        """Where it comes to rest."""
+        return self._to
+
+    @property
+    def arrived(self) -> bool:
+        """Whether it is at rest."""
+        return self._time >= self._duration
+
+    def advance(self, dt: float) -> Array:
+        """Where it is after dt [s] more, (n,)."""
+        self._time = min(self._time + dt, self._duration)
+        u = self._time / self._duration if self._duration > 0.0 else 1.0
+        s = u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
+        self.at = self._from + s * (self._to - self._from) if u < 1.0 else self._to
+        return self.at

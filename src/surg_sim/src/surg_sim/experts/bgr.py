@@ -1,0 +1,176 @@
+"""The two scripts of bowel grasping and retraction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.assistant import AssistantCommand, inverse
+from surg_sim.experts.arm import ArmExpert
+from surg_sim.experts.base import STEP, Expert, MinimumJerk, View, Wishes, into
+from surg_sim.grasp import GRIP_DEPTH
+from surg_sim.tasks.bgr import APART, PHASES, ROBOT, TAUT
+
+if TYPE_CHECKING:
+    import surg_core
+
+Array = NDArray[np.float64]
+
+UP = np.array([0.0, 0.0, 1.0])
+OPEN, CLOSED = 0.68, 0.0
+"""Jaw angles [rad]."""
+ABOVE = 0.030
+"""From here the jaws go down to the tissue [m]."""
+GRIP_HEIGHT = 0.006
+"""Of the grip above the axis of the bowel [m]."""
+LIFT = 0.020
+"""Of both holds [m]."""
+PULL = 1.6 * TAUT
+"""Tension at which the robot stops pulling [N]."""
+PULL_SPEED, PULL_MOST = 0.010, 0.045
+"""[m/s], [m]"""
+
+
+def along(nodes: Array, i: int) -> Array:
+    """Direction of the tube at a node, unit vector (3,)."""
+    t = nodes[min(i + 1, len(nodes) - 1)] - nodes[max(i - 1, 0)]
+    return np.asarray(t / np.linalg.norm(t))
+
+
+def roll_across(s: Array, y: Array, tangent: Array) -> float:
+    """Roll that makes jaws open across a tube.
+
+    Args:
+        s: Shaft axis, (3,).
+        y: Where the jaws open to at roll 0, perpendicular to s, (3,).
+        tangent: Direction of the tube, (3,).
+
+    Returns:
+        The smaller of the two that do it [rad].
+    """
+    n = np.cross(s, tangent)
+    angle = math.atan2(float(np.cross(y, n) @ s), float(y @ n))
+    return (angle + math.pi / 2) % math.pi - math.pi / 2
+
+
+class RobotExpert(ArmExpert):
+    """At the robot's console."""
+
+    def __init__(self, cell: surg_core.Cell, seed: int) -> None:
+        super().__init__(cell, seed, ROBOT)
+        self._error = self.rng.normal(scale=1e-3, size=3)  # of the hand, at the tissue [m]
+        self._reaction = float(self.rng.uniform(0.2, 0.6))
+
+    def script(self) -> Iterator[None]:
+        """See ``ArmExpert``."""
+        self.jaw = OPEN
+        yield from self.until("grasp")
+        yield from self.wait(self._reaction)
+        node = int(self.view.number("target"))
+        place = self.view.point("nodes")[node]
+        direction = place - self.X_WR[:3, 3]
+        s = direction / np.linalg.norm(direction)
+        y = swing_to(self.X_WR[:3, 2], s) @ self.X_WR[:3, 1]
+        self.roll.go(np.array([roll_across(s, y, along(self.view.point("nodes"), node))]))
+        grip = GRIP_HEIGHT * UP + GRIP_DEPTH * s + self._error
+        yield from self.move(place + grip - ABOVE * s, 1.0)
+        while not self.roll.arrived:
+            yield
+        place = self.view.point("nodes")[node]
+        yield from self.move(place + grip, 1.0)
+        yield from self.squeeze(CLOSED, 0.6)
+        yield from self.until("retract")
+        yield from self.wait(self._reaction)
+        yield from self.move(self.view.point("tip") + LIFT * UP, 1.5)
+        away = self.view.point("tip") - self.view.point("assistant_tip")
+        away -= (away @ UP) * UP
+        away /= np.linalg.norm(away)
+        pulled, tip = 0.0, self.view.point("tip")
+        while self.view.number("tension") < PULL and pulled < PULL_MOST:
+            pulled += PULL_SPEED * STEP
+            self.path.stay(self.local(tip + pulled * away))
+            yield
+
+    def until(self, phase: str) -> Iterator[None]:
+        """Wait for a phase, or a later one."""
+        while PHASES.index(self.view.phase) < PHASES.index(phase):
+            yield
+
+
+def swing_to(a: Array, b: Array) -> Array:
+    """Smallest rotation that takes a unit vector to another, (3, 3)."""
+    w = np.cross(a, b)
+    K = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+    return np.eye(3) + K + K @ K / (1.0 + float(a @ b))
+
+
+class AssistantExpert(Expert):
+    """At the assistant's instrument: points, waits, takes its own hold, lifts."""
+
+    def __init__(self, seed: int) -> None:
+        self.rng = np.random.default_rng([seed, 1])
+        self._reaction = self.rng.uniform(0.2, 0.8, size=3)
+        self._error = self.rng.normal(scale=1.5e-3, size=(2, 3))
+        self.jaw = CLOSED
+        self.path = MinimumJerk(np.zeros(3), 0.06, 0.3)
+        self.roll = MinimumJerk(np.zeros(1), 1.5, 6.0)
+        self._script: Iterator[None] | None = None
+        self.view: View
+
+    def act(self, view: View) -> Wishes:
+        """See :class:`Expert`."""
+        self.view = view
+        if self._script is None:
+            self._X = view.point("X_WAssistant")
+            self.path.stay(into(self._X, view.point("assistant_tip")))
+            self.roll.stay(view.point("assistant_joints")[3:])
+            self._script = self.script()
+        next(self._script, None)
+        joints = inverse(self.path.advance(STEP), float(self.roll.advance(STEP)[0]))
+        return Wishes(assistant=AssistantCommand(joints=joints, jaw=self.jaw))
+
+    def script(self) -> Iterator[None]:
+        """What it does, action by action."""
+        yield from self.wait(self._reaction[0])
+        node = int(self.view.number("target"))
+        nodes = self.view.point("nodes")
+        side = -along(nodes, node) * 0.006  # beside the place, so that the robot gets at it
+        yield from self.move(nodes[node] + 0.018 * UP + side + self._error[0])
+        while PHASES.index(self.view.phase) < PHASES.index("grasp"):
+            yield
+        yield from self.wait(self._reaction[1])
+        mine = node - APART
+        self.jaw = OPEN
+        nodes = self.view.point("nodes")
+        p = into(self._X, nodes[mine])
+        s = p / np.linalg.norm(p)
+        y = swing_to(np.array([0.0, 0.0, 1.0]), s) @ np.array([0.0, 1.0, 0.0])
+        self.roll.go(np.array([roll_across(s, y, self._X[:3, :3].T @ along(nodes, mine))]))
+        grip = GRIP_HEIGHT * UP + GRIP_DEPTH * (self._X[:3, :3] @ s) + self._error[1]
+        above = grip - ABOVE * (self._X[:3, :3] @ s)
+        yield from self.move(nodes[mine] + above)
+        while PHASES.index(self.view.phase) < PHASES.index("assist"):
+            yield
+        yield from self.wait(self._reaction[2])
+        yield from self.move(self.view.point("nodes")[mine] + grip, 1.0)
+        self.jaw = CLOSED
+        yield from self.wait(0.6)
+        while PHASES.index(self.view.phase) < PHASES.index("retract"):
+            yield
+        yield from self.move(self.view.point("assistant_tip") + LIFT * UP, 1.5)
+
+    def wait(self, seconds: float) -> Iterator[None]:
+        """Stay as things are."""
+        for _ in range(max(1, round(seconds / STEP))):
+            yield
+
+    def move(self, p_W: Array, slowest: float = 0.0) -> Iterator[None]:
+        """Bring the tip to a point of the world [m]."""
+        self.path.go(into(self._X, p_W), slowest)
+        while not self.path.arrived:
+            yield
+        yield from self.wait(0.15)

@@ -1,0 +1,179 @@
+"""A cell with its controllers in this process: the world of a task without ROS.
+
+The order of events is that of the lock-step (docs/conventions.md), and the controllers get the same
+numbers, so that one seed gives one state hash in and out of ROS. Tick k: state k is there; the
+controllers step with it and with the commands that senders worked out from tick k - 1; the world
+steps with their answers and with the assistant's command of the same tick; state k + 1 is there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import surg_core
+from surg_sim.arm import ArmCommand
+from surg_sim.assistant import AssistantCommand
+from surg_sim.conditions import Condition, condition
+from surg_sim.experts.base import ArmView, ArmWish, View, Wishes
+from surg_sim.stability import trouble
+from surg_sim.tasks import GRID, State, Task, Verdict, load
+from surg_sim.world import World
+
+Command = surg_core.MotionCommand | surg_core.StateCommand
+"""To an arm in one tick: state commands are obeyed first, then motions in their order."""
+
+SOURCE = 1
+"""Whose commands the arm obeys: this process is one sender."""
+
+LAWS = {
+    "ours": surg_core.Law.EXACT,
+    "velocity": surg_core.Law.VELOCITY,
+    "paper": surg_core.Law.PAPER,
+}
+"""Names of the laws, as for ``./surg demo --law``."""
+
+
+@dataclass(frozen=True)
+class Tick:
+    """What happened in one tick.
+
+    Attributes:
+        tick: Its number, from 1.
+        outputs: Control cycle by arm.
+        state: The task's ground truth at this tick; empty off the grid (``Session.every``).
+        verdict: How the episode stood at this tick, or why the simulation ended it after this tick.
+    """
+
+    tick: int
+    outputs: Mapping[str, surg_core.Outputs]
+    state: State
+    verdict: Verdict
+
+    def view(self) -> View:
+        """The same as a sender sees it."""
+        arms = {name: ArmView.of(out) for name, out in self.outputs.items()}
+        return View(tick=self.tick, arms=arms, task=self.state, phase=self.verdict.phase)
+
+
+class Session:
+    """Episodes of one task in one compiled scene.
+
+    Args:
+        cell: A loaded cell, or its path.
+        task: A task, or what ``tasks.load`` takes.
+        setting: Of ``conditions.CONDITIONS``, or a condition of one's own.
+        seed: Of the first episode, and of the look of the tissue.
+        looks: Build also what only pictures need; the physics is the same.
+        law: Of ``LAWS``.
+        every: The task's ground truth is read on every n-th tick; reading takes time.
+
+    Raises:
+        ValueError: An unknown task, setting or law, or a cell that does not fit; says what does.
+    """
+
+    def __init__(
+        self,
+        cell: surg_core.Cell | Path | str,
+        task: Task | str,
+        setting: str | Condition = "phantom",
+        seed: int = 0,
+        looks: bool = False,
+        law: str = "ours",
+        every: int = GRID,
+    ) -> None:
+        if law not in LAWS:
+            raise ValueError(f"no law '{law}': there are {', '.join(LAWS)}")
+        self.cell = cell if isinstance(cell, surg_core.Cell) else surg_core.load_cell(cell)
+        self.task = load(task) if isinstance(task, str) else task
+        self.condition = condition(setting) if isinstance(setting, str) else setting
+        self.law, self.every = law, every
+        self.world = World(self.cell, seed, looks, condition=self.condition, task=self.task)
+        self.seed = seed
+        self._begin()
+
+    def reset(self, seed: int) -> None:
+        """Begin a new episode: everything as in a new process, except that nothing is compiled."""
+        self.seed = seed
+        self.world.reset(seed)
+        self._begin()
+
+    def _begin(self) -> None:
+        self.controllers = {}
+        for name in self.world.arms:
+            arm = self.cell.arms[name]
+            controller = surg_core.Controller(
+                arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, law=LAWS[self.law]
+            )
+            controller.set_rcm(arm.trocar.p_BRcm)
+            self.controllers[name] = controller
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over the state of every tick of this episode."""
+        return self.world.hash
+
+    def tick(
+        self,
+        commands: Mapping[str, Sequence[Command]] | None = None,
+        assistant: AssistantCommand | None = None,
+    ) -> Tick:
+        """One tick of 2 ms.
+
+        Args:
+            commands: By arm name.
+            assistant: To the assistant's instrument.
+        """
+        world, tick = self.world, self.world.tick
+        state = self.task.state() if tick % self.every == 0 else {}
+        verdict = self.task.verdict()
+        outputs, answers = {}, {}
+        for name, controller in self.controllers.items():
+            given = (commands or {}).get(name, ())
+            for item in given:
+                if isinstance(item, surg_core.StateCommand):
+                    controller.request(item)
+            motions = [item for item in given if isinstance(item, surg_core.MotionCommand)]
+            measured = world.state(name)
+            out = controller.step(measured.q, measured.qd, motions, measured.jaw)
+            outputs[name] = out
+            jaw = out.jaw_set if math.isfinite(out.jaw_set) else None
+            answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw)
+        world.step(answers, assistant)
+        unstable = trouble(world.data)
+        if unstable:
+            verdict = Verdict(done=True, reason=unstable, phase=verdict.phase)
+        return Tick(tick, outputs, state, verdict)
+
+
+def decode(wish: ArmWish) -> list[Command]:
+    """An arm's commands as the controller node makes them of messages."""
+    motion, kinds = surg_core.MotionCommand, surg_core.Motion
+    found: list[Command] = []
+    if wish.state is not None:
+        found.append(getattr(surg_core.StateCommand, wish.state.upper()))
+    if wish.hold:
+        found.append(motion(kinds.HOLD, SOURCE))
+    if wish.jaw is not None:
+        found.append(motion(kinds.JAW_SERVO_JP, SOURCE, jaw=wish.jaw))
+    if wish.p is not None and wish.q is not None:
+        x, y, z, w = (float(v) for v in wish.q)
+        norm = math.sqrt((x * x + z * z) + (y * y + w * w))  # summed as Eigen does in the node
+        rotation = np.array([x, y, z, w]) / norm
+        found.append(motion(kinds.SERVO_CP, SOURCE, p=wish.p, rotation=rotation))
+    return found
+
+
+def merge(wishes: Sequence[Wishes]) -> tuple[dict[str, list[Command]], AssistantCommand | None]:
+    """The wishes of several senders as ``Session.tick`` takes them, in the senders' order."""
+    commands: dict[str, list[Command]] = {}
+    assistant = None
+    for each in wishes:
+        for arm, wish in each.arms.items():
+            commands.setdefault(arm, []).extend(decode(wish))
+        assistant = each.assistant or assistant
+    return commands, assistant

@@ -1,0 +1,75 @@
+"""How fast this machine renders: what the benchmark of the simulator reports.
+
+Wall-clock figures mean something on an idle machine only; the processor time per pair beside them
+says what a busy one would have done.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from surg_sim import scene
+from surg_sim.render import StereoRenderer, show_only
+
+if TYPE_CHECKING:
+    from surg_sim.world import World
+
+
+@dataclass(frozen=True)
+class RenderSpeed:
+    """What rendering stereo pairs took.
+
+    Attributes:
+        pairs_per_s: Pairs in a second of wall-clock time.
+        cpu_s_per_pair: Processor time of a pair, over all threads [s].
+        backend: The OpenGL platform.
+    """
+
+    pairs_per_s: float
+    cpu_s_per_pair: float
+    backend: str
+
+
+def stereo_speed(
+    world: World, width: int = 640, height: int = 480, pairs: int = 60, seed: int = 0
+) -> RenderSpeed:
+    """Render pairs of a world in which everything moves a little from pair to pair.
+
+    Args:
+        world: Built with ``looks=True``, from a cell with a stereo endoscope; with its task, if it
+            has one, whose skins are drawn.
+        width: Of a picture [px].
+        height: Of a picture [px].
+        pairs: How many.
+        seed: Of the motion.
+
+    Raises:
+        NoOpenGL: No platform works.
+        ValueError: The scene has one camera only, or the picture is too large.
+    """
+    show_only(world.model, lamps=False)
+    task = getattr(world, "task", None)
+    renderer = StereoRenderer(
+        world.model,
+        width,
+        height,
+        vignette=True,
+        hidden=[scene.OUTSIDE],
+        skins=() if task is None else task.skins,
+    )
+    rng = np.random.default_rng(seed)
+    home = np.array(world.data.qpos)
+    try:
+        for _ in range(3):
+            renderer.pair(home)
+        wall, cpu = time.perf_counter(), time.process_time()
+        for _ in range(pairs):
+            renderer.pair(home + rng.normal(scale=1e-3, size=len(home)))
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    finally:
+        renderer.close()
+    return RenderSpeed(pairs / wall, cpu / pairs, renderer.backend)

@@ -1,0 +1,161 @@
+"""The bridge's topics of a task: its state, the assistant's instrument, measured forces."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState
+
+from surg_msgs.msg import TaskState
+from surg_sim import wire
+from surg_sim.assistant import AssistantCommand
+from surg_sim.ports_node import Output, RawJointState
+from surg_sim.stability import trouble
+from surg_sim.tasks import GRID, Verdict
+from surg_sim.world import World
+
+if TYPE_CHECKING:
+    from surg_sim.bridge_node import Bridge
+
+FORCE_TICKS = 5
+"""A force sensor measures every fifth tick: 100 Hz."""
+_JAW = wire.JointStateLayout(["jaw"])
+
+
+class AssistantTopics:
+    """The assistant's instrument: what it measures, and the commands that wait for their tick.
+
+    In lock-step a participant's command carries the stamp of the tick it is for: it may come before
+    the tick in front of it is executed. Anybody else's is obeyed at once.
+    """
+
+    def __init__(self, bridge: Bridge) -> None:
+        self._bridge = bridge
+        self._waiting: list[tuple[int, str, str, Any]] = []  # tick, sender, what, value
+        self._state = Output("/assistant/measured_js", JointState, bridge.lockstep)
+        self._jaw = Output("/assistant/jaw/measured_js", JointState, bridge.lockstep)
+        self._layout = wire.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
+
+        def listen(topic: str, what: str, size: int) -> Any:
+            def callback(message: Any) -> None:
+                sender = str(message._connection_header.get("callerid", "")).lstrip("/")
+                try:
+                    stamp_ns, position, _ = wire.unpack_joint_state(message.data)
+                    if len(position) != size or not np.isfinite(position).all():
+                        raise struct.error(f"{position}, allowed: {size} finite numbers")
+                except struct.error as error:
+                    rospy.logwarn_throttle(1.0, f"/assistant/{topic} from {sender}: {error}")
+                    position, stamp_ns = None, 0
+                bridge.on_assistant(self, sender, stamp_ns, what, position)
+
+            return rospy.Subscriber(
+                f"/assistant/{topic}", RawJointState, callback, tcp_nodelay=True
+            )
+
+        self._inputs = [listen("servo_jp", "joints", 4), listen("jaw/servo_jp", "jaw", 1)]
+
+    def keep(self, tick: int, sender: str, what: str, value: Any) -> None:
+        """A command for a tick; 0: for the next one."""
+        self._waiting.append((tick, sender, what, value))
+
+    def take(self, tick: int) -> AssistantCommand | None:
+        """What is for this tick: of each kind the newest, whatever the order of arrival was."""
+        due = sorted((w for w in self._waiting if w[0] <= tick), key=lambda w: w[:2])
+        if not due:
+            return None
+        self._waiting = [w for w in self._waiting if w[0] > tick]
+        newest = {what: value for _, _, what, value in due}
+        jaw = newest.get("jaw")
+        return AssistantCommand(newest.get("joints"), None if jaw is None else float(jaw[0]))
+
+    def publish(self, tick: int, stamp_ns: int, joints: Any, jaw: float) -> None:
+        """What the instrument measures."""
+        if self._state.connections:
+            self._state.send(self._layout.pack(tick, stamp_ns, joints, np.zeros(0)))
+        if self._jaw.connections:
+            self._jaw.send(_JAW.pack(tick, stamp_ns, np.array([jaw]), np.zeros(0)))
+
+
+class _TrocarForce:
+    """A force sensor at the trocar of one arm."""
+
+    def __init__(self, arm: str, patient: bool) -> None:
+        self._arm, self._frame = arm, wire.text(f"{arm}_base")
+        self._output = Output(f"/{arm}/trocar/measured_cf", WrenchStamped, patient)
+
+    def publish(self, tick: int, stamp_ns: int, world: World) -> None:
+        """Force of the shaft on the wall, in the arm's base frame."""
+        if self._output.connections:
+            force = world.truth(self._arm).trocar_force
+            self._output.send(wire.pack_wrench(stamp_ns, tick, self._frame, force))
+
+
+class TaskTopics:
+    """A task's state and verdict, its assistant, and what force sensors would say.
+
+    Args:
+        bridge: Receives the commands to the assistant.
+        world: With a task in it.
+        setting: Name of the physical setting, for the status.
+    """
+
+    def __init__(self, bridge: Bridge, world: World, setting: str) -> None:
+        assert world.task is not None
+        self._world, self._task, self._setting = world, world.task, setting
+        self._layout = wire.TaskStateLayout(self._task.state())
+        self._state = Output("/sim/task_state", TaskState, bridge.lockstep)
+        self._assistant = None if self._task.assistant is None else AssistantTopics(bridge)
+        self._forces = [_TrocarForce(name, bridge.lockstep) for name in world.arms]
+        self.verdict = self._task.verdict()
+        """How the episode stands at the state that is out."""
+
+    def take(self, tick: int) -> AssistantCommand | None:
+        """What the assistant shall do in this tick."""
+        return None if self._assistant is None else self._assistant.take(tick)
+
+    def distrust(self) -> bool:
+        """After a step: whether the simulation has become unstable, which ends the episode."""
+        why = trouble(self._world.data)
+        if why:
+            self.verdict = Verdict(done=True, reason=why, phase=self.verdict.phase)
+        return bool(why)
+
+    def publish(self, tick: int, stamp_ns: int) -> None:
+        """Judge the state of a tick; send it on the grid and when the episode ends with it."""
+        verdict = self.verdict = self._task.verdict()
+        if self._state.connections and (tick % GRID == 0 or verdict.done):
+            outcome = (verdict.done, verdict.success, verdict.reason)
+            self._state.send(
+                self._layout.pack(
+                    stamp_ns, tick, self._task.state(), verdict.phase, outcome, verdict.reward
+                )
+            )
+        if self._assistant is not None:
+            instrument = self._task.assistant
+            self._assistant.publish(tick, stamp_ns, instrument.joints, instrument.jaw)
+
+    def publish_forces(self, tick: int, stamp_ns: int) -> None:
+        """What a force sensor at the trocar measured in a state that has been answered.
+
+        A controller takes the newest sample that it has. Sent between its answer and the next
+        state, a sample counts from the next cycle on, in every run.
+        """
+        if tick % FORCE_TICKS:
+            return
+        for sensor in self._forces:
+            sensor.publish(tick, stamp_ns, self._world)
+
+    def status(self) -> dict[str, object]:
+        """For ``/sim/status``."""
+        return {
+            "name": self._task.name,
+            "setting": self._setting,
+            "phase": self.verdict.phase,
+            "done": self.verdict.done,
+            "success": self.verdict.success,
+            "reason": self.verdict.reason,
+        }

@@ -1,0 +1,213 @@
+"""Bowel grasping and retraction: the paper's collaborative task.
+
+The assistant points at a place; the robot grasps there; it holds while the assistant takes a hold
+of its own; both retract until the tissue between them is taut and visible; both hold still for 2 s.
+docs/tasks.md defines success; every number of the definition stands below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import TICK
+from surg_sim.assistant import Assistant, add_assistant
+from surg_sim.grasp import Grasp, add_grasp
+from surg_sim.tasks.base import GRID, State, Task, TaskError, Verdict
+from surg_sim.tissue import Bowel, add_bowel
+from surg_sim.view import EndoscopeView
+
+if TYPE_CHECKING:
+    import surg_core
+    from surg_sim.conditions import Condition
+    from surg_sim.experts.base import Expert
+    from surg_sim.scene import Site
+    from surg_sim.world import World
+
+Array = NDArray[np.float64]
+
+ROBOT, ASSISTANT = "PSM1", "assistant"
+
+TARGETS = (17, 22)
+"""Nodes of the bowel that can be asked for: first and last."""
+APART = 5
+"""Nodes between the place that is asked for and where the scripted assistant takes hold."""
+LEAST_APART = 3
+"""A hold of the assistant that is nearer to the robot's shows no tissue."""
+
+POINT_AT = 0.022
+"""The assistant points while its tip is at most so far from the axis of the bowel there [m]."""
+POINT_FOR = 0.3
+"""So long [s]."""
+RIGHT = 1
+"""The robot must hold the node that was pointed at, or one so many nodes away."""
+TAUT = 0.5
+"""Least elastic tension in every piece of tissue between the two holds [N]."""
+STILL_SPEED = 0.005
+"""Greatest speed of both tips, averaged over 50 ms, that counts as still [m/s]."""
+STILL_FOR = 2.0
+"""So long must the tissue be taut, in view, and both instruments still [s]."""
+
+PHASES = ("point", "grasp", "assist", "retract", "still", "done")
+NOBODY = -1.0
+"""Instead of a node: nothing is held."""
+
+
+class Bgr(Task):
+    """See the module."""
+
+    name = "bgr"
+    title = "Bowel grasping and retraction"
+    time_limit = 45.0
+    plotted: ClassVar[Mapping[str, str]] = {"tension": "N", "still": "s"}
+
+    def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
+        """The robot's instrument must have jaws."""
+        super().prepare(cell, condition)
+        self._tissue, self._breathing = condition.tissue, condition.breathing
+        arm = cell.arms[ROBOT]
+        if arm.instrument.jaw_max <= arm.instrument.jaw_min:
+            raise TaskError(f"task 'bgr': the instrument of {ROBOT} has no jaws; give it a grasper")
+        self._urdf, self._tip = arm.instrument_urdf, arm.instrument.tip_link
+
+    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+        """Bowel, the assistant's instrument, both holds."""
+        self._site, self._looks = site, looks
+        add_bowel(spec, site, self._tissue, looks)
+        add_assistant(spec, site, self._urdf, looks=looks)
+        add_grasp(spec, ROBOT, self._tip)
+        add_grasp(spec, ASSISTANT)
+
+    def bind(self, world: World) -> None:
+        """Find everything in the compiled scene."""
+        model, data = world.model, world.data
+        self._data = data
+        self.bowel = Bowel(model, data, self._site, self._tissue)
+        self.assistant = Assistant(model, data, self._urdf)
+        self.grasps = {name: Grasp(model, data, name, self.bowel) for name in (ROBOT, ASSISTANT)}
+        self.view = EndoscopeView(model, data)
+        if self._looks:
+            from surg_sim.tissue_skin import BowelSkin
+
+            self.skins = [BowelSkin(model, self._site, self._tissue)]
+        self._tip_body = int(model.body(f"{ROBOT}_{self._tip}").id)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """A new shape of the bowel, a new place in it; the bed breathes as the setting says."""
+        super().reset(rng)
+        for grasp in self.grasps.values():
+            grasp.reset()
+        self.bowel.reset(rng)
+        self.bowel.bed.move(self._breathing.bed())
+        self.target = int(rng.integers(TARGETS[0], TARGETS[1] + 1))
+        self.assistant.reset()
+        self.phase = "point"
+        self._failure = ""
+        self._pointing = self._still = 0
+        self._places: Array | None = None
+        self.tension, self.visible = 0.0, False
+
+    def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
+        """Two: at the robot, and at the assistant's instrument."""
+        from surg_sim.experts.bgr import AssistantExpert, RobotExpert
+
+        return {"assistant": AssistantExpert(seed), "expert": RobotExpert(cell, seed)}
+
+    # --- in an episode ------------------------------------------------------------------------
+
+    @property
+    def tip(self) -> Array:
+        """The robot's tip in the world [m], (3,)."""
+        return np.array(self._data.xpos[self._tip_body])
+
+    def held(self, who: str) -> int | None:
+        """The node that an instrument holds."""
+        return self.grasps[who].held
+
+    def advance(self) -> None:
+        """Instruments, tissue, phases."""
+        super().advance()
+        self.assistant.advance()
+        for grasp in self.grasps.values():
+            grasp.advance()
+        self.bowel.advance()
+        self._watch_holds()
+        if self.on_grid:
+            self._look()
+
+    def _watch_holds(self) -> None:
+        """Every tick: who has taken, and who has lost."""
+        robot, other = self.held(ROBOT), self.held(ASSISTANT)
+        stage = PHASES.index(self.phase)
+        if stage <= PHASES.index("grasp") and robot is not None:
+            self.phase, stage = "assist", PHASES.index("assist")
+        if self._failure or self.phase == "done" or stage < PHASES.index("assist"):
+            return
+        if robot is None:
+            self._failure = "the robot lost its grasp"
+        elif abs(robot - self.target) > RIGHT:
+            self._failure = f"wrong place: node {robot} is held, {self.target} was pointed at"
+        elif stage >= PHASES.index("retract") and other is None:
+            self._failure = "the assistant lost its grasp"
+        elif self.phase == "assist" and other is not None and abs(other - robot) >= LEAST_APART:
+            self.phase = "retract"
+
+    def _look(self) -> None:
+        """20 times a second: pointing, tension, view, stillness."""
+        tips = np.array([self.tip, self.assistant.p_WTip])
+        moved = np.full(2, np.inf) if self._places is None else tips - self._places
+        speed = np.max(np.linalg.norm(np.atleast_2d(moved), axis=-1)) / (GRID * TICK)
+        self._places = tips
+        if self.phase == "point":
+            away = float(np.linalg.norm(tips[1] - self.bowel.nodes[self.target]))
+            self._pointing = self._pointing + 1 if away <= POINT_AT else 0
+            if self._pointing * GRID * TICK >= POINT_FOR:
+                self.phase = "grasp"
+        robot, other = self.held(ROBOT), self.held(ASSISTANT)
+        self.tension, self.visible = 0.0, False
+        if robot is None or other is None or robot == other:
+            self._still = 0
+            return
+        first, last = sorted((robot, other))
+        self.tension = float(self.bowel.tensions[first:last].min())
+        self.visible = self.view.sees(self.bowel.nodes[first : last + 1])
+        if self.phase not in ("retract", "still") or self._failure:
+            return
+        shown = self.tension >= TAUT and self.visible
+        self.phase = "still" if shown else "retract"
+        self._still = self._still + 1 if shown and speed <= STILL_SPEED else 0
+        if self._still * GRID * TICK >= STILL_FOR:
+            self.phase = "done"
+
+    def state(self) -> State:
+        """Points and forces in the world [m, N]; nodes by their number, -1 for none."""
+        robot, other = self.held(ROBOT), self.held(ASSISTANT)
+        return {
+            "target": float(self.target),
+            "held": NOBODY if robot is None else float(robot),
+            "assistant_held": NOBODY if other is None else float(other),
+            "tip": self.tip,
+            "force": self.grasps[ROBOT].force,
+            "assistant_tip": self.assistant.p_WTip,
+            "assistant_force": self.grasps[ASSISTANT].force,
+            "assistant_joints": self.assistant.joints,
+            "assistant_jaw": self.assistant.jaw,
+            "X_WAssistant": self.assistant.X_WRcm.copy(),
+            "tension": self.tension,
+            "visible": float(self.visible),
+            "still": self._still * GRID * TICK,
+            "slips": float(sum(grasp.slips for grasp in self.grasps.values())),
+            "nodes": self.bowel.nodes,
+        }
+
+    def verdict(self) -> Verdict:
+        """Success, failure with its cause, late, or going on."""
+        if self.phase == "done":
+            return Verdict(done=True, success=True, reward=1.0, phase="done")
+        if self._failure:
+            return Verdict(done=True, reason=self._failure, phase=self.phase)
+        return self.late(self.phase) or Verdict(phase=self.phase)

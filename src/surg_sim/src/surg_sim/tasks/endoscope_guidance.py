@@ -1,0 +1,165 @@
+"""Endoscope guidance: the second arm keeps the tip of a moving instrument in the picture's centre.
+
+A script moves the instrument on a smooth random path. The error is the distance of its tip to the
+centre of the left picture, in pixels of a picture 480 high. Success: over the whole path the error
+stays small on average and never becomes so large that the tip leaves the middle of the picture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.tasks.base import GRID, State, Task, TaskError, Verdict
+from surg_sim.view import EndoscopeView
+
+if TYPE_CHECKING:
+    import surg_core
+    from surg_sim.conditions import Condition
+    from surg_sim.experts.base import Expert
+    from surg_sim.world import World
+
+Array = NDArray[np.float64]
+
+INSTRUMENT, SCOPE = "PSM1", "ECM"
+HEIGHT = 480
+"""Of the picture in which errors are measured [px]."""
+
+READY = 2.0
+"""The instrument waits so long, and nothing is judged [s]."""
+DURATION = 20.0
+"""Of the instrument's path [s]."""
+REACH = np.array([0.025, 0.018, 0.012])
+"""Half size of the box in which the instrument moves, patient axes about the work point [m]."""
+WAVES = 3
+"""Sinusoids per axis of the path."""
+SLOW, FAST = 0.05, 0.20
+"""Range of their frequencies [1/s]."""
+
+MEAN_ERROR = 25.0
+"""Success needs a mean error of at most this [px]."""
+MAX_ERROR = 120.0
+"""An error above this ends the episode: the tip has left the middle of the picture [px]."""
+
+
+class InstrumentPath:
+    """A smooth random path of the instrument's tip: sums of slow sinusoids that start at zero.
+
+    Args:
+        rng: Draws it.
+    """
+
+    def __init__(self, rng: np.random.Generator) -> None:
+        self._frequency = rng.uniform(SLOW, FAST, (WAVES, 3))
+        weight = rng.uniform(0.5, 1.0, (WAVES, 3))
+        self._amplitude = REACH * weight / weight.sum(axis=0)
+        self._phase = rng.uniform(0.0, 2.0 * np.pi, (WAVES, 3))
+
+    def at(self, t: float) -> Array:
+        """Offset from where the instrument began, patient axes, at t [s], (3,) [m]."""
+        t = min(max(t, 0.0), DURATION)
+        waves = np.sin(2.0 * np.pi * self._frequency * t + self._phase) - np.sin(self._phase)
+        fade = min(t / 2.0, 1.0)
+        return np.asarray(fade * fade * (3.0 - 2.0 * fade) * (self._amplitude * waves).sum(axis=0))
+
+
+class EndoscopeGuidance(Task):
+    """See the module."""
+
+    name = "endoscope_guidance"
+    title = "Endoscope guidance"
+    time_limit = READY + DURATION
+    commanded = (SCOPE,)
+    plotted: ClassVar[Mapping[str, str]] = {"error": "px"}
+
+    def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
+        """Two arms are needed, and the second must hold a camera."""
+        super().prepare(cell, condition)
+        if INSTRUMENT not in cell.arms or cell.arms[SCOPE].instrument.camera is None:
+            raise TaskError(
+                f"task '{self.name}' needs {INSTRUMENT} with an instrument and {SCOPE} with an "
+                f"endoscope; the cell '{cell.config.name}' has "
+                + ", ".join(f"{name} ({arm.instrument.name})" for name, arm in cell.arms.items())
+                + "; take cells/sim_two_arms"
+            )
+        self._tip = cell.arms[INSTRUMENT].instrument.tip_link
+
+    def bind(self, world: World) -> None:
+        """Find the instrument's tip and the cameras."""
+        from surg_sim.scene import site_of
+
+        self._data = world.data
+        self._body = int(world.model.body(f"{INSTRUMENT}_{self._tip}").id)
+        self._R = site_of([world.cell.arms[name] for name in world.arms]).R
+        self.view = EndoscopeView(world.model, world.data)
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """A new path."""
+        super().reset(rng)
+        self.path = InstrumentPath(rng)
+        self._errors: list[float] = []
+        self.error = 0.0
+        self._lost = False
+
+    def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
+        """Two: the one who guides, and the script of the instrument."""
+        from surg_sim.experts.guidance import GuidanceExpert, InstrumentScript
+
+        return {"expert": GuidanceExpert(cell, seed), "instrument": InstrumentScript(cell, seed)}
+
+    @property
+    def tip(self) -> Array:
+        """The instrument's tip in the world [m], (3,)."""
+        return np.array(self._data.xpos[self._body])
+
+    def pixels(self) -> Array:
+        """Where the tip is in the left picture, from its centre, x right, y down, (2,) [px]."""
+        return np.asarray(HEIGHT * self.view.project(self.tip)[0])
+
+    def advance(self) -> None:
+        """20 times a second: the error."""
+        super().advance()
+        if self.on_grid:
+            error = float(np.hypot(*self.pixels()))
+            self.error = error if np.isfinite(error) else 10.0 * MAX_ERROR
+            if self.time > READY:
+                self._errors.append(self.error)
+                self._lost |= self.error > MAX_ERROR
+
+    @property
+    def mean_error(self) -> float:
+        """Over what has been judged so far [px]."""
+        return float(np.mean(self._errors)) if self._errors else 0.0
+
+    def state(self) -> State:
+        """Points in the world [m], axes of the camera as columns, pixels of a picture 480 high."""
+        eye = self.view.pose
+        offset = self.path.at(self.time - READY)
+        return {
+            "tip": self.tip,
+            "lens": eye[:3, 3].copy(),
+            "R_WLens": eye[:3, :3].copy(),
+            "wanted_offset": np.asarray(self._R @ offset),
+            "pixels": self.pixels(),
+            "error": self.error,
+            "mean_error": self.mean_error,
+        }
+
+    def verdict(self) -> Verdict:
+        """Reward on the grid: 1 for a centred tip, 0 at ``MAX_ERROR``, divided by the looks."""
+        phase = "ready" if self.time <= READY else "follow"
+        if self._lost:
+            reason = f"the tip was {self.error:.0f} px off the centre; allowed are {MAX_ERROR:.0f}"
+            return Verdict(done=True, reason=reason, phase=phase)
+        reward = 0.0
+        if self.on_grid and self._errors:
+            reward = (1.0 - self.error / MAX_ERROR) * GRID * 0.002 / DURATION
+        if self.time >= self.time_limit:
+            if self.mean_error <= MEAN_ERROR:
+                return Verdict(done=True, success=True, reward=reward, phase="done")
+            reason = f"mean error {self.mean_error:.0f} px; allowed are {MEAN_ERROR:.0f}"
+            return Verdict(done=True, reason=reason, reward=reward, phase=phase)
+        return Verdict(reward=reward, phase=phase)

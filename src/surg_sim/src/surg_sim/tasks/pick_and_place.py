@@ -1,0 +1,188 @@
+"""Peg transfer: lift a ring off its peg and put it over another one on the other board.
+
+Success: the ring lies on the goal's board round the goal's peg, free and at rest for half a second,
+within the time limit. A ring that comes to rest anywhere else but on its first peg is dropped.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, ClassVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import TICK, quaternion
+from surg_sim.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
+from surg_sim.tasks.base import State, Task, Verdict
+
+if TYPE_CHECKING:
+    import surg_core
+    from surg_sim.conditions import Condition
+    from surg_sim.experts.base import Expert
+    from surg_sim.scene import Site
+    from surg_sim.world import World
+
+Array = NDArray[np.float64]
+
+ARM = "PSM1"
+RING = "ring"
+RING_RADIUS, TUBE_RADIUS = 0.009, 0.002
+"""Of the ring's middle line and of its tube [m]."""
+PEG_RADIUS, PEG_HEIGHT = 0.0015, 0.014
+"""[m]"""
+BOARD = -0.022
+"""Height of the boards' top about the work point [m]."""
+PEGS = np.array([(side * 0.026, y, BOARD) for side in (-1, 1) for y in (-0.020, 0.0, 0.020)])
+"""Feet of the pegs in patient axes about the work point, three on each board, (6, 3) [m]."""
+
+ROUND_PEG = 0.005
+"""Largest distance of the ring's centre to the peg's axis [m]; the ring's play is 5.5 mm."""
+ON_BOARD = 0.004
+"""Largest height of the ring's centre above where it rests [m]."""
+AT_REST = 0.005
+"""Largest speed of a ring that lies still [m/s]."""
+SETTLE = 0.5
+"""So long it must lie still [s]."""
+
+_SEGMENTS = 12
+_RING_BIT, _FIXED_BIT = 1 << 17, 1 << 18
+
+
+class PickAndPlace(Task):
+    """See the module."""
+
+    name = "pick_and_place"
+    title = "Peg transfer"
+    time_limit = 30.0
+    home_cell = "sim_ur5e"
+    plotted: ClassVar[Mapping[str, str]] = {"held": "0 or 1"}
+
+    def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
+        """The arm must be there and have jaws."""
+        super().prepare(cell, condition)
+        self._tip = cell.arms[ARM].instrument.tip_link
+
+    def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
+        """Two boards with pegs, the ring, the pads."""
+        del looks  # boards and ring are physics; their colour costs nothing
+        self._pegs = np.array([site.place(foot) for foot in PEGS])
+        boards = spec.worldbody.add_body(
+            name="boards", pos=site.work.tolist(), quat=quaternion(site.R).tolist()
+        )
+        fixed = {"contype": _FIXED_BIT, "conaffinity": 0, "mass": 0.0, "condim": 3}
+        for side in (-1, 1):
+            boards.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[side * 0.026, 0.0, BOARD - 0.004],
+                size=[0.016, 0.034, 0.004],
+                rgba=[0.15, 0.22, 0.30, 1],
+                **fixed,
+            )
+        for foot in PEGS:
+            boards.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                fromto=[*foot, foot[0], foot[1], foot[2] + PEG_HEIGHT - PEG_RADIUS],
+                size=[PEG_RADIUS, 0, 0],
+                rgba=[0.85, 0.86, 0.88, 1],
+                **fixed,
+            )
+        ring = spec.worldbody.add_body(name=RING, pos=site.place(_resting(PEGS[0])).tolist())
+        ring.add_freejoint(name=RING)
+        ring.mass, ring.inertia, ring.explicitinertial = 0.003, [2e-7, 2e-7, 3e-7], True
+        ring.ipos = [0.0, 0.0, 0.0]  # not stated, the compiler takes the place of the body for it
+        angles = np.linspace(0.0, 2.0 * np.pi, _SEGMENTS + 1)
+        places = RING_RADIUS * np.column_stack([np.cos(angles), np.sin(angles), 0.0 * angles])
+        for start, end in itertools.pairwise(places):
+            ring.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+                fromto=[*start, *end],
+                size=[TUBE_RADIUS, 0, 0],
+                rgba=[0.92, 0.45, 0.10, 1],
+                mass=0.0,
+                contype=_RING_BIT,
+                conaffinity=_FIXED_BIT | PAD_BIT,
+                condim=3,
+                friction=[0.4, 0.005, 0.0001],
+            )
+        add_rigid_grasp(spec, ARM, self._tip, [RING])
+
+    def bind(self, world: World) -> None:
+        """Find ring and tip."""
+        self._data = world.data
+        self._body = int(world.model.body(RING).id)
+        joint = world.model.joint(RING)
+        self._qpos = slice(int(joint.qposadr[0]), int(joint.qposadr[0]) + 7)
+        self._dofs = slice(int(joint.dofadr[0]), int(joint.dofadr[0]) + 6)
+        self._tip_body = int(world.model.body(f"{ARM}_{self._tip}").id)
+        self.grasp = RigidGrasp(world.model, world.data, ARM, self._tip, [RING])
+
+    def reset(self, rng: np.random.Generator) -> None:
+        """The ring on a peg of one board, a little off its axis; the goal on the other board."""
+        super().reset(rng)
+        boards = [0, 3] if rng.random() < 0.5 else [3, 0]
+        first, last = (int(board + rng.integers(3)) for board in boards)
+        self.start, self.goal = self._pegs[first], self._pegs[last]
+        angle, off = rng.uniform(0.0, 2.0 * np.pi), 0.003 * np.sqrt(rng.random())
+        turn = rng.uniform(0.0, 2.0 * np.pi)
+        place = _resting(self.start) + off * np.array([np.cos(angle), np.sin(angle), 0.0])
+        self._data.qpos[self._qpos] = [*place, np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2)]
+        self._data.qvel[self._dofs] = 0.0
+        self.grasp.reset()
+        self._still, self._lifted = 0, False
+
+    def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
+        """One: at the robot."""
+        from surg_sim.experts.peg_transfer import PegTransferExpert
+
+        return {"expert": PegTransferExpert(cell, seed)}
+
+    @property
+    def ring(self) -> Array:
+        """Centre of the ring in the world [m], (3,)."""
+        return np.array(self._data.xpos[self._body])
+
+    def advance(self) -> None:
+        """The grasp, and how long the ring has been lying."""
+        super().advance()
+        self.grasp.advance()
+        speed = float(np.linalg.norm(self._data.qvel[self._dofs][:3]))
+        free = self.grasp.held is None and speed < AT_REST
+        self._still = self._still + 1 if free else 0
+        self._lifted |= not self._round(self.start) and self.grasp.held is not None
+
+    def _round(self, foot: Array) -> bool:
+        """Whether the ring is round a peg, on its board."""
+        off = self.ring - _resting(foot)
+        return float(np.hypot(off[0], off[1])) < ROUND_PEG and float(off[2]) < ON_BOARD
+
+    def state(self) -> State:
+        """Points in the world [m]; ``held`` 0 or 1."""
+        return {
+            "tip": np.array(self._data.xpos[self._tip_body]),
+            "ring": self.ring,
+            "ring_velocity": np.array(self._data.qvel[self._dofs][:3]),
+            "start": self.start.copy(),
+            "goal": self.goal.copy(),
+            "held": float(self.grasp.held is not None),
+        }
+
+    def verdict(self) -> Verdict:
+        """Success, dropped, late, or going on."""
+        held = self.grasp.held is not None
+        phase = "carry" if held else ("release" if self._lifted else "grasp")
+        if self._still * TICK >= SETTLE:
+            if self._round(self.goal):
+                return Verdict(done=True, success=True, reward=1.0, phase="done")
+            if not self._round(self.start):
+                return Verdict(
+                    done=True, reason="the ring was dropped beside the pegs", phase=phase
+                )
+        return self.late(phase) or Verdict(phase=phase)
+
+
+def _resting(foot: Array) -> Array:
+    """Centre of a ring that lies round the peg with this foot [m]."""
+    return np.asarray(foot + np.array([0.0, 0.0, TUBE_RADIUS]))

@@ -1,0 +1,93 @@
+"""One task, setting and seed: one state hash, in one process and through the graph.
+
+Through the graph everything takes another way: bytes, sockets, threads, five processes. What
+arrives must be the same to the last bit, and nothing may depend on when.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from conftest import FULL
+from helpers.two_arms import write_two_arms
+from surg_cli import cells, episode, paths, run
+from surg_cli.run import Condition
+from surg_recording import episode as recorded
+from surg_sim import tasks
+from surg_sim.episode import EpisodeReport, run_episode
+from surg_sim.session import Session
+
+pytestmark = pytest.mark.ros
+
+HELPERS = paths.ROOT / "tests" / "helpers"
+SHORT = str(HELPERS / "short_bgr.py")
+NUDGE = str(HELPERS / "nudge_task.py")
+
+
+def in_process(cell: Path, task: str, setting: str, seed: int, law: str = "ours") -> EpisodeReport:
+    # Made with another seed, and reset: what was compiled must not matter.
+    return run_episode(Session(cell, task, setting, seed + 1, law=law), seed)
+
+
+def through_the_graph(
+    folder: Path, cell: Path, task: str, setting: str, seed: int, law: str = "ours"
+) -> tuple[episode.Ended, dict[str, object]]:
+    """Outcome and what the recording says of the simulator."""
+    loaded = cells.load(cell)
+    plan = run.make_plan(task, cell, loaded, [Condition(setting, law)], seed, (), folder)
+    plan = run.of_episode(plan, Condition(setting, law), seed, folder)
+    episode.write_plan(plan)
+    said = run.run_process(folder, lambda seconds, note: None)
+    assert not said, said
+    ended = episode.Ended(**json.loads((folder / episode.OUTCOME).read_text("utf-8")))
+    return ended, dict(recorded.read(folder / "episode").manifest["sim"])
+
+
+def assert_same(
+    folder: Path, cell: Path, task: str, setting: str, seed: int, law: str = "ours"
+) -> None:
+    ended, sim = through_the_graph(folder, cell, task, setting, seed, law)
+    expected = in_process(cell, task, setting, seed, law)
+    print(f"{task} {setting} {seed}: {sim['tick']} ticks, {expected.hash[:16]}, {ended.reason}")
+    assert ended.played, ended.reason
+    assert sim["deterministic"] is True
+    assert sim["tick"] == round(expected.duration / 0.002)
+    assert (ended.success, ended.reason) == (expected.success, expected.reason)
+    assert sim["state_hash"] == expected.hash
+
+
+def test_bowel_and_assistant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With every process held up at random, and breathing."""
+    monkeypatch.setenv("SURG_TEST_JITTER_MS", "5" if FULL else "0.3")
+    assert_same(tmp_path, cells.find("sim_two_arms"), SHORT, "in_vivo", 10_001)
+
+
+def test_both_arms_commanded(tmp_path: Path) -> None:
+    cell = write_two_arms(tmp_path / "cell", ("panda", "ur5e"))
+    assert_same(tmp_path / "run", cell, NUDGE, "ex_vivo", 3)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("task", ["bgr", "pick_and_place", "endoscope_guidance"])
+@pytest.mark.parametrize("cell", ["sim_two_arms", "sim_two_arms_panda"])
+@pytest.mark.parametrize("setting", ["phantom", "ex_vivo", "in_vivo"])
+def test_whole_episodes(tmp_path: Path, task: str, cell: str, setting: str) -> None:
+    assert task in tasks.names()
+    assert_same(tmp_path, cells.find(cell), task, setting, 10_002)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("law", ["velocity", "paper"])
+def test_the_other_laws(tmp_path: Path, law: str) -> None:
+    assert_same(tmp_path, cells.find("sim_two_arms"), SHORT, "phantom", 10_003, law)
+
+
+def test_another_seed_is_another_hash() -> None:
+    cell = cells.find("sim_two_arms")
+    hashes = {in_process(cell, SHORT, "phantom", seed).hash for seed in (10_001, 10_002)}
+    assert len(hashes) == 2
+    assert os.environ.get("SURG_TEST_JITTER_MS") is None

@@ -1,0 +1,107 @@
+"""The bridge with a task: its topics, and a person at the assistant's instrument in free-run."""
+
+from __future__ import annotations
+
+import json
+import time
+
+import numpy as np
+import pytest
+import rospy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+
+from helpers.ros import RosGraph
+from surg_cli import paths
+from surg_cli.graph_probe import observe
+from surg_cli.topic_contract import compare, load
+from surg_msgs.msg import TaskState
+from surg_sim import wire
+
+pytestmark = pytest.mark.ros
+
+CELL = paths.ROOT / "cells" / "sim_two_arms"
+SHORT = paths.ROOT / "tests" / "helpers" / "short_bgr.py"
+
+
+def test_a_person_drives_the_assistant_and_the_task_ends(
+    ros_graph: RosGraph, rospy_node: str
+) -> None:
+    states: list[TaskState] = []
+    joints: list[np.ndarray] = []
+    status: dict[str, object] = {}
+    topics = [
+        rospy.Subscriber("/sim/task_state", TaskState, states.append),
+        rospy.Subscriber(
+            "/assistant/measured_js", JointState, lambda m: joints.append(np.array(m.position))
+        ),
+        rospy.Subscriber("/sim/status", String, lambda m: status.update(json.loads(m.data))),
+        rospy.Publisher("/assistant/servo_jp", JointState, queue_size=0),
+        rospy.Publisher("/assistant/jaw/servo_jp", JointState, queue_size=0),
+    ]
+    leader, jaw = topics[3], topics[4]
+    params = {"cell": str(CELL), "mode": "freerun", "task": str(SHORT), "setting": "ex_vivo"}
+    child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", params)
+    try:
+        ros_graph.wait_for(
+            lambda: child.exit_code is not None or len(joints) > 20, 20.0, "the assistant"
+        )
+        assert child.exit_code is None, child.log_tail()
+        seen = observe(ros_graph.uri)
+        wrong = compare(load(), seen, "PSM1", ("sim",), lockstep=False, parameters={"task"})
+        # The contract speaks of one arm; this cell has two.
+        assert [w for w in wrong if "/ECM/" not in w] == []
+
+        start = joints[-1].copy()
+        goal = start + np.array([0.05, -0.05, 0.01, 0.1])
+        leader.publish(JointState(position=[1.0, 2.0]))  # unusable: said, and nothing happens
+        leader.publish(JointState(position=[np.nan] * 4))
+        end = time.monotonic() + 1.5
+        while time.monotonic() < end:
+            leader.publish(JointState(position=goal.tolist()))
+            jaw.publish(JointState(position=[0.4]))
+            time.sleep(0.05)
+        print(f"from {start} to {joints[-1]}, asked for {goal}")
+        assert np.allclose(joints[-1], goal, atol=[0.01, 0.01, 0.002, 0.02])
+
+        ros_graph.wait_for(lambda: bool(status.get("done")), 20.0, "the end of the episode")
+        log = child.log_tail(100)
+    finally:
+        ros_graph.supervisor.stop([child])
+        for topic in topics:
+            topic.unregister()
+    assert status["task"] == {
+        "name": "short_bgr",
+        "setting": "ex_vivo",
+        "phase": states[-1].phase,
+        "done": True,
+        "success": False,
+        "reason": states[-1].reason,
+    }
+    assert "time limit of 3.5 s" in states[-1].reason
+    assert [m.done for m in states] == [False] * (len(states) - 1) + [True]
+    assert {m.tick % 25 for m in states[:-1]} == {0}
+    assert states[-1].tick == 1751
+    first, last = (wire.task_state(m.names, m.values) for m in (states[0], states[-1]))
+    assert np.shape(last["nodes"]) == (36, 3)
+    assert np.allclose(last["assistant_joints"], joints[-1], atol=1e-3)
+    assert not np.allclose(first["assistant_joints"], last["assistant_joints"], atol=1e-3)
+    assert "finite numbers" in log
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ({"task": "dance"}, "bgr"),
+        ({"task": str(SHORT), "setting": "space"}, "phantom"),
+        ({"task": 7}, "~task"),
+    ],
+)
+def test_an_unknown_task_or_setting_ends_with_2(
+    ros_graph: RosGraph, rospy_node: str, params: dict[str, object], words: str
+) -> None:
+    settings = {"cell": str(CELL), **params}
+    child = ros_graph.node("surg_sim", "bridge_node.py", "/sim", settings)
+    ros_graph.wait_for(lambda: child.exit_code is not None, 15.0, "the bridge to refuse")
+    assert child.exit_code == 2
+    assert words in child.log_tail(20)

@@ -1,0 +1,206 @@
+"""Many episodes together: the success interval, the summary, the plots and the page."""
+
+from __future__ import annotations
+
+import html
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.lines import Line2D
+
+from surg_recording import trial_figures, trial_report, trials
+from surg_recording.trials import Outcome, wilson
+
+
+def entry(seed: int, **changes: Any) -> dict[str, Any]:
+    """An episode as ``describe`` would make it, with numbers drawn by its seed."""
+    rng = np.random.default_rng(seed)
+    mean, peak, force = rng.uniform(0.01, 0.04), rng.uniform(0.1, 0.25), rng.uniform(1, 5)
+    found = trials.describe(seed, "phantom", "ours", Outcome(True, "", "done", 12.0), None)
+    found.update(
+        rcm_kinematic_mm={"mean": mean, "median": mean, "p95": peak, "max": peak},
+        rcm_true_mm={"mean": 2 * mean, "median": mean, "p95": peak, "max": 2 * peak},
+        trocar={
+            "force_n": {"mean": force / 2, "max": force},
+            "displacement_mm": {"mean": 0.1, "max": 0.2},
+        },
+        smoothness={"preset": "reference", "sparc": -2.0 - mean, "ldlj": -8.0 - mean},
+        state_hash=f"{seed:064x}",
+    )
+    return {**found, **changes}
+
+
+INFO = {"task": "bgr", "robot": "ur5e"}
+
+
+# --- the interval -------------------------------------------------------------------------------
+
+
+def ends_by_definition(k: int, n: int) -> tuple[float, float]:
+    """The rates p for which k of n lies exactly z standard errors away, found by bisection.
+
+    The standard error is that of the rate p itself, which is the score test's idea.
+    """
+
+    def surprise(p: float) -> float:
+        return abs(k / n - p) - trials.Z_95 * math.sqrt(p * (1 - p) / n)
+
+    def root(inside: float, outside: float) -> float:
+        for _ in range(200):
+            middle = (inside + outside) / 2
+            inside, outside = (middle, outside) if surprise(middle) < 0 else (inside, middle)
+        return (inside + outside) / 2
+
+    # A rate that is never surprising lies between the ends.
+    centre = (k + trials.Z_95**2 / 2) / (n + trials.Z_95**2)
+    assert surprise(centre) < 0
+    return (root(centre, 0.0) if k else 0.0), (root(centre, 1.0) if k < n else 1.0)
+
+
+def test_the_interval_is_the_one_of_the_score_test() -> None:
+    count = 0
+    for n in (1, 2, 5, 10, 37, 100, 1000):
+        for k in sorted({0, 1, n // 3, n // 2, n - 1, n}):
+            assert wilson(k, n) == pytest.approx(ends_by_definition(k, n), abs=1e-9)
+            count += 1
+    print(f"{count} intervals")
+
+
+def test_known_intervals() -> None:
+    # Newcombe (1998), table I, method 3, of a paper on intervals for one proportion.
+    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=5e-5)
+    assert wilson(15, 148) == pytest.approx((0.0624, 0.1605), abs=5e-5)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
+    assert wilson(1, 29) == pytest.approx((0.0061, 0.1718), abs=5e-5)
+
+
+def test_the_interval_covers_the_rate_nineteen_times_of_twenty() -> None:
+    rng = np.random.default_rng(7)
+    inside = trial_count = 0
+    for rate in (0.5, 0.9, 0.95):
+        for k in rng.binomial(100, rate, 2000).tolist():
+            low, high = wilson(k, 100)
+            inside += low <= rate <= high
+            trial_count += 1
+    print(f"{inside / trial_count:.4f} of {trial_count} intervals hold the rate")
+    assert 0.93 < inside / trial_count < 0.97
+
+
+def test_intervals_of_nothing_and_of_nonsense() -> None:
+    assert wilson(0, 0) == (0.0, 1.0)
+    assert wilson(0, 10)[0] == 0.0 and wilson(10, 10)[1] == 1.0
+    for k, n in ((3, 2), (-1, 5)):
+        with pytest.raises(ValueError, match="trials"):
+            wilson(k, n)
+
+
+# --- the summary --------------------------------------------------------------------------------
+
+
+def test_the_summary_counts_by_condition() -> None:
+    episodes = [entry(s) for s in range(6)]
+    episodes += [entry(s, setting="in_vivo") for s in range(4)]
+    episodes += [
+        entry(9, setting="in_vivo", success=False, failure_reason="the robot lost its grasp")
+    ]
+    summary = trials.summarise(episodes, INFO)
+    assert summary["ok"] is True and summary["reasons"] == []
+    assert summary["setting"] == ["phantom", "in_vivo"]
+    assert summary["task"] == "bgr"
+    assert (summary["success_rate"]["n"], summary["success_rate"]["k"]) == (11, 10)
+    phantom, vivo = summary["conditions"]
+    assert (phantom["success_rate"]["k"], vivo["success_rate"]["k"]) == (6, 4)
+    means = [e["rcm_kinematic_mm"]["mean"] for e in episodes[:6]]
+    assert phantom["rcm_kinematic_mm"]["mean"] == {
+        "n": 6,
+        "min": min(means),
+        "median": float(np.median(means)),
+        "max": max(means),
+    }
+    assert [b["value"] for b in phantom["bounds"]] == [0.05, 0.3]
+    assert [b["value"] for b in vivo["bounds"]] == [1.0]
+    assert all(b["met"] for c in summary["conditions"] for b in c["bounds"])
+
+
+def test_one_bad_episode_misses_a_bound() -> None:
+    bad = {"mean": 0.06, "median": 0.06, "p95": 0.2, "max": 0.31}
+    summary = trials.summarise([entry(1), entry(2, rcm_kinematic_mm=bad)], INFO)
+    assert [b["met"] for b in summary["conditions"][0]["bounds"]] == [False, False]
+    assert summary["setting"] == "phantom"
+
+
+def test_an_episode_that_was_not_played_is_a_failed_run() -> None:
+    broken = Outcome(False, "node /sim ended (1)", "grasp", 3.0, played=False)
+    episodes = [entry(1), trials.describe(2, "phantom", "ours", broken, None)]
+    summary = trials.summarise(episodes, INFO)
+    assert summary["ok"] is False
+    assert summary["reasons"] == ["episode 1 (seed 2, phantom): node /sim ended (1)"]
+    assert summary["success_rate"]["k"] == 1 and summary["success_rate"]["n"] == 2
+    assert summary["conditions"][0]["rcm_kinematic_mm"]["max"]["n"] == 1
+    assert episodes[1]["rcm_kinematic_mm"] is None
+
+
+def test_no_deviation_meets_no_bound() -> None:
+    still = trials.describe(2, "phantom", "ours", Outcome(False, "late", "point", 45.0), None)
+    summary = trials.summarise([still], INFO)
+    assert [b["met"] for b in summary["conditions"][0]["bounds"]] == [False, False]
+
+
+# --- plots and page -----------------------------------------------------------------------------
+
+
+def test_a_box_shows_the_quartiles_of_its_episodes() -> None:
+    episodes = [entry(s) for s in range(20)] + [entry(s, setting="ex_vivo") for s in range(7)]
+    summary = trials.summarise(episodes, INFO)
+    groups = trial_figures.grouped(summary)
+    assert [name for name, _ in groups] == ["phantom\nn = 20", "ex_vivo\nn = 7"]
+    figure = trial_figures.deviation(groups, summary)
+    axes = figure.axes[1]
+    assert "max" in axes.get_title(loc="left") + axes.get_title()
+    for i, (_, entries) in enumerate(groups):
+        kinematic = np.array(trials.values(entries, "rcm_kinematic_mm", "max"))
+        lines = [line for line in axes.lines if near(line, i - 0.175)]
+        heights = {round(float(y), 9) for line in lines for y in line.get_ydata()}
+        quartiles = np.percentile(kinematic, (25, 50, 75))
+        assert round(float(quartiles[1]), 9) in heights
+        boxes = [p.get_path().vertices[:, 1] for p in axes.patches]
+        assert any(np.isclose(b.min(), quartiles[0]) & np.isclose(b.max(), quartiles[2])
+                   for b in boxes)  # fmt: skip
+    dots = sum(len(line.get_ydata()) for line in axes.lines if line.get_marker() == "o")
+    assert dots == 2 * 27 + 0  # every episode once per series; the legend's dots hold none
+
+
+def near(line: Line2D, x: float) -> bool:
+    data = np.asarray(line.get_xdata(), dtype=float)
+    return len(data) > 0 and abs(float(data.mean()) - x) < 0.12
+
+
+def test_the_page_names_every_failure_and_escapes_it(tmp_path: Path) -> None:
+    reason = "<script>lost & 'gone'</script>"
+    episodes = [
+        entry(1, folder="episodes/000"),
+        entry(2, success=False, failure_reason=reason, law="paper"),
+        trials.describe(3, "phantom", "ours", Outcome(False, "boom", "", 0.0, False), None),
+    ]
+    trial_report.write(trials.summarise(episodes, INFO), tmp_path)
+    page = (tmp_path / "report.html").read_text("utf-8")
+    assert reason not in page and html.escape(reason, quote=True) in page
+    assert "1 of 3 (95 % interval 6.1 to 79.2 %) succeeded" in page
+    assert "episodes/000/report.html" in page and "boom" in page
+    assert "src='data:image/png;base64," in page and '<img src="http' not in page
+    written = json.loads((tmp_path / "summary.json").read_text("utf-8"))
+    assert [e["seed"] for e in written["episodes"]] == [1, 2, 3]
+    assert {f.name for f in (tmp_path / "figures").iterdir()} == {
+        f"{name}.png" for name in trial_figures.FIGURES
+    }
+
+
+def test_a_run_without_any_measurement_has_a_page(tmp_path: Path) -> None:
+    broken = Outcome(False, "no graph", "", 0.0, played=False)
+    episodes = [trials.describe(1, "phantom", "ours", broken, None)]
+    trial_report.write(trials.summarise(episodes, INFO), tmp_path)
+    assert "no graph" in (tmp_path / "report.html").read_text("utf-8")

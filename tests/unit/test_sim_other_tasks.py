@@ -1,0 +1,89 @@
+"""Peg transfer and endoscope guidance: success, and what must be none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from surg_sim import cells, seeds
+from surg_sim.episode import run_episode
+from surg_sim.experts.peg_transfer import PegTransferExpert
+from surg_sim.session import Session
+from surg_sim.tasks import endoscope_guidance, pick_and_place
+from surg_sim.view import EndoscopeView
+
+SEED = seeds.TEST[0]
+
+
+@pytest.fixture(scope="module")
+def pegs() -> Session:
+    """A compiled peg board."""
+    return Session(cells.find("sim_ur5e"), "pick_and_place", "ex_vivo")
+
+
+def test_the_ring_is_put_over_the_other_peg(pegs: Session) -> None:
+    for seed in seeds.test_seeds(2):
+        report = run_episode(pegs, seed)
+        assert report.success, report.reason
+        task = pegs.task
+        assert isinstance(task, pick_and_place.PickAndPlace)
+        off = task.ring - task.goal
+        assert np.hypot(*off[:2]) < pick_and_place.ROUND_PEG
+        assert off[2] < pick_and_place.TUBE_RADIUS + pick_and_place.ON_BOARD
+        assert report.arms["PSM1"].kinematic.max < 0.3e-3
+
+
+def test_a_ring_that_falls_beside_the_pegs_is_a_failure(pegs: Session) -> None:
+    class Careless(PegTransferExpert):
+        def act(self, view):  # type: ignore[no-untyped-def]
+            view.task["goal"] = (view.task["goal"] + view.task["start"]) / 2
+            return super().act(view)
+
+    report = run_episode(pegs, SEED, {"expert": Careless(pegs.cell, SEED)})
+    assert (report.success, report.reason) == (False, "the ring was dropped beside the pegs")
+
+
+def test_a_ring_that_is_left_where_it_was_is_a_failure(
+    pegs: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pegs.task, "time_limit", 1.5, raising=False)
+    report = run_episode(pegs, SEED, experts={})
+    assert (report.success, report.reason) == (False, "time limit of 1.5 s in phase 'grasp'")
+
+
+@pytest.fixture
+def guidance(monkeypatch: pytest.MonkeyPatch) -> Session:
+    """A short episode of it."""
+    monkeypatch.setattr(endoscope_guidance, "DURATION", 5.0)
+    monkeypatch.setattr(endoscope_guidance.EndoscopeGuidance, "time_limit", 7.0)
+    return Session(cells.find("sim_two_arms"), "endoscope_guidance")
+
+
+def test_the_tip_is_kept_in_the_middle_only_by_who_guides(guidance: Session) -> None:
+    seed = seeds.TEST[1]
+    report = run_episode(guidance, seed)
+    kept = guidance.task.state()["mean_error"]
+    assert report.success, report.reason
+    assert report.arms["ECM"].kinematic.max < 0.3e-3
+    experts = dict(guidance.task.experts(guidance.cell, seed))
+    del experts["expert"]
+    idle = run_episode(guidance, seed, experts)
+    left = guidance.task.state()["mean_error"]
+    print(f"mean error {kept:.1f} px with, {left:.1f} px without guidance")
+    assert left > 2.0 * kept
+    assert idle.reward < report.reward
+
+
+def test_a_view_projects_like_the_renderer() -> None:
+    """The pinhole of the judge is that of ``render.Intrinsics``: both from the same fovy."""
+    from surg_sim.render import Intrinsics
+
+    session = Session(cells.find("sim_two_arms"), "endoscope_guidance")
+    view = EndoscopeView(session.world.model, session.world.data)
+    X = view.pose
+    point = X[:3, 3] + X[:3, :3] @ np.array([0.011, -0.007, 0.09])
+    pinhole = Intrinsics.from_fovy(640, 480, float(session.world.model.cam_fovy[0]))
+    expected = pinhole.project(np.array([0.011, -0.007, 0.09])) - [pinhole.cx, pinhole.cy]
+    assert np.allclose(480 * view.project(point)[0], expected, atol=1e-9)
+    assert view.sees(point)
+    assert not view.sees(X[:3, 3] - 0.1 * X[:3, 2])  # behind the lens

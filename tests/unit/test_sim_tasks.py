@@ -1,0 +1,129 @@
+"""Tasks are found and fit their cells; one from outside the tree is as good as a bundled one."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import surg_core
+from surg_cli import paths
+from surg_sim import cells, seeds, tasks
+from surg_sim.episode import run_episode
+from surg_sim.session import Session
+from surg_sim.tasks import TaskError
+
+EXAMPLE = paths.ROOT / "examples/touch_task.py"
+
+
+def test_unknown_task_lists_what_exists() -> None:
+    with pytest.raises(TaskError, match="bgr, endoscope_guidance, pick_and_place"):
+        tasks.load("knitting")
+    with pytest.raises(TaskError, match="no task file"):
+        tasks.load("/nowhere/task.py")
+
+
+@pytest.mark.parametrize("name", tasks.names())
+def test_bundled_tasks_load(name: str) -> None:
+    task = tasks.load(name)
+    assert task.name == name
+    assert task.title and task.time_limit > 0.0
+
+
+def test_unknown_setting_law_and_cell_list_what_exists() -> None:
+    cell = cells.find("sim_ur5e")
+    with pytest.raises(ValueError, match="phantom, ex_vivo, in_vivo"):
+        Session(cell, "pick_and_place", "mars")
+    with pytest.raises(ValueError, match="ours, velocity, paper"):
+        Session(cell, "pick_and_place", law="mine")
+    with pytest.raises(ValueError, match=r"sim_two_arms.*sim_ur5e"):
+        cells.find("sim_nothing")
+
+
+def test_a_cell_that_does_not_fit_is_refused_with_the_reason() -> None:
+    with pytest.raises(TaskError, match=r"needs the arms ECM; the cell 'sim_ur5e' has PSM1"):
+        Session(cells.find("sim_ur5e"), "endoscope_guidance")
+
+
+BROKEN = {
+    "empty": ("", "defines 0 tasks"),
+    "wrong": ("import nothing_of_this_name", "ModuleNotFoundError"),
+    "half": (
+        "from surg_sim.tasks import Task\nclass Half(Task):\n    name = 'half'\n",
+        "Half lacks title, time_limit, bind, reset, state, verdict",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_a_broken_file_is_named_with_what_is_wrong(kind: str, tmp_path: Path) -> None:
+    text, part = BROKEN[kind]
+    file = tmp_path / f"{kind}.py"
+    file.write_text(text)
+    with pytest.raises(TaskError, match=part):
+        tasks.load(str(file))
+
+
+def test_a_task_from_outside_the_tree_runs_by_path(tmp_path: Path) -> None:
+    """The story of docs/adding_a_task.md."""
+    file = tmp_path / "touch_task.py"
+    shutil.copy(EXAMPLE, file)
+    session = Session(cells.find("sim_ur5e"), str(file))
+    done = [run_episode(session, seed) for seed in seeds.test_seeds(3)]
+    assert [report.success for report in done] == [True] * 3
+    idle = run_episode(session, seeds.TEST.start, experts={})
+    assert (idle.success, idle.reason) == (False, "time limit of 5 s in phase 'reach'")
+
+
+def test_a_task_of_an_installed_package_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copy(EXAMPLE, tmp_path / "somebodys_touch.py")
+    info = tmp_path / "somebody-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: somebody\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[surg_sim.tasks]\ntouch = somebodys_touch:Touch\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    try:
+        assert "touch" in tasks.names()
+        assert tasks.load("touch").title == "Touch the ball"
+    finally:
+        sys.modules.pop("somebodys_touch", None)
+    monkeypatch.undo()
+    assert "touch" not in tasks.names()
+
+
+def test_seeds_of_tuning_and_test_have_nothing_in_common() -> None:
+    assert not set(seeds.TUNING) & set(seeds.TEST)
+    assert list(seeds.test_seeds(2)) == [seeds.TEST[0], seeds.TEST[1]]
+    with pytest.raises(ValueError, match="1 to 1000"):
+        seeds.test_seeds(1001)
+
+
+def test_a_task_changes_nothing_that_a_recompile_would_be_needed_for() -> None:
+    """Names and shapes of a task's state are the same in every episode and at every time."""
+    session = Session(cells.find("sim_ur5e"), "bgr")
+    shapes = {key: np.shape(value) for key, value in session.task.state().items()}
+    sizes = (session.world.model.nq, session.world.model.nv, session.world.model.ngeom)
+    for seed in (1, 2):
+        session.reset(seed)
+        for _ in range(30):
+            session.tick()
+        assert {key: np.shape(value) for key, value in session.task.state().items()} == shapes
+        model = session.world.model
+        assert (model.nq, model.nv, model.ngeom) == sizes
+
+
+def test_home_frame_is_what_homing_finds() -> None:
+    """Senders compute the rcm frame from the cell; the controller measures it."""
+    from surg_sim.experts.base import home_frame
+
+    session = Session(cells.find("sim_ur5e"), "pick_and_place")
+    session.tick()  # homing looks at a joint state that has come
+    session.tick({"PSM1": [surg_core.StateCommand.HOME]})
+    arm = session.cell.arms["PSM1"]
+    X_WR = np.asarray(arm.X_WB) @ np.asarray(session.controllers["PSM1"].X_BR)
+    assert np.abs(X_WR - home_frame(arm)).max() < 1e-4

@@ -1,0 +1,177 @@
+"""One episode of a task in a graph of its own: `python -m surg_cli.episode FOLDER`.
+
+A process of its own, because a process can be a node of one ROS master only. It reads `plan.json`
+in its folder, starts the graph, follows it to the end and writes `outcome.json`. On standard output
+it prints a JSON object per line on how far it is.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from surg_cli import environment, follow, master, paths, processes, running, system
+from surg_cli.__main__ import interrupt_on_signals
+from surg_cli.system import Plan
+from surg_cli.terminal import Problem, warn
+from surg_cli.watch import Watch
+
+PLAN, OUTCOME = "plan.json", "outcome.json"
+WARM_UP_S = 0.5
+"""[s simulated] The rate is measured from here on."""
+END_GRACE_S = 5.0
+"""[s] How long the last status may take after the simulator has stopped."""
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How an episode ended.
+
+    Attributes:
+        success: The task says so.
+        reason: Why it was none.
+        phase: Of the task, at the end.
+        duration_s: Simulated time.
+        played: It came to an end of its own, and all of it is recorded.
+        real_time_factor: Simulated by wall time without start and end; None for a very short one.
+    """
+
+    success: bool
+    reason: str
+    phase: str
+    duration_s: float
+    played: bool
+    real_time_factor: float | None
+
+
+def write_plan(plan: Plan) -> None:
+    """Put a plan into its folder for the process that plays it."""
+    paths.write_text(plan.out / PLAN, json.dumps(asdict(plan), default=str, indent=1) + "\n")
+
+
+def read_plan(folder: Path) -> Plan:
+    """The plan in a folder."""
+    values = json.loads((folder / PLAN).read_text("utf-8"))
+    for name in ("arms", "cameras", "extra_participants"):
+        values[name] = tuple(values[name])
+    values["senders"] = {name: tuple(arms) for name, arms in values["senders"].items()}
+    return Plan(**{**values, "cell": Path(values["cell"]), "out": Path(values["out"])})
+
+
+def play(plan: Plan) -> Ended:
+    """Bring the plan's graph up, follow the episode to its end, take the graph down.
+
+    Raises:
+        Problem: The graph does not come up.
+    """
+    env = environment.for_nodes(ros_home=plan.out / "logs" / "ros")
+    processes.adopt_orphans()
+    try:
+        with processes.Supervisor(env, plan.out / "logs") as supervisor:
+            port = master.free_port()
+            master.start(supervisor, port)
+            with running.announced("run", port, plan.cell, supervisor.logs) as entry:
+                for node in [*system.nodes(plan), *system.senders(plan)]:
+                    system.start(supervisor, node)
+                entry.nodes = {child.name: child.process.pid for child in supervisor.children}
+                entry.save()
+                os.environ.update(supervisor.env)
+                with Watch(plan.arms, senders=list(plan.senders)) as watch:
+                    return _follow(plan, supervisor, watch)
+    finally:
+        with processes.signals_ignored():
+            processes.end_orphans()
+
+
+def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended:
+    """Watch the episode until it is over or must end."""
+    watch.record(True)
+    follow.wait_for(lambda: watch.recording is True, supervisor, _progress, "the recorder")
+    fault_at: float | None = None
+    broken: list[str] = []
+    fault = ""
+    rate = _Rate()
+    while not watch.sim.get("done"):
+        time.sleep(0.02)
+        sim = watch.sim
+        seconds = float(sim.get("sim_time_s") or 0.0)
+        rate.look(seconds)
+        _progress(seconds, str((sim.get("task") or {}).get("phase", "")))
+        if watch.faulted and fault_at is None:
+            fault_at = time.monotonic()
+        if fault_at is not None and time.monotonic() - fault_at > follow.FAULT_GRACE_S:
+            arm = watch.faulted[0]
+            fault = f"{arm} went into FAULT: {watch.last_error(arm) or 'it gave no reason'}"
+            break
+        broken = follow.failure(watch, supervisor, None)
+        if broken:
+            break
+    sim = watch.sim
+    rate.look(float(sim.get("sim_time_s") or 0.0))
+    broken += follow.finish_recording(watch, supervisor)
+    verdict = sim.get("task") or {}
+    reason = fault or str(verdict.get("reason") or "")
+    if not fault and not verdict.get("done"):
+        reason = "the simulation ended before the task did"
+    gave_up = [f"{name}: {why}" for name, why in watch.gave_up.items()]
+    return Ended(
+        success=bool(verdict.get("success")) and not broken and not fault,
+        reason="; ".join([*broken, *([reason] if reason else []), *gave_up]),
+        phase=str(verdict.get("phase", "")),
+        duration_s=float(sim.get("sim_time_s") or 0.0),
+        played=not broken and (bool(fault) or bool(verdict.get("done"))),
+        real_time_factor=rate.factor,
+    )
+
+
+class _Rate:
+    """Simulated by wall time, from the first look after the warm-up to the newest."""
+
+    def __init__(self) -> None:
+        self._first: tuple[float, float] | None = None
+        self._newest = (0.0, 0.0)
+
+    def look(self, seconds: float) -> None:
+        """The simulated time now; a new one counts from when it was first seen."""
+        if seconds <= self._newest[0]:
+            return
+        self._newest = (seconds, time.monotonic())
+        if self._first is None and seconds >= WARM_UP_S:
+            self._first = self._newest
+
+    @property
+    def factor(self) -> float | None:
+        """None while nothing can be said."""
+        if self._first is None or self._newest[0] - self._first[0] < WARM_UP_S:
+            return None
+        simulated, wall = (new - old for new, old in zip(self._newest, self._first, strict=True))
+        return simulated / wall
+
+
+def _progress(seconds: float, note: str) -> None:
+    """A line for the process that watches this one."""
+    print(json.dumps({"seconds": seconds, "note": note}), flush=True)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Play the plan in a folder; the exit status is 0 when there is an outcome."""
+    interrupt_on_signals()
+    folder = Path(arguments[0])
+    try:
+        ended = play(read_plan(folder))
+    except Problem as problem:
+        warn(str(problem))
+        return problem.code
+    except KeyboardInterrupt:
+        return 130
+    paths.write_text(folder / OUTCOME, json.dumps(asdict(ended), indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
