@@ -70,6 +70,37 @@ TEST(Noticed, F24LateralMotionFadesTowardsTheTrocar) {
   }
 }
 
+TEST(Noticed, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
+  Controller::Options options;
+  options.law = Law::kVelocity;
+  Bench aside(options);  // a tip that is 1 mm off the set-point, on the pivot
+  MotionCommand command;
+  command.source = test::kMe;
+  command.motion = Motion::kMoveCp;
+  command.p = Vector3(-0.001, 0, 0.12);
+  aside.send(command);
+  for (int i = 0; i < 1000; ++i) aside.tick();
+  for (const double side : {-1.0, 1.0}) {  // the force stands against the way back, or helps
+    Bench bench(options);
+    bench.in().q = aside.in().q;
+    const Vector3 x = bench.controller().X_BR().linear().col(0);
+    bench.in().tip_force = {true, Vector3(6 * side * x)};
+    double most = 0;  // [m/s] of the way back
+    for (int i = 0; i < 45; ++i) {
+      const Outputs& out = bench.tick();
+      const Vector3 omega = out.twist_command.tail<3>(), v = out.twist_command.head<3>();
+      const Vector3 lever = out.p_BTip - out.X_BF.translation();
+      most = std::max(most, x.dot(Vector3(v + omega.cross(lever))));
+      ASSERT_EQ(out.state, State::kEnabled);
+    }
+    if (side < 0) {
+      EXPECT_LT(most, 1e-4);
+    } else {
+      EXPECT_GT(most, 1e-3);
+    }
+  }
+}
+
 TEST(Noticed, AStreamMayNotJumpInRoll) {
   Bench bench;
   const Vector3 p(0, 0, 0.12);
