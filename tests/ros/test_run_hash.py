@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from conftest import FULL
+from helpers.nudge_task import LUCKY
 from helpers.two_arms import write_two_arms
 from surg_cli import cells, episode, paths, run
 from surg_cli.run import Condition
@@ -69,6 +70,23 @@ def test_bowel_and_assistant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_both_arms_commanded(tmp_path: Path) -> None:
     cell = write_two_arms(tmp_path / "cell", ("panda", "ur5e"))
     assert_same(tmp_path / "run", cell, NUDGE, "ex_vivo", 3)
+
+
+def test_the_force_guard_acts_in_the_same_tick(tmp_path: Path) -> None:
+    """A load on the trocar above a tightened limit: FAULT, in and out of ROS, and named."""
+    tight = {"trocar_force_warn": 0.3, "trocar_force_fault": 0.45}
+    cell = write_two_arms(tmp_path / "cell", limits=tight)
+    ended, _ = through_the_graph(tmp_path / "run", cell, NUDGE, "phantom", LUCKY)
+    assert (ended.success, ended.played) == (False, True)
+    assert "PSM1 went into FAULT" in ended.reason and "force" in ended.reason
+    cycle = recorded.read(tmp_path / "run" / "episode").cycle("PSM1")
+    states: list[int] = []
+    session = Session(cell, NUDGE, "phantom", LUCKY)
+    run_episode(session, LUCKY, watch=lambda t: states.append(int(t.outputs["PSM1"].state)))
+    fault = 3
+    n = min(len(states), len(cycle))
+    assert fault in states[:n] and states[:n] == cycle["state"][:n].tolist()
+    print(f"FAULT at tick {states.index(fault) + 1}, here and there")
 
 
 @pytest.mark.full

@@ -166,7 +166,8 @@ def tip_error(subject: Subject) -> Figure:
     mm = tracking.error * 1e3
     axes.plot(run.t_executed, mm, color=EXECUTED, linewidth=0.8)
     axes.axhline(tracking.rms * 1e3, color=INK, linewidth=1.0)
-    bound = {limit["name"]: limit["bound"] for limit in subject.summary["limits"]}["tip_error_rms"]
+    bounds = {limit["name"]: limit["bound"] for limit in subject.summary["limits"]}
+    bound = bounds.get("tip_error_rms", np.inf)
     top = max(1.15 * float(np.nanmax(mm)), 1e-3)
     if bound < 4 * top:
         top = max(top, 1.1 * bound)

@@ -120,7 +120,8 @@ def _page(
     strip: Sequence[tuple[str, bytes]],
     video_problem: str | None,
 ) -> str:
-    title = f"{result['robot'] or 'robot'}: {result['motion'] or 'motion'}"
+    what = result["motion"] or recorded.manifest.get("task") or "motion"
+    title = f"{result['robot'] or 'robot'}: {what}"
     body = [
         f"<h1>{text(title)}</h1>",
         f"<p class='faint'>Recorded {text(recorded.manifest.get('created'))}"
@@ -158,6 +159,8 @@ def _what_was_run(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
         ("Robot and arm", f"{result['robot']}, {result['arm']}"),
         ("Cell", (recorded.manifest.get("cell") or {}).get("name")),
         ("Motion", result["motion"]),
+        ("Task", None if result["motion"] else recorded.manifest.get("task")),
+        ("Setting", (recorded.manifest.get("run") or {}).get("setting")),
         ("Duration", None if result["duration_s"] is None else f"{result['duration_s']:.2f} s"),
         ("Scale", result["scale"]),
         ("Mode", result["mode"]),

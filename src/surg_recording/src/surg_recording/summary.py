@@ -34,6 +34,10 @@ HELD_INPUT = 1e-3
 """… and is held when the input's box diagonal meanwhile is larger than this [m]."""
 STILL_PATH = 1e-3
 """A motion shorter than this is none [m]."""
+SETTING_BOUNDS: Mapping[str, Mapping[str, float]] = {"phantom": {"mean": 0.05, "max": 0.3}}
+"""Kinematic RCM deviation in an episode of a task, by physical setting [mm]."""
+ANY_SETTING: Mapping[str, float] = {"max": 1.0}
+"""For a setting without bounds of its own [mm]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -243,7 +247,21 @@ def summarise(episode: Episode, arm: str | None = None, run: Run | None = None) 
 
 
 def stated_limits(result: Mapping[str, Any], info: Mapping[str, Any]) -> list[Limit]:
-    """The limits a run is judged by, with what was measured."""
+    """The limits a run is judged by, with what was measured.
+
+    An episode of a task has limits on the pivot only: whether the task succeeded is not for the
+    recording to say, and what the tip had to follow was a means to it.
+    """
+    if info.get("setting"):
+        return [
+            Limit(
+                f"rcm_kinematic_{name}",
+                f"kinematic RCM deviation, {name} [mm]",
+                result["rcm_kinematic_mm"][name],
+                bound,
+            )
+            for name, bound in SETTING_BOUNDS.get(info["setting"], ANY_SETTING).items()
+        ]
     kinematic, true = result["rcm_kinematic_mm"], result["rcm_true_mm"]
     tip, path = result["tip_error_mm"], result["path_length_mm"]
     ratio = abs(path["executed"] / path["input"] - 1.0) * 100.0 if path["input"] else math.nan

@@ -32,7 +32,7 @@ Series = Sequence[tuple[str, str, tuple[str, ...]]]
 
 def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:
     """Mean and maximum of the RCM deviation of each episode."""
-    figure = blank(3.9)
+    figure = blank(4.2)
     for axes, metric in zip(figure.subplots(1, 2), ("mean", "max"), strict=True):
         series = [
             ("kinematic", EXECUTED, ("rcm_kinematic_mm", metric)),
@@ -46,10 +46,15 @@ def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:
                     axes.plot([i - 0.4, i - 0.02], [bound["value"]] * 2, "--", color=LIMIT, lw=1.2)
         axes.set_yscale("log")
         axes.margins(y=0.12)
+        axes.yaxis.set_major_locator(matplotlib.ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.yaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda y, _: f"{y:g}"))
+        axes.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
         axes.set(title=f"RCM deviation, {metric} of each episode", ylabel="mm")
     axes.plot([], [], "--", color=LIMIT, lw=1.0, label="bound (kinematic)")
-    axes.legend(loc="best")
+    first, (low, high) = figure.axes[0], figure.axes[0].get_ylim()
+    first.set_ylim(low, high * (high / low) ** 0.15)  # logarithmic: room for the legend
+    handles, labels = axes.get_legend_handles_labels()
+    first.legend(handles, labels, loc="upper center", ncols=3, columnspacing=1.0, fontsize=8)
     return figure
 
 
@@ -123,7 +128,7 @@ def grouped(summary: Mapping[str, Any]) -> Groups:
     for condition in summary["conditions"]:
         setting, law = condition["setting"], condition["law"]
         entries = [e for e in summary["episodes"] if (e["setting"], e["law"]) == (setting, law)]
-        name = setting if law == "ours" else f"{setting}, {law}"
+        name = setting if law == "ours" else f"{setting}\n{law}"
         groups.append((f"{name}\nn = {len(entries)}", entries))
     return groups
 
@@ -152,6 +157,8 @@ def _boxes(axes: Axes, groups: Groups, series: Series) -> None:
             x = i + offset + np.linspace(-0.25, 0.25, len(numbers) + 2)[1:-1] * width
             axes.plot(x, numbers, "o", color=colour, markersize=3.2, alpha=0.65, zorder=3)
         axes.plot([], [], "o", color=colour, markersize=5, label=label)
-    axes.set_xticks(range(len(groups)), [label for label, _ in groups])
+    labels = [label for label, _ in groups]
+    crowded = len(groups) * len(axes.figure.axes) > 9
+    axes.set_xticks(range(len(groups)), labels, fontsize=7 if crowded else None)
     axes.set_xlim(-0.6, len(groups) - 0.4)
     axes.grid(visible=False, axis="x")

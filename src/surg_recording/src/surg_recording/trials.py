@@ -21,24 +21,6 @@ Z_95 = 1.959963984540054
 
 
 @dataclasses.dataclass(frozen=True)
-class Bound:
-    """A deviation that a condition is held against, for information.
-
-    Attributes:
-        metric: ``mean`` or ``max`` of an episode's kinematic RCM deviation.
-        value: [mm], to be stayed below by every episode.
-    """
-
-    metric: str
-    value: float
-
-
-BOUNDS: Mapping[str, tuple[Bound, ...]] = {"phantom": (Bound("mean", 0.05), Bound("max", 0.3))}
-EVERY_SETTING = (Bound("max", 1.0),)
-"""For a setting without bounds of its own."""
-
-
-@dataclasses.dataclass(frozen=True)
 class Outcome:
     """How an episode ended.
 
@@ -194,14 +176,11 @@ def _condition(setting: str, law: str, episodes: Sequence[Mapping[str, Any]]) ->
         found[f"trocar_{name}"] = _spread(values(episodes, "trocar", name, "max"))
     for name in ("sparc", "ldlj"):
         found[name] = _spread(values(episodes, "smoothness", name))
+    bounds = summary.SETTING_BOUNDS.get(setting, summary.ANY_SETTING)
+    worst = {name: found["rcm_kinematic_mm"][name]["max"] for name in bounds}
     found["bounds"] = [
-        {
-            "metric": bound.metric,
-            "value": bound.value,
-            "worst": found["rcm_kinematic_mm"][bound.metric]["max"],
-            "met": _below(found["rcm_kinematic_mm"][bound.metric]["max"], bound.value),
-        }
-        for bound in BOUNDS.get(setting, EVERY_SETTING)
+        {"metric": name, "value": value, "worst": worst[name], "met": _below(worst[name], value)}
+        for name, value in bounds.items()
     ]
     return found
 

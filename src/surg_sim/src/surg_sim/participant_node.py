@@ -171,7 +171,9 @@ class Participant:
     def _on_state(self, message: _RawTaskState) -> None:
         with self._lock:
             tick = wire.unpack_tick(message.data)
-            if tick > self._state[0]:
+            # One off the grid ends the episode. It may overtake a cycle: a controller's answer can
+            # lead to it before that controller's cycle has come. Nobody here acts on it.
+            if tick > self._state[0] and tick % GRID == 0:
                 self._state = (tick, message.data)
                 self._advance()
 
@@ -182,8 +184,8 @@ class Participant:
         if self._done or tick <= self._tick or len(ticks) > 1:
             return
         on_grid = self._task and tick % GRID == 0
-        if on_grid != (self._task and self._state[0] == tick):
-            return  # the state is still to come, or it is the one that ends the episode
+        if on_grid and self._state[0] != tick:
+            return  # its state is still to come
         self._tick = tick
         if self._jitter:
             time.sleep(random.uniform(0.0, self._jitter))

@@ -30,6 +30,9 @@ Command = surg_core.MotionCommand | surg_core.StateCommand
 SOURCE = 1
 """Whose commands the arm obeys: this process is one sender."""
 
+FORCE_TICKS = 5
+"""The force on a trocar is measured on every fifth tick; it counts from the next cycle on."""
+
 LAWS = {
     "ours": surg_core.Law.EXACT,
     "velocity": surg_core.Law.VELOCITY,
@@ -111,6 +114,7 @@ class Session:
             )
             controller.set_rcm(arm.trocar.p_BRcm)
             self.controllers[name] = controller
+        self._felt = dict.fromkeys(self.controllers, surg_core.Readings())
 
     @property
     def hash(self) -> str:
@@ -139,10 +143,15 @@ class Session:
                     controller.request(item)
             motions = [item for item in given if isinstance(item, surg_core.MotionCommand)]
             measured = world.state(name)
-            out = controller.step(measured.q, measured.qd, motions, measured.jaw)
+            out = controller.step(
+                measured.q, measured.qd, motions, measured.jaw, readings=self._felt[name]
+            )
             outputs[name] = out
             jaw = out.jaw_set if math.isfinite(out.jaw_set) else None
             answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw)
+            if tick % FORCE_TICKS == 0:
+                force = surg_core.ForceSample(world.truth(name).trocar_force)
+                self._felt[name] = surg_core.Readings(trocar_force=force)
         world.step(answers, assistant)
         unstable = trouble(world.data)
         if unstable:

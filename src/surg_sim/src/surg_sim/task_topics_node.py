@@ -14,6 +14,7 @@ from surg_msgs.msg import TaskState
 from surg_sim import wire
 from surg_sim.assistant import AssistantCommand
 from surg_sim.ports_node import Output, RawJointState
+from surg_sim.session import FORCE_TICKS
 from surg_sim.stability import trouble
 from surg_sim.tasks import GRID, Verdict
 from surg_sim.world import World
@@ -21,8 +22,6 @@ from surg_sim.world import World
 if TYPE_CHECKING:
     from surg_sim.bridge_node import Bridge
 
-FORCE_TICKS = 5
-"""A force sensor measures every fifth tick: 100 Hz."""
 _JAW = wire.JointStateLayout(["jaw"])
 
 
