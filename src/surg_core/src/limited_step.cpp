@@ -15,6 +15,7 @@ constexpr int kPasses = 5;             // of interval, step and check
 constexpr int kRowPasses = 4;          // of the pivot's rows off the path
 constexpr double kOnPivot = 1e-12;     // [m]
 constexpr double kRowsKept = 1e-9;     // [m] more than this off the pivot counts as leaving it
+constexpr double kRoomUsed = 0.9;      // of the way back that the linear picture has room for
 constexpr double kStill = 1e-4;        // share of a joint's velocity limit that is no motion
 constexpr double kHeld = 0.02;         // alpha below which a still arm counts as held
 constexpr double kSagitta = 0.42e-6;   // [m] off the pivot between two samples
@@ -167,14 +168,20 @@ void LimitedStep::cap_unseen(const Law& law, const Here& here, const Affine& aff
 
 // --- tiers ------------------------------------------------------------------------------------
 
-/// First tier: on the path. How much of the way back is taken goes down before the path is left.
+/// First tier: on the path. How much of the way back is taken goes down before the path is left;
+/// the last try is what the joints have room for where the path stands still, or an arm of small
+/// accelerations would never start back from rest.
 bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, const Cap& cap,
                           Step& step) const {
   if (!affine.regular) return false;
-  for (double beta = 1;; beta = beta > 0.2 ? 0.4 * beta : 0.0) {
+  for (const double beta : {1.0, 0.4, 0.16}) {
     if (on_path(law, affine, box, cap, beta, step)) return true;
-    if (!affine.returning || beta == 0) return false;
+    if (!affine.returning) return false;
   }
+  const AlphaRange room = box.alphas(affine.qd0 - affine.back, affine.back);
+  const double beta = room.empty() ? 0.0 : kRoomUsed * std::min(room.high, 0.16);
+  return on_path(law, affine, box, cap, beta, step) ||
+         (beta > 0 && on_path(law, affine, box, cap, 0.0, step));
 }
 
 /// With a share 'beta' of the way back: alpha from the linear picture, the step without it, what

@@ -101,6 +101,27 @@ TEST(Noticed, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
   }
 }
 
+TEST(Noticed, AWeakArmStartsBackToItsSetPointFromRest) {
+  for (const Law law : {Law::kVelocity, Law::kExact}) {
+    Controller::Options options;
+    options.law = law;
+    Bench aside(options);
+    MotionCommand command;
+    command.source = test::kMe;
+    command.motion = Motion::kMoveCp;
+    command.p = Vector3(-0.004, 0, 0.12);
+    aside.send(command);
+    for (int i = 0; i < 1000; ++i) aside.tick();
+    Bench bench(options);  // its set-point is at home, and there it stays
+    bench.in().q = aside.in().q;
+    Outputs out = bench.tick();
+    const double off = (out.p_BTip - out.p_set).norm();
+    EXPECT_GT(off, 1e-3);
+    for (int i = 0; i < 1000; ++i) out = bench.tick();
+    EXPECT_LT((out.p_BTip - out.p_set).norm(), 0.02 * off) << "law " << static_cast<int>(law);
+  }
+}
+
 TEST(Noticed, AStreamMayNotJumpInRoll) {
   Bench bench;
   const Vector3 p(0, 0, 0.12);
