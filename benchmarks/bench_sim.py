@@ -4,8 +4,9 @@
 
     format                          "surg_bench_sim/1"
     machine                         {processor, cores, load_before, load_after, date}
-    real_time_factor_in_process     simulated by wall time: both arms, controllers, senders, no pictures
-    real_time_factor_in_process_cpu the same by the process's CPU time, which other work disturbs less
+    real_time_factor_in_process     simulated by wall time: both arms, controllers, senders; no
+                                    pictures
+    real_time_factor_in_process_cpu the same by CPU time, which other work disturbs less
     real_time_factor_ros_one_view   through ROS in lock-step, one 640x480 view at 20 fps, recorded;
                                     absent with --no-ros
     stereo_640x480_pairs_per_s      pairs of the endoscope with the bowel drawn
@@ -30,8 +31,8 @@ from typing import Any
 from surg_cli.terminal import Progress, say, table
 from surg_sim import cells, seeds
 from surg_sim.episode import run_episode
-from surg_sim.scene import OUTSIDE
 from surg_sim.session import Session
+from surg_sim.speed import stereo_speed
 
 CELL, TASK = "sim_two_arms", "bgr"
 
@@ -76,23 +77,11 @@ def parts(ticks: int = 1500) -> dict[str, float]:
 
 def stereo(pairs: int) -> dict[str, float]:
     """Pairs of 640x480 of a scene that moves."""
-    from surg_sim.render import StereoRenderer
-
-    session = Session(cells.find(CELL), TASK, looks=True)
-    eyes = StereoRenderer(session.world.model, 640, 480, True, [OUTSIDE], session.task.skins)
-    wall = cpu = 0.0
-    for i in range(pairs + 3):
-        for _ in range(25):
-            session.tick()
-        start = time.perf_counter(), time.process_time()
-        eyes.pair(session.world.data.qpos)
-        if i >= 3:  # the first ones fill the driver's caches
-            wall += time.perf_counter() - start[0]
-            cpu += time.process_time() - start[1]
-    eyes.close()
+    world = Session(cells.find(CELL), TASK, looks=True).world
+    speed = stereo_speed(world, pairs=pairs)
     return {
-        "stereo_640x480_pairs_per_s": pairs / wall,
-        "stereo_640x480_pairs_per_cpu_s": pairs / cpu,
+        "stereo_640x480_pairs_per_s": speed.pairs_per_s,
+        "stereo_640x480_pairs_per_cpu_s": 1.0 / speed.cpu_s_per_pair,
     }
 
 
@@ -128,7 +117,7 @@ def main() -> int:
         "cores": os.cpu_count(),
         "load_before": before,
         "load_after": os.getloadavg()[0],
-        "date": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
+        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
     rows = [[name, f"{value:.2f}"] for name, value in found.items() if isinstance(value, float)]
     rows += [[f"tick: {name} [us]", f"{value:.0f}"] for name, value in found["step_us"].items()]

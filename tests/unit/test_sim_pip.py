@@ -1,4 +1,4 @@
-"""surg_sim installs by pip, with its data, and runs an episode where there is no ROS and no tree."""
+"""surg_sim installs by pip with its data, and runs an episode without ROS and without a tree."""
 
 from __future__ import annotations
 
@@ -67,6 +67,8 @@ def test_pip_install_and_demo_without_ros(tmp_path: Path) -> None:
     assert int(count) >= 30
     assert "success" in done.stdout
     assert (tmp_path / "out/pick_and_place_phantom_20000.png").stat().st_size > 10_000
-    assert not FULL or list((tmp_path / "out").glob("*.mp4")) + list((tmp_path / "out").glob("*.gif"))
+    assert not FULL or list((tmp_path / "out").glob("*.mp4")) + list(
+        (tmp_path / "out").glob("*.gif")
+    )
     for part in ("cells/sim_ur5e/cell.yaml", "src/surg_description/urdf/ur5e.urdf"):
         assert (target / "surg_sim/data" / part).is_file()
