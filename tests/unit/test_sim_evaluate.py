@@ -16,8 +16,13 @@ from surg_sim.trocar import TrocarParameters
 @pytest.mark.parametrize(
     ("good", "n", "low", "high"),
     # Newcombe 1998, Statist. Med. 17:857, table I, method 3.
-    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (29, 29, 0.883, 1)],
-)  # fmt: skip
+    [
+        (81, 263, 0.2553, 0.3662),
+        (15, 148, 0.0624, 0.1605),
+        (0, 20, 0.0, 0.1611),
+        (1, 29, 0.0061, 0.1718),
+    ],
+)
 def test_the_interval_is_wilson_s(good: int, n: int, low: float, high: float) -> None:
     assert evaluate.wilson(good, n) == pytest.approx((low, high), abs=5e-5)
 
