@@ -27,6 +27,8 @@ ABOVE = 0.030
 """From here the jaws go down to the tissue [m]."""
 GRIP_HEIGHT = 0.006
 """Of the grip above the axis of the bowel [m]."""
+POINT_HEIGHT = 0.016
+"""Of the pointing tip above the axis of the bowel [m]."""
 ATTEMPTS = 4
 """Jaws that close on nothing open again, rise, and try deeper, so often."""
 DEEPER, AGAIN = 0.0015, 0.015
@@ -149,7 +151,7 @@ class AssistantExpert(Expert):
         node = int(self.view.number("target"))
         nodes = self.view.point("nodes")
         side = -along(nodes, node) * 0.006  # beside the place, so that the robot gets at it
-        yield from self.move(nodes[node] + 0.018 * UP + side + self._error[0])
+        yield from self.move(nodes[node] + POINT_HEIGHT * UP + side + self._error[0])
         while PHASES.index(self.view.phase) < PHASES.index("grasp"):
             yield
         yield from self.wait(self._reaction[1])
