@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -134,8 +135,9 @@ def test_an_instrument_that_keeps_moving_is_a_failure(session: Session) -> None:
 
 
 def test_unstable_physics_fails_with_the_cause_and_the_next_episode_is_clean(
-    session: Session,
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT where it stands
     clean = play(session, limit=1.2)
 
     def break_it(tick: Tick) -> None:

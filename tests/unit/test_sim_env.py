@@ -105,7 +105,8 @@ def test_policies_score_as_they_should(task: str) -> None:
     if not FULL:
         env.session.task.time_limit = 12.0 if task == "bgr" else 8.0  # type: ignore[misc]
     n = 100 if FULL else 1
-    for policy, low, high in ((still, 0.0, 0.0), (random, 0.0, 0.0), (expert, 0.9, 1.0)):
+    policies = [(still, 0.0, 0.0), (random, 0.0, 0.0), (expert, 0.9, 1.0)]
+    for policy, low, high in policies if FULL or task == "pick_and_place" else policies[::2]:
         env.action_space.seed(0)
         good = sum(play(env, policy, seed)["success"] for seed in seeds.test_seeds(n))
         interval = wilson(good, n)

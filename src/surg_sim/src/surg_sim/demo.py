@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surg_sim import cells, conditions, seeds, tasks
 from surg_sim.arm import TICK
 from surg_sim.episode import EpisodeReport, run_episode
-from surg_sim.render import NoOpenGL, Renderer
+from surg_sim.render import NoOpenGL, Renderer, show_only
 from surg_sim.scene import ENDOSCOPE, OUTSIDE
 from surg_sim.session import LAWS, Session, Tick
 from surg_sim.tasks.base import GRID
@@ -148,8 +148,15 @@ def main(words: Sequence[str] | None = None) -> int:
         session = Session(cell, options.task, options.setting, options.seed, looks, options.law)
         camera = None
         if looks:
+            show_only(session.world.model, lamps=False)
             camera = Renderer(
-                session.world.model, ENDOSCOPE, *options.size, True, [OUTSIDE], session.task.skins
+                session.world.model,
+                ENDOSCOPE,
+                width=options.size[0],
+                height=options.size[1],
+                vignette=True,
+                hidden=[OUTSIDE],
+                skins=session.task.skins,
             )
     except (ValueError, OSError, NoOpenGL) as error:
         hint = "; --no-video needs none" if isinstance(error, NoOpenGL) else ""

@@ -252,11 +252,8 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         state: list[float] = []
         for arm, out in self._tick.outputs.items():
             X_WR, X_WB = self._frames[arm]
-            for p_B, *others in (
-                (out.p_BTip, out.roll, out.jaw),
-                (out.p_set, out.roll_set),
-            ):
-                state += [*into(X_WR, out_of(X_WB, np.asarray(p_B))), *others]
+            state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_BTip))), out.roll, out.jaw]
+            state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_set))), out.roll_set]
         if task.assistant is not None:
             state += [*task.assistant.joints, task.assistant.jaw]
         truth = self._tick.state or task.state()
@@ -281,12 +278,13 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         }
 
     def _picture(self, name: str) -> NDArray[np.uint8]:
-        from surg_sim.render import Renderer
+        from surg_sim.render import Renderer, show_only
 
         if name not in self._eyes:
             from surg_sim.scene import OUTSIDE
 
             session, (width, height) = self.session, self._size
+            show_only(session.world.model, lamps=False)
             self._eyes[name] = Renderer(
                 session.world.model,
                 f"endoscope_{name}",

@@ -27,6 +27,12 @@ ABOVE = 0.030
 """From here the jaws go down to the tissue [m]."""
 GRIP_HEIGHT = 0.006
 """Of the grip above the axis of the bowel [m]."""
+POINT_HEIGHT = 0.016
+"""Of the pointing tip above the axis of the bowel [m]."""
+ATTEMPTS = 4
+"""Jaws that close on nothing open again, rise, and try deeper, so often."""
+DEEPER, AGAIN = 0.0015, 0.015
+"""Each attempt goes so much deeper, and begins so far above [m]."""
 LIFT = 0.020
 """Of both holds [m]."""
 PULL = 1.6 * TAUT
@@ -80,9 +86,15 @@ class RobotExpert(ArmExpert):
         yield from self.move(place + grip - ABOVE * s, 1.0)
         while not self.roll.arrived:
             yield
-        place = self.view.point("nodes")[node]
-        yield from self.move(place + grip, 1.0)
-        yield from self.squeeze(CLOSED, 0.6)
+        for attempt in range(ATTEMPTS):
+            place = self.view.point("nodes")[node]
+            yield from self.move(place + grip - attempt * DEEPER * UP, 1.0)
+            yield from self.squeeze(CLOSED, 0.6)
+            if self.view.number("held") >= 0.0:
+                break
+            yield from self.squeeze(OPEN, 0.3)
+            yield from self.move(place + grip - AGAIN * s, 0.5)
+            grip = grip - 0.5 * self._error  # a second look is a better one
         yield from self.until("retract")
         yield from self.wait(self._reaction)
         yield from self.move(self.view.point("tip") + LIFT * UP, 1.5)
@@ -139,7 +151,7 @@ class AssistantExpert(Expert):
         node = int(self.view.number("target"))
         nodes = self.view.point("nodes")
         side = -along(nodes, node) * 0.006  # beside the place, so that the robot gets at it
-        yield from self.move(nodes[node] + 0.018 * UP + side + self._error[0])
+        yield from self.move(nodes[node] + POINT_HEIGHT * UP + side + self._error[0])
         while PHASES.index(self.view.phase) < PHASES.index("grasp"):
             yield
         yield from self.wait(self._reaction[1])
@@ -156,9 +168,17 @@ class AssistantExpert(Expert):
         while PHASES.index(self.view.phase) < PHASES.index("assist"):
             yield
         yield from self.wait(self._reaction[2])
-        yield from self.move(self.view.point("nodes")[mine] + grip, 1.0)
-        self.jaw = CLOSED
-        yield from self.wait(0.6)
+        for attempt in range(ATTEMPTS):
+            place = self.view.point("nodes")[mine]
+            yield from self.move(place + grip - attempt * DEEPER * UP, 1.0)
+            self.jaw = CLOSED
+            yield from self.wait(0.6)
+            if self.view.number("assistant_held") >= 0.0:
+                break
+            self.jaw = OPEN
+            yield from self.wait(0.3)
+            yield from self.move(place + grip - AGAIN * (self._X[:3, :3] @ s), 0.5)
+            grip = grip - 0.5 * self._error[1]
         while PHASES.index(self.view.phase) < PHASES.index("retract"):
             yield
         yield from self.move(self.view.point("assistant_tip") + LIFT * UP, 1.5)

@@ -42,6 +42,8 @@ ROUND_PEG = 0.005
 """Largest distance of the ring's centre to the peg's axis [m]; the ring's play is 5.5 mm."""
 ON_BOARD = 0.004
 """Largest height of the ring's centre above where it rests [m]."""
+FALLEN = 0.015
+"""A ring so far below the boards has fallen off them [m]."""
 AT_REST = 0.005
 """Largest speed of a ring that lies still [m/s]."""
 SETTLE = 0.5
@@ -173,6 +175,8 @@ class PickAndPlace(Task):
         """Success, dropped, late, or going on."""
         held = self.grasp.held is not None
         phase = "carry" if held else ("release" if self._lifted else "grasp")
+        if self.ring[2] < self._pegs[0][2] - FALLEN:
+            return Verdict(done=True, reason="the ring fell off the boards", phase=phase)
         if self._still * TICK >= SETTLE:
             if self._round(self.goal):
                 return Verdict(done=True, success=True, reward=1.0, phase="done")
