@@ -327,7 +327,7 @@ MUTANTS: tuple[Mutant, ...] = (
     ),
     one(
         "look_ahead_forgets_the_margin",
-        "a profile that ends near a joint's limit leaves its path, or the pivot, in the last moment",
+        "a profile that ends near a limit of a joint leaves its path, or the pivot, at the end",
         "src/look_ahead.cpp",
         "if (left < limits.position_margin + v",
         "if (false && left < limits.position_margin + v",
