@@ -219,6 +219,125 @@ TEST(Surface, HoldEndsTheWayBack) {
   EXPECT_EQ(bench.out().state, State::kEnabled);
 }
 
+/// The guaranteed way out must be there after what may happen on any way: the arm is stopped in the
+/// middle of it, or in full motion, and comes to rest elsewhere than where the trace ended.
+TEST(Surface, TheWayBackOutlivesPausesAndFaults) {
+  enum class Stop { kPausedOnTheWayBack, kPausedInMotion, kLinkLostOnTheWayBack, kHeld };
+  long ways = 0;
+  for (const Law law : {Law::kExact, Law::kVelocity}) {
+    for (const Stop stop : {Stop::kPausedOnTheWayBack, Stop::kPausedInMotion,
+                            Stop::kLinkLostOnTheWayBack, Stop::kHeld}) {
+      Controller::Options options;
+      options.law = law;
+      Bench bench(options);
+      for (int i = 0; i < 10; ++i) bench.tick();
+      const JointVector home = bench.in().q;
+      for (const Vector3& p : {Vector3(0.03, 0.02, 0.14), Vector3(-0.03, 0.02, 0.1)}) {
+        MotionCommand to = command(Motion::kMoveCp);
+        to.p = p;
+        bench.send(to);
+        bench.tick();
+        wait(bench);
+      }
+      if (stop == Stop::kPausedInMotion) {
+        MotionCommand fast = command(Motion::kServoCv);
+        fast.p = Vector3(0.25, 0, 0);
+        for (int i = 0; i < 150; ++i) {
+          bench.send(fast);
+          bench.tick();
+        }
+      } else {
+        bench.send(command(Motion::kRetrace));
+        for (int i = 0; i < 1000; ++i) bench.tick();
+        ASSERT_TRUE(bench.out().busy);
+      }
+      const JointVector before = bench.in().q;
+      StateCommand again = StateCommand::kResume;
+      if (stop == Stop::kHeld) {
+        bench.send(command(Motion::kHold));
+      } else if (stop == Stop::kLinkLostOnTheWayBack) {
+        bench.in().state_valid = false;
+        again = StateCommand::kEnable;
+      } else {
+        bench.controller().pause(Reason::kForce);
+      }
+      for (int i = 0; i < 200; ++i) bench.tick();
+      if (stop == Stop::kPausedInMotion) {
+        EXPECT_GT((bench.in().q - before).cwiseAbs().maxCoeff(), 0.02) << "too slow to tell";
+      }
+      bench.in().state_valid = true;
+      bench.tick();
+      if (stop == Stop::kLinkLostOnTheWayBack) bench.controller().request(StateCommand::kDisable);
+      if (stop != Stop::kHeld) {
+        EXPECT_EQ(bench.controller().request(again), Reason::kNone);
+      }
+      bench.send(command(Motion::kRetrace));  // in the first cycle
+      EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+      EXPECT_EQ(bench.out().reason, Reason::kNone) << name(bench.out().reason);
+      EXPECT_TRUE(bench.out().busy);
+      double pivot = 0;
+      for (int i = 0; i < 30000 && bench.out().busy; ++i) {
+        bench.tick();
+        pivot = std::max(pivot, bench.out().rcm_error);
+      }
+      EXPECT_LT(pivot, 1e-6);
+      EXPECT_LT((bench.in().q - home).cwiseAbs().maxCoeff(), 2e-3);
+      EXPECT_EQ(bench.out().state, State::kEnabled);
+      // Said in the very next cycle as well.
+      bench.send(command(Motion::kRetrace));
+      bench.tick();
+      EXPECT_EQ(bench.out().reason, Reason::kNoTrace);
+      ++ways;
+    }
+  }
+  report("ways back that were stopped", ways);
+}
+
+/// What was gone back is no part of the way out, whatever the trocar has done since: the tip must
+/// not go in again to begin with.
+TEST(Surface, AWayBackThatWasHeldDoesNotLeadInAgain) {
+  Controller::Options options;
+  options.track_rcm = true;
+  Bench bench(options);
+  const Vector3 p_BRcm = bench.out().p_BRcm, across = bench.controller().X_BR().linear().col(0);
+  double at = 0;  // [m] the trocar is pushed aside, by 9 mm in all
+  const auto tick = [&](double speed = 0) {
+    at += kT * speed;
+    bench.in().track_valid = true;
+    bench.in().track_age = 0;
+    bench.in().p_BTrack = p_BRcm + at * across;
+    bench.in().v_BTrack = speed * across;
+    bench.tick();
+  };
+  const auto rest = [&] {
+    for (int i = 0; i < 20000 && bench.out().busy; ++i) tick();
+  };
+  tick();
+  MotionCommand to = command(Motion::kMoveCp);
+  to.p = Vector3(0, 0, 0.2);
+  bench.send(to);
+  tick();
+  rest();
+  bench.send(command(Motion::kRetrace));
+  for (int i = 0; i < 600; ++i) tick(0.0075);
+  ASSERT_TRUE(bench.out().busy) << name(bench.out().reason);
+  bench.send(command(Motion::kHold));
+  for (int i = 0; i < 200; ++i) tick();
+  const double depth = bench.out().depth;
+  EXPECT_LT(depth, 0.19);
+  EXPECT_GT(depth, 0.13);
+  bench.send(command(Motion::kRetrace));
+  double deepest = 0;
+  tick();
+  for (int i = 0; i < 30000 && bench.out().busy; ++i) {
+    tick();
+    deepest = std::max(deepest, bench.out().depth);
+  }
+  EXPECT_EQ(bench.out().state, State::kEnabled);
+  EXPECT_LT(deepest, depth + 0.002);
+  EXPECT_LT(bench.out().depth, 0.13);  // where it began, seen from the trocar's new place
+}
+
 /// Trocar that breathes: 5 mm at 0.25 Hz across the shaft.
 struct Breathing {
   Vector3 p0, across;
