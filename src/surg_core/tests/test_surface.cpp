@@ -387,6 +387,40 @@ TEST(Surface, AMovingTrocarIsFollowedThoughItsSamplesAreStale) {
   EXPECT_LT(aware.tip, unaware.tip + 20e-6);  // the tip does not sway with its trocar
 }
 
+/// A tracker that is switched on in the middle of a breath: faster within a cycle than the joints
+/// can be. The tip, which shall stand still, comes back at once.
+TEST(Surface, ATrocarThatSetsOutAtOnceIsCaughtUpWith) {
+  Random random(23);
+  const int n = family(12, 300);
+  double worst_tip = 0;
+  long off_path = 0;
+  for (int run = 0; run < n; ++run) {
+    Controller::Options options;
+    options.track_rcm = true;
+    Bench bench(options);
+    const Vector3 p_BRcm = bench.out().p_BRcm, p_BTip = bench.out().p_BTip;
+    const double around = random.uniform(-M_PI, M_PI), speed = random.uniform(0.002, 0.012);
+    const Vector3 v = bench.controller().X_BR().linear() *
+                      Vector3(speed * std::cos(around), speed * std::sin(around), 0);
+    const int cycles = static_cast<int>(0.009 / speed / kT);
+    for (int i = 1; i <= cycles; ++i) {
+      bench.in().track_valid = true;
+      bench.in().p_BTrack = p_BRcm + i * kT * v;
+      bench.in().v_BTrack = v;
+      bench.tick();
+      ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
+      off_path += bench.out().tier > 0;
+      worst_tip = std::max(worst_tip, (bench.out().p_BTip - p_BTip).norm());
+    }
+    ASSERT_EQ(bench.out().tier, 0);
+    ASSERT_LT((bench.out().p_BTip - p_BTip).norm(), 2e-4);
+  }
+  EXPECT_GT(off_path, 0) << "too slow to tell";
+  EXPECT_LT(worst_tip, 5e-4);
+  std::printf("[   count  ] %d trocars, %ld cycles off the path, tip %.0f um\n", n, off_path,
+              worst_tip * 1e6);
+}
+
 TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
   struct Case {
     Vector3 offset, velocity;
