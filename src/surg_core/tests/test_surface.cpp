@@ -508,6 +508,30 @@ TEST(Surface, TheJawIsBusyUntilItIsThereAndMovesOnCommandOnly) {  // F31
   EXPECT_LT((bench.tip_in_R() - at).norm(), 1e-5);
 }
 
+TEST(Surface, AJawThatNobodyHasSeenIsNotBusyForEver) {
+  const RobotConfig robot = Bench::robot_with_lag(0);
+  Controller controller(test::ur5e_chain(), robot, robot.limits, test::instrument(),
+                        test::offset_tool(), {});
+  Inputs in;
+  in.state_valid = true;
+  in.q = robot.home;
+  in.qd = JointVector::Zero(6);
+  in.jaw = std::nan("");
+  const Pose X_BF = test::ur5e_chain().forward(in.q);
+  controller.set_rcm(X_BF * test::offset_tool().p_FTip - 0.12 * X_BF.linear().col(2));
+  controller.step(in);
+  EXPECT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
+  EXPECT_EQ(controller.request(StateCommand::kEnable), Reason::kNone);
+  for (int i = 0; i < 10; ++i) controller.step(in);
+  in.commands[0] = command(Motion::kJawMoveJp);
+  in.n_commands = 1;
+  EXPECT_TRUE(controller.step(in).busy);
+  in.n_commands = 0;
+  int n = 0;
+  while (controller.step(in).busy && n < 1000) ++n;
+  EXPECT_NEAR(n * kT, 0.5, 0.01);
+}
+
 /// Drives the tip along x against a spring wall at 5 mm; N per metre beyond.
 struct Wall {
   double stiffness;
