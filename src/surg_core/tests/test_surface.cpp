@@ -431,6 +431,7 @@ TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
   const Case cases[] = {
       {{0.0101, 0, 0}, {0, 0, 0}, 0, State::kFault, Reason::kRcmError},
       {{0, 0, 0}, {0, 0.021, 0}, 0, State::kFault, Reason::kRcmError},
+      {{0, 0, 0}, {0, 1e308, 0}, 0, State::kFault, Reason::kRcmError},
       {{0, 0, 0}, {0, NAN, 0}, 0, State::kFault, Reason::kNotFinite},
       {{0, 0, 0}, {0, 0, 0}, 0.101, State::kPaused, Reason::kTrackStale},
       {{0, 0, 0}, {0, 0, 0}, NAN, State::kFault, Reason::kNotFinite},
@@ -439,14 +440,25 @@ TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
     Controller::Options options;
     options.track_rcm = true;
     Bench bench(options);
-    bench.in().track_valid = true;
-    bench.in().track_age = c.age;
-    bench.in().p_BTrack = bench.out().p_BRcm + c.offset;
-    bench.in().v_BTrack = c.velocity;
-    bench.tick();
+    const Vector3 p_BRcm = bench.out().p_BRcm;
+    const auto track = [&](const Vector3& p, const Vector3& v, double age) {
+      bench.in().track_valid = true;
+      bench.in().track_age = age;
+      bench.in().p_BTrack = p;
+      bench.in().v_BTrack = v;
+      bench.tick();
+    };
+    for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0);
+    track(p_BRcm + c.offset, c.velocity, c.age);
     EXPECT_EQ(bench.out().state, c.state);
     EXPECT_EQ(bench.out().reason, c.reason) << name(bench.out().reason);
     EXPECT_TRUE(bench.out().qd_command.allFinite());
+    // Good samples count again, whatever came before.
+    for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0.001);
+    bench.controller().request(StateCommand::kDisable);
+    EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kNone);
+    for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0.001);
+    EXPECT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
   }
 }
 
