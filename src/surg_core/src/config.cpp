@@ -502,8 +502,8 @@ std::string limits_hash(const RobotConfig& robot, const Limits& limits) {
   };
   for (const auto& key : kLimitKeys) mix(limits.*key.member);
   for (const auto& key : kTuningKeys) mix(robot.tuning.*key.member);
-  for (const JointVector* values :
-       {&robot.position_min, &robot.position_max, &robot.velocity, &robot.acceleration}) {
+  for (const JointVector* values : {&robot.home, &robot.position_min, &robot.position_max,
+                                    &robot.velocity, &robot.acceleration}) {
     for (int i = 0; i < values->size(); ++i) mix((*values)[i]);
   }
   char text[17];

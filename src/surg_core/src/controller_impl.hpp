@@ -119,6 +119,8 @@ struct Controller::Impl {
   Step exact_step(const Setpoint& next, JointVector& qd);
   /// Velocity form and the paper's law: from the measured state, where the command will find it.
   Step velocity_step(const Setpoint& next, JointVector& qd) const;
+  /// 'retrace' has ended, or something ended it: the trace leads on from where it has gone back to.
+  void end_replay();
   /// Back along the trace, once the motion before has come to rest; the set-point goes along.
   Step retrace_step(JointVector& qd);
   TwistWish wish_for(const Setpoint& next) const;

@@ -86,10 +86,15 @@ Step Controller::Impl::next_step(const Setpoint& next, JointVector& qd) {
   if (pilot.retracing() && pilot.setpoint().mode() == Setpoint::Mode::kRest) {
     return retrace_step(qd);
   }
+  end_replay();
+  trace.record(law == Law::kExact ? follower.reference() : arm.now().q);
+  return law == Law::kExact ? exact_step(next, qd) : velocity_step(next, qd);
+}
+
+void Controller::Impl::end_replay() {
+  trace.shorten(back);
   back = 0;
   replaying = false;
-  if (enabled()) trace.record(law == Law::kExact ? follower.reference() : arm.now().q);
-  return law == Law::kExact ? exact_step(next, qd) : velocity_step(next, qd);
 }
 
 Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
@@ -148,6 +153,7 @@ Step Controller::Impl::retrace_step(JointVector& qd) {
     if (back < kStill) out.reason = Reason::kNoTrace;
     pilot.end_retrace();
     trace.clear();
+    back = 0;
   }
   return step;
 }

@@ -94,6 +94,7 @@ void Controller::Impl::start_here() {
   pilot.start(whereabouts());
   halted = false;
   follower.reset(arm.now().q, qd_last);
+  end_replay();
   const bool moved = !trace.empty() && (trace.at(0) - arm.now().q).cwiseAbs().maxCoeff() > kSame;
   if (moved) trace.clear();  // by hand: the way back begins elsewhere
   pivot_offset = -shaft().e;

@@ -8,7 +8,7 @@ namespace surg {
 namespace {
 
 constexpr double kArrived = 0.02;      // [rad]
-constexpr double kArriveWithin = 0.5;  // [s] a jaw that holds tissue never gets there
+constexpr double kArriveWithin = 0.5;  // [s] a jaw that holds tissue, or unseen, never gets there
 constexpr double kEdge = 0.01;         // [s] 'busy' lasts, so that a client can see it
 constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
 
@@ -42,10 +42,13 @@ void Jaw::hold() {
 }
 
 void Jaw::advance(bool may_move) {
-  if (!may_move || !std::isfinite(set_)) return;
-  const double most = velocity_ * dt_;
-  set_ += std::clamp(goal_ - set_, -most, most);
-  if (!busy_ || set_ != goal_) return;
+  if (!may_move) return;
+  const bool seen = std::isfinite(set_);
+  if (seen) {
+    const double most = velocity_ * dt_;
+    set_ += std::clamp(goal_ - set_, -most, most);
+  }
+  if (!busy_ || (seen && set_ != goal_)) return;
   settle_ += dt_;
   const bool arrived = std::abs(measured_ - set_) <= kArrived && settle_ > kEdge;
   if (arrived || settle_ > kArriveWithin) busy_ = false;

@@ -31,6 +31,14 @@ void JointTrace::record(const JointVector& q) {
   ahead_ = 0;
 }
 
+void JointTrace::shorten(double s) {
+  if (n_ == 0 || !(s > 0)) return;
+  newest_ = at(s);
+  const double left = std::max(length() - s, 0.0);
+  while (n_ > 1 && arc_[n_ - 1] > left) --n_;
+  ahead_ = (newest_ - points_[n_ - 1]).cwiseAbs().maxCoeff();
+}
+
 /// Back where it has been before: what lies between is no part of the way out. Whole working
 /// sessions in one place so keep a short, fine trace.
 bool JointTrace::cut_loop(const JointVector& q) {

@@ -220,9 +220,10 @@ bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, 
 }
 
 /// Second tier: the pivot's rows stay exact, the tip as near to the path as the joints can. All
-/// joints brake together, so that the tip stays near its tangent; from rest the path is tried
-/// again. Where the step on the path is too fast for the flange, only as much braking as that
-/// takes. Third: brake, as near to the pivot as may be.
+/// joints brake together, so that the tip stays near its tangent, down to what a moving trocar
+/// takes of them: braked to zero in every cycle they would never be fast enough for the path, that
+/// moves along, to be reached again. Where the step on the path is too fast for the flange, only as
+/// much braking as that takes. Third: brake, as near to the pivot as may be.
 void LimitedStep::off_path(const Law& law, const Here& here, const Affine& affine, const Box& box,
                            const Cap& cap, bool too_fast, Step& step) const {
   step.tier = 1;
@@ -230,7 +231,10 @@ void LimitedStep::off_path(const Law& law, const Here& here, const Affine& affin
   step.limited_by = !affine.regular ? "singularity"
                     : too_fast      ? "flange_velocity"
                                     : "joint_acceleration";
-  JointVector wanted = braked_together(here.qd_last, limits_.acceleration, T_);
+  JointVector still = JointVector::Zero(here.q.size());  // what the set-point at rest asks for
+  if (affine.regular) still = affine.qd0;
+  if (affine.regular && affine.returning) still -= affine.back;
+  JointVector wanted = still + braked_together(here.qd_last - still, limits_.acceleration, T_);
   if (too_fast) wanted = slowed_flange(here.J, here.flange_velocity, step.qd, wanted);
   if (on_rows(law, box, wanted, step.qd)) return;
   step.tier = 2;

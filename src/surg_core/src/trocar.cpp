@@ -27,6 +27,11 @@ Reason Trocar::track(const TrackSample& sample, double dt) {
     seen_ = false;
     return Reason::kTrackStale;
   }
+  if (!(sample.v.norm() <= kSpeed)) {  // before it gets into the acceleration, and stays there
+    v_.setZero();
+    seen_ = false;
+    return Reason::kRcmError;
+  }
   since_ += dt + age_ - sample.age;  // by how much the time of the sample has moved on
   age_ = sample.age;
   if (!seen_) {
@@ -40,7 +45,7 @@ Reason Trocar::track(const TrackSample& sample, double dt) {
     since_ = 0;
   }
   const Vector3 p = sample.p + sample.age * (sample.v + 0.5 * sample.age * a_);
-  if (!((p - p_taught_).norm() <= kRange) || !(sample.v.norm() <= kSpeed)) {
+  if (!((p - p_taught_).norm() <= kRange)) {
     v_.setZero();
     return Reason::kRcmError;
   }

@@ -711,6 +711,8 @@ class Run {
                        before_.state == State::kEnabled && out.scale == 1 && out.tier == 0 &&
                        !blind_ && at_.depth > robot_.limits.depth_slow + 1e-4 && !axial_ &&
                        out.motion != Motion::kRetrace;
+    // After a limit the pivot is put right first, and the tip pays for it.
+    limited_ago_ = out.scale < 1 || out.tier > 0 || called_ ? 0 : limited_ago_ + 1;
     if (in.tip_force.valid && in.tip_force.f_B.norm() > robot_.limits.tip_force_soft) {
       const double into = -at_.v_tip.dot(in.tip_force.f_B.normalized());
       if (!plain) return {};
@@ -721,8 +723,6 @@ class Run {
       }
       return {};
     }
-    // After a limit the pivot is put right first, and the tip pays for it.
-    limited_ago_ = out.scale < 1 || out.tier > 0 || called_ ? 0 : limited_ago_ + 1;
     if (!plain || limited_ago_ < 100) return {};
     const Vector3 error = before_.p_set - at_.p_tip, rest = at_.v_tip - out.v_set;
     const double size = error.squaredNorm();

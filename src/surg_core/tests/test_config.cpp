@@ -194,6 +194,12 @@ TEST(Config, HashSeesEveryLimit) {
   RobotConfig faster = robot;
   faster.velocity[3] = 2.9;
   EXPECT_NE(before, limits_hash(faster, robot.limits));
+  RobotConfig elsewhere = robot;  // seven joints are pulled there
+  elsewhere.home[0] += 1e-9;
+  EXPECT_NE(before, limits_hash(elsewhere, robot.limits));
+  RobotConfig later = robot;
+  later.tuning.stream_delay += 1e-3;
+  EXPECT_NE(before, limits_hash(later, robot.limits));
 }
 
 }  // namespace

@@ -79,6 +79,33 @@ TEST(JointTrace, IsContinuousWithItsSlope) {
   EXPECT_LT(bend, 0.05) << "a corner";
 }
 
+TEST(JointTrace, ShortenedItEndsWhereItHasGoneBackTo) {
+  Random random(3);
+  const int n = test::family(300, 10000);
+  for (int run = 0; run < n; ++run) {
+    JointTrace whole;
+    const double seconds = random.uniform(0, 20);
+    for (double t = 0; t <= seconds; t += kT) whole.record(wave(t));
+    const double length = whole.length();
+    const double s = run % 10 == 0 ? length : random.uniform(-0.1, 1.1) * length;
+    const double gone = std::clamp(s, 0.0, length);
+    JointTrace trace = whole;
+    trace.shorten(s);
+    ASSERT_FALSE(trace.empty());
+    ASSERT_LT((trace.at(0) - whole.at(gone)).norm(), 1e-9);
+    ASSERT_LT((trace.at(1e9) - wave(0)).norm(), 1e-12);
+    // The arc to a point between two counts its largest joint's way, the curve's own is another.
+    ASSERT_NEAR(trace.length(), length - gone, 2 * JointTrace::kSpacing);
+    // From there it goes on like any other.
+    trace.record(whole.at(gone));
+    ASSERT_LT((trace.at(0) - whole.at(gone)).norm(), 1e-9);
+  }
+  JointTrace none;
+  none.shorten(1);
+  EXPECT_TRUE(none.empty());
+  test::report("shortened traces", n);
+}
+
 TEST(JointTrace, OfAnArmThatStoodStillIsAPoint) {
   JointTrace trace;
   const JointVector q = wave(1);

@@ -219,6 +219,125 @@ TEST(Surface, HoldEndsTheWayBack) {
   EXPECT_EQ(bench.out().state, State::kEnabled);
 }
 
+/// The guaranteed way out must be there after what may happen on any way: the arm is stopped in the
+/// middle of it, or in full motion, and comes to rest elsewhere than where the trace ended.
+TEST(Surface, TheWayBackOutlivesPausesAndFaults) {
+  enum class Stop { kPausedOnTheWayBack, kPausedInMotion, kLinkLostOnTheWayBack, kHeld };
+  long ways = 0;
+  for (const Law law : {Law::kExact, Law::kVelocity}) {
+    for (const Stop stop : {Stop::kPausedOnTheWayBack, Stop::kPausedInMotion,
+                            Stop::kLinkLostOnTheWayBack, Stop::kHeld}) {
+      Controller::Options options;
+      options.law = law;
+      Bench bench(options);
+      for (int i = 0; i < 10; ++i) bench.tick();
+      const JointVector home = bench.in().q;
+      for (const Vector3& p : {Vector3(0.03, 0.02, 0.14), Vector3(-0.03, 0.02, 0.1)}) {
+        MotionCommand to = command(Motion::kMoveCp);
+        to.p = p;
+        bench.send(to);
+        bench.tick();
+        wait(bench);
+      }
+      if (stop == Stop::kPausedInMotion) {
+        MotionCommand fast = command(Motion::kServoCv);
+        fast.p = Vector3(0.25, 0, 0);
+        for (int i = 0; i < 150; ++i) {
+          bench.send(fast);
+          bench.tick();
+        }
+      } else {
+        bench.send(command(Motion::kRetrace));
+        for (int i = 0; i < 1000; ++i) bench.tick();
+        ASSERT_TRUE(bench.out().busy);
+      }
+      const JointVector before = bench.in().q;
+      StateCommand again = StateCommand::kResume;
+      if (stop == Stop::kHeld) {
+        bench.send(command(Motion::kHold));
+      } else if (stop == Stop::kLinkLostOnTheWayBack) {
+        bench.in().state_valid = false;
+        again = StateCommand::kEnable;
+      } else {
+        bench.controller().pause(Reason::kForce);
+      }
+      for (int i = 0; i < 200; ++i) bench.tick();
+      if (stop == Stop::kPausedInMotion) {
+        EXPECT_GT((bench.in().q - before).cwiseAbs().maxCoeff(), 0.02) << "too slow to tell";
+      }
+      bench.in().state_valid = true;
+      bench.tick();
+      if (stop == Stop::kLinkLostOnTheWayBack) bench.controller().request(StateCommand::kDisable);
+      if (stop != Stop::kHeld) {
+        EXPECT_EQ(bench.controller().request(again), Reason::kNone);
+      }
+      bench.send(command(Motion::kRetrace));  // in the first cycle
+      EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
+      EXPECT_EQ(bench.out().reason, Reason::kNone) << name(bench.out().reason);
+      EXPECT_TRUE(bench.out().busy);
+      double pivot = 0;
+      for (int i = 0; i < 30000 && bench.out().busy; ++i) {
+        bench.tick();
+        pivot = std::max(pivot, bench.out().rcm_error);
+      }
+      EXPECT_LT(pivot, 1e-6);
+      EXPECT_LT((bench.in().q - home).cwiseAbs().maxCoeff(), 2e-3);
+      EXPECT_EQ(bench.out().state, State::kEnabled);
+      // Said in the very next cycle as well.
+      bench.send(command(Motion::kRetrace));
+      bench.tick();
+      EXPECT_EQ(bench.out().reason, Reason::kNoTrace);
+      ++ways;
+    }
+  }
+  report("ways back that were stopped", ways);
+}
+
+/// What was gone back is no part of the way out, whatever the trocar has done since: the tip must
+/// not go in again to begin with.
+TEST(Surface, AWayBackThatWasHeldDoesNotLeadInAgain) {
+  Controller::Options options;
+  options.track_rcm = true;
+  Bench bench(options);
+  const Vector3 p_BRcm = bench.out().p_BRcm, across = bench.controller().X_BR().linear().col(0);
+  double at = 0;  // [m] the trocar is pushed aside, by 9 mm in all
+  const auto tick = [&](double speed = 0) {
+    at += kT * speed;
+    bench.in().track_valid = true;
+    bench.in().track_age = 0;
+    bench.in().p_BTrack = p_BRcm + at * across;
+    bench.in().v_BTrack = speed * across;
+    bench.tick();
+  };
+  const auto rest = [&] {
+    for (int i = 0; i < 20000 && bench.out().busy; ++i) tick();
+  };
+  tick();
+  MotionCommand to = command(Motion::kMoveCp);
+  to.p = Vector3(0, 0, 0.2);
+  bench.send(to);
+  tick();
+  rest();
+  bench.send(command(Motion::kRetrace));
+  for (int i = 0; i < 600; ++i) tick(0.0075);
+  ASSERT_TRUE(bench.out().busy) << name(bench.out().reason);
+  bench.send(command(Motion::kHold));
+  for (int i = 0; i < 200; ++i) tick();
+  const double depth = bench.out().depth;
+  EXPECT_LT(depth, 0.19);
+  EXPECT_GT(depth, 0.13);
+  bench.send(command(Motion::kRetrace));
+  double deepest = 0;
+  tick();
+  for (int i = 0; i < 30000 && bench.out().busy; ++i) {
+    tick();
+    deepest = std::max(deepest, bench.out().depth);
+  }
+  EXPECT_EQ(bench.out().state, State::kEnabled);
+  EXPECT_LT(deepest, depth + 0.002);
+  EXPECT_LT(bench.out().depth, 0.13);  // where it began, seen from the trocar's new place
+}
+
 /// Trocar that breathes: 5 mm at 0.25 Hz across the shaft.
 struct Breathing {
   Vector3 p0, across;
@@ -268,6 +387,40 @@ TEST(Surface, AMovingTrocarIsFollowedThoughItsSamplesAreStale) {
   EXPECT_LT(aware.tip, unaware.tip + 20e-6);  // the tip does not sway with its trocar
 }
 
+/// A tracker that is switched on in the middle of a breath: faster within a cycle than the joints
+/// can be. The tip, which shall stand still, comes back at once.
+TEST(Surface, ATrocarThatSetsOutAtOnceIsCaughtUpWith) {
+  Random random(23);
+  const int n = family(12, 300);
+  double worst_tip = 0;
+  long off_path = 0;
+  for (int run = 0; run < n; ++run) {
+    Controller::Options options;
+    options.track_rcm = true;
+    Bench bench(options);
+    const Vector3 p_BRcm = bench.out().p_BRcm, p_BTip = bench.out().p_BTip;
+    const double around = random.uniform(-M_PI, M_PI), speed = random.uniform(0.002, 0.012);
+    const Vector3 v = bench.controller().X_BR().linear() *
+                      Vector3(speed * std::cos(around), speed * std::sin(around), 0);
+    const int cycles = static_cast<int>(0.009 / speed / kT);
+    for (int i = 1; i <= cycles; ++i) {
+      bench.in().track_valid = true;
+      bench.in().p_BTrack = p_BRcm + i * kT * v;
+      bench.in().v_BTrack = v;
+      bench.tick();
+      ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
+      off_path += bench.out().tier > 0;
+      worst_tip = std::max(worst_tip, (bench.out().p_BTip - p_BTip).norm());
+    }
+    ASSERT_EQ(bench.out().tier, 0);
+    ASSERT_LT((bench.out().p_BTip - p_BTip).norm(), 2e-4);
+  }
+  EXPECT_GT(off_path, 0) << "too slow to tell";
+  EXPECT_LT(worst_tip, 5e-4);
+  std::printf("[   count  ] %d trocars, %ld cycles off the path, tip %.0f um\n", n, off_path,
+              worst_tip * 1e6);
+}
+
 TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
   struct Case {
     Vector3 offset, velocity;
@@ -278,6 +431,7 @@ TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
   const Case cases[] = {
       {{0.0101, 0, 0}, {0, 0, 0}, 0, State::kFault, Reason::kRcmError},
       {{0, 0, 0}, {0, 0.021, 0}, 0, State::kFault, Reason::kRcmError},
+      {{0, 0, 0}, {0, 1e308, 0}, 0, State::kFault, Reason::kRcmError},
       {{0, 0, 0}, {0, NAN, 0}, 0, State::kFault, Reason::kNotFinite},
       {{0, 0, 0}, {0, 0, 0}, 0.101, State::kPaused, Reason::kTrackStale},
       {{0, 0, 0}, {0, 0, 0}, NAN, State::kFault, Reason::kNotFinite},
@@ -286,14 +440,25 @@ TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
     Controller::Options options;
     options.track_rcm = true;
     Bench bench(options);
-    bench.in().track_valid = true;
-    bench.in().track_age = c.age;
-    bench.in().p_BTrack = bench.out().p_BRcm + c.offset;
-    bench.in().v_BTrack = c.velocity;
-    bench.tick();
+    const Vector3 p_BRcm = bench.out().p_BRcm;
+    const auto track = [&](const Vector3& p, const Vector3& v, double age) {
+      bench.in().track_valid = true;
+      bench.in().track_age = age;
+      bench.in().p_BTrack = p;
+      bench.in().v_BTrack = v;
+      bench.tick();
+    };
+    for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0);
+    track(p_BRcm + c.offset, c.velocity, c.age);
     EXPECT_EQ(bench.out().state, c.state);
     EXPECT_EQ(bench.out().reason, c.reason) << name(bench.out().reason);
     EXPECT_TRUE(bench.out().qd_command.allFinite());
+    // Good samples count again, whatever came before.
+    for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0.001);
+    bench.controller().request(StateCommand::kDisable);
+    EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kNone);
+    for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0.001);
+    EXPECT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
   }
 }
 
@@ -353,6 +518,30 @@ TEST(Surface, TheJawIsBusyUntilItIsThereAndMovesOnCommandOnly) {  // F31
   for (int i = 0; i < 300; ++i) bench.tick();
   EXPECT_EQ(bench.out().jaw_set, jaw);
   EXPECT_LT((bench.tip_in_R() - at).norm(), 1e-5);
+}
+
+TEST(Surface, AJawThatNobodyHasSeenIsNotBusyForEver) {
+  const RobotConfig robot = Bench::robot_with_lag(0);
+  Controller controller(test::ur5e_chain(), robot, robot.limits, test::instrument(),
+                        test::offset_tool(), {});
+  Inputs in;
+  in.state_valid = true;
+  in.q = robot.home;
+  in.qd = JointVector::Zero(6);
+  in.jaw = std::nan("");
+  const Pose X_BF = test::ur5e_chain().forward(in.q);
+  controller.set_rcm(X_BF * test::offset_tool().p_FTip - 0.12 * X_BF.linear().col(2));
+  controller.step(in);
+  EXPECT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
+  EXPECT_EQ(controller.request(StateCommand::kEnable), Reason::kNone);
+  for (int i = 0; i < 10; ++i) controller.step(in);
+  in.commands[0] = command(Motion::kJawMoveJp);
+  in.n_commands = 1;
+  EXPECT_TRUE(controller.step(in).busy);
+  in.n_commands = 0;
+  int n = 0;
+  while (controller.step(in).busy && n < 1000) ++n;
+  EXPECT_NEAR(n * kT, 0.5, 0.01);
 }
 
 /// Drives the tip along x against a spring wall at 5 mm; N per metre beyond.

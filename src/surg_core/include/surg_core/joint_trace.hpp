@@ -20,6 +20,8 @@ class JointTrace {
   void clear();
   /// Where the joints are now [rad]; once a cycle.
   void record(const JointVector& q);
+  /// The newest 's' [rad] have been gone back, and are no part of the way out any more.
+  void shorten(double s);
 
   bool empty() const { return n_ == 0; }
   int size() const { return n_; }

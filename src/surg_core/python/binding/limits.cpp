@@ -94,6 +94,8 @@ void bind_parts(py::module_& m) {
             trace.record(to_joints(q, joints_of(q, "q"), "q"));
           },
           py::arg("q"), "Where the joints are now (n,) [rad]; once a cycle.")
+      .def("shorten", &JointTrace::shorten, py::arg("s"),
+           "The newest s [rad] have been gone back, and are no part of the way out any more.")
       .def_property_readonly("length", &JointTrace::length, "Length of the way back [rad].")
       .def("__len__", &JointTrace::size)
       .def(
