@@ -321,9 +321,16 @@ bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters)
   for (int k = 1; k <= kPlaces; ++k) {
     std::array<double, 3> x;
     for (int i = 0; i < 3; ++i) x[i] = stops[i].at(duration * k / kPlaces).x;
-    if (further_out(tip_of(x[0], x[1], x[2]))) return true;
+    if (leads_out(tip_of(x[0], x[1], x[2]))) return true;
   }
   return false;
+}
+
+/// Whether the way to a point of the rcm frame leads out of the workspace. Near the trocar the
+/// sideways part is taken out of it (hinder), and what would lead past the trocar leads into it.
+bool Setpoint::leads_out(const Vector3& to) const {
+  const Vector3 p = p_RTip(), s = s_R();
+  return further_out(to) || further_out(p + s * s.dot(to - p));
 }
 
 void Setpoint::advance_velocity(double dt) {
@@ -331,7 +338,7 @@ void Setpoint::advance_velocity(double dt) {
   // where the wish itself leads further out. Motion back in is never hindered.
   const Vector3 p = p_RTip(), v = v_RTip();
   const double stop_time = v.norm() / (2 * limits_.stop_deceleration) + 2 * dt;
-  if (further_out(p + stop_time * v)) {
+  if (leads_out(p + stop_time * v)) {
     at_wall_ = true;
     stop();
     advance_stopping(dt);

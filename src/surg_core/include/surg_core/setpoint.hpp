@@ -110,6 +110,7 @@ class Setpoint {
   bool plan_leaves_workspace() const;
   void hinder(const Vector3& p_before);
   bool stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const;
+  bool leads_out(const Vector3& to) const;
   bool further_out(const Vector3& p_RTip) const;
   std::array<DofLimits, 4> dof_limits(Space space) const;
 
