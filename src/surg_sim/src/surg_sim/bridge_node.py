@@ -383,6 +383,7 @@ class Bridge:
 
     def _unconnected(self) -> list[str]:
         missing = [sentence for arm in self._arms for sentence in arm.unconnected()]
+        missing += [] if self._task is None else self._task.unconnected()
         expected = len(self._settings.participants) + len(self._settings.observers)
         here = self._ready.get_num_connections() - (self._tracker is not None)  # itself
         if here < expected:

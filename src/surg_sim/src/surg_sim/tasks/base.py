@@ -146,6 +146,14 @@ class Task(ABC):
     def state(self) -> State:
         """Ground truth now; the same names and shapes at every call."""
 
+    def jaw_force(self, arm: str) -> Array | None:
+        """Force of the task's things on the jaws of an arm now, world [N], (3,); None: no sensor.
+
+        Whether there is one must not change. Robots with a force limit at the tip stop by it.
+        """
+        del arm
+        return None
+
     @abstractmethod
     def verdict(self) -> Verdict:
         """How the episode stands now."""

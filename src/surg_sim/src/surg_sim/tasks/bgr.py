@@ -124,6 +124,10 @@ class Bgr(Task):
         """The robot's tip in the world [m], (3,)."""
         return np.array(self._data.xpos[self._tip_body])
 
+    def jaw_force(self, arm: str) -> Array | None:
+        """Of the tissue on the robot's jaws."""
+        return self.grasps[ROBOT].force if arm == ROBOT else None
+
     def held(self, who: str) -> int | None:
         """The node that an instrument holds."""
         return self.grasps[who].held
