@@ -27,9 +27,9 @@ STEPS = ("point", "grasp", "assist", "retract")
 SHEET = "tasks"
 ROOM = "bgr_room"
 
-_LOOK_AT, _NARROW = (-0.16, -0.04, 0.14), 21.0  # [m] patient axes, [deg]
-_INSIDE, _OUTSIDE = (640, 480), (1280, 720)
-_CELL = (480, 360)  # [px] of one picture of the sheet
+_LOOK_AT, _NARROW = (-0.30, -0.05, 0.19), 31.0  # [m] patient axes, [deg]
+_INSIDE, _OUTSIDE = (520, 390), (1200, 675)
+_CELL = (376, 282)  # [px] of one picture of the sheet
 _GAP = 8  # [px]
 
 

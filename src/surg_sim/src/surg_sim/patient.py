@@ -151,18 +151,18 @@ def _body(x: Array, y: Array) -> Array:
     return np.asarray(hip * trunk + (1 - hip) * legs)
 
 
-def draw_cannula(wall: mujoco.MjsBody, axis: Array, bore: float = 0.0045) -> None:
+def draw_cannula(sleeve: mujoco.MjsBody, axis: Array, bore: float = 0.0045) -> None:
     """Draw a cannula on a body whose origin is the trocar point.
 
     Args:
-        wall: The body.
+        sleeve: The body.
         axis: Unit vector into the patient, in the body's axes, (3,).
         bore: Outer radius of its tube [m].
     """
 
     def ring(start: float, end: float, radius: float, material: str) -> None:
         add_seen(
-            wall,
+            sleeve,
             mujoco.mjtGeom.mjGEOM_CYLINDER,
             material,
             fromto=[*(start * axis), *(end * axis)],

@@ -67,6 +67,7 @@ class PickAndPlace(Task):
     def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
         """The arm must be there and have jaws."""
         super().prepare(cell, condition)
+        self.need_jaws(cell, ARM)
         self._tip = cell.arms[ARM].instrument.tip_link
 
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
