@@ -39,6 +39,51 @@ def play(
     return run_episode(session, SEED, experts, watch)
 
 
+def test_the_jaws_feel_the_tissue_below_the_limits(session: Session) -> None:
+    """What reaches the force guard is the tissue's force, turned into the arm's base frame."""
+    felt: list[float] = []
+    task = session.task
+    assert isinstance(task, bgr.Bgr)
+    R_WB = np.asarray(session.cell.arms["PSM1"].X_WB)[:3, :3]
+
+    def watch(tick: Tick) -> None:
+        force = session.world.tip_force("PSM1")
+        assert force is not None
+        assert np.allclose(R_WB @ force, task.grasps["PSM1"].force, atol=1e-12)
+        felt.append(float(np.linalg.norm(force)))
+
+    report = play(session, watch=watch)
+    print(f"largest force on the jaws {max(felt):.2f} N")
+    assert report.success, report.reason
+    assert bgr.TAUT < max(felt) < session.cell.arms["PSM1"].limits.tip_force_soft
+
+
+@pytest.mark.parametrize(
+    ("force", "state", "cycles"), [(4.9, 1, 0), (6.0, 2, 51), (9.0, 3, 1), (np.nan, 3, 1)]
+)
+def test_a_force_on_the_jaws_stops_the_arm(
+    session: Session, monkeypatch: pytest.MonkeyPatch, force: float, state: int, cycles: int
+) -> None:
+    """F25: 6 N pauses after 0.1 s, 9 N and nonsense stop at once, 4.9 N is allowed.
+
+    The sample of tick k, every fifth, counts from cycle k + 1 on.
+    """
+    begin = 1000  # it is enabled and under way by then
+    monkeypatch.setattr(
+        session.task,
+        "jaw_force",
+        lambda arm: np.array([0.0, 0.0, force if session.world.tick >= begin else 0.0]),
+    )
+    states: list[int] = []
+    play(session, limit=3.0, watch=lambda tick: states.append(int(tick.outputs["PSM1"].state)))
+    assert states[begin - 1] == 1, "ENABLED in the cycle that the first sample follows"
+    changes = [k for k in range(begin, len(states)) if states[k] != 1]
+    if cycles == 0:
+        assert not changes
+    else:
+        assert (changes[0] - begin + 1, states[changes[0]]) == (cycles, state)
+
+
 @pytest.mark.parametrize("setting", ["in_vivo"])
 def test_the_scripted_pair_succeeds_and_keeps_the_pivot(setting: str) -> None:
     session = Session(cells.find("sim_ur5e"), "bgr", setting)
