@@ -70,7 +70,8 @@ def test_bowel_and_assistant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     found = recorded.read(tmp_path / "episode")
     task, said = found.table("task_state"), found.table("command_assistant")
     ticks = task["tick"].tolist()
-    assert ticks[:-1] == list(range(25, ticks[-2] + 1, 25)) and ticks[-1] == found.manifest["sim"]["tick"]
+    assert ticks[:-1] == list(range(25, ticks[-2] + 1, 25))
+    assert ticks[-1] == found.manifest["sim"]["tick"]
     assert task["done"].tolist() == [0] * (len(ticks) - 1) + [1]
     assert task["reason"][-1] and np.isfinite(task["task.nodes_35_2"]).all()
     # An action per look, joints and jaw, but for the look that ends the episode.

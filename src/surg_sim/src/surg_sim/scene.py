@@ -239,7 +239,7 @@ def build(
 
 
 def _add_cannula(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
-    """The cannula in the wall: it turns with the shaft that is in it, and does not slide with it."""
+    """The cannula in the wall: it turns with the shaft in it, and does not slide with it."""
     bore = 0.007 if arm.instrument.camera is not None else 0.0045
     sleeve = spec.body(f"{arm.name}_sleeve")
     draw_cannula(sleeve, np.array(spec.joint(f"{arm.name}_sleeve").axis), bore)
