@@ -73,7 +73,7 @@ def test_demo_leaves_nothing_behind(number: signal.Signals, tmp_path: Path) -> N
         assert process.wait(30) == expected
     # Also after SIGKILL, when nobody is left to stop the nodes: the kernel does.
     assert processes.wait_until(lambda: all_gone(list(system.nodes.values())), 5.0)
-    assert not master.port_in_use(system.port)
+    assert processes.wait_until(lambda: not master.port_in_use(system.port), 5.0)
 
 
 def test_a_dying_node_fails_the_demo_and_is_named(tmp_path: Path) -> None:

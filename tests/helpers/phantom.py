@@ -63,7 +63,7 @@ class Phantom:
         arm, parameters = arm_of(cell), parameters or TissueParameters()
         self.model = copy.copy(compiled(cell, parameters, looks))
         self.data = mujoco.MjData(self.model)
-        self.site = scene.site_of(arm)
+        self.site = scene.site_of([arm])
         self.link = ArmLink(self.model, self.data, arm, ActuatorParameters())
         self.bowel = Bowel(self.model, self.data, self.site, parameters)
         self.assistant = Assistant(self.model, self.data, arm.instrument_urdf)

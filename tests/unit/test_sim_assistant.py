@@ -132,7 +132,7 @@ def test_the_shaft_stays_in_its_trocar_and_stiff_under_load(phantom: Phantom) ->
 
 @pytest.mark.parametrize("cell", ["sim_ur5e", "sim_panda"])
 def test_it_comes_from_the_other_side_through_the_wall(cell: str) -> None:
-    site = scene.site_of(arm_of(cell))
+    site = scene.site_of([arm_of(cell)])
     port = AssistantPort.opposite(site)
     x, y, z = port.trocar
     robot = site.local(site.trocar)

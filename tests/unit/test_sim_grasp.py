@@ -240,7 +240,8 @@ def test_held_tissue_does_not_slide_onto_another_tools_place(phantom: Phantom) -
 
 def test_a_tool_without_jaws_is_refused() -> None:
     spec = mujoco.MjSpec()
-    site = Site(np.zeros(3), np.array([0.06, 0, 0.1]), np.array([-0.45, 0, 0]), np.eye(3))
+    trocar, base = np.array([0.06, 0, 0.1]), np.array([-0.45, 0, 0])
+    site = Site(np.zeros(3), trocar, base, np.eye(3), trocar[None], base[None])
     add_bowel(spec, site, TissueParameters(), False)
     spec.worldbody.add_body(name="scope_tip")
     with pytest.raises(ValueError, match="'scope' has no joint 'jaw'"):

@@ -269,7 +269,7 @@ def test_the_robot_does_not_feel_a_bowel_that_it_does_not_touch() -> None:
 
 
 def test_the_plain_shape_fits_every_setting() -> None:
-    site = scene.site_of(arm_of("sim_ur5e"))
+    site = scene.site_of([arm_of("sim_ur5e")])
     for setting in CONDITIONS.values():
         nodes = rest_shape(site, setting.tissue)
         assert nodes.shape == (setting.tissue.nodes, 3)
@@ -279,7 +279,7 @@ def test_the_plain_shape_fits_every_setting() -> None:
 
 def test_speed_of_the_bowel_alone() -> None:
     """Printed, not judged: figures of a busy machine say nothing."""
-    site, parameters = scene.site_of(arm_of("sim_ur5e")), TissueParameters()
+    site, parameters = scene.site_of([arm_of("sim_ur5e")]), TissueParameters()
     spec = mujoco.MjSpec()
     spec.option.timestep, spec.option.integrator = 0.001, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     add_bowel(spec, site, parameters, False)

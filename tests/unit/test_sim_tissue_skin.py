@@ -46,7 +46,7 @@ class Picture:
             model, self._data, mujoco.MjvOption(), None, mujoco.MjvCamera(),
             mujoco.mjtCatBit.mjCAT_ALL, canvas,
         )  # fmt: skip
-        self.skin = BowelSkin(model, scene.site_of(arm_of("sim_ur5e")), P)
+        self.skin = BowelSkin(model, scene.site_of([arm_of("sim_ur5e")]), P)
         self.skin.draw(canvas, self._data)
         self.centre = self.skin.centre(self._data)
         count = model.skin("bowel_tube").vertnum[0]

@@ -451,9 +451,14 @@ TEST(Controller, JawMovesAtItsRateAndNeverOnAStop) {
 TEST(Controller, RandomCommandsStayInsideEveryLimitOnThePivot) {
   Random random(13);
   const int runs = test::family(20, 500), cycles = 1500;
-  double worst_pivot = 0;
+  double worst_pivot = 0, worst_wall = 0;
+  // The walls are kept by arms whose joints can brake as hard as the tip's limits ask for (the
+  // UR5e as shipped); how far a weak arm runs past them is a figure.
+  RobotConfig strong = Bench().robot();
+  strong.acceleration.setConstant(40);
   for (int run = 0; run < runs; ++run) {
-    Bench bench;
+    const bool weak = run % 2 == 0;
+    Bench bench({}, 0, 0, 0, weak ? nullptr : &strong);
     JointVector last = JointVector::Zero(6);
     MotionCommand command;
     command.source = kMe;
@@ -483,7 +488,9 @@ TEST(Controller, RandomCommandsStayInsideEveryLimitOnThePivot) {
       ASSERT_LE(out.twist_command.head<3>().norm(), bench.robot().limits.flange_velocity);
       worst_pivot = std::max(worst_pivot, out.rcm_error);
       ASSERT_EQ(out.state, State::kEnabled) << name(out.reason);
-      ASSERT_TRUE(bench.tip_in_R().norm() > 0.017 && bench.tip_in_R().norm() < 0.223)
+      const double past = std::max(bench.tip_in_R().norm() - 0.22, 0.02 - bench.tip_in_R().norm());
+      worst_wall = std::max(worst_wall, past);
+      ASSERT_LT(past, weak ? 0.01 : 1e-4)
           << bench.tip_in_R().transpose() << " set "
           << (bench.controller().X_BR().inverse() * out.p_set).transpose() << " after command "
           << static_cast<int>(command.motion) << " scale " << out.scale << ' ' << out.limited_by;
@@ -491,6 +498,7 @@ TEST(Controller, RandomCommandsStayInsideEveryLimitOnThePivot) {
     }
   }
   test::report("random cycles", long(runs) * cycles);
+  std::printf("[ figures  ] a weak arm runs %.1f mm past the walls\n", 1e3 * worst_wall);
   EXPECT_LT(worst_pivot, 3e-4);  // the maximum that every demo is held to
 }
 

@@ -79,6 +79,41 @@ TEST(SetpointWall, ADelayedStreamStopsThereToo) {
   test::report("hands that run into the wall, followed 50 ms later, in each space", count);
 }
 
+// From any speed a stop takes v / a and v^2 / 2a; where a limit has slowed the clock to a share of
+// itself, the tip's own speed is that share of the profile's, and the stop begins there.
+TEST(SetpointStop, TakesItsDecelerationFromTheTipsOwnSpeed) {
+  const double T = 0.002;
+  const Limits limits = workspace();
+  Random random(5);
+  const int count = test::family(100, 2000);
+  for (int k = 0; k < count; ++k) {
+    const double share = k % 2 == 0 ? 1 : random.uniform(0.2, 1);
+    const Vector3 v = random.uniform(0.05, 0.24) * direction(random);
+    Setpoint setpoint(limits, 0.5, false);
+    setpoint.reset(Vector3(0, 0, 0.12), Vector3::UnitZ(), 0);
+    for (int i = 0; i < 75; ++i) {
+      setpoint.drive(Space::kCartesian, {v.x(), v.y(), v.z(), 0});
+      setpoint.elapse(T);
+      setpoint.advance(T);
+    }
+    setpoint.elapse(T);
+    setpoint.advance(share * T);
+    const double speed = share * setpoint.v_RTip().norm();
+    const Vector3 from = setpoint.p_RTip();
+    ASSERT_GT(speed, 0.005);
+    setpoint.stop();
+    int ticks = 0;
+    for (; setpoint.mode() != Setpoint::Mode::kRest && ticks < 1000; ++ticks) {
+      setpoint.elapse(T);
+      setpoint.advance(T);
+    }
+    const double a = limits.stop_deceleration;
+    EXPECT_NEAR(ticks * T, speed / a, 2 * T);
+    EXPECT_NEAR((setpoint.p_RTip() - from).norm(), speed * speed / (2 * a), speed * T);
+  }
+  test::report("stops", count);
+}
+
 // A circle, then silence: late by the delay, and at rest at the last sample.
 TEST(SetpointDelay, FollowsItsStreamLaterAndComesToRestAtItsEnd) {
   const double T = 0.002, w = 2 * M_PI * 0.5;
