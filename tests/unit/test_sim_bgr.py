@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -203,3 +204,23 @@ def test_another_seed_is_another_episode(session: Session) -> None:
     session.task.time_limit = 0.1  # type: ignore[misc]
     first, second = (run_episode(session, seed, experts={}).hash for seed in seeds.test_seeds(2))
     assert first != second
+
+
+def test_every_cannula_turns_with_its_shaft() -> None:
+    """What a picture shows: no shaft passes beside the cannula in which it is."""
+    session = Session(cells.find("sim_two_arms"), "bgr", looks=True)
+    model, data = session.world.model, session.world.data
+    data.qpos[:] += np.random.default_rng(4).uniform(-0.05, 0.05, model.nq)
+    mujoco.mj_kinematics(model, data)
+    tips = {f"{arm}_sleeve": f"{arm}_tip" for arm in session.world.arms}
+    for carrier, tip in {**tips, "assistant_pitch": "assistant_tip"}.items():
+        body, end = model.body(carrier), model.body(tip).id
+        s, at = data.xmat[end].reshape(3, 3)[:, 2], data.xpos[end]
+        first = int(body.geomadr[0])
+        cannula = [
+            g for g in range(first, first + int(body.geomnum[0])) if model.geom_group[g] == 2
+        ]
+        assert len(cannula) == 4, carrier
+        for geom in cannula:
+            assert abs(data.geom_xmat[geom].reshape(3, 3)[:, 2] @ s) > 1.0 - 1e-9
+            assert np.linalg.norm(np.cross(data.geom_xpos[geom] - at, s)) < 1e-6

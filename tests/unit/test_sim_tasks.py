@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import surg_core
 from surg_cli import paths
@@ -77,6 +78,21 @@ def test_arms_and_instruments_that_a_task_needs(
     cell = surg_core.load_cell(cell_of(tmp_path / "cell", arm, instrument))
     with pytest.raises(TaskError, match=said):
         tasks.load(task).prepare(cell, condition("phantom"))
+
+
+def test_a_force_on_the_jaws_is_said_in_the_base_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = cell_of(tmp_path / "cell", "PSM1", "grasper")
+    content = yaml.safe_load(file.read_text("utf-8"))
+    content["arms"]["PSM1"]["base"]["rpy"] = [0.0, 0.0, 0.7]
+    file.write_text(yaml.safe_dump(content), "utf-8")
+    session = Session(file, "pick_and_place")
+    assert session.world.tip_force("PSM1") is None, "this task does not say what the jaws feel"
+    monkeypatch.setattr(session.task, "jaw_force", lambda arm: np.array([1.0, 2.0, 3.0]))
+    c, s = np.cos(0.7), np.sin(0.7)
+    expected = [c + 2.0 * s, -s + 2.0 * c, 3.0]
+    assert np.allclose(session.world.tip_force("PSM1"), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", tasks.names())

@@ -1,4 +1,4 @@
-"""The pictures of the documentation, taken in episodes: ``python -m surg_sim.gallery docs/pictures``.
+"""The documentation's pictures, taken in episodes: ``python -m surg_sim.gallery docs/pictures``.
 
 Scripted senders act, one seed, no ROS. Bowel grasping and retraction: a stereo pair of each of its
 four steps and the room at the end of the third. Then a sheet of all tasks, inside above outside.
@@ -23,7 +23,7 @@ from surg_sim.tasks import GRID, State
 from surg_sim.world import World
 
 STEPS = ("point", "grasp", "assist", "retract")
-"""Of bowel grasping and retraction: the assistant points, the robot holds, both hold, it is shown."""
+"""Of bowel grasping and retraction: the assistant points, the robot holds, both do, it is shown."""
 SHEET = "tasks"
 ROOM = "bgr_room"
 
@@ -140,7 +140,7 @@ def of_all_tasks(seed: int) -> Picture:
 def main(words: list[str] | None = None) -> int:
     """Entry point; returns the exit code (2: nothing to be had, 1: no OpenGL)."""
     parser = argparse.ArgumentParser(
-        prog="python -m surg_sim.gallery", description=(__doc__ or "").split(":")[0]
+        prog="python -m surg_sim.gallery", description=(__doc__ or "").split("\n")[0]
     )
     parser.add_argument("out", type=Path, help="folder to write into")
     parser.add_argument("--seed", type=int, default=seeds.TUNING.start + 1)
