@@ -120,7 +120,9 @@ class TaskTopics:
         assert world.task is not None
         self._world, self._task, self._setting = world, world.task, setting
         self._layout = wire.TaskStateLayout(self._task.state())
-        self._state = Output("/sim/task_state", TaskState, bridge.lockstep)
+        # Latched: a sender that takes part counts itself connected a moment before this side does,
+        # and a state of the grid is sent once.
+        self._state = Output("/sim/task_state", TaskState, bridge.lockstep, latch=True)
         self._assistant = None if self._task.assistant is None else AssistantTopics(bridge)
         patient = bridge.lockstep
         self._forces = [
@@ -148,7 +150,7 @@ class TaskTopics:
     def publish(self, tick: int, stamp_ns: int) -> None:
         """Judge the state of a tick; send it on the grid and when the episode ends with it."""
         verdict = self.verdict = self._task.verdict()
-        if self._state.connections and (tick % GRID == 0 or verdict.done):
+        if tick % GRID == 0 or verdict.done:
             outcome = (verdict.done, verdict.success, verdict.reason)
             self._state.send(
                 self._layout.pack(
