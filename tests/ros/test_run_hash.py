@@ -10,6 +10,7 @@ import json
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from conftest import FULL
@@ -27,6 +28,7 @@ pytestmark = pytest.mark.ros
 HELPERS = paths.ROOT / "tests" / "helpers"
 SHORT = str(HELPERS / "short_bgr.py")
 NUDGE = str(HELPERS / "nudge_task.py")
+PUSHED = str(HELPERS / "pushed_bgr.py")
 
 
 def in_process(cell: Path, task: str, setting: str, seed: int, law: str = "ours") -> EpisodeReport:
@@ -65,6 +67,16 @@ def test_bowel_and_assistant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     """With every process held up at random, and breathing."""
     monkeypatch.setenv("SURG_TEST_JITTER_MS", "5" if FULL else "0.3")
     assert_same(tmp_path, cells.find("sim_two_arms"), SHORT, "in_vivo", 10_001)
+    found = recorded.read(tmp_path / "episode")
+    task, said = found.table("task_state"), found.table("command_assistant")
+    ticks = task["tick"].tolist()
+    assert ticks[:-1] == list(range(25, ticks[-2] + 1, 25))
+    assert ticks[-1] == found.manifest["sim"]["tick"]
+    assert task["done"].tolist() == [0] * (len(ticks) - 1) + [1]
+    assert task["reason"][-1] and np.isfinite(task["task.nodes_35_2"]).all()
+    # An action per look, joints and jaw, but for the look that ends the episode.
+    for topic in ("servo_jp", "jaw/servo_jp"):
+        assert (said["topic"] == topic).sum() == len(ticks) - 1
 
 
 def test_both_arms_commanded(tmp_path: Path) -> None:
@@ -87,6 +99,19 @@ def test_the_force_guard_acts_in_the_same_tick(tmp_path: Path) -> None:
     n = min(len(states), len(cycle))
     assert fault in states[:n] and states[:n] == cycle["state"][:n].tolist()
     print(f"FAULT at tick {states.index(fault) + 1}, here and there")
+
+
+def test_the_jaws_feel_the_same_here_and_there(tmp_path: Path) -> None:
+    """A push of 6 N on the jaws: PAUSED 51 cycles after the first sample, in and out of ROS."""
+    cell = cells.find("sim_two_arms")
+    through_the_graph(tmp_path / "run", cell, PUSHED, "phantom", 10_001)
+    cycle = recorded.read(tmp_path / "run" / "episode").cycle("PSM1")
+    states: list[int] = []
+    session = Session(cell, PUSHED, "phantom", 10_001)
+    run_episode(session, 10_001, watch=lambda t: states.append(int(t.outputs["PSM1"].state)))
+    paused, n = 2, min(len(states), len(cycle))
+    assert paused in states[:n] and states[:n] == cycle["state"][:n].tolist()
+    print(f"PAUSED at tick {states.index(paused) + 1}, here and there")
 
 
 @pytest.mark.full

@@ -50,6 +50,59 @@ def test_what_goes_in_comes_out(tmp_path: Path) -> None:
         cycle["tick"][0] = 7
 
 
+def test_a_task_and_its_assistant_are_recorded(tmp_path: Path) -> None:
+    recording = Recording(
+        tmp_path / "episode", mode="lockstep", arms=["PSM1"], cameras=[], manifest={},
+        min_free_bytes=0,
+    )  # fmt: skip
+    names = ["state", "tip[3]", "nodes[2,3]"]
+    for tick in (25, 50):
+        values = [tick / 3.0, *(tick / np.arange(1, 10))]
+        head = synthetic.header(tick * synthetic.TICK_NS)
+        recording.task_state(
+            SimpleNamespace(
+                header=head, tick=tick, names=names, values=values, phase="a, b", done=tick == 50,
+                success=True, reward=0.1, reason="",
+            ), 7,
+        )  # fmt: skip
+        joints = SimpleNamespace(header=head, position=[0.1, 0.2, 0.3, tick / 7.0])
+        recording.assistant_command("servo_jp", joints, "/assistant_expert", 8)
+        jaw = SimpleNamespace(header=head, position=[0.4])
+        recording.assistant_command("jaw/servo_jp", jaw, "/assistant_expert", 9)
+    recording.cycle("PSM1", synthetic.cycle(synthetic.Synthetic(), 50, 0), 7)
+    recorded = episode.read(recording.close({}))
+    assert recorded.complete, recorded.manifest["reason"]
+    task, said = recorded.table("task_state"), recorded.table("command_assistant")
+    assert task["tick"].tolist() == [25, 50]
+    assert task["phase"].tolist() == ["a, b", "a, b"]
+    assert task["done"].tolist() == [0, 1]
+    assert task["task.state"].tolist() == [25 / 3.0, 50 / 3.0]
+    assert task["task.tip_1"][1] == 50 / 2
+    assert task["task.nodes_1_2"][1] == 50 / 9
+    assert len(task.columns) == len(columns.TASK) + 10
+    assert said["topic"].tolist() == ["servo_jp", "jaw/servo_jp"] * 2
+    assert said["roll"][2] == 50 / 7.0 and said["jaw"][3] == 0.4
+
+
+def test_a_task_state_that_fits_no_table_makes_it_incomplete(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"nodes\[\]"):
+        columns.task(["nodes[]"])
+    recording = Recording(
+        tmp_path / "episode", mode="lockstep", arms=[], cameras=[], manifest={}, min_free_bytes=0
+    )
+    head = synthetic.header(50)
+    for values in ([1.0], [1.0, 2.0]):
+        recording.task_state(
+            SimpleNamespace(
+                header=head, tick=25, names=["tip[1]"], values=values, phase="", done=False,
+                success=False, reward=0.0, reason="",
+            ), 7,
+        )  # fmt: skip
+    recorded = episode.read(recording.close({}))
+    assert not recorded.complete
+    assert "another number of values" in recorded.manifest["reason"]
+
+
 def test_names_are_listed_when_one_is_wrong(tmp_path: Path) -> None:
     recorded = episode.read(
         synthetic.record(tmp_path / "episode", synthetic.Synthetic(seconds=0.1))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -37,6 +38,51 @@ def play(
         "assistant": assistant or AssistantExpert(SEED),
     }
     return run_episode(session, SEED, experts, watch)
+
+
+def test_the_jaws_feel_the_tissue_below_the_limits(session: Session) -> None:
+    """What reaches the force guard is the tissue's force, turned into the arm's base frame."""
+    felt: list[float] = []
+    task = session.task
+    assert isinstance(task, bgr.Bgr)
+    R_WB = np.asarray(session.cell.arms["PSM1"].X_WB)[:3, :3]
+
+    def watch(tick: Tick) -> None:
+        force = session.world.tip_force("PSM1")
+        assert force is not None
+        assert np.allclose(R_WB @ force, task.grasps["PSM1"].force, atol=1e-12)
+        felt.append(float(np.linalg.norm(force)))
+
+    report = play(session, watch=watch)
+    print(f"largest force on the jaws {max(felt):.2f} N")
+    assert report.success, report.reason
+    assert bgr.TAUT < max(felt) < session.cell.arms["PSM1"].limits.tip_force_soft
+
+
+@pytest.mark.parametrize(
+    ("force", "state", "cycles"), [(4.9, 1, 0), (6.0, 2, 51), (9.0, 3, 1), (np.nan, 3, 1)]
+)
+def test_a_force_on_the_jaws_stops_the_arm(
+    session: Session, monkeypatch: pytest.MonkeyPatch, force: float, state: int, cycles: int
+) -> None:
+    """F25: 6 N pauses after 0.1 s, 9 N and nonsense stop at once, 4.9 N is allowed.
+
+    The sample of tick k, every fifth, counts from cycle k + 1 on.
+    """
+    begin = 1000  # it is enabled and under way by then
+    monkeypatch.setattr(
+        session.task,
+        "jaw_force",
+        lambda arm: np.array([0.0, 0.0, force if session.world.tick >= begin else 0.0]),
+    )
+    states: list[int] = []
+    play(session, limit=3.0, watch=lambda tick: states.append(int(tick.outputs["PSM1"].state)))
+    assert states[begin - 1] == 1, "ENABLED in the cycle that the first sample follows"
+    changes = [k for k in range(begin, len(states)) if states[k] != 1]
+    if cycles == 0:
+        assert not changes
+    else:
+        assert (changes[0] - begin + 1, states[changes[0]]) == (cycles, state)
 
 
 @pytest.mark.parametrize("setting", ["in_vivo"])
@@ -158,3 +204,23 @@ def test_another_seed_is_another_episode(session: Session) -> None:
     session.task.time_limit = 0.1  # type: ignore[misc]
     first, second = (run_episode(session, seed, experts={}).hash for seed in seeds.test_seeds(2))
     assert first != second
+
+
+def test_every_cannula_turns_with_its_shaft() -> None:
+    """What a picture shows: no shaft passes beside the cannula in which it is."""
+    session = Session(cells.find("sim_two_arms"), "bgr", looks=True)
+    model, data = session.world.model, session.world.data
+    data.qpos[:] += np.random.default_rng(4).uniform(-0.05, 0.05, model.nq)
+    mujoco.mj_kinematics(model, data)
+    tips = {f"{arm}_sleeve": f"{arm}_tip" for arm in session.world.arms}
+    for carrier, tip in {**tips, "assistant_pitch": "assistant_tip"}.items():
+        body, end = model.body(carrier), model.body(tip).id
+        s, at = data.xmat[end].reshape(3, 3)[:, 2], data.xpos[end]
+        first = int(body.geomadr[0])
+        cannula = [
+            g for g in range(first, first + int(body.geomnum[0])) if model.geom_group[g] == 2
+        ]
+        assert len(cannula) == 4, carrier
+        for geom in cannula:
+            assert abs(data.geom_xmat[geom].reshape(3, 3)[:, 2] @ s) > 1.0 - 1e-9
+            assert np.linalg.norm(np.cross(data.geom_xpos[geom] - at, s)) < 1e-6

@@ -79,6 +79,20 @@ def test_the_tip_is_kept_in_the_middle_only_by_who_guides(guidance: Session) -> 
     assert idle.reward < report.reward
 
 
+def test_a_tip_on_the_endoscopes_axis_has_no_error() -> None:
+    """Between the cameras, at any distance; each picture alone sees it beside its centre."""
+    session = Session(cells.find("sim_two_arms"), "endoscope_guidance")
+    task = session.task
+    assert isinstance(task, endoscope_guidance.EndoscopeGuidance)
+    state = task.state()
+    for distance in (0.05, 0.1, 0.15):
+        task._data.xpos[task._body] = state["lens"] + distance * state["R_WLens"][:, 2]
+        left, right = (480 * view.project(task.tip)[0] for view in task.views)
+        assert np.hypot(*task.pixels()) < 1e-9
+        disparity = 480 * task.views[0].f * 0.004 / distance
+        assert np.allclose(left, [disparity / 2, 0.0]) and np.allclose(right, -left)
+
+
 def test_a_view_projects_like_the_renderer() -> None:
     """The pinhole of the judge is that of ``render.Intrinsics``: both from the same fovy."""
     from surg_sim.render import Intrinsics

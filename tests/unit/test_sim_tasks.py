@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 import surg_core
 from surg_cli import paths
+from surg_description.make_cell import make_cell
 from surg_sim import cells, seeds, tasks
+from surg_sim.conditions import condition
 from surg_sim.episode import run_episode
 from surg_sim.session import Session
 from surg_sim.tasks import TaskError
@@ -44,8 +47,60 @@ def test_unknown_setting_law_and_cell_list_what_exists() -> None:
 
 
 def test_a_cell_that_does_not_fit_is_refused_with_the_reason() -> None:
-    with pytest.raises(TaskError, match=r"needs the arms ECM; the cell 'sim_ur5e' has PSM1"):
+    said = (
+        r"needs PSM1 with an instrument and ECM with an endoscope; the cell 'sim_ur5e' has PSM1 "
+        r"with grasper\. Take a cell such as cells/sim_two_arms, cells/sim_two_arms_panda$"
+    )
+    with pytest.raises(TaskError, match=said):
         Session(cells.find("sim_ur5e"), "endoscope_guidance")
+
+
+def cell_of(folder: Path, arm: str, instrument: str) -> Path:
+    """A cell with one arm."""
+    description = paths.ROOT / "src/surg_description"
+    instruments = description / "instruments" / f"{instrument}.yaml"
+    return make_cell(description / "robots/ur5e.yaml", folder, instruments, arm=arm)
+
+
+@pytest.mark.parametrize(
+    ("task", "arm", "instrument", "said"),
+    [
+        ("bgr", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws; .* endoscope"),
+        ("bgr", "PSM2", "grasper", "needs the arms PSM1; .* has PSM2 with grasper"),
+        ("pick_and_place", "PSM1", "endoscope", "needs PSM1 with an instrument that has jaws"),
+        ("pick_and_place", "ECM", "endoscope", "needs the arms PSM1; .* has ECM with endoscope"),
+        ("endoscope_guidance", "ECM", "endoscope", "needs PSM1 with an instrument and ECM"),
+    ],
+)
+def test_arms_and_instruments_that_a_task_needs(
+    task: str, arm: str, instrument: str, said: str, tmp_path: Path
+) -> None:
+    cell = surg_core.load_cell(cell_of(tmp_path / "cell", arm, instrument))
+    with pytest.raises(TaskError, match=said):
+        tasks.load(task).prepare(cell, condition("phantom"))
+
+
+def test_a_force_on_the_jaws_is_said_in_the_base_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = cell_of(tmp_path / "cell", "PSM1", "grasper")
+    content = yaml.safe_load(file.read_text("utf-8"))
+    content["arms"]["PSM1"]["base"]["rpy"] = [0.0, 0.0, 0.7]
+    file.write_text(yaml.safe_dump(content), "utf-8")
+    session = Session(file, "pick_and_place")
+    assert session.world.tip_force("PSM1") is None, "this task does not say what the jaws feel"
+    monkeypatch.setattr(session.task, "jaw_force", lambda arm: np.array([1.0, 2.0, 3.0]))
+    c, s = np.cos(0.7), np.sin(0.7)
+    expected = [c + 2.0 * s, -s + 2.0 * c, 3.0]
+    assert np.allclose(session.world.tip_force("PSM1"), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", tasks.names())
+def test_the_cells_that_a_refusal_names_do_fit(name: str) -> None:
+    task = tasks.load(name)
+    assert task.home_cell in task.fitting_cells
+    for cell in task.fitting_cells:
+        tasks.load(name).prepare(surg_core.load_cell(cells.find(cell)), condition("phantom"))
 
 
 BROKEN = {

@@ -6,7 +6,9 @@ unit and frame. Vectors are in the arm's base frame unless the name or that page
 
 from __future__ import annotations
 
+import itertools
 import re
+from collections.abc import Iterable
 
 
 def _xyz(prefix: str) -> list[str]:
@@ -50,6 +52,36 @@ COMMAND: list[str] = [
 ]
 """Columns of ``command_<arm>.csv``; a command fills its own group and leaves the others empty."""
 
+TASK: list[str] = [
+    *("stamp_ns", "receive_ns", "tick", "phase", "done", "success", "reward", "reason"),
+]
+"""First columns of ``task_state.csv``; the task's own follow, see ``task``."""
+
+TASK_PREFIX = "task."
+"""Before the names of a task's numbers, so that they cannot be those of other columns."""
+
+
+def task(names: Iterable[str]) -> list[str]:
+    """Columns of ``task_state.csv`` for the names of a surg_msgs/TaskState.
+
+    A number ``name`` has a column ``task.name``, an array ``name[2,3]`` has ``task.name_0_0``,
+    ``task.name_0_1``, … row by row.
+
+    Raises:
+        ValueError: A name that is none of these.
+    """
+    found = list(TASK)
+    for entry in names:
+        match = _ENTRY.match(entry)
+        if match is None:
+            raise ValueError(f"a task's entry is called {entry!r}: name or name[n,m] is needed")
+        name, shape = match.group(1), match.group(2)
+        sizes = [range(int(size)) for size in shape.split(",")] if shape else []
+        for place in itertools.product(*sizes):
+            found.append(TASK_PREFIX + "_".join([name, *map(str, place)]))
+    return found
+
+
 EVENTS: list[str] = ["stamp_ns", "receive_ns", "topic", "source", "text"]
 """Columns of ``events.csv``."""
 
@@ -59,10 +91,11 @@ VIDEO: list[str] = ["frame", "stamp_ns", "receive_ns", "pts", "dropped"]
 _INTEGERS = frozenset(
     (
         *("stamp_ns", "receive_ns", "tick", "state", "homed", "busy", "command", "accepted"),
-        *("refused", "overruns", "tier", "frame", "pts", "dropped"),
+        *("refused", "overruns", "tier", "frame", "pts", "dropped", "done", "success"),
     )
 )
-_STRINGS = frozenset(("reason", "source", "limited_by", "topic", "text"))
+_STRINGS = frozenset(("phase", "reason", "source", "limited_by", "topic", "text"))
+_ENTRY = re.compile(r"^([^\[\],]+)(?:\[(\d+(?:,\d+)*)\])?$")
 _JOINT = re.compile(r"^q(\d+)$")
 
 

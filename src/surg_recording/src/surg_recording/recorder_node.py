@@ -23,7 +23,7 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState
-from surg_msgs.msg import Cycle, GroundTruth, Ready
+from surg_msgs.msg import Cycle, GroundTruth, Ready, TaskState
 from surg_recording import provenance, rows
 from surg_recording.episode_writer import MIN_FREE_BYTES, recover
 from surg_recording.errors import EpisodeError
@@ -44,6 +44,11 @@ COMMANDS: dict[str, type] = {
     "jaw/move_jp": JointState,
 }
 """Command topics of an arm that go to ``command_<arm>.csv``."""
+
+ASSISTANT = ("servo_jp", "jaw/servo_jp")
+"""Command topics of the assistant's instrument that go to ``command_assistant.csv``."""
+
+TASK_TOPIC = "/sim/task_state"
 
 READY_TICKS = 25
 TICK_NS = 2_000_000
@@ -263,6 +268,9 @@ class RecorderNode:
             for name in ("error", "warning", "status"):
                 on(f"/{arm}/{name}", String, self._on_text, f"/{arm}/{name}")
         on("/sim/ground_truth/state", GroundTruth, self._on_truth)
+        on(TASK_TOPIC, TaskState, self._on_task_state)
+        for name in ASSISTANT:
+            on(f"/assistant/{name}", JointState, self._on_assistant, name)
         on("/sim/status", String, self._on_sim_status)
         for camera, topic in self.settings.cameras.items():
             on(topic, Image, self._on_image, camera)
@@ -285,6 +293,15 @@ class RecorderNode:
     def _on_command(self, arm: str, topic: str, message: Any) -> None:
         if self.recording is not None:
             self.recording.command(arm, topic, message, _sender(message), time.time_ns())
+
+    def _on_task_state(self, message: TaskState) -> None:
+        if self.recording is not None:
+            self.recording.task_state(message, time.time_ns())
+        self._last_row = time.monotonic()
+
+    def _on_assistant(self, topic: str, message: JointState) -> None:
+        if self.recording is not None:
+            self.recording.assistant_command(topic, message, _sender(message), time.time_ns())
 
     def _on_hold(self, arm: str, message: Empty) -> None:
         self._event(f"/{arm}/hold", _sender(message), "")
@@ -365,6 +382,8 @@ class RecorderNode:
         complete_since = None
         while not rospy.is_shutdown():
             missing = [t for t in needed if self._subscribers[t].get_num_connections() == 0]
+            if not missing and self._waits_for_task():
+                missing = [TASK_TOPIC]
             if missing:
                 rospy.loginfo_throttle(2, "recorder: waiting for %s", ", ".join(missing))
             else:
@@ -374,6 +393,15 @@ class RecorderNode:
                     break
             time.sleep(0.02)
         return rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
+
+    def _waits_for_task(self) -> bool:
+        """Whether there is a task whose state does not reach this node yet.
+
+        The simulator opens the topic before that of ground truth, which is connected by now.
+        """
+        if self._subscribers[TASK_TOPIC].get_num_connections():
+            return False
+        return any(topic == TASK_TOPIC for topic, _ in rospy.get_published_topics("/sim"))
 
     def _announce(self) -> None:
         # The status first: who sees the flag change finds the reason there.

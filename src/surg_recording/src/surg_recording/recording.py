@@ -17,6 +17,9 @@ from surg_recording.csv_sink import CsvTable, CsvWriter
 from surg_recording.episode_writer import MIN_FREE_BYTES, EpisodeWriter
 from surg_recording.video_sink import VideoSink
 
+TASK_STATE = "task_state"
+"""Name of the table of a task's ground truth."""
+
 FREERUN_QUEUE = 5000
 """Rows per table that may wait in free-run: 10 s at 500 Hz."""
 
@@ -141,6 +144,28 @@ class Recording:
         self._put(
             self._tables.get(f"command_{arm}"), rows.command(topic, message, source, receive_ns)
         )
+
+    def task_state(self, message: Any, receive_ns: int) -> None:
+        """Record a surg_msgs/TaskState."""
+        table = self._tables.get(TASK_STATE)
+        if table is None:
+            try:
+                table = self._table(TASK_STATE, columns.task(message.names))
+            except ValueError as problem:
+                self._problems.append(f"{TASK_STATE}: {problem}")
+                return
+        row = rows.task_state(message, receive_ns)
+        if table is not None and len(row) != len(table.columns):
+            self._problems.append(f"{TASK_STATE}: a state with another number of values")
+            table.dropped += 1
+            return
+        self._put(table, row)
+
+    def assistant_command(self, topic: str, message: Any, source: str, receive_ns: int) -> None:
+        """Record a command to the assistant's instrument: ``servo_jp`` or ``jaw/servo_jp``."""
+        name = "command_assistant"
+        table = self._tables.get(name) or self._table(name, columns.COMMAND)
+        self._put(table, rows.command(topic, message, source, receive_ns))
 
     def event(self, topic: str, source: str, text: str, receive_ns: int, stamp_ns: int = 0) -> None:
         """Record a text: a state, a warning, an error. ``stamp_ns`` 0: the message has none."""

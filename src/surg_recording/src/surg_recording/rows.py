@@ -87,6 +87,22 @@ def ground_truth(stamp_ns: int, tick: int, arm: Any, receive_ns: int) -> Row:
     )
 
 
+def task_state(message: Any, receive_ns: int) -> Row:
+    """One surg_msgs/TaskState as a row of ``columns.task``."""
+    m = message
+    return (
+        nanoseconds(m.header.stamp),
+        receive_ns,
+        m.tick,
+        m.phase,
+        int(m.done),
+        int(m.success),
+        m.reward,
+        m.reason,
+        *m.values,
+    )
+
+
 def command(topic: str, message: Any, source: str, receive_ns: int) -> Row:
     """A motion command as a row of ``columns.COMMAND``.
 

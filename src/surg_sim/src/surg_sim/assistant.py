@@ -185,7 +185,7 @@ def add_assistant(
     if looks:
         from surg_sim.scene import draw_cannula
 
-        draw_cannula(pivot, np.array([0.0, 0.0, 1.0]))
+        draw_cannula(spec.body(f"{NAME}_pitch"), np.array([0.0, 0.0, 1.0]))  # turns with the shaft
         _draw_handle(body, -float(to_tip[2]))
 
 

@@ -148,7 +148,6 @@ class Bridge:
         self._start_ns = 0
         self._stamp_ns = 0  # of the state that is out
         self._overruns = 0
-        self._truth = Output("/sim/ground_truth/state", GroundTruth, self.lockstep)
         self._clock = Output("/clock", Clock, self.lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
@@ -165,6 +164,8 @@ class Bridge:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
         self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
+        # After the task's: who is connected here can know whether there is a task.
+        self._truth = Output("/sim/ground_truth/state", GroundTruth, self.lockstep)
 
     # --- what arrives -----------------------------------------------------------------------
 
@@ -383,6 +384,7 @@ class Bridge:
 
     def _unconnected(self) -> list[str]:
         missing = [sentence for arm in self._arms for sentence in arm.unconnected()]
+        missing += [] if self._task is None else self._task.unconnected()
         expected = len(self._settings.participants) + len(self._settings.observers)
         here = self._ready.get_num_connections() - (self._tracker is not None)  # itself
         if here < expected:

@@ -36,6 +36,10 @@ _LOOPS = {
 """Pieces of bowel in patient axes about the bed below the work point: radius [m], knots [m]."""
 
 
+_AT_WORK = ("bowel_0", "boards")
+"""Bodies of tasks that lie where the near piece would: living bowel, a training board."""
+
+
 def wall_height(site: Site, x: float, y: float) -> float:
     """Height of the abdominal wall above the work point at a place in patient axes [m]."""
     dome, middle = _dome(site)
@@ -87,8 +91,8 @@ def add_patient(spec: mujoco.MjSpec, site: Site, rng: np.random.Generator) -> No
 
     # What is in front is drawn first, so that what it hides costs nothing.
     for name, (radius, knots) in _LOOPS.items():
-        if name == "near" and spec.body("bowel_0") is not None:
-            continue  # the living piece lies here
+        if name == "near" and any(spec.body(thing) is not None for thing in _AT_WORK):
+            continue
         share = 0.94 - 1.15 * radius / dome.half_length
         course = anatomy.smooth_curve(np.array(knots), 140) - [0.0, middle, 0.0]
         loop = anatomy.bowel_loop(dome.inside(course, share), radius, rng)
@@ -147,18 +151,18 @@ def _body(x: Array, y: Array) -> Array:
     return np.asarray(hip * trunk + (1 - hip) * legs)
 
 
-def draw_cannula(wall: mujoco.MjsBody, axis: Array, bore: float = 0.0045) -> None:
+def draw_cannula(sleeve: mujoco.MjsBody, axis: Array, bore: float = 0.0045) -> None:
     """Draw a cannula on a body whose origin is the trocar point.
 
     Args:
-        wall: The body.
+        sleeve: The body.
         axis: Unit vector into the patient, in the body's axes, (3,).
         bore: Outer radius of its tube [m].
     """
 
     def ring(start: float, end: float, radius: float, material: str) -> None:
         add_seen(
-            wall,
+            sleeve,
             mujoco.mjtGeom.mjGEOM_CYLINDER,
             material,
             fromto=[*(start * axis), *(end * axis)],

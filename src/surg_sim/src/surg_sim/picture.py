@@ -23,8 +23,13 @@ def png(picture: Picture) -> bytes:
         return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
 
     height, width, _ = picture.shape
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # each row starts with filter 0
-    rows[:, 1:] = picture.reshape(height, -1)
+    # Filter 4, Paeth: less whichever of the pixels left, above and above left is the best guess.
+    padded = np.pad(picture.astype(np.int16), ((1, 0), (1, 0), (0, 0)))
+    left, above, corner = padded[1:, :-1], padded[:-1, 1:], padded[:-1, :-1]
+    miss = [abs(above - corner), abs(left - corner), abs(left + above - 2 * corner)]
+    guess = np.choose(np.argmin(miss, axis=0), [left, above, corner])
+    rows = np.full((height, 1 + 3 * width), 4, dtype=np.uint8)
+    rows[:, 1:] = (picture - guess).astype(np.uint8).reshape(height, -1)
     return (
         b"\x89PNG\r\n\x1a\n"
         + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))

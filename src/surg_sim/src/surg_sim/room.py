@@ -86,7 +86,7 @@ def add_room(spec: mujoco.MjSpec, site: Site) -> None:
             )
 
 
-_ONE, _TWO = (-0.10, 0.90, -0.42), (-0.52, 0.72, -0.44)
+_ONE, _TWO = (-0.10, 0.90, -0.42), (-0.56, 0.70, -0.33)
 """How the spectator looks, in patient axes: past one robot; from the side that two leave free."""
 
 

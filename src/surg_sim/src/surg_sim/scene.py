@@ -239,10 +239,10 @@ def build(
 
 
 def _add_cannula(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
-    """The cannula in the wall; it moves with the wall, not with the shaft."""
-    _, s_W = wall_frame(arm)
+    """The cannula in the wall: it turns with the shaft in it, and does not slide with it."""
     bore = 0.007 if arm.instrument.camera is not None else 0.0045
-    draw_cannula(spec.body(f"{arm.name}_wall"), arm.X_WB[:3, :3].T @ s_W, bore)
+    sleeve = spec.body(f"{arm.name}_sleeve")
+    draw_cannula(sleeve, np.array(spec.joint(f"{arm.name}_sleeve").axis), bore)
 
 
 def _home_points(model: mujoco.MjModel, arms: list[surg_core.Arm]) -> Array:

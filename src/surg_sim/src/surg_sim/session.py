@@ -31,7 +31,7 @@ SOURCE = 1
 """Whose commands the arm obeys: this process is one sender."""
 
 FORCE_TICKS = 5
-"""The force on a trocar is measured on every fifth tick; it counts from the next cycle on."""
+"""Forces at trocar and jaws are measured on every fifth tick; they count from the next cycle on."""
 
 LAWS = {
     "ours": surg_core.Law.EXACT,
@@ -150,13 +150,19 @@ class Session:
             jaw = out.jaw_set if math.isfinite(out.jaw_set) else None
             answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw)
             if tick % FORCE_TICKS == 0:
-                force = surg_core.ForceSample(world.truth(name).trocar_force)
-                self._felt[name] = surg_core.Readings(trocar_force=force)
+                self._felt[name] = self._feel(name)
         world.step(answers, assistant)
         unstable = trouble(world.data)
         if unstable:
             verdict = Verdict(done=True, reason=unstable, phase=verdict.phase)
         return Tick(tick, outputs, state, verdict)
+
+    def _feel(self, arm: str) -> surg_core.Readings:
+        """What the force sensors of an arm measure now."""
+        at_trocar = surg_core.ForceSample(self.world.truth(arm).trocar_force)
+        tip = self.world.tip_force(arm)
+        at_tip = surg_core.ForceSample() if tip is None else surg_core.ForceSample(tip)
+        return surg_core.Readings(trocar_force=at_trocar, tip_force=at_tip)
 
 
 def decode(wish: ArmWish) -> list[Command]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -79,17 +80,30 @@ class AssistantTopics:
             self._jaw.send(_JAW.pack(tick, stamp_ns, np.array([jaw]), np.zeros(0)))
 
 
-class _TrocarForce:
-    """A force sensor at the trocar of one arm."""
+class _ForceSensor:
+    """A force sensor of one arm.
 
-    def __init__(self, arm: str, patient: bool) -> None:
-        self._arm, self._frame = arm, wire.text(f"{arm}_base")
-        self._output = Output(f"/{arm}/trocar/measured_cf", WrenchStamped, patient)
+    Args:
+        arm: Whose.
+        place: ``trocar`` or ``tool``.
+        read: The force in the arm's base frame [N], (3,).
+        patient: Whether a slow receiver is waited for.
+    """
 
-    def publish(self, tick: int, stamp_ns: int, world: World) -> None:
-        """Force of the shaft on the wall, in the arm's base frame."""
+    def __init__(self, arm: str, place: str, read: Callable[[str], Any], patient: bool) -> None:
+        self._arm, self._frame, self._read = arm, wire.text(f"{arm}_base"), read
+        self._output = Output(f"/{arm}/{place}/measured_cf", WrenchStamped, patient)
+        self.topic = f"/{arm}/{place}/measured_cf"
+
+    @property
+    def connections(self) -> int:
+        """Number of subscribers."""
+        return self._output.connections
+
+    def publish(self, tick: int, stamp_ns: int) -> None:
+        """The force in the state that is there."""
         if self._output.connections:
-            force = world.truth(self._arm).trocar_force
+            force = self._read(self._arm)
             self._output.send(wire.pack_wrench(stamp_ns, tick, self._frame, force))
 
 
@@ -106,9 +120,19 @@ class TaskTopics:
         assert world.task is not None
         self._world, self._task, self._setting = world, world.task, setting
         self._layout = wire.TaskStateLayout(self._task.state())
-        self._state = Output("/sim/task_state", TaskState, bridge.lockstep)
+        # Latched: a sender that takes part counts itself connected a moment before this side does,
+        # and a state of the grid is sent once.
+        self._state = Output("/sim/task_state", TaskState, bridge.lockstep, latch=True)
         self._assistant = None if self._task.assistant is None else AssistantTopics(bridge)
-        self._forces = [_TrocarForce(name, bridge.lockstep) for name in world.arms]
+        patient = bridge.lockstep
+        self._forces = [
+            _ForceSensor(name, "trocar", lambda arm: world.truth(arm).trocar_force, patient)
+            for name in world.arms
+        ] + [
+            _ForceSensor(name, "tool", world.tip_force, patient)
+            for name in world.arms
+            if world.tip_force(name) is not None
+        ]
         self.verdict = self._task.verdict()
         """How the episode stands at the state that is out."""
 
@@ -126,7 +150,7 @@ class TaskTopics:
     def publish(self, tick: int, stamp_ns: int) -> None:
         """Judge the state of a tick; send it on the grid and when the episode ends with it."""
         verdict = self.verdict = self._task.verdict()
-        if self._state.connections and (tick % GRID == 0 or verdict.done):
+        if tick % GRID == 0 or verdict.done:
             outcome = (verdict.done, verdict.success, verdict.reason)
             self._state.send(
                 self._layout.pack(
@@ -138,7 +162,7 @@ class TaskTopics:
             self._assistant.publish(tick, stamp_ns, instrument.joints, instrument.jaw)
 
     def publish_forces(self, tick: int, stamp_ns: int) -> None:
-        """What a force sensor at the trocar measured in a state that has been answered.
+        """What the force sensors at trocars and jaws measured in a state that has been answered.
 
         A controller takes the newest sample that it has. Sent between its answer and the next
         state, a sample counts from the next cycle on, in every run.
@@ -146,7 +170,15 @@ class TaskTopics:
         if tick % FORCE_TICKS:
             return
         for sensor in self._forces:
-            sensor.publish(tick, stamp_ns, self._world)
+            sensor.publish(tick, stamp_ns)
+
+    def unconnected(self) -> list[str]:
+        """Sentences about who does not listen to the force sensors yet."""
+        return [
+            f"nobody subscribes {sensor.topic} (the controller)"
+            for sensor in self._forces
+            if not sensor.connections
+        ]
 
     def status(self) -> dict[str, object]:
         """For ``/sim/status``."""

@@ -15,16 +15,19 @@ CIRCLE = 0.56
 
 
 class EndoscopeView:
-    """The left camera of a compiled scene as a pinhole.
+    """A camera of the endoscope in a compiled scene as a pinhole.
 
     Args:
         model: The compiled scene.
         data: Its state; kinematics up to date.
+        camera: Its name; the left one.
     """
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str = scene.ENDOSCOPE
+    ) -> None:
         self._data = data
-        self._camera = int(model.camera(scene.ENDOSCOPE).id)
+        self._camera = int(model.camera(camera).id)
         self._mount = int(model.cam_bodyid[self._camera])
         self._place = np.array(model.cam_pos[self._camera])
         R = np.empty(9)

@@ -191,6 +191,14 @@ class World:
         member = self._members[arm]
         return member.truth.read(member.jaw.angle)
 
+    def tip_force(self, arm: str) -> Array | None:
+        """What a force sensor in the jaws of an arm measures now, base frame [N]; None: no sensor.
+
+        The force on the instrument, (3,). It is there where the task says what the jaws feel.
+        """
+        force = None if self.task is None else self.task.jaw_force(arm)
+        return None if force is None else self._R_WB[arm].T @ force
+
     def link(self, arm: str) -> ArmLink:
         """The robot link of an arm: its dead-man and fault."""
         return self._members[arm].link

@@ -73,9 +73,9 @@ class RobotExpert(ArmExpert):
 
     def script(self) -> Iterator[None]:
         """See ``ArmExpert``."""
-        self.jaw = OPEN
         yield from self.until("grasp")
         yield from self.wait(self._reaction)
+        self.jaw = OPEN
         node = int(self.view.number("target"))
         place = self.view.point("nodes")[node]
         direction = place - self.X_WR[:3, 3]

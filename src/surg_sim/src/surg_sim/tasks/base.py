@@ -68,6 +68,7 @@ class Task(ABC):
         title: What a person reads.
         time_limit: Longest episode [s].
         home_cell: The bundled cell that is taken when none is named.
+        fitting_cells: Bundled cells that fit, for who brought another one.
         commanded: Arms that the task's policy commands, by CRTK name; the others stand still under
             their controllers.
         plotted: Numbers of the state that a figure of an episode shows, with their units.
@@ -80,6 +81,9 @@ class Task(ABC):
     title: ClassVar[str]
     time_limit: ClassVar[float]
     home_cell: ClassVar[str] = "sim_two_arms"
+    fitting_cells: ClassVar[tuple[str, ...]] = (
+        *("sim_two_arms", "sim_two_arms_panda", "sim_ur5e", "sim_panda"),
+    )
     commanded: ClassVar[tuple[str, ...]] = ("PSM1",)
     plotted: ClassVar[Mapping[str, str]] = {}
 
@@ -98,10 +102,25 @@ class Task(ABC):
         """
         missing = [name for name in self.commanded if name not in cell.arms]
         if missing:
-            raise TaskError(
-                f"task '{self.name}' needs the arms {', '.join(self.commanded)}; the cell "
-                f"'{cell.config.name}' has {', '.join(cell.arms)}"
-            )
+            raise self.misfit(cell, f"needs the arms {', '.join(self.commanded)}")
+
+    def misfit(self, cell: surg_core.Cell, needs: str) -> TaskError:
+        """The refusal of a cell: what the task needs, what the cell has, which cell would do."""
+        has = ", ".join(f"{name} with {arm.instrument.name}" for name, arm in cell.arms.items())
+        return TaskError(
+            f"task '{self.name}' {needs}; the cell '{cell.config.name}' has {has}. Take a cell "
+            f"such as {', '.join(f'cells/{name}' for name in self.fitting_cells)}"
+        )
+
+    def need_jaws(self, cell: surg_core.Cell, arm: str) -> None:
+        """Refuse a cell in which this arm is not there or has no jaws.
+
+        Raises:
+            TaskError: It is not, or has none.
+        """
+        held = cell.arms[arm].instrument if arm in cell.arms else None
+        if held is None or held.jaw_max <= held.jaw_min:
+            raise self.misfit(cell, f"needs {arm} with an instrument that has jaws")
 
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
         """Put the task's things into the scene; ``looks``: also what only pictures need."""
@@ -145,6 +164,14 @@ class Task(ABC):
     @abstractmethod
     def state(self) -> State:
         """Ground truth now; the same names and shapes at every call."""
+
+    def jaw_force(self, arm: str) -> Array | None:
+        """Force of the task's things on the jaws of an arm now, world [N], (3,); None: no sensor.
+
+        Whether there is one must not change. Robots with a force limit at the tip stop by it.
+        """
+        del arm
+        return None
 
     @abstractmethod
     def verdict(self) -> Verdict:

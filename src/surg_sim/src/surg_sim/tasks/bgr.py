@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from surg_sim.arm import TICK
 from surg_sim.assistant import Assistant, add_assistant
 from surg_sim.grasp import Grasp, add_grasp
-from surg_sim.tasks.base import GRID, State, Task, TaskError, Verdict
+from surg_sim.tasks.base import GRID, State, Task, Verdict
 from surg_sim.tissue import Bowel, add_bowel
 from surg_sim.view import EndoscopeView
 
@@ -66,12 +66,11 @@ class Bgr(Task):
     plotted: ClassVar[Mapping[str, str]] = {"tension": "N", "still": "s"}
 
     def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
-        """The robot's instrument must have jaws."""
+        """The robot's instrument must have jaws; any endoscope will do, also one that stands."""
         super().prepare(cell, condition)
+        self.need_jaws(cell, ROBOT)
         self._tissue, self._breathing = condition.tissue, condition.breathing
         arm = cell.arms[ROBOT]
-        if arm.instrument.jaw_max <= arm.instrument.jaw_min:
-            raise TaskError(f"task 'bgr': the instrument of {ROBOT} has no jaws; give it a grasper")
         self._urdf, self._tip = arm.instrument_urdf, arm.instrument.tip_link
 
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
@@ -123,6 +122,10 @@ class Bgr(Task):
     def tip(self) -> Array:
         """The robot's tip in the world [m], (3,)."""
         return np.array(self._data.xpos[self._tip_body])
+
+    def jaw_force(self, arm: str) -> Array | None:
+        """Of the tissue on the robot's jaws."""
+        return self.grasps[ROBOT].force if arm == ROBOT else None
 
     def held(self, who: str) -> int | None:
         """The node that an instrument holds."""

@@ -1,8 +1,10 @@
 """Endoscope guidance: the second arm keeps the tip of a moving instrument in the picture's centre.
 
 A script moves the instrument on a smooth random path. The error is the distance of its tip to the
-centre of the left picture, in pixels of a picture 480 high. Success: over the whole path the error
-stays small on average and never becomes so large that the tip leaves the middle of the picture.
+centre of the view in pixels of a picture 480 high. The tip's place in the view is the mean of its
+places in both pictures of a stereo endoscope, whose axis runs between the cameras. Success: over
+the whole path the error stays small on average and never becomes so large that the tip leaves the
+middle of the picture.
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.tasks.base import GRID, State, Task, TaskError, Verdict
+from surg_sim.endoscope import cameras
+from surg_sim.tasks.base import GRID, State, Task, Verdict
 from surg_sim.view import EndoscopeView
 
 if TYPE_CHECKING:
@@ -72,19 +75,17 @@ class EndoscopeGuidance(Task):
     name = "endoscope_guidance"
     title = "Endoscope guidance"
     time_limit = READY + DURATION
+    fitting_cells = ("sim_two_arms", "sim_two_arms_panda")
     commanded = (SCOPE,)
     plotted: ClassVar[Mapping[str, str]] = {"error": "px"}
 
     def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
         """Two arms are needed, and the second must hold a camera."""
+        arms = cell.arms
+        if INSTRUMENT not in arms or SCOPE not in arms or arms[SCOPE].instrument.camera is None:
+            needs = f"needs {INSTRUMENT} with an instrument and {SCOPE} with an endoscope"
+            raise self.misfit(cell, needs)
         super().prepare(cell, condition)
-        if INSTRUMENT not in cell.arms or cell.arms[SCOPE].instrument.camera is None:
-            raise TaskError(
-                f"task '{self.name}' needs {INSTRUMENT} with an instrument and {SCOPE} with an "
-                f"endoscope; the cell '{cell.config.name}' has "
-                + ", ".join(f"{name} ({arm.instrument.name})" for name, arm in cell.arms.items())
-                + "; take cells/sim_two_arms"
-            )
         self._tip = cell.arms[INSTRUMENT].instrument.tip_link
 
     def bind(self, world: World) -> None:
@@ -94,7 +95,8 @@ class EndoscopeGuidance(Task):
         self._data = world.data
         self._body = int(world.model.body(f"{INSTRUMENT}_{self._tip}").id)
         self._R = site_of([world.cell.arms[name] for name in world.arms]).R
-        self.view = EndoscopeView(world.model, world.data)
+        scope = world.cell.arms[SCOPE]
+        self.views = [EndoscopeView(world.model, world.data, eye) for eye in cameras(scope)]
 
     def reset(self, rng: np.random.Generator) -> None:
         """A new path."""
@@ -116,8 +118,13 @@ class EndoscopeGuidance(Task):
         return np.array(self._data.xpos[self._body])
 
     def pixels(self) -> Array:
-        """Where the tip is in the left picture, from its centre, x right, y down, (2,) [px]."""
-        return np.asarray(HEIGHT * self.view.project(self.tip)[0])
+        """Where the tip is in the view, from its centre, x right, y down, (2,) [px].
+
+        The mean over the pictures: in each alone a tip on the endoscope's axis is beside the centre
+        by half the disparity.
+        """
+        places = [view.project(self.tip)[0] for view in self.views]
+        return np.asarray(HEIGHT * np.mean(places, axis=0))
 
     def advance(self) -> None:
         """20 times a second: the error."""
@@ -135,13 +142,16 @@ class EndoscopeGuidance(Task):
         return float(np.mean(self._errors)) if self._errors else 0.0
 
     def state(self) -> State:
-        """Points in the world [m], axes of the camera as columns, pixels of a picture 480 high."""
-        eye = self.view.pose
+        """Points in the world [m], axes of the cameras as columns, pixels of a picture 480 high.
+
+        ``lens`` lies between the lenses.
+        """
+        eyes = [view.pose for view in self.views]
         offset = self.path.at(self.time - READY)
         return {
             "tip": self.tip,
-            "lens": eye[:3, 3].copy(),
-            "R_WLens": eye[:3, :3].copy(),
+            "lens": np.mean([eye[:3, 3] for eye in eyes], axis=0),
+            "R_WLens": eyes[0][:3, :3].copy(),
             "wanted_offset": np.asarray(self._R @ offset),
             "pixels": self.pixels(),
             "error": self.error,

@@ -35,6 +35,8 @@ PEG_RADIUS, PEG_HEIGHT = 0.0015, 0.014
 """[m]"""
 BOARD = -0.022
 """Height of the boards' top about the work point [m]."""
+_THICK = 0.008  # [m] of a board
+_TRAY = BOARD - 0.024  # [m] top of what the boards stand on: below where a ring has fallen off
 PEGS = np.array([(side * 0.026, y, BOARD) for side in (-1, 1) for y in (-0.020, 0.0, 0.020)])
 """Feet of the pegs in patient axes about the work point, three on each board, (6, 3) [m]."""
 
@@ -65,11 +67,11 @@ class PickAndPlace(Task):
     def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
         """The arm must be there and have jaws."""
         super().prepare(cell, condition)
+        self.need_jaws(cell, ARM)
         self._tip = cell.arms[ARM].instrument.tip_link
 
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-        """Two boards with pegs, the ring, the pads."""
-        del looks  # boards and ring are physics; their colour costs nothing
+        """Two boards with pegs, the ring, the pads; what the boards stand on is only seen."""
         self._pegs = np.array([site.place(foot) for foot in PEGS])
         boards = spec.worldbody.add_body(
             name="boards", pos=site.work.tolist(), quat=quaternion(site.R).tolist()
@@ -78,17 +80,19 @@ class PickAndPlace(Task):
         for side in (-1, 1):
             boards.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=[side * 0.026, 0.0, BOARD - 0.004],
-                size=[0.016, 0.034, 0.004],
+                pos=[side * 0.026, 0.0, BOARD - _THICK / 2],
+                size=[0.016, 0.034, _THICK / 2],
                 rgba=[0.15, 0.22, 0.30, 1],
                 **fixed,
             )
+        if looks:
+            _add_tray(boards)
         for foot in PEGS:
             boards.add_geom(
                 type=mujoco.mjtGeom.mjGEOM_CAPSULE,
                 fromto=[*foot, foot[0], foot[1], foot[2] + PEG_HEIGHT - PEG_RADIUS],
                 size=[PEG_RADIUS, 0, 0],
-                rgba=[0.85, 0.86, 0.88, 1],
+                rgba=[0.62, 0.64, 0.66, 1],
                 **fixed,
             )
         ring = spec.worldbody.add_body(name=RING, pos=site.place(_resting(PEGS[0])).tolist())
@@ -185,6 +189,33 @@ class PickAndPlace(Task):
                     done=True, reason="the ring was dropped beside the pegs", phase=phase
                 )
         return self.late(phase) or Verdict(phase=phase)
+
+
+def _add_tray(boards: mujoco.MjsBody) -> None:
+    """A tray that lies in the tissue bed, and feet on it under the boards."""
+    seen = {"contype": 0, "conaffinity": 0, "mass": 0.0}
+    box, tray, rim = mujoco.mjtGeom.mjGEOM_BOX, [0.52, 0.55, 0.56, 1], 0.003
+    half_x, half_y = 0.054, 0.044
+    boards.add_geom(
+        type=box, pos=[0, 0, _TRAY - 0.008], size=[half_x, half_y, 0.008], rgba=tray, **seen
+    )
+    for x, y, size in (
+        (half_x - rim, 0.0, [rim, half_y, rim]),
+        (0.0, half_y - rim, [half_x, rim, rim]),
+    ):
+        for side in (-1, 1):
+            boards.add_geom(
+                type=box, pos=[side * x, side * y, _TRAY + rim], size=size, rgba=tray, **seen
+            )
+    under = BOARD - _THICK
+    for x, y in itertools.product((-0.037, -0.015, 0.015, 0.037), (-0.029, 0.029)):
+        boards.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            fromto=[x, y, _TRAY, x, y, under],
+            size=[0.0025, 0, 0],
+            rgba=[0.08, 0.11, 0.15, 1],
+            **seen,
+        )
 
 
 def _resting(foot: Array) -> Array:

@@ -1,0 +1,165 @@
+"""The documentation's pictures, taken in episodes: ``python -m surg_sim.gallery docs/pictures``.
+
+Scripted senders act, one seed, no ROS. Bowel grasping and retraction: a stereo pair of each of its
+four steps and the room at the end of the third. Then a sheet of all tasks, inside above outside.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from surg_sim import cells, endoscope, picture, scene, seeds, tasks
+from surg_sim.arm import TICK, quaternion
+from surg_sim.drawing import look
+from surg_sim.episode import run_episode
+from surg_sim.render import NoOpenGL, Picture
+from surg_sim.session import Session, Tick
+from surg_sim.tasks import GRID, State
+from surg_sim.world import World
+
+STEPS = ("point", "grasp", "assist", "retract")
+"""Of bowel grasping and retraction: the assistant points, the robot holds, both do, it is shown."""
+SHEET = "tasks"
+ROOM = "bgr_room"
+
+_LOOK_AT, _NARROW = (-0.30, -0.05, 0.19), 31.0  # [m] patient axes, [deg]
+_INSIDE, _OUTSIDE = (520, 390), (1200, 675)
+_CELL = (376, 282)  # [px] of one picture of the sheet
+_GAP = 8  # [px]
+
+
+def stereo(world: World) -> Picture:
+    """Both pictures of the endoscope side by side, the left one on the left."""
+    views = (endoscope.LEFT, endoscope.RIGHT)
+    return np.concatenate([picture.take(world, view, *_INSIDE) for view in views], axis=1)
+
+
+def room(world: World) -> Picture:
+    """The spectator's picture, nearer to where the work is done."""
+    model, site = world.model, scene.site_of([world.cell.arms[name] for name in world.arms])
+    camera = model.camera(scene.OVERVIEW)
+    before = camera.quat.copy(), camera.fovy.copy()
+    sight = site.place(_LOOK_AT) - camera.pos
+    camera.quat[:] = quaternion(look(sight, np.array([0.0, 0.0, 1.0])))
+    camera.fovy[:] = _NARROW
+    try:
+        return picture.take(world, scene.OVERVIEW, *_OUTSIDE)
+    finally:
+        camera.quat[:], camera.fovy[:] = before
+
+
+def column(world: World) -> Picture:
+    """What the endoscope and the spectator see, one above the other."""
+    width, height = _CELL
+    both = [picture.take(world, view, width, height) for view in (scene.ENDOSCOPE, scene.OVERVIEW)]
+    gap = np.full((_GAP, width, 3), 255, dtype=np.uint8)
+    return np.concatenate([both[0], gap, both[1]], axis=0)
+
+
+Moment = Callable[[Tick], bool]
+Take = Callable[[World], Picture]
+
+
+def episode(
+    task: str, wanted: Mapping[str, tuple[Moment, Take]], seed: int, setting: str = "phantom"
+) -> dict[str, Picture]:
+    """Run one episode and take a picture at the first moment of each kind.
+
+    Args:
+        task: A bundled task, in its home cell.
+        wanted: By name of the picture: when, and how. Asked on every tick of the grid.
+        seed: Of the episode.
+        setting: Of the episode.
+
+    Raises:
+        ValueError: The episode fails, or a moment does not come.
+    """
+    session = Session(cells.find(tasks.load(task).home_cell), task, setting, seed, looks=True)
+    found: dict[str, Picture] = {}
+
+    def watch(tick: Tick) -> None:
+        if tick.tick % GRID:
+            return
+        for name, (now, take) in wanted.items():
+            if name not in found and now(tick):
+                found[name] = take(session.world)
+
+    report = run_episode(session, seed, watch=watch)
+    missing = sorted(set(wanted) - set(found))
+    if not report.success or missing:
+        raise ValueError(f"{task}, seed {seed}: {report.reason or missing}: take another --seed")
+    return found
+
+
+def after(seconds: float, holds: Callable[[State, str], bool]) -> Moment:
+    """The moment when something about ground truth and phase has been so for a while [s]."""
+    count = 0
+
+    def now(tick: Tick) -> bool:
+        nonlocal count
+        count = count + 1 if tick.state and holds(tick.state, tick.verdict.phase) else 0
+        return count * GRID * TICK > seconds
+
+    return now
+
+
+def in_phase(name: str) -> Callable[[State, str], bool]:
+    """Whether the task is in a phase."""
+    return lambda state, phase: phase == name
+
+
+def of_bgr(seed: int) -> dict[str, Picture]:
+    """Each step of bowel grasping and retraction, and the room."""
+    moments = {
+        "point": after(0.0, in_phase("grasp")),  # it has been pointed, the robot sets out
+        "grasp": after(0.3, in_phase("assist")),
+        "assist": after(0.2, in_phase("retract")),
+        "retract": after(1.5, in_phase("still")),
+    }
+    wanted = {f"bgr_{step}": (moments[step], stereo) for step in STEPS}
+    return episode("bgr", {**wanted, ROOM: (after(0.2, in_phase("retract")), room)}, seed)
+
+
+def of_all_tasks(seed: int) -> Picture:
+    """A column for each bundled task."""
+    moments = {
+        "bgr": after(1.0, in_phase("still")),
+        "endoscope_guidance": after(8.0, in_phase("follow")),
+        "pick_and_place": after(0.6, in_phase("carry")),
+    }
+    columns = [episode(task, {SHEET: (now, column)}, seed)[SHEET] for task, now in moments.items()]
+    gap = np.full((columns[0].shape[0], _GAP, 3), 255, dtype=np.uint8)
+    return np.concatenate([columns[0], gap, columns[1], gap, columns[2]], axis=1)
+
+
+def main(words: list[str] | None = None) -> int:
+    """Entry point; returns the exit code (2: nothing to be had, 1: no OpenGL)."""
+    parser = argparse.ArgumentParser(
+        prog="python -m surg_sim.gallery", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("out", type=Path, help="folder to write into")
+    parser.add_argument("--seed", type=int, default=seeds.TUNING.start + 1)
+    parser.add_argument("--only", choices=("bgr", SHEET), help="leave the other out")
+    options = parser.parse_args(words)
+    options.out.mkdir(parents=True, exist_ok=True)
+    try:
+        pictures = of_bgr(options.seed) if options.only != SHEET else {}
+        if options.only != "bgr":
+            pictures[SHEET] = of_all_tasks(options.seed)
+    except (ValueError, NoOpenGL) as error:
+        print(f"surg_sim.gallery: {error}", file=sys.stderr)
+        return 1 if isinstance(error, NoOpenGL) else 2
+    for name, content in pictures.items():
+        file = options.out / f"{name}.png"
+        file.write_bytes(picture.png(content))
+        print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
