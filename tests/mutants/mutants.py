@@ -235,8 +235,8 @@ MUTANTS: tuple[Mutant, ...] = (
             Edit("src/jaw.cpp", "  goal_ = set_;\n  busy_ = false;", "  busy_ = false;"),
             Edit(
                 "src/jaw.cpp",
-                "if (!may_move || !std::isfinite(set_)) return;",
-                "if ((!may_move && settle_ < 0) || !std::isfinite(set_)) return;",
+                "if (!may_move) return;",
+                "if (!may_move && settle_ < 0) return;",
             ),
         ),
     ),
@@ -244,8 +244,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "track_anywhere",
         "F23: a tracked trocar may jump through the room",
         "src/trocar.cpp",
-        "!((p - p_taught_).norm() <= kRange) || ",
-        "",
+        "if (!((p - p_taught_).norm() <= kRange)) {",
+        "if (!(p - p_taught_).allFinite()) {",
     ),
     # -- profiles
     one(
