@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_sim.arm import TICK
+from surg_sim.pads import add_pad
 from surg_sim.tissue import NAME as BOWEL
 from surg_sim.tissue import Bowel
 
@@ -73,25 +74,9 @@ def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
     if index >= _MOST_TOOLS:
         raise ValueError(f"'{name}' would be tool {index + 1} that grasps; {_MOST_TOOLS} can")
     for side in ("jaw", "jaw_mirror"):
-        joint = spec.joint(f"{name}_{side}")
-        if joint is None:
-            raise ValueError(f"'{name}' has no joint '{side}': it cannot grasp")
-        outward = np.cross(joint.axis, [0.0, 0.0, 1.0])  # where the finger goes when it opens
-        joint.parent.add_geom(
-            name=f"{name}_{side}_pad",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=list(_PAD),
-            pos=(outward * _PAD[1] + [0.0, 0.0, _PAD_START + _PAD[2]]).tolist(),
-            group=4,
-            mass=0.0,
-            contype=1 << (_FIRST_BIT + index),
-            conaffinity=0,
-            condim=1,
-            # The tissue's softness, whatever the finger weighs.
-            priority=1,
-            solref=[0.008, 1.0],
-            solimp=[0.0, 0.9, 0.004, 0.5, 2.0],
-        )
+        softness = {"solref": [0.008, 1.0], "solimp": [0.0, 0.9, 0.004, 0.5, 2.0]}  # the tissue's
+        bit, middle = 1 << (_FIRST_BIT + index), _PAD_START + _PAD[2]
+        add_pad(spec, name, side, _PAD, middle, bit, **softness)
         touch = spec.add_sensor(
             name=f"{name}_{side}_force",
             type=mujoco.mjtSensor.mjSENS_CONTACT,

@@ -12,6 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_sim.pads import add_pad
+
 Array = NDArray[np.float64]
 
 PAD_BIT = 1 << 16
@@ -40,24 +42,8 @@ def add_rigid_grasp(spec: mujoco.MjSpec, name: str, tip: str, objects: Sequence[
     """
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
     for side in _JAWS:
-        joint = spec.joint(f"{name}_{side}")
-        if joint is None:
-            raise ValueError(f"'{name}' has no joint '{side}': it cannot grasp")
-        outward = np.cross(joint.axis, [0.0, 0.0, 1.0])  # where the finger goes when it opens
-        joint.parent.add_geom(
-            name=f"{name}_{side}_pad",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=list(_PAD),
-            pos=(outward * _PAD[1] + [0.0, 0.0, _PAD_MIDDLE]).tolist(),
-            group=4,
-            mass=0.0,
-            contype=PAD_BIT,
-            conaffinity=0,
-            condim=1,
-            priority=1,
-            solref=[0.02, 1.0],
-            solimp=[0.0, 0.9, 0.002, 0.5, 2.0],
-        )
+        softness = {"solref": [0.02, 1.0], "solimp": [0.0, 0.9, 0.002, 0.5, 2.0]}
+        add_pad(spec, name, side, _PAD, _PAD_MIDDLE, PAD_BIT, **softness)
     for target in objects:
         spec.add_equality(
             name=f"{name}_holds_{target}",
