@@ -60,7 +60,9 @@ def read_plan(folder: Path) -> Plan:
     for name in ("arms", "cameras", "extra_participants"):
         values[name] = tuple(values[name])
     values["senders"] = {name: tuple(arms) for name, arms in values["senders"].items()}
-    return Plan(**{**values, "cell": Path(values["cell"]), "out": Path(values["out"])})
+    for name in ("cell", "out"):
+        values[name] = Path(values[name])
+    return Plan(**values)
 
 
 def play(plan: Plan) -> Ended:
