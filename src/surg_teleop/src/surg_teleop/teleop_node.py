@@ -17,6 +17,7 @@ import json
 import math
 import os
 import random
+import signal
 import sys
 import threading
 import time
@@ -66,6 +67,7 @@ class TeleopNode:
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self.finished = threading.Event()
+        """Set where the node shall end."""
         self._pedals = Pedals()
         self._cycles: dict[str, tuple[float, RawCycle]] = {}
         self._tick, self._recording, self._status = 0, False, ""
@@ -193,8 +195,8 @@ class TeleopNode:
     # Ticks.
 
     def run(self) -> None:
-        """Free-run: a tick whenever a leader speaks, and every PERIOD."""
-        while not rospy.is_shutdown():
+        """Free-run: a tick whenever a leader speaks, and every PERIOD, until ``finished``."""
+        while not self.finished.is_set() and not rospy.is_shutdown():
             self._wake.wait(PERIOD)
             self._wake.clear()
             with self._lock:
@@ -203,11 +205,10 @@ class TeleopNode:
     def stop(self) -> None:
         """Lets go of everything that follows; no exit leaves an arm moving."""
         with self._lock:
-            if not self.finished.is_set():
+            if not self._system.lockstep:
                 for hand in self._system.hands:
                     hand.seat.disable()
-                lockstep = self._system.lockstep
-                self._act(self._tick * PERIOD_NS / SECOND if lockstep else time.monotonic())
+                self._act(time.monotonic())
             for hand in self._system.hands:
                 hand.leader.close()
 
@@ -215,7 +216,12 @@ class TeleopNode:
         """Lock-step: one tick when the cycles of all arms are here; with the lock held."""
         cycles = {name: raw.tick() for name, (_, raw) in self._cycles.items()}
         ticks = set(cycles.values())
-        if len(cycles) < len(self._system.heard) or len(ticks) != 1 or ticks <= {self._tick}:
+        if (
+            self.finished.is_set()
+            or len(cycles) < len(self._system.heard)
+            or len(ticks) != 1
+            or ticks <= {self._tick}
+        ):
             return
         self._tick = ticks.pop()
         if self._jitter > 0.0:
@@ -395,22 +401,27 @@ def main() -> int:
             file=sys.stderr,
         )
         return 1
-    rospy.init_node("teleop")
+    rospy.init_node("teleop", disable_signals=True)
     try:
         system = read_system(dict(rospy.get_param("~", {})), rospy.get_name())
     except (ConfigError, LeaderError) as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 2
     node = TeleopNode(system)
-    rospy.on_shutdown(node.stop)
-    if not system.lockstep:
-        node.run()
-        return 0
+    # rospy's own handler would close the topics before the arms have been told to stop.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: node.finished.set())
     try:
-        node.connect()
+        if system.lockstep:
+            node.connect()
+            while not node.finished.wait(0.1) and not rospy.is_shutdown():
+                pass
+        else:
+            node.run()
     except OSError as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 1
-    while not node.finished.wait(0.1) and not rospy.is_shutdown():
-        pass
+    finally:
+        node.stop()
+        rospy.signal_shutdown("teleop: done")
     return 0
