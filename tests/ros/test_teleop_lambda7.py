@@ -56,7 +56,7 @@ class Bench:
             ("/MTMR/buttons", Joy),
             ("/MTMR/operating_state", OperatingState),
             ("/MTMR/error", String),
-            ("/console/clutch", Joy),
+            ("/footpedals/clutch", Joy),
         ):
             self.heard[topic] = []
             self.subscribers.append(
@@ -128,7 +128,7 @@ def test_hand_and_picture_agree_and_the_handle_stays_free(bench: Bench) -> None:
     assert bench.latest("gripper/measured_js").position == (0.3,)
     state.buttons = 0b101
     bench.until(lambda: bench.latest("buttons").buttons[:3] == (1, 0, 1), "buttons")
-    bench.until(lambda: bench.heard["/console/clutch"][-1].buttons == (1,), "clutch")
+    bench.until(lambda: bench.heard["/footpedals/clutch"][-1].buttons == (1,), "clutch")
     assert bench.latest("operating_state").state == "ENABLED"
     assert bench.latest("operating_state").is_homed
     assert state.max_force == 5.0
@@ -191,7 +191,7 @@ def test_a_device_that_is_lost_is_silence(fault: str, bench: Bench) -> None:
     if fault.startswith("fail"):
         assert "communication error (device unplugged)" in said
     assert bench.latest("operating_state").state == "FAULT"
-    assert bench.heard["/console/clutch"][-1].buttons == (1,)  # a pedal that is gone is pressed
+    assert bench.heard["/footpedals/clutch"][-1].buttons == (1,)  # a pedal that is gone is pressed
     assert all(np.isfinite(m.pose.position.y) for m in bench.heard["/MTMR/measured_cp"])
     assert lambda7.calls(state).endswith("sc")
 

@@ -3,7 +3,7 @@
 // Publishes /<name>/measured_cp in the view frame, gripper/measured_js, buttons, operating_state
 // and error. Parameters: ~name (lambda7), ~device (-1: the first that is free, else its number from
 // 0), ~master_to_view (nine numbers, a rotation row by row), ~auto_init (true), ~max_force [N] (5),
-// ~publish_rate [Hz] (500), ~clutch_button (-1: none; else this bit is /console/clutch).
+// ~publish_rate [Hz] (500), ~clutch_button (-1: none; else this bit is /footpedals/clutch).
 // Exit code 0: ended by the user; 1: no library, no device, or it was lost; 2: a parameter that
 // must not be used.
 #include <crtk_msgs/OperatingState.h>
@@ -107,7 +107,7 @@ class Topics {
     state_ = node->advertise<crtk_msgs::OperatingState>(prefix + "operating_state", 10, true);
     error_ = node->advertise<std_msgs::String>(prefix + "error", 10, true);
     if (options.clutch_button >= 0) {
-      clutch_ = node->advertise<sensor_msgs::Joy>("/console/clutch", 10, true);
+      clutch_ = node->advertise<sensor_msgs::Joy>("/footpedals/clutch", 10, true);
     }
   }
 

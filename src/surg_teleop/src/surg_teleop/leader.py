@@ -69,7 +69,8 @@ class HandlePose:
 
     Attributes:
         p_VH: (3,) handle [m].
-        R_VH: (3, 3) its orientation, third column the handle axis: what the hand rolls about.
+        R_VH: (3, 3) its orientation. Third column: the handle axis, about which the hand rolls; it
+            points out of the hand, the way the instrument points.
     """
 
     p_VH: Array
@@ -85,9 +86,10 @@ class HandRate:
     """How fast the hand wants to go: in the picture, or about the trocar (spherical mode).
 
     Attributes:
-        v_V: (3,) velocity of the tip in V [m/s]; zeros in spherical mode.
-        roll: Rate of the shaft's roll [rad/s], positive about the shaft outwards from the flange:
-            clockwise as the operator sees it who looks along the shaft.
+        v_V: (3,) velocity of the tip in V [m/s] at the default scale; another scale makes it finer
+            or coarser in proportion. Zeros in spherical mode.
+        roll: Rate of the shaft's roll [rad/s], positive about the shaft into the patient: clockwise
+            for an operator who looks along it.
         spherical: None, or (3,) rates of yaw, pitch [rad/s] and insertion [m/s] of the virtual
             joints, the paper's spherical mode; v_V is then not read.
     """

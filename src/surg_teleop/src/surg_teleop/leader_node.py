@@ -2,12 +2,12 @@
 
 Publishes, as far as the leader has it: ``/<name>/joy`` (sensor_msgs/Joy: on every change, and again
 at the layout's autorepeat), ``/<name>/measured_cp`` and ``/<name>/measured_cv`` in the view frame,
-``/<name>/gripper/measured_js``, ``/<name>/operating_state``, ``/<name>/error``, and the pedals
-``/console/clutch``, ``camera``, ``operator_present``. A device that has gone is silence: nothing is
-repeated but its state, and a clutch pedal that fails to pressed.
+``/<name>/gripper/measured_js``, ``/<name>/operating_state``, ``/<name>/error``, and its buttons as
+``/footpedals/clutch``, ``camera``, ``operator_present``. A device that has gone is silence: nothing
+is repeated but its state, and a clutch pedal that fails to pressed.
 
 Parameters: ``~leader`` (gamepad; name or path of a ``.py`` file), ``~settings`` (of its class, a
-dictionary), ``~rate`` [Hz] (100), ``~console`` (true: its pedals are those of the console).
+dictionary), ``~rate`` [Hz] (100), ``~pedals`` (true: its buttons are pedals).
 Exit code 0: ended by the user; 1: the device is not there or must not be read; 2: a parameter that
 must not be used.
 """
@@ -31,7 +31,7 @@ from surg_teleop.inputs.leader import InputLeader
 from surg_teleop.leader import HandlePose, HandRate, Leader, LeaderError, LeaderSample, load, names
 from surg_teleop.leaders.keyboard import HELP, Keyboard
 
-ALLOWED = ("leader", "settings", "rate", "console")
+ALLOWED = ("leader", "settings", "rate", "pedals")
 RATES = (20.0, 500.0)
 """[Hz] Slower than 10 Hz would read as silence."""
 STATE_EVERY = 0.1
@@ -39,18 +39,18 @@ STATE_EVERY = 0.1
 GRIPPER_OPEN = 1.0
 """[rad] What a jaw that is fully open says on gripper/measured_js; closed is 0."""
 PEDALS = {"clutch": "clutch", "camera": "camera", "present": "operator_present"}
-"""Buttons of a leader that are pedals of the console, and their topics there."""
+"""Buttons of a leader that are pedals, and their topics."""
 
 
 class LeaderNode:
     """Reads one leader and says what it reads."""
 
-    def __init__(self, leader: Leader, console: bool) -> None:
+    def __init__(self, leader: Leader, pedals: bool) -> None:
         """Advertises; reads nothing.
 
         Args:
             leader: An open leader.
-            console: Its pedals are those of the console.
+            pedals: Its buttons are pedals.
         """
         self._leader = leader
         self._out = {
@@ -68,7 +68,7 @@ class LeaderNode:
         }
         self._pedals: dict[str, rospy.Publisher] = {}
         self._said_pedals: dict[str, bool] = {}
-        self._console = console
+        self._says_pedals = pedals
         self._problem = ""
         self._said = {"state": ("", -1.0), "joy": (None, -1.0), "pedals": (None, -1.0)}
 
@@ -112,7 +112,7 @@ class LeaderNode:
 
     def _say_pedals(self, buttons: frozenset[str], now: float, stamp: rospy.Time) -> None:
         """Only pedals that this leader has pressed once: another leader may have the others."""
-        if not self._console:
+        if not self._says_pedals:
             return
         pressed = tuple(sorted(buttons & PEDALS.keys()))
         if not self._due("pedals", pressed, now, STATE_EVERY):
@@ -124,7 +124,7 @@ class LeaderNode:
             has |= {"present"} if layout.dead_man is not None else set()
         for name in has - self._pedals.keys():
             self._pedals[name] = rospy.Publisher(
-                f"/console/{PEDALS[name]}", Joy, queue_size=10, tcp_nodelay=True, latch=True
+                f"/footpedals/{PEDALS[name]}", Joy, queue_size=10, tcp_nodelay=True, latch=True
             )
         for name, publisher in self._pedals.items():
             message = Joy(buttons=[int(name in buttons)])
@@ -176,7 +176,7 @@ def rate_message(rate: HandRate, stamp: rospy.Time) -> TwistStamped:
 
 
 def read_parameters(parameters: Mapping[str, object]) -> tuple[Leader, float, bool]:
-    """The leader, its rate [Hz], and whether its pedals are the console's.
+    """The leader, its rate [Hz], and whether its buttons are pedals.
 
     Raises:
         LeaderError: A parameter must not be used.
@@ -192,9 +192,9 @@ def read_parameters(parameters: Mapping[str, object]) -> tuple[Leader, float, bo
     rate = parameters.get("rate", 100.0)
     if not isinstance(rate, int | float) or not RATES[0] <= rate <= RATES[1]:
         raise LeaderError(f"'{rate}'", "~rate", f"allowed: {RATES[0]:g} to {RATES[1]:g} [Hz]")
-    console = parameters.get("console", True)
-    if not isinstance(console, bool):
-        raise LeaderError(f"'{console}'", "~console", "allowed: true or false")
+    pedals = parameters.get("pedals", True)
+    if not isinstance(pedals, bool):
+        raise LeaderError(f"'{pedals}'", "~pedals", "allowed: true or false")
     leader = load(str(parameters.get("leader", "gamepad")), settings)
     if isinstance(leader, InputLeader) and leader.layout.spherical:
         raise LeaderError(
@@ -202,7 +202,7 @@ def read_parameters(parameters: Mapping[str, object]) -> tuple[Leader, float, bo
             leader.layout.file,
             "name this leader to the teleoperation node itself, or use a layout in the view frame",
         )
-    return leader, float(rate), console
+    return leader, float(rate), pedals
 
 
 def main() -> int:
@@ -223,7 +223,7 @@ def main() -> int:
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(name, lambda *_: sys.exit(0))
     try:
-        leader, rate, console = read_parameters(dict(rospy.get_param("~", {})))
+        leader, rate, pedals = read_parameters(dict(rospy.get_param("~", {})))
     except LeaderError as error:
         print(f"leader: {error}\nleader: there are {', '.join(names())}", file=sys.stderr)
         return 2
@@ -232,7 +232,7 @@ def main() -> int:
         print(HELP, end="", flush=True)
     try:
         leader.open()
-        run(LeaderNode(leader, console), rate)
+        run(LeaderNode(leader, pedals), rate)
     except LeaderError as error:
         print(f"leader: {error}", file=sys.stderr)
         return 1

@@ -9,6 +9,8 @@ from surg_teleop.inputs.leader import InputLeader
 class Gamepad(InputLeader):
     """Nothing moves unless the right shoulder button is held (``layouts/gamepad.yaml``)."""
 
+    mapping = "rate"
+
     def __init__(
         self,
         name: str = "gamepad",

@@ -155,6 +155,8 @@ class Typing:
 class Keyboard:
     """Reads the terminal that this process was started in."""
 
+    mapping = "rate"
+
     def __init__(self, name: str = "keyboard", fd: int | None = None) -> None:
         """Touches nothing yet.
 

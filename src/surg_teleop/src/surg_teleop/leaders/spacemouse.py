@@ -9,6 +9,8 @@ from surg_teleop.inputs.leader import InputLeader
 class SpaceMouse(InputLeader):
     """Nothing moves unless its left button is held (``layouts/spacemouse.yaml``)."""
 
+    mapping = "rate"
+
     def __init__(
         self,
         name: str = "spacemouse",
