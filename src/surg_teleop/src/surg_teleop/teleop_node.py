@@ -138,7 +138,9 @@ class TeleopNode:
 
     def _on_pedal(self, message: Joy, which: tuple[str, str]) -> None:
         with self._lock:
-            self._pedals.press(*which, bool(message.buttons) and message.buttons[0] == 1)
+            # Two senders on one topic are two feet: neither lifts the other's.
+            source = f"{which[0]} {message._connection_header['callerid']}"
+            self._pedals.press(source, which[1], bool(message.buttons) and message.buttons[0] == 1)
         self._wake.set()
 
     def _on_enable(self, message: Bool) -> None:

@@ -1,0 +1,275 @@
+// A Force Dimension device (Lambda.7, Omega.7, Sigma.7) as a CRTK leader:
+//   rosrun surg_teleop lambda7_node _name:=MTMR
+// Publishes /<name>/measured_cp in the view frame, gripper/measured_js, buttons, operating_state
+// and error. Parameters: ~name (lambda7), ~device (-1: the first that is free, else its number from
+// 0), ~master_to_view (nine numbers, a rotation row by row), ~auto_init (true), ~max_force [N] (5),
+// ~publish_rate [Hz] (500), ~clutch_button (-1: none; else this bit is /footpedals/clutch).
+// Exit code 0: ended by the user; 1: no library, no device, or it was lost; 2: a parameter that
+// must not be used.
+#include <crtk_msgs/OperatingState.h>
+#include <geometry_msgs/PoseStamped.h>
+#include <ros/ros.h>
+#include <sensor_msgs/JointState.h>
+#include <sensor_msgs/Joy.h>
+#include <std_msgs/String.h>
+
+#include <Eigen/Geometry>
+#include <atomic>
+#include <chrono>
+#include <csignal>
+#include <cstdio>
+#include <optional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "handle.hpp"
+#include "sdk.hpp"
+#include "view.hpp"
+
+namespace surg_teleop {
+namespace {
+
+constexpr int kLoopRate =
+    1000;  // [Hz] what the vendor asks for, and what makes a free handle feel free
+constexpr int kButtons = 8;
+constexpr int kStateRate = 10;         // [Hz]
+constexpr double kMaxForceLimit = 20;  // [N] what a Lambda.7 can do
+
+std::atomic<bool> stop_requested{false};
+
+void request_stop(int) { stop_requested = true; }
+
+struct Options {
+  std::string name = "lambda7";
+  int device = -1;
+  Eigen::Matrix3d R_VM;
+  bool auto_init = true;
+  double max_force = 5.0;
+  int publish_rate = 500;
+  int clutch_button = -1;
+};
+
+/// Reads a parameter; a value of another type is as wrong as one out of range.
+template <typename T>
+bool parameter(const std::string& name, T* value) {
+  const std::string key = ros::this_node::getName() + "/" + name;
+  if (!ros::param::has(key) || ros::param::get(key, *value)) return true;
+  std::fprintf(stderr, "lambda7: ~%s: wrong type\n", name.c_str());
+  return false;
+}
+
+bool in_range(const char* name, double value, double low, double high) {
+  if (value >= low && value <= high) return true;
+  std::fprintf(stderr, "lambda7: ~%s: %g; allowed: %g to %g\n", name, value, low, high);
+  return false;
+}
+
+std::optional<Options> read_options() {
+  Options options;
+  std::vector<double> rows = kSeated;
+  if (!parameter("name", &options.name) || !parameter("device", &options.device) ||
+      !parameter("master_to_view", &rows) || !parameter("auto_init", &options.auto_init) ||
+      !parameter("max_force", &options.max_force) ||
+      !parameter("publish_rate", &options.publish_rate) ||
+      !parameter("clutch_button", &options.clutch_button)) {
+    return std::nullopt;
+  }
+  std::string why;
+  const std::optional<Eigen::Matrix3d> R_VM = master_to_view(rows, &why);
+  if (!R_VM) {
+    std::fprintf(stderr, "lambda7: ~master_to_view: %s\n", why.c_str());
+    return std::nullopt;
+  }
+  if (!ros::names::validate(options.name, why) || options.name.empty() || options.name[0] == '/') {
+    std::fprintf(stderr, "lambda7: ~name: '%s'; allowed: a ROS name without a leading slash\n",
+                 options.name.c_str());
+    return std::nullopt;
+  }
+  if (!in_range("device", options.device, -1, 15) ||
+      !in_range("max_force", options.max_force, 0, kMaxForceLimit) ||
+      !in_range("publish_rate", options.publish_rate, 50, kLoopRate) ||
+      !in_range("clutch_button", options.clutch_button, -1, kButtons - 1)) {
+    return std::nullopt;
+  }
+  options.R_VM = *R_VM;
+  return options;
+}
+
+/// Everything that is said on topics.
+class Topics {
+ public:
+  Topics(ros::NodeHandle* node, const Options& options) : options_(options) {
+    const std::string prefix = "/" + options.name + "/";
+    pose_ = node->advertise<geometry_msgs::PoseStamped>(prefix + "measured_cp", 1);
+    gripper_ = node->advertise<sensor_msgs::JointState>(prefix + "gripper/measured_js", 1);
+    buttons_ = node->advertise<sensor_msgs::Joy>(prefix + "buttons", 10, true);
+    state_ = node->advertise<crtk_msgs::OperatingState>(prefix + "operating_state", 10, true);
+    error_ = node->advertise<std_msgs::String>(prefix + "error", 10, true);
+    if (options.clutch_button >= 0) {
+      clutch_ = node->advertise<sensor_msgs::Joy>("/footpedals/clutch", 10, true);
+    }
+  }
+
+  void say_reading(const Reading& reading, bool has_gripper, ros::Time stamp) {
+    const HandlePose handle = in_view(reading, options_.R_VM);
+    const Eigen::Quaterniond q(handle.R_VH);
+    geometry_msgs::PoseStamped pose;
+    pose.header.stamp = stamp;
+    pose.pose.position.x = handle.p_VH.x();
+    pose.pose.position.y = handle.p_VH.y();
+    pose.pose.position.z = handle.p_VH.z();
+    pose.pose.orientation.x = q.x();
+    pose.pose.orientation.y = q.y();
+    pose.pose.orientation.z = q.z();
+    pose.pose.orientation.w = q.w();
+    pose_.publish(pose);
+    if (!has_gripper) return;
+    sensor_msgs::JointState gripper;
+    gripper.header.stamp = stamp;
+    gripper.name = {"gripper"};
+    gripper.position = {reading.gripper};
+    gripper_.publish(gripper);
+  }
+
+  void say_buttons(unsigned int mask, ros::Time stamp) {
+    sensor_msgs::Joy joy;
+    joy.header.stamp = stamp;
+    for (int i = 0; i < kButtons; ++i) joy.buttons.push_back(static_cast<int>(mask >> i & 1u));
+    buttons_.publish(joy);
+    if (options_.clutch_button >= 0) say_clutch(mask >> options_.clutch_button & 1u, stamp);
+  }
+
+  void say_clutch(bool pressed, ros::Time stamp) {
+    if (options_.clutch_button < 0) return;
+    sensor_msgs::Joy joy;
+    joy.header.stamp = stamp;
+    joy.buttons = {pressed ? 1 : 0};
+    clutch_.publish(joy);
+  }
+
+  void say_state(const char* word, bool homed, ros::Time stamp) {
+    crtk_msgs::OperatingState state;
+    state.header.stamp = stamp;
+    state.state = word;
+    state.is_homed = homed;
+    state_.publish(state);
+  }
+
+  void say_error(const std::string& text) {
+    std::fprintf(stderr, "lambda7: %s\n", text.c_str());
+    std_msgs::String message;
+    message.data = text;
+    error_.publish(message);
+  }
+
+ private:
+  const Options options_;
+  ros::Publisher pose_, gripper_, buttons_, state_, error_, clutch_;
+};
+
+/// Reads and commands zero force until the device is lost or the user ends it.
+int run(Handle* handle, const Options& options, Topics* topics) {
+  const int publish_every = kLoopRate / options.publish_rate;
+  const auto period = std::chrono::microseconds(1000000 / kLoopRate);
+  auto next = std::chrono::steady_clock::now();
+  Reading reading;
+  bool fresh = false;
+  std::optional<unsigned int> told_buttons;
+  for (long tick = 0; !stop_requested && ros::ok(); ++tick) {
+    const ReadResult result = handle->cycle(&reading);
+    if (result == ReadResult::kLost) {
+      topics->say_state("FAULT", false, ros::Time::now());
+      topics->say_clutch(true, ros::Time::now());
+      topics->say_error(handle->error());
+      return 1;
+    }
+    fresh = fresh || result == ReadResult::kNew;
+    if (fresh && tick % publish_every == 0) {
+      const ros::Time stamp = ros::Time::now();
+      topics->say_reading(reading, handle->has_gripper(), stamp);
+      fresh = false;
+    }
+    if (result == ReadResult::kNew && told_buttons != reading.buttons) {
+      told_buttons = reading.buttons;
+      topics->say_buttons(reading.buttons, ros::Time::now());
+    }
+    if (tick % (kLoopRate / kStateRate) == 0) {
+      topics->say_state("ENABLED", true, ros::Time::now());
+      if (told_buttons) topics->say_buttons(*told_buttons, ros::Time::now());
+    }
+    next += period;
+    const auto now = std::chrono::steady_clock::now();
+    if (next < now) next = now;  // a cycle that came late is not made up for
+    std::this_thread::sleep_until(next);
+  }
+  topics->say_state("DISABLED", true, ros::Time::now());
+  topics->say_clutch(true, ros::Time::now());
+  return 0;
+}
+
+int main_in_ros() {
+  const std::optional<Options> options = read_options();
+  if (!options) return 2;
+  const std::vector<std::string> tried = places();
+  const Loaded loaded = load(tried);
+  if (!loaded.sdk) {
+    std::fprintf(stderr, "lambda7: the Force Dimension SDK was not found. Tried, in this order:\n");
+    for (const std::string& line : loaded.tried) std::fprintf(stderr, "  %s\n", line.c_str());
+    std::fprintf(stderr,
+                 "Get the SDK from its maker, unpack it and set FDSDK to its folder, or "
+                 "FORCEDIM_LIBRARY to its libdrd.so.3.*\n");
+    return 1;
+  }
+  ros::NodeHandle node;
+  Topics topics(&node, *options);
+  topics.say_state("DISABLED", false, ros::Time::now());
+  Handle handle(*loaded.sdk);
+  std::string problem = handle.open(options->device);
+  if (problem.empty()) {
+    std::printf("lambda7: %s, by %s\n", handle.name().c_str(), loaded.path.c_str());
+    if (!handle.initialized() && !options->auto_init) {
+      problem =
+          handle.name() +
+          " has not found its reference; put it into its rest, or start with _auto_init:=true "
+          "and hands off: the handle then moves by itself";
+    } else if (!handle.initialized()) {
+      std::printf("lambda7: finding its reference: HANDS OFF, the handle moves by itself\n");
+      std::fflush(stdout);
+      problem = handle.initialize();
+    }
+  }
+  if (problem.empty()) problem = handle.start(options->max_force);
+  int status = 1;
+  if (problem.empty()) {
+    std::fflush(stdout);
+    status = run(&handle, *options, &topics);
+  } else {
+    topics.say_state("FAULT", false, ros::Time::now());
+    topics.say_error(problem);
+  }
+  // What was said last must leave the sockets.
+  std::this_thread::sleep_for(std::chrono::milliseconds(200));
+  return status;
+}
+
+}  // namespace
+}  // namespace surg_teleop
+
+int main(int argc, char** argv) {
+  ros::init(argc, argv, "lambda7", ros::init_options::NoSigintHandler);
+  if (!ros::master::check()) {
+    std::fprintf(stderr,
+                 "lambda7: no ROS master at %s; start one with 'rosmaster --core' or './surg up "
+                 "CELL'\n",
+                 ros::master::getURI().c_str());
+    return 1;
+  }
+  std::signal(SIGINT, surg_teleop::request_stop);
+  std::signal(SIGTERM, surg_teleop::request_stop);
+  std::signal(SIGHUP, surg_teleop::request_stop);
+  ros::start();
+  const int status = surg_teleop::main_in_ros();
+  ros::shutdown();
+  return status;
+}

@@ -1,0 +1,9 @@
+#!/usr/bin/env python3
+"""Publishes a gamepad, pedals, a SpaceMouse, a keyboard: rosrun surg_teleop leader_node.py."""
+
+import sys
+
+from surg_teleop.leader_node import main
+
+if __name__ == "__main__":
+    sys.exit(main())

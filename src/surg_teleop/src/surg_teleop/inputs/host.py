@@ -1,0 +1,151 @@
+"""The kernel's event devices, through python3-evdev: all that touches ``/dev/input``."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from pathlib import Path
+from typing import Protocol
+
+import evdev
+from evdev import ecodes
+
+from surg_teleop.inputs.state import AxisRange, Description, Snapshot
+
+FOLDER = Path("/dev/input")
+
+
+class Device(Protocol):
+    """An open event device.
+
+    Attributes:
+        description: What it is and has.
+    """
+
+    @property
+    def description(self) -> Description:
+        """What it is and has."""
+
+    def snapshot(self) -> Snapshot:
+        """Its whole state now. Raises OSError when the device has gone."""
+
+    def grab(self) -> None:
+        """Nobody else gets its events from now on. Raises OSError when somebody has them."""
+
+    def read(self) -> bytes:
+        """What has come since; empty: nothing. Raises OSError (ENODEV) when it has gone."""
+
+    def close(self) -> None:
+        """Lets go of it; never fails."""
+
+
+class Host(Protocol):
+    """A machine with event devices."""
+
+    def nodes(self) -> list[str]:
+        """Paths of the event nodes, in the order of their numbers."""
+
+    def open(self, path: str) -> Device:
+        """Opens one. Raises OSError, PermissionError among them."""
+
+
+class EvdevDevice:
+    """An event device of this machine."""
+
+    def __init__(self, path: str) -> None:
+        """Opens it.
+
+        Args:
+            path: Its node.
+
+        Raises:
+            OSError: It cannot be opened, or is no event device.
+        """
+        self._device = evdev.InputDevice(path)
+        try:
+            os.set_blocking(self._device.fd, False)
+            self.description = describe(self._device)
+        except OSError:
+            self._device.close()
+            raise
+
+    def snapshot(self) -> Snapshot:
+        """Its whole state now."""
+        return Snapshot(
+            frozenset(self._device.active_keys()),
+            {code: self._device.absinfo(code).value for code in self.description.axes},
+        )
+
+    def grab(self) -> None:
+        """Takes its events for this process alone."""
+        self._device.grab()
+
+    def read(self) -> bytes:
+        """What has come since."""
+        return read_bytes(self._device.fd)
+
+    def close(self) -> None:
+        """Lets go of it."""
+        with contextlib.suppress(OSError):  # it may have gone already
+            self._device.close()
+
+
+class EvdevHost:
+    """This machine."""
+
+    def nodes(self) -> list[str]:
+        """Paths of the event nodes."""
+        try:
+            names = os.listdir(FOLDER)
+        except OSError:
+            return []
+        numbers = sorted(int(n[5:]) for n in names if n.startswith("event") and n[5:].isdigit())
+        return [str(FOLDER / f"event{number}") for number in numbers]
+
+    def open(self, path: str) -> Device:
+        """Opens an event device."""
+        return EvdevDevice(path)
+
+
+def describe(device: evdev.InputDevice) -> Description:
+    """What a device of this machine is and has."""
+    able = device.capabilities(absinfo=True)
+    axes = {code: AxisRange(info.min, info.max) for code, info in able.get(ecodes.EV_ABS, [])}
+    return Description(
+        path=str(device.path),
+        name=str(device.name),
+        bus=int(device.info.bustype),
+        keys=frozenset(able.get(ecodes.EV_KEY, [])),
+        axes=axes,
+        relative=frozenset(able.get(ecodes.EV_REL, [])),
+    )
+
+
+def read_bytes(fd: int) -> bytes:
+    """Everything that a descriptor holds, without waiting.
+
+    Args:
+        fd: A non-blocking descriptor: an event device, or a pipe that stands for one.
+
+    Returns:
+        The bytes; empty when there is nothing.
+
+    Raises:
+        OSError: ENODEV when the device, or the other end of the pipe, has gone.
+    """
+    data = b""
+    while True:
+        try:
+            part = os.read(fd, 4096)
+        except BlockingIOError:
+            return data
+        except OSError:
+            if data:  # what it said before it went; the next call reports that it has gone
+                return data
+            raise
+        if not part:
+            if data:
+                return data
+            raise OSError(errno.ENODEV, os.strerror(errno.ENODEV))
+        data += part

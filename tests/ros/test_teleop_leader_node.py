@@ -1,0 +1,326 @@
+"""Leaders as processes of their own: on topics, in a terminal, and from outside the tree."""
+
+import contextlib
+import fcntl
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from helpers.input_devices import GAMEPAD, PEDALS, Machine
+from helpers.ros import RosGraph, find_executable
+from surg_teleop.leader import LeaderError
+from surg_teleop.leaders.gamepad import Gamepad
+from surg_teleop.leaders.pedals import Pedals
+
+pytestmark = pytest.mark.ros
+
+
+@dataclass
+class Ears:
+    """Hears topics; keeps everything."""
+
+    graph: RosGraph
+    heard: dict[str, list[Any]] = field(default_factory=dict)
+
+    def listen(self, topic: str, kind: type) -> list[Any]:
+        """What is said on a topic from now on."""
+        import rospy
+
+        rospy.Subscriber(topic, kind, self.heard.setdefault(topic, []).append, queue_size=None)
+        return self.heard[topic]
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        """Waits at most 20 s."""
+        self.graph.wait_for(condition, 20.0, what)
+
+
+@pytest.fixture
+def ears(ros_graph: RosGraph, rospy_node: str) -> Ears:
+    """Ears on the test's graph."""
+    return Ears(ros_graph)
+
+
+def test_a_gamepad_on_topics_is_silent_when_it_has_gone(ears: Ears) -> None:
+    from geometry_msgs.msg import TwistStamped
+    from sensor_msgs.msg import JointState, Joy
+    from std_msgs.msg import String
+
+    from crtk_msgs.msg import OperatingState
+    from surg_teleop.leader_node import LeaderNode
+
+    machine = Machine()
+    pad = machine.plug(GAMEPAD)
+    leader = Gamepad(host=machine)
+    leader.open()
+    node = LeaderNode(leader, pedals=True)
+    rates = ears.listen("/gamepad/measured_cv", TwistStamped)
+    joys = ears.listen("/gamepad/joy", Joy)
+    grips = ears.listen("/gamepad/gripper/measured_js", JointState)
+    states = ears.listen("/gamepad/operating_state", OperatingState)
+    errors = ears.listen("/gamepad/error", String)
+    clutch = ears.listen("/footpedals/clutch", Joy)
+    now = 100.0
+
+    def run(ticks: int) -> None:
+        nonlocal now
+        for _ in range(ticks):
+            node.tick(now)
+            now += 0.01
+
+    def all_heard() -> bool:
+        run(1)
+        return bool(rates and joys and states and clutch)
+
+    ears.until(all_heard, "connections")
+    time.sleep(0.1)
+    before = len(joys)
+    run(100)  # one second at rest: Joy at its autorepeat
+    ears.until(lambda: len(joys) >= before + 20, "autorepeat")
+    time.sleep(0.1)
+    assert len(joys) <= before + 21
+
+    pad.press("BTN_TR", "BTN_TL")
+    pad.push("ABS_X", 1.0)
+    pad.push("ABS_Z", 1.0)
+    run(50)
+    ears.until(lambda: bool(rates) and rates[-1].twist.linear.x > 0.0399, "a rate")
+    ears.until(lambda: bool(grips) and 0.3 < grips[-1].position[0] < 0.6, "the jaw")
+    ears.until(lambda: clutch[-1].buttons == (1,), "the clutch")
+    assert joys[-1].axes[0] == pytest.approx(-1.0, abs=1e-3)
+    assert states[-1].state == "ENABLED"
+
+    machine.unplug(pad)
+    run(1)
+    ears.until(lambda: states[-1].state == "FAULT", "its state")
+    ears.until(lambda: bool(errors), "its error")
+    assert "has gone (No such device)" in errors[-1].data
+    said = len(rates), len(joys), len(grips)
+    run(200)
+    ears.until(lambda: len(states) > 10, "its state again and again")
+    assert (len(rates), len(joys), len(grips)) == said
+    back = machine.plug(GAMEPAD)
+    back.press("BTN_TR")
+    back.push("ABS_X", 1.0)
+    run(200)
+    ears.until(lambda: states[-1].state == "ENABLED", "it is back")
+    time.sleep(0.1)
+    assert len(rates) > said[0]
+    assert all(rate.twist.linear.x == 0.0 for rate in rates[said[0] :])
+    leader.close()
+
+
+def test_pedals_on_topics_fail_to_pressed(ears: Ears) -> None:
+    from sensor_msgs.msg import Joy
+
+    from surg_teleop.leader_node import LeaderNode
+
+    machine = Machine()
+    feet = machine.plug(PEDALS)
+    leader = Pedals(host=machine)
+    leader.open()
+    node = LeaderNode(leader, pedals=True)
+    clutch = ears.listen("/footpedals/clutch", Joy)
+    present = ears.listen("/footpedals/operator_present", Joy)
+    now = 0.0
+
+    def pedals_are(clutch_is: int, present_is: int) -> bool:
+        nonlocal now
+        now += 0.01
+        node.tick(now)
+        return bool(clutch and present) and (
+            clutch[-1].buttons == (clutch_is,) and present[-1].buttons == (present_is,)
+        )
+
+    ears.until(lambda: pedals_are(0, 0), "both released")
+    feet.press("KEY_C")
+    ears.until(lambda: pedals_are(0, 1), "the operator is there")
+    machine.unplug(feet)
+    ears.until(lambda: pedals_are(1, 0), "clutch pressed, nobody there")
+    leader.close()
+
+
+# -- a terminal
+
+
+@dataclass
+class Terminal:
+    """A keyboard leader in a terminal of its own."""
+
+    process: subprocess.Popen[bytes]
+    master: int
+    slave: int
+    before: list[Any]
+
+    def text(self) -> str:
+        """What stands on the screen since the last look."""
+        with contextlib.suppress(BlockingIOError):
+            return os.read(self.master, 65536).decode(errors="replace")
+        return ""
+
+
+@contextlib.contextmanager
+def keyboard(graph: RosGraph) -> Iterator[Terminal]:
+    """Runs the leader node on a terminal."""
+    master, slave = pty.openpty()
+    os.set_blocking(master, False)
+    before = termios.tcgetattr(slave)
+
+    def own_terminal() -> None:
+        os.setsid()
+        fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+    graph.set_params("/keys", {"leader": "keyboard"})
+    argv = [str(find_executable("surg_teleop", "leader_node")), "__name:=keys"]
+    process = subprocess.Popen(
+        argv, stdin=slave, stdout=slave, stderr=slave, env=graph.env, preexec_fn=own_terminal
+    )
+    try:
+        yield Terminal(process, master, slave, before)
+    finally:
+        process.kill()
+        process.wait()
+        for end in (master, slave):
+            with contextlib.suppress(OSError):
+                os.close(end)
+
+
+def test_keys_move_and_the_terminal_is_given_back(ears: Ears) -> None:
+    from geometry_msgs.msg import TwistStamped
+
+    rates = ears.listen("/keyboard/measured_cv", TwistStamped)
+    with keyboard(ears.graph) as terminal:
+
+        def heard_right() -> bool:
+            os.write(terminal.master, b"d")
+            time.sleep(0.03)
+            return bool(rates) and rates[-1].twist.linear.x > 0
+
+        ears.until(heard_right, "a key that moves")
+        assert not termios.tcgetattr(terminal.slave)[3] & (termios.ECHO | termios.ICANON)
+        assert "arrows or w a s d" in terminal.text()
+        ears.until(lambda: rates[-1].twist.linear.x == 0, "the key was let go")
+        os.kill(terminal.process.pid, signal.SIGTSTP)  # Ctrl-Z must not keep the terminal
+        os.write(terminal.master, b"\x03")  # Ctrl-C
+        assert terminal.process.wait(20.0) == 0
+        assert termios.tcgetattr(terminal.slave) == terminal.before
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_the_terminal_is_given_back_on_every_exit(name: str, ears: Ears) -> None:
+    with keyboard(ears.graph) as terminal:
+        raw = lambda: not termios.tcgetattr(terminal.slave)[3] & termios.ICANON  # noqa: E731
+        ears.until(raw, "the keyboard")
+        os.kill(terminal.process.pid, getattr(signal, name))
+        assert terminal.process.wait(20.0) == 0
+        assert termios.tcgetattr(terminal.slave) == terminal.before
+
+
+# -- refusals, and a leader from outside
+
+
+@pytest.mark.parametrize(
+    ("params", "code", "said"),
+    [
+        ({"leader": "keyboard"}, 1, "standard input is no terminal"),
+        ({"leader": "teapot"}, 2, "there is no such leader"),
+    ],
+)
+def test_a_wrong_start_says_why(
+    params: dict[str, object], code: int, said: str, ears: Ears
+) -> None:
+    child = ears.graph.node("surg_teleop", "leader_node", "/leader", params)
+    ears.until(lambda: child.exit_code is not None, "the end")
+    assert child.exit_code == code
+    assert said in child.log_tail(5)
+
+
+@pytest.mark.parametrize(
+    ("params", "said"),
+    [
+        ({"leader": "gamepad", "colour": "red"}, "allowed: leader, settings, rate, pedals"),
+        ({"rate": 5}, "allowed: 20 to 500 [Hz]"),
+        ({"pedals": "left"}, "~pedals: 'left'; allowed: true or false"),
+        ({"settings": "fast"}, "~settings: 'fast'; allowed: a dictionary"),
+        ({"settings": {"size": 3}}, "setting size is unknown; allowed: name, layout, device"),
+        ({"settings": {"layout": "gamepad_spherical"}}, "spherical rates have no topic"),
+    ],
+)
+def test_a_wrong_parameter_is_refused(params: dict[str, object], said: str) -> None:
+    from surg_teleop.leader_node import read_parameters
+
+    with pytest.raises(LeaderError) as caught:
+        read_parameters(params)
+    assert said in str(caught.value)
+
+
+OUTSIDE = '''
+"""A leader that lies in no package of ours: a hand that goes round in circles."""
+
+import math
+
+import numpy as np
+
+from surg_teleop.leader import HandlePose, LeaderSample
+
+
+class Circle:
+    def __init__(self, name="circle", radius=0.01):
+        self.name, self.radius = name, radius
+
+    def open(self):
+        pass
+
+    def read(self, now):
+        p_VH = self.radius * np.array([math.cos(now), math.sin(now), 0.0])
+        return LeaderSample(stamp=now, pose=HandlePose(p_VH, np.eye(3)))
+
+    def close(self):
+        pass
+'''
+
+
+def test_a_leader_from_outside_the_tree_by_its_path(ears: Ears, tmp_path: Path) -> None:
+    from geometry_msgs.msg import PoseStamped
+
+    path = tmp_path / "circle.py"
+    path.write_text(OUTSIDE)
+    poses = ears.listen("/mine/measured_cp", PoseStamped)
+    settings = {"name": "mine", "radius": 0.02}
+    ears.graph.node("surg_teleop", "leader_node", "/leader", {"leader": path, "settings": settings})
+    ears.until(lambda: len(poses) > 3, "poses")
+    p = poses[-1].pose.position
+    assert p.x**2 + p.y**2 == pytest.approx(0.02**2)
+
+
+def test_a_leader_from_outside_the_tree_by_its_entry_point(tmp_path: Path) -> None:
+    """As `pip install` of a package with such an entry point would leave it."""
+    (tmp_path / "circle_package.py").write_text(OUTSIDE)
+    info = tmp_path / "circle_package-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: circle-package\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[surg_teleop.leaders]\ncircle = circle_package:Circle\n"
+    )
+    code = (
+        "import json\n"
+        "from surg_teleop.leader import load, names\n"
+        "leader = load('circle', {'radius': 0.03})\n"
+        "p = leader.read(0.0).pose.p_VH.tolist()\n"
+        "print(json.dumps([leader.name, p, 'circle' in names()]))\n"
+    )
+    env = dict(os.environ, PYTHONPATH=f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}")
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
+    )
+    assert json.loads(done.stdout) == ["circle", [0.03, 0.0, 0.0], True]
