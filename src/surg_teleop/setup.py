@@ -8,7 +8,7 @@ setuptools.setup(
     description="Recorded motions and the operator that plays them",
     license="Apache-2.0",
     python_requires=">=3.11",
-    packages=["surg_teleop"],
+    packages=["surg_teleop", "surg_teleop.leaders"],
     package_dir={"": "src"},
     package_data={"surg_teleop": ["py.typed"]},
     install_requires=["numpy>=1.24", "scipy>=1.10"],

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
+from surg_teleop.arm import ArmState, ArmView, Commands, Jaw
 from surg_teleop.fit import Workspace
 from surg_teleop.motion import read_motion
-from surg_teleop.operator import ArmState, Commands, Feedback, Jaw, Mode, Operator, Stage
+from surg_teleop.operator import Mode, Operator, Stage
 from surg_teleop.plan import make_plan
 
 TICK_NS = 2_000_000
@@ -90,7 +91,7 @@ def play(
         servo = servo + pending.popleft() * TICK
         q_before, q = q, q + (servo - q) * (1.0 - np.exp(-TICK / LAG))
         R_RB = np.asarray(controller.X_BR)[:3, :3].T
-        feedback = Feedback(
+        feedback = ArmView(
             stamp_ns=tick * TICK_NS,
             state=ArmState(int(out.state)),
             homed=out.homed,
