@@ -20,7 +20,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from helpers.machines import Machines, ip, two_machines
+from helpers.machines import Machines, two_machines
 from helpers.surg import argv, environment
 from surg_cli import network, paths, processes, roles
 from surg_cli.environment import for_nodes
@@ -124,9 +124,7 @@ class Far:
 
 
 @pytest.fixture(scope="module")
-def far(
-    machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Far]:
+def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Far]:
     folder = tmp_path_factory.mktemp("far")
     robot = up(machines, folder / "robot.log", "robot", cell, "--role", "robot")
     eye = hand = None
@@ -149,3 +147,173 @@ def far(
         code = end(robot) if robot.poll() is None else robot.returncode
         print((folder / "robot.log").read_text("utf-8")[-800:])
     assert code == 130
+
+
+def cycles_of(far: Far) -> Array:
+    """Columns: received, tick, accepted, refused, state, stale, set-point (3), tip (3)."""
+    rows = []
+    for line in far.cycles_log.read_text("utf-8").splitlines():
+        t, tick, _, accepted, refused, state, reason, *places = line.split()
+        if len(places) == 6:  # the last line may be half written
+            rows.append(
+                [float(v) for v in (t, tick, accepted, refused, state, reason == "stale", *places)]
+            )
+    return np.array(rows)
+
+
+def sent_of(far: Far) -> Array:
+    """Columns: sent at, place (3)."""
+    rows = [line.split() for line in far.sent_log.read_text("utf-8").splitlines()]
+    return np.array([[float(v) for v in row] for row in rows if len(row) == 4])
+
+
+def largest_step(cycles: Array, column: int = 6) -> float:
+    """Of the set-point from cycle to cycle, along its worst axis [m]; lost rows are no step."""
+    neighbours = np.diff(cycles[:, 1]) == 1
+    return float(np.abs(np.diff(cycles[:, column : column + 3], axis=0))[neighbours].max())
+
+
+def lag(sent: Array, cycles: Array, span: tuple[float, float]) -> tuple[float, float]:
+    """By how much the set-point is later than the hand [s], and what is left [m rms].
+
+    By shifting the hand's motion until it fits best.
+    """
+    t = cycles[(cycles[:, 0] > span[0]) & (cycles[:, 0] < span[1])]
+    x = t[:, 6]
+    shifts = np.arange(0.0, 0.4, 0.0005)
+    left = [
+        float(np.sqrt(np.mean((np.interp(t[:, 0] - s, sent[:, 0], sent[:, 1]) - x) ** 2)))
+        for s in shifts
+    ]
+    best = int(np.argmin(left))
+    return float(shifts[best]), left[best]
+
+
+def now() -> float:
+    import time
+
+    return time.monotonic()
+
+
+def play(far: Far, seconds: float) -> tuple[float, float]:
+    """Lets the hand move; when it did."""
+    import time
+
+    assert far.hand.ask("go")
+    began = now()
+    time.sleep(seconds)
+    assert far.hand.ask("rest")
+    ended = now()
+    time.sleep(0.4)
+    return began, ended
+
+
+def flushed(far: Far) -> None:
+    """The programs' logs are complete up to now."""
+    far.hand.ask("ready")
+
+
+def test_ports_are_open_on_the_isolated_address_alone(far: Far) -> None:
+    table = subprocess.run(
+        far.machines.on("robot", "cat", "/proc/net/tcp"), capture_output=True, text=True, check=True
+    ).stdout
+    found = set(roles.listening(table).values())
+    own = far.machines.addresses["robot"]
+    assert f"{own}:{PORT}" in found
+    assert len(found) > 8, "every node has two ports"
+    assert {text.rpartition(":")[0] for text in found} <= {own, "127.0.0.1"}, found
+
+
+def test_the_far_hand_drives_and_sees(far: Far) -> None:
+    """Lag of the set-point behind the hand for cables of different length, and no jump."""
+    rows = []
+    for delay in (0, 5, 20, 50) if FULL else (0, 20):
+        far.machines.cable(f"delay {delay}")
+        began, ended = play(far, 4.0 if FULL else 2.0)
+        rows.append((delay, began, ended))
+    far.machines.cable("delay 0")
+    flushed(far)
+    sent, cycles = sent_of(far), cycles_of(far)
+    lags = {}
+    for delay, began, ended in rows:
+        lags[delay], rms = lag(sent, cycles, (began + 0.8, ended - 0.1))
+        print(
+            f"{delay} ms each way: set-point {1e3 * lags[delay]:.1f} ms behind, {1e3 * rms:.2f} mm"
+        )
+    moved = np.ptp(cycles[:, 9])
+    step = largest_step(cycles)
+    print(f"tip moved {1e3 * moved:.1f} mm; largest step of a cycle {1e6 * step:.0f} um")
+    assert moved > 0.010
+    assert step <= TIP_VELOCITY * CYCLE_S + 1e-9
+    for delay in list(lags)[1:]:
+        assert lags[delay] - lags[0] == pytest.approx(delay / 1e3, abs=0.05)
+    seen = far.hand.ask("seen")
+    assert isinstance(seen, dict)
+    assert seen["poses"] > 100
+    assert seen["pictures"] > 5, "the arm is seen from the other machine"
+    assert now() - seen["at"] < 2.0
+
+
+def test_a_stalling_cable_stops_the_arm_without_a_jump(far: Far) -> None:
+    import time
+
+    stalls = (0.1, 0.2, 0.5, 1.0) if FULL else (0.3,)
+    spans = []
+    assert far.hand.ask("go")
+    time.sleep(0.8)
+    for stall in stalls:
+        began = now()
+        far.machines.cable(f"stall {stall}")
+        time.sleep(stall + 1.0)
+        spans.append((stall, began, now()))
+        assert far.hand.ask("rest")
+        time.sleep(0.5)
+        assert far.hand.ask("go")
+        time.sleep(0.8)
+    assert far.hand.ask("rest")
+    time.sleep(0.5)
+    flushed(far)
+    cycles = cycles_of(far)
+    for stall, began, ended in spans:
+        part = cycles[(cycles[:, 0] >= began) & (cycles[:, 0] <= ended)]
+        stops = int(np.count_nonzero(np.diff(part[:, 5]) > 0))
+        refused = int(part[-1, 3] - part[0, 3])
+        print(
+            f"stall of {1e3 * stall:.0f} ms: {stops} stop(s), {refused} commands refused, largest "
+            f"step {1e6 * largest_step(part):.0f} um"
+        )
+        assert largest_step(part) <= TIP_VELOCITY * CYCLE_S + 1e-9
+        assert (part[:, 4] == 1).all(), "the arm stays ENABLED"
+        if stall >= 0.3:
+            assert stops >= 1, "silence is F03"
+
+
+def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
+    """Exact in the recorded cycles; nothing old is obeyed when the plug is back."""
+    import time
+
+    assert far.hand.ask("go")
+    time.sleep(1.2)
+    far.machines.cable("cut")
+    pulled = now()
+    time.sleep(1.0)
+    cycles = cycles_of(far)
+    after = cycles[cycles[:, 0] > pulled - 0.3]
+    last = after[np.nonzero(np.diff(after[:, 2]) > 0)[0][-1] + 1]  # the last command obeyed
+    stale = after[(after[:, 5] > 0) & (after[:, 1] > last[1])]
+    assert len(stale), "the silence was noticed"
+    silent = int(stale[0, 1] - last[1])
+    rest = after[after[:, 1] > stale[0, 1] + 100]
+    still = float(np.ptp(rest[:, 6:9], axis=0).max())
+    wall = float(stale[0, 0] - pulled)
+    print(
+        f"pulled: said {silent} cycles after the last command, {1e3 * wall:.0f} ms after the plug"
+    )
+    assert silent == F03
+    assert wall < 0.1 + 0.3
+    assert still < 1e-6, "the set-point stands"
+    # The hand has let go meanwhile; what it sent into the dead cable must not be obeyed later.
+    far.machines.cable("mend")
+    time.sleep(3.0 if FULL else 1.0)
+    flushed(far)
+    assert far.hand.ask("rest")

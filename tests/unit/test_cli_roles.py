@@ -36,7 +36,12 @@ def test_routes_are_read() -> None:
 def test_a_link_has_master_and_addresses() -> None:
     link = roles.link_of(cell(), Role.OPERATOR, 11311)
     assert (link.address, link.robot, link.others) == ("192.168.77.2", "192.168.77.1", ("robot",))
-    base = {"ROS_HOSTNAME": "localhost", "ROS_IP": "127.0.0.1", "LD_PRELOAD": "a.so", "PATH": "/bin"}
+    base = {
+        "ROS_HOSTNAME": "localhost",
+        "ROS_IP": "127.0.0.1",
+        "LD_PRELOAD": "a.so",
+        "PATH": "/bin",
+    }
     env = link.environment(base, network.GUARD)
     assert env["ROS_MASTER_URI"] == "http://192.168.77.1:11311"
     assert env["ROS_IP"] == env["SURG_LISTEN_ON"] == "192.168.77.2"
@@ -49,7 +54,11 @@ def test_a_link_has_master_and_addresses() -> None:
 @pytest.mark.parametrize(
     ("config", "role", "words"),
     [
-        (cell("loopback", {}), Role.ROBOT, ["'network: loopback' and no machines", "isolated", "cell"]),
+        (
+            cell("loopback", {}),
+            Role.ROBOT,
+            ["'network: loopback' and no machines", "isolated", "cell"],
+        ),
         (cell("isolated", {}), Role.ROBOT, ["no machines", "machines:", "robot: 192.168.77.1"]),
         (cell(), Role.ENDOSCOPE, ["machines.endoscope is missing", "robot, operator"]),
     ],
@@ -75,9 +84,17 @@ def refusal(has: bool, text: str) -> str:
 
 def test_an_address_that_leads_elsewhere_is_refused_with_the_cure() -> None:
     text = refusal(True, ELSEWHERE + ISOLATED + ROUTER)
-    for word in ("192.168.77.1 is routable", "eth1", "192.168.77.254", "ip route del", "of its own"):
+    for word in (
+        "192.168.77.1 is routable",
+        "eth1",
+        "192.168.77.254",
+        "ip route del",
+        "of its own",
+    ):
         assert word in text
-    behind = "eth1\t0000000A\tFE4DA8C0\t0003\t0\t0\t0\t000000FF\t0\t0\t0\n"  # 10.0.0.0/8 by a router
+    behind = (
+        "eth1\t0000000A\tFE4DA8C0\t0003\t0\t0\t0\t000000FF\t0\t0\t0\n"  # 10.0.0.0/8 by a router
+    )
     assert "routable" in refusal(True, ISOLATED + behind)
 
 

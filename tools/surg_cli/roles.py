@@ -147,9 +147,7 @@ def check_address(
             2,
         )
     own = _number(address)
-    ours = {
-        r.interface for r in table if r.network[1] and own & r.network[1] == r.network[0]
-    }
+    ours = {r.interface for r in table if r.network[1] and own & r.network[1] == r.network[0]}
     for route in table:
         if route.interface in ours and route.gateway:
             gateway = socket.inet_ntoa(struct.pack("!I", route.gateway))

@@ -128,9 +128,7 @@ def judge(places: Mapping[Step, Place], lens: Lens, side: float = SIDE) -> Verdi
     return _judge_flat(seen)
 
 
-def _axis(
-    places: Mapping[Step, Place], axis: int, lens: Lens, side: float, two_eyes: bool
-) -> Seen:
+def _axis(places: Mapping[Step, Place], axis: int, lens: Lens, side: float, two_eyes: bool) -> Seen:
     plus, minus = places[Step(axis, 1)], places[Step(axis, -1)]
     pixels, change = plus.left - minus.left, None
     metres = np.full(3, np.nan)
@@ -234,7 +232,9 @@ def _turned(seen: tuple[Seen, ...], R: Array, angle: float, each: bool) -> Verdi
         cause, what = Cause.TURNED, f"the picture is turned by {degrees:.0f} degrees {way}"
     else:
         cause = Cause.TILTED
-        what = f"hand and picture differ by a turn of {degrees:.0f} degrees that is not about the view"
+        what = (
+            f"hand and picture differ by a turn of {degrees:.0f} degrees that is not about the view"
+        )
     if each:
         why = "each picture is turned by itself: look for a rotation setting of capture or display"
     elif about_view:
