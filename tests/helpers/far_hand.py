@@ -33,7 +33,7 @@ class Hand:
         self.poses, self.pictures, self.picture_at = 0, 0, 0.0
         self.latched: PoseStamped | None = None
         self.began = 0.0
-        self.log = open(log, "w", encoding="utf-8")  # noqa: SIM115 - as long as the process
+        self.log = open(log, "w", buffering=1, encoding="utf-8")  # noqa: SIM115 - to the end
         keys = {"queue_size": 1, "tcp_nodelay": True}
         self.servo = rospy.Publisher(f"/{arm}/servo_cp", PoseStamped, **keys)
         self.words = rospy.Publisher(f"/{arm}/state_command", StringStamped, latch=True, **keys)
@@ -112,7 +112,7 @@ def main(arm: str, log: str) -> int:
         elif word == "quit":
             break
         print(json.dumps(answer), flush=True)
-    hand.log.close()
+    hand.rest()
     rospy.signal_shutdown("done")
     return 0
 

@@ -19,7 +19,7 @@ from surg_msgs.msg import Cycle
 def main(arm: str, log: str) -> int:
     """Listens until stdin ends."""
     rospy.init_node("near_eye", disable_signals=True)
-    with open(log, "w", encoding="utf-8") as file:
+    with open(log, "w", buffering=1, encoding="utf-8") as file:
 
         def write(cycle: Cycle) -> None:
             now = time.monotonic()

@@ -11,6 +11,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -126,7 +127,8 @@ class Far:
 @pytest.fixture(scope="module")
 def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Far]:
     folder = tmp_path_factory.mktemp("far")
-    robot = up(machines, folder / "robot.log", "robot", cell, "--role", "robot")
+    video = () if FULL else ("--no-video",)  # a camera takes one of two cores
+    robot = up(machines, folder / "robot.log", "robot", cell, "--role", "robot", *video)
     eye = hand = None
     try:
         log = folder / "robot.log"
@@ -145,16 +147,19 @@ def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory
             if program is not None:
                 program.close()
         code = end(robot) if robot.poll() is None else robot.returncode
-        print((folder / "robot.log").read_text("utf-8")[-800:])
+        print((folder / "robot.log").read_text("utf-8")[-3000:])
     assert code == 130
 
 
 def cycles_of(far: Far) -> Array:
-    """Columns: received, tick, accepted, refused, state, stale, set-point (3), tip (3)."""
+    """Since the hand began. Columns: received, tick, accepted, refused, state, stale, set-point (3),
+    tip (3).
+    """
+    began = float(far.sent_log.read_text("utf-8").split(maxsplit=1)[0])
     rows = []
     for line in far.cycles_log.read_text("utf-8").splitlines():
         t, tick, _, accepted, refused, state, reason, *places = line.split()
-        if len(places) == 6:  # the last line may be half written
+        if len(places) == 6 and float(t) > began:  # the last line may be half written
             rows.append(
                 [float(v) for v in (t, tick, accepted, refused, state, reason == "stale", *places)]
             )
@@ -180,7 +185,7 @@ def lag(sent: Array, cycles: Array, span: tuple[float, float]) -> tuple[float, f
     """
     t = cycles[(cycles[:, 0] > span[0]) & (cycles[:, 0] < span[1])]
     x = t[:, 6]
-    shifts = np.arange(0.0, 0.4, 0.0005)
+    shifts = np.arange(-0.05, 0.4, 0.0005)
     left = [
         float(np.sqrt(np.mean((np.interp(t[:, 0] - s, sent[:, 0], sent[:, 1]) - x) ** 2)))
         for s in shifts
@@ -189,28 +194,15 @@ def lag(sent: Array, cycles: Array, span: tuple[float, float]) -> tuple[float, f
     return float(shifts[best]), left[best]
 
 
-def now() -> float:
-    import time
-
-    return time.monotonic()
-
-
 def play(far: Far, seconds: float) -> tuple[float, float]:
     """Lets the hand move; when it did."""
-    import time
-
     assert far.hand.ask("go")
-    began = now()
+    began = time.monotonic()
     time.sleep(seconds)
     assert far.hand.ask("rest")
-    ended = now()
+    ended = time.monotonic()
     time.sleep(0.4)
     return began, ended
-
-
-def flushed(far: Far) -> None:
-    """The programs' logs are complete up to now."""
-    far.hand.ask("ready")
 
 
 def test_ports_are_open_on_the_isolated_address_alone(far: Far) -> None:
@@ -232,7 +224,6 @@ def test_the_far_hand_drives_and_sees(far: Far) -> None:
         began, ended = play(far, 4.0 if FULL else 2.0)
         rows.append((delay, began, ended))
     far.machines.cable("delay 0")
-    flushed(far)
     sent, cycles = sent_of(far), cycles_of(far)
     lags = {}
     for delay, began, ended in rows:
@@ -250,29 +241,27 @@ def test_the_far_hand_drives_and_sees(far: Far) -> None:
     seen = far.hand.ask("seen")
     assert isinstance(seen, dict)
     assert seen["poses"] > 100
-    assert seen["pictures"] > 5, "the arm is seen from the other machine"
-    assert now() - seen["at"] < 2.0
+    if FULL:
+        assert seen["pictures"] > 5, "the arm is seen from the other machine"
+        assert time.monotonic() - seen["at"] < 2.0
 
 
 def test_a_stalling_cable_stops_the_arm_without_a_jump(far: Far) -> None:
-    import time
-
     stalls = (0.1, 0.2, 0.5, 1.0) if FULL else (0.3,)
     spans = []
     assert far.hand.ask("go")
     time.sleep(0.8)
     for stall in stalls:
-        began = now()
+        began = time.monotonic()
         far.machines.cable(f"stall {stall}")
         time.sleep(stall + 1.0)
-        spans.append((stall, began, now()))
+        spans.append((stall, began, time.monotonic()))
         assert far.hand.ask("rest")
         time.sleep(0.5)
         assert far.hand.ask("go")
         time.sleep(0.8)
     assert far.hand.ask("rest")
     time.sleep(0.5)
-    flushed(far)
     cycles = cycles_of(far)
     for stall, began, ended in spans:
         part = cycles[(cycles[:, 0] >= began) & (cycles[:, 0] <= ended)]
@@ -290,12 +279,10 @@ def test_a_stalling_cable_stops_the_arm_without_a_jump(far: Far) -> None:
 
 def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
     """Exact in the recorded cycles; nothing old is obeyed when the plug is back."""
-    import time
-
     assert far.hand.ask("go")
     time.sleep(1.2)
     far.machines.cable("cut")
-    pulled = now()
+    pulled = time.monotonic()
     time.sleep(1.0)
     cycles = cycles_of(far)
     after = cycles[cycles[:, 0] > pulled - 0.3]
@@ -312,8 +299,33 @@ def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
     assert silent == F03
     assert wall < 0.1 + 0.3
     assert still < 1e-6, "the set-point stands"
-    # The hand has let go meanwhile; what it sent into the dead cable must not be obeyed later.
+    # This hand is blind: it sends on into the dead cable, and TCP delivers that when the plug is back.
     far.machines.cable("mend")
-    time.sleep(3.0 if FULL else 1.0)
-    flushed(far)
+    time.sleep(1.0)
     assert far.hand.ask("rest")
+    time.sleep(0.5)
+    late = cycles_of(far)
+    late = late[late[:, 1] > cycles[-1, 1]]
+    way = float(np.ptp(late[:, 6:9], axis=0).max())
+    print(f"mended after 1 s: {1e3 * way:.1f} mm of late motion, {late[-1, 3] - cycles[-1, 3]:.0f} "
+          f"commands refused, largest step {1e6 * largest_step(late):.0f} um")
+    assert (late[:, 4] == 1).all()
+    assert largest_step(late) <= TIP_VELOCITY * CYCLE_S + 1e-9
+
+
+@pytest.mark.skipif(not FULL, reason="ten seconds: SURG_TEST_FULL=1 runs it")
+def test_a_link_that_was_away_for_long_delivers_nothing_old(far: Far) -> None:
+    """Longer than the role's time-out of TCP: what was sent into the dead cable is thrown away."""
+    assert far.hand.ask("go")
+    time.sleep(1.0)
+    far.machines.cable("cut")
+    time.sleep(roles.WAITS[roles.Role.OPERATOR].tcp + 3.0)
+    assert far.hand.ask("rest")
+    before = cycles_of(far)
+    far.machines.cable("mend")
+    time.sleep(4.0)
+    after = cycles_of(far)
+    after = after[after[:, 1] > before[-1, 1]]
+    assert len(after) > 500
+    assert float(np.ptp(after[:, 6:9], axis=0).max()) < 1e-6
+    assert after[-1, 2] == before[-1, 2], "no command was accepted"
