@@ -48,18 +48,18 @@ def held_camera(cell: surg_core.Cell) -> HeldCamera | None:
         ConfigError: The calibration or the URDF must not be used.
     """
     for arm in cell.arms.values():
-        if arm.instrument.camera is not None:
-            return HeldCamera(arm.name, arm.chain, arm.X_WB[:3, :3], _mounted(cell, arm))
+        if (camera := arm.instrument.camera) is not None:
+            R_FV = _mounted(cell, arm, camera.frames[0])
+            return HeldCamera(arm.name, arm.chain, arm.X_WB[:3, :3], R_FV)
     return None
 
 
-def _mounted(cell: surg_core.Cell, arm: surg_core.Arm) -> Array:
+def _mounted(cell: surg_core.Cell, arm: surg_core.Arm, frame: str) -> Array:
     file = cell.folder / "calibration" / f"camera_{arm.name}.yaml"
     if file.is_file():
         return _measured(surg_core.read_document(file), str(file))
-    instrument = arm.instrument
-    frame = instrument.camera.frames[0]
-    X_FV = surg_core.fixed_transform(arm.instrument_urdf, instrument.mount_link, frame)
+    mount = arm.instrument.mount_link
+    X_FV = surg_core.fixed_transform(arm.instrument_urdf, mount, frame)
     return np.asarray(X_FV)[:3, :3]
 
 

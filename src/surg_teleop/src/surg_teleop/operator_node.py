@@ -23,13 +23,13 @@ from std_msgs.msg import String
 from surg_core import ConfigError, load_cell
 from surg_msgs.msg import Cycle, Ready
 from surg_teleop.arm import Jaw
-from surg_teleop.ports_node import ArmPort, arm_view
 from surg_teleop.errors import MotionError
 from surg_teleop.fit import Workspace
 from surg_teleop.motion import read_motion
 from surg_teleop.operator import Mode, Operator
 from surg_teleop.peers import publishers, subscribers
 from surg_teleop.plan import ConstantMotionError, Plan, make_plan
+from surg_teleop.ports_node import ArmPort, arm_view
 
 BUNDLED_MOTION = "motions/bundled.csv"
 CONNECT_TIMEOUT = 30.0

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Sequence
+
 import numpy as np
 import rospy
 from geometry_msgs.msg import PoseStamped
@@ -30,14 +33,16 @@ class ArmPort:
     Args:
         arm: The arm's namespace, without slashes.
         claims: True: authority is claimed as well.
+        only: The topics that there are; empty: all.
 
     Attributes:
         out: Publishers by topic below the arm.
         sent: Messages sent so far.
     """
 
-    def __init__(self, arm: str, claims: bool = False) -> None:
+    def __init__(self, arm: str, claims: bool = False, only: Sequence[str] = ()) -> None:
         kinds = {**COMMANDS, **({"authority/claim": Empty} if claims else {})}
+        kinds = {name: kind for name, kind in kinds.items() if name in only or not only}
         self.out = {
             name: rospy.Publisher(f"/{arm}/{name}", kind, queue_size=0, tcp_nodelay=True)
             for name, kind in kinds.items()
@@ -74,6 +79,28 @@ class ArmPort:
     def _send(self, name: str, message: object) -> None:
         self.out[name].publish(message)
         self.sent += 1
+
+
+class RawCycle(Cycle):  # type: ignore[misc]
+    """A Cycle that keeps its bytes until somebody looks: most of 500 a second nobody does."""
+
+    def __init__(self) -> None:
+        self.data = b""
+
+    def deserialize(self, data: bytes) -> RawCycle:
+        """Keeps the bytes."""
+        self.data = data
+        return self
+
+    def tick(self) -> int:
+        """Its tick: what stands behind the header."""
+        (frame,) = struct.unpack_from("<I", self.data, 12)
+        (tick,) = struct.unpack_from("<Q", self.data, 16 + frame)
+        return int(tick)
+
+    def read(self) -> Cycle:
+        """The whole message."""
+        return Cycle().deserialize(self.data)
 
 
 def arm_view(cycle: Cycle, R_WB: np.ndarray | None = None, received: float = 0.0) -> ArmView:

@@ -62,3 +62,23 @@ def _clutched(sample: LeaderSample | None, clutched: bool) -> LeaderSample | Non
     if sample is None or not clutched:
         return sample
     return replace(sample, buttons=sample.buttons | {"clutch"})
+
+
+class Pedals:
+    """Pedals and sensors beside the leaders: pressed for every hand, whoever they come from."""
+
+    def __init__(self) -> None:
+        self._down: set[tuple[str, str]] = set()
+
+    def press(self, source: str, button: str, down: bool) -> None:
+        """A pedal of a source goes down or up; one source does not lift another's foot."""
+        if down:
+            self._down.add((source, button))
+        else:
+            self._down.discard((source, button))
+
+    def merge(self, sample: LeaderSample | None) -> LeaderSample | None:
+        """The sample with the pedals' buttons."""
+        if sample is None or not self._down:
+            return sample
+        return replace(sample, buttons=sample.buttons | {button for _, button in self._down})

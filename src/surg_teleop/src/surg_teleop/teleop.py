@@ -205,7 +205,7 @@ class Teleop:
             State, commands and message.
         """
         commands = Commands(stamp_ns=arm.stamp_ns + PERIOD_NS if arm else 0)
-        late = now - self._now > SILENCE and math.isfinite(self._now)
+        late = math.isfinite(self._now) and not _fresh(now, self._now)
         since, self._now = (now - self._now if math.isfinite(self._now) else 0.0), now
         self._feel(now, sample)
         if self._switch is not None:
@@ -227,7 +227,7 @@ class Teleop:
 
         What changed during a silence, or with a device plugged in again, is no act of the operator.
         """
-        if sample is None or not sample.finite() or not now - sample.stamp <= SILENCE:
+        if sample is None or not sample.finite() or not _fresh(now, sample.stamp):
             self._buttons = None
             return
         self._heard = sample.stamp
@@ -279,7 +279,7 @@ class Teleop:
 
     def _arm_obstacle(self, now: float, arm: ArmView | None) -> _Obstacle | None:
         name, settings = self.settings.arm, self.settings
-        if arm is None or not now - arm.received <= SILENCE:
+        if arm is None or not _fresh(now, arm.received):
             return _Obstacle(f"{name} is silent: is its controller running?")
         why = f" ({arm.reason})" if arm.reason else ""
         if arm.state is ArmState.FAULT:
@@ -295,7 +295,7 @@ class Teleop:
     def _leader_obstacle(self, now: float, sample: LeaderSample | None) -> _Obstacle | None:
         name = self.settings.leader
         again = "then press the clutch or enable"
-        if sample is None or not now - sample.stamp <= SILENCE:
+        if sample is None or not _fresh(now, sample.stamp):
             return _Obstacle(f"{name} is silent: is it connected and switched on? {again}")
         if not sample.finite():
             return _Obstacle(
@@ -314,7 +314,7 @@ class Teleop:
         return None
 
     def _camera_obstacle(self, now: float, camera: CameraView | None) -> _Obstacle | None:
-        if camera is None or not now - camera.received <= SILENCE:
+        if camera is None or not _fresh(now, camera.received):
             return _Obstacle(
                 "the endoscope arm is silent, so nobody knows where the picture looks: is its "
                 "controller running?"
@@ -351,10 +351,10 @@ class Teleop:
         if self.state is State.FAULT:
             return
         self._leave(now, State.FAULT if obstacle.fault else State.WAITING, obstacle.text, commands)
-        if arm is None or self.state is State.FAULT or not now - arm.received <= SILENCE:
+        if arm is None or self.state is State.FAULT or not _fresh(now, arm.received):
             return
         ours = arm.holder == self.settings.node and arm.state is ArmState.ENABLED
-        if ours and now - self._heard > ABANDONED and commands.state is None:
+        if ours and now - self._heard > ABANDONED + 1e-9 and commands.state is None:
             self._ask(now, "pause", commands)
             self._enabling = -math.inf
         elif self._wants_enabled(now):
@@ -459,6 +459,11 @@ class Teleop:
             self._asked = -math.inf
         self._target = self._ghost = None
         self.state, self._message = state, text
+
+
+def _fresh(now: float, stamp: float) -> bool:
+    # Ticks are no binary fractions: a nanosecond keeps the deadline on its tick.
+    return now - stamp <= SILENCE + 1e-9
 
 
 def _at_rest(sample: LeaderSample) -> bool:

@@ -74,15 +74,14 @@ class VirtualArm:
             received=self._received,
         )
 
-    def obey(self, commands: Commands, roll: float) -> Commands:
-        """The same commands as it takes them: joints instead of a pose, and nothing else.
-
-        Args:
-            commands: For an arm with a controller.
-            roll: Absolute roll that ``commands.servo_cp`` stands for [rad].
-        """
+    def obey(self, commands: Commands) -> Commands:
+        """The same commands as it takes them: joints instead of a pose, and nothing else."""
         joints = None
-        if commands.servo_cp is not None:
+        before = self._joints if self._target is None else self._target
+        if commands.servo_cp is not None and before is not None:
+            # A tip pose is a swing without any z times the roll about z.
+            asked = 2.0 * math.atan2(commands.servo_cp.q[2], commands.servo_cp.q[3])
+            roll = float(before[3]) + math.remainder(asked - float(before[3]), math.tau)
             joints = self._target = virtual_joints(commands.servo_cp.p, roll)
         if commands.hold:
             # Its servos go to the target and rest there: a hold ends the motion where it is.

@@ -1,4 +1,4 @@
-"""A recorded motion as a hand: it holds still for a while, plays the file, and holds still again."""
+"""A recorded motion as a hand: it holds still for a while, plays the file, holds still again."""
 
 from __future__ import annotations
 
