@@ -6,6 +6,7 @@ trocars, so that hundreds of views cost little more than their pictures.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import surg_core
+from surg_cli import paths
 from surg_sim import endoscope, scene
 from surg_sim.placement import inverse
 from surg_sim.render import NoOpenGL, Picture, StereoRenderer, show_only
@@ -108,6 +110,14 @@ class Stage:
         data.qpos[model.joint(f"{name}_sleeve").qposadr[0]] = held.depth - depth
         return True
 
+    def pivot(self, name: str) -> Array:
+        """(3,) trocar point of an arm in the world [m]."""
+        return self._held[name].pivot
+
+    def shaft(self, name: str) -> Array:
+        """(3,) shaft axis of an arm at home in the world, into the patient."""
+        return self._held[name].s_W
+
     def joints(self, name: str) -> Array:
         """(n,) joint positions of an arm [rad]."""
         return np.array(self._held[name].q)
@@ -143,6 +153,8 @@ class Stage:
         X = self.X_WV()
         return self.renderer.intrinsics.project(X[:3, :3].T @ (point - X[:3, 3]))
 
-    def close(self) -> None:
-        """Give the pictures' context back."""
-        self.renderer.close()
+
+@functools.cache
+def stage_of(cell: str) -> Stage:
+    """The stage of a bundled cell, made once per process: it costs more than many pictures."""
+    return Stage(surg_core.load_cell(paths.CELLS / cell))

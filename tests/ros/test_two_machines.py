@@ -307,8 +307,10 @@ def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
     late = cycles_of(far)
     late = late[late[:, 1] > cycles[-1, 1]]
     way = float(np.ptp(late[:, 6:9], axis=0).max())
-    print(f"mended after 1 s: {1e3 * way:.1f} mm of late motion, {late[-1, 3] - cycles[-1, 3]:.0f} "
-          f"commands refused, largest step {1e6 * largest_step(late):.0f} um")
+    print(
+        f"mended after 1 s: {1e3 * way:.1f} mm of late motion, {late[-1, 3] - cycles[-1, 3]:.0f} "
+        f"commands refused, largest step {1e6 * largest_step(late):.0f} um"
+    )
     assert (late[:, 4] == 1).all()
     assert largest_step(late) <= TIP_VELOCITY * CYCLE_S + 1e-9
 

@@ -7,15 +7,14 @@ find the tip, on pictures that the simulator renders.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import surg_core
-from helpers.stage import Stage, turn
+from helpers.stage import Stage, stage_of, turn
 from surg_cli import paths
 from surg_sim.render import Picture
 from surg_teleop.frames.judge import Cause, Lens, Outcome, Verdict, direction, judge, not_seen
@@ -204,10 +203,8 @@ def test_the_way_is_slow_and_ends() -> None:
 
 
 @pytest.fixture(scope="module")
-def stage() -> Iterator[Stage]:
-    found = Stage(surg_core.load_cell(paths.CELLS / "sim_two_arms"))
-    yield found
-    found.close()
+def stage() -> Stage:
+    return stage_of("sim_two_arms")
 
 
 def lens(stage: Stage) -> Lens:
