@@ -203,6 +203,23 @@ MUTANTS: list[tuple[str, tuple[str, str], list[str]]] = [
     (GRASPER, ("urdf: grasper.urdf", "urdf: other.urdf"), ["urdf", "other.urdf", "cannot be"]),
     (GRASPER, ("tip_link: tip", "tip_link: top"), ["urdf", "no link 'top'"]),
     (CELL, ("network: loopback", "network: internet"), ["network", "internet", "isolated"]),
+    (CELL, ("arms:", "machines: {robot: 10.7.0.1}\narms:"), ["machines", "network: isolated"]),
+    *[
+        (CELL, ("network: loopback", f"network: isolated\nmachines: {machines}"), words)
+        for machines, words in (
+            ("{operator: 10.7.0.2}", ["machines.robot", "missing"]),
+            ("{robot: 8.8.8.8}", ["machines.robot", "8.8.8.8", "routable", "192.168"]),
+            ("{robot: 127.0.0.1}", ["machines.robot", "127.0.0.1", "allowed"]),
+            ("{robot: 172.32.0.1}", ["machines.robot", "172.32.0.1"]),
+            ("{robot: 10.7.0.256}", ["machines.robot", "'10.7.0.256'", "IPv4"]),
+            ("{robot: 10.7.0.01}", ["machines.robot", "IPv4"]),
+            ("{robot: 10.7.0.1.}", ["machines.robot", "IPv4"]),
+            ("{robot: robot.local}", ["machines.robot", "robot.local", "IPv4"]),
+            ("{robot: 10.7}", ["machines.robot", "text"]),
+            ("{robot: 10.7.0.1, operator: 192.169.0.1}", ["machines.operator", "192.169.0.1"]),
+            ("{robot: 10.7.0.1, surgeon: 10.7.0.2}", ["machines.surgeon", "known"]),
+        )
+    ],
     (CELL, ("robot: ../robot.yaml", "robot: ../robt.yaml"), ["robt.yaml", "cannot be read"]),
     (CELL, ("link: simulator", "link: telepathy"), ["arms.PSM1.link", "telepathy"]),
     (CELL, ("xyz: [0.1, 0, 0]", "xyz: [0.1, 0]"), ["arms.PSM1.base.xyz", "three"]),
@@ -217,6 +234,17 @@ MUTANTS: list[tuple[str, tuple[str, str], list[str]]] = [
     (TROCAR, ("n: 12", "n: 0"), ["n", "0"]),
     (TROCAR, ("surg_trocar", "surg_tool"), ["format", "surg_tool/1"]),
 ]
+
+
+def test_machines_are_read_by_role(folder: Path) -> None:
+    assert surg_core.load_cell(folder / "cell").config.machines == {}
+    path = folder / CELL
+    machines = {"robot": "10.7.0.1", "operator": "172.31.255.254", "endoscope": "169.254.3.4"}
+    lines = "".join(f"\n  {role}: {address}" for role, address in machines.items())
+    text = path.read_text(encoding="utf-8")
+    text = text.replace("network: loopback", f"network: isolated\nmachines:{lines}")
+    path.write_text(text, encoding="utf-8")
+    assert surg_core.load_cell(folder / "cell").config.machines == machines
 
 
 @pytest.mark.parametrize(

@@ -31,11 +31,11 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def port_in_use(port: int) -> bool:
-    """Whether something listens on a TCP port of this machine."""
+def port_in_use(port: int, host: str = "127.0.0.1") -> bool:
+    """Whether something listens on a TCP port of this machine, at one of its addresses."""
     with socket.socket() as probe:
         probe.settimeout(1.0)
-        return probe.connect_ex(("127.0.0.1", port)) == 0
+        return probe.connect_ex((host, port)) == 0
 
 
 def call(uri: str, method: str, *arguments: object) -> Any:
@@ -74,7 +74,7 @@ def alive(uri: str) -> bool:
     return True
 
 
-def start(supervisor: Supervisor, port: int) -> Child:
+def start(supervisor: Supervisor, port: int, host: str = "localhost") -> Child:
     """Start `rosmaster --core` and wait until it answers.
 
     Sets ROS_MASTER_URI in the supervisor's environment.
@@ -82,6 +82,7 @@ def start(supervisor: Supervisor, port: int) -> Child:
     Args:
         supervisor: Takes the master in as its first child.
         port: The port to listen on.
+        host: This machine's address for the other nodes.
 
     Returns:
         The running master.
@@ -89,12 +90,12 @@ def start(supervisor: Supervisor, port: int) -> Child:
     Raises:
         Problem: When the port is taken or the master does not come up.
     """
-    if port_in_use(port):
+    if port_in_use(port, host):
         raise Problem(
             f"port {port} is in use on this machine: choose another with --port, or end what "
             f"holds it (ss -ltnp 'sport = :{port}' names it)"
         )
-    uri = f"http://localhost:{port}"
+    uri = f"http://{host}:{port}"
     supervisor.env["ROS_MASTER_URI"] = uri
     child = supervisor.start("rosmaster", [*_python(), str(ROSMASTER), "--core", "-p", str(port)])
     if not wait_until(lambda: alive(uri) or child.exit_code is not None, START_TIMEOUT_S):

@@ -1,4 +1,4 @@
-"""The list of running systems: one small file per ROS master port in `.surg/run/`."""
+"""The list of running systems: one small file per ROS master port and role in `.surg/run/`."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ class System:
         logs: Folder of the nodes' output.
         nodes: Node name -> process id.
         last_errors: Arm -> its newest error.
+        role: Of this machine in a cell of several; empty: there is one machine.
+        uri: ROS_MASTER_URI; empty: the port on this machine.
     """
 
     port: int
@@ -35,11 +37,18 @@ class System:
     logs: str
     nodes: dict[str, int] = field(default_factory=dict)
     last_errors: dict[str, str] = field(default_factory=dict)
+    role: str = ""
+    uri: str = ""
 
     @property
     def file(self) -> Path:
         """Where it is written."""
-        return paths.SYSTEMS / f"{self.port}.json"
+        return paths.SYSTEMS / f"{tag(self.port, self.role)}.json"
+
+    @property
+    def master_uri(self) -> str:
+        """Where its ROS master is."""
+        return self.uri or f"http://localhost:{self.port}"
 
     @property
     def alive(self) -> bool:
@@ -51,8 +60,15 @@ class System:
         paths.write_text(self.file, json.dumps(asdict(self), indent=1) + "\n")
 
 
+def tag(port: int, role: str = "") -> str:
+    """What a system's files are called: its port, and its role where it has one."""
+    return f"{port}_{role}" if role else str(port)
+
+
 @contextlib.contextmanager
-def announced(command: str, port: int, cell: Path, logs: Path) -> Iterator[System]:
+def announced(
+    command: str, port: int, cell: Path, logs: Path, role: str = "", uri: str = ""
+) -> Iterator[System]:
     """List this process as the supervisor of a system while the context lasts.
 
     Args:
@@ -60,12 +76,23 @@ def announced(command: str, port: int, cell: Path, logs: Path) -> Iterator[Syste
         port: Port of the ROS master.
         cell: Folder of the cell.
         logs: Folder of the nodes' output.
+        role: Of this machine in a cell of several.
+        uri: ROS_MASTER_URI, where it is not the port on this machine.
 
     Yields:
         The entry; change it and `save`.
     """
     pid = os.getpid()
-    system = System(port, pid, processes.start_time(pid) or 0, command, str(cell), str(logs))
+    system = System(
+        port,
+        pid,
+        processes.start_time(pid) or 0,
+        command,
+        str(cell),
+        str(logs),
+        role=role,
+        uri=uri,
+    )
     system.save()
     try:
         yield system

@@ -29,7 +29,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     for other in systems[1:]:
         say(f"also running: {other.command} of {other.cell}, ./surg status --port {other.port}")
     port = systems[0].port if systems else options.port
-    uri = f"http://localhost:{port}"
+    uri = systems[0].master_uri if systems else f"http://localhost:{port}"
     registered = master.nodes(uri)
     healthy = _nodes(systems[0] if systems else None, registered, uri)
     _topics(uri)

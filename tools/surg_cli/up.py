@@ -1,4 +1,4 @@
-"""`./surg up CELL`: a whole system, kept until Ctrl-C."""
+"""`./surg up CELL`: a whole system, or one machine's part of it, kept until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -9,7 +9,18 @@ import shlex
 import time
 from pathlib import Path
 
-from surg_cli import cells, environment, master, paths, processes, running, system
+from surg_cli import (
+    cells,
+    environment,
+    join,
+    master,
+    network,
+    paths,
+    processes,
+    roles,
+    running,
+    system,
+)
 from surg_cli.demo import tcp_port
 from surg_cli.follow import death_notice
 from surg_cli.system import Plan
@@ -25,6 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add = parser.add_argument
     add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
     add("--port", type=tcp_port, default=DEFAULT_PORT, metavar="P", help="of the ROS master")
+    add(
+        "--role",
+        choices=[role.value for role in roles.Role],
+        help="what this machine does in a cell of several machines (docs/two_machines.md)",
+    )
     add("--lock-step", action="store_true", help="step by step instead of in real time")
     add(
         "--participant",
@@ -44,7 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Start everything, say what is there, wait."""
     cell = cells.find(options.cell)
-    arms = tuple(str(name) for name in cells.load(cell).arms)
+    loaded = cells.load(cell)
+    arms = tuple(str(name) for name in loaded.arms)
+    link = None
+    if options.role is not None:
+        if options.lock_step:
+            raise Problem("--lock-step needs one machine; leave --role or --lock-step out", 2)
+        link = join.link(loaded.config, roles.Role(options.role), options.port)
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     plan = Plan(
         cell=cell,
@@ -60,31 +82,38 @@ def main(options: argparse.Namespace, command: str) -> int:
         run_info={"task": "up", "cell": str(cell)},
     )
     if options.print:
-        return _print_lines(plan)
-    logs = paths.SYSTEMS / f"{options.port}_logs"
+        return _print_lines(plan, link)
+    logs = paths.SYSTEMS / f"{running.tag(options.port, options.role or '')}_logs"
     processes.adopt_orphans()
     try:
-        return _keep(plan, options.port, logs)
+        if link is not None and link.role is not roles.Role.ROBOT:
+            return join.keep(plan, link, logs)
+        return _keep(plan, options.port, logs, link)
     finally:
         with processes.signals_ignored():
             processes.end_orphans()
 
 
-def _print_lines(plan: Plan) -> int:
-    """Print the command lines of all nodes."""
-    say("rosmaster --core")
-    for node in [*system.nodes(plan), *map(system.robot_state_publisher, plan.arms)]:
+def _print_lines(plan: Plan, link: roles.Link | None) -> int:
+    """Print the command lines of all nodes of this machine."""
+    if link is None or link.role is roles.Role.ROBOT:
+        say("rosmaster --core")
+    for node in join.nodes(plan, link):
         say(node.rosrun_line())
     return 0
 
 
-def _keep(plan: Plan, port: int, logs: Path) -> int:
+def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> int:
     """Start all nodes and stay until a signal arrives or a node dies."""
     env = environment.for_nodes(ros_home=logs / "ros")
+    if link is not None:
+        env = link.environment(env, network.GUARD)
+    host, uri = ("localhost", "") if link is None else (link.address, link.uri)
     with processes.Supervisor(env, logs) as supervisor:
-        master.start(supervisor, port)
-        with running.announced("up", port, plan.cell, logs) as entry:
-            for node in system.nodes(plan):
+        master.start(supervisor, port, host)
+        role = "" if link is None else link.role.value
+        with running.announced("up", port, plan.cell, logs, role, uri) as entry:
+            for node in join.nodes(plan, link, published=False):
                 system.start(supervisor, node)
             os.environ.update(supervisor.env)
             with Watch(plan.arms) as watch:
@@ -94,7 +123,9 @@ def _keep(plan: Plan, port: int, logs: Path) -> int:
                     system.start(supervisor, system.robot_state_publisher(arm))
                 entry.nodes = {child.name: child.process.pid for child in supervisor.children}
                 entry.save()
-                _greet(plan, port, logs)
+                if link is not None:
+                    network.refuse_foreign_ports(supervisor.children, link.address)
+                _greet(plan, port, logs, link)
                 while True:
                     _stay(watch, supervisor, entry)
 
@@ -152,12 +183,16 @@ def _await_arms(
         time.sleep(0.05)
 
 
-def _greet(plan: Plan, port: int, logs: Path) -> None:
+def _greet(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> None:
     """Say what runs and how to reach it."""
     arm = plan.arms[0]
     say(f"{plan.cell.name} is up: {', '.join(plan.arms)}; every arm is DISABLED and not homed.")
+    if link is not None:
+        say(f"ROS ports are open on {link.address} alone. The other machines join with:")
+        for role in link.others:
+            say(f"  ./surg up {plan.cell.name} --role {role} --port {port}")
     say("In another terminal: ./surg status, ./surg shell, or by hand:")
-    say(f"  export ROS_MASTER_URI=http://localhost:{port}")
+    say(f"  export ROS_MASTER_URI={link.uri if link else f'http://localhost:{port}'}")
     for word in ("enable", "home"):
         message = shlex.quote(f"string: {word}")
         say(f"  rostopic pub -1 /{arm}/state_command crtk_msgs/StringStamped {message}")

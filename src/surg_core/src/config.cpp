@@ -1,6 +1,7 @@
 #include "surg_core/config.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cctype>
 #include <cmath>
 #include <cstdint>
@@ -8,6 +9,7 @@
 #include <cstring>
 #include <initializer_list>
 #include <limits>
+#include <optional>
 #include <set>
 
 namespace surg {
@@ -95,6 +97,30 @@ std::string show(const Value& value) {
     }
   }
   return text + "]";
+}
+
+/// The four numbers of an IPv4 address in its one canonical form, or none.
+std::optional<std::array<int, 4>> ipv4(const std::string& text) {
+  std::array<int, 4> parts{};
+  int used = 0;
+  if (std::sscanf(text.c_str(), "%3d.%3d.%3d.%3d%n", &parts[0], &parts[1], &parts[2], &parts[3],
+                  &used) != 4 ||
+      used != static_cast<int>(text.size())) {
+    return std::nullopt;
+  }
+  std::string again;
+  for (int part : parts) {
+    if (part < 0 || part > 255) return std::nullopt;
+    again += (again.empty() ? "" : ".") + std::to_string(part);
+  }
+  if (again != text) return std::nullopt;  // leading zeros and blanks mean different things elsewhere
+  return parts;
+}
+
+/// Whether an address is one that no router of the internet passes on (RFC 1918, RFC 3927).
+bool stays_local(const std::array<int, 4>& a) {
+  return a[0] == 10 || (a[0] == 172 && a[1] >= 16 && a[1] <= 31) ||
+         (a[0] == 192 && a[1] == 168) || (a[0] == 169 && a[1] == 254);
 }
 
 /// Reads a document key by key, remembers what was asked for, and refuses what was not.
@@ -415,12 +441,44 @@ TrocarCalibration parse_trocar(const Document& document) {
   return trocar;
 }
 
+namespace {
+
+constexpr const char* kRoles[] = {"robot", "operator", "endoscope"};
+
+/// The machines of a cell that is spread over several, by role.
+std::map<std::string, std::string> read_machines(Reader& reader, const std::string& network) {
+  std::map<std::string, std::string> machines;
+  if (!reader.has("machines")) return machines;
+  if (network != "isolated") {
+    reader.fail("machines", "needs 'network: isolated': ROS 1 has no passwords, so its ports may be "
+                            "open only on a network of these machines alone");
+  }
+  for (const std::string role : kRoles) {
+    const std::string key = "machines." + role;
+    if (role != "robot" && !reader.has(key)) continue;
+    const std::string address = reader.word(key);
+    const auto parts = ipv4(address);
+    if (!parts) {
+      reader.fail(key, "'" + address + "' is not an IPv4 address such as 192.168.77.1");
+    }
+    if (!stays_local(*parts)) {
+      reader.fail(key, address + " is routable or this machine alone; allowed are 10.x.x.x, "
+                                 "172.16.x.x to 172.31.x.x, 192.168.x.x and 169.254.x.x");
+    }
+    machines[role] = address;
+  }
+  return machines;
+}
+
+}  // namespace
+
 CellConfig parse_cell(const Document& document) {
   Reader reader(document, "surg_cell/1");
   CellConfig cell;
   cell.file = document.file;
   cell.name = reader.word("name");
   cell.network = reader.choice("network", {"loopback", "isolated"});
+  cell.machines = read_machines(reader, cell.network);
   const std::vector<std::string> names = arm_names(document);
   if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
   for (const auto& name : names) {

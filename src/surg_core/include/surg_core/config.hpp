@@ -130,7 +130,11 @@ struct CellArm {
 
 /// A user's whole system.
 struct CellConfig {
-  std::string file, name, network;
+  std::string file, name;
+  std::string network;  ///< "loopback": no port leaves this machine; "isolated": see machines
+  /// IPv4 address on the isolated network by role: "robot", "operator", "endoscope". Empty: one
+  /// machine.
+  std::map<std::string, std::string> machines;
   std::vector<CellArm> arms;  ///< in the file's order
 };
 

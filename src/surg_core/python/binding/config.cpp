@@ -217,6 +217,9 @@ void bind_cell(py::module_& m) {
       .def_readonly("file", &CellConfig::file)
       .def_readonly("name", &CellConfig::name)
       .def_readonly("network", &CellConfig::network)
+      .def_property_readonly(
+          "machines", [](const CellConfig& c) { return c.machines; },
+          "IPv4 address on the isolated network by role: robot, operator, endoscope.")
       .def_property_readonly("arms",
                              [](const CellConfig& c) { return py::tuple(py::cast(c.arms)); });
 }

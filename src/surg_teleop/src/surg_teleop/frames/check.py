@@ -1,0 +1,248 @@
+"""Moves the tip along the camera's axes, step by step, and collects the pictures of each step.
+
+Pure: cycles, camera and pictures in, commands out; the arm's own stamps are the clock. Whatever goes
+wrong ends the check with a reason and a ``hold``; nothing moves before the arm is ENABLED, homed and
+at rest, and nothing is sent after the end.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_teleop.arm import PERIOD_NS, SECOND, ArmState, ArmView, Commands, tip_pose
+from surg_teleop.fit import Workspace
+from surg_teleop.frames.moves import REST, SIDE, STEPS, Step, between
+from surg_teleop.frames.sight import Picture
+
+Array = NDArray[np.float64]
+
+STILL_S = 0.4
+"""The tip is at rest that long before a picture counts: a lagging arm, a rolling shutter."""
+PICTURE_S = 5.0
+"""Longest wait for a picture of the tip at rest."""
+ARRIVE_S = 3.0
+"""Longest wait for the tip to come where it was sent."""
+THERE = 0.0007
+"""[m] Nearer than that to where it was sent, the tip is there."""
+CLOCKS_S = 2.0
+"""Largest difference of a picture's stamp from the arm's: beyond, nobody knows what it shows."""
+SCOPE_MOVED = np.radians(0.5)
+"""Largest turn of the camera during the check [rad]."""
+
+
+class Stage(enum.Enum):
+    """What the check is doing."""
+
+    WAIT = "wait"
+    GO = "go"
+    LOOK = "look"
+    BACK = "back"
+    DONE = "done"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Pictures of one moment.
+
+    Attributes:
+        stamp_ns: When they were exposed [ns].
+        left: (h, w, 3) rgb8.
+        right: The other eye's; None: there is one eye.
+    """
+
+    stamp_ns: int
+    left: Picture
+    right: Picture | None
+
+
+@dataclass
+class FramesCheck:
+    """One check of one arm under one camera.
+
+    Attributes:
+        arm: Its name, for messages.
+        node: Caller id under which the commands are sent.
+        workspace: Where the tip may go.
+        side: How far to either side of rest [m].
+        stage: What is being done.
+        reason: Why it failed; empty otherwise.
+        pictures: What has been collected, by step.
+    """
+
+    arm: str
+    node: str
+    workspace: Workspace
+    side: float = SIDE
+    stage: Stage = Stage.WAIT
+    reason: str = ""
+    pictures: dict[Step, Pair] = field(default_factory=dict)
+    _rest: Array = field(default_factory=lambda: np.zeros(3), repr=False)
+    _from: Array = field(default_factory=lambda: np.zeros(3), repr=False)
+    _roll: float = field(default=0.0, repr=False)
+    _R_RV: Array = field(default_factory=lambda: np.eye(3), repr=False)
+    _since: int = field(default=0, repr=False)
+    _still_since: int = field(default=0, repr=False)
+    _refused: int = field(default=0, repr=False)
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing more will be sent."""
+        return self.stage in (Stage.DONE, Stage.FAILED)
+
+    @property
+    def step(self) -> Step:
+        """What is being looked at, or will be next."""
+        left = [step for step in STEPS if step not in self.pictures]
+        return left[0] if left else REST
+
+    def stop(self, reason: str) -> Commands:
+        """End it from outside, wherever it is.
+
+        Args:
+            reason: For the person.
+
+        Returns:
+            What to send now: hold, if the arm may be moving.
+        """
+        commands = Commands(hold=self.stage in (Stage.GO, Stage.LOOK, Stage.BACK))
+        if not self.done:
+            self.stage, self.reason = Stage.FAILED, reason
+        return commands
+
+    def tick(self, arm: ArmView, R_WV: Array | None, pair: Pair | None) -> Commands:
+        """One control cycle.
+
+        Args:
+            arm: What it says.
+            R_WV: (3, 3) the view in the world as the cell has it; None: not known yet.
+            pair: The newest pictures; None: there are none yet.
+
+        Returns:
+            What to send for the next cycle.
+        """
+        commands = Commands(stamp_ns=arm.stamp_ns + PERIOD_NS)
+        if self.done:
+            return commands
+        if problem := self._problem(arm, R_WV):
+            return self._fail(problem, commands)
+        if R_WV is None:
+            return commands
+        if self.stage is Stage.WAIT:
+            self._begin(arm, R_WV, commands)
+        elif self.stage in (Stage.GO, Stage.BACK):
+            self._go(arm, commands)
+        elif self.stage is Stage.LOOK:
+            self._look(arm, pair, commands)
+        return commands
+
+    def _fail(self, reason: str, commands: Commands) -> Commands:
+        commands.hold = self.stop(reason).hold
+        commands.servo_cp = None
+        return commands
+
+    def _problem(self, arm: ArmView, R_WV: Array | None) -> str:
+        """Why the check must end, or may not begin; empty: nothing."""
+        why = f" ({arm.reason})" if arm.reason else ""
+        if arm.state is not ArmState.ENABLED:
+            return (
+                f"{self.arm} is {arm.state.name}{why}: enable it first, with "
+                f"'rostopic pub -1 /{self.arm}/state_command crtk_msgs/StringStamped \"string: "
+                "enable\"'"
+            )
+        if not arm.homed:
+            return f"{self.arm} is not homed: send it the state_command 'home' first"
+        if arm.holder not in ("", self.node):
+            return f"{self.arm} is held by {arm.holder}: end that first"
+        if self.stage is Stage.WAIT:
+            return ""
+        if arm.refused > self._refused:
+            return f"{self.arm} refused a command{why}: see {self.arm}/warning"
+        if R_WV is not None:
+            turned = float(np.linalg.norm(self._view(arm, R_WV) - self._R_RV)) / np.sqrt(2.0)
+            if not turned < SCOPE_MOVED:
+                return "the endoscope has moved: let it rest during the check"
+        return ""
+
+    def _view(self, arm: ArmView, R_WV: Array) -> Array:
+        """The view in the rcm frame, (3, 3): the registration that is being checked."""
+        return np.asarray(arm.R_WR.T @ R_WV)
+
+    def _begin(self, arm: ArmView, R_WV: Array, commands: Commands) -> None:
+        self._R_RV = self._view(arm, R_WV)
+        self._rest = self._from = np.array(arm.p_set)
+        self._roll, self._refused = arm.roll_set, arm.refused
+        for step in STEPS:
+            place = self._place(step)
+            if wall := self.workspace.nearest(place)[1]:
+                self._fail(
+                    f"{step} of here is no room ({wall} of the workspace): bring the tip "
+                    f"{1e3 * self.side:.0f} mm away from its limits and try again",
+                    commands,
+                )
+                return
+        commands.claim = True
+        self._enter(Stage.GO, arm)
+        self._go(arm, commands)
+
+    def _place(self, step: Step) -> Array:
+        return np.asarray(self._rest + self._R_RV @ step.offset(self.side))
+
+    def _enter(self, stage: Stage, arm: ArmView) -> None:
+        self.stage = stage
+        self._since = self._still_since = arm.stamp_ns
+
+    def _go(self, arm: ArmView, commands: Commands) -> None:
+        """On the way, and arriving."""
+        target = self._place(REST if self.stage is Stage.BACK else self.step)
+        seconds = (arm.stamp_ns - self._since) / SECOND
+        place, end = between(self._from, target, seconds)
+        commands.servo_cp = tip_pose(place, self._roll)
+        if not end:
+            self._still_since = arm.stamp_ns
+            return
+        if float(np.linalg.norm(arm.p_tip - target)) > THERE:
+            if arm.stamp_ns - self._still_since > ARRIVE_S * SECOND:
+                off = 1e3 * float(np.linalg.norm(arm.p_tip - target))
+                self._fail(
+                    f"the tip stays {off:.1f} mm from where it was sent: is it held up?", commands
+                )
+            return
+        self._from = target
+        if self.stage is Stage.BACK:
+            self.stage = Stage.DONE
+            commands.servo_cp, commands.hold = None, True
+            return
+        self._enter(Stage.LOOK, arm)
+
+    def _look(self, arm: ArmView, pair: Pair | None, commands: Commands) -> None:
+        """At rest, until a picture of it has come."""
+        commands.servo_cp = tip_pose(self._from, self._roll)
+        apart = 0.0 if pair is None else (arm.stamp_ns - pair.stamp_ns) / SECOND
+        if pair is not None and abs(apart) > CLOCKS_S + PICTURE_S:
+            self._fail(
+                f"the picture's stamp is {apart:.1f} s before the arm's: nobody knows what it "
+                "shows. Is it frozen, or is the clock of the camera's machine wrong?",
+                commands,
+            )
+        elif pair is not None and pair.stamp_ns >= self._still_since + STILL_S * SECOND:
+            self.pictures[self.step] = pair
+            self._enter(Stage.GO if len(self.pictures) < len(STEPS) else Stage.BACK, arm)
+        elif arm.stamp_ns - self._still_since > (STILL_S + PICTURE_S) * SECOND:
+            self._fail(
+                f"no picture for {PICTURE_S:.0f} s: is the endoscope running, and are both eyes "
+                "sent?",
+                commands,
+            )
+
+
+def split(pictures: Mapping[Step, Pair]) -> tuple[dict[Step, Picture], dict[Step, Picture] | None]:
+    """The pictures of the left and of the right eye; None: there is one eye."""
+    left = {step: pair.left for step, pair in pictures.items()}
+    right = {step: pair.right for step, pair in pictures.items() if pair.right is not None}
+    return left, right if len(right) == len(left) else None

@@ -1,0 +1,263 @@
+"""Where the instrument's tip is in pictures of one scene: found by its motion, followed by its look.
+
+The pictures are taken with the tip at rest, and a little to either side of rest along three axes.
+What differs from the picture at rest on *both* sides of an axis is the instrument at rest (three-frame
+differencing): no model of instrument or tissue, and no knowledge of where the tip should be. The end
+of it that lies inside the picture is the tip; a patch round it is then found again in every picture
+by weighted normalised cross-correlation, to a fraction of a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, signal
+
+from surg_teleop.frames.moves import AXES, REST, Step
+
+Array = NDArray[np.float64]
+Smooth = NDArray[np.float32]
+Picture = NDArray[np.uint8]
+
+REACH = 0.18
+"""How far a tip is looked for, as a share of the picture's height."""
+PATCH = 0.075
+"""Radius of what is followed, as a share of the picture's height."""
+NEAR = 6.0
+"""[px] How far the other eye's picture may differ from the disparity at rest."""
+LEAST = 80
+"""[px] Fewer changed pixels are no instrument."""
+ALIKE = 0.6
+"""Correlation from which on a patch counts as found again."""
+CHANGED = 10.0
+"""[grey levels] Smallest change that counts, whatever the noise."""
+
+
+class NotSeen(ValueError):
+    """The tip could not be found; the message says what was missing and what to do."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the tip is in the pictures of one moment.
+
+    Attributes:
+        left: (2,) x right, y down, in the left picture [px].
+        disparity: (2,) place in the left less place in the right picture [px]; None with one eye.
+        likeness: Correlation with the tip at rest, 1: the same.
+    """
+
+    left: Array
+    disparity: Array | None
+    likeness: float
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A piece of a picture with a weight per pixel, and where it was.
+
+    Attributes:
+        look: (h, w, 3) smoothed colours.
+        weight: (h, w) 1 on the instrument, 0 elsewhere.
+        corner: (2,) whole pixels x, y of its first pixel.
+        tip: (2,) the tip in the picture [px].
+    """
+
+    look: Smooth
+    weight: Smooth
+    corner: NDArray[np.int64]
+    tip: Array
+
+
+def find_places(
+    left: Mapping[Step, Picture], right: Mapping[Step, Picture] | None = None
+) -> dict[Step, Place]:
+    """The tip in the pictures of all steps.
+
+    Args:
+        left: (h, w, 3) rgb8 by step: ``REST`` and both sides of every axis.
+        right: The other eye's, taken at the same moments.
+
+    Returns:
+        A place by step.
+
+    Raises:
+        NotSeen: Nothing has moved, or the tip was not found again.
+    """
+    smooth = {step: _smooth(picture) for step, picture in left.items()}
+    rest = smooth[REST]
+    patch = _tip_patch(rest, smooth)
+    reach = round(REACH * rest.shape[0])
+    other = None if right is None else {step: _smooth(picture) for step, picture in right.items()}
+    across, _ = (
+        (np.zeros(2), 1.0) if other is None else _find(patch, other[REST], np.zeros(2), reach)
+    )
+    found = {}
+    for step, picture in smooth.items():
+        shift, likeness = (
+            (np.zeros(2), 1.0)
+            if step == REST
+            else _find(patch, picture, np.zeros(2), reach, f"after the move {step}")
+        )
+        disparity = None
+        if other is not None:
+            # The other eye sees the same moment: the same light, the same size, the same angle.
+            there = _moved(patch, picture, shift)
+            apart, _ = _find(there, other[step], across, NEAR, "in the right picture")
+            disparity = -apart
+        found[step] = Place(patch.tip + shift, disparity, likeness)
+    return found
+
+
+def _smooth(picture: Picture) -> Smooth:
+    """Less noise, and peaks of correlation that a parabola fits; single precision is plenty."""
+    seen = picture.astype(np.float32)
+    return np.asarray(ndimage.gaussian_filter(seen, (1.0, 1.0, 0.0), truncate=2.0))
+
+
+def _tip_patch(rest: Smooth, all_: Mapping[Step, Smooth]) -> Patch:
+    """The patch round the tip at rest."""
+    shape = rest.shape[:2]
+    instrument = np.zeros(shape, dtype=bool)
+    for axis in AXES:
+        plus, minus = (_changed(rest, all_[Step(axis, sign)]) for sign in (1, -1))
+        instrument |= plus & minus
+    instrument = ndimage.binary_opening(instrument, iterations=1)
+    instrument = ndimage.binary_closing(instrument, iterations=4)
+    parts, count = ndimage.label(ndimage.binary_dilation(instrument, iterations=3))
+    sizes = ndimage.sum_labels(instrument, parts, range(1, count + 1)) if count else []
+    if not count or max(sizes) < LEAST:
+        raise NotSeen(
+            "nothing has moved in the picture: is the instrument in view, is the picture live and "
+            "the lens clean? Bring the tip to the middle of the picture and try again"
+        )
+    instrument &= parts == 1 + int(np.argmax(sizes))
+    tip = _inner_end(instrument, _lit(list(all_.values())))
+    radius = PATCH * shape[0]
+    y, x = np.nonzero(instrument)
+    near = np.hypot(x - tip[0], y - tip[1]) < radius
+    x, y = x[near], y[near]
+    corner = np.array([x.min(), y.min()])
+    size = np.array([x.max(), y.max()]) - corner + 1
+    weight = np.zeros((size[1], size[0]), dtype=np.float32)
+    weight[y - corner[1], x - corner[0]] = 1.0
+    look = rest[corner[1] : corner[1] + size[1], corner[0] : corner[0] + size[0]]
+    return Patch(look, weight, corner, tip)
+
+
+def _changed(a: Smooth, b: Smooth) -> NDArray[np.bool_]:
+    """Pixels that differ by more than the noise, which most pixels, at rest, show."""
+    difference = np.abs(a - b).max(axis=2)
+    return np.asarray(difference > max(CHANGED, 8.0 * float(np.median(difference))))
+
+
+def _lit(pictures: Sequence[Smooth]) -> NDArray[np.bool_]:
+    """What of a picture shows anything at all: an endoscope's is round."""
+    return np.asarray(ndimage.binary_fill_holes(np.max(pictures, axis=(0, 3)) > 12.0))
+
+
+def _inner_end(instrument: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Array:
+    """The end of an elongated thing that is farther from the edge of the picture, (2,) x, y."""
+    y, x = np.nonzero(instrument)
+    points = np.column_stack([x, y]).astype(np.float64)
+    middle = points.mean(axis=0)
+    _, axes = np.linalg.eigh(np.cov((points - middle).T))
+    along = (points - middle) @ axes[:, 1]
+    padded = np.pad(lit, 1)  # the picture's own edge counts too
+    inside = ndimage.distance_transform_edt(padded)[1:-1, 1:-1]
+    ends = []
+    for end in (along <= np.quantile(along, 0.03), along >= np.quantile(along, 0.97)):
+        place = points[end].mean(axis=0)
+        ends.append((float(inside[round(place[1]), round(place[0])]), place))
+    return np.asarray(max(ends, key=lambda e: e[0])[1])
+
+
+def _moved(patch: Patch, picture: Smooth, shift: Array) -> Patch:
+    """The patch as another picture of the same eye shows it, whole pixels away."""
+    whole = np.round(shift).astype(np.int64)
+    corner = patch.corner + whole
+    height, width = patch.weight.shape
+    first = np.maximum(corner, 0)
+    last = np.minimum(corner + [width, height], [picture.shape[1], picture.shape[0]])
+    cut = (
+        slice(first[1] - corner[1], last[1] - corner[1]),
+        slice(first[0] - corner[0], last[0] - corner[0]),
+    )
+    look = picture[first[1] : last[1], first[0] : last[0]]
+    return Patch(look, patch.weight[cut], first, patch.tip + shift)
+
+
+def _find(
+    patch: Patch, picture: Smooth, guess: Array, reach: float, where: str = "in the right picture"
+) -> tuple[Array, float]:
+    """Where a patch is in a picture.
+
+    Args:
+        patch: What is looked for.
+        picture: (h, w, 3) smoothed.
+        guess: (2,) shift from its place at which the search is centred [px].
+        reach: How far from there to look [px].
+        where: For the error.
+
+    Returns:
+        Its shift (2,) [px] and the correlation there.
+
+    Raises:
+        NotSeen: Nothing looks like it.
+    """
+    height, width = patch.weight.shape
+    span = int(np.ceil(reach))
+    low = patch.corner + np.round(guess).astype(np.int64) - span
+    high = low + [width + 2 * span, height + 2 * span]
+    limit = np.array([picture.shape[1], picture.shape[0]])
+    first, last = np.maximum(low, 0), np.minimum(high, limit)
+    if np.any(last - first < [width, height]):
+        raise NotSeen(f"the tip leaves the picture {where}; bring it to the middle and try again")
+    window = picture[first[1] : last[1], first[0] : last[0]]
+    score = _correlate(patch, window)
+    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    best = float(score[row, column])
+    if best < ALIKE:
+        raise NotSeen(
+            f"the tip was not recognised {where} (correlation {best:.2f}, needed {ALIKE}): is "
+            "something in front of it, or does the picture stutter?"
+        )
+    shift = first - patch.corner + np.array([column, row]) + _summit(score, row, column)
+    return np.asarray(shift, dtype=np.float64), best
+
+
+def _correlate(patch: Patch, window: Smooth) -> Array:
+    """Weighted normalised cross-correlation at every whole shift, (rows, columns), -1 to 1."""
+    weight, total = patch.weight, float(patch.weight.sum())
+    up = energy = 0.0
+    own = 0.0
+    for c in range(3):
+        look, seen = patch.look[..., c], window[..., c] - np.float32(128.0)
+        template = weight * (look - float((weight * look).sum()) / total)
+        up = up + _slide(seen, template)
+        energy = energy + np.maximum(_slide(seen**2, weight) - _slide(seen, weight) ** 2 / total, 0)
+        own += float((template**2).sum())
+    return np.asarray(up / np.sqrt(np.maximum(energy * own, 1e-9 + 1e-6 * own * total)))
+
+
+def _slide(window: Smooth, weight: Smooth) -> Array:
+    return np.asarray(signal.correlate(window, weight, mode="valid", method="fft"))
+
+
+def _summit(score: Array, row: int, column: int) -> Array:
+    """Offset (2,) x, y of a peak from its highest sample: parabolas through the neighbours."""
+
+    def offset(before: float, here: float, after: float) -> float:
+        bend = before - 2.0 * here + after
+        return 0.0 if bend >= 0.0 else float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5))
+
+    rows, columns = score.shape
+    x = y = 0.0
+    if 0 < column < columns - 1:
+        x = offset(*score[row, column - 1 : column + 2])
+    if 0 < row < rows - 1:
+        y = offset(*score[row - 1 : row + 2, column])
+    return np.array([x, y])

@@ -1,0 +1,190 @@
+"""Where ROS ports may be opened for another machine, and where not: words and decisions."""
+
+from __future__ import annotations
+
+import socket
+from types import SimpleNamespace
+
+import pytest
+
+from helpers.surg import surg
+from surg_cli import network, processes, roles
+from surg_cli.roles import Link, Role
+from surg_cli.terminal import Problem
+
+MACHINES = {"robot": "192.168.77.1", "operator": "192.168.77.2"}
+HEADER = "Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT\n"
+ISOLATED = "eth1\t004DA8C0\t00000000\t0001\t0\t0\t0\t00FFFFFF\t0\t0\t0\n"
+ELSEWHERE = "wlan0\t00000000\t0100000A\t0003\t0\t0\t0\t00000000\t0\t0\t0\n"
+ROUTER = "eth1\t00000000\tFE4DA8C0\t0003\t0\t0\t0\t00000000\t0\t0\t0\n"
+
+
+def cell(network_: str = "isolated", machines: dict[str, str] | None = None) -> SimpleNamespace:
+    machines = MACHINES if machines is None else machines
+    return SimpleNamespace(file="cell.yaml", network=network_, machines=machines)
+
+
+@pytest.mark.skipif(not __import__("sys").byteorder == "little", reason="the texts are of such one")
+def test_routes_are_read() -> None:
+    found = roles.routes(HEADER + ISOLATED + ROUTER)
+    assert [r.interface for r in found] == ["eth1", "eth1"]
+    assert found[0].network == (0xC0A84D00, 0xFFFFFF00)
+    assert [r.gateway for r in found] == [0, 0xC0A84DFE]
+    assert roles.routes("") == []
+
+
+def test_a_link_has_master_and_addresses() -> None:
+    link = roles.link_of(cell(), Role.OPERATOR, 11311)
+    assert (link.address, link.robot, link.others) == ("192.168.77.2", "192.168.77.1", ("robot",))
+    base = {
+        "ROS_HOSTNAME": "localhost",
+        "ROS_IP": "127.0.0.1",
+        "LD_PRELOAD": "a.so",
+        "PATH": "/bin",
+    }
+    env = link.environment(base, network.GUARD)
+    assert env["ROS_MASTER_URI"] == "http://192.168.77.1:11311"
+    assert env["ROS_IP"] == env["SURG_LISTEN_ON"] == "192.168.77.2"
+    assert "ROS_HOSTNAME" not in env, "it would win over ROS_IP"
+    assert env["LD_PRELOAD"] == f"{network.GUARD}:a.so"
+    assert link.environment(env, network.GUARD) == env, "twice is once"
+    assert int(env["SURG_TCP_TIMEOUT_MS"]) == 1000 * roles.WAITS[Role.OPERATOR].tcp
+
+
+@pytest.mark.parametrize(
+    ("config", "role", "words"),
+    [
+        (
+            cell("loopback", {}),
+            Role.ROBOT,
+            ["'network: loopback' and no machines", "isolated", "cell"],
+        ),
+        (cell("isolated", {}), Role.ROBOT, ["no machines", "machines:", "robot: 192.168.77.1"]),
+        (cell(), Role.ENDOSCOPE, ["machines.endoscope is missing", "robot, operator"]),
+    ],
+)
+def test_a_cell_that_does_not_say_so_opens_nothing(
+    config: SimpleNamespace, role: Role, words: list[str]
+) -> None:
+    with pytest.raises(Problem) as caught:
+        roles.link_of(config, role, 11311)
+    assert caught.value.code == 2
+    for word in words:
+        assert word in str(caught.value)
+
+
+def refusal(has: bool, text: str) -> str:
+    with pytest.raises(Problem) as caught:
+        roles.check_address(
+            "192.168.77.1", Role.ROBOT, has, ["10.0.0.5 (wlan0)"], roles.routes(HEADER + text)
+        )
+    assert caught.value.code == 2
+    return str(caught.value)
+
+
+def test_an_address_that_leads_elsewhere_is_refused_with_the_cure() -> None:
+    text = refusal(True, ELSEWHERE + ISOLATED + ROUTER)
+    for word in (
+        "192.168.77.1 is routable",
+        "eth1",
+        "192.168.77.254",
+        "ip route del",
+        "of its own",
+    ):
+        assert word in text
+    behind = (
+        "eth1\t0000000A\tFE4DA8C0\t0003\t0\t0\t0\t000000FF\t0\t0\t0\n"  # 10.0.0.0/8 by a router
+    )
+    assert "routable" in refusal(True, ISOLATED + behind)
+
+
+def test_an_address_of_another_machine_is_refused_with_what_there_is() -> None:
+    text = refusal(False, ISOLATED)
+    for word in ("does not have machines.robot = 192.168.77.1", "10.0.0.5 (wlan0)", "cable"):
+        assert word in text
+
+
+def test_an_isolated_address_beside_another_network_is_taken() -> None:
+    table = roles.routes(HEADER + ELSEWHERE + ISOLATED)
+    roles.check_address("192.168.77.1", Role.ROBOT, True, [], table)
+
+
+def test_foreign_ports_are_named() -> None:
+    text = (
+        "  sl  local_address rem_address   st\n"
+        "   0: 014DA8C0:2C2F 00000000:0000 0A 00000000:00000000 00:00000000 00000000 0 0 11 1\n"
+        "   1: 00000000:1F90 00000000:0000 0A 00000000:00000000 00:00000000 00000000 0 0 12 1\n"
+        "   2: 0100007F:1F91 00000000:0000 0A 00000000:00000000 00:00000000 00000000 0 0 13 1\n"
+        "   3: 00000000:1F92 0100007F:0001 01 00000000:00000000 00:00000000 00000000 0 0 14 1\n"
+    )
+    text6 = (
+        "  sl\n   0: 00000000000000000000000000000000:1F93 0:0 0A 0:0 0:0 0 0 0 15 1\n"
+        "   1: 00000000000000000000000001000000:1F94 0:0 0A 0:0 0:0 0 0 0 16 1\n"
+    )
+    sockets = roles.listening(text, text6)
+    assert sockets == {
+        11: "192.168.77.1:11311",
+        12: "0.0.0.0:8080",
+        13: "127.0.0.1:8081",
+        15: ":::8083",
+        16: "::1:8084",
+    }
+    held = {"/a": {11, 13, 16}, "/b": {12, 99}, "/c": {15}, "/d": set()}
+    wrong = roles.foreign_ports(sockets, held, "192.168.77.1")
+    assert wrong == ["/b listens on 0.0.0.0:8080", "/c listens on :::8083"]
+
+
+def test_an_open_port_of_this_process_is_seen() -> None:
+    with socket.socket() as port:
+        port.bind(("0.0.0.0", 0))
+        port.listen()
+        with pytest.raises(Problem, match=f"surg listens on 0.0.0.0:{port.getsockname()[1]}"):
+            network.refuse_foreign_ports([], "192.168.77.1")
+    network.refuse_foreign_ports([], "192.168.77.1")
+
+
+def test_own_addresses() -> None:
+    assert network.has("127.0.0.1")
+    assert not network.has("192.0.2.77")
+    assert not any(text.startswith("127.") for text in network.addresses())
+
+
+@pytest.mark.skipif(not network.GUARD.is_file(), reason="the workspace is not built")
+@pytest.mark.parametrize(
+    ("family", "asked", "got"),
+    [
+        ("AF_INET", "0.0.0.0", "127.0.0.7"),
+        ("AF_INET", "127.0.0.1", "127.0.0.1"),
+        ("AF_INET6", "::1", "::1"),
+        ("AF_INET6", "::", "refused"),
+    ],
+)
+def test_the_guard_keeps_ports_on_one_address(family: str, asked: str, got: str) -> None:
+    import os
+    import subprocess
+    import sys
+
+    code = (
+        f"import socket\ns = socket.socket(socket.{family})\n"
+        f"try:\n s.bind(({asked!r}, 0)); s.listen(); print(s.getsockname()[0])\n"
+        " print(s.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT))\n"
+        "except OSError: print('refused')"
+    )
+    link = Link(Role.ROBOT, "127.0.0.7", "127.0.0.7", 1)
+    env = link.environment(os.environ, network.GUARD)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True
+    )
+    words = done.stdout.split()
+    if family == "AF_INET6" and not words:
+        pytest.skip("no IPv6 here")
+    assert words[0] == got
+    assert words[1:] == ([] if got == "refused" else ["3000"])
+
+
+def test_the_command_refuses_before_anything_starts() -> None:
+    done = surg("up", "sim_ur5e", "--role", "robot")
+    assert done.returncode == 2
+    assert "network: loopback" in done.stderr
+    assert "isolated" in done.stderr
+    assert processes.session_members(-1) == []

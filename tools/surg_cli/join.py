@@ -1,0 +1,128 @@
+"""`./surg up CELL --role …`: one machine's part of a cell that is spread over several."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from surg_cli import environment, master, network, processes, roles, running, system
+from surg_cli.follow import death_notice
+from surg_cli.system import Node, Plan
+from surg_cli.terminal import Problem, Progress, say
+
+ASK_S = 0.5
+"""Time between two questions to the ROS master."""
+
+
+def link(config: Any, role: roles.Role, port: int) -> roles.Link:
+    """Check this machine's network, and put this process behind the port guard.
+
+    Starts this command anew with the guard in its environment: it is a ROS node itself.
+
+    Args:
+        config: A ``surg_core`` CellConfig.
+        role: This machine's.
+        port: Of the ROS master.
+
+    Raises:
+        Problem: ROS ports may not be opened here; with the cure.
+    """
+    found = roles.link_of(config, role, port)
+    network.check(found.address, role)
+    if os.environ.get("SURG_LISTEN_ON") != found.address:
+        env = found.environment(os.environ, network.GUARD)
+        env["SURG_READY"] = "1"
+        os.execve(sys.executable, [sys.executable, "-s", "-m", "surg_cli", *sys.argv[1:]], env)
+    return found
+
+
+def nodes(plan: Plan, place: roles.Link | None, published: bool = True) -> list[Node]:
+    """The nodes of this machine.
+
+    Args:
+        plan: The whole system.
+        place: Of this machine; None: it is the only one.
+        published: With the publishers of the robots' links for rviz.
+    """
+    extra = [system.robot_state_publisher(arm) for arm in plan.arms] if published else []
+    every = [*system.nodes(plan), *extra]
+    if place is None:
+        return every
+    camera = f"/{system.ENDOSCOPE}"
+    if place.role is roles.Role.ENDOSCOPE:
+        return [node for node in every if node.name == camera]
+    if place.role is roles.Role.OPERATOR:
+        return []
+    away = roles.Role.ENDOSCOPE.value in place.others
+    return [node for node in every if not (away and node.name == camera)]
+
+
+def keep(plan: Plan, place: roles.Link, logs: Path) -> int:
+    """Join the robot's machine and stay until a signal arrives, a node dies or the robot is gone.
+
+    Args:
+        plan: The whole system.
+        place: Of this machine.
+        logs: Folder of the nodes' output.
+
+    Raises:
+        Problem: The master does not answer, or is gone; a node has died.
+    """
+    env = place.environment(environment.for_nodes(ros_home=logs / "ros"), network.GUARD)
+    with processes.Supervisor(env, logs) as supervisor:
+        _await_master(place)
+        cell, role = plan.cell, place.role.value
+        with running.announced("up", place.port, cell, logs, role, place.uri) as entry:
+            for node in nodes(plan, place):
+                system.start(supervisor, node)
+            entry.nodes = {child.name: child.process.pid for child in supervisor.children}
+            entry.save()
+            say(f"{cell.name}: this machine, {place.address}, is its {role}; master {place.uri}")
+            say(f"Logs: {logs}. Ctrl-C or ./surg down ends it.")
+            _stay(place, supervisor)
+    return 0
+
+
+def _await_master(place: roles.Link) -> None:
+    """Wait for the robot's machine.
+
+    Raises:
+        Problem: It does not answer in the role's time.
+    """
+    deadline = time.monotonic() + place.waits.master
+    with Progress("up") as progress:
+        while not master.alive(place.uri):
+            if time.monotonic() > deadline:
+                raise Problem(
+                    f"no ROS master answered at {place.uri} within {place.waits.master:.0f} s: start "
+                    "the robot's machine with --role robot, and look at the cable and at "
+                    f"machines.robot = {place.robot}"
+                )
+            progress.update(None, f"waiting for the robot's machine, {place.uri}")
+            time.sleep(ASK_S)
+
+
+def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
+    """Watch the nodes, their ports, and whether the robot's machine is there.
+
+    Raises:
+        Problem: Always, in the end.
+    """
+    heard = time.monotonic()
+    while True:
+        dead = supervisor.first_dead()
+        if dead is not None:
+            raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+        network.refuse_foreign_ports(supervisor.children, place.address)
+        if master.alive(place.uri):
+            heard = time.monotonic()
+        elif time.monotonic() - heard > place.waits.gone:
+            raise Problem(
+                f"the robot's machine, {place.robot}, has been silent for {place.waits.gone:.0f} s: "
+                "this role ends. The arms hold by themselves. When the link is back, start it again: "
+                "nothing resumes by itself"
+            )
+        time.sleep(ASK_S)

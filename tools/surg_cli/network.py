@@ -1,0 +1,87 @@
+"""What the kernel says of this machine's network; `roles` decides what follows."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import re
+import socket
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+
+from surg_cli import paths, processes, roles
+from surg_cli.terminal import Problem
+
+GUARD = paths.DEVEL / "lib" / "libsurg_net_guard.so"
+_SIOCGIFADDR = 0x8915
+
+
+def check(address: str, role: roles.Role) -> None:
+    """Refuse an address that this machine may not open ROS ports on.
+
+    Raises:
+        Problem: With the cure.
+    """
+    table = roles.routes(Path("/proc/net/route").read_text("utf-8"))
+    roles.check_address(address, role, has(address), addresses(), table)
+    if not GUARD.is_file():
+        raise Problem(f"{GUARD} is missing; run ./surg build --force")
+
+
+def has(address: str) -> bool:
+    """Whether this machine has an IPv4 address."""
+    with socket.socket() as probe:
+        try:
+            probe.bind((address, 0))
+        except OSError:
+            return False
+    return True
+
+
+def addresses() -> list[str]:
+    """First IPv4 address of every interface but the loopback, with the interface's name."""
+    found = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        for _, name in socket.if_nameindex():
+            with contextlib.suppress(OSError):
+                request = struct.pack("256s", name.encode()[:15])
+                answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, request)
+                found.append(f"{socket.inet_ntoa(answer[20:24])} ({name})")
+    return [text for text in found if not text.startswith("127.")]
+
+
+def refuse_foreign_ports(children: Iterable[processes.Child], own: str) -> None:
+    """Look at the ports that are really open.
+
+    Args:
+        children: The role's nodes; this process is looked at too.
+        own: The only address that they may listen on.
+
+    Raises:
+        Problem: A port is open on another address.
+    """
+    held = {"surg": _inodes(os.getpid())}
+    for child in children:
+        members = processes.session_members(child.process.pid)
+        held[child.name] = set().union(*map(_inodes, members))
+    tables = [Path(f"/proc/net/{name}").read_text("utf-8") for name in ("tcp", "tcp6")]
+    wrong = roles.foreign_ports(roles.listening(*tables), held, own)
+    if wrong:
+        raise Problem(
+            f"ROS ports are open beyond {own}: {'; '.join(wrong)}. Everything is stopped: a program "
+            "that does not take LD_PRELOAD must not run here"
+        )
+
+
+def _inodes(pid: int) -> set[int]:
+    """Inodes of the sockets of a process."""
+    found = set()
+    with contextlib.suppress(OSError):
+        for entry in os.scandir(f"/proc/{pid}/fd"):
+            with contextlib.suppress(OSError):
+                match = re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry.path))
+                if match:
+                    found.add(int(match[1]))
+    return found

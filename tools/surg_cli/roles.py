@@ -1,0 +1,239 @@
+"""What a machine is in a cell that is spread over several, and what follows for its nodes.
+
+Pure: a cell, a role and what the kernel says of the network go in; an environment, or the reason why
+there is none, comes out. ROS 1 knows no passwords: whoever reaches its ports drives the robot. So a
+role is refused unless its address is in the cell, the cell calls the network isolated, and this
+machine does not also use that network to reach others.
+"""
+
+from __future__ import annotations
+
+import enum
+import socket
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from surg_cli.terminal import Problem
+
+
+class Role(enum.StrEnum):
+    """What a machine of the cell does."""
+
+    ROBOT = "robot"
+    """ROS master, robot links (or the simulator), controllers, recorder."""
+    OPERATOR = "operator"
+    """Leaders and teleoperation."""
+    ENDOSCOPE = "endoscope"
+    """Cameras."""
+
+
+@dataclass(frozen=True)
+class Waits:
+    """The time-outs of a role.
+
+    Attributes:
+        master: For the ROS master of the robot's machine to answer at the start [s].
+        gone: From which silence of that master on a role gives up and ends its nodes [s].
+        tcp: After which what the other side has not acknowledged is thrown away with its
+            connection [s]: a link that comes back later delivers nothing old.
+    """
+
+    master: float
+    gone: float
+    tcp: float
+
+
+WAITS = {
+    # The watchdogs that stop an arm (F03, F10, F25) are the controller's and the same everywhere: no
+    # network is a reason to wait longer for a command.
+    Role.ROBOT: Waits(master=15.0, gone=5.0, tcp=3.0),
+    # A person starts the machines one after the other.
+    Role.OPERATOR: Waits(master=120.0, gone=3.0, tcp=3.0),
+    # Pictures are worth waiting for a little longer: nothing moves by them.
+    Role.ENDOSCOPE: Waits(master=120.0, gone=10.0, tcp=5.0),
+}
+
+
+@dataclass(frozen=True)
+class Route:
+    """One line of the kernel's table of routes.
+
+    Attributes:
+        interface: Such as ``eth0``.
+        network: (address, mask) as 32-bit numbers.
+        gateway: 0: none.
+    """
+
+    interface: str
+    network: tuple[int, int]
+    gateway: int
+
+
+def routes(text: str) -> list[Route]:
+    """The lines of /proc/net/route."""
+    found = []
+    for line in text.splitlines()[1:]:
+        fields = line.split()
+        if len(fields) < 8:
+            continue
+        address, gateway, mask = (_swap(int(fields[i], 16)) for i in (1, 2, 7))
+        found.append(Route(fields[0], (address, mask), gateway))
+    return found
+
+
+def _swap(number: int) -> int:
+    """/proc writes addresses as the processor holds them."""
+    return int(struct.unpack("=I", struct.pack("!I", number))[0])
+
+
+def _number(address: str) -> int:
+    return int(struct.unpack("!I", socket.inet_aton(address))[0])
+
+
+def link_of(config: Any, role: Role, port: int) -> Link:
+    """A role's place in the cell.
+
+    Args:
+        config: A ``surg_core`` CellConfig.
+        role: This machine's.
+        port: Of the ROS master.
+
+    Raises:
+        Problem: The cell does not name this machine, or does not call its network isolated.
+    """
+    if config.network != "isolated" or not config.machines:
+        raise Problem(
+            f"--role {role}: {config.file} has 'network: {config.network}'"
+            f"{'' if config.machines else ' and no machines'}. ROS 1 ports are opened for another "
+            "machine only on a network that the cell calls isolated: a switch and cables of its own, "
+            "without a router. Then write into cell.yaml:\n"
+            "network: isolated\nmachines:\n  robot: 192.168.77.1\n  operator: 192.168.77.2",
+            2,
+        )
+    if role not in config.machines:
+        raise Problem(
+            f"--role {role}: {config.file}: machines.{role} is missing; it names "
+            f"{', '.join(config.machines)}. Add this machine's address on the isolated network",
+            2,
+        )
+    machines = {Role(name): str(address) for name, address in config.machines.items()}
+    others = tuple(name.value for name in machines if name is not role)
+    return Link(role, machines[role], machines[Role.ROBOT], port, others)
+
+
+def check_address(
+    address: str, role: Role, has: bool, interfaces: Iterable[str], table: Sequence[Route]
+) -> None:
+    """Refuse an address that is not this machine's, or that leads elsewhere.
+
+    Args:
+        address: The role's.
+        role: This machine's.
+        has: Whether this machine has it.
+        interfaces: Addresses that it has, for the message.
+        table: Its routes.
+
+    Raises:
+        Problem: With the cure.
+    """
+    if not has:
+        raise Problem(
+            f"--role {role}: this machine does not have machines.{role} = {address}; it has "
+            f"{', '.join(interfaces) or 'no address'}. Start the role on its own machine, or correct "
+            "cell.yaml, or plug the cable in and give the interface that address",
+            2,
+        )
+    own = _number(address)
+    ours = {r.interface for r in table if r.network[1] and own & r.network[1] == r.network[0]}
+    for route in table:
+        if route.interface in ours and route.gateway:
+            gateway = socket.inet_ntoa(struct.pack("!I", route.gateway))
+            raise Problem(
+                f"--role {role}: {address} is routable: its interface {route.interface} also leads to "
+                f"other networks through the router {gateway}. An isolated network has no router. Put "
+                "the robot's cable into an interface of its own, or remove that route "
+                f"(ip route del default via {gateway} dev {route.interface})",
+                2,
+            )
+
+
+@dataclass(frozen=True)
+class Link:
+    """One machine's place in the cell.
+
+    Attributes:
+        role: What it does.
+        address: Its address on the isolated network.
+        robot: The robot machine's, where the ROS master is.
+        port: Of the ROS master.
+        others: Roles of the other machines of the cell.
+    """
+
+    role: Role
+    address: str
+    robot: str
+    port: int
+    others: tuple[str, ...] = ()
+
+    @property
+    def uri(self) -> str:
+        """ROS_MASTER_URI."""
+        return f"http://{self.robot}:{self.port}"
+
+    @property
+    def waits(self) -> Waits:
+        """The role's time-outs."""
+        return WAITS[self.role]
+
+    def environment(self, base: Mapping[str, str], guard: Path) -> dict[str, str]:
+        """The environment of the machine's nodes.
+
+        Args:
+            base: Environment to start from.
+            guard: The library that keeps every port on ``address``.
+        """
+        env = {name: value for name, value in base.items() if name != "ROS_HOSTNAME"}
+        preload = [part for part in env.get("LD_PRELOAD", "").split(":") if part]
+        env.update(
+            ROS_IP=self.address,
+            ROS_MASTER_URI=self.uri,
+            LD_PRELOAD=":".join([str(guard), *(p for p in preload if p != str(guard))]),
+            SURG_LISTEN_ON=self.address,
+            SURG_TCP_TIMEOUT_MS=str(round(1000 * self.waits.tcp)),
+        )
+        return env
+
+
+def foreign_ports(sockets: Mapping[int, str], held: Mapping[str, set[int]], own: str) -> list[str]:
+    """TCP ports that are open on other addresses than they may be, one text each.
+
+    Args:
+        sockets: Listening sockets: inode -> "address:port".
+        held: Node name -> inodes of the sockets that it has.
+        own: The address that is allowed, beside the loopback.
+    """
+    allowed = (own, "127.0.0.1", "::1")
+    return [
+        f"{name} listens on {sockets[inode]}"
+        for name, inodes in sorted(held.items())
+        for inode in sorted(inodes & sockets.keys())
+        if sockets[inode].rpartition(":")[0] not in allowed
+    ]
+
+
+def listening(text: str, text6: str = "") -> dict[int, str]:
+    """Listening TCP sockets, inode -> "address:port", of /proc/net/tcp and /proc/net/tcp6."""
+    found = {}
+    for lines, family in ((text, socket.AF_INET), (text6, socket.AF_INET6)):
+        for line in lines.splitlines()[1:]:
+            fields = line.split()
+            if len(fields) < 10 or fields[3] != "0A":
+                continue
+            address, _, port = fields[1].partition(":")
+            words = [int(address[i : i + 8], 16) for i in range(0, len(address), 8)]
+            packed = struct.pack(f"={len(words)}I", *words)
+            found[int(fields[9])] = f"{socket.inet_ntop(family, packed)}:{int(port, 16)}"
+    return found
