@@ -23,6 +23,9 @@ FORMAT = "surg_episode/1"
 """The version written today."""
 
 MANIFEST = "manifest.json"
+TOPICS = "topics"
+"""Folder of the tables of topics that have no table of their own kind."""
+
 PARTIAL = ".partial"
 """Suffix of a folder whose recording has not been finished."""
 
@@ -106,8 +109,40 @@ class Episode:
 
     @property
     def cameras(self) -> list[str]:
-        """Names of the videos, e.g. ``endoscope_left``."""
-        return list(self.manifest["videos"])
+        """Names of the recorded cameras, e.g. ``endoscope_left``; see ``parts``."""
+        return [n for n, entry in self.manifest["videos"].items() if not _part_of(entry)]
+
+    @property
+    def topics(self) -> dict[str, list[str]]:
+        """Topics recorded besides those with a table of their own kind → names of their tables."""
+        stated = self.manifest.get("topics")
+        found = stated.items() if isinstance(stated, dict) else ()
+        tables = self.manifest["tables"]
+        return {
+            topic: [name for name in entry.get("tables", ()) if name in tables]
+            for topic, entry in found
+            if isinstance(entry, dict) and entry.get("tables")
+        }
+
+    @property
+    def stages(self) -> list[dict[str, Any]]:
+        """Stages in order: ``name``, ``begin_ns``, ``end_ns``."""
+        return list(self.manifest.get("stages") or [])
+
+    @property
+    def tags(self) -> list[dict[str, Any]]:
+        """Tags in order: ``stamp_ns``, ``text``, ``by``."""
+        return list(self.manifest.get("tags") or [])
+
+    @property
+    def segments(self) -> list[dict[str, Any]]:
+        """Steps of the wall clock; stamps on either side of one cannot be compared."""
+        return list(self.manifest.get("segments") or [])
+
+    @property
+    def warnings(self) -> list[str]:
+        """What somebody should know of this recording."""
+        return list(self.manifest.get("warnings") or [])
 
     @property
     def complete(self) -> bool:
@@ -127,8 +162,20 @@ class Episode:
                     f"{self.folder}: no table {name!r}; there are {', '.join(self.tables)}"
                     + (f" (the recording is incomplete: {why})" if why else "")
                 )
-            self._tables[name] = read_table(self.folder / f"{name}.csv")
+            kinds = self.manifest["tables"][name].get("kinds")
+            self._tables[name] = read_table(self.folder / f"{name}.csv", kinds)
         return self._tables[name]
+
+    def topic(self, topic: str) -> list[Table]:
+        """The tables of a topic, e.g. ``/tf``: usually one, more where its arrays grew.
+
+        Raises:
+            EpisodeError: the topic was not recorded.
+        """
+        if topic not in self.topics:
+            known = ", ".join(self.topics) or "none"
+            raise EpisodeError(f"{self.folder}: no topic {topic!r}; there are {known}")
+        return [self.table(name) for name in self.topics[topic]]
 
     def cycle(self, arm: str) -> Table:
         """The control cycles of an arm."""
@@ -155,7 +202,22 @@ class Episode:
         path = self.folder / f"{name}.mp4"
         if not path.exists():
             raise EpisodeError(f"{path}: the manifest names this video, but the file is missing")
-        return Video(name, path, read_table(path.with_suffix(".csv")))
+        return Video(name, path, read_table(self.folder / f"{name}.csv"))
+
+    def parts(self, camera: str) -> list[Video]:
+        """All videos of a camera in order: more than one when its size changed or a kill bit.
+
+        Raises:
+            EpisodeError: no such camera, or a file is missing.
+        """
+        further = [n for n, entry in self.manifest["videos"].items() if _part_of(entry) == camera]
+        further.sort(key=lambda name: int(name.rpartition(".")[2]))
+        return [self.video(name) for name in (camera, *further)]
+
+
+def _part_of(entry: Any) -> str | None:
+    """The camera that a video continues; None: it is its first."""
+    return entry.get("part_of") if isinstance(entry, dict) else None
 
 
 def read(folder: Path | str) -> Episode:
@@ -169,7 +231,7 @@ def read(folder: Path | str) -> Episode:
     if folder.name.endswith(PARTIAL):
         raise EpisodeError(
             f"{folder}: this recording was never finished; the next recorder start mends it, or"
-            " surg_recording.episode_writer.recover(parent folder)"
+            f" ./surg recover {folder}"
         )
     if not folder.is_dir():
         raise EpisodeError(f"{folder}: no such folder")
@@ -198,8 +260,13 @@ def _read_1(folder: Path, manifest: dict[str, Any]) -> Episode:
 _READERS: dict[str, Callable[[Path, dict[str, Any]], Episode]] = {"surg_episode/1": _read_1}
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path, kinds: Mapping[str, str] | None = None) -> Table:
     """Read one CSV table.
+
+    Args:
+        path: the file.
+        kinds: column → ``int``, ``float`` or ``text``; None: by the names of ``columns``. With
+            them, a column of integers in which a field is empty comes as floats.
 
     Raises:
         EpisodeError: missing or empty file, a line with another number of fields, or a value that
@@ -225,12 +292,19 @@ def read_table(path: Path) -> Table:
     fields = list(zip(*lines[1:], strict=True)) or [()] * len(header)
     return Table(
         path.stem,
-        {name: _convert(path, name, text) for name, text in zip(header, fields, strict=True)},
+        {n: _convert(path, n, text, kinds) for n, text in zip(header, fields, strict=True)},
     )
 
 
-def _convert(path: Path, name: str, text: tuple[str, ...]) -> Column:
-    kind = columns.kind(name)
+_KINDS = {"int": int, "float": float, "text": str}
+
+
+def _convert(
+    path: Path, name: str, text: tuple[str, ...], kinds: Mapping[str, str] | None
+) -> Column:
+    kind = columns.kind(name) if kinds is None else _KINDS.get(kinds.get(name, ""), float)
+    if kinds is not None and kind is int and "" in text:
+        kind = float
     if kind is str:
         array = np.empty(len(text), dtype=object)
         array[:] = text
