@@ -15,6 +15,7 @@ import pytest
 from helpers import jigsaws_synthetic
 from helpers.evaluated import DONE, episode
 from helpers.recording_synthetic import Synthetic
+from surg_recording import episode as episodes
 from surg_recording import (
     evaluation,
     evaluation_figures,
@@ -22,7 +23,6 @@ from surg_recording import (
     evaluation_tables,
     metrics,
 )
-from surg_recording import episode as episodes
 from surg_recording.errors import EpisodeError
 from surg_recording.evaluation import LeftOut
 
@@ -244,7 +244,9 @@ def test_one_evaluation_has_one_preset(preset: str, tmp_path: Path) -> None:
     assert summary["conditions"]["phantom"]["ldlj"]["median"] == np.median(values)
     assert summary["preset"] == metrics.PRESETS[preset].parameters()
     figure = evaluation_figures.smoothness(summary)
-    drawn = [y for line in figure.axes[1].lines if line.get_marker() == "o" for y in line.get_ydata()]
+    drawn = [
+        y for line in figure.axes[1].lines if line.get_marker() == "o" for y in line.get_ydata()
+    ]
     assert sorted(drawn) == sorted(values)
     label = figure.get_supxlabel() if hasattr(figure, "get_supxlabel") else ""
     texts = label + " ".join(text.get_text() for text in figure.texts)
@@ -276,7 +278,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], P
 
 
 def test_the_page_is_whole_and_safe(written: tuple[dict[str, Any], Path]) -> None:
-    summary, out = written
+    _, out = written
     page = (out / "report.html").read_text("utf-8")
     assert page.count("data:image/png;base64,") == len(evaluation_figures.FIGURES)
     assert not re.search(r"(src|href)='(?!data:)", page)
@@ -343,7 +345,7 @@ def test_a_box_per_condition_and_the_reference_apart(
     labels = [tick.get_text() for tick in axes.get_xticklabels()]
     assert labels == [
         "phantom\nn = 10", "in_vivo\nn = 7",
-        "JIGSAWS Knot Tying\nn = 4", "JIGSAWS Knot Tying\nexperts\nn = 2",
+        "JIGSAWS\nKnot Tying\nn = 4", "JIGSAWS\nKnot Tying\nexperts\nn = 2",
     ]  # fmt: skip
     dots = [line.get_ydata() for line in axes.lines if line.get_marker() == "o"]
     assert [len(line) for line in dots] == [10, 7, 4, 2]

@@ -25,7 +25,9 @@ def test_the_interval_of_the_median_is_the_narrowest_that_holds(full: bool) -> N
     print(f"{cases} intervals")
 
 
-@pytest.mark.parametrize(("n", "low", "high"), [(6, 1, 6), (8, 1, 8), (9, 2, 8), (10, 2, 9), (20, 6, 15)])
+@pytest.mark.parametrize(
+    ("n", "low", "high"), [(6, 1, 6), (8, 1, 8), (9, 2, 8), (10, 2, 9), (20, 6, 15)]
+)
 def test_tabulated_ranks(n: int, low: int, high: int) -> None:
     numbers = np.random.default_rng(n).permutation(np.arange(1.0, n + 1)).tolist()
     assert median_interval(numbers) == (low, high)

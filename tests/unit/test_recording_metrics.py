@@ -426,9 +426,9 @@ def test_smoother_is_closer_to_zero() -> None:
     p = 0.02 * np.stack([np.sin(0.9 * t), np.sin(1.1 * t), np.cos(0.4 * t)], axis=1)
     noise = metrics.low_pass(rng.normal(size=p.shape), 500.0, 1.5)
     for preset in metrics.PRESETS:
-        values = [metrics.smoothness(p + k * noise, 500.0, preset) for k in (0.0, 0.01, 0.05)]
-        assert values[0].sparc > values[1].sparc > values[2].sparc
-        assert values[0].ldlj > values[1].ldlj > values[2].ldlj
+        clean, shaken = (metrics.smoothness(p + k * noise, 500.0, preset) for k in (0.0, 0.05))
+        assert clean.sparc > shaken.sparc + 0.5
+        assert clean.ldlj > shaken.ldlj + 1.0
 
 
 # --- what real recordings are like ---
@@ -485,9 +485,9 @@ def test_idle_time_counts_pauses_and_not_turning_points() -> None:
     p = np.stack([x, tremor, 0 * x], axis=1)
     found = metrics.idle(p, fs)
     print(found)
-    # Two pauses count; the filter blurs each of their three inner ends by a fraction of 1/3 Hz.
+    # Two pauses count. The filter blurs each of their three inner ends by about 0.2 s.
     assert found.pauses == 2
-    assert found.seconds == pytest.approx(5.5, abs=0.5)
+    assert 5.5 - 3 * 0.25 < found.seconds < 5.5
     assert found.share == pytest.approx(found.seconds / 12.8, rel=1e-3)
     assert (found.below, found.at_least, found.cutoff) == (1e-3, 0.5, 3.0)
     assert metrics.idle(p, fs, at_least=0.05).pauses == 3
@@ -503,7 +503,9 @@ def test_idle_time_is_that_of_the_definition(full: bool) -> None:
         p = np.cumsum(rng.normal(size=(400, 3)) * (rng.random((400, 1)) < 0.02), axis=0) * 1e-2
         slow = metrics.low_pass(p, fs, 3.0)
         speed = [float(np.linalg.norm(b - a)) * fs for a, b in itertools.pairwise(slow)]
-        runs = [len(list(run)) for still, run in itertools.groupby(v < 1e-3 for v in speed) if still]
+        runs = [
+            len(list(run)) for still, run in itertools.groupby(v < 1e-3 for v in speed) if still
+        ]
         counted = [run / fs for run in runs if run / fs >= 0.5 - 0.5 / fs]
         found = metrics.idle(p, fs)
         assert (found.seconds, found.pauses) == (pytest.approx(sum(counted)), len(counted))

@@ -36,6 +36,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Find, measure, draw; the last line printed is the path of summary.json."""
     from surg_recording import evaluation, evaluation_report, provenance
     from surg_recording.errors import EpisodeError, ReferenceSetError
+
     if options.preset not in PRESETS:
         known = ", ".join(PRESETS)
         raise Problem(f"--preset {options.preset}: no such preset; there are {known}", 2)

@@ -10,7 +10,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from surg_recording import evaluation, trial_figures
-from surg_recording.figures import EXECUTED, FAINT, GRID, INPUT, STYLE, Drawn, blank
+from surg_recording.figures import EXECUTED, GRID, INK, INPUT, STYLE, Drawn, blank
 from surg_recording.metrics import PRESETS
 
 FORMATS = ("png", "svg")
@@ -20,7 +20,7 @@ def deviation(summary: Mapping[str, Any]) -> Figure:
     """Mean and maximum of the RCM deviation of each episode, a box per condition."""
     groups = _groups(summary)
     figure = trial_figures.deviation(groups, {"conditions": list(summary["conditions"].values())})
-    figure.supxlabel(origin(summary), fontsize=8, color=FAINT)
+    figure.supxlabel(origin(summary), fontsize=8.5, color=INK)
     return figure
 
 
@@ -40,7 +40,7 @@ def smoothness(summary: Mapping[str, Any]) -> Figure:
         trial_figures.name_groups(axes, labels)
         axes.set(title=f"{metric.title} (closer to zero: smoother)", ylabel=metric.title)
     note = f"{origin(summary)}\n{preset.label()}"
-    figure.supxlabel(note, fontsize=8, color=FAINT)
+    figure.supxlabel(note, fontsize=8.5, color=INK)
     return figure
 
 
@@ -55,8 +55,8 @@ def effort(summary: Mapping[str, Any]) -> Figure:
             trial_figures.box(axes, i, 0.6, values, EXECUTED)
         trial_figures.name_groups(axes, [label for label, _ in groups])
         axes.set(title=metric.title.capitalize(), ylabel=metric.unit)
-        axes.set_ylim(bottom=0)
-    figure.supxlabel(origin(summary), fontsize=8, color=FAINT)
+        axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
+    figure.supxlabel(origin(summary), fontsize=8.5, color=INK)
     return figure
 
 
@@ -132,7 +132,7 @@ def _references(summary: Mapping[str, Any]) -> trial_figures.Groups:
     compared = summary["reference"]
     if compared is None:
         return []
-    each, name = compared["each"], str(compared["name"])
+    each, name = compared["each"], str(compared["name"]).replace(" ", "\n", 1)
     groups = [(f"{name}\nn = {len(each)}", each)]
     experts = [trial for trial in each if trial["skill"] == "expert"]
     if 0 < len(experts) < len(each):

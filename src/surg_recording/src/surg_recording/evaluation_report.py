@@ -103,7 +103,9 @@ def _conditions(summary: Mapping[str, Any]) -> str:
     rows = [f"<tr><td>episodes</td>{counts}</tr>", f"<tr><td>success</td>{rates}</tr>"]
     for metric in METRICS:
         name = f"{metric.title} [{metric.unit}]" if metric.unit else metric.title
-        cells = "".join(f"<td class='n'>{_spread(f[metric.name])}</td>" for f in conditions.values())
+        cells = "".join(
+            f"<td class='n'>{_spread(f[metric.name])}</td>" for f in conditions.values()
+        )
         rows.append(f"<tr><td>{text(name)}</td>{cells}</tr>")
     return (
         "<section><h2>By condition</h2><p class='faint small'>Median [quartiles] over the"
@@ -174,9 +176,7 @@ def _episodes(summary: Mapping[str, Any]) -> str:
             f"<td>{text(entry['law'])}</td><td>{text(end[entry['success']] + mark)}</td>"
             f"{numbers}</tr>"
         )
-    heads = "".join(
-        f"<th>{text(m.title)}{f' [{m.unit}]' if m.unit else ''}</th>" for m in shown
-    )
+    heads = "".join(f"<th>{text(m.title)}{f' [{m.unit}]' if m.unit else ''}</th>" for m in shown)
     return (
         "<section><h2>Every episode</h2><details><summary>Show</summary><table class='small'><tr>"
         f"<th>Folder</th><th>Setting</th><th>Robot</th><th>Law</th><th>End</th>{heads}</tr>"

@@ -13,7 +13,7 @@ from surg_recording.page import number
 from surg_recording.trial_report import interval
 
 _SPREAD = ("n", "min", "q1", "median", "q3", "max", "low", "high")
-"""Of a metric, in the columns <metric>_<one of these>; low and high: 95 % interval of the median."""
+"""Of a metric, in the columns <metric>_<one of these>; low, high: the median's 95 % interval."""
 LATEX = (
     *("rcm_kinematic_mean_mm", "rcm_kinematic_max_mm", "rcm_true_max_mm", "sparc", "ldlj"),
     *("path_length_mm", "duration_s", "idle_s"),
@@ -71,7 +71,8 @@ def latex(summary: Mapping[str, Any]) -> str:
     preset = PRESETS[summary["preset"]["name"]]
     sources = sorted({found["source"] for found in summary["conditions"].values()})
     lines = [
-        f"% {' and '.join(sources)}; median [quartiles] over the episodes; success with Wilson's 95 % interval",
+        f"% {' and '.join(sources)}; median [quartiles] over the episodes;"
+        " success with Wilson's 95 % interval",
         f"% smoothness: {preset.label()}",
         rf"\begin{{tabular}}{{lrr{'r' * len(shown)}}}",
         r"\hline",

@@ -54,8 +54,8 @@ def median_interval(
     """Interval that holds the median of the distribution the numbers were drawn from.
 
     The ends are two of the numbers, so nothing is assumed about the distribution: with X_(r) the
-    r-th smallest of n, P(X_(r) ≤ median ≤ X_(n+1−r)) ≥ 1 − 2 P(B ≤ r − 1) with B binomial(n, ½). The
-    largest r is taken that keeps this at or above ``confidence``.
+    r-th smallest of n, P(X_(r) ≤ median ≤ X_(n+1−r)) ≥ 1 − 2 P(B ≤ r − 1) with B binomial(n, ½).
+    The largest r is taken that keeps this at or above ``confidence``.
 
     Args:
         numbers: Independent and finite.

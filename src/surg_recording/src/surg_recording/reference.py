@@ -104,7 +104,9 @@ def summarise(
         measured: Of each of its motions, made by ``measure``.
         preset: Whose smoothness.
     """
-    skills = [skill for skill in jigsaws.SKILLS.values() if any(m["skill"] == skill for m in measured)]
+    skills = [
+        skill for skill in jigsaws.SKILLS.values() if any(m["skill"] == skill for m in measured)
+    ]
     return {
         "name": found.name,
         "source": found.source,
@@ -209,7 +211,9 @@ def read_motion(file: Path) -> Motion:
         raise ReferenceSetError(f"{file}, line {line}: t_s does not increase")
     if np.any(np.diff(t) > LONGEST_GAP_S):
         line = int(np.flatnonzero(np.diff(t) > LONGEST_GAP_S)[0]) + 3
-        raise ReferenceSetError(f"{file}, line {line}: {LONGEST_GAP_S:g} s without a sample before it")
+        raise ReferenceSetError(
+            f"{file}, line {line}: {LONGEST_GAP_S:g} s without a sample before it"
+        )
     duration = float(t[-1] - t[0]) if len(t) else 0.0
     if duration < SHORTEST_S:
         raise ReferenceSetError(

@@ -18,7 +18,14 @@ from surg_recording.episode import Episode
 from surg_recording.intervals import Z_95, success_rate, wilson
 
 __all__ = [
-    *("Outcome", "Z_95", "describe", "pick", "success_rate", "summarise", "values", "wilson"),
+    "Z_95",
+    "Outcome",
+    "describe",
+    "pick",
+    "success_rate",
+    "summarise",
+    "values",
+    "wilson",
 ]
 
 
