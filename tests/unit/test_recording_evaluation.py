@@ -312,8 +312,13 @@ def test_the_tables_hold_the_summary_s_numbers(written: tuple[dict[str, Any], Pa
     assert [row["condition"] for row in rows] == ["phantom", "in_vivo", *names]
     for row in rows[:2]:
         found = summary["conditions"][row["condition"]]
-        assert float(row["sparc_median"]) == found["sparc"]["median"]
-        assert float(row["rcm_true_max_mm_high"]) == found["rcm_true_max_mm"]["interval"][1]
+        for metric in evaluation.METRICS:
+            value = found[metric.name]
+            parts = dict(zip(("q1", "q3"), value["quartiles"], strict=True))
+            parts.update(zip(("low", "high"), value["interval"], strict=True))
+            parts.update({key: value[key] for key in ("n", "min", "median", "max")})
+            for part, expected in parts.items():
+                assert float(row[f"{metric.name}_{part}"]) == expected, (metric.name, part)
         assert int(row["n"]) == found["n"]
     assert rows[0]["successes"] == "9" and rows[2]["successes"] == ""
     assert float(rows[2]["ldlj_median"]) == summary["reference"]["ldlj"]["median"]
