@@ -8,7 +8,7 @@ setuptools.setup(
     description="Episode folders: recording, metrics, figures and reports",
     license="Apache-2.0",
     python_requires=">=3.11",
-    packages=["surg_recording"],
+    packages=["surg_recording", "surg_recording.metrics"],
     package_dir={"": "src"},
     package_data={"surg_recording": ["py.typed"]},
     install_requires=[

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import integrate, optimize, signal
 
 from surg_recording import metrics
 from surg_recording.metrics import ldlj, rcm_deviation, sparc
@@ -270,3 +272,248 @@ def test_percentiles() -> None:
     assert metrics.percentiles(np.arange(101), 50, 99) == [50.0, 99.0]
     assert metrics.percentiles([math.nan, 3.0], 50) == [3.0]
     assert math.isnan(metrics.percentiles([], 50)[0])
+
+
+# --- oracles ---
+
+
+def ldlj_written_out(v: np.ndarray, fs: float) -> float:
+    """The definition in SI units, sample by sample: −ln( T³/v_peak² ∑ |jerk|² Δt )."""
+    v = np.atleast_2d(v.T).T
+    dt, n = 1.0 / fs, len(v)
+    peak = max(math.sqrt(sum(x * x for x in row)) for row in v)
+    integral = 0.0
+    for k in range(1, n - 1):
+        for d in range(v.shape[1]):
+            jerk = (v[k + 1, d] - 2.0 * v[k, d] + v[k - 1, d]) / dt**2
+            integral += jerk * jerk * dt
+    return -math.log((n * dt) ** 3 / peak**2 * integral)
+
+
+def test_ldlj_against_a_second_implementation(full: bool) -> None:
+    rng, cases = np.random.default_rng(21), 500 if full else 60
+    for case in range(cases):
+        shape = (int(rng.integers(3, 80)), 3) if case % 2 else (int(rng.integers(3, 80)),)
+        v, fs = np.cumsum(rng.normal(size=shape), axis=0), 10 ** rng.uniform(0, 3)
+        assert ldlj(v, fs) == pytest.approx(ldlj_written_out(v, fs), abs=1e-9)
+    print(f"{cases} motions")
+
+
+def test_ldlj_of_the_minimum_jerk_motion_in_closed_form() -> None:
+    # v = 30 (t² − 2 t³ + t⁴): peak 15/8, ∫ v''² = 720.
+    exact = -math.log(720.0 / (15.0 / 8.0) ** 2)
+    errors = []
+    for n in (100, 1000, 10000):
+        t = np.linspace(0, 1, n)
+        errors.append(abs(ldlj(30 * (t**2 - 2 * t**3 + t**4), n - 1.0) - exact))
+    print(f"exact {exact:.5f}, errors {errors}")
+    assert errors[2] < 1e-3 and errors[0] > errors[1] > errors[2]
+
+
+def test_sparc_of_a_gaussian_by_its_fourier_integral() -> None:
+    # exp(−5 t²) has the spectrum exp(−π² f²/5), which falls below 0.05 at f_c.
+    f_c = math.sqrt(5.0 * math.log(20.0)) / math.pi
+
+    def slope(f: float) -> float:
+        return -2.0 * math.pi**2 * f / 5.0 * math.exp(-(math.pi**2) * f * f / 5.0)
+
+    exact = -integrate.quad(lambda f: math.hypot(1.0 / f_c, slope(f)), 0.0, f_c)[0]
+    t = np.arange(-4.0, 4.0, 0.01)
+    found = sparc(np.exp(-5.0 * t**2), 100.0, padlevel=8)
+    print(f"integral {exact:.6f}, sampled {found:.6f}")
+    assert found == pytest.approx(exact, abs=5e-4)
+
+
+def test_presets_against_their_definitions_written_out() -> None:
+    fs, step = 30.0, 6
+    rng = np.random.default_rng(22)
+    t = np.arange(0, 40, 1 / fs)
+    p = 0.02 * np.stack([np.sin(0.9 * t), np.sin(1.7 * t), np.cos(0.4 * t)], axis=1)
+    p = p + 0.1e-3 * rng.normal(size=p.shape)
+
+    slow = p[::step]
+    speed = np.linalg.norm(np.gradient(slow, 0.2, axis=0), axis=1)
+    jerk = np.diff(slow, n=3, axis=0) / 0.2**3
+    reach = max(np.linalg.norm(row - slow[0]) for row in slow)
+    duration = 0.2 * len(slow)
+    by_hand = -math.log(duration**5 / reach**2 * np.sum(jerk**2) * 0.2)
+    paper = metrics.smoothness(p, fs, "paper")
+    assert paper.ldlj == pytest.approx(by_hand, abs=1e-9)
+    assert paper.sparc == pytest.approx(reference_sparc(speed, 5.0, 0, 2.5), rel=1e-9)
+
+    velocity = np.gradient(p, 1 / fs, axis=0)
+    sections = signal.butter(8, 2.0, fs=fs, output="sos")
+    velocity = signal.sosfiltfilt(sections, velocity, axis=0)[::step]
+    published = metrics.smoothness(p, fs, "reference")
+    speed = np.linalg.norm(velocity, axis=1)
+    # The ends of the filter are padded a little differently: the last digits differ.
+    assert published.ldlj == pytest.approx(ldlj_written_out(velocity, 5.0), abs=0.02)
+    assert published.sparc == pytest.approx(reference_sparc(speed, 5.0, 4, 2.5), abs=0.02)
+    assert abs(paper.ldlj - published.ldlj) > 1.0  # two metrics of one name
+
+
+def test_rcm_deviation_against_a_search_along_the_line() -> None:
+    rng = np.random.default_rng(23)
+    for _ in range(30):
+        p, s, c = rng.normal(size=(3, 3))
+        nearest = optimize.minimize_scalar(lambda u, p=p, s=s, c=c: np.linalg.norm(p + u * s - c))
+        assert rcm_deviation([p], [s], [c])[0] == pytest.approx(nearest.fun, abs=1e-7)
+
+
+# --- invariances ---
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6))
+def test_the_deviation_moves_with_the_frame(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p, s, c = (rng.normal(size=(20, 3)) for _ in range(3))
+    R, shift, k = rotation(rng), rng.normal(size=3), float(rng.uniform(0.1, 10))
+    here = rcm_deviation(p, s, c)
+    there = rcm_deviation(p @ R.T + shift, s @ R.T, c @ R.T + shift)
+    assert np.allclose(here, there, atol=1e-12)
+    assert np.allclose(rcm_deviation(k * p, s, k * c), k * here)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 10**6))
+def test_presets_do_not_see_frame_size_or_place(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    p = np.cumsum(rng.normal(size=(600, 3)), axis=0) * 1e-3
+    moved = float(rng.uniform(0.1, 10)) * p @ rotation(rng).T + rng.normal(size=3)
+    for preset in metrics.PRESETS:
+        one, two = metrics.smoothness(p, 30.0, preset), metrics.smoothness(moved, 30.0, preset)
+        assert one.sparc == pytest.approx(two.sparc, abs=1e-6)
+        assert one.ldlj == pytest.approx(two.ldlj, abs=1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(0, 10**6))
+def test_a_slower_replay_is_as_smooth(seed: int) -> None:
+    """LDLJ has no unit of time; SPARC has none once its cut-off is slowed down as well."""
+    rng = np.random.default_rng(seed)
+    v = np.abs(np.cumsum(rng.normal(size=int(rng.integers(30, 200)))))
+    slower = float(rng.uniform(0.1, 10))
+    assert ldlj(v, 100.0 * slower) == pytest.approx(ldlj(v, 100.0), abs=1e-9)
+    fast, slow = sparc(v, 100.0, fc=8.0), sparc(v, 100.0 * slower, fc=8.0 * slower)
+    # A bin of the grid may fall on either side of the cut-off.
+    assert slow == pytest.approx(fast, abs=0.02)
+
+
+def test_the_sampling_rate_hardly_matters() -> None:
+    def speed(fs: float) -> np.ndarray:
+        t = np.arange(0, 8, 1 / fs)
+        return sum(a * np.exp(-6 * (t - c) ** 2) for a, c in ((1.0, 2.0), (0.6, 3.7), (0.8, 5.5)))
+
+    arcs = [sparc(speed(fs), fs) for fs in (50.0, 100.0, 130.0, 500.0)]
+    jerks = [ldlj(speed(fs), fs) for fs in (50.0, 100.0, 130.0, 500.0)]
+    print(f"SPARC {arcs}, LDLJ {jerks}")
+    assert np.ptp(arcs) < 0.02 and np.ptp(jerks) < 0.02
+
+
+@pytest.mark.parametrize("n", [3, 4, 10, 151])
+def test_the_lower_bounds_are_reached_by_the_jerkiest_motion(n: int) -> None:
+    back_and_forth = np.where(np.arange(n) % 2, 1.0, -1.0)
+    bound = -math.log(16.0 * n**3 * (n - 2))
+    assert ldlj(np.outer(back_and_forth, [2.0, 1.0, -2.0]), 5.0) == pytest.approx(bound, abs=1e-9)
+    stop_and_go = (1.0 + back_and_forth) / 2
+    assert ldlj(stop_and_go, 5.0) == pytest.approx(-math.log(4.0 * n**3 * (n - 2)), abs=1e-9)
+
+
+def test_smoother_is_closer_to_zero() -> None:
+    rng = np.random.default_rng(24)
+    t = np.arange(0, 30, 1 / 500)
+    p = 0.02 * np.stack([np.sin(0.9 * t), np.sin(1.1 * t), np.cos(0.4 * t)], axis=1)
+    noise = metrics.low_pass(rng.normal(size=p.shape), 500.0, 1.5)
+    for preset in metrics.PRESETS:
+        clean, shaken = (metrics.smoothness(p + k * noise, 500.0, preset) for k in (0.0, 0.05))
+        assert clean.sparc > shaken.sparc + 0.5
+        assert clean.ldlj > shaken.ldlj + 1.0
+
+
+# --- what real recordings are like ---
+
+
+@pytest.mark.parametrize("preset", list(metrics.PRESETS))
+@pytest.mark.parametrize("count", [0, 1, 2, 100, 250, 301])
+def test_short_motions_are_nan_or_a_number_never_an_accident(preset: str, count: int) -> None:
+    rng = np.random.default_rng(count)
+    p = np.cumsum(rng.normal(size=(count, 3)), axis=0) * 1e-4
+    found = metrics.smoothness(p, 500.0, preset)
+    assert found.samples == (0 if count == 0 else (count - 1) // 100 + 1)
+    if found.samples < 3:
+        assert math.isnan(found.ldlj)
+    if found.samples < 2:
+        assert math.isnan(found.sparc)
+    assert metrics.idle(p, 500.0).seconds <= count / 500
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_gap_in_the_numbers_is_refused_with_its_place(bad: float) -> None:
+    p = np.ones((300, 3))
+    p[17, 2] = bad
+    for call in (
+        lambda: metrics.smoothness(p, 500.0),
+        lambda: metrics.smoothness(p, 500.0, "paper"),
+        lambda: metrics.idle(p, 500.0),
+        lambda: ldlj(p, 500.0),
+        lambda: metrics.ldlj_displacement(p, 500.0),
+    ):
+        with pytest.raises(ValueError, match=r"not finite at index \(17, 2\)"):
+            call()
+    with pytest.raises(ValueError, match=r"speed is not finite at index \(17,\)"):
+        sparc(p[:, 2], 500.0)
+    assert np.count_nonzero(np.isnan(rcm_deviation(p, p, np.zeros(3)))) == 1
+
+
+def test_a_rate_below_the_preset_s_is_refused() -> None:
+    for preset in metrics.PRESETS:
+        with pytest.raises(ValueError, match="4 Hz cannot be brought to 5 Hz"):
+            metrics.smoothness(np.random.default_rng(0).normal(size=(50, 3)), 4.0, preset)
+    with pytest.raises(ValueError, match=r"no smoothness preset 'mine'.*paper.*reference"):
+        metrics.smoothness(np.zeros((50, 3)), 500.0, "mine")
+
+
+# --- idle time ---
+
+
+def test_idle_time_counts_pauses_and_not_turning_points() -> None:
+    fs = 500.0
+    speeds = [(2.0, 0.03), (1.5, 0.0), (3.0, -0.02), (0.3, 0.0), (2.0, 0.03), (4.0, 0.0)]
+    x = np.cumsum(np.concatenate([np.full(round(t * fs), v / fs) for t, v in speeds]))
+    tremor = 0.05e-3 * np.sin(2 * np.pi * 10 * np.arange(len(x)) / fs)
+    p = np.stack([x, tremor, 0 * x], axis=1)
+    found = metrics.idle(p, fs)
+    print(found)
+    # Two pauses count. The filter blurs each of their three inner ends by about 0.2 s.
+    assert found.pauses == 2
+    assert 5.5 - 3 * 0.25 < found.seconds < 5.5
+    assert found.share == pytest.approx(found.seconds / 12.8, rel=1e-3)
+    assert (found.below, found.at_least, found.cutoff) == (1e-3, 0.5, 3.0)
+    assert metrics.idle(p, fs, at_least=0.05).pauses == 3
+    assert metrics.idle(p, fs, below=1.0).seconds == pytest.approx(12.8, abs=0.01)
+    still = metrics.idle(np.ones((1001, 3)), fs)
+    assert (still.seconds, still.share, still.pauses) == (2.0, 1.0, 1)
+
+
+def test_idle_time_is_that_of_the_definition(full: bool) -> None:
+    rng, cases = np.random.default_rng(25), 200 if full else 30
+    for _ in range(cases):
+        fs = float(rng.integers(20, 60))
+        p = np.cumsum(rng.normal(size=(400, 3)) * (rng.random((400, 1)) < 0.02), axis=0) * 1e-2
+        slow = metrics.low_pass(p, fs, 3.0)
+        speed = [float(np.linalg.norm(b - a)) * fs for a, b in itertools.pairwise(slow)]
+        runs = [
+            len(list(run)) for still, run in itertools.groupby(v < 1e-3 for v in speed) if still
+        ]
+        counted = [run / fs for run in runs if run / fs >= 0.5 - 0.5 / fs]
+        found = metrics.idle(p, fs)
+        assert (found.seconds, found.pauses) == (pytest.approx(sum(counted)), len(counted))
+    print(f"{cases} motions")
+
+
+@pytest.mark.parametrize("name", ["fs", "below", "at_least", "cutoff"])
+def test_idle_time_refuses_nonsense(name: str) -> None:
+    given = {"fs": 500.0, name: 0.0}
+    with pytest.raises(ValueError, match=f"idle: {name} is 0"):
+        metrics.idle(np.zeros((10, 3)), **given)

@@ -10,3 +10,7 @@ class EpisodeError(Exception):
 
 class NoMotionError(EpisodeError):
     """A recording in which no motion was commanded."""
+
+
+class ReferenceSetError(Exception):
+    """A reference set that cannot be read; the message says what, where, and what is needed."""

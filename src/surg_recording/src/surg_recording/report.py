@@ -50,6 +50,11 @@ _DEFINITIONS = (
         "Of input and executed tip, both low-passed at 3 Hz (zero-phase Butterworth, order 4), so"
         " that tremor, which the controller filters, does not count.",
     ),
+    (
+        "Idle time",
+        "Pauses of at least 0.5 s in which the executed tip, low-passed likewise, stays below"
+        " 1 mm/s.",
+    ),
     ("Shaft sweep", "The largest angle between any two shaft directions of the run."),
     (
         "Unscaled",
@@ -210,6 +215,7 @@ def _numbers(result: Mapping[str, Any]) -> str:
         ("Tip error by joint states", _pair(result["tip_error_measured_mm"], "rms", "max"), "mm"),
         ("Tip lag", number(result["tip_lag_ms"]), "ms"),
         ("Path length", _pair(result["path_length_mm"], "input", "executed"), "mm"),
+        ("Idle time", f"{number(result['idle']['s'])} s, pauses: {result['idle']['pauses']}", ""),
         ("Shaft sweep", number(result["shaft_sweep_deg"]), "°"),
     ]
     for name, values in smooth["presets"].items():

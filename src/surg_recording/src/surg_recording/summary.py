@@ -293,7 +293,7 @@ def stated_limits(result: Mapping[str, Any], info: Mapping[str, Any]) -> list[Li
 _MEASURED = (
     *("rcm_kinematic_mm", "rcm_true_mm", "tip_error_mm", "tip_lag_ms", "path_length_mm"),
     *("shaft_sweep_deg", "enabled_fraction", "unscaled_fraction", "smoothness", "controller"),
-    *("trocar", "tip_error_measured_mm", "input_source"),
+    *("trocar", "tip_error_measured_mm", "input_source", "idle"),
 )
 
 
@@ -322,6 +322,7 @@ def _measure(run: Run, lockstep: bool) -> dict[str, Any]:
             "input": metrics.path_length(path_in, fs, PATH_CUTOFF_HZ) * 1e3,
             "executed": metrics.path_length(path_out, fs, PATH_CUTOFF_HZ) * 1e3,
         },
+        "idle": _idle(metrics.idle(path_out, fs, cutoff=PATH_CUTOFF_HZ)),
         "shaft_sweep_deg": math.degrees(metrics.shaft_sweep(run.shaft)),
         "enabled_fraction": float(np.mean(cycle["state"] == ENABLED)),
         "unscaled_fraction": float(np.mean(cycle["scale"] >= 1.0 - 1e-9)),
@@ -355,6 +356,18 @@ def _smoothness(path_in: Array, path_out: Array, fs: float) -> dict[str, Any]:
         "sparc": first["sparc"],
         "ldlj": first["ldlj"],
         "presets": found,
+    }
+
+
+def _idle(found: metrics.Idle) -> dict[str, float | int]:
+    """Idle time of the executed motion, with what was called idle."""
+    return {
+        "s": found.seconds,
+        "share": found.share,
+        "pauses": found.pauses,
+        "below_mm_per_s": found.below * 1e3,
+        "at_least_s": found.at_least,
+        "cutoff_hz": found.cutoff,
     }
 
 

@@ -38,9 +38,11 @@ def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:
             ("kinematic", EXECUTED, ("rcm_kinematic_mm", metric)),
             ("true", TRUE, ("rcm_true_mm", metric)),
         ]
+        if not any(trials.values(entries, *series[1][2]) for _, entries in groups):
+            series.pop()  # no simulator, no truth
         _boxes(axes, groups, series)
         for i, condition in enumerate(summary["conditions"]):
-            for bound in condition["bounds"]:
+            for bound in condition.get("bounds", ()):
                 if bound["metric"] == metric:
                     # Over the kinematic box only: the other one is not held against it.
                     axes.plot([i - 0.4, i - 0.02], [bound["value"]] * 2, "--", color=LIMIT, lw=1.2)
@@ -50,7 +52,8 @@ def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:
         axes.yaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda y, _: f"{y:g}"))
         axes.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
         axes.set(title=f"RCM deviation, {metric} of each episode", ylabel="mm")
-    axes.plot([], [], "--", color=LIMIT, lw=1.0, label="bound (kinematic)")
+    if any(condition.get("bounds") for condition in summary["conditions"]):
+        axes.plot([], [], "--", color=LIMIT, lw=1.0, label="bound (kinematic)")
     first, (low, high) = figure.axes[0], figure.axes[0].get_ylim()
     first.set_ylim(low, high * (high / low) ** 0.15)  # logarithmic: room for the legend
     handles, labels = axes.get_legend_handles_labels()
@@ -139,26 +142,34 @@ def _boxes(axes: Axes, groups: Groups, series: Series) -> None:
     for j, (label, colour, path) in enumerate(series):
         offset = (j - (len(series) - 1) / 2) * width
         for i, (_, entries) in enumerate(groups):
-            numbers = trials.values(entries, *path)
-            if not numbers:
-                continue
-            axes.boxplot(
-                numbers,
-                positions=[i + offset],
-                widths=0.8 * width,
-                showfliers=False,
-                patch_artist=True,
-                boxprops={"facecolor": "white", "edgecolor": colour},
-                medianprops={"color": INK, "linewidth": 1.6},
-                whiskerprops={"color": colour},
-                capprops={"color": colour},
-            )
-            # Spread the dots evenly over the box, by rank of seed order: no random numbers.
-            x = i + offset + np.linspace(-0.25, 0.25, len(numbers) + 2)[1:-1] * width
-            axes.plot(x, numbers, "o", color=colour, markersize=3.2, alpha=0.65, zorder=3)
+            box(axes, i + offset, width, trials.values(entries, *path), colour)
         axes.plot([], [], "o", color=colour, markersize=5, label=label)
-    labels = [label for label, _ in groups]
-    crowded = len(groups) * len(axes.figure.axes) > 9
-    axes.set_xticks(range(len(groups)), labels, fontsize=7 if crowded else None)
-    axes.set_xlim(-0.6, len(groups) - 0.4)
+    name_groups(axes, [label for label, _ in groups])
+
+
+def box(axes: Axes, x: float, width: float, numbers: Sequence[float], colour: str) -> None:
+    """One box with its numbers as dots; nothing where there are none."""
+    if not numbers:
+        return
+    axes.boxplot(
+        numbers,
+        positions=[x],
+        widths=0.8 * width,
+        showfliers=False,
+        patch_artist=True,
+        boxprops={"facecolor": "white", "edgecolor": colour},
+        medianprops={"color": INK, "linewidth": 1.6},
+        whiskerprops={"color": colour},
+        capprops={"color": colour},
+    )
+    # Spread the dots evenly over the box, by rank of seed order: no random numbers.
+    across = x + np.linspace(-0.25, 0.25, len(numbers) + 2)[1:-1] * width
+    axes.plot(across, numbers, "o", color=colour, markersize=3.2, alpha=0.65, zorder=3)
+
+
+def name_groups(axes: Axes, labels: Sequence[str]) -> None:
+    """The labels under the groups at 0, 1, …, smaller where there are many."""
+    crowded = len(labels) * len(axes.figure.axes) > 9
+    axes.set_xticks(range(len(labels)), labels, fontsize=7 if crowded else None)
+    axes.set_xlim(-0.6, len(labels) - 0.4)
     axes.grid(visible=False, axis="x")

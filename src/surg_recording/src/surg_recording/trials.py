@@ -15,9 +15,18 @@ import numpy as np
 
 from surg_recording import summary
 from surg_recording.episode import Episode
+from surg_recording.intervals import Z_95, success_rate, wilson
 
-Z_95 = 1.959963984540054
-"""Two-sided 95 % quantile of the normal distribution."""
+__all__ = [
+    "Z_95",
+    "Outcome",
+    "describe",
+    "pick",
+    "success_rate",
+    "summarise",
+    "values",
+    "wilson",
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,42 +46,6 @@ class Outcome:
     phase: str
     duration_s: float
     played: bool = True
-
-
-def wilson(k: int, n: int, z: float = Z_95) -> tuple[float, float]:
-    """Wilson's score interval of a proportion.
-
-    It holds near 0 and 1, where k/n ± z σ does not.
-
-    Args:
-        k: Successes.
-        n: Trials.
-        z: Quantile of the normal distribution.
-
-    Returns:
-        Lower and upper end in [0, 1]; (0, 1) without trials.
-
-    Raises:
-        ValueError: k is not within 0 … n.
-    """
-    if not 0 <= k <= n:
-        raise ValueError(f"{k} successes of {n} trials")
-    if n == 0:
-        return 0.0, 1.0
-    share = k / n
-    centre = share + z * z / (2 * n)
-    half = z * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    scale = 1 + z * z / n
-    low, high = (centre - half) / scale, (centre + half) / scale
-    # At the ends the formula gives 0 and 1 exactly; floating point almost does.
-    return (0.0 if k == 0 else low), (1.0 if k == n else high)
-
-
-def success_rate(successes: Sequence[bool]) -> dict[str, float | int]:
-    """Number of trials and successes, and the ends of the 95 % interval."""
-    k, n = sum(successes), len(successes)
-    low, high = wilson(k, n)
-    return {"n": n, "k": k, "low": low, "high": high}
 
 
 def describe(
@@ -95,7 +68,7 @@ def describe(
     sim: Mapping[str, Any] = {}
     if recorded is not None:
         sim = recorded.manifest.get("sim") or {}
-        arms = {arm: _arm(recorded, arm) for arm in recorded.arms}
+        arms = {arm: pick(summary.summarise(recorded, arm)) for arm in recorded.arms}
     first = next(iter(arms.values()), dict.fromkeys(_OF_AN_ARM))
     return {
         "seed": seed,
@@ -113,14 +86,27 @@ def describe(
     }
 
 
-_OF_AN_ARM = ("rcm_kinematic_mm", "rcm_true_mm", "trocar", "smoothness")
+_OF_AN_ARM = (
+    *("rcm_kinematic_mm", "rcm_true_mm", "trocar", "smoothness", "path_length_mm", "idle"),
+)
 
 
-def _arm(recorded: Episode, arm: str) -> dict[str, Any]:
-    measured = summary.summarise(recorded, arm)
+def pick(measured: Mapping[str, Any]) -> dict[str, Any]:
+    """What an entry holds of an arm.
+
+    Args:
+        measured: Made by ``summary.summarise``.
+    """
     found = {name: measured[name] for name in _OF_AN_ARM}
-    if found["smoothness"] is not None:
-        found["smoothness"] = {key: found["smoothness"][key] for key in ("preset", "sparc", "ldlj")}
+    smoothness = found["smoothness"]
+    if smoothness is not None:
+        found["smoothness"] = {
+            **{key: smoothness[key] for key in ("preset", "sparc", "ldlj")},
+            "presets": {
+                preset: {key: values[key] for key in ("sparc", "ldlj")}
+                for preset, values in smoothness["presets"].items()
+            },
+        }
     return found
 
 

@@ -1,0 +1,276 @@
+"""Episodes of any kind, grouped into conditions and measured, beside a reference set.
+
+A *condition* is what its episodes have in common: task, physical setting, robot, control law, and
+whether robot and patient were simulated. What the numbers mean is said in docs/evaluation.md.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from surg_recording import episode as episodes
+from surg_recording import metrics, reference, summary, trials
+from surg_recording.episode import Episode
+from surg_recording.errors import EpisodeError
+from surg_recording.intervals import spread, success_rate
+
+IDENTITY = ("task", "setting", "robot", "law", "source")
+"""What makes a condition."""
+SIMULATION, REAL = "simulation", "real"
+"""The two sources."""
+SETTING_ORDER = ("phantom", "ex_vivo", "in_vivo")
+"""From left to right; others follow by name."""
+
+Progress = Callable[[float, str], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Metric:
+    """One number per episode.
+
+    Attributes:
+        name: In ``summary.json`` and the tables.
+        title: For people.
+        unit: Empty for a number without.
+        path: Keys from an episode's entry down to the number; ``{preset}`` stands for its name.
+    """
+
+    name: str
+    title: str
+    unit: str
+    path: tuple[str, ...]
+
+    def values(self, entries: Iterable[Mapping[str, Any]], preset: str) -> list[float]:
+        """Of every entry that has the number."""
+        return trials.values(entries, *(key.format(preset=preset) for key in self.path))
+
+
+METRICS = (
+    Metric("rcm_kinematic_mean_mm", "RCM mean", "mm", ("rcm_kinematic_mm", "mean")),
+    Metric("rcm_kinematic_max_mm", "RCM max", "mm", ("rcm_kinematic_mm", "max")),
+    Metric("rcm_true_mean_mm", "true RCM mean", "mm", ("rcm_true_mm", "mean")),
+    Metric("rcm_true_max_mm", "true RCM max", "mm", ("rcm_true_mm", "max")),
+    Metric("sparc", "SPARC", "", ("smoothness", "presets", "{preset}", "sparc")),
+    Metric("ldlj", "LDLJ", "", ("smoothness", "presets", "{preset}", "ldlj")),
+    Metric("path_length_mm", "path length", "mm", ("path_length_mm", "executed")),
+    Metric("duration_s", "duration", "s", ("duration_s",)),
+    Metric("idle_s", "idle time", "s", ("idle", "s")),
+    Metric("trocar_force_max_n", "trocar force max", "N", ("trocar", "force_n", "max")),
+)
+"""Everything that is measured of an episode, in the order of the tables."""
+
+
+@dataclasses.dataclass(frozen=True)
+class LeftOut:
+    """An episode that is in no condition."""
+
+    folder: str
+    reason: str
+
+
+# --- finding ------------------------------------------------------------------------------------
+
+
+def find(paths: Sequence[Path]) -> list[Path]:
+    """Every episode folder at or below the paths, in order, each once.
+
+    Args:
+        paths: Episodes, runs, or folders that hold some.
+
+    Raises:
+        EpisodeError: A path that does not exist or holds no episode.
+    """
+    found: dict[Path, Path] = {}
+    for path in paths:
+        if not path.is_dir():
+            raise EpisodeError(f"{path}: no such folder")
+        if (path / episodes.MANIFEST).is_file():
+            here = [path]
+        else:
+            here = [file.parent for file in sorted(path.rglob(episodes.MANIFEST)) if _ours(file)]
+        if not here:
+            raise EpisodeError(f"{path}: no episode (a folder with {episodes.MANIFEST}) in it")
+        found.update((folder.resolve(), folder) for folder in here)
+    return list(found.values())
+
+
+def _ours(manifest: Path) -> bool:
+    """Whether a file found on the way is an episode's; a broken one may be."""
+    try:
+        content = json.loads(manifest.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return True
+    return isinstance(content, dict) and str(content.get("format", "")).startswith("surg_episode/")
+
+
+# --- measuring ----------------------------------------------------------------------------------
+
+
+def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
+    """The entry of one episode.
+
+    Args:
+        recorded: The episode.
+        arm: Whose motion; default: the first arm, the instrument's.
+
+    Raises:
+        EpisodeError: It has no such arm, no motion, or cannot be read.
+    """
+    try:
+        measured = summary.summarise(recorded, arm)
+    except ValueError as problem:  # a metric was given what is no number
+        raise EpisodeError(f"{recorded.folder}: {problem}") from problem
+    if measured["duration_s"] is None:
+        raise EpisodeError(f"{recorded.folder}: {measured['reasons'][0]}")
+    manifest = recorded.manifest
+    info, sim = manifest.get("run") or {}, manifest.get("sim")
+    verdict = (sim or {}).get("task")
+    ended = verdict and bool(verdict.get("success")) and bool(verdict.get("done"))
+    return {
+        "folder": str(recorded.folder),
+        "task": manifest.get("task") or measured["motion"],
+        "setting": info.get("setting"),
+        "robot": measured["robot"],
+        "law": measured["law"],
+        "source": SIMULATION if sim or measured["rcm_true_mm"] else REAL,
+        "arm": measured["arm"],
+        "seed": measured["seed"],
+        "operator": info.get("operator") or manifest.get("operator"),
+        "success": None if verdict is None else ended,
+        "failure_reason": None if verdict is None or ended else str(verdict.get("reason") or ""),
+        "duration_s": measured["duration_s"],
+        **trials.pick(measured),
+        "complete": recorded.complete,
+        "problem": manifest.get("reason"),
+        "state_hash": measured["state_hash"],
+    }
+
+
+def measure_all(
+    folders: Sequence[Path], arm: str | None, incomplete: bool, progress: Progress
+) -> tuple[list[dict[str, Any]], list[LeftOut]]:
+    """Measure many episodes; one that cannot be does not keep the others from it.
+
+    Args:
+        folders: Made by ``find``.
+        arm: As for ``measure``.
+        incomplete: Take incomplete recordings too.
+        progress: Called with the done part in [0, 1] and the folder at hand.
+
+    Returns:
+        The entries, and what was left out: unreadable, without motion, incomplete, or the same
+        simulation a second time.
+    """
+    entries: list[dict[str, Any]] = []
+    left_out: list[LeftOut] = []
+    seen: dict[str, str] = {}
+    for i, folder in enumerate(folders):
+        progress(i / len(folders), f"{i + 1} of {len(folders)}, {folder}")
+        try:
+            entry = measure(episodes.read(folder), arm)
+        except EpisodeError as problem:
+            left_out.append(LeftOut(str(folder), str(problem)))
+            continue
+        state = entry["state_hash"]
+        if not entry["complete"] and not incomplete:
+            reason = f"incomplete recording: {entry['problem']}"
+        elif state and state in seen:
+            reason = f"the same simulation as {seen[state]} (state hash {state[:12]})"
+        else:
+            seen.setdefault(state, str(folder))
+            entries.append(entry)
+            continue
+        left_out.append(LeftOut(str(folder), reason))
+    return entries, left_out
+
+
+# --- bringing together --------------------------------------------------------------------------
+
+
+def grouped(entries: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
+    """Episodes by condition, under a label that says what tells the conditions apart."""
+    groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    for entry in entries:
+        groups.setdefault(tuple(entry[key] for key in IDENTITY), []).append(entry)
+    differing = [i for i in range(len(IDENTITY)) if len({identity[i] for identity in groups}) > 1]
+    order = {name: i for i, name in enumerate(SETTING_ORDER)}
+
+    def rank(identity: tuple[Any, ...]) -> tuple[Any, ...]:
+        task, setting, robot, law, source = identity
+        return str(task), str(robot), source, order.get(setting, len(order)), str(setting), str(law)
+
+    return {_label(identity, differing): groups[identity] for identity in sorted(groups, key=rank)}
+
+
+def _label(identity: Sequence[Any], differing: Sequence[int]) -> str:
+    """Setting first; where nothing differs, the setting or else the task."""
+    shown = sorted(differing, key=lambda i: (IDENTITY[i] != "setting", i))
+    if not shown:
+        named = dict(zip(IDENTITY, identity, strict=True))
+        return str(named["setting"] or named["task"] or named["robot"] or "all episodes")
+    return ", ".join(str(identity[i] or f"no {IDENTITY[i]}") for i in shown)
+
+
+def summarise(
+    entries: Sequence[Mapping[str, Any]],
+    left_out: Sequence[LeftOut],
+    preset: str,
+    compared: Mapping[str, Any] | None,
+    info: Mapping[str, Any],
+) -> dict[str, Any]:
+    """The dictionary of an evaluation's ``summary.json``.
+
+    Args:
+        entries: Made by ``measure``.
+        left_out: What is in no condition.
+        preset: Of the smoothness; there is only one in an evaluation.
+        compared: Made by ``reference.summarise``; None without a reference set.
+        info: ``versions`` and the like; copied.
+    """
+    return {
+        **info,
+        "preset": metrics.PRESETS[preset].parameters(),
+        "conditions": {
+            label: _condition(group, preset) for label, group in grouped(entries).items()
+        },
+        "reference": compared,
+        "episodes": [dict(entry) for entry in entries],
+        "left_out": [dataclasses.asdict(each) for each in left_out],
+    }
+
+
+def _condition(entries: Sequence[Mapping[str, Any]], preset: str) -> dict[str, Any]:
+    judged = [bool(entry["success"]) for entry in entries if entry["success"] is not None]
+    return {
+        **{key: entries[0][key] for key in IDENTITY},
+        "n": len(entries),
+        "incomplete": sum(not entry["complete"] for entry in entries),
+        "success_rate": success_rate(judged) if judged else None,
+        **{metric.name: spread(metric.values(entries, preset)) for metric in METRICS},
+    }
+
+
+def compare(spec: str, preset: str, progress: Progress) -> dict[str, Any]:
+    """Read and measure a reference set.
+
+    Args:
+        spec: ``KIND:PATH``, see ``reference.load``.
+        preset: Whose smoothness is summarised.
+        progress: As for ``measure_all``.
+
+    Returns:
+        ``reference`` of ``summary.json``.
+
+    Raises:
+        ReferenceSetError: Nothing of it can be measured.
+    """
+    found = reference.load(spec)
+    measured = []
+    for i, motion in enumerate(found.motions):
+        progress(i / len(found.motions), f"{found.name}: {motion.name}")
+        measured.append(reference.measure(motion))
+    return reference.summarise(found, measured, preset)

@@ -1,0 +1,140 @@
+"""The figures of an evaluation: deviation, smoothness beside a reference, effort; per condition."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.figure import Figure
+
+from surg_recording import evaluation, trial_figures
+from surg_recording.figures import EXECUTED, GRID, INK, INPUT, STYLE, Drawn, blank
+from surg_recording.metrics import PRESETS
+
+FORMATS = ("png", "svg")
+
+
+def deviation(summary: Mapping[str, Any]) -> Figure:
+    """Mean and maximum of the RCM deviation of each episode, a box per condition."""
+    groups = _groups(summary)
+    figure = trial_figures.deviation(groups, {"conditions": list(summary["conditions"].values())})
+    figure.supxlabel(origin(summary), fontsize=8.5, color=INK)
+    return figure
+
+
+def smoothness(summary: Mapping[str, Any]) -> Figure:
+    """SPARC and LDLJ of each episode's tip, by one preset, beside the reference set."""
+    preset = PRESETS[summary["preset"]["name"]]
+    groups, others = _groups(summary), _references(summary)
+    labels = [label for label, _ in [*groups, *others]]
+    figure = blank(3.9)
+    for axes, name in zip(figure.subplots(1, 2), ("sparc", "ldlj"), strict=True):
+        metric = next(m for m in evaluation.METRICS if m.name == name)
+        for i, (_, entries) in enumerate([*groups, *others]):
+            colour = EXECUTED if i < len(groups) else INPUT
+            trial_figures.box(axes, i, 0.6, metric.values(entries, preset.name), colour)
+        if others:
+            axes.axvline(len(groups) - 0.5, color=GRID, linewidth=1.6)
+        trial_figures.name_groups(axes, labels)
+        axes.set(title=f"{metric.title} (closer to zero: smoother)", ylabel=metric.title)
+    note = f"{origin(summary)}\n{preset.label()}"
+    figure.supxlabel(note, fontsize=8.5, color=INK)
+    return figure
+
+
+def effort(summary: Mapping[str, Any]) -> Figure:
+    """Path length, duration and idle time of each episode."""
+    groups, figure = _groups(summary), blank(3.5)
+    names = ("path_length_mm", "duration_s", "idle_s")
+    for axes, name in zip(figure.subplots(1, len(names)), names, strict=True):
+        metric = next(m for m in evaluation.METRICS if m.name == name)
+        for i, (_, entries) in enumerate(groups):
+            values = metric.values(entries, summary["preset"]["name"])
+            trial_figures.box(axes, i, 0.6, values, EXECUTED)
+        trial_figures.name_groups(axes, [label for label, _ in groups])
+        axes.set(title=metric.title.capitalize(), ylabel=metric.unit)
+        axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
+    figure.supxlabel(origin(summary), fontsize=8.5, color=INK)
+    return figure
+
+
+FIGURES = {
+    "rcm_deviation": (
+        "Does the shaft stay in the trocar?",
+        "One dot per episode, first arm. Box: quartiles, line: median, whiskers: 1.5 times the"
+        " box. Kinematic: from joint states and calibration, the paper's metric; true: from the"
+        " simulator's shaft axis. Logarithmic scale.",
+        deviation,
+    ),
+    "smoothness": (
+        "How smooth is the tip's motion?",
+        "One dot per episode or trial. All values are of one preset; values of another preset, or"
+        " of another task, are no comparison of skill.",
+        smoothness,
+    ),
+    "effort": (
+        "How far, how long, how hesitant?",
+        "Path of the tip low-passed at 3 Hz. Idle: pauses of at least 0.5 s below 1 mm/s.",
+        effort,
+    ),
+}
+"""Name → question it answers, caption, function."""
+
+
+def save_all(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
+    """Draw every figure as ``<folder>/<name>.png`` and ``.svg``.
+
+    Args:
+        summary: Made by ``evaluation.summarise``, with at least one condition.
+        folder: Where they go.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    drawn = []
+    for name, (title, caption, draw) in FIGURES.items():
+        with matplotlib.rc_context({**STYLE, "svg.hashsalt": name}):
+            figure = draw(summary)
+            figure.savefig(folder / f"{name}.png", metadata={"Software": None})
+            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
+        whole = f"{caption} {origin(summary)}."
+        drawn.append(Drawn(name, title, whole, folder / f"{name}.png"))
+    return drawn
+
+
+def origin(summary: Mapping[str, Any]) -> str:
+    """Whether this is simulation, and what else all conditions have in common."""
+    conditions = list(summary["conditions"].values())
+    common = [_common(conditions, key) for key in ("source", "task", "robot", "law")]
+    sources = {condition["source"] for condition in conditions}
+    if len(sources) > 1:
+        common[0] = "simulation and real, see the labels"
+    words = [common[0], common[1], common[2], common[3] and f"law {common[3]}"]
+    text = ", ".join(str(word) for word in words if word)
+    return text[:1].upper() + text[1:]
+
+
+def _common(conditions: Sequence[Mapping[str, Any]], key: str) -> Any:
+    values = {condition[key] for condition in conditions}
+    return values.pop() if len(values) == 1 else None
+
+
+def _groups(summary: Mapping[str, Any]) -> trial_figures.Groups:
+    """Episodes of each condition under its label, one part per line."""
+    return [
+        (f"{label}\nn = {len(entries)}".replace(", ", "\n"), entries)
+        for label, entries in evaluation.grouped(summary["episodes"]).items()
+    ]
+
+
+def _references(summary: Mapping[str, Any]) -> trial_figures.Groups:
+    """The reference set, and its experts apart where there are others."""
+    compared = summary["reference"]
+    if compared is None:
+        return []
+    each, name = compared["each"], str(compared["name"]).replace(" ", "\n", 1)
+    groups = [(f"{name}\nn = {len(each)}", each)]
+    experts = [trial for trial in each if trial["skill"] == "expert"]
+    if 0 < len(experts) < len(each):
+        groups.append((f"{name}\nexperts\nn = {len(experts)}", experts))
+    return groups

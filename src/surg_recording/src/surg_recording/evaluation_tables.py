@@ -1,0 +1,164 @@
+"""The tables of an evaluation: CSV for programs, LaTeX for a manuscript, Markdown for a page."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from surg_recording.evaluation import IDENTITY, METRICS
+from surg_recording.metrics import PRESETS
+from surg_recording.page import number
+from surg_recording.trial_report import interval
+
+_SPREAD = ("n", "min", "q1", "median", "q3", "max", "low", "high")
+"""Of a metric, in the columns <metric>_<one of these>; low, high: the median's 95 % interval."""
+LATEX = (
+    *("rcm_kinematic_mean_mm", "rcm_kinematic_max_mm", "rcm_true_max_mm", "sparc", "ldlj"),
+    *("path_length_mm", "duration_s", "idle_s"),
+)
+"""Columns of the LaTeX table; CSV has all."""
+
+
+def save_all(summary: Mapping[str, Any], folder: Path) -> None:
+    """Write ``episodes.csv`` and ``conditions.csv``, ``.tex`` and ``.md``.
+
+    Args:
+        summary: Made by ``evaluation.summarise``.
+        folder: Where they go.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    _write(folder / "episodes.csv", episodes(summary))
+    _write(folder / "conditions.csv", conditions(summary))
+    (folder / "conditions.tex").write_text(latex(summary), encoding="utf-8")
+    (folder / "conditions.md").write_text(markdown(summary), encoding="utf-8")
+
+
+def episodes(summary: Mapping[str, Any]) -> list[list[Any]]:
+    """A header and a line per episode."""
+    preset = summary["preset"]["name"]
+    own = (*IDENTITY, "seed", "success", "complete", "folder")
+    rows: list[list[Any]] = [[*own, "preset", *(metric.name for metric in METRICS)]]
+    for entry in summary["episodes"]:
+        numbers = [next(iter(metric.values([entry], preset)), None) for metric in METRICS]
+        rows.append([*(entry[key] for key in own), preset, *numbers])
+    return rows
+
+
+def conditions(summary: Mapping[str, Any]) -> list[list[Any]]:
+    """A header, a line per condition, and lines for the reference set and its levels of skill."""
+    names = [metric.name for metric in METRICS]
+    header = ["condition", *IDENTITY, "preset", "n", "successes", "judged", "success_low"]
+    header += ["success_high", *(f"{name}_{part}" for name in names for part in _SPREAD)]
+    rows: list[list[Any]] = [header]
+    preset = summary["preset"]["name"]
+    for label, found in summary["conditions"].items():
+        rate = found["success_rate"] or {}
+        row = [label, *(found[key] for key in IDENTITY), preset, found["n"]]
+        row += [rate.get(key) for key in ("k", "n", "low", "high")]
+        rows.append(row + [value for name in names for value in _parts(found[name])])
+    for label, found in _references(summary):
+        row = [label, *[None] * len(IDENTITY), preset, found["trials"], *[None] * 4]
+        rows.append(row + [value for name in names for value in _parts(found.get(name))])
+    return rows
+
+
+def latex(summary: Mapping[str, Any]) -> str:
+    """A tabular of medians with quartiles; needs no package."""
+    shown = [metric for metric in METRICS if metric.name in LATEX]
+    titles = [f"{m.title} [{m.unit}]" if m.unit else m.title for m in shown]
+    preset = PRESETS[summary["preset"]["name"]]
+    sources = sorted({found["source"] for found in summary["conditions"].values()})
+    lines = [
+        f"% {' and '.join(sources)}; median [quartiles] over the episodes;"
+        " success with Wilson's 95 % interval",
+        f"% smoothness: {preset.label()}",
+        rf"\begin{{tabular}}{{lrr{'r' * len(shown)}}}",
+        r"\hline",
+        " & ".join(["Condition", "$n$", r"success [\%]", *map(escape, titles)]) + r" \\",
+        r"\hline",
+    ]
+    for label, found in summary["conditions"].items():
+        cells = [escape(label), str(found["n"]), _rate(found["success_rate"])]
+        lines.append(" & ".join(cells + [_latex(found[m.name]) for m in shown]) + r" \\")
+    references = _references(summary)
+    if references:
+        lines.append(r"\hline")
+    for label, found in references:
+        cells = [escape(label), str(found["trials"]), "--"]
+        lines.append(" & ".join(cells + [_latex(found.get(m.name)) for m in shown]) + r" \\")
+    return "\n".join([*lines, r"\hline", r"\end{tabular}"]) + "\n"
+
+
+def markdown(summary: Mapping[str, Any]) -> str:
+    """A line per metric, a column per condition: median [quartiles], then 95 % interval."""
+    columns = [*summary["conditions"].items(), *_references(summary)]
+    rows = [["", *(label for label, _ in columns)], ["---"] * (1 + len(columns))]
+    rows.append(["episodes or trials", *(str(f.get("n", f.get("trials"))) for _, f in columns)])
+    rates = [found.get("success_rate") for _, found in columns]
+    rows.append(["success", *(interval(rate) if rate else "–" for rate in rates)])
+    for metric in METRICS:
+        cells = [_plain(found.get(metric.name)) for _, found in columns]
+        rows.append([f"{metric.title} [{metric.unit}]" if metric.unit else metric.title, *cells])
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def escape(text: str) -> str:
+    """Text as LaTeX prints it."""
+    special = {
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        **{character: "\\" + character for character in "&%$#_{}"},
+    }
+    return "".join(special.get(character, character) for character in text)
+
+
+def _latex(found: Mapping[str, Any] | None) -> str:
+    if not found or not found["n"]:
+        return "--"
+    first, third = found["quartiles"]
+    return f"${number(found['median'])}$ $[{number(first)},\\,{number(third)}]$"
+
+
+def _plain(found: Mapping[str, Any] | None) -> str:
+    if not found or not found["n"]:
+        return "–"
+    first, third = found["quartiles"]
+    words = f"{number(found['median'])} [{number(first)}, {number(third)}]"
+    if found["interval"]:
+        low, high = found["interval"]
+        words += f"; {number(low)} to {number(high)}"
+    return words
+
+
+def _rate(rate: Mapping[str, Any] | None) -> str:
+    if not rate:
+        return "--"
+    share, low, high = (100.0 * x for x in (rate["k"] / rate["n"], rate["low"], rate["high"]))
+    return f"${share:.0f}$ $[{low:.0f},\\,{high:.0f}]$"
+
+
+def _references(summary: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
+    compared = summary["reference"]
+    if compared is None:
+        return []
+    skills = compared["by_skill"].items()
+    return [(compared["name"], compared)] + [
+        (f"{compared['name']}, {skill}", found) for skill, found in skills
+    ]
+
+
+def _parts(found: Mapping[str, Any] | None) -> Sequence[Any]:
+    """The values under ``_SPREAD``."""
+    if not found or not found["n"]:
+        return [0, *[None] * (len(_SPREAD) - 1)]
+    first, third = found["quartiles"]
+    low, high = found["interval"] or (None, None)
+    return [found["n"], found["min"], first, found["median"], third, found["max"], low, high]
+
+
+def _write(path: Path, rows: Sequence[Sequence[Any]]) -> None:
+    with open(path, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows(rows)

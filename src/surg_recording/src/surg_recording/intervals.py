@@ -1,0 +1,105 @@
+"""What a few episodes say about all: intervals of a rate and of a median, and a spread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+Z_95 = 1.959963984540054
+"""Two-sided 95 % quantile of the normal distribution."""
+
+
+def wilson(k: int, n: int, z: float = Z_95) -> tuple[float, float]:
+    """Wilson's score interval of a proportion.
+
+    It holds near 0 and 1, where k/n ± z σ does not.
+
+    Args:
+        k: Successes.
+        n: Trials.
+        z: Quantile of the normal distribution.
+
+    Returns:
+        Lower and upper end in [0, 1]; (0, 1) without trials.
+
+    Raises:
+        ValueError: k is not within 0 … n.
+    """
+    if not 0 <= k <= n:
+        raise ValueError(f"{k} successes of {n} trials")
+    if n == 0:
+        return 0.0, 1.0
+    share = k / n
+    centre = share + z * z / (2 * n)
+    half = z * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
+    scale = 1 + z * z / n
+    low, high = (centre - half) / scale, (centre + half) / scale
+    # At the ends the formula gives 0 and 1 exactly; floating point almost does.
+    return (0.0 if k == 0 else low), (1.0 if k == n else high)
+
+
+def success_rate(successes: Sequence[bool]) -> dict[str, float | int]:
+    """Number of trials and successes, and the ends of the 95 % interval."""
+    k, n = sum(successes), len(successes)
+    low, high = wilson(k, n)
+    return {"n": n, "k": k, "low": low, "high": high}
+
+
+def median_interval(
+    numbers: Sequence[float], confidence: float = 0.95
+) -> tuple[float, float] | None:
+    """Interval that holds the median of the distribution the numbers were drawn from.
+
+    The ends are two of the numbers, so nothing is assumed about the distribution: with X_(r) the
+    r-th smallest of n, P(X_(r) ≤ median ≤ X_(n+1−r)) ≥ 1 − 2 P(B ≤ r − 1) with B binomial(n, ½).
+    The largest r is taken that keeps this at or above ``confidence``.
+
+    Args:
+        numbers: Independent and finite.
+        confidence: At least this probability.
+
+    Returns:
+        The ends; None when there are too few numbers (fewer than 6 at 95 %).
+
+    Raises:
+        ValueError: confidence is not between 0 and 1.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"median_interval: confidence is {confidence}, must be between 0 and 1")
+    ordered, n = sorted(numbers), len(numbers)
+    rank, below = 0, 0
+    while rank < n // 2:
+        below += math.comb(n, rank)
+        if 2 * below > (1.0 - confidence) * 2**n:
+            break
+        rank += 1
+    return (ordered[rank - 1], ordered[n - rank]) if rank else None
+
+
+def spread(numbers: Sequence[float]) -> dict[str, Any]:
+    """Count, extremes, quartiles and median of one number per episode, with the median's interval.
+
+    Args:
+        numbers: Finite; quartiles by linear interpolation.
+
+    Returns:
+        ``n``, ``min``, ``median``, ``max``, ``quartiles`` [first, third], ``iqr`` (their distance)
+        and ``interval`` (95 %, of the median); all but ``n`` None where they do not exist.
+    """
+    if not len(numbers):
+        names = ("min", "median", "max", "quartiles", "iqr", "interval")
+        return {"n": 0, **dict.fromkeys(names)}
+    first, median, third = (float(x) for x in np.percentile(numbers, (25, 50, 75)))
+    interval = median_interval(numbers)
+    return {
+        "n": len(numbers),
+        "min": float(min(numbers)),
+        "median": median,
+        "max": float(max(numbers)),
+        "quartiles": [first, third],
+        "iqr": third - first,
+        "interval": None if interval is None else list(interval),
+    }

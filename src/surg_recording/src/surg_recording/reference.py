@@ -1,0 +1,242 @@
+"""Reference sets: motions of others that a smoothness figure stands beside.
+
+A set is named on the command line as KIND:PATH. ``jigsaws:DIR`` is a task of JIGSAWS, measured on
+PSM1; ``motion:PATH`` a CSV file, or a folder of them, with the columns t_s, x_m, y_m, z_m.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording import jigsaws, metrics
+from surg_recording.errors import ReferenceSetError
+from surg_recording.intervals import spread
+from surg_recording.summary import PATH_CUTOFF_HZ
+
+Array = npt.NDArray[np.float64]
+
+MOTION_COLUMNS = ("t_s", "x_m", "y_m", "z_m")
+SHORTEST_S = 2.0
+"""Shorter motions are left out: at 5 Hz nothing of them is left."""
+
+LONGEST_GAP_S = 0.2
+"""A longer gap would be filled with a straight line, which is smooth by itself."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Motion:
+    """One tip motion on a uniform grid."""
+
+    name: str
+    fs: float
+    """[Hz]"""
+    p: Array
+    """(N, 3) [m]."""
+    skill: str | None = None
+    """novice, intermediate or expert, where it is known."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ReferenceSet:
+    """Motions of one task by one kind of system."""
+
+    name: str
+    """For a figure."""
+    source: str
+    """What exactly was measured."""
+    motions: tuple[Motion, ...]
+    warnings: tuple[str, ...]
+    """What was left out and why."""
+
+
+def load(spec: str) -> ReferenceSet:
+    """Read a reference set.
+
+    Args:
+        spec: ``KIND:PATH``.
+
+    Raises:
+        ReferenceSetError: Unknown kind, or nothing there that can be read.
+    """
+    kind, colon, path = spec.partition(":")
+    if not colon or kind not in KINDS or not path:
+        known = " or ".join(f"{name}:{what}" for name, (what, _) in KINDS.items())
+        raise ReferenceSetError(f"reference {spec!r}: {known} is needed")
+    return KINDS[kind][1](Path(path))
+
+
+def measure(motion: Motion, presets: Sequence[str] = tuple(metrics.PRESETS)) -> dict[str, Any]:
+    """The numbers of one motion, under the keys that an episode's have.
+
+    Raises:
+        ValueError: Its rate is below that of a preset.
+    """
+    found = {name: metrics.smoothness(motion.p, motion.fs, name) for name in presets}
+    return {
+        "name": motion.name,
+        "skill": motion.skill,
+        "duration_s": (len(motion.p) - 1) / motion.fs,
+        "path_length_mm": {
+            "executed": metrics.path_length(motion.p, motion.fs, PATH_CUTOFF_HZ) * 1e3
+        },
+        "idle": {"s": metrics.idle(motion.p, motion.fs, cutoff=PATH_CUTOFF_HZ).seconds},
+        "smoothness": {
+            "presets": {name: {"sparc": s.sparc, "ldlj": s.ldlj} for name, s in found.items()}
+        },
+    }
+
+
+def summarise(
+    found: ReferenceSet, measured: Sequence[Mapping[str, Any]], preset: str
+) -> dict[str, Any]:
+    """``reference`` of an evaluation's ``summary.json``.
+
+    Args:
+        found: The set.
+        measured: Of each of its motions, made by ``measure``.
+        preset: Whose smoothness.
+    """
+    skills = [
+        skill for skill in jigsaws.SKILLS.values() if any(m["skill"] == skill for m in measured)
+    ]
+    return {
+        "name": found.name,
+        "source": found.source,
+        **_numbers(measured, preset),
+        "by_skill": {
+            skill: _numbers([m for m in measured if m["skill"] == skill], preset)
+            for skill in skills
+        },
+        "left_out": list(found.warnings),
+        "each": [dict(m) for m in measured],
+    }
+
+
+def _numbers(measured: Sequence[Mapping[str, Any]], preset: str) -> dict[str, Any]:
+    def of(pick: Callable[[Mapping[str, Any]], float]) -> dict[str, Any]:
+        return spread([x for m in measured if math.isfinite(x := pick(m))])
+
+    return {
+        "trials": len(measured),
+        "sparc": of(lambda m: m["smoothness"]["presets"][preset]["sparc"]),
+        "ldlj": of(lambda m: m["smoothness"]["presets"][preset]["ldlj"]),
+        "path_length_mm": of(lambda m: m["path_length_mm"]["executed"]),
+        "duration_s": of(lambda m: m["duration_s"]),
+        "idle_s": of(lambda m: m["idle"]["s"]),
+    }
+
+
+# --- kinds --------------------------------------------------------------------------------------
+
+
+def from_jigsaws(folder: Path) -> ReferenceSet:
+    """PSM1 of every trial of a JIGSAWS task."""
+    data = jigsaws.read(folder)
+    motions = [
+        Motion(
+            trial.name,
+            jigsaws.FS,
+            trial.manipulator(jigsaws.PSM1).p,
+            jigsaws.SKILLS[trial.meta.skill] if trial.meta else None,
+        )
+        for trial in data.trials
+    ]
+    task = data.task.replace("_", " ")
+    return ReferenceSet(
+        f"JIGSAWS {task}",
+        f"JIGSAWS {task}, PSM1 (slave left), positions at {jigsaws.FS:g} Hz",
+        tuple(motions),
+        data.warnings,
+    )
+
+
+def from_motions(path: Path) -> ReferenceSet:
+    """Tip motions in CSV files."""
+    files = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+    if not files:
+        raise ReferenceSetError(f"{path}: no .csv file in this folder")
+    motions, warnings = [], []
+    for file in files:
+        try:
+            motions.append(read_motion(file))
+        except ReferenceSetError as problem:
+            warnings.append(str(problem))
+    if not motions:
+        raise ReferenceSetError(warnings[0])
+    name = motions[0].name if len(motions) == 1 else path.name
+    return ReferenceSet(
+        name.replace("_", " "),
+        f"{len(motions)} recorded motion{'s' * (len(motions) != 1)} from CSV",
+        tuple(motions),
+        tuple(warnings),
+    )
+
+
+def read_motion(file: Path) -> Motion:
+    """One CSV file with at least the columns t_s, x_m, y_m, z_m.
+
+    The samples are brought to a uniform grid at their median rate, by linear interpolation.
+
+    Raises:
+        ReferenceSetError: Missing file or column, a value that is no finite number, times that do
+            not increase, or a motion of less than 2 s.
+    """
+    try:
+        with open(file, newline="", encoding="utf-8") as stream:
+            rows = list(csv.reader(stream))
+    except OSError as problem:
+        raise ReferenceSetError(f"{file}: {problem.strerror}") from problem
+    except (csv.Error, UnicodeDecodeError) as problem:
+        raise ReferenceSetError(f"{file}: not a CSV file ({problem})") from problem
+    header = rows[0] if rows else []
+    missing = [name for name in MOTION_COLUMNS if name not in header]
+    if missing:
+        raise ReferenceSetError(
+            f"{file}: no column {', '.join(missing)}; {', '.join(MOTION_COLUMNS)} are needed"
+        )
+    places = [header.index(name) for name in MOTION_COLUMNS]
+    values = np.array([_row(file, n, row, places) for n, row in enumerate(rows[1:], 2) if row])
+    values = values.reshape(-1, len(places))
+    t, p = values[:, 0], values[:, 1:]
+    if np.any(np.diff(t) <= 0):
+        line = int(np.flatnonzero(np.diff(t) <= 0)[0]) + 3
+        raise ReferenceSetError(f"{file}, line {line}: t_s does not increase")
+    if np.any(np.diff(t) > LONGEST_GAP_S):
+        line = int(np.flatnonzero(np.diff(t) > LONGEST_GAP_S)[0]) + 3
+        raise ReferenceSetError(
+            f"{file}, line {line}: {LONGEST_GAP_S:g} s without a sample before it"
+        )
+    duration = float(t[-1] - t[0]) if len(t) else 0.0
+    if duration < SHORTEST_S:
+        raise ReferenceSetError(
+            f"{file}: lasts {duration:.2f} s, at least {SHORTEST_S:g} s are needed"
+        )
+    fs = 1.0 / float(np.median(np.diff(t)))
+    return Motion(file.stem, fs, metrics.uniform(t, p, fs)[1])
+
+
+def _row(file: Path, number: int, row: Sequence[str], places: Sequence[int]) -> list[float]:
+    try:
+        values = [float(row[place]) for place in places]
+    except (ValueError, IndexError):
+        raise ReferenceSetError(
+            f"{file}, line {number}: {', '.join(MOTION_COLUMNS)} are not all numbers"
+        ) from None
+    if not all(map(math.isfinite, values)):
+        raise ReferenceSetError(f"{file}, line {number}: a number is not finite")
+    return values
+
+
+KINDS: dict[str, tuple[str, Callable[[Path], ReferenceSet]]] = {
+    "jigsaws": ("DIR", from_jigsaws),
+    "motion": ("CSV_OR_DIR", from_motions),
+}
+"""Kind → what its path is, and its reader."""

@@ -1,0 +1,68 @@
+"""Intervals: of the median by its definition and by trial, of a rate in both places it stands."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from surg_recording.intervals import median_interval, spread, wilson
+from surg_sim import evaluate
+
+
+def test_the_interval_of_the_median_is_the_narrowest_that_holds(full: bool) -> None:
+    cases = 0
+    for confidence in (0.8, 0.95, 0.99):
+        for n in range(120 if full else 40):
+            numbers = list(range(1, n + 1))
+            held = [r for r in range(1, n // 2 + 1)
+                    if 1 - 2 * stats.binom.cdf(r - 1, n, 0.5) >= confidence - 1e-12]  # fmt: skip
+            expected = (held[-1], n + 1 - held[-1]) if held else None
+            assert median_interval(numbers, confidence) == expected
+            cases += 1
+    print(f"{cases} intervals")
+
+
+@pytest.mark.parametrize(
+    ("n", "low", "high"), [(6, 1, 6), (8, 1, 8), (9, 2, 8), (10, 2, 9), (20, 6, 15)]
+)
+def test_tabulated_ranks(n: int, low: int, high: int) -> None:
+    numbers = np.random.default_rng(n).permutation(np.arange(1.0, n + 1)).tolist()
+    assert median_interval(numbers) == (low, high)
+
+
+def test_it_holds_the_median_of_a_skewed_distribution(full: bool) -> None:
+    rng, runs = np.random.default_rng(31), 20000 if full else 4000
+    drawn = rng.lognormal(sigma=1.5, size=(runs, 10))  # its median is 1
+    ends = [median_interval(row) for row in drawn.tolist()]
+    held = np.mean([end is not None and end[0] <= 1.0 <= end[1] for end in ends])
+    exact = 1 - 2 * stats.binom.cdf(1, 10, 0.5)
+    print(f"{held:.4f} of {runs} intervals hold it, {exact:.4f} should")
+    assert held == pytest.approx(exact, abs=0.012)
+
+
+def test_few_numbers_have_no_interval() -> None:
+    assert [median_interval([1.0] * n) for n in range(6)] == [None] * 6
+    with pytest.raises(ValueError, match="confidence is 95"):
+        median_interval([1.0], 95)
+
+
+def test_a_spread() -> None:
+    numbers = [3.0, 1.0, 2.0, 10.0, 4.0, 5.0]
+    found = spread(numbers)
+    assert found == {
+        "n": 6, "min": 1.0, "median": 3.5, "max": 10.0,
+        "quartiles": [2.25, 4.75], "iqr": 2.5, "interval": [1.0, 10.0],
+    }  # fmt: skip
+    assert spread([])["n"] == 0 and spread([])["median"] is None
+    assert spread([2.0])["interval"] is None and spread([2.0])["iqr"] == 0.0
+
+
+def test_the_simulator_s_own_interval_is_the_same() -> None:
+    """Either package installs without the other, so each has the formula; they must agree."""
+    for n in range(1, 60):
+        for k in range(n + 1):
+            assert evaluate.wilson(k, n) == pytest.approx(wilson(k, n), abs=1e-7)
+    assert math.isclose(wilson(50, 100)[0], 0.40383, abs_tol=1e-5)

@@ -1,0 +1,180 @@
+"""The JIGSAWS reader on made-up files, and reference sets of every kind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers import jigsaws_synthetic as made_up
+from surg_recording import jigsaws, metrics, reference
+from surg_recording.errors import ReferenceSetError
+
+SKILLS = {"B001": "N", "C001": "I", "D001": "E", "E002": "E"}
+
+
+def place(folder: Path, name: str) -> Path:
+    return folder / "kinematics" / "AllGestures" / f"Knot_Tying_{name}.txt"
+
+
+# --- the format ---------------------------------------------------------------------------------
+
+
+def test_every_column_arrives_where_it_belongs(tmp_path: Path) -> None:
+    values = np.arange(76.0) + 1000.0 * np.arange(jigsaws.SHORTEST)[:, None]
+    made_up.write_trial(place(tmp_path, "B001"), values)
+    (trial,) = jigsaws.read(tmp_path).trials
+    for k, name in enumerate(("master_left", "master_right", "slave_left", "slave_right")):
+        arm, first = trial.manipulator(name), 19 * k
+        row = arm.p[3], arm.R[3].ravel(), arm.v[3], arm.w[3], [arm.gripper[3]]
+        assert np.concatenate(row).tolist() == [3000.0 + first + i for i in range(19)]
+    # PSM1 is the left slave: columns 39 to 57, counted from one.
+    assert trial.manipulator().p[0].tolist() == [38.0, 39.0, 40.0]
+    assert not trial.samples.flags.writeable
+    with pytest.raises(ValueError, match="slave_right"):
+        trial.manipulator("PSM3")
+
+
+def test_a_task_with_skills_and_scores(tmp_path: Path) -> None:
+    folder = made_up.write_task(tmp_path, SKILLS)
+    for given in (folder, tmp_path):
+        data = jigsaws.read(given)
+        assert data.task == "Knot_Tying" and data.warnings == ()
+        assert [t.name for t in data.trials] == [f"Knot_Tying_{name}" for name in SKILLS]
+        assert [t.subject for t in data.trials] == ["B", "C", "D", "E"]
+        assert [t.number for t in data.trials] == [1, 1, 1, 2]
+        metas = [t.meta for t in data.trials]
+        assert [m.skill for m in metas if m] == list(SKILLS.values())
+        assert metas[0] == jigsaws.Meta("N", 12, (2,) * 6)
+    bare = jigsaws.read(folder / "kinematics" / "AllGestures")
+    assert len(bare.trials) == 4
+    arm = data.trials[0].manipulator()
+    assert np.allclose(arm.R @ np.swapaxes(arm.R, 1, 2), np.eye(3), atol=1e-5)
+    assert np.allclose(np.gradient(arm.p, 1 / jigsaws.FS, axis=0), arm.v, atol=1e-4)
+
+
+BROKEN = {
+    "empty": ("", "empty"),
+    "blank": ("\n \n", "empty"),
+    "short": ("0 " * 76 + "\n", "1 samples, at least 60"),
+    "cut": ("0 " * 76 + "\n" + "0 " * 70, "line 2: 70 numbers, 76 are needed"),
+    "words": ("0 " * 75 + "x\n", "line 1: could not convert string to float: 'x'"),
+    "nan": ("0 " * 76 + "\n" + "nan " * 76, "line 2: a number is not finite"),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_a_broken_file_is_left_out_and_named(what: str, tmp_path: Path) -> None:
+    content, said = BROKEN[what]
+    folder = made_up.write_task(tmp_path, SKILLS)
+    place(folder, "C001").write_text(content)
+    data = jigsaws.read(folder)
+    assert [t.subject for t in data.trials] == ["B", "D", "E"]
+    (warning,) = data.warnings
+    assert str(place(folder, "C001")) in warning and said in warning
+
+
+def test_a_file_that_is_no_text_is_left_out(tmp_path: Path) -> None:
+    folder = made_up.write_task(tmp_path, SKILLS)
+    place(folder, "C001").write_bytes(b"\xff\xfe\x00")
+    assert "not a text file" in jigsaws.read(folder).warnings[0]
+
+
+def test_a_meta_file_that_is_missing_or_strange_costs_the_skills_only(tmp_path: Path) -> None:
+    folder = made_up.write_task(tmp_path, SKILLS)
+    meta = folder / "meta_file_Knot_Tying.txt"
+    meta.write_text(meta.read_text().replace("\tI\t", "\tX\t") + "Knot_Tying_Z001\n")
+    data = jigsaws.read(folder)
+    assert [t.meta.skill if t.meta else None for t in data.trials] == ["N", None, "E", "E"]
+    assert len(data.warnings) == 2 and "line 2" in data.warnings[0]
+    meta.unlink()
+    data = jigsaws.read(folder)
+    assert len(data.trials) == 4 and not any(t.meta for t in data.trials)
+    assert "not found" in data.warnings[0]
+
+
+def test_folders_that_are_no_task(tmp_path: Path) -> None:
+    with pytest.raises(ReferenceSetError, match="no such folder"):
+        jigsaws.read(tmp_path / "nowhere")
+    with pytest.raises(ReferenceSetError, match="no JIGSAWS trial"):
+        jigsaws.read(tmp_path)
+    made_up.write_task(tmp_path, SKILLS)
+    made_up.write_task(tmp_path, SKILLS, "Suturing")
+    with pytest.raises(ReferenceSetError, match=r"several tasks \(Knot_Tying, Suturing\)"):
+        jigsaws.read(tmp_path)
+    for name in SKILLS:
+        place(tmp_path / "Knot_Tying", name).write_text("")
+    with pytest.raises(ReferenceSetError, match=r"no trial can be read.*empty"):
+        jigsaws.read(tmp_path / "Knot_Tying")
+
+
+# --- as a reference -----------------------------------------------------------------------------
+
+
+def test_a_reference_is_measured_as_the_episodes_are(tmp_path: Path) -> None:
+    folder = made_up.write_task(tmp_path, SKILLS)
+    found = reference.load(f"jigsaws:{folder}")
+    assert found.name == "JIGSAWS Knot Tying"
+    measured = [reference.measure(motion) for motion in found.motions]
+    for preset in metrics.PRESETS:
+        compared = reference.summarise(found, measured, preset)
+        values = [
+            metrics.smoothness(t.manipulator("slave_left").p, 30.0, preset)
+            for t in jigsaws.read(folder).trials
+        ]
+        assert compared["trials"] == 4
+        for name in ("sparc", "ldlj"):
+            numbers = [getattr(value, name) for value in values]
+            assert compared[name]["median"] == pytest.approx(np.median(numbers))
+            quartiles = np.percentile(numbers, (25, 75))
+            assert compared[name]["iqr"] == pytest.approx(quartiles[1] - quartiles[0])
+        assert {k: v["trials"] for k, v in compared["by_skill"].items()} == {
+            "novice": 1, "intermediate": 1, "expert": 2,
+        }  # fmt: skip
+    assert measured[0]["duration_s"] == pytest.approx(12.0 - 1 / 30)
+
+
+def test_a_motion_file_as_reference(tmp_path: Path) -> None:
+    t = np.arange(0, 10, 1 / 30)
+    p = 0.02 * np.stack([np.sin(t), np.cos(2 * t), 0 * t], axis=1)
+    lines = ["t_s,gripper,x_m,y_m,z_m"]
+    lines += [f"{a:.6f},0,{x:.6f},{y:.6f},{z:.6f}" for a, (x, y, z) in zip(t, p, strict=True)]
+    file = tmp_path / "knot.csv"
+    file.write_text("\n".join(lines))
+    (tmp_path / "broken.csv").write_text("a,b\n1,2\n")
+    alone, folder = reference.load(f"motion:{file}"), reference.load(f"motion:{tmp_path}")
+    assert alone.name == "knot" and alone.warnings == ()
+    assert len(folder.motions) == 1 and "t_s, x_m, y_m, z_m" in folder.warnings[0]
+    assert np.allclose(alone.motions[0].p, p, atol=1e-4)
+    assert alone.motions[0].fs == pytest.approx(30.0, rel=1e-4)
+    numbers = reference.measure(alone.motions[0])
+    assert numbers["smoothness"]["presets"]["reference"]["sparc"] < 0
+    assert numbers["idle"]["s"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("", "no column t_s"),
+        ("t_s,x_m,y_m\n0,0,0", "no column z_m"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,zero,0", "line 3"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,inf,0", "line 3: a number is not finite"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.03,0,0,0\n0.03,0,0,0", "line 4: t_s does not increase"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.1,0,0,0\n0.9,0,0,0", "line 4: 0.2 s without"),
+        ("t_s,x_m,y_m,z_m\n0,0,0,0\n0.1,0,0,0", "lasts 0.10 s"),
+        ("t_s,x_m,y_m,z_m\n", "lasts 0.00 s"),
+    ],
+)
+def test_a_broken_motion_says_where(rows: str, said: str, tmp_path: Path) -> None:
+    file = tmp_path / "motion.csv"
+    file.write_text(rows)
+    with pytest.raises(ReferenceSetError) as caught:
+        reference.load(f"motion:{file}")
+    assert str(file) in str(caught.value) and said in str(caught.value)
+
+
+@pytest.mark.parametrize("spec", ["", "jigsaws", "jigsaws:", "Knot_Tying", "dvrk:here"])
+def test_an_unknown_kind_lists_the_known_ones(spec: str) -> None:
+    with pytest.raises(ReferenceSetError, match=r"jigsaws:DIR or motion:CSV_OR_DIR is needed"):
+        reference.load(spec)

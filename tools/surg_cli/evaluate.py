@@ -1,0 +1,111 @@
+"""`./surg evaluate`: figures and tables of recorded episodes, grouped by condition."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from surg_cli import paths
+from surg_cli.terminal import Problem, Progress, say, table, warn
+
+MAKE_SOME = "./surg run bgr --setting all --episodes 10"
+# Told by --help, which runs without the workspace; a test holds them against surg_recording's.
+PRESETS = ("reference", "paper")
+REFERENCES = "jigsaws:DIR, motion:CSV_OR_DIR"
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add(
+        "episodes",
+        nargs="*",
+        type=Path,
+        metavar="EPISODES",
+        help="episode folders, runs, or folders that hold some (default: runs/)",
+    )
+    add("--reference", metavar="KIND:PATH", help=f"compare the smoothness with {REFERENCES}")
+    add("--preset", default=PRESETS[0], metavar="P", help="smoothness: " + ", ".join(PRESETS))
+    add("--arm", metavar="ARM", help="whose motion (default: the first arm of each episode)")
+    add("--incomplete", action="store_true", help="take incomplete recordings too, marked")
+    add("--out", type=Path, metavar="DIR", help="new or empty folder (default runs/<UTC time>)")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Find, measure, draw; the last line printed is the path of summary.json."""
+    from surg_recording import evaluation, evaluation_report, provenance
+    from surg_recording.errors import EpisodeError, ReferenceSetError
+
+    if options.preset not in PRESETS:
+        known = ", ".join(PRESETS)
+        raise Problem(f"--preset {options.preset}: no such preset; there are {known}", 2)
+    out = paths.run_folder(options.out)
+    folders = _find(options.episodes)
+    compared = None
+    with Progress("evaluate") as progress:
+        if options.reference is not None:
+            try:
+                compared = evaluation.compare(options.reference, options.preset, progress.update)
+            except ReferenceSetError as problem:
+                raise Problem(f"--reference: {problem}", 2) from problem
+            for reason in compared["left_out"]:
+                warn(f"surg: reference: {reason}")
+        entries, left_out = evaluation.measure_all(
+            folders, options.arm, options.incomplete, progress.update
+        )
+        for each in left_out:
+            warn(f"surg: left out: {each.reason}")
+        info = {"versions": provenance.versions()}
+        summary = evaluation.summarise(entries, left_out, options.preset, compared, info)
+        progress.update(1.0, "figures")
+        try:
+            evaluation_report.write(summary, out)
+        except (OSError, EpisodeError) as problem:
+            raise Problem(f"--out {out}: {problem}") from problem
+    _print_summary(summary)
+    say(str(out / "report.html"))
+    say(str(out / "summary.json"))
+    if not entries:
+        warn(f"surg: none of {len(folders)} episodes could be evaluated")
+    return 0 if entries else 1
+
+
+def _find(wanted: list[Path]) -> list[Path]:
+    """The episodes that are meant.
+
+    Raises:
+        Problem: There is none, with what makes some.
+    """
+    from surg_recording import evaluation
+    from surg_recording.errors import EpisodeError
+
+    try:
+        return evaluation.find(wanted or [paths.RUNS])
+    except EpisodeError as problem:
+        if wanted:
+            raise Problem(str(problem), 2) from problem
+        raise Problem(f"runs/ holds no episode yet; make some: {MAKE_SOME}", 2) from problem
+
+
+def _print_summary(summary: dict[str, Any]) -> None:
+    """A line per condition with the figures a person looks for first."""
+    from surg_recording.trial_report import interval
+
+    rows = [["condition", "n", "success", "RCM mean [mm]", "RCM max [mm]", "SPARC", "LDLJ"]]
+    shown = ("rcm_kinematic_mean_mm", "rcm_kinematic_max_mm", "sparc", "ldlj")
+    for label, found in summary["conditions"].items():
+        rate = found["success_rate"]
+        success = "not judged" if rate is None else interval(rate)
+        rows.append([label, str(found["n"]), success, *(_median(found[name]) for name in shown)])
+    compared = summary["reference"]
+    if compared:
+        ends = (_median(compared["sparc"]), _median(compared["ldlj"]))
+        rows.append([compared["name"], str(compared["trials"]), "", "", "", *ends])
+    if len(rows) > 1:
+        say(table(rows))
+        say(f"  medians over the episodes; smoothness by preset {summary['preset']['name']}")
+
+
+def _median(found: dict[str, Any]) -> str:
+    return f"{found['median']:.4g}" if found["n"] else "not measured"
