@@ -285,10 +285,7 @@ def own_topics(graph: RosGraph) -> set[tuple[str, str, str]]:
     found = set()
     for table, way in ((publications, "out"), (subscriptions, "in")):
         for topic, nodes in table:
-            foreign = topic.startswith(
-                ("/PSM1/", "/ECM/", "/record/", "/sim/", "/rosout", "/clock")
-            )
-            if "/teleop" in nodes and not foreign and topic != PICTURE:
+            if "/teleop" in nodes and not topic.startswith(others):
                 found.add((topic, types[topic], way))
     return found
 
