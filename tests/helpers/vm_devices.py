@@ -123,9 +123,9 @@ class Bench:
         halted = self.until(lambda: self.teleop.state is not State.FOLLOWING, 200)
         guest = time.monotonic() - began
         still = halted + self.until(lambda: self.speed < STILL, 500)
-        self.tick(200)
+        self.tick(100)
         rest = self.tip
-        self.tick(500)
+        self.tick(150)
         return {
             "ticks_to_halt": halted,
             "guest_ms_to_halt": round(1e3 * guest, 1),
@@ -197,9 +197,9 @@ def engage(rig: Bench) -> str:
 
 
 def drive(rig: Bench) -> list[float]:
-    """Half a second of stick, in mm along the trocar frame (which is the view here)."""
+    """A third of a second of stick, in mm along the trocar frame (which is the view here)."""
     before = rig.tip
-    rig.tick(250)
+    rig.tick(170)
     return np.round(1e3 * (rig.tip - before), 2).tolist()
 
 
@@ -244,11 +244,11 @@ def main(cell: str) -> None:
     press(pad, "BTN_TR")
     push(pad, "ABS_X", -32768)
     at = rig.tip
-    rig.tick(1500)
+    rig.tick(700)
     press(pad, "BTN_TR", 0)
     rig.tick(5)
     press(pad, "BTN_TR")
-    rig.tick(500)
+    rig.tick(200)
     found["back"] = {
         "problem": rig.hand.problem,
         "state": rig.teleop.state.value,
@@ -262,7 +262,7 @@ def main(cell: str) -> None:
     push(pad, "ABS_X", 0)
     found["engaged_with_pedals"] = engage(rig)
     push(pad, "ABS_X", 32767)
-    rig.tick(250)
+    rig.tick(150)
     found["clutch"] = rig.stop_after(lambda: press(feet, "KEY_A"))
     found["clutched"] = rig.teleop.state.value
     push(pad, "ABS_X", 0)
@@ -270,7 +270,7 @@ def main(cell: str) -> None:
     rig.until(lambda: rig.teleop.state is State.FOLLOWING, 500)
     found["released"] = rig.teleop.state.value
     push(pad, "ABS_X", 32767)
-    rig.tick(250)
+    rig.tick(150)
     found["typed_elsewhere"] = other.read_one() is not None
     found["pedals_unplugged"] = rig.stop_after(feet.close)
     found["pedals_lost"] = rig.pedals.lost
