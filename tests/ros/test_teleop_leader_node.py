@@ -19,6 +19,7 @@ import pytest
 
 from helpers.input_devices import GAMEPAD, PEDALS, Machine
 from helpers.ros import RosGraph, find_executable
+from surg_cli import paths
 from surg_teleop.leader import LeaderError
 from surg_teleop.leaders.gamepad import Gamepad
 from surg_teleop.leaders.pedals import Pedals
@@ -264,30 +265,10 @@ def test_a_wrong_parameter_is_refused(params: dict[str, object], said: str) -> N
     assert said in str(caught.value)
 
 
-OUTSIDE = '''
-"""A leader that lies in no package of ours: a hand that goes round in circles."""
-
-import math
-
-import numpy as np
-
-from surg_teleop.leader import HandlePose, LeaderSample
-
-
-class Circle:
-    def __init__(self, name="circle", radius=0.01):
-        self.name, self.radius = name, radius
-
-    def open(self):
-        pass
-
-    def read(self, now):
-        p_VH = self.radius * np.array([math.cos(now), math.sin(now), 0.0])
-        return LeaderSample(stamp=now, pose=HandlePose(p_VH, np.eye(3)))
-
-    def close(self):
-        pass
-'''
+OUTSIDE = (
+    (paths.ROOT / "docs/leaders.md").read_text("utf-8").split("```python\n")[1].split("```")[0]
+)
+"""The leader that lies in no package of ours: the page's own."""
 
 
 def test_a_leader_from_outside_the_tree_by_its_path(ears: Ears, tmp_path: Path) -> None:

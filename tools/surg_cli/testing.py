@@ -48,8 +48,10 @@ def main(options: argparse.Namespace, command: str) -> int:
     if status != 0 and failed == 0:
         failed = 1  # pytest could not even collect
     say(f"C++ tests: {cpp_passed} passed, {cpp_failed} failed; with pytest:")
+    if missing := counts.get("missing", 0):
+        say(f"{missing} could not run: what is missing, and how to get it, is said above")
     say(f"{passed} passed, {failed} failed")
-    return 0 if failed == 0 else 1
+    return 0 if failed == 0 and not missing else 1
 
 
 def core_tests(env: dict[str, str]) -> tuple[int, int]:
@@ -210,14 +212,22 @@ def run_pytest(argv: list[str], env: dict[str, str]) -> tuple[int, dict[str, int
         sys.stdout.flush()
         tail = (tail + chunk)[-4000:]
     status = process.wait()
-    closing = [line for line in tail.decode(errors="replace").splitlines() if " in " in line]
-    return status, parse_counts(closing[-1] if closing else "")
+    return status, parse_counts(tail.decode(errors="replace"))
 
 
-def parse_counts(line: str) -> dict[str, int]:
-    """Counts in pytest's closing line.
+def parse_counts(tail: str) -> dict[str, int]:
+    """Counts in pytest's closing lines.
 
     Args:
-        line: Such as `== 3 passed, 1 failed in 0.12s ==`.
+        tail: Its last line is such as `== 3 passed, 1 failed in 0.12s ==`. A test of an extra tier
+            whose tool is not there is skipped for a reason that begins with `missing:`.
+
+    Returns:
+        Numbers by word, and how many tests are `missing`.
     """
-    return {word: int(number) for number, word in re.findall(r"(\d+) ([a-z]+)", line)}
+    closing = [line for line in tail.splitlines() if " in " in line]
+    found = re.findall(r"(\d+) ([a-z]+)", closing[-1] if closing else "")
+    counts = {word: int(number) for number, word in found}
+    if missing := re.findall(r"^SKIPPED \[(\d+)\] \S+: missing:", tail, re.MULTILINE):
+        counts["missing"] = sum(int(number) for number in missing)
+    return counts

@@ -13,7 +13,9 @@ PERMISSION_CURE = (
     "'sudo usermod -aG input $USER' and a new login, or the udev rule in docs/leaders.md, allows it"
 )
 SHOWN = 12
-"""Devices named in a message at most."""
+"""Devices named in a message at most, ..."""
+LACKS_SHOWN = 4
+"""... and what each of them lacks."""
 
 
 @dataclass
@@ -78,7 +80,12 @@ def _misfit(layout: Layout, device: Device, named: bool) -> str:
     if not named and layout.match.lower() not in description.name.lower():
         return f"is not called '{layout.match}'"
     lacks = layout.lacks(description)
-    return f"has no {', '.join(lacks)}" if lacks else ""
+    if not lacks:
+        return ""
+    if len(lacks) == len(layout.axes) + len(layout.buttons):
+        return "has none of what is needed"
+    more = f" and {len(lacks) - LACKS_SHOWN} more" if len(lacks) > LACKS_SHOWN else ""
+    return f"has no {', '.join(lacks[:LACKS_SHOWN])}{more}"
 
 
 def _take(device: Device, layout: Layout) -> Device:

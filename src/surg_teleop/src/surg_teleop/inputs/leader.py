@@ -47,6 +47,7 @@ class InputLeader:
         self._hand: Hand | None = None
         self._decoder = Decoder()
         self._grip: float | None = None
+        self._loss: tuple[LeaderError, list[str] | None] | None = None
         self._nodes: list[str] = []
         self._look_again = -math.inf
         self._look_until = -math.inf
@@ -59,8 +60,7 @@ class InputLeader:
         """
         self.close()
         try:
-            self._device = find(self._host, self.layout, self._wanted)
-            self.lost = ""
+            self._take_up()
         except LeaderError as error:
             self.lost = str(error)
             raise
@@ -124,7 +124,21 @@ class InputLeader:
             "plug it in again; nothing moves before its buttons were released and pressed anew",
         )
         self.lost = str(lost)
+        self._loss = lost, None
         return lost
+
+    def _take_up(self) -> None:
+        """Opens the device. While nothing else is plugged in, a lost one is what is missed."""
+        try:
+            self._device = find(self._host, self.layout, self._wanted)
+        except LeaderError as error:
+            if self._loss is None:
+                raise
+            loss, before = self._loss
+            nodes = self._host.nodes()
+            self._loss = loss, nodes if before is None else before
+            raise (loss if self._loss[1] == nodes else error) from None
+        self.lost, self._loss = "", None
 
     def _look(self, now: float) -> None:
         if not self.lost or now < self._look_again:
@@ -136,7 +150,6 @@ class InputLeader:
         if now > self._look_until:
             return
         try:
-            self._device = find(self._host, self.layout, self._wanted)
-            self.lost = ""
+            self._take_up()
         except LeaderError as error:
             self.lost = str(error)
