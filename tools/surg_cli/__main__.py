@@ -27,6 +27,7 @@ COMMANDS = {
     "up": ("up", True, "bring a cell up and keep it until Ctrl-C"),
     "down": ("down", False, "end what `up` started"),
     "calibrate": ("calibrate", True, "tool and trocar of a cell from recorded poses"),
+    "check-frames": ("check_frames", True, "do hand and picture agree? judged by the pictures"),
     "status": ("status", True, "every node, topic rate and last error of a running system"),
     "shell": ("shell", True, "a shell with the environment sourced"),
     "doctor": ("doctor", False, "what is installed, missing, running"),
@@ -43,7 +44,7 @@ READY = "SURG_READY"
 def usage() -> str:
     """The text of `./surg help`."""
     lines = ["usage: ./surg COMMAND [options]      ./surg COMMAND --help says more", ""]
-    lines += [f"  {name:9s} {text}" for name, (_, _, text) in COMMANDS.items()]
+    lines += [f"  {name:12s} {text}" for name, (_, _, text) in COMMANDS.items()]
     lines += ["", "`demo` and `test` set everything up on first use."]
     return "\n".join(lines)
 

@@ -53,6 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--link", choices=("joint", "twist"), help="what the robot obeys (default: its YAML)")
     add("--seed", type=int, default=0, metavar="N", help="of the simulator's random numbers")
     add("--no-video", action="store_true", help="without the endoscope camera")
+    add("--stereo", action="store_true", help="both eyes of a stereo endoscope")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
     add("--print", action="store_true", help="only print the rosrun line of every node")
 
@@ -72,7 +73,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         cell=cell,
         arms=arms,
         lockstep=options.lock_step,
-        cameras=() if options.no_video else ("left",),
+        cameras=() if options.no_video else ("left", "right")[: 1 + options.stereo],
         view=options.view,
         law=options.law,
         link=options.link,
