@@ -48,7 +48,7 @@ class Bench:
         self.log.append(commands)
         self.arm.step(commands)
 
-    def run(self, most: float = 60.0, until: Callable[[], bool] = lambda: False) -> "Bench":
+    def run(self, most: float = 60.0, until: Callable[[], bool] = lambda: False) -> Bench:
         for _ in range(round(most / TICK)):
             if self.check.done or until():
                 break

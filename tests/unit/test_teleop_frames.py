@@ -1,7 +1,7 @@
-"""`check_frames` decides by the picture: which registrations it passes, and how it names the others.
+"""`check_frames` decides by the picture: which registrations it passes, how it names the others.
 
-The judge is tried on ideal places of the tip, made here by projection, and together with the eyes that
-find the tip, on pictures that the simulator renders.
+The judge is tried on ideal places of the tip, made here by projection, and together with the eyes
+that find the tip, on pictures that the simulator renders.
 """
 
 from __future__ import annotations
@@ -285,7 +285,7 @@ def test_right_passes_and_wrong_is_caught_at_random_views(stage: Stage) -> None:
 
 
 def test_the_tip_is_found_to_a_pixel(stage: Stage) -> None:
-    """What is seen to move against where the simulator has the tip: the test knows, the eyes do not."""
+    """What is seen to move against where the simulator has the tip, which the eyes do not know."""
     rng = np.random.default_rng(21)
     errors, depths = [], []
     for _ in range(20 if FULL else 1):

@@ -1,4 +1,4 @@
-"""`./surg check-frames [CELL]`: do hand and picture agree? The tip moves 5 mm each way, pictures say."""
+"""`./surg check-frames [CELL]`: do hand and picture agree? The tip moves, the pictures decide."""
 
 from __future__ import annotations
 

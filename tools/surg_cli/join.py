@@ -97,8 +97,8 @@ def _await_master(place: roles.Link) -> None:
         while not master.alive(place.uri):
             if time.monotonic() > deadline:
                 raise Problem(
-                    f"no ROS master answered at {place.uri} within {place.waits.master:.0f} s: start "
-                    "the robot's machine with --role robot, and look at the cable and at "
+                    f"no ROS master answered at {place.uri} within {place.waits.master:.0f} s: "
+                    "start the robot's machine with --role robot, and look at the cable and at "
                     f"machines.robot = {place.robot}"
                 )
             progress.update(None, f"waiting for the robot's machine, {place.uri}")
@@ -121,8 +121,8 @@ def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
             heard = time.monotonic()
         elif time.monotonic() - heard > place.waits.gone:
             raise Problem(
-                f"the robot's machine, {place.robot}, has been silent for {place.waits.gone:.0f} s: "
-                "this role ends. The arms hold by themselves. When the link is back, start it again: "
-                "nothing resumes by itself"
+                f"the robot's machine, {place.robot}, has been silent for "
+                f"{place.waits.gone:.0f} s: this role ends. The arms hold by themselves. When the "
+                "link is back, start it again: nothing resumes by itself"
             )
         time.sleep(ASK_S)

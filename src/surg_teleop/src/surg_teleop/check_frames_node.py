@@ -1,9 +1,9 @@
 """``check_frames`` as a node: moves one arm's tip along the camera's axes and judges the pictures.
 
-Parameters: ``~cell`` (folder or cell.yaml), ``~arm`` (the first that holds no endoscope), ``~enable``
-(false: the arm must be ENABLED and homed already), ``~lockstep`` (false), ``~out`` (file of the
-verdict in JSON; beside it the pictures as NPZ). Exit code 0: hand and picture agree; 1: they do not,
-or it could not be told; 2: a cell or parameter that must not be used.
+Parameters: ``~cell`` (folder or cell.yaml), ``~arm`` (the first that holds no endoscope),
+``~enable`` (false: the arm must be ENABLED and homed already), ``~lockstep`` (false), ``~out``
+(file of the verdict in JSON; beside it the pictures as NPZ). Exit code 0: hand and picture agree;
+1: they do not, or it could not be told; 2: a cell or parameter that must not be used.
 """
 
 from __future__ import annotations
@@ -89,7 +89,10 @@ class Eyes:
     def _on_image(self, message: Image, name: str) -> None:
         picture = decode(message)
         if picture is None:
-            self.problem = f"/endoscope/{name}/image_raw has encoding '{message.encoding}'; allowed: rgb8, bgr8"
+            self.problem = (
+                f"/endoscope/{name}/image_raw has encoding '{message.encoding}'; allowed are rgb8 "
+                "and bgr8"
+            )
             return
         waiting = self._waiting[name]
         waiting[message.header.stamp.to_nsec()] = picture

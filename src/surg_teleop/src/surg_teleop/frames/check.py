@@ -1,8 +1,8 @@
 """Moves the tip along the camera's axes, step by step, and collects the pictures of each step.
 
-Pure: cycles, camera and pictures in, commands out; the arm's own stamps are the clock. Whatever goes
-wrong ends the check with a reason and a ``hold``; nothing moves before the arm is ENABLED, homed and
-at rest, and nothing is sent after the end.
+Pure: cycles, camera and pictures in, commands out; the arm's own stamps are the clock. Whatever
+goes wrong ends the check with a reason and a ``hold``; nothing moves before the arm is ENABLED and
+homed, and nothing is sent after the end.
 """
 
 from __future__ import annotations
