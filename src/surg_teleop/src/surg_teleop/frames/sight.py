@@ -219,7 +219,7 @@ def _find(
         raise NotSeen(f"the tip leaves the picture {where}; bring it to the middle and try again")
     window = picture[first[1] : last[1], first[0] : last[0]]
     score = _correlate(patch, window)
-    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    row, column = divmod(int(np.argmax(score)), score.shape[1])
     best = float(score[row, column])
     if best < ALIKE:
         raise NotSeen(
@@ -233,8 +233,7 @@ def _find(
 def _correlate(patch: Patch, window: Smooth) -> Array:
     """Weighted normalised cross-correlation at every whole shift, (rows, columns), -1 to 1."""
     weight, total = patch.weight, float(patch.weight.sum())
-    up = energy = 0.0
-    own = 0.0
+    up, energy, own = np.zeros(1), np.zeros(1), 0.0
     for c in range(3):
         look, seen = patch.look[..., c], window[..., c] - np.float32(128.0)
         template = weight * (look - float((weight * look).sum()) / total)
