@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,9 @@ from surg_cli.terminal import Problem, Progress, say
 
 NODE = "check_frames"
 DEFAULT_CELL = "sim_two_arms"
-TIMEOUT_S = 300.0
+TIMEOUT_S = 600.0
+CONNECT_S = 180.0
+"""Longest wait of the simulator for two renderers on a busy machine."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -118,7 +121,9 @@ def _alone(cell: Path, config: Any, params: dict[str, object], out: Path) -> Non
     try:
         with processes.Supervisor(env, out / "logs") as supervisor:
             master.start(supervisor, master.free_port())
-            for node in system.nodes(plan):
+            sim, *others = system.nodes(plan)
+            patient = {**sim.params, "connect_timeout": CONNECT_S}
+            for node in (replace(sim, params=patient), *others):
                 system.start(supervisor, node)
             os.environ.update(supervisor.env)
             child = system.start(supervisor, _node({**params, "enable": True, "lockstep": True}))

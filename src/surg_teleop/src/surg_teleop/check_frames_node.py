@@ -38,7 +38,7 @@ from surg_teleop.frames.sight import NotSeen, Picture, Place, find_places
 from surg_teleop.peers import publishers, subscribers
 from surg_teleop.ports_node import ArmPort, arm_view
 
-CONNECT_TIMEOUT = 90.0
+CONNECT_TIMEOUT = 180.0
 """[s] wall clock: longest wait for controllers and pictures."""
 PERIOD_TICKS = 5
 """A command is sent at every fifth cycle: 100 Hz."""
