@@ -1,7 +1,7 @@
 """Beside the robot: writes every control cycle down. ``near_eye.py ARM LOG``, until stdin ends.
 
-A line of LOG: steady time of receipt [s], tick, stamp [ns], accepted, refused, state, reason or ``-``,
-x, y, z of the set-point and of the tip in the rcm frame [m].
+A line of LOG: steady time of receipt [s], tick, stamp [ns], accepted, refused, state, reason or
+``-``, x, y, z of the set-point and of the tip in the rcm frame [m].
 """
 
 from __future__ import annotations

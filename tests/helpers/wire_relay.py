@@ -28,8 +28,8 @@ LARGEST = 1 << 17
 def packet_socket(interface: str) -> socket.socket:
     """A socket that sees and sends whole frames.
 
-    With the header that says which checksums and segments the kernel has left to the hardware: passed
-    on unchanged, the receiver knows them too.
+    With the header that says which checksums and segments the kernel has left to the hardware:
+    passed on unchanged, the receiver knows them too.
     """
     wire = socket.socket(socket.AF_PACKET, socket.SOCK_RAW, socket.htons(ETH_P_ALL))
     wire.setsockopt(SOL_PACKET, PACKET_VNET_HDR, 1)

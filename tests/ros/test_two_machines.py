@@ -152,8 +152,9 @@ def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory
 
 
 def cycles_of(far: Far) -> Array:
-    """Since the hand began. Columns: received, tick, accepted, refused, state, stale, set-point (3),
-    tip (3).
+    """Rows since the hand began.
+
+    Columns: received, tick, accepted, refused, state, stale, set-point (3), tip (3).
     """
     began = float(far.sent_log.read_text("utf-8").split(maxsplit=1)[0])
     rows = []
@@ -229,7 +230,8 @@ def test_the_far_hand_drives_and_sees(far: Far) -> None:
     for delay, began, ended in rows:
         lags[delay], rms = lag(sent, cycles, (began + 0.8, ended - 0.1))
         print(
-            f"{delay} ms each way: set-point {1e3 * lags[delay]:.1f} ms behind, {1e3 * rms:.2f} mm"
+            f"{delay} ms each way: set-point {1e3 * lags[delay]:.1f} ms behind, "
+            f"{1e3 * rms:.2f} mm rms"
         )
     moved = np.ptp(cycles[:, 9])
     step = largest_step(cycles)
@@ -293,13 +295,11 @@ def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
     rest = after[after[:, 1] > stale[0, 1] + 100]
     still = float(np.ptp(rest[:, 6:9], axis=0).max())
     wall = float(stale[0, 0] - pulled)
-    print(
-        f"pulled: said {silent} cycles after the last command, {1e3 * wall:.0f} ms after the plug"
-    )
+    print(f"pulled: said {silent} cycles after the last command, {1e3 * wall:.0f} ms after")
     assert silent == F03
     assert wall < 0.1 + 0.3
     assert still < 1e-6, "the set-point stands"
-    # This hand is blind: it sends on into the dead cable, and TCP delivers that when the plug is back.
+    # This hand is blind: it sends on into the dead cable; TCP delivers that when the plug is back.
     far.machines.cable("mend")
     time.sleep(1.0)
     assert far.hand.ask("rest")

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import socket
+import subprocess
+import sys
 from types import SimpleNamespace
 
 import pytest
 
 from helpers.surg import surg
-from surg_cli import network, processes, roles
+from surg_cli import network, roles
 from surg_cli.roles import Link, Role
 from surg_cli.terminal import Problem
 
@@ -24,7 +27,7 @@ def cell(network_: str = "isolated", machines: dict[str, str] | None = None) -> 
     return SimpleNamespace(file="cell.yaml", network=network_, machines=machines)
 
 
-@pytest.mark.skipif(not __import__("sys").byteorder == "little", reason="the texts are of such one")
+@pytest.mark.skipif(sys.byteorder != "little", reason="the texts are of such a machine")
 def test_routes_are_read() -> None:
     found = roles.routes(HEADER + ISOLATED + ROUTER)
     assert [r.interface for r in found] == ["eth1", "eth1"]
@@ -57,7 +60,7 @@ def test_a_link_has_master_and_addresses() -> None:
         (
             cell("loopback", {}),
             Role.ROBOT,
-            ["'network: loopback' and no machines", "isolated", "cell"],
+            ["'network: loopback' and no machines", "isolated"],
         ),
         (cell("isolated", {}), Role.ROBOT, ["no machines", "machines:", "robot: 192.168.77.1"]),
         (cell(), Role.ENDOSCOPE, ["machines.endoscope is missing", "robot, operator"]),
@@ -160,10 +163,6 @@ def test_own_addresses() -> None:
     ],
 )
 def test_the_guard_keeps_ports_on_one_address(family: str, asked: str, got: str) -> None:
-    import os
-    import subprocess
-    import sys
-
     code = (
         f"import socket\ns = socket.socket(socket.{family})\n"
         f"try:\n s.bind(({asked!r}, 0)); s.listen(); print(s.getsockname()[0])\n"
@@ -187,4 +186,3 @@ def test_the_command_refuses_before_anything_starts() -> None:
     assert done.returncode == 2
     assert "network: loopback" in done.stderr
     assert "isolated" in done.stderr
-    assert processes.session_members(-1) == []

@@ -1,22 +1,27 @@
-"""`check_frames` decides by the picture: which registrations it passes, and how it names the others.
+"""`check_frames` decides by the picture: which registrations it passes, how it names the others.
 
-The judge is tried on ideal places of the tip, made here by projection, and together with the eyes that
-find the tip, on pictures that the simulator renders.
+The judge is tried on ideal places of the tip, made here by projection, and together with the eyes
+that find the tip, on pictures that the simulator renders.
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+import surg_core
 from helpers.stage import Stage, stage_of, turn
 from surg_cli import paths
 from surg_sim.render import Picture
+from surg_teleop.camera import HeldCamera, held_camera
 from surg_teleop.frames.judge import Cause, Lens, Outcome, Verdict, direction, judge, not_seen
 from surg_teleop.frames.moves import REST, SIDE, SPEED, STEPS, Step, between
 from surg_teleop.frames.sight import NotSeen, Place, find_places
@@ -243,15 +248,53 @@ WIRINGS: dict[str, tuple[Callable[[Picture, Picture], tuple], Cause]] = {
     "mirrored up and down": (lambda a, b: (a[::-1], b[::-1]), Cause.MIRRORED),
     "each upside down": (lambda a, b: (a[::-1, ::-1], b[::-1, ::-1]), Cause.UPSIDE_DOWN),
 }
-REGISTRATIONS = {
-    "camera turned by 90 degrees": (about_view(90.0), Cause.TURNED),
-    "camera upside down": (about_view(180.0), Cause.UPSIDE_DOWN),
-    "left-handed camera": (MIRROR[0], Cause.MIRRORED),
-    "base turned by 45 degrees": (turn(np.array([0.6, 0.8, 0.0]), np.pi / 4), Cause.TILTED),
+
+
+def camera_file(cell: Path, degrees: float) -> None:
+    """A measured camera that is turned about its view in its holder."""
+    arm = surg_core.load_cell(cell).arms["ECM"]
+    frame = arm.instrument.camera.frames[0]
+    X_FV = surg_core.fixed_transform(arm.instrument_urdf, arm.instrument.mount_link, frame)
+    q = Rotation.from_matrix(np.asarray(X_FV)[:3, :3] @ about_view(degrees)).as_quat()
+    text = f"format: surg_camera/1\nquaternion: {q.tolist()}\n"
+    (cell / "calibration" / "camera_ECM.yaml").write_text(text, "utf-8")
+
+
+def turned_base(cell: Path, degrees: float) -> None:
+    """A base of the endoscope's arm that stands otherwise than the cell says."""
+    file = cell / "cell.yaml"
+    content = yaml.safe_load(file.read_text("utf-8"))
+    content["arms"]["ECM"]["base"]["rpy"][2] += float(np.radians(degrees))
+    file.write_text(yaml.safe_dump(content, sort_keys=False), "utf-8")
+
+
+REGISTRATIONS: dict[str, tuple[Callable[[Path], None], Array, Cause]] = {
+    "camera turned by 90 degrees": (lambda c: camera_file(c, 90.0), np.eye(3), Cause.TURNED),
+    "camera upside down": (lambda c: camera_file(c, 180.0), np.eye(3), Cause.UPSIDE_DOWN),
+    "left-handed camera": (lambda c: None, MIRROR[0], Cause.MIRRORED),
+    "base turned by 50 degrees": (lambda c: turned_base(c, 50.0), np.eye(3), Cause.TILTED),
 }
 
 
-def test_right_passes_and_wrong_is_caught_at_random_views(stage: Stage) -> None:
+@pytest.fixture(scope="module")
+def beliefs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, HeldCamera]:
+    """What wrong cells say of the camera, by the name of what is wrong with them."""
+    bundled, found = paths.CELLS / "sim_two_arms", {}
+    for name, (spoil, _, _) in REGISTRATIONS.items():
+        cell = tmp_path_factory.mktemp("cell") / "wrong"
+        shutil.copytree(bundled, cell)
+        text = (cell / "cell.yaml").read_text("utf-8")
+        (cell / "cell.yaml").write_text(text.replace("../../src", str(paths.ROOT / "src")), "utf-8")
+        spoil(cell)
+        camera = held_camera(surg_core.load_cell(cell))
+        assert camera is not None
+        found[name] = camera
+    return found
+
+
+def test_right_passes_and_wrong_is_caught_at_random_views(
+    stage: Stage, beliefs: dict[str, HeldCamera]
+) -> None:
     """Every wrong registration at every view: camera wiring and cell, twenty views in full."""
     rng = np.random.default_rng(20)
     views = 20 if FULL else 2
@@ -262,6 +305,9 @@ def test_right_passes_and_wrong_is_caught_at_random_views(stage: Stage) -> None:
         stage.put(stage.tool, rest)
         stage.pictures()
         R_WV = stage.X_WV()[:3, :3]
+        own = held_camera(stage.cell)
+        assert own is not None
+        assert np.abs(own.view(stage.joints("ECM")) - R_WV).max() < 1e-9
         right = shoot(stage, rest, R_WV)
         assert right is not None, f"view {view}: out of reach"
         for k, (name, (change, cause)) in enumerate(WIRINGS.items()):
@@ -274,8 +320,9 @@ def test_right_passes_and_wrong_is_caught_at_random_views(stage: Stage) -> None:
                 worst = max(worst, float(np.degrees(verdict.angle)))
         names = list(REGISTRATIONS) if FULL else [list(REGISTRATIONS)[view % len(REGISTRATIONS)]]
         for name in names:
-            wrong, cause = REGISTRATIONS[name]
-            pictures = shoot(stage, rest, R_WV @ wrong)
+            _, handed, cause = REGISTRATIONS[name]
+            believed = beliefs[name].view(stage.joints("ECM")) @ handed
+            pictures = shoot(stage, rest, believed)
             assert pictures is not None, f"view {view}, {name}: out of reach"
             verdict = verdict_of(pictures, lens(stage))
             assert verdict.cause is cause, f"view {view}, {name}: {verdict.text}"
@@ -285,7 +332,7 @@ def test_right_passes_and_wrong_is_caught_at_random_views(stage: Stage) -> None:
 
 
 def test_the_tip_is_found_to_a_pixel(stage: Stage) -> None:
-    """What is seen to move against where the simulator has the tip: the test knows, the eyes do not."""
+    """What is seen to move against where the simulator has the tip, which the eyes do not know."""
     rng = np.random.default_rng(21)
     errors, depths = [], []
     for _ in range(20 if FULL else 1):

@@ -1,8 +1,8 @@
 """Hand and picture agree at every view angle: measured in pixels of rendered pictures.
 
-A hand on the teleoperation core, an arm that follows it, a stereo endoscope in the simulator that is
-moved while the hand holds the arm. The tip is found in the pictures by its motion and its look; what
-the simulator knows of it is not asked.
+A hand on the teleoperation core, an arm that follows it, a stereo endoscope in the simulator that
+is moved while the hand holds the arm. The tip is found in the pictures by its motion and its look;
+what the simulator knows of it is not asked.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Session:
     arm: GateArm
     teleop: Teleop
     hand: Hand = field(default_factory=Hand)
-    belief: Callable[[Array], Array] = lambda R_WV: R_WV  # noqa: E731 - what a test breaks
+    belief: Callable[[Array], Array] = lambda R_WV: R_WV
 
     @classmethod
     def on(cls, stage: Stage) -> Session:
@@ -165,8 +165,8 @@ def test_the_tip_goes_where_the_hand_goes_in_the_picture(stage: Stage) -> None:
     text = (
         f"{stage.cell.folder.name}: {VIEWS} views, rolls {min(rolls):.0f} to {max(rolls):.0f} "
         f"degrees: {2e3 * SIDE:.0f} mm to the right are {min(pixels):.0f} to {max(pixels):.0f} px, "
-        f"10 mm away take {min(shrunk):.1f} to {max(shrunk):.1f} px of disparity; angle between hand "
-        f"and picture at most {max(angles):.1f} degrees"
+        f"10 mm away take {min(shrunk):.1f} to {max(shrunk):.1f} px of disparity; angle between "
+        f"hand and picture at most {max(angles):.1f} degrees"
     )
     print(text)
     if FULL:
@@ -216,7 +216,8 @@ def _write(cell: str, text: str) -> None:
     head = (
         "# Hand and picture\n\nWritten by `SURG_TEST_FULL=1 ./surg test tests/unit/"
         "test_teleop_picture.py`: the tip that the teleoperation core commands, found in rendered "
-        "stereo pictures (640 × 480), the endoscope moved during one engagement, scales 0.1 to 1.\n\n"
+        "stereo pictures (640 × 480), the endoscope moved during one engagement, scales 0.1 to 1."
+        "\n\n"
     )
     lines = file.read_text("utf-8").splitlines() if file.is_file() else []
     kept = [line for line in lines if line.startswith("- ") and not line.startswith(f"- {cell}:")]

@@ -30,6 +30,7 @@ COMMANDS = {
     "calibrate": ("calibrate", True, "tool and trocar of a cell from recorded poses"),
     "record": ("record", True, "start, stop, tag a recording of a running system"),
     "recover": ("recover", True, "finish recordings that were cut off"),
+    "check-frames": ("check_frames", True, "do hand and picture agree? judged by the pictures"),
     "status": ("status", True, "every node, topic rate and last error of a running system"),
     "shell": ("shell", True, "a shell with the environment sourced"),
     "doctor": ("doctor", False, "what is installed, missing, running"),
@@ -46,7 +47,7 @@ READY = "SURG_READY"
 def usage() -> str:
     """The text of `./surg help`."""
     lines = ["usage: ./surg COMMAND [options]      ./surg COMMAND --help says more", ""]
-    lines += [f"  {name:9s} {text}" for name, (_, _, text) in COMMANDS.items()]
+    lines += [f"  {name:12s} {text}" for name, (_, _, text) in COMMANDS.items()]
     lines += ["", "`demo` and `test` set everything up on first use."]
     return "\n".join(lines)
 

@@ -13,6 +13,8 @@ from surg_cli.follow import death_notice
 from surg_cli.system import Node, Plan
 from surg_cli.terminal import Problem, Progress, say
 
+LEADER = "crtk"
+"""Any leader that speaks CRTK on topics."""
 ASK_S = 0.5
 """Time between two questions to the ROS master."""
 
@@ -39,34 +41,36 @@ def link(config: Any, role: roles.Role, port: int) -> roles.Link:
     return found
 
 
-def nodes(plan: Plan, place: roles.Link | None, published: bool = True) -> list[Node]:
-    """The nodes of this machine.
+def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[Node]:
+    """The nodes of this machine, without the publishers of the robots' links for rviz.
 
     Args:
         plan: The whole system.
         place: Of this machine; None: it is the only one.
-        published: With the publishers of the robots' links for rviz.
+        leader: What the operator's hand holds.
     """
-    extra = [system.robot_state_publisher(arm) for arm in plan.arms] if published else []
-    every = [*system.nodes(plan), *extra]
+    every = system.nodes(plan)
     if place is None:
         return every
     camera = f"/{system.ENDOSCOPE}"
     if place.role is roles.Role.ENDOSCOPE:
         return [node for node in every if node.name == camera]
     if place.role is roles.Role.OPERATOR:
-        return []
+        picture = f"{camera}/left/image_raw" if plan.cameras else ""
+        params: dict[str, object] = {"cell": str(plan.cell), "leader": leader, "picture": picture}
+        return [Node("/teleop", "surg_teleop", "teleop_node.py", params)]
     away = roles.Role.ENDOSCOPE.value in place.others
     return [node for node in every if not (away and node.name == camera)]
 
 
-def keep(plan: Plan, place: roles.Link, logs: Path) -> int:
+def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
     """Join the robot's machine and stay until a signal arrives, a node dies or the robot is gone.
 
     Args:
         plan: The whole system.
         place: Of this machine.
         logs: Folder of the nodes' output.
+        leader: What the operator's hand holds.
 
     Raises:
         Problem: The master does not answer, or is gone; a node has died.
@@ -76,7 +80,7 @@ def keep(plan: Plan, place: roles.Link, logs: Path) -> int:
         _await_master(place)
         cell, role = plan.cell, place.role.value
         with running.announced("up", place.port, cell, logs, role, place.uri) as entry:
-            for node in nodes(plan, place):
+            for node in nodes(plan, place, leader):
                 system.start(supervisor, node)
             entry.nodes = {child.name: child.process.pid for child in supervisor.children}
             entry.save()
@@ -97,8 +101,8 @@ def _await_master(place: roles.Link) -> None:
         while not master.alive(place.uri):
             if time.monotonic() > deadline:
                 raise Problem(
-                    f"no ROS master answered at {place.uri} within {place.waits.master:.0f} s: start "
-                    "the robot's machine with --role robot, and look at the cable and at "
+                    f"no ROS master answered at {place.uri} within {place.waits.master:.0f} s: "
+                    "start the robot's machine with --role robot, and look at the cable and at "
                     f"machines.robot = {place.robot}"
                 )
             progress.update(None, f"waiting for the robot's machine, {place.uri}")
@@ -121,8 +125,8 @@ def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
             heard = time.monotonic()
         elif time.monotonic() - heard > place.waits.gone:
             raise Problem(
-                f"the robot's machine, {place.robot}, has been silent for {place.waits.gone:.0f} s: "
-                "this role ends. The arms hold by themselves. When the link is back, start it again: "
-                "nothing resumes by itself"
+                f"the robot's machine, {place.robot}, has been silent for "
+                f"{place.waits.gone:.0f} s: this role ends. The arms hold by themselves. When the "
+                "link is back, start it again: nothing resumes by itself"
             )
         time.sleep(ASK_S)

@@ -70,8 +70,8 @@ def refuse_foreign_ports(children: Iterable[processes.Child], own: str) -> None:
     wrong = roles.foreign_ports(roles.listening(*tables), held, own)
     if wrong:
         raise Problem(
-            f"ROS ports are open beyond {own}: {'; '.join(wrong)}. Everything is stopped: a program "
-            "that does not take LD_PRELOAD must not run here"
+            f"ROS ports are open beyond {own}: {'; '.join(wrong)}. Everything is stopped: a "
+            "program that does not take LD_PRELOAD must not run here"
         )
 
 

@@ -1,9 +1,9 @@
 """What a machine is in a cell that is spread over several, and what follows for its nodes.
 
-Pure: a cell, a role and what the kernel says of the network go in; an environment, or the reason why
-there is none, comes out. ROS 1 knows no passwords: whoever reaches its ports drives the robot. So a
-role is refused unless its address is in the cell, the cell calls the network isolated, and this
-machine does not also use that network to reach others.
+Pure: a cell, a role and what the kernel says of the network go in; an environment, or the reason
+why there is none, comes out. ROS 1 knows no passwords: whoever reaches its ports drives the robot.
+So a role is refused unless its address is in the cell, the cell calls the network isolated, and
+this machine does not also use that network to reach others.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class Waits:
 
 
 WAITS = {
-    # The watchdogs that stop an arm (F03, F10, F25) are the controller's and the same everywhere: no
-    # network is a reason to wait longer for a command.
+    # The watchdogs that stop an arm (F03, F10, F25) are the controller's and the same everywhere:
+    # no network is a reason to wait longer for a command.
     Role.ROBOT: Waits(master=15.0, gone=5.0, tcp=3.0),
     # A person starts the machines one after the other.
     Role.OPERATOR: Waits(master=120.0, gone=3.0, tcp=3.0),
@@ -108,8 +108,8 @@ def link_of(config: Any, role: Role, port: int) -> Link:
         raise Problem(
             f"--role {role}: {config.file} has 'network: {config.network}'"
             f"{'' if config.machines else ' and no machines'}. ROS 1 ports are opened for another "
-            "machine only on a network that the cell calls isolated: a switch and cables of its own, "
-            "without a router. Then write into cell.yaml:\n"
+            "machine only on a network that the cell calls isolated: a switch and cables of its "
+            "own, without a router. Then write into cell.yaml:\n"
             "network: isolated\nmachines:\n  robot: 192.168.77.1\n  operator: 192.168.77.2",
             2,
         )
@@ -142,8 +142,8 @@ def check_address(
     if not has:
         raise Problem(
             f"--role {role}: this machine does not have machines.{role} = {address}; it has "
-            f"{', '.join(interfaces) or 'no address'}. Start the role on its own machine, or correct "
-            "cell.yaml, or plug the cable in and give the interface that address",
+            f"{', '.join(interfaces) or 'no address'}. Start the role on its own machine, or "
+            "correct cell.yaml, or plug the cable in and give the interface that address",
             2,
         )
     own = _number(address)
@@ -152,9 +152,9 @@ def check_address(
         if route.interface in ours and route.gateway:
             gateway = socket.inet_ntoa(struct.pack("!I", route.gateway))
             raise Problem(
-                f"--role {role}: {address} is routable: its interface {route.interface} also leads to "
-                f"other networks through the router {gateway}. An isolated network has no router. Put "
-                "the robot's cable into an interface of its own, or remove that route "
+                f"--role {role}: {address} is routable: its interface {route.interface} also leads "
+                f"to other networks through the router {gateway}. An isolated network has none. "
+                "Put the robot's cable into an interface of its own, or remove that route "
                 f"(ip route del default via {gateway} dev {route.interface})",
                 2,
             )

@@ -41,6 +41,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         choices=[role.value for role in roles.Role],
         help="what this machine does in a cell of several machines (docs/two_machines.md)",
     )
+    add(
+        "--leader",
+        metavar="L",
+        help="--role operator: what the hand holds (default: crtk, a CRTK leader on topics)",
+    )
     add("--lock-step", action="store_true", help="step by step instead of in real time")
     add(
         "--participant",
@@ -53,12 +58,15 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--link", choices=("joint", "twist"), help="what the robot obeys (default: its YAML)")
     add("--seed", type=int, default=0, metavar="N", help="of the simulator's random numbers")
     add("--no-video", action="store_true", help="without the endoscope camera")
+    add("--stereo", action="store_true", help="both eyes of a stereo endoscope")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
     add("--print", action="store_true", help="only print the rosrun line of every node")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Start everything, say what is there, wait."""
+    if options.leader is not None and options.role != roles.Role.OPERATOR:
+        raise Problem("--leader: only with --role operator; see ./surg teleop for one machine", 2)
     cell = cells.find(options.cell)
     loaded = cells.load(cell)
     arms = tuple(str(name) for name in loaded.arms)
@@ -67,12 +75,13 @@ def main(options: argparse.Namespace, command: str) -> int:
         if options.lock_step:
             raise Problem("--lock-step needs one machine; leave --role or --lock-step out", 2)
         link = join.link(loaded.config, roles.Role(options.role), options.port)
+    leader = options.leader or join.LEADER
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     plan = Plan(
         cell=cell,
         arms=arms,
         lockstep=options.lock_step,
-        cameras=() if options.no_video else ("left",),
+        cameras=() if options.no_video else ("left", "right")[: 1 + options.stereo],
         view=options.view,
         law=options.law,
         link=options.link,
@@ -82,23 +91,25 @@ def main(options: argparse.Namespace, command: str) -> int:
         run_info={"task": "up", "cell": str(cell)},
     )
     if options.print:
-        return _print_lines(plan, link)
+        return _print_lines(plan, link, leader)
     logs = paths.SYSTEMS / f"{running.tag(options.port, options.role or '')}_logs"
     processes.adopt_orphans()
     try:
         if link is not None and link.role is not roles.Role.ROBOT:
-            return join.keep(plan, link, logs)
+            return join.keep(plan, link, logs, leader)
         return _keep(plan, options.port, logs, link)
     finally:
         with processes.signals_ignored():
             processes.end_orphans()
 
 
-def _print_lines(plan: Plan, link: roles.Link | None) -> int:
+def _print_lines(plan: Plan, link: roles.Link | None, leader: str) -> int:
     """Print the command lines of all nodes of this machine."""
     if link is None or link.role is roles.Role.ROBOT:
         say("rosmaster --core")
-    for node in join.nodes(plan, link):
+    with_links = link is None or link.role is roles.Role.ROBOT
+    links = [system.robot_state_publisher(arm) for arm in plan.arms] if with_links else []
+    for node in [*join.nodes(plan, link, leader), *links]:
         say(node.rosrun_line())
     return 0
 
@@ -113,7 +124,7 @@ def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> int:
         master.start(supervisor, port, host)
         role = "" if link is None else link.role.value
         with running.announced("up", port, plan.cell, logs, role, uri) as entry:
-            for node in join.nodes(plan, link, published=False):
+            for node in join.nodes(plan, link):
                 system.start(supervisor, node)
             os.environ.update(supervisor.env)
             with Watch(plan.arms) as watch:

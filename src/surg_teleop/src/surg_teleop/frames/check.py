@@ -1,8 +1,8 @@
 """Moves the tip along the camera's axes, step by step, and collects the pictures of each step.
 
-Pure: cycles, camera and pictures in, commands out; the arm's own stamps are the clock. Whatever goes
-wrong ends the check with a reason and a ``hold``; nothing moves before the arm is ENABLED, homed and
-at rest, and nothing is sent after the end.
+Pure: cycles, camera and pictures in, commands out; the arm's own stamps are the clock. Whatever
+goes wrong ends the check with a reason and a ``hold``; nothing moves before the arm is ENABLED and
+homed, and nothing is sent after the end.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from surg_teleop.frames.sight import Picture
 
 Array = NDArray[np.float64]
 
-STILL_S = 0.4
+STILL_S = 0.25
 """The tip is at rest that long before a picture counts: a lagging arm, a rolling shutter."""
 PICTURE_S = 5.0
 """Longest wait for a picture of the tip at rest."""
@@ -31,6 +31,8 @@ THERE = 0.0007
 """[m] Nearer than that to where it was sent, the tip is there."""
 CLOCKS_S = 2.0
 """Largest difference of a picture's stamp from the arm's: beyond, nobody knows what it shows."""
+ASK_S = 0.5
+"""A state command that has shown no effect is sent again after this."""
 SCOPE_MOVED = np.radians(0.5)
 """Largest turn of the camera during the check [rad]."""
 
@@ -70,6 +72,7 @@ class FramesCheck:
         node: Caller id under which the commands are sent.
         workspace: Where the tip may go.
         side: How far to either side of rest [m].
+        enable: Ask for ``home`` and ``enable`` where they are missing, instead of refusing.
         stage: What is being done.
         reason: Why it failed; empty otherwise.
         pictures: What has been collected, by step.
@@ -79,6 +82,7 @@ class FramesCheck:
     node: str
     workspace: Workspace
     side: float = SIDE
+    enable: bool = False
     stage: Stage = Stage.WAIT
     reason: str = ""
     pictures: dict[Step, Pair] = field(default_factory=dict)
@@ -89,6 +93,7 @@ class FramesCheck:
     _since: int = field(default=0, repr=False)
     _still_since: int = field(default=0, repr=False)
     _refused: int = field(default=0, repr=False)
+    _asked: int = field(default=-SECOND, repr=False)
 
     @property
     def done(self) -> bool:
@@ -127,7 +132,7 @@ class FramesCheck:
             What to send for the next cycle.
         """
         commands = Commands(stamp_ns=arm.stamp_ns + PERIOD_NS)
-        if self.done:
+        if self.done or self._prepare(arm, commands):
             return commands
         if problem := self._problem(arm, R_WV):
             return self._fail(problem, commands)
@@ -145,6 +150,19 @@ class FramesCheck:
         commands.hold = self.stop(reason).hold
         commands.servo_cp = None
         return commands
+
+    def _prepare(self, arm: ArmView, commands: Commands) -> bool:
+        """Home and enable the arm where that is wanted; whether it is still under way."""
+        if not self.enable or self.stage is not Stage.WAIT:
+            return False
+        if arm.homed and arm.state is ArmState.ENABLED:
+            return arm.busy
+        if arm.state not in (ArmState.DISABLED, ArmState.ENABLED):
+            return False
+        if arm.stamp_ns - self._asked >= ASK_S * SECOND:
+            commands.state = "home" if not arm.homed else "enable"
+            self._asked = arm.stamp_ns
+        return True
 
     def _problem(self, arm: ArmView, R_WV: Array | None) -> str:
         """Why the check must end, or may not begin; empty: nothing."""

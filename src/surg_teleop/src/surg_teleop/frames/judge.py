@@ -194,27 +194,26 @@ def _judge_flat(seen: tuple[Seen, ...]) -> Verdict:
     if sizes.max() > sizes.min() * SIZES[1]:
         return _wrong_size(seen, sizes / sizes.max(), angle)
     text = (
-        f"hand and picture agree within {np.degrees(angle):.0f} degrees across the view; with one eye "
-        "near and far are not judged"
+        f"hand and picture agree within {np.degrees(angle):.0f} degrees across the view; with one "
+        "eye near and far are not judged"
     )
     return Verdict(Outcome.PASS, Cause.NONE, text, seen, angle)
 
 
 def _mirrored(seen: tuple[Seen, ...], R: Array, swapped: bool) -> Verdict:
     """A hand that goes one way and a tip that goes the other, as in a mirror."""
-    values, vectors = np.linalg.eigh((R + R.T) / 2.0)
+    _, vectors = np.linalg.eigh((R + R.T) / 2.0)
     normal = np.abs(vectors[:, 0])  # of the mirror: the direction that is reversed
     axis = int(np.argmax(normal))
     pair = ("left and right", "up and down", "near and far")[axis]
     where = (
-        "each picture is flipped by itself: look for a mirror setting of the capture or the display"
+        "each picture is flipped by itself: look for a mirror setting of capture or display"
         if swapped or axis == 1
-        else "the pictures are flipped as in a mirror, or the camera's pose in the cell is left-handed"
+        else "the pictures are flipped as in a mirror, or the camera's pose is left-handed"
     )
     if axis == 2:
         where = "the sign of the camera's z axis is wrong: z points away from the viewer"
     text = f"the picture is mirrored: {pair} are exchanged ({_told(seen)}). Likely {where}"
-    del values
     return Verdict(Outcome.FAIL, Cause.MIRRORED, text, seen, _angle(R))
 
 
@@ -239,8 +238,8 @@ def _turned(seen: tuple[Seen, ...], R: Array, angle: float, each: bool) -> Verdi
         why = "each picture is turned by itself: look for a rotation setting of capture or display"
     elif about_view:
         why = (
-            "the camera head is turned in its holder, or the camera's frame in the endoscope's URDF "
-            "or its tool calibration is"
+            "the camera head is turned in its holder, or the camera's frame is, in the endoscope's "
+            "URDF or in calibration/camera_<arm>.yaml"
         )
     else:
         why = (
@@ -252,8 +251,8 @@ def _turned(seen: tuple[Seen, ...], R: Array, angle: float, each: bool) -> Verdi
 
 def _wrong_size(seen: tuple[Seen, ...], sizes: Array, angle: float) -> Verdict:
     text = (
-        f"directions agree, sizes do not: seen were {sizes.min():.1f} to {sizes.max():.1f} times what "
-        "was told. Likely focal length or baseline of the camera, or the tip was held up"
+        f"directions agree, sizes do not: seen were {sizes.min():.1f} to {sizes.max():.1f} times "
+        "what was told. Likely focal length or baseline of the camera, or the tip was held up"
     )
     return Verdict(Outcome.FAIL, Cause.SIZE, text, seen, angle)
 
@@ -263,7 +262,7 @@ def _told(seen: tuple[Seen, ...]) -> str:
 
 
 def direction(v: Array) -> str:
-    """The words for a direction in V: "right", "left and up", "away and right" …
+    """The words for a direction in V, such as "right", or "left and up".
 
     Args:
         v: (3,), z may be not a number: then only what is across the view is named.

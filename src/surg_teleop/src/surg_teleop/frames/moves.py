@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 SIDE = 0.005
 """[m] To either side of rest."""
-SPEED = 0.010
+SPEED = 0.020
 """[m/s] Largest speed of the tip: a person can follow it, and stop it."""
 AXES = (0, 1, 2)
 """x, y, z of V."""

@@ -1,10 +1,10 @@
-"""Where the instrument's tip is in pictures of one scene: found by its motion, followed by its look.
+"""Where the instrument's tip is in pictures: found by its motion, followed by its look.
 
 The pictures are taken with the tip at rest, and a little to either side of rest along three axes.
-What differs from the picture at rest on *both* sides of an axis is the instrument at rest (three-frame
-differencing): no model of instrument or tissue, and no knowledge of where the tip should be. The end
-of it that lies inside the picture is the tip; a patch round it is then found again in every picture
-by weighted normalised cross-correlation, to a fraction of a pixel.
+What differs from the picture at rest on *both* sides of an axis is the instrument at rest
+(three-frame differencing): no model of instrument or tissue, and no knowledge of where the tip
+should be. The end of it that lies inside the picture is the tip; a patch round it is then found
+again in every picture by weighted normalised cross-correlation, to a fraction of a pixel.
 """
 
 from __future__ import annotations
@@ -181,7 +181,8 @@ def _moved(patch: Patch, picture: Smooth, shift: Array) -> Patch:
     corner = patch.corner + whole
     height, width = patch.weight.shape
     first = np.maximum(corner, 0)
-    last = np.minimum(corner + [width, height], [picture.shape[1], picture.shape[0]])
+    size = np.array([width, height])
+    last = np.minimum(corner + size, [picture.shape[1], picture.shape[0]])
     cut = (
         slice(first[1] - corner[1], last[1] - corner[1]),
         slice(first[0] - corner[0], last[0] - corner[0]),
@@ -211,14 +212,14 @@ def _find(
     height, width = patch.weight.shape
     span = int(np.ceil(reach))
     low = patch.corner + np.round(guess).astype(np.int64) - span
-    high = low + [width + 2 * span, height + 2 * span]
+    high = low + np.array([width, height]) + 2 * span
     limit = np.array([picture.shape[1], picture.shape[0]])
     first, last = np.maximum(low, 0), np.minimum(high, limit)
     if np.any(last - first < [width, height]):
         raise NotSeen(f"the tip leaves the picture {where}; bring it to the middle and try again")
     window = picture[first[1] : last[1], first[0] : last[0]]
     score = _correlate(patch, window)
-    row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+    row, column = divmod(int(np.argmax(score)), score.shape[1])
     best = float(score[row, column])
     if best < ALIKE:
         raise NotSeen(
@@ -232,8 +233,7 @@ def _find(
 def _correlate(patch: Patch, window: Smooth) -> Array:
     """Weighted normalised cross-correlation at every whole shift, (rows, columns), -1 to 1."""
     weight, total = patch.weight, float(patch.weight.sum())
-    up = energy = 0.0
-    own = 0.0
+    up, energy, own = np.zeros(1), np.zeros(1), 0.0
     for c in range(3):
         look, seen = patch.look[..., c], window[..., c] - np.float32(128.0)
         template = weight * (look - float((weight * look).sum()) / total)

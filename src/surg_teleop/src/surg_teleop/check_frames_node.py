@@ -1,0 +1,403 @@
+"""``check_frames`` as a node: moves one arm's tip along the camera's axes and judges the pictures.
+
+Parameters: ``~cell`` (folder or cell.yaml), ``~arm`` (the first that holds no endoscope),
+``~enable`` (false: the arm must be ENABLED and homed already), ``~lockstep`` (false), ``~out``
+(file of the verdict in JSON; beside it the pictures as NPZ). Exit code 0: hand and picture agree;
+1: they do not, or it could not be told; 2: a cell or parameter that must not be used.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import sys
+import threading
+import time
+from collections import OrderedDict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rosgraph
+import rospy
+from sensor_msgs.msg import CameraInfo, Image
+from std_msgs.msg import String
+
+import surg_core
+from surg_core import ConfigError
+from surg_msgs.msg import Cycle, Ready
+from surg_teleop.arm import Commands
+from surg_teleop.camera import HeldCamera, held_camera
+from surg_teleop.fit import Workspace
+from surg_teleop.frames.check import FramesCheck, Pair, split
+from surg_teleop.frames.judge import Lens, Verdict, judge, not_seen
+from surg_teleop.frames.moves import WORDS
+from surg_teleop.frames.sight import NotSeen, Picture, Place, find_places
+from surg_teleop.peers import publishers, subscribers
+from surg_teleop.ports_node import ArmPort, arm_view
+
+CONNECT_TIMEOUT = 180.0
+"""[s] wall clock: longest wait for controllers and pictures."""
+PERIOD_TICKS = 5
+"""A command is sent at every fifth cycle: 100 Hz."""
+FLUSH = 0.3
+"""[s] After the last command, so that it leaves the socket."""
+EYES = ("left", "right")
+KEPT = 8
+"""Pictures of an eye that wait for their other half."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What the parameters describe."""
+
+    cell: surg_core.Cell
+    arm: str
+    camera: HeldCamera
+    enable: bool
+    lockstep: bool
+    out: Path | None
+
+
+class Eyes:
+    """Pictures of one or two cameras, put together by their stamps.
+
+    Args:
+        names: Of the eyes that there are.
+    """
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self.names = names
+        self.newest: Pair | None = None
+        self.problem = ""
+        self._waiting: dict[str, OrderedDict[int, Picture]] = {n: OrderedDict() for n in names}
+        self._infos: dict[str, CameraInfo] = {}
+        self.inputs = []
+        for name in names:
+            root = f"/endoscope/{name}"
+            keys: dict[str, Any] = {"tcp_nodelay": True, "buff_size": 1 << 24}
+            self.inputs += [
+                rospy.Subscriber(f"{root}/image_raw", Image, self._on_image, name, **keys),
+                rospy.Subscriber(f"{root}/camera_info", CameraInfo, self._on_info, name, **keys),
+            ]
+
+    def _on_info(self, message: CameraInfo, name: str) -> None:
+        self._infos[name] = message
+
+    def _on_image(self, message: Image, name: str) -> None:
+        picture = decode(message)
+        if picture is None:
+            self.problem = (
+                f"/endoscope/{name}/image_raw has encoding '{message.encoding}'; allowed are rgb8 "
+                "and bgr8"
+            )
+            return
+        waiting = self._waiting[name]
+        waiting[message.header.stamp.to_nsec()] = picture
+        while len(waiting) > KEPT:
+            waiting.popitem(last=False)
+        stamps = set.intersection(*(set(w) for w in self._waiting.values()))
+        if stamps:
+            stamp = max(stamps)
+            pictures = [self._waiting[n][stamp] for n in self.names]
+            self.newest = Pair(stamp, pictures[0], pictures[1] if len(pictures) > 1 else None)
+
+    def lens(self) -> Lens | None:
+        """The cameras' model; None: it has not been said yet."""
+        if set(self._infos) != set(self.names):
+            return None
+        left = self._infos["left"]
+        baseline = 0.0
+        if "right" in self._infos:
+            P = self._infos["right"].P
+            baseline = abs(P[3] / P[0]) if P[0] else 0.0
+        return Lens(left.K[0], np.array([left.K[2], left.K[5]]), baseline)
+
+
+def decode(message: Image) -> Picture | None:
+    """(h, w, 3) rgb8 of a message; None: another encoding."""
+    if message.encoding not in ("rgb8", "bgr8"):
+        return None
+    rows = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
+    picture = rows[:, : 3 * message.width].reshape(message.height, message.width, 3)
+    return picture if message.encoding == "rgb8" else picture[..., ::-1]
+
+
+class CheckNode:
+    """Wires a FramesCheck to an arm and the endoscope.
+
+    Args:
+        task: What to check.
+        eyes: Names of the eyes that there are.
+    """
+
+    def __init__(self, task: Task, eyes: tuple[str, ...]) -> None:
+        self.task = task
+        self.finished = threading.Event()
+        arm = task.cell.arms[task.arm]
+        limits = arm.limits
+        workspace = Workspace(limits.depth_slow, limits.depth_max, limits.cone)
+        self.check = FramesCheck(task.arm, rospy.get_name(), workspace, enable=task.enable)
+        self.eyes = Eyes(eyes)
+        self._lock = threading.Lock()
+        self._port = ArmPort(task.arm, claims=True)
+        self._cycles: dict[str, Cycle] = {}
+        self._tick, self._said = 0, ""
+        self._status = rospy.Publisher("~status", String, queue_size=10, latch=True)
+        self._ready = rospy.Publisher(
+            "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
+        )
+        self._inputs = [
+            rospy.Subscriber(
+                f"/{name}/cycle", Cycle, self._on_cycle, name, queue_size=None, tcp_nodelay=True
+            )
+            for name in (task.arm, task.camera.arm)
+        ]
+
+    def _on_cycle(self, cycle: Cycle, name: str) -> None:
+        with self._lock:
+            self._cycles[name] = cycle
+            if self.finished.is_set() or len(self._cycles) < 2:
+                return
+            own, scope = (self._cycles[n] for n in (self.task.arm, self.task.camera.arm))
+            if self.task.lockstep:
+                if own.tick == scope.tick > self._tick:
+                    self._tick = own.tick
+                    self._act(own, scope)
+                    self._say_ready(self._tick + 1)
+            elif name == self.task.arm and own.tick > self._tick:
+                self._tick = own.tick
+                self._act(own, scope)
+
+    def _act(self, own: Cycle, scope: Cycle) -> None:
+        """One cycle; with the lock held."""
+        if self.check.done:
+            return
+        if self.eyes.problem:
+            self._send(self.check.stop(self.eyes.problem))
+        else:
+            q = np.array(scope.q)
+            known = q.shape == (self.task.camera.chain.dof,) and bool(np.isfinite(q).all())
+            R_WV = self.task.camera.view(q) if known else None
+            view = arm_view(own, np.asarray(self.task.cell.arms[self.task.arm].X_WB)[:3, :3])
+            commands = self.check.tick(view, R_WV, self.eyes.newest)
+            if self._tick % PERIOD_TICKS and not self.check.done and not commands.claim:
+                commands.servo_cp = None
+            self._send(commands)
+        self._tell()
+        if self.check.done and not self.task.lockstep:
+            self.finished.set()
+
+    def _send(self, commands: Commands) -> None:
+        self._port.send(commands)
+
+    def _tell(self) -> None:
+        """What a viewer must see now, once for every step."""
+        check = self.check
+        text = check.reason or f"{check.stage.value} {check.step}"
+        if text == self._said:
+            return
+        self._said = text
+        if check.stage.value == "go" and check.step.side:
+            print(f"the tip must now go to: {WORDS[check.step]}", flush=True)
+        self._status.publish(
+            json.dumps(
+                {"stage": check.stage.value, "step": str(check.step), "reason": check.reason}
+            )
+        )
+
+    def _say_ready(self, tick: int) -> None:
+        done = self.check.done
+        self._ready.publish(
+            Ready(
+                tick=tick,
+                participant=rospy.get_name().lstrip("/"),
+                arms=[self.task.arm],
+                sent=[self._port.sent],
+                done=done,
+            )
+        )
+        if done:
+            self.finished.set()
+
+    def stop(self, reason: str) -> None:
+        """Whatever is under way ends: the arm holds."""
+        with self._lock:
+            self._send(self.check.stop(reason))
+
+    def connect(self) -> None:
+        """Waits for everybody; in lock-step then answers tick 1, before which there is no cycle.
+
+        Raises:
+            TimeoutError: Somebody is missing; says who.
+            OSError: The master does not answer.
+        """
+        deadline = time.monotonic() + CONNECT_TIMEOUT
+        while missing := self._missing():
+            if time.monotonic() > deadline or rospy.is_shutdown() or self.finished.is_set():
+                raise TimeoutError(f"no connection after {CONNECT_TIMEOUT:.0f} s: {missing}")
+            time.sleep(0.02)
+        with self._lock:
+            if self.task.lockstep and self._tick == 0:
+                self._say_ready(1)
+
+    def _missing(self) -> str:
+        master, name = rosgraph.get_master_uri(), rospy.get_name()
+        controllers = publishers(master, name, f"/{self.task.arm}/cycle")
+        if not controllers:
+            return f"nobody publishes /{self.task.arm}/cycle (is the controller running?)"
+        wanted = {f"/{self.task.arm}/{topic}": controllers for topic in self._port.out}
+        if self.task.lockstep:
+            links = publishers(master, name, f"/{self.task.arm}/robot/measured_js")
+            wanted["/sim/ready"] = controllers | links
+        for source in (*self._inputs, *self.eyes.inputs):
+            if source.get_num_connections() == 0:
+                return f"nobody publishes {source.resolved_name}"
+        present = subscribers(rospy.get_node_uri(), name, wanted)
+        for topic, nodes in wanted.items():
+            if not nodes <= present[topic]:
+                return f"{topic} does not reach {', '.join(sorted(nodes - present[topic]))}"
+        return ""
+
+    def verdict(self) -> tuple[Verdict, dict[str, Place]]:
+        """What the pictures say, and where the tip was in them."""
+        lens = self.eyes.lens()
+        if self.check.reason or lens is None:
+            return not_seen(self.check.reason or "no camera_info has come"), {}
+        try:
+            places = find_places(*split(self.check.pictures))
+        except NotSeen as error:
+            return not_seen(str(error)), {}
+        return judge(places, lens), {str(step): place for step, place in places.items()}
+
+
+def report(verdict: Verdict, places: dict[str, Place], task: Task) -> dict[str, Any]:
+    """The verdict as JSON: numbers that are none are null."""
+    return {
+        "format": "surg_check_frames/1",
+        "cell": str(task.cell.folder),
+        "arm": task.arm,
+        "endoscope": task.camera.arm,
+        "outcome": verdict.outcome.value,
+        "cause": verdict.cause.value,
+        "text": verdict.text,
+        "angle_rad": None if math.isnan(verdict.angle) else round(verdict.angle, 4),
+        "seen": [
+            {
+                "told": seen.told,
+                "pixels": [round(float(v), 2) for v in seen.pixels],
+                "disparity": None if seen.disparity is None else round(seen.disparity, 2),
+            }
+            for seen in verdict.seen
+        ],
+        "places": {
+            step: {
+                "left": [round(float(v), 2) for v in place.left],
+                "disparity": None
+                if place.disparity is None
+                else [round(float(v), 2) for v in place.disparity],
+            }
+            for step, place in places.items()
+        },
+    }
+
+
+def read_task(parameters: dict[str, Any]) -> Task:
+    """Reads the cell and every parameter once.
+
+    Raises:
+        ConfigError: One must not be used.
+    """
+    allowed = {"cell", "arm", "enable", "lockstep", "out"}
+    unknown = sorted(set(parameters) - allowed)
+    if unknown or "cell" not in parameters:
+        raise ConfigError(
+            f"check_frames: parameter {', '.join(unknown) or '~cell'} "
+            f"{'is unknown' if unknown else 'is missing'}; allowed: ~{' ~'.join(sorted(allowed))}"
+        )
+    cell = surg_core.load_cell(str(parameters["cell"]))
+    camera = held_camera(cell)
+    if camera is None:
+        raise ConfigError(
+            f"check_frames: {cell.config.file}: no arm holds an endoscope (an instrument with a "
+            "camera), so there is no registration of a camera to check; cells/sim_two_arms has one"
+        )
+    others = [name for name in cell.arms if name != camera.arm]
+    arm = str(parameters.get("arm") or (others[0] if others else ""))
+    if arm not in others:
+        raise ConfigError(
+            f"check_frames: ~arm: '{arm}'; allowed: {', '.join(others) or 'none: there is one arm'}"
+        )
+    out = str(parameters.get("out", ""))
+    return Task(
+        cell,
+        arm,
+        camera,
+        bool(parameters.get("enable", False)),
+        bool(parameters.get("lockstep", False)),
+        Path(out) if out else None,
+    )
+
+
+def eyes_of(task: Task) -> tuple[str, ...]:
+    """The eyes that send: both where the endoscope has two and both are published."""
+    master, name = rosgraph.get_master_uri(), rospy.get_name()
+    camera = task.cell.arms[task.camera.arm].instrument.camera
+    wanted = EYES[: len(camera.frames)]
+    deadline = time.monotonic() + CONNECT_TIMEOUT
+    while time.monotonic() < deadline and not rospy.is_shutdown():
+        found = [e for e in wanted if publishers(master, name, f"/endoscope/{e}/image_raw")]
+        if "left" in found:
+            time.sleep(0.2)  # the second eye is advertised right after the first
+            return tuple(e for e in wanted if publishers(master, name, f"/endoscope/{e}/image_raw"))
+        time.sleep(0.05)
+    raise TimeoutError(
+        "nobody publishes /endoscope/left/image_raw: is the endoscope running? './surg up CELL' "
+        "starts it unless --no-video is given"
+    )
+
+
+def main() -> int:
+    """Runs the node.
+
+    Returns:
+        The exit code.
+    """
+    if not rosgraph.is_master_online():
+        print(f"check_frames: no ROS master at {rosgraph.get_master_uri()}", file=sys.stderr)
+        return 1
+    rospy.init_node("check_frames", disable_signals=True)
+    try:
+        task = read_task(dict(rospy.get_param("~", {})))
+    except ConfigError as error:
+        print(f"{error}", file=sys.stderr)
+        return 2
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    node: CheckNode | None = None
+    try:
+        node = CheckNode(task, eyes_of(task))
+        node.connect()
+        while not node.finished.wait(0.05) and not ended.is_set() and not rospy.is_shutdown():
+            pass
+    except (OSError, TimeoutError) as error:
+        print(f"check_frames: {error}", file=sys.stderr)
+        return 1
+    finally:
+        if node is not None:
+            node.stop("it was interrupted")
+            time.sleep(FLUSH)
+    verdict, places = node.verdict()
+    found = report(verdict, places, task)
+    if task.out is not None:
+        left, right = split(node.check.pictures)
+        shown = {f"left_{step}": picture for step, picture in left.items()}
+        shown |= {f"right_{step}": picture for step, picture in (right or {}).items()}
+        np.savez_compressed(task.out.with_suffix(".npz"), **shown)
+        task.out.write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+    print(f"{verdict.outcome.value}: {verdict.text}", flush=True)
+    rospy.signal_shutdown("check_frames: done")
+    return 0 if verdict.outcome.value == "pass" else 1

@@ -1,0 +1,90 @@
+"""`./surg check-frames` on the running graph: the right cell passes, wrong wiring does not."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from helpers.ros import RosGraph
+from helpers.surg import surg
+from surg_cli import paths, processes, system
+
+pytestmark = pytest.mark.ros
+
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+CELL = paths.CELLS / "sim_two_arms"
+LEFT, RIGHT = "/endoscope/left/", "/endoscope/right/"
+SWAPPED = [
+    f"{a}{topic}:={b}{topic}"
+    for a, b in ((LEFT, RIGHT), (RIGHT, LEFT))
+    for topic in ("image_raw", "camera_info")
+]
+
+
+def test_what_cannot_be_checked_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = surg("check-frames", "sim_ur5e", "--out", out)
+    assert done.returncode == 2
+    assert "no arm holds an endoscope" in done.stderr
+    assert "sim_two_arms" in done.stderr
+    done = surg("check-frames", "sim_two_arms", "--arm", "ECM", "--out", out)
+    assert done.returncode == 2
+    assert "PSM1" in done.stderr
+    assert not out.exists()
+
+
+@pytest.mark.skipif(not FULL, reason="half a minute: SURG_TEST_FULL=1 runs it")
+def test_the_bundled_cell_passes_and_leaves_a_picture(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    done = surg("check-frames", "--out", out)
+    assert done.returncode == 0, done.stdout + done.stderr
+    found = json.loads((out / "check_frames.json").read_text("utf-8"))
+    print(done.stdout)
+    assert (found["outcome"], found["cause"]) == ("pass", "none")
+    assert [seen["told"] for seen in found["seen"]] == ["right", "down", "away"]
+    assert found["seen"][0]["pixels"][0] > 20
+    assert found["seen"][2]["disparity"] < -0.5
+    assert (out / "check_frames.png").stat().st_size > 10_000
+
+
+def start(graph: RosGraph, out: Path, remaps: list[str], enable: bool) -> processes.Child:
+    """The graph in lock-step and the check in it."""
+    plan = system.Plan(
+        cell=CELL,
+        arms=("PSM1", "ECM"),
+        lockstep=True,
+        cameras=("left", "right"),
+        out=graph.folder,
+        record=False,
+        extra_participants=("check_frames",),
+    )
+    for node in system.nodes(plan):
+        graph.node(node.package, node.executable, node.name, node.params, arguments=node.arguments)
+    params = {"cell": str(CELL), "lockstep": True, "enable": enable, "out": str(out)}
+    return graph.node(
+        "surg_teleop", "check_frames_node.py", "/check_frames", params, arguments=remaps
+    )
+
+
+@pytest.mark.skipif(not FULL, reason="half a minute: SURG_TEST_FULL=1 runs it")
+def test_swapped_eyes_are_found_on_the_topics(ros_graph: RosGraph, tmp_path: Path) -> None:
+    out = tmp_path / "verdict.json"
+    child = start(ros_graph, out, SWAPPED, enable=True)
+    ros_graph.wait_for(lambda: child.exit_code is not None, 180.0, "the verdict")
+    found = json.loads(out.read_text("utf-8"))
+    assert child.exit_code == 1
+    assert (found["outcome"], found["cause"]) == ("fail", "eyes_swapped"), found["text"]
+
+
+@pytest.mark.skipif(not FULL, reason="ten seconds: SURG_TEST_FULL=1 runs it")
+def test_an_arm_that_is_not_enabled_is_left_alone(ros_graph: RosGraph, tmp_path: Path) -> None:
+    out = tmp_path / "verdict.json"
+    child = start(ros_graph, out, [], enable=False)
+    ros_graph.wait_for(lambda: child.exit_code is not None, 90.0, "the refusal")
+    found = json.loads(out.read_text("utf-8"))
+    assert child.exit_code == 1
+    assert found["outcome"] == "cannot_tell"
+    assert "is DISABLED: enable it first" in found["text"]

@@ -1,0 +1,188 @@
+"""`./surg check-frames [CELL]`: do hand and picture agree? The tip moves, the pictures decide."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from surg_cli import (
+    cells,
+    environment,
+    frames_picture,
+    master,
+    paths,
+    processes,
+    running,
+    system,
+    terminal,
+)
+from surg_cli.demo import tcp_port
+from surg_cli.follow import death_notice
+from surg_cli.system import Node, Plan
+from surg_cli.terminal import Problem, Progress, say
+
+NODE = "check_frames"
+DEFAULT_CELL = "sim_two_arms"
+TIMEOUT_S = 600.0
+CONNECT_S = 180.0
+"""Longest wait of the simulator for two renderers on a busy machine."""
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("cell", metavar="CELL", nargs="?", default=DEFAULT_CELL, help="name in cells/, or a folder")
+    add("--arm", metavar="ARM", help="the arm that is moved (default: the first without a camera)")
+    add("--port", type=tcp_port, metavar="P", help="of the ROS master of a running system")
+    add("--out", type=Path, metavar="DIR", help="for verdict and picture (default: runs/<time>)")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Check a running system, or a simulated one that is started for it."""
+    cell = cells.find(options.cell)
+    config = cells.load(cell)
+    _refuse(config, cell, options.arm)
+    out = paths.run_folder(options.out)
+    out.mkdir(parents=True, exist_ok=True)
+    found = _running(cell, options.port)
+    params: dict[str, object] = {"cell": str(cell), "out": str(out / "check_frames.json")}
+    if options.arm:
+        params["arm"] = options.arm
+    try:
+        if found is not None:
+            _attached(found, params, out)
+        else:
+            _alone(cell, config, params, out)
+        return _tell(out)
+    finally:
+        if not any(out.iterdir()):
+            out.rmdir()
+
+
+def _refuse(config: Any, cell: Path, arm: str | None) -> None:
+    """Say what is missing before anything starts.
+
+    Raises:
+        Problem: The cell has no endoscope that an arm holds, or no such arm.
+    """
+    scopes = [a.name for a in config.arms.values() if a.instrument.camera is not None]
+    if not scopes:
+        raise Problem(
+            f"{cell.name}: no arm holds an endoscope, so there is no registration of a camera to "
+            f"check; the bundled cell {DEFAULT_CELL} has one",
+            2,
+        )
+    others = [name for name in config.arms if name != scopes[0]]
+    if not others or arm not in (None, *others):
+        raise Problem(f"--arm {arm}: {cell.name} has {', '.join(others) or 'no other arm'}", 2)
+
+
+def _running(cell: Path, port: int | None) -> running.System | None:
+    """The running system that is meant, if there is one."""
+    systems = [s for s in running.systems() if port in (None, s.port)]
+    if port is not None and not systems:
+        raise Problem(f"no system of this checkout runs on port {port}; see ./surg status")
+    mine = [s for s in systems if Path(s.cell) == cell and s.command in ("up", "teleop")]
+    if port is not None and not mine:
+        raise Problem(f"the system on port {port} is of {systems[0].cell}, not of {cell}")
+    return mine[0] if mine else None
+
+
+def _attached(found: running.System, params: dict[str, object], out: Path) -> None:
+    """Check a running system; nothing is enabled for the person."""
+    say(f"check-frames: the running system on port {found.port}")
+    env = environment.for_nodes(found.port, out / "logs" / "ros")
+    env["ROS_MASTER_URI"] = found.master_uri
+    with processes.Supervisor(env, out / "logs") as supervisor:
+        _await(system.start(supervisor, _node(params)), supervisor)
+
+
+def _alone(cell: Path, config: Any, params: dict[str, object], out: Path) -> None:
+    """Check a simulation of the cell, in lock-step, that lives as long as the check."""
+    arms = tuple(str(name) for name in config.arms)
+    camera = next(a.instrument.camera for a in config.arms.values() if a.instrument.camera)
+    plan = Plan(
+        cell=cell,
+        arms=arms,
+        lockstep=True,
+        cameras=("left", "right")[: len(camera.frames)],
+        out=out,
+        record=False,
+        extra_participants=(NODE,),
+    )
+    say(f"check-frames: {cell.name}, simulated")
+    env = environment.for_nodes(ros_home=out / "logs" / "ros")
+    processes.adopt_orphans()
+    try:
+        with processes.Supervisor(env, out / "logs") as supervisor:
+            master.start(supervisor, master.free_port())
+            sim, *others = system.nodes(plan)
+            patient = {**sim.params, "connect_timeout": CONNECT_S}
+            for node in (replace(sim, params=patient), *others):
+                system.start(supervisor, node)
+            os.environ.update(supervisor.env)
+            child = system.start(supervisor, _node({**params, "enable": True, "lockstep": True}))
+            _await(child, supervisor)
+    finally:
+        with processes.signals_ignored():
+            processes.end_orphans()
+
+
+def _node(params: dict[str, object]) -> Node:
+    return Node(f"/{NODE}", "surg_teleop", "check_frames_node.py", params, essential=False)
+
+
+def _await(child: processes.Child, supervisor: processes.Supervisor) -> None:
+    """Wait for the node's end, and pass on what it tells a viewer.
+
+    Raises:
+        Problem: It could not begin, a node died, or it takes too long.
+    """
+    deadline = time.monotonic() + TIMEOUT_S
+    with Progress("check-frames") as progress:
+        while child.exit_code is None:
+            dead = supervisor.first_dead()
+            if dead is not None and dead.exit_code != 0:
+                raise Problem(death_notice(dead))
+            if time.monotonic() > deadline:
+                raise Problem(f"the check did not end within {TIMEOUT_S:.0f} s; see {child.log}")
+            progress.update(None, _last_line(child.log_tail(1)))
+            time.sleep(0.1)
+    if child.exit_code not in (0, 1) or "check_frames: " in child.log_tail(1):
+        raise Problem(child.log_tail(4).partition("check_frames: ")[2] or death_notice(child))
+
+
+def _last_line(text: str) -> str:
+    return text if text.startswith("the tip must") else "looking"
+
+
+def _tell(out: Path) -> int:
+    """Print the verdict; 0 only when hand and picture agree."""
+    file = out / "check_frames.json"
+    if not file.is_file():
+        raise Problem(f"the check left no verdict; see {out / 'logs'}")
+    found = json.loads(file.read_text("utf-8"))
+    rows = [["told", "seen in the left picture", "disparity"]]
+    for seen in found["seen"]:
+        x, y = seen["pixels"]
+        depth = "–" if seen["disparity"] is None else f"{seen['disparity']:+.1f} px"
+        rows.append([seen["told"], f"{_way(x, y)}", depth])
+    if found["seen"]:
+        say(terminal.table(rows))
+    picture = frames_picture.draw(out)
+    if picture is not None:
+        say(f"picture: {picture}")
+    say(f"check-frames: {found['outcome'].replace('_', ' ')}: {found['text']}")
+    return 0 if found["outcome"] == "pass" else 1
+
+
+def _way(x: float, y: float) -> str:
+    """A motion in a picture in words."""
+    parts = [f"{abs(x):.0f} px {'right' if x > 0 else 'left'}"] if abs(x) >= 0.5 else []
+    parts += [f"{abs(y):.0f} px {'down' if y > 0 else 'up'}"] if abs(y) >= 0.5 else []
+    return ", ".join(parts) or "still"
