@@ -21,6 +21,7 @@ from surg_cli.terminal import Problem, say, warn
 COMMANDS = {
     "demo": ("demo", True, "drive an instrument through its trocar and report how well it went"),
     "run": ("run", True, "episodes of a task by scripted senders, with success and deviations"),
+    "teleop": ("teleop", True, "the phantom under your hands: an operator console in the browser"),
     "test": ("testing", True, "build and run the tests"),
     "setup": ("setup", False, "install Debian packages and .venv"),
     "build": ("setup", False, "build the workspace (does setup first)"),
