@@ -1,4 +1,4 @@
-"""Pictures to H.264 and to JPEG, one in, one out: no look-ahead, no B frames, nothing is kept back."""
+"""Pictures to H.264 and to JPEG, one in, one out: no look-ahead, no B frames, no delay."""
 
 from __future__ import annotations
 
