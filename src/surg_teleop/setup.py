@@ -8,7 +8,7 @@ setuptools.setup(
     description="Recorded motions and the operator that plays them",
     license="Apache-2.0",
     python_requires=">=3.11",
-    packages=["surg_teleop", "surg_teleop.console"],
+    packages=["surg_teleop", "surg_teleop.console", "surg_teleop.leaders"],
     package_dir={"": "src"},
     package_data={"surg_teleop": ["py.typed"], "surg_teleop.console": ["page/*"]},
     install_requires=["numpy>=1.24", "scipy>=1.10"],

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
+from surg_teleop.arm import ArmState, ArmView, Commands, Jaw
 from surg_teleop.fit import Workspace
 from surg_teleop.motion import read_motion
-from surg_teleop.operator import ArmState, Commands, Feedback, Jaw, Mode, Operator, Stage
+from surg_teleop.operator import Mode, Operator, Stage
 from surg_teleop.plan import make_plan
 
 TICK_NS = 2_000_000
@@ -51,6 +52,77 @@ class Run:
     limited_by: frozenset[str]
 
 
+class LaggingArm:
+    """The core controller and what it drives, tick by tick.
+
+    Args:
+        arm: Of a cell.
+        law: Of the controller.
+        feedback_gain: Of the controller; negative: the robot's own.
+
+    Attributes:
+        controller: The controller.
+        out: What its last step decided.
+        tick: Ticks so far.
+    """
+
+    def __init__(
+        self,
+        arm: surg_core.Arm,
+        law: surg_core.Law = surg_core.Law.EXACT,
+        feedback_gain: float = -1.0,
+    ) -> None:
+        self.arm, self.tick = arm, 0
+        self.controller = surg_core.Controller(
+            arm.chain,
+            arm.robot,
+            arm.limits,
+            arm.instrument,
+            arm.tool,
+            law=law,
+            feedback_gain=feedback_gain,
+        )
+        self.controller.set_rcm(arm.trocar.p_BRcm)
+        self._servo = np.array(arm.robot.home, dtype=float)
+        self._q, self._q_before = self._servo.copy(), self._servo.copy()
+        self._pending = deque([np.zeros_like(self._q)] * DELAY)
+
+    def step(self, commands: Commands, source: int = SOURCE) -> surg_core.Outputs:
+        """One cycle with the commands of one sender, then one tick of the plant."""
+        q, self.tick = self._q, self.tick + 1
+        asked = _decode(commands, self.controller, source)
+        self.out = self.controller.step(q, (q - self._q_before) / TICK, asked)
+        self._pending.append(np.array(self.out.qd_command))
+        self._servo = self._servo + self._pending.popleft() * TICK
+        self._q_before, self._q = q, q + (self._servo - q) * (1.0 - np.exp(-TICK / LAG))
+        return self.out
+
+    def view(self, names: dict[int, str] | None = None) -> ArmView:
+        """What a sender sees of the last cycle.
+
+        Args:
+            names: Senders' names by number.
+        """
+        out, R_BR = self.out, np.asarray(self.controller.X_BR)[:3, :3]
+        holder = (names or {}).get(out.source, "")
+        return ArmView(
+            stamp_ns=self.tick * TICK_NS,
+            state=ArmState(int(out.state)),
+            homed=out.homed,
+            busy=out.busy,
+            reason=surg_core.reason_name(out.reason),
+            refused=out.refused,
+            p_set=R_BR.T @ (out.p_set - out.p_BRcm),
+            p_tip=R_BR.T @ (out.p_BTip - out.p_BRcm),
+            roll_set=out.roll_set,
+            jaw_set=out.jaw_set,
+            holder=holder,
+            stream=holder if out.motion == surg_core.Motion.SERVO_CP else "",
+            R_WR=np.asarray(self.arm.X_WB)[:3, :3] @ R_BR,
+            received=self.tick * TICK,
+        )
+
+
 def play(
     cell: Path,
     motion: Path,
@@ -69,47 +141,22 @@ def play(
         duration,
     )
     operator = Operator(plan, mode, Jaw(arm.instrument.jaw_min, arm.instrument.jaw_max))
-    controller = surg_core.Controller(
-        arm.chain,
-        arm.robot,
-        limits,
-        arm.instrument,
-        arm.tool,
-        law=law,
-        feedback_gain=feedback_gain,
-    )
-    controller.set_rcm(arm.trocar.p_BRcm)
-    servo = np.array(arm.robot.home, dtype=float)
-    q, q_before = servo.copy(), servo.copy()
-    pending = deque([np.zeros_like(q)] * DELAY)
-    commands: list[surg_core.MotionCommand] = []
+    plant = LaggingArm(arm, law, feedback_gain)
     rcm_error, tips, times, scales, limited = [], [], [], [], set()
-    for tick in range(1, 200_000):
-        out = controller.step(q, (q - q_before) / TICK, commands)
-        pending.append(np.array(out.qd_command))
-        servo = servo + pending.popleft() * TICK
-        q_before, q = q, q + (servo - q) * (1.0 - np.exp(-TICK / LAG))
-        R_RB = np.asarray(controller.X_BR)[:3, :3].T
-        feedback = Feedback(
-            stamp_ns=tick * TICK_NS,
-            state=ArmState(int(out.state)),
-            homed=out.homed,
-            busy=out.busy,
-            reason=surg_core.reason_name(out.reason),
-            refused=out.refused,
-            p_set=R_RB @ (out.p_set - out.p_BRcm),
-            p_tip=R_RB @ (out.p_BTip - out.p_BRcm),
-        )
+    commands = Commands()
+    for _ in range(1, 200_000):
+        out = plant.step(commands)
+        view = plant.view()
         if operator.stage is Stage.PLAY:
             rcm_error.append(out.rcm_error)
-            tips.append(feedback.p_tip)
-            times.append((feedback.stamp_ns - operator.started_ns) / 1e9)
+            tips.append(view.p_tip)
+            times.append((view.stamp_ns - operator.started_ns) / 1e9)
             scales.append(out.scale)
             if out.scale < 1.0:
                 limited.add(out.limited_by)
         if operator.done:
             break
-        commands = _decode(operator.tick(feedback), controller)
+        commands = operator.tick(view)
     wanted, _ = plan.path(np.array(times))
     lag, error = _without_lag(np.array(tips).reshape(-1, 3), wanted)
     return Run(
@@ -124,20 +171,24 @@ def play(
     )
 
 
-def _decode(commands: Commands, controller: surg_core.Controller) -> list[surg_core.MotionCommand]:
+def _decode(
+    commands: Commands, controller: surg_core.Controller, source: int
+) -> list[surg_core.MotionCommand]:
     motion, command = surg_core.Motion, surg_core.MotionCommand
     if commands.state is not None:
         controller.request(getattr(surg_core.StateCommand, commands.state.upper()))
+    if commands.claim:
+        controller.claim(source)
     found = []
     for kind, pose in ((motion.MOVE_CP, commands.move_cp), (motion.SERVO_CP, commands.servo_cp)):
         if pose is not None:
-            found.append(command(kind, SOURCE, p=pose.p, rotation=pose.q))
+            found.append(command(kind, source, p=pose.p, rotation=pose.q))
     if commands.servo_jp is not None:
-        found.append(command(motion.SERVO_JP, SOURCE, joints=commands.servo_jp))
+        found.append(command(motion.SERVO_JP, source, joints=commands.servo_jp))
     if commands.jaw is not None:
-        found.append(command(motion.JAW_SERVO_JP, SOURCE, jaw=commands.jaw))
+        found.append(command(motion.JAW_SERVO_JP, source, jaw=commands.jaw))
     if commands.hold:
-        found.append(command(motion.HOLD, SOURCE))
+        found.append(command(motion.HOLD, source))
     return found
 
 

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from surg_cli import paths
 from surg_teleop.errors import MotionError
+from surg_teleop.handle import twist_angle
 from surg_teleop.make_motion import DURATION, bundled_script, write_motion
-from surg_teleop.motion import JUMP_SPEED, Motion, read_motion, twist_angle
+from surg_teleop.motion import JUMP_SPEED, Motion, read_motion
 
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")

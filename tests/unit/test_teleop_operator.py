@@ -8,23 +8,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surg_cli import paths
-from surg_teleop.fit import Workspace
-from surg_teleop.motion import Motion, read_motion
-from surg_teleop.operator import (
-    HOLD,
-    JAW_EVERY,
+from surg_teleop.arm import (
     PERIOD_NS,
     SECOND,
     ArmState,
+    ArmView,
     Commands,
-    Feedback,
     Jaw,
-    Mode,
-    Operator,
-    Stage,
     tip_pose,
     virtual_joints,
 )
+from surg_teleop.fit import Workspace
+from surg_teleop.motion import Motion, read_motion
+from surg_teleop.operator import HOLD, JAW_EVERY, Mode, Operator, Stage
 from surg_teleop.plan import make_plan
 
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)
@@ -46,8 +42,8 @@ class FakeArm:
     reason: str = ""
     received: list[Commands] = field(default_factory=list)
 
-    def feedback(self) -> Feedback:
-        return Feedback(
+    def feedback(self) -> ArmView:
+        return ArmView(
             stamp_ns=self.tick * PERIOD_NS,
             state=self.state,
             homed=self.homed,

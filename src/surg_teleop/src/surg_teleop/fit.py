@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
+WALL_MARGIN, WALL_ANGLE = 1e-4, 1e-3
+"""[m], [rad] A target that is held at a wall stays that far inside it."""
+
 
 @dataclass(frozen=True)
 class Workspace:
@@ -29,6 +32,34 @@ class Workspace:
     depth_min: float
     depth_max: float
     cone: float
+
+    def nearest(self, p: Array) -> tuple[Array, str]:
+        """The point of the workspace that a target beyond a wall is held at.
+
+        Turned onto the cone about the trocar, then moved along the shaft; a hair
+        inside, so that rounding leaves it acceptable.
+
+        Args:
+            p: (3,) in the rcm frame, not the trocar itself [m].
+
+        Returns:
+            The point (3,) [m], p itself where it is inside; and the wall that held it: ``cone``,
+            ``depth_min``, ``depth_max``, or empty.
+        """
+        wall = ""
+        depth = float(np.linalg.norm(p))
+        cosine = math.cos(self.cone - WALL_ANGLE)
+        if p[2] < depth * cosine:
+            wall = "cone"
+            aside = math.hypot(p[0], p[1])
+            sine = math.sin(self.cone - WALL_ANGLE)
+            across = p[:2] / aside if aside > 0.0 else np.array([1.0, 0.0])
+            p = depth * np.array([sine * across[0], sine * across[1], cosine])
+        low, high = self.depth_min + WALL_MARGIN, self.depth_max - WALL_MARGIN
+        if not low <= depth <= high:
+            wall = "depth_min" if depth < low else "depth_max"
+            p = p * (min(max(depth, low), high) / depth)
+        return p, wall
 
 
 @dataclass(frozen=True)

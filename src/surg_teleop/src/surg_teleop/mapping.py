@@ -1,11 +1,11 @@
-"""How a leader's hand maps onto an arm's tip: always relative to the moment of engagement.
+"""How a leader's hand maps onto an arm's tip: always relative to a moment at which it was latched.
 
 So engaging never moves the arm, and where the hand's own zero lies does not matter.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +15,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Mapping:
-    """p = p_arm + scale (p_leader - p_leader_0), roll = roll_arm + (roll_leader - roll_leader_0).
+    """p = p_arm_0 + scale R_RL (p_leader - p_leader_0), roll = roll_arm_0 + roll_leader - roll_0.
 
-    The leader's axes are taken as the axes of the arm's rcm frame. Roll is not scaled: a turn of
-    the hand is a turn of the instrument.
+    Roll is not scaled: a turn of the hand is a turn of the instrument.
 
     Attributes:
         scale: Arm metres per leader metre, above 0.
-        p_leader_0: (3,) leader position at engagement [m].
-        roll_leader_0: Leader roll at engagement [rad].
-        p_arm_0: (3,) tip at engagement, in the rcm frame [m].
-        roll_arm_0: Shaft roll at engagement [rad].
+        p_leader_0: (3,) leader position when latched [m].
+        roll_leader_0: Leader roll when latched [rad].
+        p_arm_0: (3,) tip when latched, in the rcm frame R [m].
+        roll_arm_0: Shaft roll when latched [rad].
+        R_RL: (3, 3) the leader's axes in the rcm frame; the identity where they are the same.
     """
 
     scale: float
@@ -33,10 +33,11 @@ class Mapping:
     roll_leader_0: float
     p_arm_0: Array
     roll_arm_0: float
+    R_RL: Array = field(default_factory=lambda: np.eye(3))
 
     def position(self, p_leader: Array) -> Array:
         """Tip in the rcm frame [m] for leader positions (..., 3) [m]."""
-        p_arm: Array = self.p_arm_0 + self.scale * (p_leader - self.p_leader_0)
+        p_arm: Array = self.p_arm_0 + self.scale * ((p_leader - self.p_leader_0) @ self.R_RL.T)
         return p_arm
 
     def roll(self, roll_leader: float) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from surg_teleop.errors import MotionError
+from surg_teleop.handle import MIN_TWIST, twist_angle
 
 Array = NDArray[np.float64]
 
@@ -40,8 +41,6 @@ ROLL_JUMP_SLACK = 0.1
 """[rad] The same for roll."""
 ROTATION_TOLERANCE = 1e-2
 """Largest entry of R R^T - I that still passes for a rotation printed with few digits."""
-MIN_TWIST = 1e-3
-"""|cos(swing / 2)| must exceed this: swing-twist has no answer where the handle points back."""
 
 
 @dataclass(frozen=True)
@@ -146,28 +145,6 @@ def read_motion(path: Path) -> Motion:
         lines=np.array(lines, dtype=np.int64),
         ignored=tuple(name for name in header if name not in KNOWN),
     )
-
-
-def twist_angle(rotations: Array) -> tuple[Array, Array]:
-    """Roll of a handle about its own axis (z) since the first sample, by swing-twist.
-
-    R_0^T R = swing · twist(z), twist = 2 atan2(q_z, q_w) of that quaternion. Handle pitch and yaw
-    are the swing and are ignored.
-
-    Args:
-        rotations: (n, 3, 3) handle orientations, third column the handle axis.
-
-    Returns:
-        The unwrapped twist (n,) [rad] and its quality (n,): |cos(swing / 2)|, 0 where undefined.
-    """
-    relative = np.einsum("ji,njk->nik", rotations[0], rotations)
-    # tan(twist) from the matrix: q_z / q_w = (r21 - r12) / (1 + r11 + r22 + r33), and both are
-    # scaled by cos(swing / 2), so that 2 atan2 needs no normalisation:
-    # (r21 - r12, r11 + r22) = (1 + cos swing) (sin twist, cos twist).
-    sine = relative[:, 1, 0] - relative[:, 0, 1]
-    cosine = relative[:, 0, 0] + relative[:, 1, 1]
-    quality = np.sqrt(np.hypot(sine, cosine) / 2.0)
-    return np.unwrap(np.arctan2(sine, cosine)), quality
 
 
 def _read_table(path: Path) -> tuple[list[str], Array, list[int]]:

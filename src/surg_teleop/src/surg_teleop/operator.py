@@ -8,20 +8,22 @@ cycles' stamps, so that the same cycles give the same commands whatever the mach
 from __future__ import annotations
 
 import enum
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_teleop.arm import (
+    PERIOD_NS,
+    SECOND,
+    ArmState,
+    ArmView,
+    Commands,
+    Jaw,
+    tip_pose,
+    virtual_joints,
+)
 from surg_teleop.plan import Plan
 
-Array = NDArray[np.float64]
-
-SECOND = 1_000_000_000
-"""Nanoseconds."""
-PERIOD_NS = 2_000_000
-"""Control period: a command answers a cycle and is meant for the next one."""
 READY_TIMEOUT = 5 * SECOND
 """Longest wait for each of: homed, enabled."""
 RETRY = SECOND // 2
@@ -54,89 +56,11 @@ class Stage(enum.Enum):
     FAILED = "failed"
 
 
-class ArmState(enum.IntEnum):
-    """CRTK operating state, numbered as in surg_msgs/Cycle."""
-
-    DISABLED = 0
-    ENABLED = 1
-    PAUSED = 2
-    FAULT = 3
-
-
 class Mode(enum.Enum):
     """Which stream carries the motion."""
 
     CARTESIAN = "cartesian"
     SPHERICAL = "spherical"
-
-
-@dataclass(frozen=True)
-class Feedback:
-    """What the operator looks at in one control cycle; vectors in the rcm frame.
-
-    Attributes:
-        stamp_ns: Stamp of the cycle [ns].
-        state: Operating state.
-        homed: Home is set.
-        busy: A move is under way.
-        reason: Why the arm is PAUSED, in FAULT or held.
-        refused: Commands refused so far.
-        p_set: (3,) tip set-point [m].
-        p_tip: (3,) measured tip [m].
-    """
-
-    stamp_ns: int
-    state: ArmState
-    homed: bool
-    busy: bool
-    reason: str
-    refused: int
-    p_set: Array
-    p_tip: Array
-
-
-@dataclass(frozen=True)
-class Pose:
-    """A tip pose in the rcm frame.
-
-    Attributes:
-        p: (3,) tip [m].
-        q: (4,) orientation x, y, z, w: the tool's z along the shaft, rolled about it.
-    """
-
-    p: Array
-    q: Array
-
-
-@dataclass
-class Commands:
-    """What to send in answer to one cycle. Empty members are not sent.
-
-    Attributes:
-        stamp_ns: Stamp of the commands: the cycle they are meant for [ns].
-        state: A state_command.
-        move_cp: A pose to go to.
-        servo_cp: A pose of the stream.
-        servo_jp: (4,) yaw, pitch [rad], insertion [m], roll [rad] of the stream.
-        jaw: Jaw angle [rad].
-        hold: True: stop where you are.
-    """
-
-    stamp_ns: int = 0
-    state: str | None = None
-    move_cp: Pose | None = None
-    servo_cp: Pose | None = None
-    servo_jp: Array | None = None
-    jaw: float | None = None
-    hold: bool = False
-
-
-@dataclass(frozen=True)
-class Jaw:
-    """Range of an instrument's jaw [rad]; min is closed."""
-
-    min: float
-    max: float
 
 
 @dataclass
@@ -179,7 +103,7 @@ class Operator:
             self.started_ns + round(last * SECOND),
         )
 
-    def tick(self, feedback: Feedback) -> Commands:
+    def tick(self, feedback: ArmView) -> Commands:
         """One control cycle.
 
         Args:
@@ -203,7 +127,7 @@ class Operator:
             step(feedback, commands)
         return commands
 
-    def _enter(self, stage: Stage, feedback: Feedback) -> None:
+    def _enter(self, stage: Stage, feedback: ArmView) -> None:
         self.stage = stage
         self._since = feedback.stamp_ns
         self._sent = -1
@@ -211,7 +135,7 @@ class Operator:
     def _fail(self, reason: str) -> None:
         self.stage, self.reason = Stage.FAILED, reason
 
-    def _usable(self, feedback: Feedback) -> bool:
+    def _usable(self, feedback: ArmView) -> bool:
         """Gives up where the arm has stopped for a reason; nothing here resumes it."""
         why = f": {feedback.reason}" if feedback.reason else ""
         if feedback.state is ArmState.FAULT:
@@ -222,7 +146,7 @@ class Operator:
             self._fail(f"the arm was disabled{why} (while: {self.stage.value})")
         return not self.done
 
-    def _ask(self, command: str, feedback: Feedback, commands: Commands) -> None:
+    def _ask(self, command: str, feedback: ArmView, commands: Commands) -> None:
         """Sends a state command now, and again every RETRY until it shows; gives up in the end."""
         now = feedback.stamp_ns
         if now - self._since > READY_TIMEOUT:
@@ -232,21 +156,21 @@ class Operator:
             self._sent = now
             commands.state = command
 
-    def _home(self, feedback: Feedback, commands: Commands) -> None:
+    def _home(self, feedback: ArmView, commands: Commands) -> None:
         if feedback.homed:
             self._enter(Stage.ENABLE, feedback)
             self._enable(feedback, commands)
         else:
             self._ask("home", feedback, commands)
 
-    def _enable(self, feedback: Feedback, commands: Commands) -> None:
+    def _enable(self, feedback: ArmView, commands: Commands) -> None:
         if feedback.state is ArmState.ENABLED:
             self._enter(Stage.MOVE, feedback)
             self._move(feedback, commands)
         else:
             self._ask("enable", feedback, commands)
 
-    def _move(self, feedback: Feedback, commands: Commands) -> None:
+    def _move(self, feedback: ArmView, commands: Commands) -> None:
         now = feedback.stamp_ns
         target, roll = self.plan.at(0.0)
         away = float(np.linalg.norm(feedback.p_set - target))
@@ -265,21 +189,21 @@ class Operator:
                 f"set-point is {1e3 * away:.1f} mm away{why}"
             )
 
-    def _settle(self, feedback: Feedback, commands: Commands) -> None:
+    def _settle(self, feedback: ArmView, commands: Commands) -> None:
         if feedback.stamp_ns - self._since >= SETTLE:
             self._enter(Stage.PLAY, feedback)
             self.started_ns = commands.stamp_ns
             self._refused_before = feedback.refused
             self._play(feedback, commands)
 
-    def _play(self, feedback: Feedback, commands: Commands) -> None:
+    def _play(self, feedback: ArmView, commands: Commands) -> None:
         self.refused = feedback.refused - self._refused_before
         t = (commands.stamp_ns - self.started_ns) / SECOND
         self._stream(t, commands)
         if t >= self.plan.duration:
             self._enter(Stage.HOLD, feedback)
 
-    def _hold(self, feedback: Feedback, commands: Commands) -> None:
+    def _hold(self, feedback: ArmView, commands: Commands) -> None:
         self.refused = feedback.refused - self._refused_before
         if feedback.stamp_ns - self._since < HOLD:
             self._stream(self.plan.duration, commands)
@@ -297,37 +221,3 @@ class Operator:
         if opening is not None and self._ticks % JAW_EVERY == 0:
             commands.jaw = min(self.jaw.min + opening, self.jaw.max)
         self._ticks += 1
-
-
-def tip_pose(p: Array, roll: float) -> Pose:
-    """Pose of a tip at p with an absolute roll: R = minimal rotation (z to shaft) · Rz(roll).
-
-    Args:
-        p: (3,) tip in the rcm frame [m], not above the trocar.
-        roll: Absolute roll [rad].
-
-    Returns:
-        The pose; its quaternion has unit length.
-    """
-    px, py, pz = p.tolist()
-    # The minimal rotation from z to p is (z x p, |p| + z . p), normalised; then Rz(roll).
-    x, y, w = -py, px, math.hypot(px, py, pz) + pz
-    length = math.hypot(x, y, w)
-    x, y, w = x / length, y / length, w / length
-    c, n = math.cos(roll / 2.0), math.sin(roll / 2.0)
-    return Pose(p=p, q=np.array([x * c + y * n, y * c - x * n, w * n, w * c]))
-
-
-def virtual_joints(p: Array, roll: float) -> Array:
-    """The same as four joints: s = (sin yaw cos pitch, sin pitch, cos yaw cos pitch).
-
-    Args:
-        p: (3,) tip in the rcm frame [m].
-        roll: Absolute roll [rad].
-
-    Returns:
-        (4,) yaw, pitch [rad], insertion [m], roll [rad].
-    """
-    px, py, pz = p.tolist()
-    depth = math.hypot(px, py, pz)
-    return np.array([math.atan2(px, pz), math.asin(py / depth), depth, roll])

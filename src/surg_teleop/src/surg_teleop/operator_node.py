@@ -16,45 +16,26 @@ import threading
 import time
 from pathlib import Path
 
-import numpy as np
 import rosgraph
 import rospy
-from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty, String
+from std_msgs.msg import String
 
-from crtk_msgs.msg import StringStamped
-from surg_core import ConfigError, load_cell, quaternion_xyzw_to_matrix
+from surg_core import ConfigError, load_cell
 from surg_msgs.msg import Cycle, Ready
+from surg_teleop.arm import Jaw
 from surg_teleop.errors import MotionError
 from surg_teleop.fit import Workspace
 from surg_teleop.motion import read_motion
-from surg_teleop.operator import (
-    SECOND,
-    ArmState,
-    Commands,
-    Feedback,
-    Jaw,
-    Mode,
-    Operator,
-    Pose,
-)
+from surg_teleop.operator import Mode, Operator
 from surg_teleop.peers import publishers, subscribers
 from surg_teleop.plan import ConstantMotionError, Plan, make_plan
+from surg_teleop.ports_node import ArmPort, arm_view
 
 BUNDLED_MOTION = "motions/bundled.csv"
 CONNECT_TIMEOUT = 30.0
 """[s] wall clock: longest wait for the controller and the robot link."""
 LINGER = 1.0
 """[s] wall clock: after the last message in free-run, so that it leaves the socket."""
-COMMANDS = {
-    "state_command": StringStamped,
-    "move_cp": PoseStamped,
-    "servo_cp": PoseStamped,
-    "servo_jp": JointState,
-    "jaw/servo_jp": JointState,
-    "hold": Empty,
-}
 
 
 class OperatorNode:
@@ -72,12 +53,9 @@ class OperatorNode:
         self.finished = threading.Event()
         self._arm, self._lockstep = arm, lockstep
         self._lock = threading.Lock()
-        self._tick, self._sent, self._stage = 0, 0, operator.stage
+        self._tick, self._stage = 0, operator.stage
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
-        self._out = {
-            name: rospy.Publisher(f"/{arm}/{name}", kind, queue_size=0, tcp_nodelay=True)
-            for name, kind in COMMANDS.items()
-        }
+        self._port = ArmPort(arm)
         self._ready = rospy.Publisher(
             "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
         )
@@ -111,7 +89,7 @@ class OperatorNode:
             return f"nobody publishes /{self._arm}/cycle (is the controller running?)"
         if self._cycle.get_num_connections() == 0:
             return f"/{self._arm}/cycle is not connected yet"
-        wanted = {f"/{self._arm}/{name}": controllers for name in self._out}
+        wanted = {f"/{self._arm}/{name}": controllers for name in self._port.out}
         if self._lockstep:
             links = publishers(master, name, f"/{self._arm}/robot/measured_js")
             if not links:
@@ -133,7 +111,7 @@ class OperatorNode:
             if self._lockstep and self._jitter > 0:
                 time.sleep(random.uniform(0.0, self._jitter))
             if not self.operator.done:
-                self._publish(self.operator.tick(feedback(cycle)))
+                self._port.send(self.operator.tick(arm_view(cycle)))
             if self._lockstep:
                 self._say_ready(cycle.tick + 1)
             if self.operator.stage is not self._stage:
@@ -150,39 +128,13 @@ class OperatorNode:
         if isinstance(status, dict) and (status.get("done") or status.get("aborted")):
             self.finished.set()
 
-    def _publish(self, commands: Commands) -> None:
-        stamp = rospy.Time(*divmod(commands.stamp_ns, SECOND))
-        if commands.state is not None:
-            self._send("state_command", StringStamped(string=commands.state), stamp)
-        if commands.move_cp is not None:
-            self._send("move_cp", pose_message(commands.move_cp), stamp)
-        if commands.servo_cp is not None:
-            self._send("servo_cp", pose_message(commands.servo_cp), stamp)
-        if commands.servo_jp is not None:
-            joints = JointState(
-                name=["yaw", "pitch", "insertion", "roll"], position=commands.servo_jp.tolist()
-            )
-            self._send("servo_jp", joints, stamp)
-        if commands.jaw is not None:
-            self._send("jaw/servo_jp", JointState(name=["jaw"], position=[commands.jaw]), stamp)
-        if commands.hold:
-            self._out["hold"].publish(Empty())
-            self._sent += 1
-
-    def _send(
-        self, name: str, message: StringStamped | PoseStamped | JointState, stamp: rospy.Time
-    ) -> None:
-        message.header.stamp = stamp
-        self._out[name].publish(message)
-        self._sent += 1
-
     def _say_ready(self, tick: int) -> None:
         self._ready.publish(
             Ready(
                 tick=tick,
                 participant="operator",
                 arms=[self._arm],
-                sent=[self._sent],
+                sent=[self._port.sent],
                 done=self.operator.done,
             )
         )
@@ -203,31 +155,6 @@ class OperatorNode:
                 }
             )
         )
-
-
-def feedback(cycle: Cycle) -> Feedback:
-    """What the operator looks at in a cycle message, in the rcm frame."""
-    R_RB = quaternion_xyzw_to_matrix(np.array(cycle.q_br)).T
-    p_BRcm = np.array(cycle.p_rcm)
-    return Feedback(
-        stamp_ns=cycle.header.stamp.to_nsec(),
-        state=ArmState(cycle.state),
-        homed=cycle.homed,
-        busy=cycle.busy,
-        reason=cycle.reason,
-        refused=cycle.refused,
-        p_set=R_RB @ (np.array(cycle.p_set) - p_BRcm),
-        p_tip=R_RB @ (np.array(cycle.p_tip) - p_BRcm),
-    )
-
-
-def pose_message(pose: Pose) -> PoseStamped:
-    """A pose in the rcm frame as a message; an empty frame_id means that frame."""
-    message = PoseStamped()
-    position, orientation = message.pose.position, message.pose.orientation
-    position.x, position.y, position.z = pose.p.tolist()
-    orientation.x, orientation.y, orientation.z, orientation.w = pose.q.tolist()
-    return message
 
 
 def load(parameters: dict[str, object]) -> tuple[Operator, str, bool]:

@@ -1,0 +1,292 @@
+"""What a leader is: anything that a hand holds, seen by the teleoperation as a stream of samples.
+
+Everything is in the view frame V, the optical axes of the endoscope's left eye: x right, y down,
+z away from the viewer. A leader turns its own axes into V; where the camera looks is none of its
+business. A leader is one class in one file: bundled (``surg_teleop.leaders``), an entry point of
+the group ``surg_teleop.leaders``, or the path of a file. A leader that is a process of its own
+publishes CRTK topics instead (``leaders/crtk.py``).
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import math
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+GROUP = "surg_teleop.leaders"
+"""Entry points of other packages: ``my_leader = my_package.file:MyLeader``."""
+
+BUTTONS = frozenset(
+    {
+        "clutch",  # held: the hand moves, the instrument does not
+        "camera",  # held: the hand moves the endoscope
+        "enable",  # pressed: teleoperation on or off
+        "record",  # pressed: recording on or off
+        "present",  # held: the operator is there (head sensor, dead-man grip)
+        "rate",  # pressed while clutched: the other mapping, of a leader that offers both
+        "lock_rotation",  # held: the roll stays
+        "lock_translation",  # held: the tip stays
+    }
+)
+"""Names of what a hand can press. A sample holds those that are down now."""
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry of R R^T - I of a handle's orientation: what single precision and rounding leave.
+More is a broken driver, and its roll would be a guess."""
+
+
+class LeaderError(RuntimeError):
+    """A leader that cannot be used: what is wrong, with which device, and the cure.
+
+    Args:
+        what: What is wrong.
+        device: Which device, as its user would call it.
+        cure: What to do.
+    """
+
+    def __init__(self, what: str, device: str, cure: str) -> None:
+        """Makes the one sentence that a person reads."""
+        super().__init__(f"{device}: {what}; {cure}")
+        self.what, self.device, self.cure = what, device, cure
+
+
+@dataclass(frozen=True)
+class HandlePose:
+    """Where the handle is, in V; its origin may lie anywhere, only motion counts.
+
+    Attributes:
+        p_VH: (3,) handle [m].
+        R_VH: (3, 3) its orientation. Third column: the handle axis, about which the hand rolls; it
+            points out of the hand, the way the instrument points.
+    """
+
+    p_VH: Array
+    R_VH: Array
+
+    def finite(self) -> bool:
+        """True when every number is one, and R_VH is a rotation."""
+        return _is_vector(self.p_VH) and _is_rotation(self.R_VH)
+
+
+@dataclass(frozen=True)
+class HandRate:
+    """How fast the hand wants to go: in the picture, or about the trocar (spherical mode).
+
+    Attributes:
+        v_V: (3,) velocity of the tip in V [m/s] at the default scale; another scale makes it finer
+            or coarser in proportion. Zeros in spherical mode.
+        roll: Rate of the shaft's roll [rad/s], positive about the shaft into the patient: clockwise
+            for an operator who looks along it.
+        spherical: None, or (3,) rates of yaw, pitch [rad/s] and insertion [m/s] of the virtual
+            joints, the paper's spherical mode; v_V is then not read.
+    """
+
+    v_V: Array
+    roll: float = 0.0
+    spherical: Array | None = None
+
+    def finite(self) -> bool:
+        """True when every number is one."""
+        return (
+            _is_vector(self.v_V)
+            and math.isfinite(self.roll)
+            and (self.spherical is None or _is_vector(self.spherical))
+        )
+
+
+@dataclass(frozen=True)
+class LeaderSample:
+    """One reading of a leader.
+
+    Attributes:
+        stamp: When it was received, on the steady clock of ``read``'s ``now`` [s].
+        pose: Of the handle; None: the leader has none.
+        rate: Wanted velocity; None: the leader has none. A leader may offer both.
+        grip: 0 closed to 1 open; None: it has no gripper.
+        buttons: Those of BUTTONS that are down.
+        problem: Empty, or why the leader must not be followed although it speaks (its own state is
+            not ENABLED, say): what and cure, in one sentence.
+    """
+
+    stamp: float
+    pose: HandlePose | None = None
+    rate: HandRate | None = None
+    grip: float | None = None
+    buttons: frozenset[str] = frozenset()
+    problem: str = ""
+
+    def finite(self) -> bool:
+        """True when everything that the sample holds may be calculated with."""
+        return (
+            math.isfinite(self.stamp)
+            and (self.pose is None or self.pose.finite())
+            and (self.rate is None or self.rate.finite())
+            and (self.grip is None or math.isfinite(self.grip))
+        )
+
+
+@runtime_checkable
+class Leader(Protocol):
+    """A device, or whatever stands for one. Used from one thread only.
+
+    Attributes:
+        name: What its user calls it, for messages and topics: letters, digits, ``_``.
+    """
+
+    name: str
+
+    def open(self) -> None:
+        """Gets hold of the device.
+
+        Raises:
+            LeaderError: What is wrong, which device, and the cure.
+        """
+
+    def read(self, now: float) -> LeaderSample | None:
+        """The newest sample; never blocks.
+
+        A sample is given again while it is the newest, with its own old stamp: an old pose is never
+        stamped anew. A device whose last state holds until it says otherwise (a stick that rests)
+        may be stamped ``now`` only while the leader knows that the device is there.
+
+        Args:
+            now: Steady clock [s].
+
+        Returns:
+            None: there is nothing yet, or the device is gone (:attr:`problem` of the last sample,
+            or the exception of ``open``, says why).
+
+        Raises:
+            LeaderError: The device is lost; ``open`` may be tried again.
+        """
+
+    def close(self) -> None:
+        """Lets go of the device; may be called twice."""
+
+
+def names() -> tuple[str, ...]:
+    """Names that :func:`load` knows: the bundled leaders, then those of installed packages."""
+    return (*_bundled(), *sorted(_entry_points().keys() - set(_bundled())))
+
+
+def load(name_or_path: str, settings: Mapping[str, object]) -> Leader:
+    """A new leader; its ``open`` has not been called.
+
+    Args:
+        name_or_path: Of :func:`names`, or the path of a ``.py`` file that defines one leader. A
+            file is executed: load none that you would not run.
+        settings: Keyword arguments of its class.
+
+    Raises:
+        LeaderError: There is no such leader, the file holds none, or a setting is not allowed.
+    """
+    kind = _class_of(name_or_path)
+    allowed = [key for key in inspect.signature(kind).parameters if key != "self"]
+    unknown = sorted(set(settings) - set(allowed))
+    if unknown:
+        raise LeaderError(
+            f"setting {', '.join(unknown)} is unknown",
+            name_or_path,
+            f"allowed: {', '.join(allowed) or 'none'}",
+        )
+    try:
+        return kind(**settings)
+    except (TypeError, ValueError) as error:
+        raise LeaderError(f"{error}", name_or_path, "correct this setting") from error
+
+
+def _bundled() -> tuple[str, ...]:
+    folder = Path(__file__).with_name("leaders")
+    return tuple(sorted(file.stem for file in folder.glob("*.py") if file.stem[0] != "_"))
+
+
+def _entry_points() -> dict[str, metadata.EntryPoint]:
+    return {point.name: point for point in metadata.entry_points(group=GROUP)}
+
+
+def _class_of(name_or_path: str) -> type[Leader]:
+    if name_or_path.endswith(".py"):
+        return _only_leader(_module_of(Path(name_or_path)), name_or_path)
+    if name_or_path in _bundled():
+        module = importlib.import_module(f"surg_teleop.leaders.{name_or_path}")
+        return _only_leader(module, name_or_path)
+    point = _entry_points().get(name_or_path)
+    if point is None:
+        raise LeaderError(
+            "there is no such leader",
+            name_or_path,
+            f"there are {', '.join(names())}, or the path of a .py file",
+        )
+    kind = point.load()
+    if not _is_leader(kind):
+        raise LeaderError(
+            f"entry point '{point.value}' is no leader",
+            name_or_path,
+            "it must name a class with name, open, read and close",
+        )
+    return kind
+
+
+def _module_of(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise LeaderError("there is no such file", str(path), f"known are {', '.join(names())}")
+    name = f"surg_teleop_leader_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None  # of a file that ends in .py
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise LeaderError(
+            f"{type(error).__name__}: {error}", str(path), "the file must be importable"
+        ) from error
+    return module
+
+
+def _only_leader(module: ModuleType, where: str) -> type[Leader]:
+    found = [
+        kind
+        for _, kind in inspect.getmembers(module, inspect.isclass)
+        if kind.__module__ == module.__name__ and _is_leader(kind)
+    ]
+    if len(found) != 1:
+        raise LeaderError(
+            f"defines {len(found)} leaders",
+            where,
+            "one public class with name, open, read and close is needed",
+        )
+    return found[0]
+
+
+def _is_leader(kind: object) -> bool:
+    return (
+        inspect.isclass(kind)
+        and not kind.__name__.startswith("_")
+        and kind is not Leader
+        and all(callable(getattr(kind, method, None)) for method in ("open", "read", "close"))
+    )
+
+
+def _is_vector(value: Array) -> bool:
+    return value.shape == (3,) and bool(np.isfinite(value).all())
+
+
+def _is_rotation(value: Array) -> bool:
+    if value.shape != (3, 3) or not np.isfinite(value).all():
+        return False
+    defect = float(np.abs(value @ value.T - np.eye(3)).max())
+    return defect <= ROTATION_TOLERANCE and float(np.linalg.det(value)) > 0.0

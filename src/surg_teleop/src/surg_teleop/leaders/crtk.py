@@ -1,0 +1,113 @@
+"""Any CRTK leader on topics: what it says is put in here as it comes, and read as one sample.
+
+Pure; the teleoperation node subscribes (``measured_cp``, ``measured_cv``, ``gripper/measured_js``,
+``operating_state``). So a browser, a gamepad or a haptic device may be a process of its own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from surg_core import quaternion_xyzw_to_matrix, rpy_to_matrix
+from surg_teleop.leader import HandlePose, HandRate, LeaderSample
+
+Array = NDArray[np.float64]
+
+FRESH = 0.1
+"""[s] A pose and a velocity that are further apart do not belong together."""
+
+
+class CrtkLeader:
+    """A leader that is a process of its own.
+
+    Args:
+        name: Its namespace, without slashes, ``MTMR`` for example.
+        rotation: (3,) roll, pitch, yaw of its axes in the view frame V [rad].
+        grip_closed: Its gripper's position when closed [rad].
+        grip_open: The same when open; the smaller one if closing counts upwards.
+    """
+
+    def __init__(
+        self,
+        name: str = "leader",
+        rotation: ArrayLike = (0.0, 0.0, 0.0),
+        grip_closed: float = 0.0,
+        grip_open: float = 1.0,
+    ) -> None:
+        self.name = name.strip("/")
+        if not self.name:
+            raise ValueError("name: is empty; allowed: the leader's namespace")
+        if not abs(grip_open - grip_closed) > 1e-6:
+            raise ValueError("grip_closed and grip_open are the same; allowed: two different ones")
+        self._R_VL = rpy_to_matrix(rotation)
+        self._grip_range = (grip_closed, grip_open)
+        self.close()
+
+    def open(self) -> None:
+        """Nothing is known yet."""
+        self.close()
+
+    def close(self) -> None:
+        """Forgets everything."""
+        self._pose: tuple[float, HandlePose] | None = None
+        self._rate: tuple[float, HandRate] | None = None
+        self._grip: float | None = None
+        self._state = "ENABLED"  # a leader without operating_state is taken as it is
+
+    def on_pose(self, now: float, p: Array, q: Array, valid: bool = True) -> None:
+        """``measured_cp``.
+
+        Args:
+            now: Receipt on the steady clock [s].
+            p: (3,) in the leader's own axes [m].
+            q: (4,) orientation x, y, z, w.
+            valid: False for CRTK's "not valid" (stamp 0): the pose counts as silence.
+        """
+        if not valid:
+            return
+        length = float(np.linalg.norm(q))
+        # What is no orientation is passed on as such: the teleoperation says so and stops.
+        broken = not abs(length - 1.0) < 1e-2
+        R_LH = np.full((3, 3), np.nan) if broken else quaternion_xyzw_to_matrix(q)
+        self._pose = now, HandlePose(self._R_VL @ p, self._R_VL @ R_LH)
+
+    def on_rate(self, now: float, v: Array, w: Array, valid: bool = True) -> None:
+        """``measured_cv``: wanted velocity of the tip.
+
+        Args:
+            now: Receipt on the steady clock [s].
+            v: (3,) [m/s], in the leader's own axes.
+            w: (3,) [rad/s]; its part along the view's z is the roll.
+            valid: As for :meth:`on_pose`.
+        """
+        if valid:
+            self._rate = now, HandRate(self._R_VL @ v, float((self._R_VL @ w)[2]))
+
+    def on_grip(self, position: float) -> None:
+        """``gripper/measured_js`` [rad]."""
+        closed, opened = self._grip_range
+        self._grip = min(max((position - closed) / (opened - closed), 0.0), 1.0)
+        if not np.isfinite(position):
+            self._grip = float("nan")
+
+    def on_state(self, state: str) -> None:
+        """``operating_state``."""
+        self._state = state
+
+    def read(self, now: float) -> LeaderSample | None:
+        """The newest of everything; None before the first pose or velocity."""
+        parts = [part for part in (self._pose, self._rate) if part is not None]
+        if not parts:
+            return None
+        stamp = max(part[0] for part in parts)
+        problem = ""
+        if self._state != "ENABLED":
+            problem = f"is {self._state}: enable it, then press the clutch or enable"
+        return LeaderSample(
+            stamp=stamp,
+            pose=self._pose[1] if self._pose and stamp - self._pose[0] <= FRESH else None,
+            rate=self._rate[1] if self._rate and stamp - self._rate[0] <= FRESH else None,
+            grip=self._grip,
+            problem=problem,
+        )

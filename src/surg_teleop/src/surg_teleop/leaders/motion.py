@@ -1,0 +1,88 @@
+"""A recorded motion as a hand: it holds still for a while, plays the file, holds still again."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from surg_core import rpy_to_matrix
+from surg_teleop.errors import MotionError
+from surg_teleop.leader import HandlePose, LeaderError, LeaderSample
+from surg_teleop.motion import Motion, read_motion
+
+
+class MotionLeader:
+    """Plays a motion file (``surg_teleop.motion``) at a leader's rate.
+
+    Args:
+        file: The CSV file.
+        rate: Samples per second, 1 to 1000.
+        delay: How long the hand holds still at the first sample after ``open`` [s].
+        rotation: (3,) roll, pitch, yaw of the file's axes in the view frame V [rad].
+        name: For messages.
+    """
+
+    def __init__(
+        self,
+        file: str,
+        rate: float = 30.0,
+        delay: float = 3.0,
+        rotation: ArrayLike = (0.0, 0.0, 0.0),
+        name: str = "motion",
+    ) -> None:
+        if not 1.0 <= rate <= 1000.0:
+            raise ValueError(f"rate: {rate:g}; allowed: 1 to 1000 Hz")
+        if not 0.0 <= delay < math.inf:
+            raise ValueError(f"delay: {delay:g}; allowed: 0 s or more")
+        self.name = name
+        self._file, self._rate, self._delay = Path(file), rate, delay
+        self._R_VL = rpy_to_matrix(rotation)
+        self._motion: Motion | None = None
+        self._opened: float | None = None
+
+    def open(self) -> None:
+        """Reads the file.
+
+        Raises:
+            LeaderError: It is not a motion.
+        """
+        try:
+            self._motion = read_motion(self._file)
+        except MotionError as error:
+            raise LeaderError(str(error), self.name, "give another motion file") from error
+        self._spline = self._motion.spline()
+        self._opened = None
+
+    def read(self, now: float) -> LeaderSample | None:
+        """The newest sample: one every 1 / rate seconds since the first call."""
+        if self._motion is None:
+            return None
+        if self._opened is None:
+            self._opened = now
+        index = math.floor((now - self._opened) * self._rate + 1e-6)
+        elapsed = index / self._rate
+        t = min(max(elapsed - self._delay, 0.0), self._motion.duration)
+        x, y, z, roll = self._spline(t).tolist()
+        c, s = math.cos(roll), math.sin(roll)
+        R_LH = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return LeaderSample(
+            stamp=self._opened + elapsed,
+            pose=HandlePose(self._R_VL @ np.array([x, y, z]), self._R_VL @ R_LH),
+            grip=self._grip(t),
+        )
+
+    def close(self) -> None:
+        """Lets the file go."""
+        self._motion = None
+
+    def _grip(self, t: float) -> float | None:
+        """The gripper's opening as a share of the file's own range, for zeros lie anywhere."""
+        motion = self._motion
+        assert motion is not None
+        value = motion.gripper_at(t)
+        if value is None or motion.gripper is None or not np.ptp(motion.gripper) > 0.0:
+            return None
+        return float((value - motion.gripper.min()) / np.ptp(motion.gripper))

@@ -1,0 +1,408 @@
+"""Teleoperation as a node: hands on the controls of one cell (docs/teleoperation.md).
+
+Parameters: ``~cell`` (folder or cell.yaml); ``~leader`` (a bundled leader, an entry point, a
+``.py`` file, or ``crtk`` for topics), ``~settings`` (of the leader, a mapping), ``~arm`` (PSM1),
+``~mapping`` (position | rate), ``~scale`` (0.2), ``~need_present`` (false); the same for a second
+hand with the prefix ``second_``, whose arm may be ``assistant``, with ``~assistant_frame`` (x, y,
+z, w of its trocar frame in the world); ``~view`` (x, y, z, w of the view in the world, for an
+endoscope that no arm holds); ``~picture`` (/endoscope/left/image_raw; empty: not watched);
+``~lockstep`` (false), ``~duration`` [s] (lock-step: done after it). Exit code 1: a connection is
+missing; 2: a file or parameter that must not be used.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import threading
+import time
+import zlib
+from typing import Any
+
+import numpy as np
+import rosgraph
+import rospy
+from sensor_msgs.msg import JointState, Joy
+from std_msgs.msg import Bool, Float64, String
+
+from crtk_msgs.msg import StringStamped
+from surg_core import ConfigError
+from surg_msgs.msg import Cycle, Ready
+from surg_teleop.arm import SECOND, ArmView
+from surg_teleop.camera import HeldCamera
+from surg_teleop.crtk_node import CrtkTopics
+from surg_teleop.leader import LeaderError
+from surg_teleop.leaders.crtk import CrtkLeader
+from surg_teleop.peers import publishers, subscribers
+from surg_teleop.picture import PictureWatch
+from surg_teleop.ports_node import ArmPort, RawCycle, arm_view
+from surg_teleop.seat import Pedals
+from surg_teleop.system import ASSISTANT, Hand, System, read_system
+from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
+
+PERIOD = 0.004
+"""[s] A leader that is asked (and not heard) is asked that often."""
+REPORT = 0.5
+"""[s] ``~status`` is said at least that often."""
+CONNECT_TIMEOUT = 30.0
+"""[s] wall clock, lock-step: longest wait for everybody."""
+PEDALS = {"clutch": "clutch", "camera": "camera", "operator_present": "present", "rate": "rate"}
+
+
+class TeleopNode:
+    """Wires hands, arms and the camera; every decision is :class:`Teleop`'s."""
+
+    def __init__(self, system: System) -> None:
+        """Advertises and subscribes.
+
+        Args:
+            system: What the parameters say.
+        """
+        self._system = system
+        self._lock = threading.Lock()
+        self._wake = threading.Event()
+        self.finished = threading.Event()
+        self._pedals = Pedals()
+        self._cycles: dict[str, tuple[float, RawCycle]] = {}
+        self._tick, self._recording, self._status = 0, False, ""
+        self._reported = -math.inf
+        self._picture = PictureWatch(system.picture)
+        self._latched: dict[tuple[str, str], rospy.Publisher] = {}
+        self._said: dict[tuple[str, str], object] = {}
+        self._ports = {name: ArmPort(name, claims=True) for name in system.bases}
+        if system.assistant is not None:
+            self._ports[ASSISTANT] = ArmPort(ASSISTANT, only=("servo_jp", "jaw/servo_jp"))
+        self._warning = rospy.Publisher("~warning", String, queue_size=10)
+        self._report = rospy.Publisher("~status", String, queue_size=2, latch=True)
+        self._record = rospy.Publisher("/record/record", Bool, queue_size=2)
+        self._ready = rospy.Publisher(
+            "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
+        )
+        self._inputs = [
+            _listen(f"/{arm}/cycle", RawCycle, self._on_cycle, arm) for arm in system.heard
+        ]
+        for hand in system.hands:
+            self._wire_hand(hand)
+            if isinstance(hand.leader, CrtkLeader):
+                CrtkTopics(hand.leader, self._lock, self._wake)
+        self._wire_console()
+        if system.assistant is not None:
+            _listen(f"/{ASSISTANT}/measured_js", JointState, self._on_assistant)
+            _listen(f"/{ASSISTANT}/jaw/measured_js", JointState, self._on_assistant_jaw)
+        if system.picture:
+            _listen(system.picture, rospy.AnyMsg, self._on_picture)
+
+    # Topics.
+
+    def _wire_hand(self, hand: Hand) -> None:
+        for arm, one in hand.seat.arms.items():
+            pair = f"/{hand.leader.name}_{arm}"
+            kinds = {
+                "current_state": String,
+                "desired_state": String,
+                "following": Bool,
+                "scale": Float64,
+                "rotation_locked": Bool,
+                "translation_locked": Bool,
+            }
+            for name, kind in kinds.items():
+                self._latched[arm, name] = rospy.Publisher(
+                    f"{pair}/{name}", kind, queue_size=10, latch=True
+                )
+            _listen(f"{pair}/state_command", StringStamped, self._on_state_command, one)
+            _listen(f"{pair}/set_scale", Float64, self._on_scale, [one])
+            _listen(f"{pair}/lock_rotation", Bool, self._on_lock, (one, "lock_rotation"))
+            _listen(f"{pair}/lock_translation", Bool, self._on_lock, (one, "lock_translation"))
+
+    def _wire_console(self) -> None:
+        everyone = [one for hand in self._system.hands for one in hand.seat.arms.values()]
+        for source in ("/console", "/footpedals"):
+            for topic, button in PEDALS.items():
+                _listen(f"{source}/{topic}", Joy, self._on_pedal, (source, button))
+        _listen("/console/teleop/enable", Bool, self._on_enable)
+        _listen("/console/teleop/set_scale", Float64, self._on_scale, everyone)
+        _listen("/record/recording", Bool, self._on_recording)
+
+    def _on_cycle(self, message: RawCycle, arm: str) -> None:
+        with self._lock:
+            self._cycles[arm] = (time.monotonic(), message)
+            if self._system.lockstep:
+                self._advance()
+
+    def _on_pedal(self, message: Joy, which: tuple[str, str]) -> None:
+        with self._lock:
+            self._pedals.press(*which, bool(message.buttons) and message.buttons[0] == 1)
+        self._wake.set()
+
+    def _on_enable(self, message: Bool) -> None:
+        with self._lock:
+            for hand in self._system.hands:
+                hand.seat.enable() if message.data else hand.seat.disable()
+        self._wake.set()
+
+    def _on_state_command(self, message: StringStamped, one: Teleop) -> None:
+        with self._lock:
+            if message.string == "enable":
+                one.enable()
+            elif message.string == "disable":
+                one.disable()
+            else:
+                self._warn(f"state_command '{message.string}'; allowed: enable, disable")
+
+    def _on_scale(self, message: Float64, whose: list[Teleop]) -> None:
+        with self._lock:
+            for refused in {text for one in whose if (text := one.set_scale(message.data))}:
+                self._warn(refused)
+
+    def _on_lock(self, message: Bool, which: tuple[Teleop, str]) -> None:
+        with self._lock:
+            setattr(*which, bool(message.data))
+
+    def _on_recording(self, message: Bool) -> None:
+        self._recording = bool(message.data)
+
+    def _on_assistant(self, message: JointState) -> None:
+        assistant = self._system.assistant
+        assert assistant is not None
+        with self._lock:
+            stamp = message.header.stamp.to_nsec()
+            assistant.joints(time.monotonic(), stamp, np.array(message.position))
+
+    def _on_assistant_jaw(self, message: JointState) -> None:
+        assistant = self._system.assistant
+        assert assistant is not None
+        if message.position:
+            with self._lock:
+                assistant.jaw(message.position[0])
+
+    def _on_picture(self, message: rospy.AnyMsg) -> None:
+        # Header: sequence, seconds, nanoseconds, frame_id; the pixels need not be unpacked.
+        data = memoryview(message._buff)
+        seconds, nanoseconds = np.frombuffer(data[4:12], "<u4").tolist()
+        frame = 16 + int(np.frombuffer(data[12:16], "<u4")[0])
+        with self._lock:
+            self._picture.picture(
+                time.monotonic(), seconds * SECOND + nanoseconds, zlib.crc32(data[frame:])
+            )
+
+    # Ticks.
+
+    def run(self) -> None:
+        """Free-run: a tick whenever a leader speaks, and every PERIOD."""
+        while not rospy.is_shutdown():
+            self._wake.wait(PERIOD)
+            self._wake.clear()
+            with self._lock:
+                self._act(time.monotonic())
+
+    def stop(self) -> None:
+        """Lets go of everything that follows; no exit leaves an arm moving."""
+        with self._lock:
+            for hand in self._system.hands:
+                hand.seat.disable()
+            self._act(time.monotonic())
+            for hand in self._system.hands:
+                hand.leader.close()
+
+    def _advance(self) -> None:
+        """Lock-step: one tick when the cycles of all arms are here; with the lock held."""
+        cycles = {name: raw.tick() for name, (_, raw) in self._cycles.items()}
+        ticks = set(cycles.values())
+        if len(cycles) < len(self._system.heard) or len(ticks) != 1 or ticks <= {self._tick}:
+            return
+        self._tick = ticks.pop()
+        now = self._tick * 0.002
+        self._cycles = {name: (now, raw) for name, (_, raw) in self._cycles.items()}
+        self._act(now)
+        self._say_ready(self._tick + 1)
+
+    def _say_ready(self, tick: int) -> None:
+        done = 0.0 < self._system.duration <= self._tick * 0.002
+        self._ready.publish(
+            Ready(
+                tick=tick,
+                participant=rospy.get_name().lstrip("/"),
+                arms=list(self._ports),
+                sent=[port.sent for port in self._ports.values()],
+                done=done,
+            )
+        )
+        if done:
+            self.finished.set()
+
+    def _act(self, now: float) -> None:
+        system = self._system
+        cycles = {name: (received, raw.read()) for name, (received, raw) in self._cycles.items()}
+        views = {
+            name: arm_view(cycle, system.bases[name], received)
+            for name, (received, cycle) in cycles.items()
+            if name in system.bases
+        }
+        if system.assistant is not None and (view := system.assistant.view()) is not None:
+            views[ASSISTANT] = view
+        camera = self._camera(cycles)
+        for hand in system.hands:
+            self._move(hand, now, views, camera)
+        self._tell(now)
+
+    def _camera(self, cycles: dict[str, tuple[float, Cycle]]) -> CameraView | None:
+        held = self._system.camera
+        if not isinstance(held, HeldCamera):
+            return held
+        if held.arm not in cycles:
+            return None
+        received, cycle = cycles[held.arm]
+        q = np.array(cycle.q)
+        if q.shape != (held.chain.dof,):
+            return None
+        return CameraView(held.view(q), received)
+
+    def _move(
+        self, hand: Hand, now: float, views: dict[str, ArmView], camera: CameraView | None
+    ) -> None:
+        sample = self._pedals.merge(hand.read(now))
+        pressed = hand.pressed(sample)
+        if "record" in pressed:
+            self._record.publish(Bool(not self._recording))
+        if "enable" in pressed:
+            off = hand.seat.instrument.state is State.DISABLED
+            hand.seat.enable() if off else hand.seat.disable()
+        for arm, output in hand.seat.tick(now, sample, views, camera).items():
+            commands = output.commands
+            if arm == ASSISTANT and self._system.assistant is not None:
+                commands = self._system.assistant.obey(commands)
+            self._ports[arm].send(commands)
+            self._say(hand, arm, output)
+
+    # What people read.
+
+    def _say(self, hand: Hand, arm: str, output: TeleopOutput) -> None:
+        one = hand.seat.arms[arm]
+        values: dict[str, object] = {
+            "current_state": output.state.value,
+            "desired_state": "DISABLED" if output.state is State.DISABLED else "FOLLOWING",
+            "following": output.state is State.FOLLOWING,
+            "scale": one.scale,
+            "rotation_locked": one.lock_rotation,
+            "translation_locked": one.lock_translation,
+        }
+        for name, value in values.items():
+            if self._said.get((arm, name)) != value:
+                self._said[arm, name] = value
+                self._latched[arm, name].publish(value)
+        message = self._message(hand, output)
+        if message and self._said.get((arm, "message")) != message:
+            self._warn(f"{hand.leader.name} on {arm}: {message}")
+        self._said[arm, "message"] = message
+
+    def _message(self, hand: Hand, output: TeleopOutput) -> str:
+        """A device that cannot be opened is a better reason than its silence."""
+        return hand.problem if hand.problem and output.message else output.message
+
+    def _warn(self, text: str) -> None:
+        rospy.logwarn("%s", text)
+        self._warning.publish(text)
+
+    def _tell(self, now: float) -> None:
+        picture = self._picture.problem(time.monotonic()) if not self._system.lockstep else ""
+        status = json.dumps(
+            {
+                "hands": [
+                    {
+                        "leader": hand.leader.name,
+                        "arm": arm,
+                        "state": one.state.value,
+                        "mapping": one.kind.value,
+                        "scale": one.scale,
+                        "message": self._said.get((arm, "message"), ""),
+                    }
+                    for hand in self._system.hands
+                    for arm, one in hand.seat.arms.items()
+                ],
+                "picture": picture,
+            }
+        )
+        if picture and '"picture": ""' in self._status:
+            self._warn(picture)
+        if status != self._status or now - self._reported >= REPORT:
+            self._status, self._reported = status, now
+            self._report.publish(status)
+
+    # Lock-step connections.
+
+    def connect(self) -> None:
+        """Lock-step: waits for every connection, then answers tick 1, before which is no cycle.
+
+        Raises:
+            TimeoutError: Somebody is missing; says who.
+            OSError: The master does not answer.
+        """
+        deadline = time.monotonic() + CONNECT_TIMEOUT
+        while missing := self._missing():
+            if time.monotonic() > deadline or rospy.is_shutdown():
+                raise TimeoutError(f"no connection after {CONNECT_TIMEOUT:.0f} s: {missing}")
+            time.sleep(0.02)
+        with self._lock:
+            if self._tick == 0:
+                self._say_ready(1)
+
+    def _missing(self) -> str:
+        master, name = rosgraph.get_master_uri(), rospy.get_name()
+        wanted: dict[str, set[str]] = {"/sim/ready": set()}
+        for arm in self._ports:
+            controllers = publishers(master, name, f"/{arm}/cycle")
+            links = publishers(master, name, f"/{arm}/robot/measured_js")
+            if not controllers or not links:
+                return f"nobody publishes /{arm}/cycle and /{arm}/robot/measured_js"
+            wanted.update({f"/{arm}/{topic}": controllers for topic in self._ports[arm].out})
+            wanted["/sim/ready"] |= controllers | links
+        for source in self._inputs:
+            if source.get_num_connections() == 0:
+                return f"{source.resolved_name} is not connected yet"
+        present = subscribers(rospy.get_node_uri(), name, wanted)
+        for topic, nodes in wanted.items():
+            if not nodes <= present[topic]:
+                return f"{topic} does not reach {', '.join(sorted(nodes - present[topic]))}"
+        return ""
+
+
+def _listen(topic: str, kind: type, callback: Any, arguments: Any = None) -> rospy.Subscriber:
+    keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
+    if arguments is None:
+        return rospy.Subscriber(topic, kind, callback, **keys)
+    return rospy.Subscriber(topic, kind, callback, arguments, **keys)
+
+
+def main() -> int:
+    """Runs the node.
+
+    Returns:
+        The exit code.
+    """
+    if not rosgraph.is_master_online():
+        print(
+            f"teleop: no ROS master at {rosgraph.get_master_uri()}; start one with './surg teleop' "
+            "or './surg up CELL'",
+            file=sys.stderr,
+        )
+        return 1
+    rospy.init_node("teleop")
+    try:
+        system = read_system(dict(rospy.get_param("~", {})), rospy.get_name())
+    except (ConfigError, LeaderError) as error:
+        print(f"teleop: {error}", file=sys.stderr)
+        return 2
+    node = TeleopNode(system)
+    rospy.on_shutdown(node.stop)
+    if not system.lockstep:
+        node.run()
+        return 0
+    try:
+        node.connect()
+    except OSError as error:
+        print(f"teleop: {error}", file=sys.stderr)
+        return 1
+    while not node.finished.wait(0.1) and not rospy.is_shutdown():
+        pass
+    return 0
