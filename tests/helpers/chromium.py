@@ -81,7 +81,9 @@ class Tab:
     async def click(self, selector: str) -> None:
         """Click in the middle of an element."""
         box = f"document.querySelector({json.dumps(selector)}).getBoundingClientRect()"
-        x, y, w, h = await self.run(f"(() => {{const b = {box}; return [b.x, b.y, b.width, b.height]}})()")
+        x, y, w, h = await self.run(
+            f"(() => {{const b = {box}; return [b.x, b.y, b.width, b.height]}})()"
+        )
         at = (x + w / 2, y + h / 2)
         for kind in ("mousePressed", "mouseReleased"):
             await self.mouse(kind, *at, button="left", clickCount=1)
@@ -100,7 +102,7 @@ class Chromium:
     """A browser of its own, with a profile that is thrown away; an async context manager.
 
     Attributes:
-        errors: What pages wrote to the console as errors, and uncaught exceptions.
+        errors: What the browser logged as errors of a page, and uncaught exceptions.
     """
 
     def __init__(self, size: tuple[int, int] = (1440, 860), flags: tuple[str, ...] = ()) -> None:
@@ -169,12 +171,9 @@ class Chromium:
                 waiting.set_result(said)
             elif said.get("method") == "Runtime.exceptionThrown":
                 self.errors.append(json.dumps(said["params"]["exceptionDetails"])[:500])
-            elif said.get("method") == "Runtime.consoleAPICalled":
-                if said["params"]["type"] == "error":
-                    self.errors.append(json.dumps(said["params"]["args"])[:500])
             elif said.get("method") == "Log.entryAdded":
-                if said["params"]["entry"]["level"] == "error":
-                    self.errors.append(said["params"]["entry"]["text"])
+                entry = said["params"]["entry"]
+                self.errors += [entry["text"]] if entry["level"] == "error" else []
 
     async def call(self, method: str, session: str = "", **params: Any) -> dict[str, Any]:
         """One DevTools command; raises AssertionError with the browser's words."""

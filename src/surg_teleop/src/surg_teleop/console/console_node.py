@@ -142,7 +142,7 @@ async def _run(settings: Settings) -> None:
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, stop.set)
-    rospy.on_shutdown(lambda: loop.call_soon_threadsafe(stop.set))
+    rospy.on_shutdown(lambda: loop.is_closed() or loop.call_soon_threadsafe(stop.set))
     await serve(settings, stop)
 
 

@@ -85,7 +85,9 @@ class EncoderProcess:
             self._child = None
             with contextlib.suppress(ProcessLookupError):
                 child.kill()
-        return await child.wait()
+            await child.wait()
+        assert child.returncode is not None
+        return child.returncode
 
     async def _watch(self) -> None:
         """Say so when no picture comes although somebody watches."""

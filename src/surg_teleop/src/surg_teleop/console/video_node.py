@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import sys
 import threading
 import time
@@ -141,6 +142,9 @@ def main() -> int:
     rospy.init_node(name, disable_signals=True)
     encoder = Encoder(views, out)
     threading.Thread(target=encoder.hear, name="server", daemon=True).start()
+    # A signal of the terminal reaches this process too: the end of the input is the only stop.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
     with contextlib.suppress(BrokenPipeError):
         encoder.run()
     return 0
