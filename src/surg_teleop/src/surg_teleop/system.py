@@ -33,7 +33,7 @@ ASSISTANT = "assistant"
 ASSISTANT_RANGE = (0.03, 0.23, 1.0)
 """Depth from, to [m] and cone [rad] of the assistant's instrument: inside its servos' range."""
 SEAT_KEYS = ("leader", "settings", "arm", "mapping", "scale", "need_present")
-KEYS = {"cell", "view", "picture", "lockstep", "duration", "assistant_frame"} | {
+KEYS = {"cell", "view", "picture", "lockstep", "enabled", "duration", "assistant_frame"} | {
     prefix + key for prefix in ("", "second_") for key in SEAT_KEYS
 }
 """Parameters that there are."""
@@ -152,6 +152,10 @@ def read_system(parameters: dict[str, Any], node: str) -> System:
     lockstep = bool(parameters.get("lockstep", False))
     if lockstep and any(isinstance(hand.leader, CrtkLeader) for hand in hands):
         raise ConfigError("teleop: ~lockstep: true with a leader on topics; allowed: false")
+    if parameters.get("enabled") and not lockstep:
+        raise ConfigError("teleop: ~enabled: true; allowed: in lock-step only, where nobody could")
+    for hand in hands if parameters.get("enabled") else ():
+        hand.seat.enable()
     return System(
         hands=hands,
         bases=bases,

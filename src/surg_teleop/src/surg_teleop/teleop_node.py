@@ -6,7 +6,8 @@ Parameters: ``~cell`` (folder or cell.yaml); ``~leader`` (a bundled leader, an e
 hand with the prefix ``second_``, whose arm may be ``assistant``, with ``~assistant_frame`` (x, y,
 z, w of its trocar frame in the world); ``~view`` (x, y, z, w of the view in the world, for an
 endoscope that no arm holds); ``~picture`` (/endoscope/left/image_raw; empty: not watched);
-``~lockstep`` (false), ``~duration`` [s] (lock-step: done after it). Exit code 1: a connection is
+``~lockstep`` (false), and with it ``~enabled`` (false: somebody must enable) and ``~duration`` [s]
+(done after it). Exit code 1: a connection is
 missing; 2: a file or parameter that must not be used.
 """
 
@@ -14,6 +15,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import random
+import signal
 import sys
 import threading
 import time
@@ -29,7 +33,7 @@ from std_msgs.msg import Bool, Float64, String
 from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_msgs.msg import Cycle, Ready
-from surg_teleop.arm import SECOND, ArmView
+from surg_teleop.arm import PERIOD_NS, SECOND, ArmView
 from surg_teleop.camera import HeldCamera
 from surg_teleop.crtk_node import CrtkTopics
 from surg_teleop.leader import LeaderError
@@ -63,10 +67,12 @@ class TeleopNode:
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self.finished = threading.Event()
+        """Set where the node shall end."""
         self._pedals = Pedals()
         self._cycles: dict[str, tuple[float, RawCycle]] = {}
         self._tick, self._recording, self._status = 0, False, ""
         self._reported = -math.inf
+        self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
         self._picture = PictureWatch(system.picture)
         self._latched: dict[tuple[str, str], rospy.Publisher] = {}
         self._said: dict[tuple[str, str], object] = {}
@@ -189,8 +195,8 @@ class TeleopNode:
     # Ticks.
 
     def run(self) -> None:
-        """Free-run: a tick whenever a leader speaks, and every PERIOD."""
-        while not rospy.is_shutdown():
+        """Free-run: a tick whenever a leader speaks, and every PERIOD, until ``finished``."""
+        while not self.finished.is_set() and not rospy.is_shutdown():
             self._wake.wait(PERIOD)
             self._wake.clear()
             with self._lock:
@@ -199,9 +205,10 @@ class TeleopNode:
     def stop(self) -> None:
         """Lets go of everything that follows; no exit leaves an arm moving."""
         with self._lock:
-            for hand in self._system.hands:
-                hand.seat.disable()
-            self._act(time.monotonic())
+            if not self._system.lockstep:
+                for hand in self._system.hands:
+                    hand.seat.disable()
+                self._act(time.monotonic())
             for hand in self._system.hands:
                 hand.leader.close()
 
@@ -209,16 +216,23 @@ class TeleopNode:
         """Lock-step: one tick when the cycles of all arms are here; with the lock held."""
         cycles = {name: raw.tick() for name, (_, raw) in self._cycles.items()}
         ticks = set(cycles.values())
-        if len(cycles) < len(self._system.heard) or len(ticks) != 1 or ticks <= {self._tick}:
+        if (
+            self.finished.is_set()
+            or len(cycles) < len(self._system.heard)
+            or len(ticks) != 1
+            or ticks <= {self._tick}
+        ):
             return
         self._tick = ticks.pop()
-        now = self._tick * 0.002
+        if self._jitter > 0.0:
+            time.sleep(random.uniform(0.0, self._jitter))
+        now = self._tick * PERIOD_NS / SECOND
         self._cycles = {name: (now, raw) for name, (_, raw) in self._cycles.items()}
         self._act(now)
         self._say_ready(self._tick + 1)
 
     def _say_ready(self, tick: int) -> None:
-        done = 0.0 < self._system.duration <= self._tick * 0.002
+        done = 0.0 < self._system.duration <= self._tick * PERIOD_NS / SECOND
         self._ready.publish(
             Ready(
                 tick=tick,
@@ -387,22 +401,27 @@ def main() -> int:
             file=sys.stderr,
         )
         return 1
-    rospy.init_node("teleop")
+    rospy.init_node("teleop", disable_signals=True)
     try:
         system = read_system(dict(rospy.get_param("~", {})), rospy.get_name())
     except (ConfigError, LeaderError) as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 2
     node = TeleopNode(system)
-    rospy.on_shutdown(node.stop)
-    if not system.lockstep:
-        node.run()
-        return 0
+    # rospy's own handler would close the topics before the arms have been told to stop.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: node.finished.set())
     try:
-        node.connect()
+        if system.lockstep:
+            node.connect()
+            while not node.finished.wait(0.1) and not rospy.is_shutdown():
+                pass
+        else:
+            node.run()
     except OSError as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 1
-    while not node.finished.wait(0.1) and not rospy.is_shutdown():
-        pass
+    finally:
+        node.stop()
+        rospy.signal_shutdown("teleop: done")
     return 0

@@ -1,0 +1,297 @@
+"""The teleoperation node on the simulator and the controllers: free-run and lock-step."""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.ros import RosGraph
+from surg_cli import paths, system
+from surg_cli.processes import Child
+
+pytestmark = pytest.mark.ros
+
+TWO_ARMS = paths.ROOT / "cells" / "sim_two_arms"
+ONE_ARM = paths.ROOT / "cells" / "sim_ur5e"
+STANDING_VIEW = [0.907, 0.0, 0.0, 0.421]  # any: an endoscope that nobody holds
+
+
+class CrtkHand:
+    """A CRTK leader as a lab would have it: a thread that publishes 100 poses a second."""
+
+    def __init__(self, teleop: Child) -> None:
+        import rospy
+        from geometry_msgs.msg import PoseStamped
+        from sensor_msgs.msg import JointState, Joy
+        from std_msgs.msg import Bool, Float64, String
+
+        from surg_msgs.msg import Cycle
+
+        self.teleop = teleop
+        self.p, self.v = np.zeros(3), np.zeros(3)
+        self.speaks = threading.Event()
+        self.speaks.set()
+        self.cycles: dict[str, Cycle] = {}
+        self.states: dict[str, str] = {}
+        self.warnings: list[str] = []
+        self.status: dict[str, object] = {}
+        self._stop = threading.Event()
+        self._pose = rospy.Publisher("/hand/measured_cp", PoseStamped, queue_size=1)
+        self._grip = rospy.Publisher("/hand/gripper/measured_js", JointState, queue_size=1)
+        self.enable = rospy.Publisher("/console/teleop/enable", Bool, queue_size=1)
+        self.scale = rospy.Publisher("/console/teleop/set_scale", Float64, queue_size=1)
+        self.pedals = {
+            name: rospy.Publisher(f"/console/{name}", Joy, queue_size=1)
+            for name in ("clutch", "camera")
+        }
+        self._inputs = []
+        for arm in ("PSM1", "ECM"):
+            self._inputs += [
+                rospy.Subscriber(
+                    f"/{arm}/cycle",
+                    Cycle,
+                    lambda m, a: self.cycles.__setitem__(a, m),
+                    arm,
+                    queue_size=1,
+                ),
+                rospy.Subscriber(
+                    f"/hand_{arm}/current_state",
+                    String,
+                    lambda m, a: self.states.__setitem__(a, m.data),
+                    arm,
+                ),
+            ]
+        self._inputs += [
+            rospy.Subscriber("/teleop/warning", String, lambda m: self.warnings.append(m.data)),
+            rospy.Subscriber("/teleop/status", String, self._on_status),
+        ]
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def _on_status(self, message: object) -> None:
+        self.status = json.loads(message.data)
+
+    def _run(self) -> None:
+        import rospy
+        from geometry_msgs.msg import PoseStamped
+        from sensor_msgs.msg import JointState
+
+        last = time.monotonic()
+        while not self._stop.wait(0.01):
+            now = time.monotonic()
+            self.p, last = self.p + self.v * (now - last), now
+            if not self.speaks.is_set():
+                continue
+            pose = PoseStamped()
+            pose.header.stamp = rospy.Time.now()
+            pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = self.p
+            pose.pose.orientation.w = 1.0
+            self._pose.publish(pose)
+            grip = JointState(name=["gripper"], position=[0.0])
+            grip.header.stamp = pose.header.stamp
+            self._grip.publish(grip)
+
+    def connected(self) -> bool:
+        """Whether everybody speaks and is heard."""
+        heard = (self._pose, self._grip, self.enable, self.scale, *self.pedals.values())
+        said = len(self.cycles) == 2 and len(self.states) == 2 and bool(self.status)
+        return said and all(end.get_num_connections() for end in heard)
+
+    def press(self, pedal: str, down: bool) -> None:
+        from sensor_msgs.msg import Joy
+
+        self.pedals[pedal].publish(Joy(buttons=[int(down)]))
+
+    def move(self, v: np.ndarray, seconds: float) -> None:
+        self.v = np.asarray(v, dtype=float)
+        time.sleep(seconds)
+        self.v = np.zeros(3)
+
+    def tip(self, arm: str) -> np.ndarray:
+        return np.array(self.cycles[arm].p_tip)
+
+    def rests(self, arm: str, seconds: float = 0.3) -> bool:
+        """Whether the arm's set-point stands still for a while."""
+        before = np.array(self.cycles[arm].p_set)
+        time.sleep(seconds)
+        return bool(np.linalg.norm(np.array(self.cycles[arm].p_set) - before) < 1e-5)
+
+    def close(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        for end in (*self._inputs, self._pose, self._grip, self.enable, self.scale):
+            end.unregister()
+        for pedal in self.pedals.values():
+            pedal.unregister()
+
+
+def start(graph: RosGraph, cell: Path, arms: tuple[str, ...], lockstep: bool) -> None:
+    plan = system.Plan(
+        cell=cell,
+        arms=arms,
+        lockstep=lockstep,
+        cameras=(),
+        out=graph.folder,
+        record=False,
+        extra_participants=("teleop",) if lockstep else (),
+    )
+    for node in system.nodes(plan):
+        graph.node(node.package, node.executable, node.name, node.params, arguments=node.arguments)
+
+
+@pytest.fixture
+def hand(ros_graph: RosGraph, rospy_node: str) -> Iterator[CrtkHand]:
+    start(ros_graph, TWO_ARMS, ("PSM1", "ECM"), lockstep=False)
+    params = {
+        "cell": TWO_ARMS,
+        "leader": "crtk",
+        "settings": {"name": "hand"},
+        "scale": 0.5,
+        "picture": "",
+    }
+    child = ros_graph.node("surg_teleop", "teleop_node", "/teleop", params)
+    found = CrtkHand(child)
+    yield found
+    found.close()
+
+
+def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: CrtkHand) -> None:
+    """Enable, follow, camera pedal, silence (F03), another sender (F26), disable (F30)."""
+    import rospy
+    from geometry_msgs.msg import PoseStamped
+
+    wait = ros_graph.wait_for
+    wait(hand.connected, 40.0, "both arms and the teleoperation")
+    assert hand.states == {"PSM1": "DISABLED", "ECM": "DISABLED"}
+    hand.enable.publish(True)
+    wait(lambda: hand.states["PSM1"] == "FOLLOWING", 10.0, "the instrument to follow")
+    wait(lambda: hand.states["ECM"] == "CLUTCHED", 10.0, "the endoscope to be clutched")
+    wait(lambda: hand.cycles["PSM1"].source == "/teleop", 5.0, "the hand to hold the arm")
+
+    before, scope = hand.tip("PSM1"), hand.tip("ECM")
+    hand.move([0.02, 0.0, 0.0], 0.5)
+    wait(lambda: hand.rests("PSM1"), 5.0, "the instrument to arrive")
+    moved = np.linalg.norm(hand.tip("PSM1") - before)
+    assert moved == pytest.approx(0.5 * np.linalg.norm(hand.p), rel=0.1, abs=2e-4)
+    assert np.linalg.norm(hand.tip("ECM") - scope) < 1e-4
+
+    hand.press("camera", True)
+    wait(lambda: hand.states["ECM"] == "FOLLOWING", 5.0, "the endoscope to follow")
+    assert hand.states["PSM1"] == "CLUTCHED"
+    before, scope = hand.tip("PSM1"), hand.tip("ECM")
+    hand.move([0.0, 0.01, 0.0], 0.5)
+    wait(lambda: hand.rests("ECM"), 5.0, "the endoscope to arrive")
+    assert np.linalg.norm(hand.tip("ECM") - scope) > 1e-3
+    assert np.linalg.norm(hand.tip("PSM1") - before) < 2e-4
+    hand.press("camera", False)
+    wait(lambda: hand.states["PSM1"] == "FOLLOWING", 5.0, "the instrument to follow again")
+
+    # F26: a stranger's poses are refused and the hand goes on.
+    stranger = rospy.Publisher("/PSM1/servo_cp", PoseStamped, queue_size=1)
+    wait(lambda: stranger.get_num_connections() > 0, 5.0, "the stranger's connection")
+    refused = hand.cycles["PSM1"].refused
+    pose = PoseStamped()
+    pose.pose.position.z, pose.pose.orientation.w = 0.12, 1.0
+    for _ in range(10):
+        stranger.publish(pose)
+        time.sleep(0.01)
+    wait(lambda: hand.cycles["PSM1"].refused >= refused + 10, 5.0, "the stranger to be refused")
+    stranger.unregister()
+    assert hand.states["PSM1"] == "FOLLOWING"
+
+    # F03: silence while moving.
+    hand.v = np.array([0.02, 0.0, 0.0])
+    time.sleep(0.2)
+    hand.speaks.clear()
+    silent = time.monotonic()
+    wait(lambda: hand.states["PSM1"] == "WAITING", 5.0, "the silence to be noticed")
+    noticed = time.monotonic() - silent
+    wait(lambda: hand.rests("PSM1"), 5.0, "the arm to rest")
+    assert any("hand is silent" in text for text in hand.warnings), hand.warnings
+    hand.speaks.set()
+    assert hand.rests("PSM1", 0.5)
+    assert hand.states["PSM1"] == "WAITING"
+    hand.v = np.zeros(3)
+    print(f"silence of the leader noticed after {1e3 * noticed:.0f} ms")
+
+    hand.scale.publish(7.0)
+    wait(lambda: any("scale 7 is refused" in t for t in hand.warnings), 5.0, "the refused scale")
+    hand.enable.publish(True)
+    wait(lambda: hand.states["PSM1"] == "FOLLOWING", 5.0, "the instrument to follow again")
+    hand.enable.publish(False)
+    wait(lambda: hand.cycles["PSM1"].state == 2, 5.0, "PAUSED")
+    wait(lambda: hand.cycles["PSM1"].source == "", 5.0, "the arm to be free")
+
+    # F28: the node is ended while the hand moves.
+    hand.enable.publish(True)
+    wait(lambda: hand.states["PSM1"] == "FOLLOWING", 5.0, "the instrument to follow again")
+    hand.v = np.array([-0.02, 0.0, 0.0])
+    time.sleep(0.2)
+    hand.teleop.process.terminate()
+    wait(lambda: hand.cycles["PSM1"].state == 2, 5.0, "PAUSED by a node that ends")
+    assert hand.teleop.process.wait(10) == 0
+
+
+def motion_file(folder: Path) -> Path:
+    t = np.arange(151) * 0.02
+    rows = np.column_stack(
+        (t, 0.03 * np.sin(t), 0.02 * (1 - np.cos(2 * t)), 0.01 * t, 0.2 * t, 0.1 * t)
+    )
+    path = folder / "motion.csv"
+    header = "t_s,x_m,y_m,z_m,roll_rad,gripper_rad"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    return path
+
+
+def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
+    """State hash of a run in which a motion file is the hand; and the states that were said."""
+    import rospy
+    from std_msgs.msg import String
+
+    status: dict[str, object] = {}
+    states: list[str] = []
+    topics = [
+        rospy.Subscriber("/sim/status", String, lambda m: status.update(json.loads(m.data))),
+        rospy.Subscriber("/motion_PSM1/current_state", String, lambda m: states.append(m.data)),
+    ]
+    start(graph, ONE_ARM, ("PSM1",), lockstep=True)
+    params = {
+        "cell": ONE_ARM,
+        "leader": "motion",
+        "settings": {"file": str(motion_file(graph.folder)), "rate": 30.0, "delay": 0.2},
+        "scale": 1.0,
+        "view": STANDING_VIEW,
+        "lockstep": True,
+        "enabled": True,
+        "duration": 1.0,
+        "picture": "",
+    }
+    env = {"SURG_TEST_JITTER_MS": str(jitter_ms)}
+    child = graph.node("surg_teleop", "teleop_node", "/teleop", params, env)
+    graph.wait_for(lambda: bool(status.get("done")), 60.0, "the end of the run")
+    assert child.process.wait(10) == 0
+    for topic in topics:
+        topic.unregister()
+    assert status["deterministic"] is True
+    return str(status["state_hash"]), states
+
+
+def test_lockstep_is_the_same_under_jitter(ros_graph: RosGraph, rospy_node: str) -> None:
+    calm, states = lockstep_run(ros_graph, 0)
+    nervous, _ = lockstep_run(ros_graph, 1)
+    assert calm == nervous
+    assert states[-2:] == ["WAITING", "FOLLOWING"]
+
+
+def test_what_must_not_be_used_ends_with_2(ros_graph: RosGraph, rospy_node: str) -> None:
+    params = {"cell": TWO_ARMS, "leader": "crtk", "scale": 5.0}
+    child = ros_graph.node("surg_teleop", "teleop_node", "/teleop", params)
+    ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the node to refuse")
+    assert child.exit_code == 2
+    assert "teleop: ~scale: scale 5 is refused; allowed: 0.01 to 1" in child.log_tail(20)

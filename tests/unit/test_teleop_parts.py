@@ -1,0 +1,433 @@
+"""What the teleoperation is made of: leaders, jaw, handle, walls, camera, seat, picture, system."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import surg_core
+from helpers.gate_arm import TICK, GateArm
+from helpers.hand import JAW, WORKSPACE, Hand, settings
+from surg_cli import paths
+from surg_teleop import leader as leaders
+from surg_teleop.arm import ArmState, Commands, tip_pose, virtual_joints
+from surg_teleop.camera import held_camera
+from surg_teleop.handle import Handle
+from surg_teleop.jaw import MET, SLOW, JawGhost
+from surg_teleop.leader import HandlePose, LeaderError
+from surg_teleop.leaders.crtk import CrtkLeader
+from surg_teleop.leaders.motion import MotionLeader
+from surg_teleop.picture import PictureWatch
+from surg_teleop.seat import Pedals, Seat
+from surg_teleop.system import read_system
+from surg_teleop.teleop import CameraView, State, Teleop
+from surg_teleop.virtual_arm import VirtualArm
+
+TWO_ARMS = paths.ROOT / "cells/sim_two_arms"
+BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
+
+# --- leaders
+
+
+def test_bundled_leaders_are_found_and_an_unknown_one_names_them() -> None:
+    assert {"motion", "crtk"} <= set(leaders.names())
+    for name in leaders.names():
+        assert issubclass(leaders._class_of(name), object)
+    with pytest.raises(LeaderError, match=r"glove: there is no such leader; there are crtk, "):
+        leaders.load("glove", {})
+    with pytest.raises(LeaderError, match=r"setting speed is unknown; allowed: name, rotation"):
+        leaders.load("crtk", {"speed": 1.0})
+    with pytest.raises(LeaderError, match=r"rate: 0.1; allowed: 1 to 1000 Hz"):
+        leaders.load("motion", {"file": "x.csv", "rate": 0.1})
+
+
+def test_a_leader_from_outside_the_tree_runs_by_path(tmp_path: Path) -> None:
+    file = tmp_path / "my_leader.py"
+    file.write_text(
+        '''"""A leader that sits still."""
+import numpy as np
+from surg_teleop.leader import HandlePose, LeaderSample
+
+class Still:
+    def __init__(self, depth=0.1):
+        self.name, self.depth = "still", depth
+    def open(self):
+        pass
+    def read(self, now):
+        return LeaderSample(now, HandlePose(np.array([0.0, 0.0, self.depth]), np.eye(3)))
+    def close(self):
+        pass
+'''
+    )
+    found = leaders.load(str(file), {"depth": 0.2})
+    assert isinstance(found, leaders.Leader)
+    sample = found.read(3.0)
+    assert sample is not None
+    assert sample.finite()
+    assert sample.pose.p_VH[2] == 0.2
+    file.write_text("x = 1\n")
+    with pytest.raises(LeaderError, match="defines 0 leaders; one public class"):
+        leaders.load(str(file), {})
+    file.write_text("1 / 0\n")
+    with pytest.raises(LeaderError, match="ZeroDivisionError"):
+        leaders.load(str(file), {})
+
+
+def test_a_motion_file_is_a_hand_that_rests_plays_and_rests() -> None:
+    leader = MotionLeader(str(BUNDLED), rate=30.0, delay=1.0, rotation=(0.0, 0.0, math.pi / 2))
+    assert leader.read(0.0) is None
+    leader.open()
+    samples = [leader.read(10.0 + k * TICK) for k in range(2000)]
+    stamps = np.unique([s.stamp for s in samples])
+    assert np.diff(stamps) == pytest.approx(1.0 / 30.0)
+    assert all(s.stamp <= 10.0 + k * TICK + 1e-6 for k, s in enumerate(samples))
+    assert np.array_equal(samples[0].pose.p_VH, samples[490].pose.p_VH)
+    x, y, _ = samples[0].pose.p_VH
+    raw = leader._spline(0.0)
+    assert [y, -x] == pytest.approx(raw[:2])  # turned by 90 degrees
+    assert not np.array_equal(samples[490].pose.p_VH, samples[1999].pose.p_VH)
+    assert all(s.finite() and 0.0 <= s.grip <= 1.0 for s in samples)
+    last = leader.read(10.0 + 3600.0)
+    assert last.stamp == pytest.approx(3610.0, abs=0.04)
+    leader.close()
+    assert leader.read(3611.0) is None
+    with pytest.raises(LeaderError, match=r"motion: .*cannot be read"):
+        MotionLeader("/nowhere.csv").open()
+
+
+def test_a_crtk_leader_is_what_its_topics_say() -> None:
+    leader = CrtkLeader("MTMR", rotation=(math.pi, 0.0, 0.0), grip_closed=-0.1, grip_open=0.9)
+    leader.open()
+    one = np.array([0.0, 0.0, 0.0, 1.0])
+    assert leader.read(0.0) is None
+    leader.on_pose(1.0, np.array([0.1, 0.2, 0.3]), one)
+    leader.on_grip(0.4)
+    sample = leader.read(5.0)
+    assert sample.stamp == 1.0  # an old pose stays old
+    assert sample.pose.p_VH == pytest.approx([0.1, -0.2, -0.3])
+    assert sample.grip == pytest.approx(0.5)
+    leader.on_pose(6.0, np.zeros(3), one, valid=False)
+    assert leader.read(6.0).stamp == 1.0
+    leader.on_pose(7.0, np.zeros(3), np.array([0.0, 0.0, 0.0, 0.5]))
+    assert not leader.read(7.0).finite()
+    leader.on_rate(8.0, np.array([0.0, 0.01, 0.0]), np.array([0.0, 0.0, 0.2]))
+    sample = leader.read(8.0)
+    assert sample.pose is None  # a second old
+    assert sample.rate.v_V == pytest.approx([0.0, -0.01, 0.0])
+    assert sample.rate.roll == pytest.approx(-0.2)
+    leader.on_state("PAUSED")
+    assert leader.read(8.0).problem == "is PAUSED: enable it, then press the clutch or enable"
+
+
+# --- jaw
+
+
+def test_f31_an_engagement_never_opens_the_jaw() -> None:
+    ghost = JawGhost(JAW, 3.0, angle=0.1, grip=0.8)
+    assert [ghost.tick(0.8, 0.002) for _ in range(1000)] == [0.1] * 1000
+    # The hand opens by a tenth of its range: so does the jaw, slowly.
+    angles = [ghost.tick(0.9, 0.002) for _ in range(1000)]
+    assert angles[0] == pytest.approx(0.1 + SLOW * 0.002)
+    assert angles[-1] == pytest.approx(0.1 + 0.07)
+    # It closes towards the jaw until both have met, and leads it fast from then on.
+    ghost.tick(0.1, 0.002)
+    assert not ghost.met
+    while not ghost.met:
+        ghost.tick(0.1, 0.002)
+    assert abs(ghost.angle - 0.07) <= MET
+    before = ghost.angle
+    assert ghost.tick(1.0, 0.002) == pytest.approx(before + 0.006)
+
+
+def test_f31_what_the_hand_opened_and_closed_again_opens_nothing() -> None:
+    ghost = JawGhost(JAW, 3.0, angle=0.0, grip=0.5)
+    ghost.tick(1.0, 0.0)
+    ghost.tick(0.5, 0.0)
+    assert [ghost.tick(0.5, 0.002) for _ in range(100)] == [0.0] * 100
+
+
+def test_f31_random_grips_never_open_more_than_the_hand() -> None:
+    rng = np.random.default_rng(7)
+    for _ in range(200):
+        grips = np.clip(np.cumsum(rng.normal(0.0, 0.1, 100)) + rng.uniform(), 0.0, 1.0)
+        ghost = JawGhost(JAW, 3.0, angle=rng.uniform(0.0, 0.7), grip=grips[0])
+        by_hand, by_jaw, before, angle = 0.0, 0.0, grips[0], ghost.angle
+        for grip in grips:
+            by_hand += 0.7 * max(0.0, grip - before)
+            after = ghost.tick(grip, rng.uniform(0.0, 0.05))
+            by_jaw += max(0.0, after - angle)
+            before, angle = grip, after
+            assert by_jaw <= by_hand + 1e-12
+
+
+# --- handle
+
+
+def test_roll_is_the_twist_of_swing_and_twist() -> None:
+    """Any swing times a known twist, against SciPy's quaternions."""
+    rng = np.random.default_rng(3)
+    for _ in range(300):
+        R_0 = Rotation.random(random_state=rng.integers(2**31))
+        handle = Handle(HandlePose(np.zeros(3), R_0.as_matrix()))
+        turn = 0.0
+        for _ in range(40):
+            turn += rng.uniform(-0.4, 0.4)
+            direction = rng.uniform(0.0, math.tau)
+            swing = rng.uniform(0.0, 2.5)
+            axis = [swing * math.cos(direction), swing * math.sin(direction), 0.0]
+            R = R_0 * Rotation.from_rotvec(axis) * Rotation.from_euler("z", turn)
+            handle.move(HandlePose(np.zeros(3), R.as_matrix()))
+            assert handle.roll == pytest.approx(turn, abs=1e-9)
+
+
+def test_a_handle_that_points_back_keeps_its_roll() -> None:
+    handle = Handle(HandlePose(np.zeros(3), np.eye(3)))
+    rolls = []
+    for angle in np.arange(0.0, 2.0 * math.pi, 0.01):  # once head over heels
+        R = Rotation.from_euler("x", angle).as_matrix()
+        handle.move(HandlePose(np.zeros(3), R))
+        rolls.append(handle.roll)
+    assert np.abs(rolls).max() < 1e-9
+
+
+# --- walls
+
+
+def test_the_nearest_point_is_inside_and_near() -> None:
+    rng = np.random.default_rng(11)
+    inside = 0
+    for _ in range(3000):
+        p = rng.normal(0.0, 0.12, 3)
+        q, wall = WORKSPACE.nearest(p)
+        depth = np.linalg.norm(q)
+        assert 0.030 <= depth <= 0.220
+        assert q[2] >= depth * math.cos(1.0472)
+        assert (wall == "") == np.array_equal(p, q)
+        inside += wall == ""
+        again, held = WORKSPACE.nearest(q)
+        assert again == pytest.approx(q, abs=1e-12)
+        assert held == "" or wall != ""
+    print(f"{inside} of 3000 inside")
+    assert 100 < inside < 2900
+
+
+# --- the camera
+
+
+def test_the_view_is_the_simulators_camera_wherever_the_endoscope_is() -> None:
+    """MuJoCo's own kinematics is the oracle: 50 postures of the endoscope arm."""
+    mujoco = pytest.importorskip("mujoco")
+    from surg_sim.view import EndoscopeView
+    from surg_sim.world import World
+
+    cell = surg_core.load_cell(TWO_ARMS)
+    held = held_camera(cell)
+    world = World(cell)
+    view = EndoscopeView(world.model, world.data)
+    joints = [
+        world.model.joint(f"ECM_{name}").qposadr[0] for name in cell.arms["ECM"].robot.joint_names
+    ]
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        q = np.array(cell.arms["ECM"].robot.home) + rng.uniform(-0.6, 0.6, 6)
+        world.data.qpos[joints] = q
+        mujoco.mj_kinematics(world.model, world.data)
+        assert held.view(q) == pytest.approx(view.pose[:3, :3], abs=1e-6)
+
+
+def test_a_measured_camera_replaces_the_drawing(tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(paths.ROOT / "cells", tmp_path / "cells")
+    for part in ("robots", "instruments", "urdf"):
+        shutil.copytree(
+            paths.ROOT / "src/surg_description" / part, tmp_path / "src/surg_description" / part
+        )
+    folder = tmp_path / "cells/sim_two_arms"
+    file = folder / "calibration/camera_ECM.yaml"
+    drawn = held_camera(surg_core.load_cell(folder))
+    file.write_text("format: surg_camera/1\nquaternion: [0.0, 0.0, 0.6, 0.8]\n")
+    measured = held_camera(surg_core.load_cell(folder))
+    assert not np.allclose(measured.R_FV, drawn.R_FV)
+    assert pytest.approx(Rotation.from_quat([0, 0, 0.6, 0.8]).as_matrix()) == measured.R_FV
+    for text, words in (
+        ("format: surg_camera/2\nquaternion: [0, 0, 0, 1]\n", "allowed: surg_camera/1"),
+        ("format: surg_camera/1\nquaternion: [0, 0, 0, 2]\n", "is not of unit length"),
+        ("format: surg_camera/1\n", "quaternion: None"),
+    ):
+        file.write_text(text)
+        with pytest.raises(surg_core.ConfigError, match=words):
+            held_camera(surg_core.load_cell(folder))
+
+
+def test_a_moving_endoscope_is_applied_exactly_once() -> None:
+    """The scope rolls and swings while the hand moves right: the tip moves right in each picture.
+
+    Mapped not at all, or twice, the same run is wrong by more than a third of its way.
+    """
+    arm, hand = GateArm(), Hand()
+    arm.R_WR = Rotation.from_rotvec([0.3, 0.8, -0.4]).as_matrix()
+    teleop = Teleop(settings(), scale=1.0)
+    teleop.enable()
+    right = np.array([1e-4, 0.0, 0.0])
+    errors: dict[int, float] = {0: 0.0, 1: 0.0, 2: 0.0}
+    for k in range(400):
+        now = arm.tick * TICK
+        R_WV = Rotation.from_euler("zyx", [0.01 * k, 0.3 * math.sin(0.02 * k), 0.4]).as_matrix()
+        if k > 5:
+            hand.move(right)
+        out = teleop.tick(now, hand.sample(now), arm.view(), CameraView(R_WV))
+        before = arm.p
+        arm.step(out.commands)
+        if k <= 10:
+            continue
+        moved = arm.p - before
+        R_RV = arm.R_WR.T @ R_WV
+        for times in errors:
+            expected = np.linalg.matrix_power(R_RV, times) @ right
+            errors[times] = max(errors[times], float(np.linalg.norm(moved - expected)))
+    assert errors[1] < 1e-12
+    assert errors[0] > 0.3e-4
+    assert errors[2] > 0.3e-4
+
+
+# --- seat and pedals
+
+
+def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
+    hand, psm, ecm = Hand(), GateArm(), GateArm(p=np.array([0.0, 0.01, 0.06]))
+    seat = Seat(Teleop(settings(), scale=1.0), Teleop(settings(arm="ECM", jaw=None), scale=1.0))
+    pedals = Pedals()
+    seat.enable()
+
+    def run(n: int, step: float) -> dict[str, State]:
+        for _ in range(n):
+            now = psm.tick * TICK
+            hand.move(np.array([step, 0.0, 0.0]))
+            sample = pedals.merge(hand.sample(now))
+            views = {"PSM1": psm.view(), "ECM": ecm.view()}
+            outputs = seat.tick(now, sample, views, CameraView(np.eye(3)))
+            psm.step(outputs["PSM1"].commands)
+            ecm.step(outputs["ECM"].commands)
+        return {arm: out.state for arm, out in outputs.items()}
+
+    assert run(10, 1e-4) == {"PSM1": State.FOLLOWING, "ECM": State.CLUTCHED}
+    pedals.press("/console", "camera", True)
+    pedals.press("/footpedals", "camera", True)
+    p_psm, p_ecm = psm.p, ecm.p
+    assert run(100, 1e-4) == {"PSM1": State.CLUTCHED, "ECM": State.FOLLOWING}
+    assert np.linalg.norm(psm.p - p_psm) < 1e-3
+    assert (ecm.p - p_ecm)[0] == pytest.approx(0.01, abs=5e-4)
+    pedals.press("/console", "camera", False)
+    assert run(10, 0.0)["ECM"] is State.FOLLOWING  # the other foot is still down
+    pedals.press("/footpedals", "camera", False)
+    assert run(100, 0.0) == {"PSM1": State.FOLLOWING, "ECM": State.CLUTCHED}
+    assert psm.refusals == ecm.refusals == []
+
+
+# --- the picture
+
+
+def test_f08_a_picture_that_stalls_or_freezes_is_said_within_three_periods() -> None:
+    watch = PictureWatch("endoscope_left")
+    assert watch.problem(0.0) == ""
+    now = 0.0
+    for k in range(100):
+        now = 0.05 * k
+        watch.picture(now, 1 + k, k)
+        assert watch.problem(now + 0.049) == ""
+    assert watch.problem(now + 0.149) == ""
+    assert "endoscope_left sends nothing" in watch.problem(now + 0.151)
+    for k in range(100, 104):  # the same pixels with new stamps
+        now = 0.05 * k
+        watch.picture(now, 1 + k, 99)
+    assert "endoscope_left shows the same picture" in watch.problem(now)
+    watch.picture(now + 0.05, 105, 105)
+    assert watch.problem(now + 0.05) == ""
+    for k in range(4):  # new pixels with an old stamp
+        watch.picture(now + 0.1 + 0.05 * k, 105, 200 + k)
+    assert watch.problem(now + 0.3) != ""
+
+
+# --- the assistant's instrument
+
+
+def test_a_virtual_arm_is_the_simulators_assistant() -> None:
+    """The simulator's own kinematics is the oracle for pose and joints."""
+    assistant = pytest.importorskip("surg_sim.assistant")
+    arm = VirtualArm("/teleop", np.eye(3))
+    assert arm.view() is None
+    rng = np.random.default_rng(2)
+    for _ in range(100):
+        joints = rng.uniform([-0.8, -0.8, 0.05, -3.0], [0.8, 0.8, 0.2, 3.0])
+        arm = VirtualArm("/teleop", np.eye(3))
+        arm.joints(1.0, 0, joints)
+        view = arm.view()
+        assert view.p_set == pytest.approx(assistant.forward(joints)[:3, 3])
+        assert (view.state, view.stream) == (ArmState.ENABLED, "/teleop")
+        pose = tip_pose(view.p_set, joints[3] + 0.1)
+        asked = arm.obey(Commands(servo_cp=pose, jaw=0.3, state="pause", claim=True))
+        assert asked.servo_jp == pytest.approx(
+            [*virtual_joints(view.p_set, 0)[:3], joints[3] + 0.1]
+        )
+        R = Rotation.from_quat(pose.q).as_matrix()
+        assert assistant.forward(asked.servo_jp)[:3, :3] == pytest.approx(R)
+        assert (asked.jaw, asked.state, asked.claim, asked.servo_cp) == (0.3, None, False, None)
+        assert arm.obey(Commands(hold=True)).servo_jp == pytest.approx(joints)
+    arm.joints(2.0, 0, np.full(4, np.nan))
+    assert arm.view().received == 1.0
+
+
+# --- parameters
+
+
+def test_a_system_is_read_from_parameters() -> None:
+    params = {
+        "cell": TWO_ARMS,
+        "leader": "crtk",
+        "settings": {"name": "MTMR"},
+        "scale": 0.4,
+        "second_leader": "motion",
+        "second_settings": {"file": str(BUNDLED), "name": "helper"},
+        "second_arm": "assistant",
+        "assistant_frame": [0.0, 0.0, 0.0, 1.0],
+    }
+    found = read_system(params, "/teleop")
+    first, second = found.hands
+    assert set(first.seat.arms) == {"PSM1", "ECM"}
+    assert first.seat.endoscope.lock_rotation
+    assert first.seat.instrument.scale == 0.4
+    assert first.seat.instrument.settings.quiet > 0.1
+    assert set(second.seat.arms) == {"assistant"}
+    assert found.heard == ["PSM1", "ECM"]
+
+
+@pytest.mark.parametrize(
+    ("params", "words"),
+    [
+        ({}, "parameter ~leader is missing"),
+        ({"leader": "crtk", "arm": "ECM"}, "~arm: 'ECM'; allowed: PSM1, assistant"),
+        ({"leader": "crtk", "scale": 5.0}, "~scale: scale 5 is refused; allowed: 0.01 to 1"),
+        ({"leader": "crtk", "scale": "nan"}, "~scale: scale nan is refused"),
+        ({"leader": "crtk", "speed": 1}, "parameter speed is unknown; allowed: "),
+        ({"leader": "crtk", "mapping": "both"}, "~mapping: 'both'; allowed: position, rate"),
+        ({"leader": "crtk", "settings": 3}, "~settings: 3; allowed: a mapping"),
+        ({"leader": "crtk", "lockstep": True}, "~lockstep: true with a leader on topics"),
+        ({"leader": "crtk", "enabled": True}, "~enabled: true; allowed: in lock-step only"),
+        ({"leader": "crtk", "arm": "assistant"}, "~assistant_frame: None; needed: 4 numbers"),
+        (
+            {"leader": "crtk", "cell": paths.ROOT / "cells/sim_ur5e"},
+            "no arm of cell sim_ur5e holds an endoscope; ~view is needed",
+        ),
+        (
+            {"leader": "crtk", "second_leader": "crtk", "second_arm": "PSM1"},
+            "~second_arm: PSM1 is held by the first hand already",
+        ),
+    ],
+)
+def test_a_parameter_that_must_not_be_used_is_named(params: dict, words: str) -> None:
+    with pytest.raises(surg_core.ConfigError) as error:
+        read_system({"cell": TWO_ARMS, **params}, "/teleop")
+    assert words in str(error.value)
