@@ -175,19 +175,17 @@ def test_without_the_token_nothing_is_said() -> None:
     async def test() -> None:
         async with console(token=TOKEN) as made, aiohttp.ClientSession() as http:
             origin = f"http://localhost:{made.port}"
-            for path in ("/control", "/pictures"):
-                for first in (
-                    '{"say": "hello", "token": ""}',
-                    '{"say": "hello", "token": "x"}',
-                    "x",
-                ):
-                    socket = await http.ws_connect(
-                        origin.replace("http", "ws") + path, origin=origin
-                    )
-                    await socket.send_str(first)
-                    answer = await socket.receive()
-                    assert answer.type is aiohttp.WSMsgType.CLOSE
-                    assert answer.data == CLOSE_HELLO
+
+            async def refused(path: str, first: str) -> None:
+                socket = await http.ws_connect(origin.replace("http", "ws") + path, origin=origin)
+                await socket.send_str(first)
+                answer = await socket.receive()
+                assert answer.type is aiohttp.WSMsgType.CLOSE
+                assert answer.data == CLOSE_HELLO
+
+            wrong = ('{"say": "hello", "token": ""}', '{"say": "hello", "token": "x"}', "x")
+            paths = ("/control", "/pictures")
+            await asyncio.gather(*(refused(path, first) for path in paths for first in wrong))
             assert made.session.pages == 0
             async with page(made, TOKEN) as found:
                 assert found.name and found.status["holder"] == found.name
