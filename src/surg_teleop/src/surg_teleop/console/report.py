@@ -40,7 +40,7 @@ def report(
         "say": "status",
         "phase": session.phase.value,
         "headline": _headline(session, robot),
-        "sentence": sentence(session, robot, now),
+        "sentence": words.as_sentence(sentence(session, robot, now)),
         "holder": session.holder,
         "pages": session.pages,
         "arms": [_arm(arm, now) for arm in robot.arms],

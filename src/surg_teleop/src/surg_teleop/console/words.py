@@ -26,6 +26,12 @@ HIDDEN = {
 }
 
 
+def as_sentence(text: str) -> str:
+    """With a capital letter and a full stop."""
+    text = text.strip()
+    return text and text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
+
+
 def taken(name: str) -> str:
     """Why control is not given to a second page."""
     return f"{name} has control; it must release it, or be closed or hidden"
@@ -43,7 +49,7 @@ def let_go(robot: Robot) -> str:
     if not follower.state:
         return NO_FOLLOWER
     if follower.reason:
-        return f"{follower.reason}."
+        return follower.reason
     lost = next((arm for arm in robot.arms if not arm.ready()), None)
     if lost is not None:
         return f"{lost.name}: {state_sentence(lost)}"

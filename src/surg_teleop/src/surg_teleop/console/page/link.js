@@ -3,6 +3,8 @@
 
 const AGAIN_MS = 1000;
 const PING_MS = 1000;
+const FIRST_PINGS = 12; // soon after the start, for the difference of the clocks
+const FORGET_PINGS = 60; // clocks drift: the best answer counts for a minute
 
 /** Seconds on this page's own steady clock. */
 export const clock = () => performance.now() / 1000;
@@ -28,7 +30,7 @@ export class Link {
     this.hear = hear;
     this.closed = closed;
     this.socket = null;
-    setInterval(() => this.say("ping", { at: clock() }), PING_MS);
+    setInterval(() => this.ping(), PING_MS);
     this.connect();
   }
 
@@ -40,9 +42,9 @@ export class Link {
     const socket = new WebSocket(socketUrl("/control"));
     this.socket = socket;
     socket.onopen = () => {
-      this.best = Infinity;
+      this.pongs = 0;
       this.say("hello", { token: token() });
-      this.say("ping", { at: clock() });
+      this.ping();
     };
     socket.onmessage = (event) => {
       const message = JSON.parse(event.data);
@@ -55,10 +57,17 @@ export class Link {
     };
   }
 
+  ping() {
+    this.say("ping", { at: clock() });
+  }
+
   /** The quickest answer tells the difference of the clocks best. */
   pong(message) {
     const trip = clock() - message.at;
     this.roundTripMs = trip * 1000;
+    if (this.pongs % FORGET_PINGS === 0) this.best = Infinity;
+    this.pongs += 1;
+    if (this.pongs < FIRST_PINGS) setTimeout(() => this.ping(), 50);
     if (trip > this.best) return;
     this.best = trip;
     this.offsetUs = message.wall_us - (wallUs() - (trip * 1e6) / 2);

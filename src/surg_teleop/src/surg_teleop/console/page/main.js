@@ -6,7 +6,7 @@ import { View } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
 const OLD_PICTURE_MS = 150; // three of the endoscope's periods
-const KEPT_AGES = 4096;
+const KEPT_PICTURES = 16384; // what is known of each: a quarter of an hour, for a measurement
 const TOAST_MS = 5000;
 
 const KEYS = [
@@ -20,7 +20,7 @@ const KEYS = [
   [["Enter"], "enable"],
   [["Esc"], "stop"],
   [["V"], "record"],
-  [["Drag"], "mouse: in the picture; with Shift deeper and roll; wheel: deeper"],
+  [["Drag"], "mouse; with Shift: deeper, roll"],
 ];
 
 const element = (id) => document.getElementById(id);
@@ -181,7 +181,7 @@ worker.onmessage = ({ data }) => {
   data.ageMs = (data.drawnUs + link.offsetUs - data.exposedUs) / 1000;
   picture.exposedUs = data.exposedUs;
   picture.drawn.push(data);
-  if (picture.drawn.length > KEPT_AGES) picture.drawn.splice(0, KEPT_AGES / 2);
+  if (picture.drawn.length > KEPT_PICTURES) picture.drawn.splice(0, KEPT_PICTURES / 4);
 };
 
 for (const button of element("eyes").children) {
@@ -195,7 +195,7 @@ for (const button of element("eyes").children) {
 
 setInterval(() => {
   const age = (wallUs() + link.offsetUs - picture.exposedUs) / 1000;
-  const recent = picture.drawn.filter((each) => each.drawnUs > wallUs() - 2e6);
+  const recent = picture.drawn.slice(-100).filter((each) => each.drawnUs > wallUs() - 2e6);
   const node = element("age");
   if (!picture.exposedUs) return;
   const middle = recent.map((each) => each.ageMs).sort((a, b) => a - b)[recent.length >> 1];

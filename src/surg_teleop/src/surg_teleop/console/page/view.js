@@ -50,12 +50,15 @@ class Trend {
     const { width, height } = this.canvas;
     const context = this.context;
     context.clearRect(0, 0, width, height);
+    context.fillStyle = "#202832";
+    context.fillRect(0, height - 2, width, 2);
     context.beginPath();
     for (const [at, deviation] of this.points) {
       const x = width * (1 - (seconds - at) / TREND_S);
       const y = height - 2 - (height - 4) * Math.min(1, deviation / this.full);
       context.lineTo(x, y);
     }
+    context.lineJoin = "round";
     context.strokeStyle = "#4fd1c5";
     context.lineWidth = 2;
     context.stroke();
