@@ -9,9 +9,9 @@ the page how old each picture was when its pixels had been drawn. `--json FILE` 
     runs                one per layout ("left", "stereo"):
         layout, codec, seconds
         pictures, fps   drawn, and per second
-        age_ms          {p50, p99, max}: exposure stamp -> pixel drawn, both on this machine's clock
-        parts_ms        medians: exposure -> encoder (render, ROS), encoding, transport, decoding and
-                        drawing
+        age_ms          {p50, p99, max}: exposure stamp -> pixel drawn, on one clock
+        parts_ms        medians: exposure -> encoder (render, ROS), encoding, transport, decode and
+                        draw
         real_time       simulated by wall time over the run; 1 is real time
         overruns        of the simulator
         driving         part of the time in which the tip followed
@@ -46,7 +46,7 @@ from surg_cli.terminal import Progress, say, table
 
 sys.path.insert(0, str(paths.ROOT / "tests"))
 
-from helpers.chromium import Chromium, Tab, missing, until  # noqa: E402
+from helpers.chromium import Chromium, Tab, missing, until
 
 CIRCLE = ("KeyD", "KeyS", "KeyA", "KeyW")
 STEP_S = 0.6
@@ -245,7 +245,9 @@ def show(runs: list[dict[str, Any]]) -> None:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="./surg bench console", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="./surg bench console", description=__doc__.split("\n")[0]
+    )
     parser.add_argument("--cell", default="sim_two_arms", help="default sim_two_arms")
     parser.add_argument("--seconds", type=float, default=60.0, help="of each run (default 60)")
     parser.add_argument("--layout", choices=("left", "stereo", "both"), default="both")

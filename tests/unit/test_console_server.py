@@ -8,15 +8,15 @@ import json
 import ssl
 import subprocess
 import time
-from collections.abc import AsyncIterator, Coroutine
+from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
 
 import aiohttp
 import pytest
 
-from helpers.chromium import until
-from helpers.console import Console, console
+from helpers.console import console
+from helpers.console_page import page, when
 from surg_teleop.console import wire
 from surg_teleop.console.orders import Follow, Move, Present, Record, StateCommand
 from surg_teleop.console.server import CLOSE_HELLO, MESSAGE_BURST, MOST_MISTAKES, Allowance
@@ -26,93 +26,6 @@ TOKEN = "0123456789abcdef0123"
 
 def run(test: Coroutine[Any, Any, None]) -> None:
     asyncio.run(asyncio.wait_for(test, 60.0))
-
-
-class Page:
-    """A page as far as the server sees it."""
-
-    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
-        self.socket = socket
-        self.name, self.status = "", {}
-        self.refused: list[str] = []
-        self._seq = 0
-        self._chores = [asyncio.create_task(self._read())]
-
-    async def _read(self) -> None:
-        async for message in self.socket:
-            said = json.loads(message.data)
-            if said["say"] == "welcome":
-                self.name = said["page"]
-            elif said["say"] == "status":
-                self.status = said
-            elif said["say"] == "refused":
-                self.refused.append(said["why"])
-
-    async def say(self, what: str, **keys: object) -> None:
-        await self.socket.send_str(json.dumps({"say": what, **keys}))
-
-    async def press(self, button: str) -> None:
-        await self.say("press", button=button, at=time.monotonic())
-
-    async def input(self, **keys: object) -> None:
-        self._seq += 1
-        stamp = time.time_ns() // 1000
-        await self.say(
-            "input",
-            **{
-                "seq": self._seq,
-                "at": time.monotonic(),
-                "picture_us": stamp,
-                "hand": "position",
-                **keys,
-            },
-        )
-
-    def speak(self) -> None:
-        """From now on: an input every 20 ms, as a page does."""
-
-        async def speak() -> None:
-            with contextlib.suppress(ConnectionError):
-                while True:
-                    await self.input(p=[0.001 * self._seq, 0, 0])
-                    await asyncio.sleep(0.02)
-
-        self._chores.append(asyncio.create_task(speak()))
-
-    def fall_silent(self) -> None:
-        for chore in self._chores[1:]:
-            chore.cancel()
-
-
-@contextlib.asynccontextmanager
-async def page(made: Console, token: str = "") -> AsyncIterator[Page]:
-    async with aiohttp.ClientSession() as http:
-        url = f"ws://localhost:{made.port}/control"
-        socket = await http.ws_connect(url, origin=f"http://localhost:{made.port}")
-        found = Page(socket)
-        await found.say("hello", token=token)
-        await when(lambda: found.status, "a status")
-        yield found
-        found.fall_silent()
-
-
-async def when(condition: Any, what: str, seconds: float = 20.0) -> None:
-    async def ask() -> Any:
-        return condition()
-
-    await until(ask, what, seconds, 0.005)
-
-
-async def drive(made: Console, found: Page) -> None:
-    """Enable until the tip follows: on a busy machine a gap may let go at once."""
-    found.speak()
-    for _ in range(20):
-        await asyncio.sleep(0.3)
-        await found.press("enable")
-        with contextlib.suppress(AssertionError):
-            await when(lambda: found.status["phase"] == "driving", "driving", 1.0)
-            return
-    raise AssertionError(found.status)
 
 
 def test_the_page_and_its_headers() -> None:
@@ -187,7 +100,7 @@ def test_without_the_token_nothing_is_said() -> None:
             paths = ("/control", "/pictures")
             await asyncio.gather(*(refused(path, first) for path in paths for first in wrong))
             assert made.session.pages == 0
-            async with page(made, TOKEN) as found:
+            async with page(made.port, TOKEN) as found:
                 assert found.name and found.status["holder"] == found.name
 
     run(test())
@@ -196,8 +109,8 @@ def test_without_the_token_nothing_is_said() -> None:
 def test_inputs_go_out_and_a_closed_page_holds_within_its_limit() -> None:
     async def test() -> None:
         async with console() as made:
-            async with page(made) as found:
-                await drive(made, found)
+            async with page(made.port) as found:
+                await found.drive()
                 await when(lambda: len(made.system.given(Move)) > 20, "inputs")
                 closed = time.monotonic()
                 await found.socket.close()
@@ -212,8 +125,8 @@ def test_inputs_go_out_and_a_closed_page_holds_within_its_limit() -> None:
 
 def test_a_silent_page_holds_within_its_limit_and_does_not_go_on() -> None:
     async def test() -> None:
-        async with console() as made, page(made) as found:
-            await drive(made, found)
+        async with console() as made, page(made.port) as found:
+            await found.drive()
             found.fall_silent()
             silent = time.monotonic()
             await when(lambda: made.session.phase.value == "held", "the hold")
@@ -232,8 +145,8 @@ def test_a_silent_page_holds_within_its_limit_and_does_not_go_on() -> None:
 
 def test_a_hidden_page_holds_at_once() -> None:
     async def test() -> None:
-        async with console() as made, page(made) as found:
-            await drive(made, found)
+        async with console() as made, page(made.port) as found:
+            await found.drive()
             hidden = time.monotonic()
             await found.say("hidden", why="hidden")
             await when(lambda: made.session.phase.value == "held", "the hold")
@@ -244,8 +157,8 @@ def test_a_hidden_page_holds_at_once() -> None:
 
 def test_two_pages_one_drives_both_may_stop() -> None:
     async def test() -> None:
-        async with console() as made, page(made) as first, page(made) as second:
-            await drive(made, first)
+        async with console() as made, page(made.port) as first, page(made.port) as second:
+            await first.drive()
             second.speak()
             await second.press("enable")
             await second.press("take")
@@ -269,19 +182,19 @@ def test_two_pages_one_drives_both_may_stop() -> None:
 def test_nonsense_and_floods_are_cut_off() -> None:
     async def test() -> None:
         async with console() as made:
-            async with page(made) as found:
+            async with page(made.port) as found:
                 for _ in range(MOST_MISTAKES):
                     await found.socket.send_str("{}")
                 await when(lambda: found.socket.closed, "the end")
-            async with page(made) as found:
+            async with page(made.port) as found:
                 await found.socket.send_str("x" * 100_000)
                 await when(lambda: found.socket.closed, "the end")
-            async with page(made) as found:
+            async with page(made.port) as found:
                 with contextlib.suppress(ConnectionError):
                     for _ in range(int(MESSAGE_BURST) + 400):
                         await found.say("ping", at=1.0)
                 await when(lambda: found.socket.closed, "the end")
-            async with page(made) as found:  # the console lives
+            async with page(made.port) as found:  # the console lives
                 assert found.status["holder"] == found.name
 
     run(test())
@@ -359,8 +272,8 @@ def test_over_tls(tmp_path: Path) -> None:
 def test_what_breaks_inside_ends_the_console_and_holds_the_arm() -> None:
     async def test() -> None:
         with pytest.raises(ZeroDivisionError):
-            async with console() as made, page(made) as found:
-                await drive(made, found)
+            async with console() as made, page(made.port) as found:
+                await found.drive()
                 made.session.tick = lambda robot, now: 1 / 0  # type: ignore[method-assign]
                 await when(lambda: found.socket.closed, "the end")
                 assert made.system.last(Present)[1] == Present(False)
