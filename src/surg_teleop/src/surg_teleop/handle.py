@@ -61,8 +61,11 @@ class Handle:
     def move(self, pose: HandlePose) -> None:
         """The next sample."""
         self.p = pose.p_VH
-        (_, twist), (_, quality) = twist_angle(np.stack((self._latched, pose.R_VH)))
-        turn = math.remainder(float(twist) - (self.roll - self._offset), math.tau)
+        # As in twist_angle, for one orientation.
+        (a, b, _), (c, d, _), _ = (self._latched.T @ pose.R_VH).tolist()
+        sine, cosine = c - b, a + d
+        quality = math.sqrt(math.hypot(sine, cosine) / 2.0)
+        turn = math.remainder(math.atan2(sine, cosine) - (self.roll - self._offset), math.tau)
         if quality < MIN_LIVE_TWIST:
             # The swing is too large to tell the roll: go on from here, the roll as it is.
             self._latched, self._offset = pose.R_VH, self.roll

@@ -43,6 +43,7 @@ BUTTONS = frozenset(
 )
 """Names of what a hand can press. A sample holds those that are down now."""
 
+_IDENTITY = np.eye(3)
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of R R^T - I of a handle's orientation: what single precision and rounding leave.
 More is a broken driver, and its roll would be a guess."""
@@ -282,11 +283,13 @@ def _is_leader(kind: object) -> bool:
 
 
 def _is_vector(value: Array) -> bool:
-    return value.shape == (3,) and bool(np.isfinite(value).all())
+    return value.shape == (3,) and math.isfinite(float(value.sum()))
 
 
 def _is_rotation(value: Array) -> bool:
-    if value.shape != (3, 3) or not np.isfinite(value).all():
+    if value.shape != (3, 3):
         return False
-    defect = float(np.abs(value @ value.T - np.eye(3)).max())
-    return defect <= ROTATION_TOLERANCE and float(np.linalg.det(value)) > 0.0
+    defect = float(np.abs(value @ value.T - _IDENTITY).max())
+    (a, b, c), (d, e, f), (g, h, i) = value.tolist()
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return defect <= ROTATION_TOLERANCE and determinant > 0.0  # False for what is not a number

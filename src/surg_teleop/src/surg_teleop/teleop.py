@@ -33,7 +33,7 @@ RETRY = 0.5
 ABANDONED = 2.0
 """[s] A leader that is silent for longer has left: the arm is paused, and free for others."""
 GRACE = 0.15
-"""[s] after an engagement in which the arm need not yet show that it obeys."""
+"""[s] An arm that has not begun to obey by then does not."""
 BEHIND = 0.03
 """[m] An arm that is further behind the hand is not following it."""
 NEUTRAL = 1e-3
@@ -159,7 +159,9 @@ class Teleop:
     _heard: float = field(default=-math.inf, init=False, repr=False)
     _ended: float = field(default=-math.inf, init=False, repr=False)
     _engaged: float = field(default=-math.inf, init=False, repr=False)
+    _obeyed: bool = field(default=False, init=False, repr=False)
     _buttons: frozenset[str] | None = field(default=None, init=False, repr=False)
+    _checked: tuple[LeaderSample, bool] | None = field(default=None, init=False, repr=False)
     _target: Target | None = field(default=None, init=False, repr=False)
     _ghost: JawGhost | None = field(default=None, init=False, repr=False)
 
@@ -227,7 +229,7 @@ class Teleop:
 
         What changed during a silence, or with a device plugged in again, is no act of the operator.
         """
-        if sample is None or not sample.finite() or not _fresh(now, sample.stamp):
+        if sample is None or not self._finite(sample) or not _fresh(now, sample.stamp):
             self._buttons = None
             return
         self._heard = sample.stamp
@@ -242,6 +244,12 @@ class Teleop:
             self._asked = -math.inf
         if "rate" in sample.buttons - before and self.state in (State.CLUTCHED, State.WAITING):
             self.kind = Kind.RATE if self.kind is Kind.POSITION else Kind.POSITION
+
+    def _finite(self, sample: LeaderSample) -> bool:
+        """Whether a sample may be calculated with; a sample is looked at once."""
+        if self._checked is None or self._checked[0] is not sample:
+            self._checked = sample, sample.finite()
+        return self._checked[1]
 
     def _obey_switch(self, now: float, arm: ArmView | None, commands: Commands) -> None:
         on, self._switch = self._switch, None
@@ -297,7 +305,7 @@ class Teleop:
         again = "then press the clutch or enable"
         if sample is None or not _fresh(now, sample.stamp):
             return _Obstacle(f"{name} is silent: is it connected and switched on? {again}")
-        if not sample.finite():
+        if not self._finite(sample):
             return _Obstacle(
                 f"{name} says what is not a number or no rotation: check the device and its "
                 "driver, then press enable",
@@ -380,7 +388,7 @@ class Teleop:
     def _engage(self, now: float, sample: LeaderSample, arm: ArmView, commands: Commands) -> None:
         self.state, self._message = State.FOLLOWING, ""
         self._asked = self._enabling = -math.inf
-        self._engaged = now
+        self._engaged, self._obeyed = now, False
         self.engagements += 1
         settings = self.settings
         self._target = Target(settings.workspace, settings.step, arm, sample, now)
@@ -404,7 +412,9 @@ class Teleop:
         if "clutch" in sample.buttons:
             self._leave(now, State.CLUTCHED, "", commands)
             return
-        if now - self._engaged > GRACE and arm.stream != self.settings.node:
+        obeys = arm.stream == self.settings.node
+        self._obeyed = self._obeyed or obeys
+        if not obeys and (self._obeyed or now - self._engaged > GRACE):
             why = f" ({arm.reason})" if arm.reason else f" (see {name}/warning)"
             self._let_go(now, f"{name} does not obey{why}", commands)
             return

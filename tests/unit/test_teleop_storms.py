@@ -1,0 +1,152 @@
+"""Clutch storms: random events in any order; and the same hand on the real controller.
+
+``SURG_TEST_FULL=1`` runs 100,000 storms. A storm that fails is given by its seed; the property
+test finds the shortest one.
+"""
+
+import os
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+import surg_core
+from helpers.hand import Hand, settings
+from helpers.lagging_arm import SOURCE, TICK, LaggingArm
+from helpers.storm import EVENTS, Event, Storm
+from surg_cli import paths
+from surg_teleop.arm import ArmState, Commands
+from surg_teleop.fit import Workspace
+from surg_teleop.target import StepLimits
+from surg_teleop.teleop import CameraView, Kind, State, Teleop
+
+FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
+STORMS = 100_000 if FULL else 150
+EXAMPLES = 3_000 if FULL else 40
+REAL = 200 if FULL else 4
+LENGTH = 14
+OFTEN = ("move_x", "move_y", "move_z", "roll", "grip", "clutch", "wait", "recover")
+WEIGHTS = np.array([5.0 if name in OFTEN else 1.0 for name in EVENTS])
+
+
+def random_events(rng: np.random.Generator, n: int = LENGTH) -> list[Event]:
+    kinds = rng.choice(len(EVENTS), size=n, p=WEIGHTS / WEIGHTS.sum())
+    values = rng.uniform(-1.0, 1.0, n)
+    return [(EVENTS[k], v) for k, v in zip(kinds.tolist(), values.tolist(), strict=True)]
+
+
+def test_storms_of_events_never_jump_and_never_open_the_jaw() -> None:
+    began = time.process_time()
+    ticks, engagements, largest = 0, 0, 0.0
+    for seed in range(STORMS):
+        rng = np.random.default_rng(seed)
+        kind = Kind.RATE if seed % 3 == 0 else Kind.POSITION
+        try:
+            storm = Storm(kind, need_present=seed % 5 == 0).run(random_events(rng))
+        except AssertionError as error:
+            raise AssertionError(f"storm of seed {seed}, {kind.value}: {error}") from error
+        ticks += storm.ticks
+        engagements += storm.teleop.engagements
+        largest = max(largest, storm.largest)
+    text = (
+        f"{STORMS} storms of {LENGTH} events, {ticks} ticks, {engagements} engagements; largest "
+        f"step {largest:.2f} of what is allowed; {time.process_time() - began:.0f} s of CPU time"
+    )
+    print(text)
+    assert engagements > 1.8 * STORMS  # they do engage again
+    assert largest > 0.3  # and they do move
+    if FULL:
+        results = paths.ROOT / "docs/results"
+        results.mkdir(exist_ok=True)
+        (results / "teleop_storms.md").write_text(
+            "# Clutch storms\n\nWritten by `./surg test --full tests/unit/test_teleop_storms.py`.\n"
+            f"\n{text}. No step above the gate's, nothing refused, no engagement without an act, "
+            "no jaw that opened by itself.\n"
+        )
+
+
+@hypothesis_settings(max_examples=EXAMPLES, deadline=None, database=None, derandomize=not FULL)
+@given(
+    events=st.lists(
+        st.tuples(st.sampled_from(EVENTS), st.floats(-1.0, 1.0, allow_nan=False)), max_size=25
+    ),
+    kind=st.sampled_from(list(Kind)),
+)
+def test_no_sequence_of_events_breaks_a_rule(events: list[Event], kind: Kind) -> None:
+    Storm(kind).run(events)
+
+
+@pytest.mark.parametrize("kind", list(Kind))
+def test_storms_on_the_real_controller(kind: Kind) -> None:
+    """No refusal, and the set-point keeps its limits, whatever the hand does."""
+    arm = surg_core.load_cell(paths.ROOT / "cells/sim_ur5e").arms["PSM1"]
+    limits = arm.limits
+    made = settings(
+        kind=kind,
+        workspace=Workspace(limits.depth_slow, limits.depth_max, limits.cone),
+        step=StepLimits(
+            limits.tip_velocity,
+            limits.step_slack,
+            limits.roll_velocity,
+            limits.step_roll_slack,
+            limits.step_dt_max,
+        ),
+    )
+    engagements, fastest, hardest = 0, 0.0, 0.0
+    for seed in range(REAL):
+        rng = np.random.default_rng(1000 + seed)
+        plant, hand, teleop = (
+            LaggingArm(arm),
+            Hand(),
+            Teleop(made, scale=float(rng.uniform(0.2, 1))),
+        )
+        plant.step(Commands())
+        commands = Commands(state="home")
+        teleop.enable()
+        v, w, p, before, refused = np.zeros(3), 0.0, [], ArmState.DISABLED, 0
+        for k in range(1500):
+            plant.step(commands)
+            view = plant.view({SOURCE: "/teleop"})
+            now = plant.tick * TICK
+            if k % 25 == 0:  # another wish every 50 ms
+                v = rng.normal(0.0, 0.15, 3) if rng.uniform() < 0.7 else np.zeros(3)
+                w = rng.normal(0.0, 2.0)
+                hand.v = v if teleop.state is State.FOLLOWING else np.zeros(3)
+                hand.roll_rate = w if teleop.state is State.FOLLOWING else 0.0
+                if rng.uniform() < 0.15:
+                    hand.buttons ^= {"clutch"}
+                if rng.uniform() < 0.03:
+                    teleop.set_scale(float(rng.uniform(0.1, 1.0)))
+                stranger = "pause" if rng.uniform() < 0.02 else None
+                if rng.uniform() < 0.10:
+                    teleop.enable()
+            hand.move(v * TICK)
+            hand.turn(w * TICK * hand.R[:, 2])
+            out = teleop.tick(now, hand.sample(now), view, CameraView(np.eye(3)))
+            commands = out.commands
+            commands.state = stranger if k % 25 == 0 and stranger else commands.state
+            if view.state is ArmState.ENABLED:  # else it was paused with a command on its way
+                assert view.refused == refused, f"seed {seed}, tick {k}: {view.reason}"
+            refused = view.refused
+            # Entering ENABLED puts the set-point on the measured pose: that is no motion.
+            if view.state is ArmState.ENABLED is before:
+                p.append(view.p_set)
+            else:
+                p.clear()
+            before = view.state
+            if len(p) >= 3:
+                velocity = np.abs(p[-1] - p[-2]).max() / TICK
+                acceleration = np.abs(p[-1] - 2 * p[-2] + p[-3]).max() / TICK**2
+                fastest, hardest = max(fastest, velocity), max(hardest, acceleration)
+        engagements += teleop.engagements
+    print(
+        f"{kind.value}: {REAL} storms of 3 s, {engagements} engagements, set-point at most "
+        f"{fastest:.3f} m/s and {hardest:.2f} m/s^2 per axis"
+    )
+    assert engagements > 2 * REAL
+    assert fastest <= limits.tip_velocity + 1e-9
+    # A step of a twentieth of a millimetre in one cycle would be 12.5 m/s^2.
+    assert hardest <= 2.0 * limits.stop_deceleration
