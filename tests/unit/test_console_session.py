@@ -338,7 +338,7 @@ def test_the_mapping_is_changed_under_the_clutch_only(bench: Bench) -> None:
 def test_what_does_not_become_ready_is_named(bench: Bench) -> None:
     cases = {
         "PSM1 did not become ready within 6 s and is FAULT: the shaft": (
-            Arm("PSM1", "FAULT", True, error="PSM1: the shaft is off the trocar"),
+            Arm("PSM1", "FAULT", True, because="the shaft is off the trocar"),
             Follower("WAITING"),
         ),
         "PSM1 does not speak": (Arm("PSM1"), Follower("WAITING")),
@@ -424,6 +424,17 @@ def test_random_lives_never_move_without_an_operator() -> None:
     print(f"{moves} inputs went out, {holds} holds")
     assert moves > 1000
     assert holds > 300
+
+
+def test_reasons_are_read_off_what_a_controller_says() -> None:
+    said = "PSM1: FAULT(link): no joint state from the robot link: check that it runs"
+    why = "no joint state from the robot link: check that it runs"
+    assert words.reason_of(said, "PSM1", "FAULT") == why
+    assert words.reason_of(said, "PSM1", "PAUSED") is None
+    assert words.reason_of(said, "PSM2", "FAULT") is None
+    assert words.reason_of("PSM1: ENABLED", "PSM1", "ENABLED") == ""
+    assert words.reason_of("PSM1: homed", "PSM1", "ENABLED") is None
+    assert words.state_sentence(Arm("PSM1", "FAULT", because=why)).endswith(why)
 
 
 def test_the_report_is_json_in_words(bench: Bench) -> None:

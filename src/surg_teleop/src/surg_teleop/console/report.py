@@ -67,8 +67,10 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
     """The one thing that the operator must know now."""
     arm = robot.arms[0] if robot.arms else None
     if session.phase is Phase.DRIVING:
-        if not robot.follower.following and robot.follower.reason:
+        if robot.follower.reason:
             return robot.follower.reason
+        if session.clutched:
+            return "The clutch is held: your hand moves, the tip stays."
         if arm is not None and now - arm.warned < RECENT:
             return arm.warning
         return "The tip follows your hand."

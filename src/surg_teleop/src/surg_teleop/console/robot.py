@@ -16,7 +16,7 @@ class Arm:
         state: DISABLED, ENABLED, PAUSED, FAULT; empty: it has not spoken.
         homed: Whether it is homed.
         heard: When it last spoke, on the steady clock [s].
-        error: Its newest error, in words; empty once it has left FAULT.
+        because: What it said when it came into this state, in words.
         warning: Its newest warning, in words.
         warned: When that came [s].
     """
@@ -25,7 +25,7 @@ class Arm:
     state: str = ""
     homed: bool = False
     heard: float = -1e9
-    error: str = ""
+    because: str = ""
     warning: str = ""
     warned: float = -1e9
 

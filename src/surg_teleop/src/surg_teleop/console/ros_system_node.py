@@ -11,6 +11,7 @@ import math
 import struct
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from sensor_msgs.msg import JointState, Joy
 from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
+from surg_teleop.console import words
 from surg_teleop.console.episodes import Entry, Episodes
 from surg_teleop.console.orders import (
     Camera,
@@ -57,6 +59,7 @@ class RosSystem:
     ) -> None:
         self._lock = threading.Lock()
         self._arms = {name: Arm(name) for name in arms}
+        self._because: dict[str, tuple[str, str]] = {}
         self._follower, self._follower_heard = Follower(), -1e9
         self._record: dict[str, Any] = {}
         self._sim: dict[str, Any] = {}
@@ -86,7 +89,8 @@ class RosSystem:
         ]
         for arm in arms:
             found.append(on(f"/{arm}/operating_state", OperatingState, self._on_state, arm))
-            found.append(on(f"/{arm}/error", String, self._on_error, arm))
+            found.append(on(f"/{arm}/error", String, self._on_change, arm))
+            found.append(on(f"/{arm}/status", String, self._on_change, arm))
             found.append(on(f"/{arm}/warning", String, self._on_warning, arm))
         return found
 
@@ -104,26 +108,28 @@ class RosSystem:
 
     def _on_state(self, message: OperatingState, arm: str) -> None:
         with self._lock:
-            before = self._arms[arm]
-            self._arms[arm] = Arm(
-                arm,
-                message.state,
-                message.is_homed,
-                time.monotonic(),
-                before.error if message.state == "FAULT" else "",
-                before.warning,
-                before.warned,
+            self._arms[arm] = replace(
+                self._arms[arm],
+                state=message.state,
+                homed=message.is_homed,
+                heard=time.monotonic(),
             )
 
-    def _on_error(self, message: String, arm: str) -> None:
-        self._say(arm, error=message.data)
+    def _on_change(self, message: String, arm: str) -> None:
+        """FAULT on `error`, every other state on `status`; either may come before the state."""
+        for state in ("DISABLED", "ENABLED", "PAUSED", "FAULT"):
+            why = words.reason_of(message.data, arm, state)
+            if why is not None:
+                with self._lock:
+                    self._because[arm] = (state, why)
 
     def _on_warning(self, message: String, arm: str) -> None:
-        self._say(arm, warning=message.data, warned=time.monotonic())
-
-    def _say(self, arm: str, **words: Any) -> None:
         with self._lock:
-            self._arms[arm] = Arm(**{**vars(self._arms[arm]), **words})
+            self._arms[arm] = replace(
+                self._arms[arm],
+                warning=words.without_name(message.data, arm),
+                warned=time.monotonic(),
+            )
 
     def _on_teleop(self, message: String) -> None:
         status = _object(message.data)
@@ -152,7 +158,7 @@ class RosSystem:
             }
             alive = now - self._follower_heard < FOLLOWER_FRESH
             return Robot(
-                tuple(self._arms.values()),
+                tuple(map(self._with_reason, self._arms.values())),
                 self._follower if alive else Follower(),
                 Gauges(
                     rcm=_last_double(newest.get("rcm")),
@@ -164,6 +170,10 @@ class RosSystem:
                 self._record,
                 self._sim,
             )
+
+    def _with_reason(self, arm: Arm) -> Arm:
+        state, why = self._because.get(arm.name, ("", ""))
+        return replace(arm, because=why) if state == arm.state else arm
 
     def told(self) -> None:
         """The pages have been told: the peak starts anew."""

@@ -71,18 +71,19 @@ def not_ready(robot: Robot, since: float, seconds: float) -> str:
         return f"the tip does not follow after {seconds:g} s: {robot.follower.reason}"
     if not arm.state:
         return f"{arm.name} does not speak: see that its controller runs (./surg status)"
-    said = arm.error or (arm.warning if arm.warned >= since else "") or robot.follower.reason
-    because = f": {_without_name(said, arm.name)}" if said else ""
+    warned = arm.warning if arm.warned >= since else ""
+    fault = arm.because if arm.state == "FAULT" else ""
+    said = fault or without_name(warned, arm.name) or robot.follower.reason
+    because = f": {said}" if said else ""
     return f"{arm.name} did not become ready within {seconds:g} s and is {arm.state}{because}"
 
 
 def state_sentence(arm: Arm) -> str:
     """An arm's state as a sentence for somebody who does not know CRTK."""
     if arm.state == "FAULT":
-        return f"it stopped for a fault. {_without_name(arm.error, arm.name) or 'No reason given'}"
+        return f"it stopped for a fault: {arm.because or 'it gave no reason'}"
     if arm.state == "PAUSED":
-        why = _without_name(arm.warning, arm.name)
-        return f"it holds, paused. {why}".strip()
+        return f"it holds, paused: {arm.because}" if arm.because else "it holds, paused"
     if arm.state == "DISABLED":
         return "it holds and obeys nothing; Enable wakes it"
     if arm.state == "ENABLED":
@@ -90,7 +91,27 @@ def state_sentence(arm: Arm) -> str:
     return "it has not spoken yet; see that its controller runs (./surg status)"
 
 
-def _without_name(text: str, name: str) -> str:
+def reason_of(text: str, name: str, state: str) -> str | None:
+    """Why an arm is in a state, of what its controller says: ``PSM1: FAULT(link): no joint state``.
+
+    Args:
+        text: What it said.
+        name: The arm.
+        state: The state.
+
+    Returns:
+        The reason in words, empty where it gave none; None: it speaks of something else.
+    """
+    head = f"{name}: {state}"
+    if not text.startswith(head):
+        return None
+    rest = text[len(head) :]
+    if rest.startswith("("):
+        rest = rest.partition("): ")[2]
+    return rest.strip()
+
+
+def without_name(text: str, name: str) -> str:
     """A message of a controller without the arm's name in front."""
     return text.removeprefix(f"{name}: ").strip()
 

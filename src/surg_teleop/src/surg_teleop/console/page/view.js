@@ -34,12 +34,12 @@ class Gauge {
   }
 }
 
-/** The deviation of the last half minute. */
+/** The deviation of the last half minute, against the largest of it. */
 class Trend {
-  constructor(id, full) {
+  constructor(id, least) {
     this.canvas = element(id);
     this.context = this.canvas.getContext("2d");
-    this.full = full;
+    this.least = least; // [m] full height at least
     this.points = [];
   }
 
@@ -47,16 +47,20 @@ class Trend {
     if (value === null) return;
     this.points.push([seconds, value]);
     while (this.points[0][0] < seconds - TREND_S) this.points.shift();
+    const { context } = this;
     const { width, height } = this.canvas;
-    const context = this.context;
+    const largest = Math.max(...this.points.map((point) => point[1]));
+    const full = Math.max(this.least, 1.25 * largest);
     context.clearRect(0, 0, width, height);
     context.fillStyle = "#202832";
     context.fillRect(0, height - 2, width, 2);
+    context.fillStyle = "#6b7886";
+    context.font = "20px system-ui, sans-serif";
+    context.fillText(`${TREND_S} s, largest ${(largest * 1e3).toFixed(3)} mm`, 0, 18);
     context.beginPath();
     for (const [at, deviation] of this.points) {
       const x = width * (1 - (seconds - at) / TREND_S);
-      const y = height - 2 - (height - 4) * Math.min(1, deviation / this.full);
-      context.lineTo(x, y);
+      context.lineTo(x, height - 2 - ((height - 4) * deviation) / full);
     }
     context.lineJoin = "round";
     context.strokeStyle = "#4fd1c5";
@@ -72,12 +76,12 @@ export class View {
     write(element("cell"), facts.cell);
     element("eyes").hidden = !facts.views.includes("right");
     this.gauges = {
-      rcm: new Gauge("rcm", { unit: 1e3, digits: 2, full: limits.rcm_error_fault, warn: limits.rcm_error_warn, bad: limits.rcm_error_fault }),
+      rcm: new Gauge("rcm", { unit: 1e3, digits: 3, full: limits.rcm_error_fault, warn: limits.rcm_error_warn, bad: limits.rcm_error_fault }),
       trocar: new Gauge("trocar", { unit: 1, digits: 1, full: limits.trocar_force_fault, warn: limits.trocar_force_warn, bad: limits.trocar_force_fault }),
       tip: new Gauge("tip", { unit: 1, digits: 1, full: limits.tip_force_hard, warn: limits.tip_force_soft, bad: limits.tip_force_hard }),
       depth: new Gauge("depth", { unit: 1e3, digits: 1, full: limits.depth_max, warn: null, bad: null }),
     };
-    this.trend = new Trend("trend", limits.rcm_error_warn);
+    this.trend = new Trend("trend", limits.rcm_error_warn / 20);
     this.page = facts.page;
   }
 
@@ -135,7 +139,8 @@ export class View {
       write(word, `${arm.state || "no word"}${arm.homed ? "" : ", not homed"}`);
       const tones = { ENABLED: "good", PAUSED: "warn", FAULT: "bad", SILENT: "bad" };
       mark(word, "tone", tones[arm.state] ?? "");
-      write(row.querySelector("p"), arm.sentence);
+      const calm = arm.state === "ENABLED" && arm.homed;
+      write(row.querySelector("p"), calm ? "" : arm.sentence);
     });
   }
 
