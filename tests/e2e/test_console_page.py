@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from helpers import chromium
-from helpers.chromium import Chromium, Tab, until
+from helpers.chromium import GAMEPAD, Chromium, Tab, until
 from helpers.console import Console, console
 from helpers.console_results import note
 from surg_teleop.console.orders import Camera, Clutch, Follow, Move, Present, Record, SetScale
@@ -28,19 +28,6 @@ FULL = os.environ.get("SURG_TEST_FULL") == "1"
 LATEST = 2.0 if not FULL else 0.3
 """[s] after which an arm that should hold has failed; the shipped limits are judged in a whole run,
 where no other work makes a browser late."""
-GAMEPAD = """
-window.pad = null;
-navigator.getGamepads = () => [window.pad];
-window.plug = (axes, pressed) => {
-  window.pad = {
-    id: "Test pad (Vendor: 1234)", index: 0, connected: true, mapping: "standard", axes,
-    buttons: [...Array(17).keys()].map((i) => {
-      const value = pressed[i] ?? 0;
-      return { pressed: value > 0.5, value };
-    }),
-  };
-};
-"""
 
 
 def run(test: Coroutine[Any, Any, None]) -> None:

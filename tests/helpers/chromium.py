@@ -35,6 +35,21 @@ FLAGS = (
     "--force-color-profile=srgb",
 )
 
+GAMEPAD = """
+window.pad = null;
+navigator.getGamepads = () => [window.pad];
+window.plug = (axes, pressed) => {
+  window.pad = {
+    id: "Test pad (Vendor: 1234)", index: 0, connected: true, mapping: "standard", axes,
+    buttons: [...Array(17).keys()].map((i) => {
+      const value = pressed[i] ?? 0;
+      return { pressed: value > 0.5, value };
+    }),
+  };
+};
+"""
+"""A gamepad that is not there, for `Chromium.open`: `plug(axes, {button: value})`."""
+
 
 def missing() -> str:
     """Why Chromium cannot be driven here; empty: it can."""
