@@ -47,7 +47,7 @@ class Hand:
     speaks: bool = True
     broken: bool = False
     problem: str = ""
-    _last: LeaderSample | None = None
+    said: LeaderSample | None = None
 
     def move(self, step: np.ndarray) -> None:
         """Moves by a step in the view [m]."""
@@ -61,7 +61,7 @@ class Hand:
         """Its newest sample; an old one where it does not speak."""
         if self.speaks:
             p = np.full(3, np.nan) if self.broken else self.p
-            self._last = LeaderSample(
+            self.said = LeaderSample(
                 stamp=now,
                 pose=HandlePose(p, self.R),
                 rate=HandRate(self.v, self.roll_rate, self.spherical),
@@ -69,4 +69,4 @@ class Hand:
                 buttons=frozenset(self.buttons),
                 problem=self.problem,
             )
-        return self._last
+        return self.said

@@ -88,7 +88,7 @@ class Storm:
         return self.arm.tick * TICK
 
     def tick(self, n: int = 1, cycles: int = 1) -> None:
-        """N ticks of the teleoperation, each with some control cycles of the arm."""
+        """Runs ticks of the teleoperation, each with some control cycles of the arm."""
         for _ in range(n):
             self.ticks += 1
             now, view = self.now, self.arm.view()
@@ -105,7 +105,8 @@ class Storm:
         if following and not self._following:
             assert now - self._acted <= ASKED + 1e-9, "engaged without an act"
             self._by_hand = self._by_jaw = 0.0
-            self._grip, self._jaw = self.hand.grip or 0.0, self.arm.jaw
+            # As the newest sample says: a hand that is silent for less than the limit may engage.
+            self._grip, self._jaw = self.hand.said.grip, self.arm.jaw
             self._told = None
         if self._following and not following:
             assert commands.hold, "let go without hold"

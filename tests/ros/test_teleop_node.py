@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from helpers.ros import RosGraph
-from surg_cli import paths, system
+from surg_cli import master, paths, system, topic_contract
 from surg_cli.processes import Child
 
 pytestmark = pytest.mark.ros
 
 TWO_ARMS = paths.ROOT / "cells" / "sim_two_arms"
 ONE_ARM = paths.ROOT / "cells" / "sim_ur5e"
+PICTURE = "/test/image_raw"
 STANDING_VIEW = [0.907, 0.0, 0.0, 0.421]  # any: an endoscope that nobody holds
 
 
@@ -153,7 +154,7 @@ def hand(ros_graph: RosGraph, rospy_node: str) -> Iterator[CrtkHand]:
         "leader": "crtk",
         "settings": {"name": "hand"},
         "scale": 0.5,
-        "picture": "",
+        "picture": PICTURE,
     }
     child = ros_graph.node("surg_teleop", "teleop_node", "/teleop", params)
     found = CrtkHand(child)
@@ -238,6 +239,60 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     assert hand.teleop.process.wait(10) == 0
 
 
+def test_topics_and_picture_in_free_run(ros_graph: RosGraph, hand: CrtkHand) -> None:
+    """What docs/topics.yaml promises is there and nothing else; a frozen picture is said (F08)."""
+    import rospy
+    from sensor_msgs.msg import Image
+
+    ros_graph.wait_for(hand.connected, 40.0, "both arms and the teleoperation")
+    assert own_topics(ros_graph) == promised_topics()
+
+    camera = rospy.Publisher(PICTURE, Image, queue_size=1)
+    ros_graph.wait_for(lambda: camera.get_num_connections() > 0, 5.0, "the picture's connection")
+    image = Image(height=8, width=8, encoding="rgb8", step=24)
+    image.header.frame_id = "endoscope_left"
+
+    def show(n: int, frozen: bool) -> None:
+        for k in range(n):
+            image.header.stamp = rospy.Time.now()
+            image.data = bytes([0 if frozen else k]) * 192
+            camera.publish(image)
+            time.sleep(0.05)
+
+    show(20, frozen=False)
+    assert not any("the picture is" in text for text in hand.warnings), hand.warnings
+    show(20, frozen=True)
+    told = [text for text in hand.warnings if "shows the same picture" in text]
+    assert len(told) == 1, hand.warnings
+    camera.unregister()
+
+
+def promised_topics() -> set[tuple[str, str, str]]:
+    """Topic, type and direction of every row of the node, for this leader and these arms."""
+    found = set()
+    for entry in topic_contract.load().entries:
+        for arm in ("PSM1", "ECM") if entry.node == "teleop" else ():
+            name = entry.name.replace("<leader>", "hand").replace("<arm>", arm)
+            found.add((name, entry.type, entry.direction))
+    return found
+
+
+def own_topics(graph: RosGraph) -> set[tuple[str, str, str]]:
+    """The same on the running graph, without the topics of others that the node uses."""
+    publications, subscriptions, _ = master.call(graph.uri, "getSystemState")
+    types = dict(master.call(graph.uri, "getTopicTypes"))
+    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", "/rosout", "/clock", PICTURE)
+    found = set()
+    for table, way in ((publications, "out"), (subscriptions, "in")):
+        for topic, nodes in table:
+            foreign = topic.startswith(
+                ("/PSM1/", "/ECM/", "/record/", "/sim/", "/rosout", "/clock")
+            )
+            if "/teleop" in nodes and not foreign and topic != PICTURE:
+                found.add((topic, types[topic], way))
+    return found
+
+
 def motion_file(folder: Path) -> Path:
     t = np.arange(151) * 0.02
     rows = np.column_stack(
@@ -264,12 +319,12 @@ def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
     params = {
         "cell": ONE_ARM,
         "leader": "motion",
-        "settings": {"file": str(motion_file(graph.folder)), "rate": 30.0, "delay": 0.2},
+        "settings": {"file": str(motion_file(graph.folder)), "rate": 30.0, "delay": 0.1},
         "scale": 1.0,
         "view": STANDING_VIEW,
         "lockstep": True,
         "enabled": True,
-        "duration": 1.0,
+        "duration": 0.6,
         "picture": "",
     }
     env = {"SURG_TEST_JITTER_MS": str(jitter_ms)}
