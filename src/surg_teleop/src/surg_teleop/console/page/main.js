@@ -6,6 +6,7 @@ import { View } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
 const OLD_PICTURE_MS = 150; // three of the endoscope's periods
+const SHOW_MS = 100; // figures for people; states are shown at once
 const KEPT_PICTURES = 16384; // what is known of each: a quarter of an hour, for a measurement
 const TOAST_MS = 5000;
 
@@ -29,6 +30,8 @@ let view = null;
 let status = null;
 let sequence = 0;
 let lastSample = clock();
+let shownAt = 0;
+let lastHand = null;
 const picture = { exposedUs: 0, drawn: [] };
 
 const link = new Link(hear, lost);
@@ -55,6 +58,10 @@ function heed(message) {
     element("scale").value = message.scale;
     element("scale-value").textContent = message.scale.toFixed(2);
   }
+  view.note(message);
+  const news = message.phase !== before?.phase || message.headline !== before?.headline;
+  if (!news && clock() - shownAt < SHOW_MS / 1000 - 0.01) return;
+  shownAt = clock();
   view.show(message, link);
 }
 
@@ -103,8 +110,10 @@ setInterval(() => {
     sequence += 1;
     link.say("input", { seq: sequence, at: now, picture_us: picture.exposedUs, ...sample });
   }
-  showHand(sample);
+  lastHand = sample;
 }, INPUT_MS);
+
+setInterval(() => lastHand && showHand(lastHand), SHOW_MS);
 
 function showHand(sample) {
   const driving = status?.phase === "driving";

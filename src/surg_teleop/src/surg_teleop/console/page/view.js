@@ -1,6 +1,7 @@
 // Puts what the console says onto the page. It decides nothing.
 
 const TREND_S = 30;
+const TREND_STEP_S = 0.25; // between two points: each is the largest value in between
 
 const element = (id) => document.getElementById(id);
 
@@ -45,7 +46,10 @@ class Trend {
 
   add(seconds, value) {
     if (value === null) return;
-    this.points.push([seconds, value]);
+    this.peak = Math.max(this.peak ?? 0, value);
+    if (seconds - (this.points.at(-1)?.[0] ?? 0) < TREND_STEP_S) return;
+    this.points.push([seconds, this.peak]);
+    this.peak = 0;
     while (this.points[0][0] < seconds - TREND_S) this.points.shift();
     const { context } = this;
     const { width, height } = this.canvas;
@@ -85,6 +89,11 @@ export class View {
     this.page = facts.page;
   }
 
+  /** Every report: a peak must not be missed. */
+  note(status) {
+    this.trend.add(performance.now() / 1000, status.gauges.rcm_peak ?? status.gauges.rcm);
+  }
+
   /** @param status what the console said; `link` the socket. */
   show(status, link) {
     const mine = status.holder === this.page;
@@ -95,7 +104,6 @@ export class View {
     const watching = status.holder ? `${status.holder} has control. Stop works from here too.` : status.sentence;
     write(element("sentence"), status.picture_problem || (mine ? status.sentence : watching));
     for (const name in this.gauges) this.gauges[name].show(status.gauges[name]);
-    this.trend.add(performance.now() / 1000, status.gauges.rcm_peak ?? status.gauges.rcm);
     this.controls(status, mine);
     this.arms(status.arms);
     write(element("task"), status.task);
