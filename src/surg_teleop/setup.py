@@ -8,8 +8,24 @@ setuptools.setup(
     description="Recorded motions and the operator that plays them",
     license="Apache-2.0",
     python_requires=">=3.11",
-    packages=["surg_teleop", "surg_teleop.inputs", "surg_teleop.leaders"],
+    packages=[
+        "surg_teleop",
+        "surg_teleop.console",
+        "surg_teleop.frames",
+        "surg_teleop.inputs",
+        "surg_teleop.leaders",
+    ],
     package_dir={"": "src"},
-    package_data={"surg_teleop": ["py.typed", "inputs/layouts/*.yaml"]},
-    install_requires=["evdev>=1.6", "numpy>=1.24", "pyyaml>=6.0", "scipy>=1.10"],
+    package_data={
+        "surg_teleop": ["py.typed", "inputs/layouts/*.yaml"],
+        "surg_teleop.console": ["page/*"],
+    },
+    install_requires=[
+        "aiohttp>=3.8",
+        "av>=10",
+        "evdev>=1.6",
+        "numpy>=1.24",
+        "pyyaml>=6.0",
+        "scipy>=1.10",
+    ],
 )

@@ -22,6 +22,7 @@ COMMANDS = {
     "demo": ("demo", True, "drive an instrument through its trocar and report how well it went"),
     "run": ("run", True, "episodes of a task by scripted senders, with success and deviations"),
     "evaluate": ("evaluate", True, "figures and tables of recorded episodes, by condition"),
+    "teleop": ("teleop", True, "the phantom under your hands: an operator console in the browser"),
     "test": ("testing", True, "build and run the tests"),
     "setup": ("setup", False, "install Debian packages and .venv"),
     "build": ("setup", False, "build the workspace (does setup first)"),

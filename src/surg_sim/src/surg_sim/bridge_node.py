@@ -277,7 +277,7 @@ class Bridge:
             return False
         tick = self._world.tick
         self._task.publish_forces(tick, self._stamp_ns)
-        over = self._task.verdict.done
+        over = self._task.verdict.done and (self.lockstep or not self._settings.endless)
         self._world.step(commands, self._task.take(tick))
         return over or self._task.distrust()
 

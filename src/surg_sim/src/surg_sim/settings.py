@@ -88,6 +88,7 @@ class BridgeSettings:
             -1: it does not. In lock-step the controller must have ``sim`` among its participants.
         task: Name or file of the task that is played; empty: none.
         setting: Name of the physical setting; empty: the simulator's own parameters.
+        endless: Free-run: the phantom goes on when its task is over, for people who try again.
         faults: Faults from the start, as JSON (``faults``).
         inject: Take further faults on ``/sim/inject``.
         connect_timeout: Longest wait for everybody to connect in lock-step [s].
@@ -104,6 +105,7 @@ class BridgeSettings:
     track_stale: float
     task: str
     setting: str
+    endless: bool
     faults: str
     inject: bool
     connect_timeout: float
@@ -134,6 +136,7 @@ class BridgeSettings:
             track_stale=_real("track_stale", get("track_stale", -1), -1.0, 1.0),
             task=task,
             setting=_word("setting", get("setting", DEFAULT_SETTING if task else "")),
+            endless=_flag("endless", get("endless", False)),
             faults=_word("faults", get("faults", "")),
             inject=_flag("inject", get("inject", False)),
             connect_timeout=_real("connect_timeout", get("connect_timeout", 60.0), 1.0, 3600.0),

@@ -125,6 +125,7 @@ class TaskTopics:
         self._state = Output("/sim/task_state", TaskState, bridge.lockstep, latch=True)
         self._assistant = None if self._task.assistant is None else AssistantTopics(bridge)
         patient = bridge.lockstep
+        self._free = not patient  # in free-run an end is news once, also where the phantom goes on
         self._forces = [
             _ForceSensor(name, "trocar", lambda arm: world.truth(arm).trocar_force, patient)
             for name in world.arms
@@ -149,8 +150,9 @@ class TaskTopics:
 
     def publish(self, tick: int, stamp_ns: int) -> None:
         """Judge the state of a tick; send it on the grid and when the episode ends with it."""
+        ended = self.verdict.done
         verdict = self.verdict = self._task.verdict()
-        if tick % GRID == 0 or verdict.done:
+        if tick % GRID == 0 or (verdict.done and not (ended and self._free)):
             outcome = (verdict.done, verdict.success, verdict.reason)
             self._state.send(
                 self._layout.pack(

@@ -51,7 +51,7 @@ REPORT = 0.5
 """[s] ``~status`` is said at least that often."""
 CONNECT_TIMEOUT = 30.0
 """[s] wall clock, lock-step: longest wait for everybody."""
-PEDALS = {"clutch": "clutch", "camera": "camera", "operator_present": "present"}
+PEDALS = {"clutch": "clutch", "camera": "camera", "operator_present": "present", "rate": "rate"}
 
 
 class TeleopNode:

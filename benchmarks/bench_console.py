@@ -1,0 +1,281 @@
+"""The console under full load: age of the picture in Chromium, frame rate, real-time factor.
+
+Starts `./surg teleop` (control, phantom, recording, teleoperation, console) and headless Chromium
+with its page on the same machine, enables, moves in a small circle by the keyboard, and reads off
+the page how old each picture was when its pixels had been drawn. `--json FILE` writes:
+
+    format              "surg_bench_console/1"
+    machine             {processor, cores, load_before, load_after, date}
+    runs                one per layout ("left", "stereo"):
+        layout, codec, seconds
+        pictures, fps   drawn, and per second
+        age_ms          {p50, p99, max}: exposure stamp -> pixel drawn, on one clock
+        parts_ms        medians: exposure -> encoder (render, ROS), encoding, transport, decode and
+                        draw
+        real_time       simulated by wall time over the run; 1 is real time
+        overruns        of the simulator
+        driving         part of the time in which the tip followed
+        faults          arms that were in FAULT
+        cpu             CPU seconds per second of each node, Chromium, and all together
+
+Goals on 2 cores: age p50 60 ms left and 120 ms stereo, 15 fps, real time 0.98.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import datetime
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surg_cli import master, paths, processes, running
+from surg_cli.terminal import Progress, say, table
+
+sys.path.insert(0, str(paths.ROOT / "tests"))
+
+from helpers.chromium import Chromium, Tab, missing, until
+
+CIRCLE = ("KeyD", "KeyS", "KeyA", "KeyW")
+STEP_S = 0.6
+"""[s] in each direction."""
+TICK_HZ = 500
+
+
+@contextlib.asynccontextmanager
+async def system(cell: str, layout: str, out: Path) -> AsyncIterator[tuple[str, running.System]]:
+    """A running `./surg teleop`: the page's address and the system's entry."""
+    port, web = master.free_port(), master.free_port()
+    words = ["teleop", cell, "--port", str(port), "--web-port", str(web), "--out", str(out)]
+    words += ["--stereo"] if layout == "stereo" else []
+    log = out.parent / f"teleop_{layout}.log"
+    with log.open("wb") as stream:
+        process = subprocess.Popen(
+            [sys.executable, "-s", "-m", "surg_cli", *words],
+            env={**os.environ, "SURG_READY": "1"},
+            cwd=paths.ROOT,
+            stdout=stream,
+            stderr=subprocess.STDOUT,
+        )
+    try:
+
+        async def up() -> running.System | None:
+            assert process.poll() is None, log.read_text()
+            if "Open http" not in log.read_text():
+                return None
+            return next((s for s in running.systems() if s.port == port and s.nodes), None)
+
+        entry = await until(up, "the system", 120.0, 0.1)
+        yield f"http://localhost:{web}/", entry
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(60)
+
+
+class SimClock:
+    """The simulator's tick against the wall clock."""
+
+    def __init__(self, port: int) -> None:
+        import rospy
+        from std_msgs.msg import String
+
+        os.environ["ROS_MASTER_URI"] = f"http://localhost:{port}"
+        if not rospy.core.is_initialized():
+            rospy.init_node("bench_console", anonymous=True, disable_signals=True)
+        self.seen: list[tuple[float, int, int]] = []
+        self._subscriber = rospy.Subscriber("/sim/status", String, self._on_status)
+
+    def _on_status(self, message: Any) -> None:
+        status = json.loads(message.data)
+        self.seen.append((time.monotonic(), status["tick"], status["overruns"]))
+
+    def factor(self) -> float:
+        """Simulated by wall time."""
+        (start, first, _), (end, last, _) = self.seen[0], self.seen[-1]
+        return (last - first) / TICK_HZ / (end - start)
+
+    @property
+    def overruns(self) -> int:
+        """Times that the simulator dropped its backlog."""
+        return self.seen[-1][2] - self.seen[0][2]
+
+
+def cpu_seconds(entry: running.System, browser: int) -> dict[str, float]:
+    """CPU time so far of each node and of Chromium with its children [s]."""
+    hertz = os.sysconf("SC_CLK_TCK")
+
+    def of(pid: int) -> float:
+        try:
+            fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return 0.0
+        return (int(fields[11]) + int(fields[12])) / hertz
+
+    found = {
+        name: sum(map(of, processes.session_members(pid))) for name, pid in entry.nodes.items()
+    }
+    found["chromium"] = sum(map(of, processes.session_members(browser)))
+    return found
+
+
+async def drive(tab: Tab) -> None:
+    """Enable until the tip follows."""
+
+    async def driving() -> bool:
+        if await tab.run("document.body.dataset.phase") == "driving":
+            return True
+        await tab.tap("Enter")
+        await asyncio.sleep(1.0)
+        return False
+
+    await until(driving, "driving", 120.0)
+
+
+async def circle(tab: Tab, seconds: float, progress: Progress) -> float:
+    """Keys in turn; returns the part of the time in which the tip followed."""
+    await tab.key("Space", True)  # under the clutch the hand changes from mouse to keys
+    await asyncio.sleep(0.3)
+    await tab.tap("KeyD")
+    await asyncio.sleep(0.5)
+    await tab.key("Space", False)
+    began, looks, following = time.monotonic(), 0, 0
+    step = 0
+    while (gone := time.monotonic() - began) < seconds:
+        progress.update(gone / seconds)
+        code = CIRCLE[step % len(CIRCLE)]
+        await tab.key(code, True)
+        await asyncio.sleep(STEP_S)
+        await tab.key(code, False)
+        step, looks = step + 1, looks + 1
+        headline = await tab.run("surgConsole.status()?.headline ?? ''")
+        following += headline == "Following"
+        if headline == "Held":
+            await tab.tap("Enter")
+    return following / looks
+
+
+async def measure(cell: str, layout: str, seconds: float, folder: Path) -> dict[str, Any]:
+    """One run."""
+    async with system(cell, layout, folder / layout) as (url, entry), Chromium() as browser:
+        tab = await browser.open(url)
+        await tab.until("surgConsole.picture.drawn.length > 20", "pictures", 180.0)
+        if layout == "stereo":
+            await tab.click('#eyes [data-layout="stereo"]')
+            await tab.until("surgConsole.picture.drawn.at(-1).width > 1000", "both eyes", 60.0)
+        await drive(tab)
+        await tab.tap("KeyV")
+        clock = SimClock(entry.port)
+        before = cpu_seconds(entry, browser.process.pid)
+        begun = await tab.run("Date.now() * 1000")
+        started = time.monotonic()
+        with Progress(f"{layout}, {seconds:.0f} s") as progress:
+            part = await circle(tab, seconds, progress)
+        wall = time.monotonic() - started
+        after = cpu_seconds(entry, browser.process.pid)
+        drawn = await tab.run("surgConsole.picture.drawn")
+        assert drawn[0]["drawnUs"] < begun, "the page keeps the last pictures only: a shorter run"
+        await tab.tap("KeyV")
+        await tab.tap("Escape")
+        await asyncio.sleep(2.0)
+        errors = json.loads(entry.file.read_text())["last_errors"] if entry.file.exists() else {}
+    drawn = [each for each in drawn if each["drawnUs"] > begun]
+    ages = np.array([each["ageMs"] for each in drawn])
+
+    def part_ms(start: str, end: str) -> float:
+        return float(np.median([each[end] - each[start] for each in drawn])) / 1e3
+
+    used = {name: (after[name] - before[name]) / wall for name in after}
+    return {
+        "layout": layout,
+        "codec": drawn[-1]["codec"],
+        "seconds": wall,
+        "pictures": len(drawn),
+        "fps": len(drawn) / wall,
+        "age_ms": {
+            "p50": float(np.percentile(ages, 50)),
+            "p99": float(np.percentile(ages, 99)),
+            "max": float(ages.max()),
+        },
+        "parts_ms": {
+            "exposure to encoder": part_ms("exposedUs", "receivedUs"),
+            "encoding": part_ms("receivedUs", "encodedUs"),
+            "transport": part_ms("encodedUs", "arrivedUs"),
+            "decoding and drawing": part_ms("arrivedUs", "drawnUs"),
+        },
+        "real_time": clock.factor(),
+        "overruns": clock.overruns,
+        "driving": part,
+        "faults": errors,
+        "cpu": {**used, "all": sum(used.values())},
+    }
+
+
+def show(runs: list[dict[str, Any]]) -> None:
+    """Print the figures."""
+    rows = [["layout", "age p50", "p99", "fps", "real time", "following", "CPU", "faults"]]
+    for run in runs:
+        rows.append(
+            [
+                run["layout"],
+                f"{run['age_ms']['p50']:.1f} ms",
+                f"{run['age_ms']['p99']:.1f} ms",
+                f"{run['fps']:.1f}",
+                f"{run['real_time']:.3f}",
+                f"{100 * run['driving']:.0f} %",
+                f"{run['cpu']['all']:.2f}",
+                ", ".join(run["faults"]) or "none",
+            ]
+        )
+    say(table(rows))
+    for run in runs:
+        parts = ", ".join(f"{name} {value:.1f} ms" for name, value in run["parts_ms"].items())
+        say(f"  {run['layout']}: {parts}")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        prog="./surg bench console", description=__doc__.split("\n")[0]
+    )
+    parser.add_argument("--cell", default="sim_two_arms", help="default sim_two_arms")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of each run (default 60)")
+    parser.add_argument("--layout", choices=("left", "stereo", "both"), default="both")
+    parser.add_argument("--json", type=Path, metavar="FILE")
+    options = parser.parse_args()
+    if missing():
+        say(f"bench console: {missing()}")
+        return 1
+    layouts = ("left", "stereo") if options.layout == "both" else (options.layout,)
+    load = os.getloadavg()[0]
+    with tempfile.TemporaryDirectory(prefix="surg_bench_console_") as folder:
+        runs = [
+            asyncio.run(measure(options.cell, layout, options.seconds, Path(folder)))
+            for layout in layouts
+        ]
+    show(runs)
+    if options.json:
+        machine = {
+            "processor": platform.processor() or platform.machine(),
+            "cores": len(os.sched_getaffinity(0)),
+            "load_before": load,
+            "load_after": os.getloadavg()[0],
+            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        }
+        result = {"format": "surg_bench_console/1", "machine": machine, "runs": runs}
+        options.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

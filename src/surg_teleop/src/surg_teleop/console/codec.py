@@ -1,0 +1,153 @@
+"""Pictures to H.264 and to JPEG, one in, one out: no look-ahead, no B frames, no delay."""
+
+from __future__ import annotations
+
+import fractions
+from typing import Protocol
+
+import av
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+
+PIXELS = {"rgb8": ("rgb24", 3), "bgr8": ("bgr24", 3), "mono8": ("gray", 1)}
+"""ROS image encoding → PyAV pixel format and channels."""
+KEY_EVERY = 100
+"""Pictures between two key pictures; a page that joins or falls behind asks for one."""
+_MICROSECONDS = fractions.Fraction(1, 1_000_000)
+_LAMBDA = 118  # FF_QP2LAMBDA: ffmpeg counts qualities in 118ths
+
+
+class CodecError(ValueError):
+    """An image that cannot be encoded: why, and what is allowed."""
+
+
+class Codec(Protocol):
+    """Encodes the pictures of one size, one after another."""
+
+    size: tuple[int, int]
+
+    def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
+        """One picture; `key`: it must be decodable without the ones before."""
+
+
+class H264:
+    """x264 for a live view: constrained baseline, Annex B, parameter sets with every key picture.
+
+    Args:
+        width: [px], even.
+        height: [px], even.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self.size = (width, height)
+        context = av.CodecContext.create("libx264", "w")
+        context.width, context.height, context.pix_fmt = width, height, "yuv420p"
+        context.time_base, context.framerate = _MICROSECONDS, fractions.Fraction(20)
+        context.gop_size, context.thread_count = KEY_EVERY, 1
+        context.options = {
+            "preset": "ultrafast",
+            "tune": "zerolatency",
+            "profile": "baseline",
+            "bf": "0",
+            "crf": "21",
+            "forced-idr": "1",
+            "x264-params": "scenecut=0:repeat-headers=1:annexb=1:sliced-threads=0:"
+            "colorprim=smpte170m:transfer=smpte170m:colormatrix=smpte170m",
+        }
+        self._context = context
+        self._last = -1
+
+    def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
+        """See `Codec`."""
+        picture = frame.reformat(format="yuv420p")
+        self._last = max(stamp_us, self._last + 1)
+        picture.pts, picture.time_base = self._last, _MICROSECONDS
+        picture.pict_type = "I" if key else "NONE"
+        return b"".join(bytes(packet) for packet in self._context.encode(picture))
+
+
+class Jpeg:
+    """Motion JPEG: four to eight times as many bytes, decoded by every browser.
+
+    Args:
+        width: [px].
+        height: [px].
+    """
+
+    QUALITY = 4  # of 2 (best) to 31
+
+    def __init__(self, width: int, height: int) -> None:
+        self.size = (width, height)
+        context = av.CodecContext.create("mjpeg", "w")
+        context.width, context.height, context.pix_fmt = width, height, "yuvj420p"
+        context.time_base, context.thread_count = _MICROSECONDS, 1
+        context.options = {"flags": "+qscale", "global_quality": str(self.QUALITY * _LAMBDA)}
+        self._context = context
+
+    def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
+        """See `Codec`; every picture is a key picture."""
+        picture = frame.reformat(format="yuvj420p")
+        picture.pts, picture.time_base = stamp_us, _MICROSECONDS
+        return b"".join(bytes(packet) for packet in self._context.encode(picture))
+
+
+CODECS: dict[str, type[H264] | type[Jpeg]] = {"h264": H264, "jpeg": Jpeg}
+
+
+def image_of(data: bytes, width: int, height: int, step: int, encoding: str) -> Image:
+    """The pixels of a ROS image, without a copy where its rows are packed.
+
+    Args:
+        data: Its bytes.
+        width: [px].
+        height: [px].
+        step: Bytes per row.
+        encoding: As in `sensor_msgs/Image`.
+
+    Returns:
+        (height, width, channels), or (height, width) of a grey image; even sizes: an odd last row
+        or column is cut off, as H.264 needs it.
+
+    Raises:
+        CodecError: It does not add up, or the encoding is not known.
+    """
+    if encoding not in PIXELS:
+        raise CodecError(f"image encoding '{encoding}'; allowed: {', '.join(PIXELS)}")
+    channels = PIXELS[encoding][1]
+    if width < 16 or height < 16 or step < width * channels or len(data) != step * height:
+        raise CodecError(
+            f"an image of {width} x {height} pixels, {step} bytes per row and {len(data)} bytes "
+            "does not add up"
+        )
+    rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, : width * channels]
+    even_width, even_height = width & ~1, height & ~1
+    if channels == 1:
+        return rows[:even_height, :even_width]
+    return rows.reshape(height, width, channels)[:even_height, :even_width]
+
+
+def frame_of(images: tuple[Image, ...], encoding: str) -> av.VideoFrame:
+    """One picture, or two side by side, for the encoder.
+
+    Raises:
+        CodecError: The two differ in size.
+    """
+    if len({image.shape for image in images}) != 1:
+        raise CodecError("left and right picture differ in size")
+    whole = np.ascontiguousarray(np.hstack(images) if len(images) > 1 else images[0])
+    return av.VideoFrame.from_ndarray(whole, format=PIXELS[encoding][0])
+
+
+def profile_of(data: bytes) -> tuple[int, int, int]:
+    """Profile, constraints and level of an H.264 key picture; zeros where it has no parameter set.
+
+    A browser's decoder is set up with them (``avc1.PPCCLL``).
+    """
+    at = data.find(b"\x00\x00\x01")
+    while at >= 0 and at + 7 <= len(data):
+        if data[at + 3] & 0x1F == 7:
+            return data[at + 4], data[at + 5], data[at + 6]
+        at = data.find(b"\x00\x00\x01", at + 3)
+    return 0, 0, 0

@@ -1,0 +1,208 @@
+// What the hand does, from mouse, keyboard and gamepad, in the view frame: x right, y down, z away
+// from the viewer. The mouse is a position leader, keys and gamepad are rate leaders.
+
+const METRES_PER_PIXEL = 0.0005; // of the hand; the console's scale comes on top
+const METRES_PER_NOTCH = 0.004;
+const RADIANS_PER_PIXEL = 0.008;
+const SMOOTHING_S = 0.05; // the mouse's steps become a motion
+const ROLL_RATE = 1.2; // [rad/s]
+const GRIP_RATE = 1.5; // [1/s] fully open to closed in two thirds of a second
+const SLOW = 0.25;
+const DEAD_ZONE = 0.12;
+
+// key -> axis and direction
+const MOTION_KEYS = {
+  KeyA: ["x", -1], ArrowLeft: ["x", -1],
+  KeyD: ["x", 1], ArrowRight: ["x", 1],
+  KeyW: ["y", -1], ArrowUp: ["y", -1],
+  KeyS: ["y", 1], ArrowDown: ["y", 1],
+  KeyR: ["z", 1], PageUp: ["z", 1],
+  KeyF: ["z", -1], PageDown: ["z", -1],
+  KeyQ: ["roll", -1], KeyE: ["roll", 1],
+  KeyK: ["grip", -1], KeyL: ["grip", 1],
+};
+const HELD_KEYS = { Space: "clutch", KeyC: "camera" };
+const PRESSED_KEYS = { Enter: "enable", Escape: "stop", KeyV: "record", KeyM: "hand" };
+
+// buttons of the standard gamepad
+const PAD = { stop: 1, record: 2, clutch: 4, camera: 5, close: 7, open: 6, back: 8, start: 9 };
+
+export class Hand {
+  /**
+   * @param view the element over which the mouse moves the tip
+   * @param press called with "enable", "stop", "record" or "hand"
+   * @param lost called with "gamepad" when a gamepad that was in use is gone
+   */
+  constructor(view, press, lost) {
+    this.view = view;
+    this.press = press;
+    this.lost = lost;
+    this.hand = "position";
+    this.speed = 0.02; // [m/s] of the tip at full deflection
+    this.grip = null;
+    this.latched = { clutch: false, camera: false };
+    this.mayChange = () => true; // whether the kind of hand may change now
+    this.goal = { x: 0, y: 0, z: 0, roll: 0 };
+    this.now = { ...this.goal };
+    this.keys = new Set();
+    this.padDown = new Set();
+    this.padId = null;
+    this.padName = "";
+    this.listen();
+  }
+
+  listen() {
+    addEventListener("keydown", (event) => this.keyDown(event));
+    addEventListener("keyup", (event) => this.keys.delete(event.code));
+    addEventListener("blur", () => this.keys.clear());
+    addEventListener("gamepaddisconnected", ({ gamepad }) => {
+      if (gamepad.index === this.padId) this.loseGamepad();
+    });
+    this.view.addEventListener("pointerdown", (event) => this.pointerDown(event));
+    this.view.addEventListener("pointermove", (event) => this.pointerMove(event));
+    this.view.addEventListener("wheel", (event) => this.wheel(event), { passive: false });
+    this.view.addEventListener("contextmenu", (event) => event.preventDefault());
+  }
+
+  keyDown(event) {
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    const { code } = event;
+    if (code.startsWith("Shift")) this.keys.add(code);
+    const ours = code in MOTION_KEYS || code in HELD_KEYS || code in PRESSED_KEYS;
+    const slider = event.target instanceof HTMLInputElement && code.startsWith("Arrow");
+    if (!ours || slider) return;
+    event.preventDefault();
+    if (code in PRESSED_KEYS) {
+      if (!event.repeat) this.press(PRESSED_KEYS[code]);
+      return;
+    }
+    if (code in MOTION_KEYS && MOTION_KEYS[code][0] !== "grip" && !this.use("rate")) return;
+    this.keys.add(code);
+  }
+
+  /** Change the kind of hand; false: not now. */
+  use(hand) {
+    if (this.hand === hand) return true;
+    if (!this.mayChange(hand)) return false;
+    this.hand = hand;
+    return true;
+  }
+
+  pointerDown(event) {
+    if (event.target.closest("button")) return;
+    if (!this.use("position")) return;
+    this.view.setPointerCapture(event.pointerId);
+  }
+
+  pointerMove(event) {
+    if (!this.view.hasPointerCapture(event.pointerId) || this.hand !== "position") return;
+    const along = event.shiftKey || (event.buttons & 2) !== 0;
+    if (along) {
+      this.goal.z -= event.movementY * METRES_PER_PIXEL;
+      this.goal.roll += event.movementX * RADIANS_PER_PIXEL;
+    } else {
+      this.goal.x += event.movementX * METRES_PER_PIXEL;
+      this.goal.y += event.movementY * METRES_PER_PIXEL;
+    }
+  }
+
+  wheel(event) {
+    event.preventDefault();
+    if (this.hand !== "position") return;
+    const notches = Math.max(-3, Math.min(3, -event.deltaY / 100));
+    this.goal.z += notches * METRES_PER_NOTCH;
+  }
+
+  /** The gamepad that was last touched; its id and mapping are the browser's. */
+  gamepad() {
+    const pads = [...navigator.getGamepads()].filter((pad) => pad?.connected);
+    const mine = pads.find((pad) => pad.index === this.padId);
+    if (this.padId !== null && !mine) this.loseGamepad();
+    return mine ?? pads[0] ?? null;
+  }
+
+  loseGamepad() {
+    this.padId = null;
+    this.padDown.clear();
+    this.lost("gamepad");
+  }
+
+  /** Sticks and triggers as wishes of -1 … 1, and its buttons' edges. */
+  readGamepad() {
+    const wish = { x: 0, y: 0, z: 0, roll: 0, grip: 0 };
+    const pad = this.gamepad();
+    this.padName = pad ? pad.id.replace(/\s*\(.*$/, "") || "Gamepad" : "";
+    if (!pad) return wish;
+    const axis = (i) => deadZone(pad.axes[i] ?? 0);
+    const value = (i) => pad.buttons[i]?.value ?? 0;
+    wish.x = axis(0);
+    wish.y = axis(1);
+    wish.roll = axis(2);
+    wish.z = -axis(3); // pushed forward: away from the viewer
+    wish.grip = value(PAD.open) - value(PAD.close);
+    const moves = wish.x || wish.y || wish.z || wish.roll || wish.grip;
+    const down = new Set(pad.buttons.flatMap((button, i) => (button.pressed ? [i] : [])));
+    const fresh = (i) => down.has(i) && !this.padDown.has(i);
+    if (moves || down.size) this.padId = pad.index;
+    if (fresh(PAD.start)) this.press("enable");
+    if (fresh(PAD.stop) || fresh(PAD.back)) this.press("stop");
+    if (fresh(PAD.record)) this.press("record");
+    this.padDown = down;
+    if (moves && !this.use("rate")) return { x: 0, y: 0, z: 0, roll: 0, grip: wish.grip };
+    return wish;
+  }
+
+  held(name) {
+    const key = Object.keys(HELD_KEYS).find((code) => HELD_KEYS[code] === name);
+    return this.latched[name] || this.keys.has(key) || this.padDown.has(PAD[name]);
+  }
+
+  /** What goes to the console; `seconds` since the last time. */
+  sample(seconds) {
+    const wish = this.readGamepad();
+    for (const code of this.keys) {
+      const [name, sign] = MOTION_KEYS[code] ?? [];
+      if (name) wish[name] += sign;
+    }
+    const slow = this.keys.has("ShiftLeft") || this.keys.has("ShiftRight") ? SLOW : 1;
+    if (wish.grip && this.grip === null) this.grip = 1; // from here on the jaw is the hand's
+    if (this.grip !== null) this.grip = clamp(this.grip + wish.grip * GRIP_RATE * seconds, 0, 1);
+    const part = 1 - Math.exp(-seconds / SMOOTHING_S);
+    for (const name in this.now) this.now[name] += (this.goal[name] - this.now[name]) * part;
+    const rate = this.hand === "rate";
+    const v = rate ? limited([wish.x, wish.y, wish.z], this.speed * slow) : [0, 0, 0];
+    return {
+      hand: this.hand,
+      p: [this.now.x, this.now.y, this.now.z],
+      roll: this.now.roll,
+      v,
+      roll_rate: rate ? clamp(wish.roll, -1, 1) * ROLL_RATE * slow : 0,
+      grip: this.grip,
+      clutch: this.held("clutch"),
+      camera: this.held("camera"),
+    };
+  }
+
+  /** Forget what lies behind: keys that are down, and motion that has not come out yet. */
+  rest() {
+    this.keys.clear();
+    this.goal = { ...this.now };
+    this.latched = { clutch: false, camera: false };
+  }
+}
+
+function clamp(value, low, high) {
+  return Math.max(low, Math.min(high, value));
+}
+
+/** A stick's deflection with a dead zone; squared, so that small motions are fine. */
+function deadZone(value) {
+  const beyond = Math.max(0, Math.abs(value) - DEAD_ZONE) / (1 - DEAD_ZONE);
+  return Math.sign(value) * Math.min(1, beyond) ** 2;
+}
+
+/** Wishes of a unit ball as a velocity. */
+function limited(wish, speed) {
+  const length = Math.hypot(...wish);
+  return wish.map((part) => (part * speed) / Math.max(1, length));
+}

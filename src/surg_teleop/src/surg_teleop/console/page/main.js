@@ -1,0 +1,216 @@
+// The page: ties the hand, the socket, the pictures and the view together.
+
+import { Hand } from "./hand.js";
+import { Link, clock, socketUrl, token, wallUs } from "./link.js";
+import { View } from "./view.js";
+
+const INPUT_MS = 20; // the console holds the arm after 100 ms without one
+const OLD_PICTURE_MS = 150; // three of the endoscope's periods
+const SHOW_MS = 100; // figures for people; states are shown at once
+const KEPT_PICTURES = 16384; // what is known of each: a quarter of an hour, for a measurement
+const TOAST_MS = 5000;
+
+const KEYS = [
+  [["W", "A", "S", "D"], "in the picture"],
+  [["R", "F"], "deeper, back"],
+  [["Q", "E"], "roll"],
+  [["K", "L"], "close, open the jaw"],
+  [["Shift"], "slow"],
+  [["Space"], "clutch"],
+  [["C"], "camera"],
+  [["Enter"], "enable"],
+  [["Esc"], "stop"],
+  [["V"], "record"],
+  [["Drag"], "mouse; with Shift: deeper, roll"],
+];
+
+const element = (id) => document.getElementById(id);
+
+let view = null;
+let status = null;
+let sequence = 0;
+let lastSample = clock();
+let shownAt = 0;
+let lastHand = null;
+const picture = { exposedUs: 0, drawn: [] };
+
+const link = new Link(hear, lost);
+const hand = new Hand(element("view"), press, (why) => link.say("hidden", { why }));
+hand.mayChange = mayChange;
+
+// What a measurement reads: age of each picture when it was drawn, and how it came about.
+globalThis.surgConsole = { picture, link, status: () => status };
+
+// --- what the console says ---
+
+function hear(message) {
+  if (message.say === "welcome") view = new View(message);
+  else if (message.say === "status" && view) heed(message);
+  else if (message.say === "episodes" && view) view.episodes(message.episodes);
+  else if (message.say === "refused") toast(message.why);
+}
+
+function heed(message) {
+  const before = status;
+  status = message;
+  if (before?.phase === "driving" && message.phase !== "driving") hand.rest();
+  if (message.scale !== null && document.activeElement !== element("scale")) {
+    element("scale").value = message.scale;
+    element("scale-value").textContent = message.scale.toFixed(2);
+  }
+  view.note(message);
+  const news = message.phase !== before?.phase || message.headline !== before?.headline;
+  if (!news && clock() - shownAt < SHOW_MS / 1000 - 0.01) return;
+  shownAt = clock();
+  view.show(message, link);
+}
+
+function lost(why) {
+  status = null;
+  document.body.dataset.phase = "free";
+  document.body.dataset.headline = "Fault";
+  element("veil").hidden = true;
+  element("state").hidden = false;
+  element("headline").textContent = "No connection";
+  element("sentence").textContent = `${why} The arm holds by itself.`;
+  element("link").textContent = "not connected";
+  element("link").dataset.tone = "bad";
+}
+
+function toast(text) {
+  const node = element("toast");
+  node.textContent = text;
+  node.hidden = false;
+  clearTimeout(toast.timer);
+  toast.timer = setTimeout(() => { node.hidden = true; }, TOAST_MS);
+}
+
+// --- what the hand says ---
+
+const mine = () => status !== null && view !== null && status.holder === view.page;
+
+function mayChange() {
+  const free = status?.phase !== "driving" || hand.held("clutch");
+  if (!free) toast("Hold the clutch (Space) to change between mouse and keys.");
+  return free;
+}
+
+function press(button) {
+  if (button === "stop") link.press("stop");
+  else if (button === "enable") link.press("enable");
+  else if (button === "record") link.press(status?.record.on ? "record_stop" : "record");
+  else if (button === "hand") hand.use(hand.hand === "rate" ? "position" : "rate");
+}
+
+setInterval(() => {
+  const now = clock();
+  const sample = hand.sample(Math.min(0.1, now - lastSample));
+  lastSample = now;
+  if (mine() && document.visibilityState === "visible") {
+    sequence += 1;
+    link.say("input", { seq: sequence, at: now, picture_us: picture.exposedUs, ...sample });
+  }
+  lastHand = sample;
+}, INPUT_MS);
+
+setInterval(() => lastHand && showHand(lastHand), SHOW_MS);
+
+function showHand(sample) {
+  const driving = status?.phase === "driving";
+  for (const name of ["clutch", "camera"]) {
+    element(name).setAttribute("aria-pressed", String(driving && sample[name]));
+  }
+  for (const button of element("hands").children) {
+    button.setAttribute("aria-pressed", String(button.dataset.hand === sample.hand));
+  }
+  const device = sample.hand === "position" ? "Drag in the picture." : hand.padName || "Keyboard";
+  if (element("device").textContent !== device) element("device").textContent = device;
+  const grip = sample.grip;
+  element("jaw").firstElementChild.style.width = grip === null ? "0" : `${grip * 100}%`;
+  element("jaw-value").textContent = grip === null ? "–" : `${Math.round(grip * 100)} %`;
+}
+
+// The tab is hidden or goes: the arm holds at once, not only when silence is noticed.
+document.addEventListener("visibilitychange", () => {
+  if (document.visibilityState === "hidden") link.say("hidden", { why: "hidden" });
+});
+addEventListener("pagehide", () => link.say("hidden", { why: "closed" }));
+document.addEventListener("freeze", () => link.say("hidden", { why: "hidden" }));
+
+// --- buttons ---
+
+for (const id of ["enable", "stop", "record"]) {
+  element(id).addEventListener("click", () => press(id));
+}
+element("veil-enable").addEventListener("click", () => press("enable"));
+element("take").addEventListener("click", () => link.press("take"));
+for (const name of ["clutch", "camera"]) {
+  element(name).addEventListener("click", () => { hand.latched[name] = !hand.latched[name]; });
+}
+for (const button of element("hands").children) {
+  button.addEventListener("click", () => hand.use(button.dataset.hand));
+}
+// A button that was clicked must not answer to the space bar afterwards: that is the clutch.
+addEventListener("click", (event) => event.target.closest("button")?.blur());
+element("scale").addEventListener("input", ({ target }) => {
+  element("scale-value").textContent = Number(target.value).toFixed(2);
+  link.say("scale", { value: Number(target.value) });
+});
+element("scale").addEventListener("change", ({ target }) => target.blur());
+element("speed").addEventListener("input", ({ target }) => {
+  hand.speed = Number(target.value) / 1000;
+  element("speed-value").textContent = `${target.value} mm/s`;
+});
+element("speed").addEventListener("change", ({ target }) => target.blur());
+
+for (const [keys, text] of KEYS) {
+  const item = document.createElement("span");
+  for (const key of keys) item.append(Object.assign(document.createElement("kbd"), { textContent: key }));
+  item.append(` ${text}`);
+  element("keys").append(item);
+}
+
+// --- pictures ---
+
+const canvas = element("picture").transferControlToOffscreen();
+const worker = new Worker("/page/picture.js");
+const parameters = new URLSearchParams(location.search);
+const settings = {
+  url: socketUrl("/pictures"),
+  token: token(),
+  layout: "left",
+  codec: parameters.get("codec") === "jpeg" ? "jpeg" : "h264",
+};
+worker.postMessage({ canvas, settings }, [canvas]);
+worker.onmessage = ({ data }) => {
+  if (data.trouble) {
+    toast(data.trouble);
+    return;
+  }
+  data.ageMs = (data.drawnUs + link.offsetUs - data.exposedUs) / 1000;
+  picture.exposedUs = data.exposedUs;
+  picture.drawn.push(data);
+  if (picture.drawn.length > KEPT_PICTURES) picture.drawn.splice(0, KEPT_PICTURES / 4);
+};
+
+for (const button of element("eyes").children) {
+  button.addEventListener("click", () => {
+    for (const other of element("eyes").children) {
+      other.setAttribute("aria-pressed", String(other === button));
+    }
+    worker.postMessage({ settings: { layout: button.dataset.layout } });
+  });
+}
+
+setInterval(() => {
+  const age = (wallUs() + link.offsetUs - picture.exposedUs) / 1000;
+  const recent = picture.drawn.slice(-100).filter((each) => each.drawnUs > wallUs() - 2e6);
+  const node = element("age");
+  if (!picture.exposedUs) return;
+  const middle = recent.map((each) => each.ageMs).sort((a, b) => a - b)[recent.length >> 1];
+  const old = !recent.length || age > OLD_PICTURE_MS + (middle ?? 0);
+  node.textContent = old ? `picture ${(age / 1000).toFixed(1)} s old` : `picture ${middle.toFixed(0)} ms old`;
+  node.dataset.tone = old ? "bad" : "";
+  const codec = picture.drawn.at(-1).codec === "h264" ? "H.264" : "JPEG";
+  element("rate").textContent = `${Math.round(recent.length / 2)} fps, ${codec}`;
+}, 250);

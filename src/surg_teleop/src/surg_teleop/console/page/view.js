@@ -1,0 +1,191 @@
+// Puts what the console says onto the page. It decides nothing.
+
+const TREND_S = 30;
+const TREND_STEP_S = 0.25; // between two points: each is the largest value in between
+
+const element = (id) => document.getElementById(id);
+
+/** Write a text only where it changes: twenty times a second must cost nothing. */
+function write(node, text) {
+  if (node.textContent !== text) node.textContent = text;
+}
+
+function mark(node, name, value) {
+  if (node.dataset[name] !== value) node.dataset[name] = value;
+}
+
+/** One figure with its bar. */
+class Gauge {
+  constructor(id, { unit, digits, full, warn, bad }) {
+    this.node = element(id);
+    this.value = this.node.querySelector("b");
+    this.bar = this.node.querySelector("i");
+    this.tick = this.node.querySelector("em");
+    Object.assign(this, { unit, digits, full, warn, bad });
+    this.tick.hidden = warn === null;
+    if (warn !== null) this.tick.style.left = `${(100 * warn) / full}%`;
+  }
+
+  show(value) {
+    const known = value !== null && value !== undefined;
+    write(this.value, known ? (value * this.unit).toFixed(this.digits) : "–");
+    this.bar.style.width = known ? `${Math.max(0, Math.min(1, value / this.full)) * 100}%` : "0";
+    const beyond = (limit) => known && limit !== null && value >= limit;
+    mark(this.node, "tone", beyond(this.bad) ? "bad" : beyond(this.warn) ? "warn" : "good");
+  }
+}
+
+/** The deviation of the last half minute, against the largest of it. */
+class Trend {
+  constructor(id, least) {
+    this.canvas = element(id);
+    this.context = this.canvas.getContext("2d");
+    this.least = least; // [m] full height at least
+    this.points = [];
+  }
+
+  add(seconds, value) {
+    if (value === null) return;
+    this.peak = Math.max(this.peak ?? 0, value);
+    if (seconds - (this.points.at(-1)?.[0] ?? 0) < TREND_STEP_S) return;
+    this.points.push([seconds, this.peak]);
+    this.peak = 0;
+    while (this.points[0][0] < seconds - TREND_S) this.points.shift();
+    const { context } = this;
+    const { width, height } = this.canvas;
+    const largest = Math.max(...this.points.map((point) => point[1]));
+    const full = Math.max(this.least, 1.25 * largest);
+    context.clearRect(0, 0, width, height);
+    context.fillStyle = "#202832";
+    context.fillRect(0, height - 2, width, 2);
+    context.fillStyle = "#6b7886";
+    context.font = "20px system-ui, sans-serif";
+    context.fillText(`${TREND_S} s, largest ${(largest * 1e3).toFixed(3)} mm`, 0, 18);
+    context.beginPath();
+    for (const [at, deviation] of this.points) {
+      const x = width * (1 - (seconds - at) / TREND_S);
+      context.lineTo(x, height - 2 - ((height - 4) * deviation) / full);
+    }
+    context.lineJoin = "round";
+    context.strokeStyle = "#4fd1c5";
+    context.lineWidth = 2;
+    context.stroke();
+  }
+}
+
+export class View {
+  /** @param facts the console's welcome: cell, arm, views, limits. */
+  constructor(facts) {
+    const { limits } = facts;
+    write(element("cell"), facts.cell);
+    element("eyes").hidden = !facts.views.includes("right");
+    this.gauges = {
+      rcm: new Gauge("rcm", { unit: 1e3, digits: 3, full: limits.rcm_error_fault, warn: limits.rcm_error_warn, bad: limits.rcm_error_fault }),
+      trocar: new Gauge("trocar", { unit: 1, digits: 1, full: limits.trocar_force_fault, warn: limits.trocar_force_warn, bad: limits.trocar_force_fault }),
+      tip: new Gauge("tip", { unit: 1, digits: 1, full: limits.tip_force_hard, warn: limits.tip_force_soft, bad: limits.tip_force_hard }),
+      depth: new Gauge("depth", { unit: 1e3, digits: 1, full: limits.depth_max, warn: null, bad: null }),
+    };
+    this.trend = new Trend("trend", limits.rcm_error_warn / 20);
+    this.page = facts.page;
+  }
+
+  /** Every report: a peak must not be missed. */
+  note(status) {
+    this.trend.add(performance.now() / 1000, status.gauges.rcm_peak ?? status.gauges.rcm);
+  }
+
+  /** @param status what the console said; `link` the socket. */
+  show(status, link) {
+    const mine = status.holder === this.page;
+    const { body } = document;
+    mark(body, "phase", status.phase);
+    mark(body, "headline", status.headline);
+    write(element("headline"), mine ? status.headline : "Watching");
+    const watching = status.holder ? `${status.holder} has control. Stop works from here too.` : status.sentence;
+    write(element("sentence"), status.picture_problem || (mine ? status.sentence : watching));
+    for (const name in this.gauges) this.gauges[name].show(status.gauges[name]);
+    this.controls(status, mine);
+    this.arms(status.arms);
+    write(element("task"), status.task);
+    element("task").hidden = !status.task;
+    const trip = link.roundTripMs;
+    write(element("link"), trip === null ? "connected" : `connected, ${trip.toFixed(0)} ms`);
+    mark(element("link"), "tone", "good");
+  }
+
+  controls(status, mine) {
+    const control = element("control");
+    write(control, mine ? "You have control" : status.holder ? `${status.holder} has control` : "No one has control");
+    mark(control, "tone", mine ? "good" : "");
+    element("take").hidden = mine;
+    const driving = status.phase === "driving";
+    for (const id of ["enable", "clutch", "camera", "record", "scale"]) element(id).disabled = !mine;
+    element("enable").disabled ||= driving || status.phase === "starting";
+    element("clutch").disabled ||= !driving;
+    element("camera").disabled ||= !driving;
+    const veiled = mine && (status.phase === "held" || status.headline === "Fault");
+    element("veil").hidden = !veiled;
+    if (veiled) {
+      write(element("veil-headline"), status.headline);
+      write(element("veil-sentence"), status.sentence);
+    }
+    element("state").hidden = veiled;
+    const record = element("record");
+    record.setAttribute("aria-pressed", String(status.record.on));
+    const word = status.record.finishing ? "Finishing …" : status.record.on ? "Stop recording" : "Record";
+    write(record.querySelector("span"), word);
+    record.title = status.record.problem;
+  }
+
+  arms(arms) {
+    const list = element("arms");
+    while (list.children.length > arms.length) list.lastChild.remove();
+    arms.forEach((arm, i) => {
+      const row = list.children[i] ?? list.appendChild(armRow());
+      write(row.querySelector("b"), arm.name);
+      const word = row.querySelector(".word");
+      write(word, `${arm.state || "no word"}${arm.homed ? "" : ", not homed"}`);
+      const tones = { ENABLED: "good", PAUSED: "warn", FAULT: "bad", SILENT: "bad" };
+      mark(word, "tone", tones[arm.state] ?? "");
+      const calm = arm.state === "ENABLED" && arm.homed;
+      write(row.querySelector("p"), calm ? "" : arm.sentence);
+    });
+  }
+
+  episodes(entries) {
+    const list = element("episodes");
+    list.replaceChildren(...entries.map(episodeRow));
+    if (!entries.length) {
+      const nothing = document.createElement("li");
+      nothing.className = "quiet";
+      nothing.textContent = "Nothing has been recorded yet.";
+      list.append(nothing);
+    }
+  }
+}
+
+function armRow() {
+  const row = document.createElement("li");
+  const word = document.createElement("span");
+  word.className = "chip word";
+  row.append(document.createElement("b"), word, document.createElement("p"));
+  return row;
+}
+
+function episodeRow(entry) {
+  const row = document.createElement("li");
+  const name = document.createElement("span");
+  name.textContent = entry.name;
+  const length = document.createElement("span");
+  length.className = "quiet";
+  length.textContent = entry.seconds === null ? "" : `${entry.seconds.toFixed(1)} s`;
+  const outcome = document.createElement("span");
+  outcome.className = "chip";
+  const success = entry.success === true ? "success" : entry.success === false ? "no success" : "";
+  outcome.textContent = entry.outcome === "complete" && success ? success : entry.outcome;
+  const good = entry.outcome === "complete" && entry.success !== false;
+  outcome.dataset.tone = good ? "good" : entry.outcome === "unfinished" ? "" : "warn";
+  row.title = entry.reason;
+  row.append(name, length, outcome);
+  return row;
+}

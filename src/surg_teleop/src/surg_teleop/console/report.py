@@ -1,0 +1,115 @@
+"""What every page is told twenty times a second: plain JSON, in SI units, with words for people."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from surg_teleop.console import words
+from surg_teleop.console.robot import Arm, Robot
+from surg_teleop.console.session import Phase, Session
+
+STALE = 1.0
+"""[s] after which what an arm said of itself is no longer believed."""
+RECENT = 6.0
+"""[s] for which a warning is shown."""
+
+_HEADLINES = {
+    Phase.FREE: "No one has control",
+    Phase.READY: "Ready",
+    Phase.STARTING: "Waking the arm",
+    Phase.DRIVING: "Following",
+    Phase.HELD: "Held",
+}
+
+
+def report(
+    session: Session, robot: Robot, limits: Mapping[str, float], now: float
+) -> dict[str, Any]:
+    """What is the same for all pages.
+
+    Args:
+        session: Who drives.
+        robot: As it is now.
+        limits: Of the driven arm, by name [SI].
+        now: Steady clock [s].
+    """
+    gauges = robot.gauges
+    return {
+        "say": "status",
+        "phase": session.phase.value,
+        "headline": _headline(session, robot),
+        "sentence": words.as_sentence(sentence(session, robot, now)),
+        "holder": session.holder,
+        "pages": session.pages,
+        "arms": [_arm(arm, now) for arm in robot.arms],
+        "gauges": {
+            "rcm": _finite(gauges.rcm),
+            "rcm_peak": _finite(gauges.rcm_peak),
+            "depth": _finite(gauges.depth),
+            "trocar": _finite(gauges.trocar),
+            "tip": _finite(gauges.tip),
+        },
+        "limits": dict(limits),
+        "scale": _finite(robot.follower.scale),
+        "teleop": robot.follower.state,
+        "record": {
+            "on": bool(robot.record.get("recording")),
+            "finishing": bool(robot.record.get("finishing")),
+            "problem": str(robot.record.get("problem") or ""),
+        },
+        "task": words.task_sentence(robot),
+    }
+
+
+def sentence(session: Session, robot: Robot, now: float) -> str:
+    """The one thing that the operator must know now."""
+    arm = robot.arms[0] if robot.arms else None
+    if session.phase is Phase.DRIVING:
+        if robot.follower.reason:
+            return robot.follower.reason
+        if session.clutched:
+            return "The clutch is held: your hand moves, the tip stays."
+        if arm is not None and now - arm.warned < RECENT:
+            return arm.warning
+        return "The tip follows your hand."
+    if session.reason:
+        return session.reason
+    if arm is None or not arm.state:
+        return words.NO_ARM
+    if session.phase is Phase.STARTING:
+        return f"{arm.name} is {arm.state}: it is being homed and enabled."
+    said = f"{arm.name}: {words.state_sentence(arm)}"
+    if session.phase is Phase.READY:
+        return f"{said}. Press Enable to begin."
+    return said
+
+
+def _headline(session: Session, robot: Robot) -> str:
+    """Two words at most."""
+    fault = any(arm.state == "FAULT" for arm in robot.arms)
+    if fault:
+        return "Fault"
+    if session.phase is Phase.DRIVING and not robot.follower.following:
+        return "Waiting" if not session.clutched else "Clutched"
+    if session.phase is Phase.DRIVING and session.clutched:
+        return "Clutched"
+    return _HEADLINES[session.phase]
+
+
+def _arm(arm: Arm, now: float) -> dict[str, Any]:
+    silent = now - arm.heard > STALE
+    return {
+        "name": arm.name,
+        "state": "SILENT" if silent else arm.state,
+        "homed": arm.homed,
+        "sentence": "it no longer speaks: see that its controller runs (./surg status)"
+        if silent
+        else words.state_sentence(arm),
+    }
+
+
+def _finite(value: float | None) -> float | None:
+    """JSON has no NaN: what is not finite is not said."""
+    return value if value is not None and math.isfinite(value) else None

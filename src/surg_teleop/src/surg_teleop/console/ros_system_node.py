@@ -1,0 +1,305 @@
+"""The robot's side of the console on ROS topics: what it hears, and orders as messages.
+
+Fast topics are taken in as bytes and read only when somebody wants to know: a figure for people at
+20 Hz must not cost the processor what a control loop costs.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import rospy
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from sensor_msgs.msg import JointState, Joy
+from std_msgs.msg import Bool, Float64, String
+
+from crtk_msgs.msg import OperatingState, StringStamped
+from surg_teleop.console import words
+from surg_teleop.console.episodes import Entry, Episodes
+from surg_teleop.console.orders import (
+    Camera,
+    Clutch,
+    Follow,
+    Move,
+    Order,
+    OtherMapping,
+    Present,
+    Record,
+    SetScale,
+    StateCommand,
+)
+from surg_teleop.console.protocol import Input
+from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
+
+FRESH = 1.0
+"""[s] for which a figure is shown."""
+FOLLOWER_FRESH = 2.0
+"""[s] for which the teleoperation's status is believed; it says it every 0.5 s."""
+
+
+class RosSystem:
+    """See `server.System`.
+
+    Args:
+        arms: CRTK names, the driven one first.
+        leader: Namespace of the leader's topics.
+        teleop: Name of the teleoperation node.
+        episodes: The recorder's folder; None: nothing is listed.
+    """
+
+    def __init__(
+        self, arms: tuple[str, ...], leader: str, teleop: str, episodes: Path | None
+    ) -> None:
+        self._lock = threading.Lock()
+        self._arms = {name: Arm(name) for name in arms}
+        self._because: dict[str, tuple[str, str]] = {}
+        self._follower, self._follower_heard = Follower(), -1e9
+        self._record: dict[str, Any] = {}
+        self._sim: dict[str, Any] = {}
+        self._newest: dict[str, tuple[float, bytes]] = {}
+        self._peak = 0.0
+        self._episodes = None if episodes is None else Episodes(episodes)
+        self._leader = leader
+        self._out = _publishers(arms, leader)
+        self._subscribers = self._subscribe(arms, teleop)
+
+    # --- what it hears ------------------------------------------------------------------------
+
+    def _subscribe(self, arms: tuple[str, ...], teleop: str) -> list[rospy.Subscriber]:
+        def on(topic: str, kind: type, call: Any, *about: Any) -> rospy.Subscriber:
+            keys = {"queue_size": 10, "tcp_nodelay": True}
+            return rospy.Subscriber(topic, kind, lambda message: call(message, *about), **keys)
+
+        driven = arms[0]
+        found = [
+            on(f"/{driven}/rcm/error", rospy.AnyMsg, self._on_deviation),
+            on(f"/{driven}/measured_js", rospy.AnyMsg, self._on_bytes, "joints"),
+            on(f"/{driven}/trocar/measured_cf", rospy.AnyMsg, self._on_bytes, "trocar"),
+            on(f"/{driven}/tool/measured_cf", rospy.AnyMsg, self._on_bytes, "tip"),
+            on(f"/{teleop}/status", String, self._on_teleop),
+            on("/record/status", String, self._on_json, "_record"),
+            on("/sim/status", String, self._on_json, "_sim"),
+        ]
+        for arm in arms:
+            found.append(on(f"/{arm}/operating_state", OperatingState, self._on_state, arm))
+            found.append(on(f"/{arm}/error", String, self._on_change, arm))
+            found.append(on(f"/{arm}/status", String, self._on_change, arm))
+            found.append(on(f"/{arm}/warning", String, self._on_warning, arm))
+        return found
+
+    def _on_bytes(self, message: rospy.AnyMsg, what: str) -> None:
+        with self._lock:
+            self._newest[what] = (time.monotonic(), message._buff)
+
+    def _on_deviation(self, message: rospy.AnyMsg) -> None:
+        # surg_msgs/ScalarStamped ends with its number.
+        (value,) = struct.unpack_from("<d", message._buff, len(message._buff) - 8)
+        with self._lock:
+            self._newest["rcm"] = (time.monotonic(), message._buff)
+            if value > self._peak:
+                self._peak = value
+
+    def _on_state(self, message: OperatingState, arm: str) -> None:
+        with self._lock:
+            self._arms[arm] = replace(
+                self._arms[arm],
+                state=message.state,
+                homed=message.is_homed,
+                heard=time.monotonic(),
+            )
+
+    def _on_change(self, message: String, arm: str) -> None:
+        """FAULT on `error`, every other state on `status`; either may come before the state."""
+        for state in ("DISABLED", "ENABLED", "PAUSED", "FAULT"):
+            why = words.reason_of(message.data, arm, state)
+            if why is not None:
+                with self._lock:
+                    self._because[arm] = (state, why)
+
+    def _on_warning(self, message: String, arm: str) -> None:
+        with self._lock:
+            self._arms[arm] = replace(
+                self._arms[arm],
+                warning=words.without_name(message.data, arm),
+                warned=time.monotonic(),
+            )
+
+    def _on_teleop(self, message: String) -> None:
+        status = _object(message.data)
+        hands = status.get("hands")
+        hand = hands[0] if isinstance(hands, list) and hands and isinstance(hands[0], dict) else {}
+        scale = hand.get("scale")
+        with self._lock:
+            self._follower_heard = time.monotonic()
+            self._follower = Follower(
+                str(hand.get("state", "")),
+                str(hand.get("mapping", "position")),
+                str(hand.get("message") or status.get("picture") or ""),
+                float(scale) if isinstance(scale, int | float) else None,
+            )
+
+    def _on_json(self, message: String, name: str) -> None:
+        with self._lock:
+            setattr(self, name, _object(message.data))
+
+    def robot(self) -> Robot:
+        """See `server.System`."""
+        now = time.monotonic()
+        with self._lock:
+            newest = {
+                what: data for what, (heard, data) in self._newest.items() if now - heard < FRESH
+            }
+            alive = now - self._follower_heard < FOLLOWER_FRESH
+            return Robot(
+                tuple(map(self._with_reason, self._arms.values())),
+                self._follower if alive else Follower(),
+                Gauges(
+                    rcm=_last_double(newest.get("rcm")),
+                    rcm_peak=self._peak if "rcm" in newest else None,
+                    depth=_depth(newest.get("joints")),
+                    trocar=_force(newest.get("trocar")),
+                    tip=_force(newest.get("tip")),
+                ),
+                self._record,
+                self._sim,
+            )
+
+    def _with_reason(self, arm: Arm) -> Arm:
+        state, why = self._because.get(arm.name, ("", ""))
+        return replace(arm, because=why) if state == arm.state else arm
+
+    def told(self) -> None:
+        """The pages have been told: the peak starts anew."""
+        with self._lock:
+            self._peak = 0.0
+
+    def entries(self) -> list[Entry]:
+        """See `server.System`."""
+        return [] if self._episodes is None else self._episodes.entries()
+
+    # --- what it says -------------------------------------------------------------------------
+
+    def obey(self, orders: list[Order]) -> None:
+        """See `server.System`."""
+        for order in orders:
+            self._send(order)
+
+    def _send(self, order: Order) -> None:
+        out = self._out
+        if isinstance(order, Move):
+            self._move(order.sample)
+        elif isinstance(order, Present):
+            out["/console/operator_present"].publish(_joy(order.on))
+        elif isinstance(order, Follow):
+            out["/console/teleop/enable"].publish(order.on)
+        elif isinstance(order, Clutch):
+            out["/console/clutch"].publish(_joy(order.on))
+        elif isinstance(order, Camera):
+            out["/console/camera"].publish(_joy(order.on))
+        elif isinstance(order, OtherMapping):
+            out["/console/rate"].publish(_joy(True))
+            rospy.Timer(
+                rospy.Duration.from_sec(0.06),
+                lambda event: out["/console/rate"].publish(_joy(False)),
+                oneshot=True,
+            )
+        elif isinstance(order, SetScale):
+            out["/console/teleop/set_scale"].publish(order.value)
+        elif isinstance(order, Record):
+            out["/record/record"].publish(order.on)
+        elif isinstance(order, StateCommand):
+            message = StringStamped(string=order.word)
+            message.header.stamp = rospy.Time.now()
+            out[f"/{order.arm}/state_command"].publish(message)
+
+    def _move(self, sample: Input) -> None:
+        stamp = rospy.Time(*divmod(time.time_ns(), 10**9))
+        if sample.hand == "position":
+            pose = PoseStamped()
+            pose.header.stamp = stamp
+            p, q = pose.pose.position, pose.pose.orientation
+            p.x, p.y, p.z = sample.p
+            q.z, q.w = half_turn(sample.roll)
+            self._out["measured_cp"].publish(pose)
+        else:
+            twist = TwistStamped()
+            twist.header.stamp = stamp
+            v = twist.twist.linear
+            v.x, v.y, v.z = sample.v
+            twist.twist.angular.z = sample.roll_rate
+            self._out["measured_cv"].publish(twist)
+        if sample.grip is not None:
+            grip = JointState(name=["gripper"], position=[sample.grip])
+            grip.header.stamp = stamp
+            self._out["gripper"].publish(grip)
+
+
+def _publishers(arms: tuple[str, ...], leader: str) -> dict[str, rospy.Publisher]:
+    def publisher(topic: str, kind: type, queue: int = 10) -> rospy.Publisher:
+        return rospy.Publisher(topic, kind, queue_size=queue, tcp_nodelay=True)
+
+    found = {
+        "measured_cp": publisher(f"/{leader}/measured_cp", PoseStamped, 1),
+        "measured_cv": publisher(f"/{leader}/measured_cv", TwistStamped, 1),
+        "gripper": publisher(f"/{leader}/gripper/measured_js", JointState, 1),
+        "/record/record": publisher("/record/record", Bool),
+        "/console/teleop/enable": publisher("/console/teleop/enable", Bool),
+        "/console/teleop/set_scale": publisher("/console/teleop/set_scale", Float64),
+    }
+    for name in ("operator_present", "clutch", "camera", "rate"):
+        found[f"/console/{name}"] = publisher(f"/console/{name}", Joy)
+    for arm in arms:
+        found[f"/{arm}/state_command"] = publisher(f"/{arm}/state_command", StringStamped)
+    return found
+
+
+def half_turn(angle: float) -> tuple[float, float]:
+    """Z and w of the quaternion of a rotation about z."""
+    return math.sin(angle / 2.0), math.cos(angle / 2.0)
+
+
+def _joy(on: bool) -> Joy:
+    message = Joy(buttons=[int(on)])
+    message.header.stamp = rospy.Time(*divmod(time.time_ns(), 10**9))
+    return message
+
+
+def _object(text: str) -> dict[str, Any]:
+    """A JSON object; empty where the text is none."""
+    try:
+        found = json.loads(text)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def _last_double(data: bytes | None) -> float | None:
+    if data is None:
+        return None
+    return float(struct.unpack_from("<d", data, len(data) - 8)[0])
+
+
+def _depth(data: bytes | None) -> float | None:
+    """Third of the four virtual joints [m]."""
+    if data is None:
+        return None
+    joints = JointState()
+    joints.deserialize(data)
+    return float(joints.position[2]) if len(joints.position) == 4 else None
+
+
+def _force(data: bytes | None) -> float | None:
+    """Length of a force [N]."""
+    if data is None:
+        return None
+    wrench = WrenchStamped()
+    wrench.deserialize(data)
+    f = wrench.wrench.force
+    return float((f.x**2 + f.y**2 + f.z**2) ** 0.5)

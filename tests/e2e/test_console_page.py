@@ -1,0 +1,246 @@
+"""The operator's page in Chromium, before a console whose robot a test holds in its hands."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import io
+import os
+import time
+from collections.abc import AsyncIterator, Coroutine
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from helpers import chromium
+from helpers.chromium import GAMEPAD, Chromium, Tab, until
+from helpers.console import Console, console
+from helpers.console_results import note
+from surg_teleop.console.orders import Camera, Clutch, Follow, Move, Present, Record, SetScale
+from surg_teleop.console.session import Phase
+
+pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
+
+FULL = os.environ.get("SURG_TEST_FULL") == "1"
+LATEST = 2.0 if not FULL else 0.3
+"""[s] after which an arm that should hold has failed; the shipped limits are judged in a whole run,
+where no other work makes a browser late."""
+
+
+def run(test: Coroutine[Any, Any, None]) -> None:
+    asyncio.run(asyncio.wait_for(test, 240.0))
+
+
+@contextlib.asynccontextmanager
+async def opened(query: str = "") -> AsyncIterator[tuple[Console, Chromium, Tab]]:
+    async with console() as made, Chromium() as browser:
+        tab = await browser.open(made.url + query, GAMEPAD)
+        await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+        yield made, browser, tab
+        assert browser.errors == []
+
+
+async def drive(made: Console, tab: Tab) -> None:
+    """Enable until the tip follows: on a busy machine a gap may let go at once."""
+
+    async def engaged() -> bool:
+        if made.session.phase is Phase.DRIVING:
+            return True
+        await tab.tap("Enter")
+        await asyncio.sleep(0.5)
+        return made.session.phase is Phase.DRIVING
+
+    await until(engaged, "driving", 60.0)
+
+
+async def moved(made: Console, tab: Tab, what: str, wanted: Any) -> Move:
+    """Wait for an input that fits, driving again when a busy machine made the console let go."""
+    start = len(made.system.orders)
+
+    async def found() -> Move | None:
+        fitting = (
+            o for _, o in made.system.orders[start:] if isinstance(o, Move) and wanted(o.sample)
+        )
+        fits = next(fitting, None)
+        if fits is None and made.session.phase is not Phase.DRIVING:
+            await drive(made, tab)
+        return fits
+
+    return await until(found, what, 40.0)
+
+
+async def picture(tab: Tab) -> np.ndarray:
+    """The pixels in the middle of the picture, as they are on the screen."""
+    box = await tab.run(
+        "(() => { const b = document.querySelector('#picture').getBoundingClientRect();"
+        " return [b.x + b.width / 2 - 150, b.y + b.height / 2 - 60, 300, 120] })()"
+    )
+    x, y, width, height = box
+    shot = await tab.call(
+        "Page.captureScreenshot",
+        format="png",
+        clip={"x": x, "y": y, "width": width, "height": height, "scale": 1},
+    )
+    data = io.BytesIO(base64.b64decode(shot["data"]))
+    return np.asarray(Image.open(data).convert("RGB"))
+
+
+async def live(made: Console, browser: Chromium, tab: Tab) -> None:
+    """One life: enable, keys, gamepad, clutch, mouse, record, stop."""
+    system = made.system
+    assert await tab.run("crossOriginIsolated")
+    await drive(made, tab)
+    assert Follow(True) in system.given(Follow)
+
+    # Keys are a rate in the picture; D and R together are right and away.
+    await tab.key("Space", True)
+    await until(lambda: _is(Clutch(True) in system.given(Clutch)), "the clutch", 20.0)
+    await tab.key("KeyD", True)
+    await tab.key("KeyR", True)
+    sample = (await moved(made, tab, "keys", lambda s: s.v[0] > 0.001 and s.v[2] > 0.001)).sample
+    assert sample.hand == "rate" and sample.v[0] == pytest.approx(sample.v[2])
+    assert np.linalg.norm(sample.v) == pytest.approx(0.02) and sample.v[1] == 0
+    await tab.key("KeyD", False)
+    await tab.key("KeyR", False)
+    await tab.key("Space", False)
+    await moved(made, tab, "rest", lambda s: s.v == (0, 0, 0) and not s.clutch)
+    await tab.key("KeyK", True)
+    await moved(made, tab, "a closing jaw", lambda s: s.grip is not None and s.grip < 0.8)
+    await tab.key("KeyK", False)
+
+    # A gamepad: left stick up is up in the picture (-y), triggers close and open the jaw.
+    await tab.run("window.plug([0, -1, 0, 0], {})")
+    sample = (await moved(made, tab, "the stick", lambda s: s.v[1] < -0.001)).sample
+    assert sample.v[1] == pytest.approx(-0.02) and sample.v[0] == 0
+    await tab.run("window.plug([0.1, 0.1, 1, 0], {4: 1})")  # dead zone; roll; clutch
+    sample = (await moved(made, tab, "roll", lambda s: s.roll_rate > 1.0 and s.clutch)).sample
+    assert sample.v == (0, 0, 0)
+    await tab.run("window.plug([0, 0, 0, 0], {7: 1})")
+    await moved(made, tab, "a closed jaw", lambda s: s.grip == 0.0)
+
+    # Unplugging it holds the arm.
+    await tab.run("window.pad = null; 0")
+    await until(lambda: _is("gamepad was unplugged" in made.session.reason), "the hold", 20.0)
+    await drive(made, tab)
+
+    # The mouse is a position: under the clutch the hand changes, then a drag moves it.
+    await tab.key("Space", True)
+    await moved(made, tab, "the clutch", lambda s: s.clutch)
+    await tab.mouse("mousePressed", 400, 400, button="left", clickCount=1)
+    await moved(made, tab, "the mouse", lambda s: s.hand == "position")
+    await tab.key("Space", False)
+    before = (await moved(made, tab, "rest", lambda s: not s.clutch)).sample.p
+    for step in range(1, 6):
+        await tab.mouse("mouseMoved", 400 + 20 * step, 400 - 10 * step, button="left", buttons=1)
+    await moved(made, tab, "the drag", lambda s: s.p[0] > before[0] + 0.045)
+    sample = system.last(Move)[1].sample
+    assert sample.p[1] < before[1] - 0.02 and sample.p[2] == before[2]
+    await tab.mouse("mouseReleased", 500, 350, button="left", clickCount=1)
+    await tab.mouse("mouseWheel", 500, 350, deltaX=0, deltaY=-100)
+    await moved(made, tab, "the wheel", lambda s: s.p[2] > before[2] + 0.003)
+
+    # Buttons.
+    await tab.click("#camera")
+    await until(lambda: _is(Camera(True) in system.given(Camera)), "the camera", 20.0)
+    await tab.click("#record")
+    await until(lambda: _is(Record(True) in system.given(Record)), "the recording", 20.0)
+    await tab.run(
+        "(() => { const s = document.querySelector('#scale'); s.value = 0.5;"
+        " s.dispatchEvent(new Event('input')) })()"
+    )
+    await until(lambda: _is(SetScale(0.5) in system.given(SetScale)), "the scale", 20.0)
+    await tab.tap("Escape")
+    await until(lambda: _is(made.session.phase is Phase.HELD), "the stop", 20.0)
+    assert system.last(Present)[1] == Present(False)
+    await tab.until("!document.querySelector('#veil').hidden", "the veil")
+    assert "Stop was pressed" in await tab.run("document.querySelector('#veil-sentence').innerText")
+
+
+async def _is(value: bool) -> bool:
+    return value
+
+
+def test_the_page_drives_an_arm_by_keys_gamepad_and_mouse() -> None:
+    async def test() -> None:
+        async with opened() as (made, browser, tab):
+            await live(made, browser, tab)
+            await tab.click('#eyes [data-layout="stereo"]')
+            await tab.until("surgConsole.picture.drawn.at(-1).width === 640", "two eyes", 40.0)
+            assert made.camera.wanted == {("stereo", "h264")}
+            other = await browser.open(made.url)
+            await other.until("document.querySelector('#headline').innerText === 'Watching'", "it")
+            assert await other.run("document.querySelector('#enable').disabled")
+            assert not await other.run("document.querySelector('#stop').disabled")
+
+    run(test())
+
+
+def test_the_picture_is_the_one_that_was_sent_and_a_lost_console_is_named() -> None:
+    """The moving bar is seen where it was drawn, in its colours, by either codec."""
+
+    async def test() -> None:
+        async with Chromium() as browser:
+            async with console() as made:
+                for codec in ("h264", "jpeg"):
+                    made.camera.running = True
+                    tab = await browser.open(f"{made.url}?codec={codec}")
+                    await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+                    assert await tab.run("surgConsole.picture.drawn.at(-1).codec") == codec
+                    made.camera.running = False
+                    await asyncio.sleep(0.8)
+                    pixels = (await picture(tab)).reshape(-1, 3)
+                    grey = np.abs(pixels - np.array([60, 60, 60])).max(axis=1) < 12
+                    green = np.abs(pixels - np.array([40, 200, 90])).max(axis=1) < 25
+                    seen = (codec, grey.mean(), green.mean())
+                    assert grey.mean() > 0.5 and (grey | green).mean() > 0.9, seen
+            assert browser.errors == []
+            headline = "document.querySelector('#headline').innerText"
+            await tab.until(f"{headline} === 'No connection'", "words")
+            text = await tab.run("document.querySelector('#sentence').innerText")
+            assert "The arm holds by itself" in text
+
+    run(test())
+
+
+FREEZE = "(() => { const t = performance.now(); while (performance.now() < t + 1200); })()"
+STOPS = {
+    "hidden": lambda browser, tab: browser.open("about:blank", ready=False),
+    "frozen": lambda browser, tab: tab.call("Runtime.evaluate", expression=FREEZE),
+    "closed": lambda browser, tab: tab.close(),
+}
+"""What happens to the tab of the operator."""
+
+
+def test_a_tab_that_goes_holds_the_arm() -> None:
+    found: dict[str, list[float]] = {what: [] for what in STOPS}
+
+    async def test() -> None:
+        async with console() as made, Chromium() as browser:
+            for _ in range(20 if FULL else 1):
+                for what, stop in STOPS.items():
+                    tab = await browser.open(made.url)
+                    await tab.until("surgConsole.picture.drawn.length > 3", "pictures", 60.0)
+                    await drive(made, tab)
+                    began = time.monotonic()
+                    doing = asyncio.create_task(stop(browser, tab))
+                    await until(lambda: _is(made.session.phase is not Phase.DRIVING), what, 20.0)
+                    at, order = made.system.last(Present)
+                    assert order == Present(False)
+                    assert at - made.system.last(Move)[0] < LATEST, what
+                    found[what].append(at - began)
+                    await doing
+                    await asyncio.sleep(0.2)  # whatever is still under way
+                    assert made.system.last(Move)[0] <= at, what
+                    if what != "closed":
+                        await tab.close()
+                    await until(lambda: _is(made.session.pages == 0), "an empty console", 20.0)
+
+    run(test())
+    for what, seconds in found.items():
+        note(f"tab {what}", len(seconds), seconds, "event in the browser → order to hold")
+        if FULL:
+            limit = 0.3 if what == "frozen" else 0.2
+            assert sorted(seconds)[len(seconds) // 2] < limit, what

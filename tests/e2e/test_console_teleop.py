@@ -1,0 +1,242 @@
+"""`./surg teleop` whole: phantom, controllers, recorder, teleoperation, console, and Chromium."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import AsyncIterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers import chromium
+from helpers.chromium import GAMEPAD, Chromium, Tab, until
+from helpers.console_results import note
+from helpers.surg import environment, start
+from surg_cli import master, paths
+from surg_recording import episode
+
+pytestmark = [
+    pytest.mark.ros,
+    pytest.mark.full,
+    pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing()),
+]
+
+TARGETS = 10
+TOUCHED = 0.002
+"""[m] from the tip to a target."""
+STILL = 0.0005
+"""[m] that a tip may still go while it comes to rest."""
+
+
+class Phantom:
+    """A running `./surg teleop`.
+
+    Attributes:
+        url: Of the page.
+        out: Folder of the episodes.
+        tips: Steady clock [s] and tip in the rcm frame [m], as it came.
+    """
+
+    def __init__(self, url: str, out: Path) -> None:
+        self.url, self.out = url, out
+        self.tips: list[tuple[float, np.ndarray]] = []
+
+    @property
+    def tip(self) -> np.ndarray:
+        """Where the tip is now."""
+        return self.tips[-1][1]
+
+    def rest_since(self) -> float:
+        """When the tip came to where it is now [s]."""
+        end = self.tip
+        for at, tip in reversed(self.tips):
+            if np.linalg.norm(tip - end) > STILL:
+                return at
+        return self.tips[0][0]
+
+
+@contextlib.asynccontextmanager
+async def phantom(folder: Path, cell: str) -> AsyncIterator[Phantom]:
+    port, web = master.free_port(), master.free_port()
+    log, out = folder / "teleop.log", folder / "out"
+    words = ("teleop", cell, "--port", port, "--web-port", web, "--out", out)
+    with start(log, *words) as process:
+        printer = None
+        try:
+            await until(lambda: _is("Open http" in log.read_text()), "the system", 120.0)
+            made = Phantom(f"http://localhost:{web}/", out)
+            printer = await asyncio.create_subprocess_exec(
+                sys.executable,
+                str(paths.ROOT / "tests" / "helpers" / "tip_printer.py"),
+                "PSM1",
+                env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
+                stdout=asyncio.subprocess.PIPE,
+            )
+            assert printer.stdout is not None
+            reading = asyncio.create_task(_read(printer.stdout, made))
+            yield made
+            reading.cancel()
+            assert process.poll() is None, log.read_text()
+        finally:
+            if printer is not None:
+                with contextlib.suppress(ProcessLookupError):
+                    printer.kill()
+                await printer.wait()
+            process.send_signal(signal.SIGINT)
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(60)
+
+
+async def _read(lines: asyncio.StreamReader, made: Phantom) -> None:
+    async for line in lines:
+        at, *tip = map(float, line.split())
+        made.tips.append((at, np.array(tip)))
+
+
+async def _is(value: bool) -> bool:
+    return value
+
+
+async def drive(tab: Tab) -> None:
+    """Enable until the tip follows, by rate."""
+
+    async def engaged() -> bool:
+        if await tab.run("surgConsole.status()?.headline") == "Following":
+            return True
+        await tab.run("window.plug([0, 0, 0, 0], {9: 1})")  # Start
+        await asyncio.sleep(0.1)
+        await tab.run("window.plug([0, 0, 0, 0], {})")
+        await asyncio.sleep(1.0)
+        return False
+
+    await until(engaged, "driving", 120.0)
+
+
+async def push(tab: Tab, axes: np.ndarray) -> None:
+    """Push the sticks: right, down, away in the picture, each from -1 to 1."""
+    right, down, away = (float(np.sign(a) * np.sqrt(abs(a))) for a in np.clip(axes, -1, 1))
+    # The page squares a stick beyond its dead zone of 0.12.
+    stick = [np.sign(v) * (0.12 + 0.88 * abs(v)) if v else 0.0 for v in (right, down, away)]
+    await tab.run(f"window.plug([{stick[0]}, {stick[1]}, 0, {-stick[2]}], {{}})")
+
+
+async def probe(made: Phantom, tab: Tab) -> np.ndarray:
+    """(3, 3) tip velocities in the rcm frame for full sticks, one column per stick [m/s]."""
+    columns = []
+    for axis in np.eye(3):
+        for sign in (0.5, -0.5):
+            await push(tab, sign * axis)
+            await asyncio.sleep(0.2)
+            began, before = time.monotonic(), made.tip
+            await asyncio.sleep(0.5)
+            velocity = (made.tip - before) / (time.monotonic() - began) / sign
+            columns.append(velocity)
+            await push(tab, np.zeros(3))
+            await asyncio.sleep(0.3)
+    pairs = np.array(columns).reshape(3, 2, 3)
+    return pairs.mean(axis=1).T
+
+
+async def touch(made: Phantom, tab: Tab, J: np.ndarray, target: np.ndarray) -> float:
+    """Steer until the tip is at a target; how long it took [s]."""
+    began = time.monotonic()
+    inverse = np.linalg.inv(J)
+    while np.linalg.norm(target - made.tip) > TOUCHED:
+        assert time.monotonic() - began < 60.0, (target, made.tip)
+        if await tab.run("surgConsole.status()?.headline") != "Following":
+            await drive(tab)
+        await push(tab, inverse @ (1.5 * (target - made.tip)))
+        await asyncio.sleep(0.05)
+    await push(tab, np.zeros(3))
+    return time.monotonic() - began
+
+
+def test_ten_targets_are_touched_and_recorded(tmp_path: Path) -> None:
+    async def test() -> None:
+        async with phantom(tmp_path, "sim_two_arms") as made, Chromium() as browser:
+            tab = await browser.open(made.url, GAMEPAD)
+            await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
+            await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
+            await tab.click('#hands [data-hand="rate"]')
+            await drive(tab)
+            await tab.tap("KeyV")
+            await tab.until("surgConsole.status().record.on", "the recording", 60.0)
+            J = await probe(made, tab)
+            # Hand and picture agree: no stick has gone wrong, and all three are of one speed.
+            speeds = np.linalg.norm(J, axis=0)
+            assert speeds.min() > 0.5 * speeds.max() > 0.002, speeds
+            rng = np.random.default_rng(5)
+            home, took = made.tip, []
+            for _ in range(TARGETS):
+                target = home + rng.uniform(-0.012, 0.012, 3)
+                took.append(await touch(made, tab, J, target))
+            note("target touched", TARGETS, took, "by gamepad, within 2 mm")
+            await tab.screenshot(tmp_path / "console.png")
+            await tab.tap("KeyV")
+            await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
+            await tab.until(
+                "document.querySelector('#episodes .chip')?.innerText === 'complete'"
+                " || document.querySelector('#episodes .chip')?.innerText.includes('success')",
+                "the list",
+            )
+            await tab.run("(window.plug([0, 0, 0, 0], {1: 1}), 0)")
+            await tab.until("document.body.dataset.phase === 'held'", "the stop")
+            assert browser.errors == []
+        recorded = episode.read(tmp_path / "out" / "episode")
+        assert recorded.complete, recorded.manifest["reason"]
+        assert len(recorded.cycle("PSM1")) > 1000
+        assert len(recorded.video("endoscope_left").frames) > 50
+        folder = os.environ.get("SURG_RESULTS_DIR")
+        if folder:
+            picture = Path(folder).parent / "pictures" / "console.png"
+            picture.write_bytes((tmp_path / "console.png").read_bytes())
+
+    asyncio.run(asyncio.wait_for(test(), 900.0))
+
+
+@pytest.mark.parametrize("what", ["hidden", "frozen", "closed"])
+def test_the_arm_rests_when_the_tab_goes(what: str, tmp_path: Path) -> None:
+    """From the event in the browser to the tip at rest, while it moved at 20 mm/s."""
+    rests = []
+
+    async def test() -> None:
+        async with phantom(tmp_path, "sim_ur5e") as made, Chromium() as browser:
+            for turn in range(6):
+                tab = await browser.open(made.url, GAMEPAD)
+                await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
+                await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
+                await tab.click('#hands [data-hand="rate"]')
+                await drive(tab)
+                before = made.tip
+                await push(tab, np.array([0.5 * (-1) ** turn, 0, 0]))
+                await asyncio.sleep(0.6)
+                assert np.linalg.norm(made.tip - before) > 0.002
+                began = time.monotonic()
+                if what == "hidden":
+                    await browser.open("about:blank", ready=False)
+                elif what == "closed":
+                    await tab.close()
+                else:
+                    script = "(() => { const t = performance.now();"
+                    script += " while (performance.now() < t + 2000); })()"
+                    freezing = asyncio.create_task(tab.run(script))
+                await asyncio.sleep(1.5)
+                rests.append(made.rest_since() - began)
+                if what == "frozen":
+                    await freezing
+                if what != "closed":
+                    rest = made.tip
+                    await asyncio.sleep(0.5)  # awake again: nothing goes on
+                    assert np.linalg.norm(made.tip - rest) < STILL
+                    await tab.close()
+
+    asyncio.run(asyncio.wait_for(test(), 600.0))
+    note(f"tip at rest, tab {what}", len(rests), rests, "event in the browser → tip within 0.5 mm")
+    assert sorted(rests)[len(rests) // 2] < (0.3 if what == "frozen" else 0.2) + 0.05

@@ -1,0 +1,161 @@
+"""A console without ROS: a system and pictures that a test holds in its hands."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import AsyncIterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from surg_cli import master
+from surg_teleop.console import access
+from surg_teleop.console.episodes import Entry
+from surg_teleop.console.gallery import EYES, Shot, Stream
+from surg_teleop.console.orders import Follow, Order
+from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
+from surg_teleop.console.server import Server
+from surg_teleop.console.session import Session
+
+LIMITS = {
+    "rcm_error_warn": 0.001,
+    "rcm_error_fault": 0.002,
+    "trocar_force_warn": 10.0,
+    "trocar_force_fault": 15.0,
+    "tip_force_soft": 5.0,
+    "tip_force_hard": 8.0,
+    "depth_min": 0.02,
+    "depth_max": 0.22,
+}
+FACTS = {"cell": "test_cell", "arm": "PSM1", "views": ["left", "right"], "limits": LIMITS}
+
+
+class FakeSystem:
+    """An arm and a teleoperation that obey at once; keeps every order with its time."""
+
+    def __init__(self) -> None:
+        self.orders: list[tuple[float, Order]] = []
+        self.episodes: list[Entry] = []
+        self.now = Robot(
+            arms=(Arm("PSM1", "ENABLED", True, time.monotonic()),),
+            follower=Follower("DISABLED", scale=0.2),
+            gauges=Gauges(0.00012, 0.00015, 0.112, 1.4, 0.3),
+        )
+
+    def robot(self) -> Robot:
+        """See `server.System`."""
+        arms = tuple(replace(arm, heard=time.monotonic()) for arm in self.now.arms)
+        return replace(self.now, arms=arms)
+
+    def told(self) -> None:
+        """See `server.System`."""
+
+    def obey(self, orders: list[Order]) -> None:
+        """See `server.System`."""
+        for order in orders:
+            self.orders.append((time.monotonic(), order))
+            if isinstance(order, Follow):
+                state = "FOLLOWING" if order.on else "DISABLED"
+                self.now = replace(self.now, follower=replace(self.now.follower, state=state))
+
+    def entries(self) -> list[Entry]:
+        """See `server.System`."""
+        return self.episodes
+
+    def given(self, kind: type) -> list[Any]:
+        """The orders of one kind, in order."""
+        return [order for _, order in self.orders if isinstance(order, kind)]
+
+    def last(self, kind: type) -> tuple[float, Any]:
+        """The newest order of a kind, with its time."""
+        return next((at, order) for at, order in reversed(self.orders) if isinstance(order, kind))
+
+
+class FakeCamera:
+    """Pictures with a moving bar, encoded for whoever watches."""
+
+    def __init__(self, size: tuple[int, int] = (320, 240), period: float = 0.05) -> None:
+        self.running = True
+        self.keys: list[tuple[str, str]] = []
+        self.wanted: frozenset[tuple[str, str]] = frozenset()
+        self._streams: dict[tuple[str, str], Stream] = {}
+        self._size, self._period = size, period
+
+    def want(self, wanted: frozenset[tuple[str, str]]) -> None:
+        """See `server.Pictures`."""
+        self.wanted = wanted
+
+    def key(self, layout: str, codec: str) -> None:
+        """See `server.Pictures`."""
+        self.keys.append((layout, codec))
+        if (layout, codec) in self._streams:
+            self._streams[layout, codec].ask_key()
+
+    def picture(self, count: int) -> np.ndarray:
+        """Grey, with a green bar that goes to the right."""
+        width, height = self._size
+        pixels = np.full((height, width, 3), 60, np.uint8)
+        left = (4 * count) % (width - 16)
+        pixels[:, left : left + 16] = (40, 200, 90)
+        return pixels
+
+    async def run(self, server: Server) -> None:
+        """Twenty pictures a second, until cancelled."""
+        count = 0
+        while True:
+            await asyncio.sleep(self._period)
+            if not self.running:
+                continue
+            count += 1
+            now_us = time.time_ns() // 1000
+            shot = Shot(now_us, now_us, self.picture(count), "rgb8")
+            for pair in self.wanted:
+                if pair not in self._streams:
+                    self._streams[pair] = Stream(*pair)
+                packet = self._streams[pair].encode((shot,) * len(EYES[pair[0]]))
+                if packet is not None:
+                    server.show(packet)
+
+
+class Console:
+    """A running console.
+
+    Attributes:
+        url: Of the page.
+        port: TCP port.
+        system: Its robot's side.
+        camera: Its pictures.
+        session: Who drives.
+    """
+
+    def __init__(self, rules: access.Access, pictures: bool) -> None:
+        self.url, self.port = rules.url, rules.port
+        self.system, self.camera = FakeSystem(), FakeCamera()
+        self.session = Session(pictures)
+        self.server = Server(rules, self.session, self.system, self.camera, FACTS, LIMITS)
+
+
+@contextlib.asynccontextmanager
+async def console(pictures: bool = True, **how: Any) -> AsyncIterator[Console]:
+    """A console on a free port of the loopback.
+
+    Args:
+        pictures: Whether nothing may move without a picture.
+        **how: Of `access.rules`.
+    """
+    made = Console(access.rules("127.0.0.1", master.free_port(), **how), pictures)
+    stop = asyncio.Event()
+    serving = asyncio.create_task(made.server.serve(stop))
+    filming = asyncio.create_task(made.camera.run(made.server))
+    try:
+        while not master.port_in_use(made.port):
+            assert not serving.done(), serving
+            await asyncio.sleep(0.01)
+        yield made
+    finally:
+        stop.set()
+        filming.cancel()
+        await serving

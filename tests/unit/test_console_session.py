@@ -1,0 +1,458 @@
+"""The console's session on a fake clock: one operator, deadlines, nothing resumes by itself."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import replace
+
+import pytest
+
+from surg_teleop.console import words
+from surg_teleop.console.orders import (
+    Camera,
+    Clutch,
+    Follow,
+    Move,
+    OtherMapping,
+    Present,
+    Record,
+    SetScale,
+    StateCommand,
+)
+from surg_teleop.console.protocol import HIDDEN, Input
+from surg_teleop.console.report import report
+from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
+from surg_teleop.console.session import (
+    BLIND,
+    GONE,
+    LATENESS,
+    SILENCE,
+    START_TIMEOUT,
+    Lateness,
+    Phase,
+    Session,
+)
+
+PERIOD = 0.02
+"""[s] between two inputs of a page."""
+TICK = 0.01
+PAGE_CLOCK = -731.5
+"""[s] by which a page's clock differs from ours."""
+
+
+class Bench:
+    """A session, an obedient robot, and pages that speak every 20 ms."""
+
+    def __init__(self, pictures: bool = True) -> None:
+        self.session = Session(pictures)
+        self.now = 1000.0
+        self.arm = Arm("PSM1", "ENABLED", True, self.now)
+        self.follower = Follower("DISABLED", scale=0.2)
+        self.orders: list[object] = []
+        self.seq: dict[str, int] = {}
+        self.picture = 1
+
+    @property
+    def robot(self) -> Robot:
+        return Robot((self.arm,), self.follower)
+
+    def flush(self) -> list[object]:
+        orders = self.session.take_orders()
+        for order in orders:
+            if isinstance(order, Follow):
+                state = "FOLLOWING" if order.on else "DISABLED"
+                self.follower = replace(self.follower, state=state)
+            elif isinstance(order, OtherMapping):
+                other = "rate" if self.follower.mapping == "position" else "position"
+                self.follower = replace(self.follower, mapping=other)
+        self.orders += orders
+        return orders
+
+    def speak(self, page: str = "a", late: float = 0.0, **keys: object) -> None:
+        self.seq[page] = self.seq.get(page, 0) + 1
+        sample = Input(
+            self.seq[page], self.now + PAGE_CLOCK - late, picture_us=self.picture, **keys
+        )
+        self.session.receive(page, sample, self.now)
+
+    def tick(self) -> None:
+        self.session.tick(self.robot, self.now)
+        self.flush()
+
+    def run(self, seconds: float, page: str = "a", film: bool = True, **keys: object) -> None:
+        """Time passes while a page speaks (an empty name: none) and pictures come."""
+        steps = round(seconds / TICK)
+        for step in range(steps):
+            self.now += TICK
+            if film and step % 5 == 0:
+                self.picture += 1
+            if page and step % 2 == 0:
+                self.speak(page, **keys)
+            self.tick()
+
+    def drive(self) -> None:
+        """Page a joins, enables, and the tip follows."""
+        self.session.join("a", self.now)
+        self.run(0.2)
+        assert self.session.enable("a", self.robot, self.now) == ""
+        self.flush()
+        self.run(0.5)
+        assert self.session.phase is Phase.DRIVING
+        self.orders.clear()
+
+    def given(self, kind: type) -> list[object]:
+        return [order for order in self.orders if isinstance(order, kind)]
+
+    def held(self) -> bool:
+        """Whether the newest words to the teleoperation are: not present, do not follow."""
+        return (
+            self.given(Present)[-1:] == [Present(False)]
+            and self.given(Follow)[-1:] == [Follow(False)]
+            and self.session.phase in (Phase.HELD, Phase.FREE)
+        )
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def test_control_alone_moves_nothing(bench: Bench) -> None:
+    bench.session.join("a", bench.now)
+    bench.run(1.0, v=(0.1, 0.0, 0.0), hand="rate", clutch=True)
+    assert bench.session.holder == "a"
+    assert bench.orders == []
+
+
+def test_enable_follows_and_inputs_go_out_as_they_came(bench: Bench) -> None:
+    bench.drive()
+    bench.run(1.0, p=(0.01, 0.02, 0.03), grip=0.4)
+    moves = [order.sample for order in bench.given(Move)]
+    assert len(moves) == 50
+    assert all(m.p == (0.01, 0.02, 0.03) and m.grip == 0.4 for m in moves)
+    assert [m.seq for m in moves] == sorted({m.seq for m in moves})
+
+
+def test_enable_says_present_and_follow_with_pedals_up(bench: Bench) -> None:
+    bench.session.join("a", bench.now)
+    bench.run(0.2)
+    bench.session.enable("a", bench.robot, bench.now)
+    assert bench.flush() == [Clutch(False), Camera(False), Present(True), Follow(True)]
+
+
+def test_silence_holds_at_the_first_tick_after_its_limit(bench: Bench) -> None:
+    bench.drive()
+    last = bench.now
+    bench.speak()
+    while not bench.held():
+        bench.now = round(bench.now + 0.001, 6)
+        bench.tick()
+        assert bench.now - last < 1.0
+    assert bench.now - last == pytest.approx(SILENCE + 0.001, abs=1.1e-3)
+    assert bench.session.reason == words.SILENT
+
+
+@pytest.mark.parametrize("why", HIDDEN)
+def test_a_page_that_gives_up_holds_at_once(bench: Bench, why: str) -> None:
+    bench.drive()
+    bench.session.hide("a", why)
+    bench.flush()
+    assert bench.held()
+    assert bench.session.reason == words.HIDDEN[why]
+
+
+def test_a_closed_page_holds_at_once_and_frees_control(bench: Bench) -> None:
+    bench.drive()
+    bench.session.leave("a", bench.now)
+    bench.flush()
+    assert bench.held()
+    assert bench.session.holder == ""
+
+
+def test_nothing_resumes_by_itself(bench: Bench) -> None:
+    for stop in ("silence", "hide", "arm", "picture"):
+        bench = Bench()
+        bench.drive()
+        if stop == "silence":
+            bench.run(0.3, page="")
+        elif stop == "hide":
+            bench.session.hide("a", "hidden")
+        elif stop == "arm":
+            bench.follower = replace(bench.follower, state="WAITING", reason="PSM1 is PAUSED")
+            bench.run(0.1)
+        else:
+            bench.run(BLIND + 0.2, film=False)
+        bench.flush()
+        assert bench.held(), stop
+        bench.orders.clear()
+        bench.follower = replace(bench.follower, state="FOLLOWING")
+        bench.run(3.0)
+        assert bench.orders == [], stop
+        bench.follower = replace(bench.follower, state="DISABLED")
+        assert bench.session.enable("a", bench.robot, bench.now) == ""
+        bench.flush()
+        bench.run(0.5)
+        assert bench.session.phase is Phase.DRIVING, stop
+
+
+def test_a_page_that_wakes_up_before_the_tick_cannot_go_on(bench: Bench) -> None:
+    bench.drive()
+    bench.now += SILENCE + 0.5  # the server stood still as well: no tick has been there
+    bench.speak()
+    bench.flush()
+    assert bench.held()
+    assert bench.given(Move) == []
+
+
+def test_messages_that_were_held_up_are_void(bench: Bench) -> None:
+    bench.drive()
+    for step in range(40):  # 0.8 s of inputs arrive in one moment, after a stall
+        bench.speak(late=0.8 - 0.02 * step)
+    moves = [order for order in bench.session.take_orders() if isinstance(order, Move)]
+    assert len(moves) <= 1 + LATENESS / PERIOD
+    assert not bench.session.in_time("a", bench.now + PAGE_CLOCK - 0.11, bench.now)
+    assert bench.session.in_time("a", bench.now + PAGE_CLOCK - 0.09, bench.now)
+
+
+def test_lateness_forgets_a_drift_of_the_clocks() -> None:
+    lateness, worst = Lateness(), 0.0
+    for step in range(30_000):  # ten minutes, 100 ppm
+        sent = 0.02 * step
+        worst = max(worst, lateness.add(sent, sent * (1 + 1e-4)))
+    assert worst < 0.003
+
+
+def test_an_older_input_is_ignored(bench: Bench) -> None:
+    bench.drive()
+    bench.speak()
+    bench.flush()
+    before = len(bench.given(Move))
+    bench.session.receive("a", Input(1, bench.now + PAGE_CLOCK), bench.now)
+    bench.flush()
+    assert len(bench.given(Move)) == before
+
+
+def test_without_a_picture_nothing_is_enabled(bench: Bench) -> None:
+    bench.picture = 0
+    bench.session.join("a", bench.now)
+    bench.run(0.2, film=False)
+    assert bench.session.enable("a", bench.robot, bench.now) == words.NO_PICTURE
+    bench.flush()
+    assert Follow(True) not in bench.orders
+
+
+def test_a_picture_that_stands_still_holds(bench: Bench) -> None:
+    bench.drive()
+    bench.run(BLIND - 0.1, film=False)
+    assert bench.session.phase is Phase.DRIVING
+    bench.run(0.2, film=False)
+    assert bench.held()
+    assert bench.session.reason == words.FROZEN_PICTURE
+
+
+def test_a_system_without_a_camera_can_be_driven() -> None:
+    bench = Bench(pictures=False)
+    bench.picture = 0
+    bench.session.join("a", bench.now)
+    bench.run(0.2, film=False)
+    assert bench.session.enable("a", bench.robot, bench.now) == ""
+    bench.flush()
+    bench.run(3.0, film=False)
+    assert bench.session.phase is Phase.DRIVING
+
+
+def test_one_drives_and_the_other_watches(bench: Bench) -> None:
+    bench.drive()
+    bench.session.join("b", bench.now)
+    bench.run(0.1)
+    bench.orders.clear()
+    for _ in range(10):
+        bench.now += PERIOD
+        bench.speak("b", v=(0.1, 0, 0), hand="rate", clutch=True, camera=True)
+        bench.speak("a")
+        bench.tick()
+    assert {type(order) for order in bench.orders} == {Move}
+    assert all(order.sample.v == (0, 0, 0) for order in bench.given(Move))
+    assert "a has control" in bench.session.take("b", bench.now)
+    assert bench.session.enable("b", bench.robot, bench.now) == words.NO_CONTROL
+    assert bench.session.scale("b", 0.5) == words.NO_CONTROL
+    assert bench.session.record("b", True) == words.NO_CONTROL
+    assert bench.flush() == []
+
+
+def test_control_changes_hands_only_when_given_or_lost(bench: Bench) -> None:
+    bench.drive()
+    bench.session.join("b", bench.now)
+    bench.session.release("a")
+    bench.flush()
+    assert bench.held()
+    assert bench.session.take("b", bench.now) == ""
+    assert bench.session.phase is Phase.READY
+    bench.run(GONE + 0.1, page="")
+    assert bench.session.take("a", bench.now) == ""
+    assert bench.session.holder == "a"
+
+
+def test_a_hidden_page_gives_way(bench: Bench) -> None:
+    bench.drive()
+    bench.session.join("b", bench.now)
+    assert bench.session.take("b", bench.now) != ""
+    bench.session.hide("a", "hidden")
+    assert bench.session.take("b", bench.now) == ""
+
+
+def test_stop_is_obeyed_from_every_page_and_pauses(bench: Bench) -> None:
+    for who in ("a", "b"):
+        bench = Bench()
+        bench.drive()
+        bench.session.join("b", bench.now)
+        bench.session.stop(bench.robot, who)
+        orders = bench.flush()
+        assert orders == [Present(False), Follow(False), StateCommand("PSM1", "pause")]
+        assert ("on b" in bench.session.reason) == (who == "b")
+
+
+def test_a_pedal_is_sent_when_it_changes(bench: Bench) -> None:
+    bench.drive()
+    bench.run(0.1, clutch=True)
+    bench.run(0.1)
+    bench.run(0.1, camera=True)
+    assert bench.given(Clutch) == [Clutch(True), Clutch(False)]
+    assert bench.given(Camera) == [Camera(True)]
+
+
+def test_the_mapping_is_changed_under_the_clutch_only(bench: Bench) -> None:
+    bench.drive()
+    bench.run(0.5, hand="rate")
+    assert bench.given(OtherMapping) == []  # following: the hand is not changed
+    bench.follower = replace(bench.follower, state="CLUTCHED")
+    bench.run(0.1, hand="rate", clutch=True)
+    assert bench.given(OtherMapping) == [OtherMapping()]
+    bench.follower = replace(bench.follower, state="WAITING")
+    bench.run(1.0, hand="rate", clutch=True)
+    assert bench.session.phase is Phase.DRIVING
+    assert bench.given(OtherMapping) == [OtherMapping()]
+
+
+def test_what_does_not_become_ready_is_named(bench: Bench) -> None:
+    cases = {
+        "PSM1 did not become ready within 6 s and is FAULT: the shaft": (
+            Arm("PSM1", "FAULT", True, because="the shaft is off the trocar"),
+            Follower("WAITING"),
+        ),
+        "PSM1 does not speak": (Arm("PSM1"), Follower("WAITING")),
+        "the tip does not follow after 6 s: it is busy": (
+            Arm("PSM1", "ENABLED", True),
+            Follower("WAITING", reason="it is busy"),
+        ),
+    }
+    for said, (arm, follower) in cases.items():
+        bench = Bench()
+        bench.session.join("a", bench.now)
+        bench.run(0.2)
+        bench.session.enable("a", bench.robot, bench.now)
+        bench.flush()
+        bench.arm, bench.follower = arm, follower
+        bench.run(START_TIMEOUT - 0.1)
+        assert bench.session.phase is Phase.STARTING
+        bench.run(0.2)
+        assert bench.held()
+        assert bench.session.reason.startswith(said)
+
+
+def test_a_silent_teleoperation_is_named(bench: Bench) -> None:
+    bench.drive()
+    bench.follower = Follower()
+    bench.run(0.1)
+    assert bench.held()
+    assert bench.session.reason == words.NO_FOLLOWER
+
+
+def test_scale_and_record_are_orders(bench: Bench) -> None:
+    bench.drive()
+    assert bench.session.scale("a", 0.5) == ""
+    assert bench.session.record("a", True) == ""
+    assert bench.flush() == [SetScale(0.5), Record(True)]
+
+
+def test_random_lives_never_move_without_an_operator() -> None:
+    """An input goes out only from the page in control, after its Enable, and in time."""
+    moves = holds = 0
+    for seed in range(300):
+        rng = random.Random(seed)
+        bench = Bench(pictures=rng.random() < 0.8)
+        names = ["a", "b"]
+        enabled = ""
+        for _ in range(300):
+            bench.now += rng.choice((0.002, 0.02, 0.02, 0.02, 0.15))
+            bench.picture += rng.random() < 0.4
+            name = rng.choice(names)
+            known = name in bench.session._pages
+            act = rng.random()
+            if not known:
+                bench.session.join(name, bench.now)
+            elif act < 0.70:
+                bench.speak(name, late=rng.choice((0.0, 0.0, 0.0, 0.3)), clutch=act < 0.1)
+            elif act < 0.80:
+                if bench.session.enable(name, bench.robot, bench.now) == "":
+                    enabled = name
+            elif act < 0.84:
+                bench.session.hide(name, rng.choice(HIDDEN))
+            elif act < 0.87:
+                bench.session.leave(name, bench.now)
+            elif act < 0.90:
+                bench.session.take(name, bench.now)
+            elif act < 0.93:
+                bench.session.stop(bench.robot, name)
+            elif act < 0.96:
+                bench.follower = replace(
+                    bench.follower, state=rng.choice(("WAITING", "FAULT", "FOLLOWING", ""))
+                )
+            for order in bench.flush():
+                if isinstance(order, Move):
+                    moves += 1
+                    assert enabled == name == bench.session.holder or bench.held(), seed
+                elif order == Follow(False):
+                    holds += 1
+                    enabled = ""
+            bench.tick()
+            for order in bench.orders[-4:]:
+                if order == Follow(False):
+                    enabled = ""
+            bench.orders.clear()
+    print(f"{moves} inputs went out, {holds} holds")
+    assert moves > 1000
+    assert holds > 300
+
+
+def test_reasons_are_read_off_what_a_controller_says() -> None:
+    said = "PSM1: FAULT(link): no joint state from the robot link: check that it runs"
+    why = "no joint state from the robot link: check that it runs"
+    assert words.reason_of(said, "PSM1", "FAULT") == why
+    assert words.reason_of(said, "PSM1", "PAUSED") is None
+    assert words.reason_of(said, "PSM2", "FAULT") is None
+    assert words.reason_of("PSM1: ENABLED", "PSM1", "ENABLED") == ""
+    assert words.reason_of("PSM1: homed", "PSM1", "ENABLED") is None
+    assert words.state_sentence(Arm("PSM1", "FAULT", because=why)).endswith(why)
+
+
+def test_the_report_is_json_in_words(bench: Bench) -> None:
+    import json
+
+    bench.drive()
+    robot = replace(bench.robot, gauges=Gauges(math.nan, 0.001, 0.1, None, math.inf))
+    said = report(bench.session, robot, {"depth_max": 0.22}, bench.now)
+    text = json.dumps(said, allow_nan=False)
+    assert said["gauges"] == {
+        "rcm": None,
+        "rcm_peak": 0.001,
+        "depth": 0.1,
+        "trocar": None,
+        "tip": None,
+    }
+    assert said["headline"] == "Following" and "follows your hand" in text
+    bench.session.hide("a", "hidden")
+    bench.flush()
+    said = report(bench.session, bench.robot, {}, bench.now)
+    assert said["headline"] == "Held" and "tab was hidden" in said["sentence"]

@@ -1,0 +1,279 @@
+"""`./surg teleop [CELL]`: the phantom in real time under an operator's hands, with the console.
+
+Starts simulator, controllers, endoscope, recorder, teleoperation and console, or attaches the last
+two to a system of `./surg up`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from surg_cli import cells, environment, master, paths, processes, running, system
+from surg_cli.demo import tcp_port
+from surg_cli.follow import death_notice
+from surg_cli.system import Node, Plan
+from surg_cli.terminal import Problem, Progress, say
+from surg_cli.up import DEFAULT_PORT
+from surg_cli.watch import Watch
+
+DEFAULT_CELL = "sim_two_arms"
+TASK_OF_TWO_ARMS = "bgr"
+WEB_PORT = 8090
+START_TIMEOUT_S = 60.0
+BROWSER = "browser"
+"""The console as a leader, and the namespace of its topics."""
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("cell", nargs="?", metavar="CELL", help=f"name in cells/, or a folder ({DEFAULT_CELL})")
+    add("--task", metavar="T", help="task of the phantom, or none (bgr in a cell of two arms)")
+    add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
+    add("--seed", type=int, default=0, metavar="N", help="of the phantom's random numbers")
+    add("--stereo", action="store_true", help="both eyes of the endoscope")
+    add("--scale", type=float, default=0.2, metavar="K", help="tip metres per metre of the hand")
+    add(
+        "--leader",
+        default=BROWSER,
+        metavar="L",
+        help="what the hand holds: browser (default), a bundled leader, or a leader's .py file",
+    )
+    add("--out", type=Path, metavar="DIR", help="folder of the episodes (runs/<UTC time>)")
+    add("--port", type=tcp_port, default=DEFAULT_PORT, metavar="P", help="of the ROS master")
+    web = parser.add_argument_group("who may open the page (docs/console.md)")
+    add = web.add_argument
+    add("--web-port", type=tcp_port, default=WEB_PORT, metavar="P", help=f"default {WEB_PORT}")
+    add("--bind", default="127.0.0.1", metavar="ADDRESS", help="default: this machine only")
+    add("--host-name", action="append", default=[], metavar="NAME", help="name people type")
+    add("--cert", type=Path, metavar="PEM", help="TLS certificate")
+    add("--key", type=Path, metavar="PEM", help="its private key")
+    add("--token-file", type=Path, metavar="FILE", help="the secret that pages must name")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Check, start or attach, say the address, wait."""
+    web = _web(options)
+    attached = next((s for s in running.systems() if s.port == options.port), None)
+    if attached is None:
+        plan = _plan(options)
+    elif options.cell and cells.find(options.cell) != Path(attached.cell):
+        raise Problem(
+            f"port {options.port} has {attached.command} of {attached.cell}; end it with "
+            f"./surg down, or start another system with --port",
+            2,
+        )
+    else:
+        plan = _plan_of(attached)
+    teleop, console = _operator_nodes(options, plan, web)
+    logs = paths.SYSTEMS / f"{options.port}_teleop_logs"
+    processes.adopt_orphans()
+    try:
+        env = environment.for_nodes(ros_home=logs / "ros")
+        with processes.Supervisor(env, logs) as supervisor:
+            if attached is not None:
+                supervisor.env["ROS_MASTER_URI"] = f"http://localhost:{options.port}"
+                return _keep(plan, supervisor, [teleop, console], None)
+            master.start(supervisor, options.port)
+            with running.announced(command, options.port, plan.cell, logs) as entry:
+                return _keep(plan, supervisor, [*_phantom(plan), teleop, console], entry)
+    finally:
+        with processes.signals_ignored():
+            processes.end_orphans()
+
+
+def _web(options: argparse.Namespace) -> dict[str, object]:
+    """The console's parameters about who may connect, checked before anything starts."""
+    from surg_teleop.console import access
+
+    try:
+        token = access.read_token(options.token_file) if options.token_file else ""
+        rules = access.rules(
+            options.bind,
+            options.web_port,
+            tuple(options.host_name),
+            options.cert,
+            options.key,
+            token,
+        )
+    except access.AccessError as error:
+        raise Problem(str(error), 2) from error
+    if master.port_in_use(rules.port) and access.is_loopback(rules.bind):
+        raise Problem(f"port {rules.port} is in use on this machine: choose another: --web-port")
+    files = {"cert": options.cert, "key": options.key, "token_file": options.token_file}
+    return {
+        "bind": options.bind,
+        "port": options.web_port,
+        "host_names": list(options.host_name),
+        **{name: str(file.absolute()) for name, file in files.items() if file is not None},
+    }
+
+
+def _plan(options: argparse.Namespace) -> Plan:
+    """The system to start."""
+    cell = cells.find(options.cell or DEFAULT_CELL)
+    arms = tuple(str(name) for name in cells.load(cell).arms)
+    task = options.task or (TASK_OF_TWO_ARMS if len(arms) > 1 else "none")
+    return Plan(
+        cell=cell,
+        arms=arms,
+        lockstep=False,
+        cameras=("left", "right") if options.stereo else ("left",),
+        seed=options.seed,
+        out=paths.run_folder(options.out),
+        task="" if task == "none" else task,
+        setting=options.setting if task != "none" else "",
+        run_info={
+            "task": "teleop" if task == "none" else task,
+            "cell": str(cell),
+            "seed": options.seed,
+            "operator": options.leader,
+        },
+    )
+
+
+def _plan_of(attached: running.System) -> Plan:
+    """What a system of `./surg up` runs, as far as the operator's nodes must know it."""
+    uri = f"http://localhost:{attached.port}"
+    cell = Path(attached.cell)
+    cameras = tuple(
+        view
+        for view in ("left", "right")
+        if f"/endoscope/{view}/image_raw" in master.publications(uri)
+    )
+    out = Path(".")
+    if master.call(uri, "hasParam", "/recorder/out"):
+        out = Path(master.call(uri, "getParam", "/recorder/out")).parent
+    arms = tuple(str(name) for name in cells.load(cell).arms)
+    return Plan(cell=cell, arms=arms, lockstep=False, cameras=cameras, out=out)
+
+
+def _phantom(plan: Plan) -> list[Node]:
+    """The nodes of the phantom, which goes on when its task is over: people try again."""
+    found = system.nodes(plan)
+    sim = found[0]
+    if plan.task:
+        found[0] = replace(sim, params={**sim.params, "endless": True})
+    return found
+
+
+def _operator_nodes(
+    options: argparse.Namespace, plan: Plan, web: dict[str, object]
+) -> tuple[Node, Node]:
+    """Teleoperation and console."""
+    loaded = cells.load(plan.cell)
+    driven = next((a.name for a in loaded.arms.values() if a.instrument.camera is None), None)
+    if driven is None:
+        raise Problem(f"{plan.cell}: no arm of this cell holds an instrument to drive", 2)
+    browser = options.leader == BROWSER
+    params: dict[str, object] = {
+        "cell": str(plan.cell),
+        "arm": driven,
+        "leader": "crtk" if browser else options.leader,
+        "scale": options.scale,
+        "need_present": True,
+        "picture": "/endoscope/left/image_raw" if plan.cameras else "",
+    }
+    if browser:
+        params["settings"] = {"name": BROWSER}
+    if all(arm.instrument.camera is None for arm in loaded.arms.values()):
+        params["view"] = _standing_view(loaded)
+    page = {
+        "cell": str(plan.cell),
+        "arm": driven,
+        "arms": list(plan.arms),
+        "leader": BROWSER,
+        "views": list(plan.cameras),
+        "episodes": str(plan.out / "episode"),
+        **web,
+    }
+    return (
+        Node("/teleop", "surg_teleop", "teleop_node.py", params),
+        Node("/console", "surg_teleop", "console_node.py", page),
+    )
+
+
+def _standing_view(loaded: Any) -> list[float]:
+    """Orientation x, y, z, w in the world of the phantom's camera that no arm holds."""
+    import mujoco
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from surg_sim.endoscope import LEFT
+    from surg_sim.world import World
+
+    world = World(loaded, 0)
+    mujoco.mj_forward(world.model, world.data)
+    # A MuJoCo camera looks along -z with y up.
+    R_WV = world.data.camera(LEFT).xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
+    return [float(value) for value in Rotation.from_matrix(R_WV).as_quat()]
+
+
+def _keep(
+    plan: Plan,
+    supervisor: processes.Supervisor,
+    nodes: list[Node],
+    entry: running.System | None,
+) -> int:
+    """Start the nodes and stay until a signal arrives or a node dies."""
+    for node in nodes:
+        system.start(supervisor, node)
+    os.environ.update(supervisor.env)
+    with Watch(plan.arms) as watch:
+        with Progress("teleop") as progress:
+            address = _await_page(plan, watch, supervisor, progress)
+        if entry is not None:
+            entry.nodes = {child.name: child.process.pid for child in supervisor.children}
+            entry.save()
+        say(f"Open {address} in a browser (Chromium, Chrome, Edge, Firefox, Safari).")
+        say(f"Episodes: {plan.out}. Logs: {supervisor.logs}. Ctrl-C ends everything started here.")
+        while True:
+            time.sleep(0.1)
+            _check(watch, supervisor)
+            for origin, text in watch.news():
+                say(f"{origin}: {text}")
+                arm, _, kind = origin.partition(" ")
+                if entry is not None and kind == "error":
+                    entry.last_errors[arm] = text
+                    entry.save()
+
+
+def _check(watch: Watch, supervisor: processes.Supervisor) -> None:
+    """Raise Problem when a node has died or the simulator has given up."""
+    dead = supervisor.first_dead()
+    if dead is not None:
+        raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+    if watch.sim.get("aborted"):
+        raise Problem(f"the simulator gave up: {watch.sim['aborted']}")
+
+
+def _await_page(
+    plan: Plan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
+) -> str:
+    """Wait until every arm speaks and the page is served; returns its address."""
+    console = supervisor.children[-1]
+    deadline = time.monotonic() + START_TIMEOUT_S
+    while True:
+        _check(watch, supervisor)
+        address = next(
+            (
+                line.removeprefix("console: ")
+                for line in console.log_tail(50).splitlines()
+                if line.startswith("console: http")
+            ),
+            "",
+        )
+        states = watch.states
+        missing = [arm for arm in plan.arms if arm not in states] + ["the page"] * (not address)
+        if not missing:
+            return address
+        if time.monotonic() > deadline:
+            waited = f"waited {START_TIMEOUT_S:.0f} s for {', '.join(missing)}"
+            raise Problem(f"{waited}; see {supervisor.logs}")
+        progress.update(None, f"waiting for {', '.join(missing)}")
+        time.sleep(0.05)
