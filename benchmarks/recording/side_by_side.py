@@ -16,6 +16,7 @@ from surg_cli.watch import Watch
 ROSBAG = Path("/usr/lib/rosbag/record")
 WARM_UP_S = 3.0
 START_S = 60.0
+CAMERAS_S = 120.0
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
 
@@ -93,6 +94,8 @@ def _measure(
         raise Problem("the recorder did not start")
     recorder = next(c for c in supervisor.children if c.name == "/recorder").process.pid
     folder = Path(str(watch.record_status["folder"]) + ".partial")
+    if not processes.wait_until(lambda: _all_cameras(watch, plan), CAMERAS_S):
+        raise Problem(f"the cameras sent nothing within {CAMERAS_S:g} s")
     time.sleep(WARM_UP_S)
     begun = _taken(recorder, folder), _taken(bag.process.pid, plan.out)
     time.sleep(seconds)
@@ -111,6 +114,11 @@ def _measure(
         "rosbag": theirs,
         **_contents(finished, bag_file, plan),
     }
+
+
+def _all_cameras(watch: Watch, plan: system.Plan) -> bool:
+    frames = watch.record_status.get("frames") or {}
+    return all(frames.get(name, 0) > 0 for name in plan.streams)
 
 
 def _taken(pid: int, folder: Path) -> Taken:
