@@ -28,6 +28,8 @@ COMMANDS = {
     "down": ("down", False, "end what `up` started"),
     "calibrate": ("calibrate", True, "tool and trocar of a cell from recorded poses"),
     "status": ("status", True, "every node, topic rate and last error of a running system"),
+    "ptp": ("ptp", False, "keep the clocks of two machines together (PTP master or slave)"),
+    "view": ("view", True, "an episode as one page: video, tip path and curves under one cursor"),
     "shell": ("shell", True, "a shell with the environment sourced"),
     "doctor": ("doctor", False, "what is installed, missing, running"),
     "bench": ("bench", True, "measure"),
