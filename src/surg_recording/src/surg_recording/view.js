@@ -237,7 +237,7 @@
     pen.textAlign = "center";
     for (const c of columns) pen.fillText(c.toFixed(d1), panel.px(c), height - 4);
     pen.textAlign = "right";
-    for (const l of lines) if (panel.py(l) < height - 18) pen.fillText(l.toFixed(d2), 30, panel.py(l) + 4);
+    for (const l of lines) if (panel.py(l) > 8 && panel.py(l) < height - 18) pen.fillText(l.toFixed(d2), 30, panel.py(l) + 4);
   }
   function trace(panel, pen, first, last, colour, thick) {
     const [a, b] = panel.axes.map((axis) => arm.path[axis]);
@@ -316,7 +316,7 @@
       ["stamp", row < 0 ? "–" : seconds(arm.clocks.cycle[row])],
       ["tick", row < 0 ? "–" : arm.tick[row]],
       ["state", row < 0 ? "–" : data.states[arm.state[row]] || arm.state[row]],
-      ["x", value(0)], ["y", value(1)], ["depth axis", value(2)],
+      ["tip x", value(0)], ["tip y", value(1)], ["tip z (depth)", value(2)],
     ] : [["arm", "no cycles recorded"]];
     $("readout").replaceChildren(...lines.map(([name, words]) => {
       const line = document.createElement("tr");

@@ -36,7 +36,7 @@ Stamps = npt.NDArray[np.int64]
 Progress = Callable[[str], None]
 
 _CYCLE = (
-    *("stamp_ns", "receive_ns", "tick", "state", "depth", "scale", "jaw"),
+    *("stamp_ns", "receive_ns", "tick", "state", "homed", "depth"),
     *(f"{name}_{axis}" for name in ("p_tip", "s", "p_rcm") for axis in "xyz"),
     *(f"q_br_{axis}" for axis in "xyzw"),
 )
@@ -157,6 +157,7 @@ def _arm(
     tip, pivot = cycle.vector("p_tip"), cycle.vector("p_rcm")
     deviation = metrics.rcm_deviation(tip, cycle.vector("s"), pivot)
     in_rcm = rotate(cycle.vector("q_br", "xyzw") * [-1.0, -1.0, -1.0, 1.0], tip - pivot)
+    in_rcm[cycle["homed"] == 0] = np.nan  # there is no rcm frame before
     depth = cycle["depth"]
     rows = kept_rows([deviation, depth, *in_rcm.T], limit)
     stamps = cycle["stamp_ns"]
@@ -316,7 +317,8 @@ def _event(topic: str, said: str) -> tuple[str, str]:
     if topic == "/sim/status":
         return "state", "the simulation ended"
     kind = name if name in ("error", "warning") else "status"
-    return kind, f"{arm}: {said}" if said else f"{arm}: {name}"
+    said = said.removeprefix(f"{arm}: ") or name
+    return kind, f"{arm}: {said}" if arm else said
 
 
 def _phases(episode: Episode, origin: int, missing: list[str]) -> list[dict[str, Any]]:
