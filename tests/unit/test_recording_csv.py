@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from helpers import recording_synthetic as synthetic
-from surg_recording import columns, csv_sink, episode, episode_writer, rows
+from surg_recording import columns, csv_sink, episode, finishing, rows
 from surg_recording.csv_sink import CsvWriter
 from surg_recording.errors import EpisodeError
 
@@ -157,7 +157,7 @@ def test_kill_9_loses_at_most_50_ms_of_rows(tmp_path: Path, full: bool) -> None:
             time.sleep(rng.uniform(1.0, 2.0) if full else rng.uniform(0.3, 0.8))
             killed = time.monotonic_ns()
             os.kill(victim.pid, signal.SIGKILL)
-        episode_writer.cut_broken_end(path)
+        finishing.cut_broken_end(path)
         table = episode.read_table(path)
         k = np.arange(1, len(table) + 1)
         assert np.array_equal(table["x"], k / 7.0)
@@ -170,7 +170,7 @@ def test_a_cut_line_is_removed(tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     for tail in ("", "1", "1,2.5,abc", '1,2,"a', "x" * 100_000):
         path.write_text("stamp_ns,x,text,y\n7,1.0,a,2.0\n" + tail)
-        assert episode_writer.cut_broken_end(path) == len(tail)
+        assert finishing.cut_broken_end(path) == len(tail)
         assert episode.read_table(path)["stamp_ns"].tolist() == [7]
 
 

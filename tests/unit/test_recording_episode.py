@@ -16,10 +16,11 @@ import numpy as np
 import pytest
 
 from helpers import recording_synthetic as synthetic
-from surg_recording import columns, episode, episode_writer, provenance
-from surg_recording.episode_writer import EpisodeWriter, recover
+from surg_recording import columns, episode, finishing, provenance
+from surg_recording.episode_writer import EpisodeWriter
 from surg_recording.errors import EpisodeError
 from surg_recording.recording import Recording
+from surg_recording.recovery import recover
 
 
 def test_what_goes_in_comes_out(tmp_path: Path) -> None:
@@ -319,7 +320,7 @@ def test_versions_name_what_computes() -> None:
 
 
 def test_messages_need_no_ros() -> None:
-    text = episode_writer.utc_now()
+    text = finishing.utc_now()
     assert text.endswith("Z") and len(text) == 20
     stamp = SimpleNamespace(secs=1_700_000_000, nsecs=999_999_999)
     from surg_recording import rows

@@ -27,6 +27,8 @@ COMMANDS = {
     "up": ("up", True, "bring a cell up and keep it until Ctrl-C"),
     "down": ("down", False, "end what `up` started"),
     "calibrate": ("calibrate", True, "tool and trocar of a cell from recorded poses"),
+    "record": ("record", True, "start, stop, tag a recording of a running system"),
+    "recover": ("recover", True, "finish recordings that were cut off"),
     "status": ("status", True, "every node, topic rate and last error of a running system"),
     "ptp": ("ptp", False, "keep the clocks of two machines together (PTP master or slave)"),
     "view": ("view", True, "an episode as one page: video, tip path and curves under one cursor"),

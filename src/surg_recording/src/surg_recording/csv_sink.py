@@ -167,14 +167,16 @@ class CsvWriter:
         """Write up to one batch. Rows leave the queue only when the kernel has them."""
         queue = table._queue
         rows = [queue[i] for i in range(min(BATCH, len(queue)))]
+        data, done = _lines(rows), 0
         try:
-            _write_all(table._fd, _lines(rows))
+            while done < len(data):
+                done += os.write(table._fd, data[done:])
         except OSError as problem:
             self._fail(table, problem)
-            return
+            rows = rows[: data.count(b"\n", 0, done)]  # a full disk may still take some
         table.rows += len(rows)
-        table.last = rows[-1]
-        for _ in rows:
+        for row in rows:
+            table.last = row
             queue.popleft()
 
     def _fail(self, table: CsvTable, problem: OSError) -> None:

@@ -24,6 +24,9 @@ FORMAT = "surg_episode/1"
 """The version written today."""
 
 MANIFEST = "manifest.json"
+TOPICS = "topics"
+"""Folder of the tables of topics that have no table of their own kind."""
+
 PARTIAL = ".partial"
 """Suffix of a folder whose recording has not been finished."""
 
@@ -107,8 +110,40 @@ class Episode:
 
     @property
     def cameras(self) -> list[str]:
-        """Names of the videos, e.g. ``endoscope_left``."""
-        return list(self.manifest["videos"])
+        """Names of the recorded cameras, e.g. ``endoscope_left``; see ``parts``."""
+        return [n for n, entry in self.manifest["videos"].items() if not _part_of(entry)]
+
+    @property
+    def topics(self) -> dict[str, list[str]]:
+        """Topics recorded besides those with a table of their own kind → names of their tables."""
+        stated = self.manifest.get("topics")
+        found = stated.items() if isinstance(stated, dict) else ()
+        tables = self.manifest["tables"]
+        return {
+            topic: [name for name in entry.get("tables", ()) if name in tables]
+            for topic, entry in found
+            if isinstance(entry, dict) and entry.get("tables")
+        }
+
+    @property
+    def stages(self) -> list[dict[str, Any]]:
+        """Stages in order: ``name``, ``begin_ns``, ``end_ns``."""
+        return list(self.manifest.get("stages") or [])
+
+    @property
+    def tags(self) -> list[dict[str, Any]]:
+        """Tags in order: ``stamp_ns``, ``text``, ``by``."""
+        return list(self.manifest.get("tags") or [])
+
+    @property
+    def segments(self) -> list[dict[str, Any]]:
+        """Steps of the wall clock; stamps on either side of one cannot be compared."""
+        return list(self.manifest.get("segments") or [])
+
+    @property
+    def warnings(self) -> list[str]:
+        """What somebody should know of this recording."""
+        return list(self.manifest.get("warnings") or [])
 
     @property
     def complete(self) -> bool:
@@ -128,8 +163,20 @@ class Episode:
                     f"{self.folder}: no table {name!r}; there are {', '.join(self.tables)}"
                     + (f" (the recording is incomplete: {why})" if why else "")
                 )
-            self._tables[name] = read_table(self.folder / f"{name}.csv")
+            kinds = self.manifest["tables"][name].get("kinds")
+            self._tables[name] = read_table(self.folder / f"{name}.csv", kinds)
         return self._tables[name]
+
+    def topic(self, topic: str) -> list[Table]:
+        """The tables of a topic, e.g. ``/tf``: usually one, more where its arrays grew.
+
+        Raises:
+            EpisodeError: the topic was not recorded.
+        """
+        if topic not in self.topics:
+            known = ", ".join(self.topics) or "none"
+            raise EpisodeError(f"{self.folder}: no topic {topic!r}; there are {known}")
+        return [self.table(name) for name in self.topics[topic]]
 
     def cycle(self, arm: str) -> Table:
         """The control cycles of an arm."""
@@ -156,7 +203,22 @@ class Episode:
         path = self.folder / f"{name}.mp4"
         if not path.exists():
             raise EpisodeError(f"{path}: the manifest names this video, but the file is missing")
-        return Video(name, path, read_table(path.with_suffix(".csv")))
+        return Video(name, path, read_table(self.folder / f"{name}.csv"))
+
+    def parts(self, camera: str) -> list[Video]:
+        """All videos of a camera in order: more than one when its size changed or a kill bit.
+
+        Raises:
+            EpisodeError: no such camera, or a file is missing.
+        """
+        further = [n for n, entry in self.manifest["videos"].items() if _part_of(entry) == camera]
+        further.sort(key=lambda name: int(name.rpartition(".")[2]))
+        return [self.video(name) for name in (camera, *further)]
+
+
+def _part_of(entry: Any) -> str | None:
+    """The camera that a video continues; None: it is its first."""
+    return entry.get("part_of") if isinstance(entry, dict) else None
 
 
 def read(folder: Path | str) -> Episode:
@@ -170,7 +232,7 @@ def read(folder: Path | str) -> Episode:
     if folder.name.endswith(PARTIAL):
         raise EpisodeError(
             f"{folder}: this recording was never finished; the next recorder start mends it, or"
-            " surg_recording.episode_writer.recover(parent folder)"
+            f" ./surg recover {folder}"
         )
     if not folder.is_dir():
         raise EpisodeError(f"{folder}: no such folder")
@@ -199,11 +261,15 @@ def _read_1(folder: Path, manifest: dict[str, Any]) -> Episode:
 _READERS: dict[str, Callable[[Path, dict[str, Any]], Episode]] = {"surg_episode/1": _read_1}
 
 
-def read_table(path: Path, wanted: Collection[str] | None = None) -> Table:
+def read_table(
+    path: Path, kinds: Mapping[str, str] | None = None, wanted: Collection[str] | None = None
+) -> Table:
     """Read one CSV table, line by line: no more is held in memory than the columns kept.
 
     Args:
         path: the file.
+        kinds: column → ``int``, ``float`` or ``text``; None: by the names of ``columns``. With
+            them, a column of integers in which a field is empty comes as floats.
         wanted: only these columns, as far as the file has them; None for all.
 
     Raises:
@@ -219,7 +285,7 @@ def read_table(path: Path, wanted: Collection[str] | None = None) -> Table:
             if len(set(header)) != len(header):
                 raise EpisodeError(f"{path}, line 1: a column name occurs twice")
             kept = [
-                (place, _Column(path, name))
+                (place, _Column(path, name, kinds))
                 for place, name in enumerate(header)
                 if wanted is None or name in wanted
             ]
@@ -237,15 +303,26 @@ def read_table(path: Path, wanted: Collection[str] | None = None) -> Table:
     return Table(path.stem, {column.name: column.array() for _, column in kept})
 
 
+_KINDS = {"int": int, "float": float, "text": str}
+_CODE = {int: "q", float: "d"}
+"""Type codes of ``array`` by kind of column."""
+
+
 class _Column:
     """The values of one column while a file is read."""
 
-    def __init__(self, path: Path, name: str) -> None:
-        self.name, self._path, self._kind = name, path, columns.kind(name)
+    def __init__(self, path: Path, name: str, kinds: Mapping[str, str] | None) -> None:
+        self.name, self._path = name, path
+        self._kind: type = columns.kind(name)
+        if kinds is not None:
+            self._kind = _KINDS.get(kinds.get(name, ""), float)
+        self._holey = kinds is not None
         self._values: Any = [] if self._kind is str else array.array(_CODE[self._kind])
 
     def append(self, text: str, line: int) -> None:
         """Take one field."""
+        if not text and self._kind is int and self._holey:
+            self._kind, self._values = float, array.array("d", self._values)
         try:
             self._values.append(self._kind(text if text or self._kind is not float else "nan"))
         except (ValueError, OverflowError):
@@ -261,7 +338,3 @@ class _Column:
             found[:] = self._values
             return found
         return np.array(self._values, dtype=np.int64 if self._kind is int else np.float64)
-
-
-_CODE = {int: "q", float: "d"}
-"""Type codes of ``array`` by kind of column."""

@@ -109,6 +109,11 @@ def versions(source: Path | None = None) -> dict[str, str | None]:
     return found
 
 
+def host() -> dict[str, Any]:
+    """The machine that records, and how this program was started."""
+    return {"name": platform.node(), "cpus": os.cpu_count(), "command": list(sys.argv)}
+
+
 def software_version(source: Path | None = None) -> str | None:
     """``git describe --always --dirty`` of the source tree, or None outside one."""
     folder = source or Path(__file__).resolve().parent

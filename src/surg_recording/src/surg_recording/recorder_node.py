@@ -2,21 +2,25 @@
 
 Parameters (private): ``out`` folder of the episode, ``cell`` folder or file, ``mode`` lockstep or
 freerun, ``arms`` and ``cameras`` (lists; a camera is a topic ``/a/b/image_raw`` or its name
-``a_b``), ``run_info`` (JSON: robot, motion, task, operator, …), ``autostart`` (default true: record
-from the first message; false: wait for /record/record), ``min_free_bytes``, ``video_preset``.
+``a_b``), ``topics`` (names and patterns of any others), ``run_info`` (JSON: robot, motion, task,
+operator, …), ``autostart`` (default true: record from the first message; false: wait for
+/record/record), ``min_free_bytes``, ``video_preset``.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import functools
+import hashlib
 import json
 import sys
 import threading
 import time
+import xmlrpc.client
 from pathlib import Path
 from typing import Any
 
+import rosgraph
+import roslib.message
 import rospy
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import Image, JointState
@@ -24,10 +28,16 @@ from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState
 from surg_msgs.msg import Cycle, GroundTruth, Ready, TaskState
-from surg_recording import provenance, rows
-from surg_recording.episode_writer import MIN_FREE_BYTES, recover
+from surg_recording import annotations, provenance, rows
+from surg_recording.clock_steps import SteppedClock
+from surg_recording.deliveries import Deliveries
+from surg_recording.episode import PARTIAL
 from surg_recording.errors import EpisodeError
+from surg_recording.flatten import Flat
+from surg_recording.recorder_settings import Settings
 from surg_recording.recording import Recording
+from surg_recording.recovery import recover
+from surg_recording.topic_choice import NOT_TABLES, TopicChoice
 
 COMMANDS: dict[str, type] = {
     "servo_cp": PoseStamped,
@@ -50,85 +60,21 @@ ASSISTANT = ("servo_jp", "jaw/servo_jp")
 
 TASK_TOPIC = "/sim/task_state"
 
+FACTS = ("task", "setting", "operator", "seed")
+"""Facts about a run that stand in the manifest by themselves."""
+
 READY_TICKS = 25
 TICK_NS = 2_000_000
 PACE_S = 0.01
 STATUS_S = 0.2
 SETTLE_S = 0.3
 STOP_WAIT_S = 10.0
+FREERUN_STOP_S = 0.5
 FRAME_WAIT_S = 2.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Settings:
-    """The node's parameters, read once."""
-
-    out: Path
-    cell: Path | None
-    mode: str
-    arms: tuple[str, ...]
-    cameras: dict[str, str]
-    """Name → topic."""
-    run_info: dict[str, Any]
-    autostart: bool
-    min_free_bytes: int
-    video_preset: str
-
-    @classmethod
-    def from_parameters(cls) -> Settings:
-        """Read and check.
-
-        Raises:
-            ValueError: parameter, value and what is allowed.
-        """
-        out = str(rospy.get_param("~out", ""))
-        if not out:
-            raise ValueError("parameter ~out is missing: the folder the episode is written to")
-        mode = rospy.get_param("~mode", "lockstep")
-        if mode not in ("lockstep", "freerun"):
-            raise ValueError(f"parameter ~mode is {mode!r}, allowed are lockstep and freerun")
-        arms = _names(rospy.get_param("~arms", ["PSM1"]), "~arms")
-        if not arms:
-            raise ValueError("parameter ~arms is empty: at least one arm, e.g. [PSM1]")
-        info = rospy.get_param("~run_info", {})
-        try:
-            info = json.loads(info) if isinstance(info, str) and info else info or {}
-        except ValueError as problem:
-            raise ValueError(f"parameter ~run_info is no valid JSON ({problem})") from problem
-        if not isinstance(info, dict):
-            raise ValueError("parameter ~run_info must be a JSON object")
-        cell = rospy.get_param("~cell", "")
-        free = rospy.get_param("~min_free_bytes", MIN_FREE_BYTES)
-        if isinstance(free, bool) or not isinstance(free, (int, float)) or not free >= 0:
-            raise ValueError(f"parameter ~min_free_bytes is {free!r}, must be a number >= 0")
-        return cls(
-            out=Path(out).resolve(),
-            cell=Path(str(cell)).resolve() if cell else None,
-            mode=mode,
-            arms=tuple(name.strip("/") for name in arms),
-            cameras=dict(map(_camera, _names(rospy.get_param("~cameras", []), "~cameras"))),
-            run_info=info,
-            autostart=bool(rospy.get_param("~autostart", True)),
-            min_free_bytes=int(free),
-            video_preset=str(rospy.get_param("~video_preset", "ultrafast")),
-        )
-
-
-def _names(value: Any, parameter: str) -> list[str]:
-    """A list parameter; also taken from a command line as ``a,b`` or ``[a, b]``."""
-    if isinstance(value, str):
-        value = value.strip("[]").split(",")
-    if not isinstance(value, list):
-        raise ValueError(f"parameter {parameter} is {value!r}, must be a list of names")
-    return [name for name in (str(item).strip(" '\"") for item in value) if name]
-
-
-def _camera(given: str) -> tuple[str, str]:
-    """Name and topic of a camera from either."""
-    if given.startswith("/"):
-        return given.removesuffix("/image_raw").strip("/").replace("/", "_"), given
-    head, _, tail = given.rpartition("_")
-    return given, f"/{head}/{tail}/image_raw" if head else f"/{given}/image_raw"
+DISCOVER_S = 1.0
+MASTER_TIMEOUT_S = 2.0
+SILENT_S = 5.0
+LONG_PARAMETER = 2000
 
 
 class RecorderNode:
@@ -141,6 +87,8 @@ class RecorderNode:
         self.problem: str | None = None
         self.finished: str | None = None
         self.finishing = False
+        self.starts = 0
+        self.warnings: list[str] = []
         self.sim_status: dict[str, Any] = {}
         self._switch = threading.RLock()
         self._received: dict[str, int] = {}
@@ -148,16 +96,22 @@ class RecorderNode:
             self._received[f"cycle_{arm}"] = self._received[f"ground_truth_{arm}"] = 0
         self._last_row = time.monotonic()
         self._states: dict[str, str] = {}
+        self._info: dict[str, Any] = {}
+        self._deliveries: dict[tuple[str, str], Deliveries] = {}
+        self._clock = SteppedClock(self._on_clock_step)
+        taken = frozenset((*self._own_topics(), *settings.cameras.values()))
+        self.choice = TopicChoice(list(settings.topics), taken)
+        self._classes: dict[tuple[str, str], type | None] = {}
         self._status = rospy.Publisher("/record/status", String, queue_size=10, latch=True)
         self._recording = rospy.Publisher("/record/recording", Bool, queue_size=10, latch=True)
-        for folder in recover(settings.out.parent, settings.out.name):
-            rospy.logwarn("an earlier recording was cut off; what it held is now in %s", folder)
+        _recover(settings.out.parent, settings.out.name)
         self._recording.publish(False)
         if settings.autostart:
             self.start()
         self._subscribers = self._subscribe()
         rospy.on_shutdown(self.stop)
         threading.Thread(target=self._pace, name="pace", daemon=True).start()
+        threading.Thread(target=self._discover, name="discover", daemon=True).start()
 
     # --- start and stop ---
 
@@ -168,15 +122,15 @@ class RecorderNode:
                 return
             s = self.settings
             manifest: dict[str, Any] = {
-                "run": s.run_info,
-                "task": s.run_info.get("task"),
-                "operator": s.run_info.get("operator"),
-                "seed": s.run_info.get("seed"),
+                **self._facts(),
                 "clock": "simulator ticks" if self.lockstep else "wall clock",
-                "started_ns": time.time_ns(),
+                "started_ns": self._clock.now_ns(),
                 "cell": provenance.describe_cell(s.cell) if s.cell else None,
+                "parameters": _parameters(),
                 "versions": provenance.versions(),
+                "host": provenance.host(),
             }
+            self._deliveries = {}
             try:
                 self.recording = Recording(
                     s.out,
@@ -191,6 +145,7 @@ class RecorderNode:
             except EpisodeError as problem:
                 self.problem = str(problem)
                 rospy.logerr("recording does not start: %s", problem)
+            self.starts += 1
             for arm, text in self._states.items():
                 self._event(f"/{arm}/operating_state", "", text)
             self._announce()
@@ -205,21 +160,48 @@ class RecorderNode:
             if not recording.failed:
                 self._settle(recording)
             self.recording = None
+            self._warn_of_silence(recording)
+            stopped = self._clock.now_ns()
             try:
-                self.finished = str(
-                    recording.close({"sim": self.sim_status, "stopped_ns": time.time_ns()})
+                folder = recording.close(
+                    {**self._facts(), "sim": self.sim_status, "stopped_ns": stopped},
+                    topics=self.choice.describe(self._repeats()),
+                    end_stamp_ns=self._episode_now(stopped),
                 )
-                self.problem = recording.problem
+                self.finished, self.problem = str(folder), recording.problem
             except EpisodeError as problem:
                 self.problem = str(problem)
-            self.finishing = False
+            finally:
+                self.finishing = False
+                self.warnings = recording.warnings
             if self.problem:
                 rospy.logerr("recording incomplete: %s", self.problem)
             self._announce()
 
+    def _facts(self) -> dict[str, Any]:
+        """What is known of the run: by parameter, and by /record/info since."""
+        run = {**self.settings.run_info, **self._info}
+        return {"run": run, **{key: run.get(key) for key in FACTS}}
+
+    def _repeats(self) -> dict[str, int]:
+        """Topic → messages that came twice over two connections."""
+        found: dict[str, int] = {}
+        for (topic, _), deliveries in list(self._deliveries.items()):
+            found[topic] = found.get(topic, 0) + deliveries.repeats
+        return found
+
+    def _warn_of_silence(self, recording: Recording) -> None:
+        """Name what was asked for and never came."""
+        messages = {topic: entry["messages"] for topic, entry in recording.topics().items()}
+        for topic in self.choice.silent(messages):
+            recording.warn(f"{topic}: nothing was received")
+        for topic, why in self.choice.refused.items():
+            recording.warn(f"{topic}: not recorded as a table: {why}")
+
     def _settle(self, recording: Recording) -> None:
         """Wait until everything that was sent before the stop has come in."""
-        deadline = time.monotonic() + STOP_WAIT_S
+        # In free-run the arms never fall silent: what is under way needs no longer than this.
+        deadline = time.monotonic() + (STOP_WAIT_S if self.lockstep else FREERUN_STOP_S)
         while time.monotonic() < deadline:
             if time.monotonic() - self._last_row > SETTLE_S:
                 break
@@ -275,46 +257,83 @@ class RecorderNode:
         for camera, topic in self.settings.cameras.items():
             on(topic, Image, self._on_image, camera)
         on("/record/record", Bool, self._on_record)
+        on("/record/tag", String, self._on_tag)
+        on("/record/info", String, self._on_info)
+        for topic in self.choice.named:
+            if topic in self.choice.chosen:
+                on(topic, rospy.AnyMsg, self._on_any, topic)
+        self._listen = on
         return found
 
+    def _own_topics(self) -> list[str]:
+        """Topics with a table of their own kind."""
+        arms = self.settings.arms
+        names = [*COMMANDS, "cycle", "hold", "operating_state", "error", "warning", "status"]
+        return [
+            *(f"/{arm}/{name}" for arm in arms for name in names),
+            *(f"/assistant/{name}" for name in ASSISTANT),
+            *("/sim/ground_truth/state", TASK_TOPIC, "/sim/status"),
+            *("/record/record", "/record/tag", "/record/info"),
+        ]
+
+    def _repeated(self, topic: str, message: Any, key: Any) -> bool:
+        """Whether a second connection to the same publisher has brought this message before."""
+        header = message._connection_header  # one object for each connection
+        publisher = (topic, str(header.get("callerid", "")))
+        deliveries = self._deliveries.get(publisher)
+        if deliveries is None:
+            deliveries = self._deliveries.setdefault(publisher, Deliveries())
+        return deliveries.repeated(id(header), key, time.monotonic())
+
     def _on_cycle(self, arm: str, message: Cycle) -> None:
-        if self.recording is not None:
-            self.recording.cycle(arm, message, time.time_ns())
+        recording = self.recording
+        if recording is not None and not self._repeated(f"/{arm}/cycle", message, _key(message)):
+            recording.cycle(arm, message, self._clock.now_ns())
         self._received[f"cycle_{arm}"] = message.tick
         self._last_row = time.monotonic()
 
     def _on_truth(self, message: GroundTruth) -> None:
-        if self.recording is not None:
-            self.recording.ground_truth(message, time.time_ns())
+        recording = self.recording
+        topic = "/sim/ground_truth/state"
+        if recording is not None and not self._repeated(topic, message, _key(message)):
+            recording.ground_truth(message, self._clock.now_ns())
         for arm in message.arms:
             self._received[f"ground_truth_{arm.arm}"] = message.tick
         self._last_row = time.monotonic()
 
     def _on_command(self, arm: str, topic: str, message: Any) -> None:
-        if self.recording is not None:
-            self.recording.command(arm, topic, message, _sender(message), time.time_ns())
+        recording = self.recording
+        if recording is None or self._repeated(f"/{arm}/{topic}", message, _key(message)):
+            return
+        recording.command(arm, topic, message, _sender(message), self._clock.now_ns())
 
     def _on_task_state(self, message: TaskState) -> None:
-        if self.recording is not None:
-            self.recording.task_state(message, time.time_ns())
+        recording = self.recording
+        if recording is not None and not self._repeated(TASK_TOPIC, message, _key(message)):
+            recording.task_state(message, self._clock.now_ns())
         self._last_row = time.monotonic()
 
     def _on_assistant(self, topic: str, message: JointState) -> None:
-        if self.recording is not None:
-            self.recording.assistant_command(topic, message, _sender(message), time.time_ns())
+        recording = self.recording
+        if recording is None or self._repeated(f"/assistant/{topic}", message, _key(message)):
+            return
+        recording.assistant_command(topic, message, _sender(message), self._clock.now_ns())
 
     def _on_hold(self, arm: str, message: Empty) -> None:
-        self._event(f"/{arm}/hold", _sender(message), "")
+        if not self._repeated(f"/{arm}/hold", message, ""):
+            self._event(f"/{arm}/hold", _sender(message), "")
 
     def _on_state(self, arm: str, message: OperatingState) -> None:
         text = rows.operating_state(message)
-        if text != self._states.get(arm):
+        again = self._repeated(f"/{arm}/operating_state", message, _key(message))
+        if text != self._states.get(arm) and not again:
             self._states[arm] = text
             stamp = rows.nanoseconds(message.header.stamp)
             self._event(f"/{arm}/operating_state", _sender(message), text, stamp)
 
     def _on_text(self, topic: str, message: String) -> None:
-        self._event(topic, _sender(message), message.data)
+        if not self._repeated(topic, message, message.data):
+            self._event(topic, _sender(message), message.data)
 
     def _on_sim_status(self, message: String) -> None:
         try:
@@ -332,15 +351,116 @@ class RecorderNode:
 
     def _on_image(self, camera: str, message: Image) -> None:
         recording = self.recording
-        if recording is not None:
-            recording.image(camera, message, time.time_ns())
+        topic = self.settings.cameras[camera]
+        if recording is not None and not self._repeated(topic, message, _key(message)):
+            recording.image(camera, message, self._clock.now_ns())
+
+    def _on_any(self, topic: str, message: Any) -> None:
+        """A message of a topic that has no table of its own kind, still in its wire form."""
+        recording = self.recording
+        if recording is None or self._repeated(topic, message, message._buff):
+            return
+        received = self._clock.now_ns()
+        header = message._connection_header
+        kind, md5 = str(header.get("type", "")), str(header.get("md5sum", ""))
+        found = self._message_class(topic, kind, md5)
+        if found is None:
+            return
+        try:
+            flat = Flat(found().deserialize(message._buff))
+        except Exception as problem:  # genpy raises whatever the bytes make it stumble over
+            recording.warn(f"{topic}: a message that is no {kind} ({type(problem).__name__})")
+            return
+        recording.topic(topic, kind, flat, _sender(message), received)
+
+    def _message_class(self, topic: str, kind: str, md5: str) -> Any:
+        """The installed class of a type; None, and said why, where there is none that fits."""
+        if (kind, md5) not in self._classes:
+            self._classes[kind, md5] = roslib.message.get_message_class(kind)
+        found = self._classes[kind, md5]
+        why = NOT_TABLES.get(kind)
+        if found is None:
+            why = f"its type {kind} is not installed here"
+        elif why is None and found._md5sum != md5:
+            why = f"its sender has another definition of {kind} than this machine"
+        if why is not None and self.choice.refuse(topic, why):
+            rospy.logwarn("recorder: %s is not recorded: %s", topic, why)
+        return found if why is None else None
+
+    def _on_tag(self, message: String) -> None:
+        recording, source = self.recording, _sender(message)
+        if self._repeated("/record/tag", message, message.data):
+            return
+        if recording is None:
+            rospy.logwarn("recorder: a tag while nothing is recorded: %s", message.data[:200])
+            return
+        try:
+            said = annotations.parse_tag(message.data)
+        except ValueError as problem:
+            rospy.logwarn("recorder: %s", problem)
+            return
+        now = self._clock.now_ns()
+        recording.tag(said, message.data, source, now, self._episode_now(now))
+
+    def _on_info(self, message: String) -> None:
+        try:
+            self._info = {**self._info, **annotations.parse_info(message.data)}
+        except ValueError as problem:
+            rospy.logwarn("recorder: %s", problem)
+
+    def _on_clock_step(self, step_ns: int, wall_ns: int) -> None:
+        rospy.logwarn("recorder: the clock was set by %+.3f s", step_ns * 1e-9)
+        if self.recording is not None:
+            self.recording.clock_stepped(step_ns, wall_ns)
+
+    def _episode_now(self, wall_ns: int) -> int:
+        """Now on the clock of the episode's stamps [ns]."""
+        return self._ticks() * TICK_NS if self.lockstep else wall_ns
 
     def _on_record(self, message: Bool) -> None:
         threading.Thread(target=self.start if message.data else self.stop, daemon=True).start()
 
     def _event(self, topic: str, source: str, text: str, stamp_ns: int = 0) -> None:
         if self.recording is not None:
-            self.recording.event(topic, source, text, time.time_ns(), stamp_ns)
+            self.recording.event(topic, source, text, self._clock.now_ns(), stamp_ns)
+
+    # --- what appears later ---
+
+    def _discover(self) -> None:
+        """Thread: listen to what the patterns match, and tell of what stays silent."""
+        lost = False
+        told: set[str] = set()
+        quiet_since = time.monotonic()
+        while not rospy.is_shutdown():
+            try:
+                published = dict(_master().getPublishedTopics(rospy.get_name(), "")[2])
+            except (OSError, xmlrpc.client.Error, ValueError, TypeError) as problem:
+                if not lost:
+                    rospy.logwarn("recorder: no answer from the ROS master (%s): what is", problem)
+                    rospy.logwarn("connected is recorded on, new topics are not found")
+                lost, published = True, {}
+            else:
+                lost = False
+            for topic in self.choice.look(published):
+                self._listen(topic, rospy.AnyMsg, self._on_any, topic)
+            recording = self.recording
+            if recording is None:
+                told, quiet_since = set(), time.monotonic()
+            elif time.monotonic() - quiet_since > SILENT_S:
+                for name in sorted(set(self._waiting_for(recording)) - told):
+                    told.add(name)
+                    rospy.logwarn("recorder: nothing has come on %s yet", name)
+            time.sleep(DISCOVER_S)
+
+    def _waiting_for(self, recording: Recording) -> list[str]:
+        """What was asked for and has not sent anything in this recording."""
+        messages = {topic: entry["messages"] for topic, entry in recording.topics().items()}
+        cameras = [
+            topic
+            for name, topic in self.settings.cameras.items()
+            if not recording.newest_image(name)[0]
+        ]
+        return [*cameras, *self.choice.silent(messages)]
 
     # --- flow control and status ---
 
@@ -357,6 +477,9 @@ class RecorderNode:
         while not rospy.is_shutdown():
             time.sleep(PACE_S)
             now, recording = time.monotonic(), self.recording
+            wall = self._clock.now_ns()  # so that a step is noticed when nothing comes in
+            if recording is not None:
+                recording.watch_cameras(now, wall)
             tick = recording.written_tick() if recording is not None else self._ticks()
             if recording is not None and recording.failed:
                 tick = self._ticks()  # a broken disk does not hold up the simulation
@@ -415,10 +538,12 @@ class RecorderNode:
             "finishing": self.finishing,
             "finished": self.finished,
             "problem": self.problem,
+            "warnings": self.warnings,
+            "starts": self.starts,
             "tick": self._ticks(),
         }
         if recording is not None:
-            status.update(recording.status())
+            status.update(recording.status(), waiting_for=self._waiting_for(recording))
         self._status.publish(json.dumps(status))
 
 
@@ -427,14 +552,70 @@ def _sender(message: Any) -> str:
     return str(message._connection_header.get("callerid", ""))
 
 
+def _key(message: Any) -> tuple[int, int]:
+    """What tells the messages of one publisher apart."""
+    return message.header.seq, rows.nanoseconds(message.header.stamp)
+
+
+def _recover(parent: Path, name: str) -> None:
+    """Finish what killed recorders left: of this name now, elsewhere in a moment."""
+
+    def tell(folders: list[Path]) -> None:
+        for folder in folders:
+            rospy.logwarn("an earlier recording was cut off; what it held is now in %s", folder)
+
+    def refused(problem: str) -> None:
+        rospy.logerr("an earlier recording cannot be recovered: %s", problem)
+
+    def elsewhere() -> None:
+        # Every run has a folder of its own: those beside this one.
+        for run in sorted({found.parent for found in parent.parent.glob(f"*/{name}*{PARTIAL}")}):
+            if run != parent:
+                tell(recover(run, name, refused))
+
+    tell(recover(parent, name, refused))
+    threading.Thread(target=elsewhere, name="recover", daemon=True).start()
+
+
+class _Timed(xmlrpc.client.Transport):
+    """Gives up on a master that hangs."""
+
+    def make_connection(self, host: Any) -> Any:
+        connection = super().make_connection(host)
+        connection.timeout = MASTER_TIMEOUT_S
+        return connection
+
+
+def _master() -> Any:
+    return xmlrpc.client.ServerProxy(rosgraph.get_master_uri(), transport=_Timed())
+
+
+def _parameters() -> dict[str, Any] | None:
+    """Every parameter of the system by name, long texts as their SHA-256; None: no master."""
+    try:
+        tree = _master().getParam(rospy.get_name(), "/")[2]
+    except (OSError, xmlrpc.client.Error, ValueError):
+        return None
+
+    def short(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {str(key): short(item) for key, item in value.items()}
+        text = value if isinstance(value, str) else json.dumps(value, default=str)
+        if len(text) <= LONG_PARAMETER:
+            return value
+        return f"sha256:{hashlib.sha256(text.encode('utf-8', 'replace')).hexdigest()}"
+
+    found = short(tree)
+    return found if isinstance(found, dict) else None
+
+
 def main() -> int:
     """Run the node; returns the exit code (2: broken parameters)."""
     rospy.init_node("recorder")
     try:
-        settings = Settings.from_parameters()
+        RecorderNode(Settings.read(rospy.get_param))
     except ValueError as problem:
         print(f"recorder: {problem}", file=sys.stderr)
         return 2
-    RecorderNode(settings)
     rospy.spin()
     return 0

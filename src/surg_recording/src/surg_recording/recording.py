@@ -13,9 +13,16 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording import columns, rows
+from surg_recording.annotations import Annotations, Tag
+from surg_recording.camera_sink import CameraSink
+from surg_recording.clock_steps import FUTURE_NS
 from surg_recording.csv_sink import CsvTable, CsvWriter
+from surg_recording.episode import TOPICS
 from surg_recording.episode_writer import MIN_FREE_BYTES, EpisodeWriter
-from surg_recording.video_sink import VideoSink
+from surg_recording.finishing import write_json
+from surg_recording.flatten import Flat
+from surg_recording.topic_tables import TopicTables
+from surg_recording.video_sink import Frame
 
 TASK_STATE = "task_state"
 """Name of the table of a task's ground truth."""
@@ -31,6 +38,12 @@ ENCODER_START_S = 10.0
 
 STOP_FREE_BYTES = 32 << 20
 """A recording ends by itself when less than this is left [bytes]: room to finish it properly."""
+
+STALL_PERIODS = 3
+"""A camera is silent when it misses so many of its periods (free-run)."""
+
+STALL_MIN_S = 0.15
+"""… and at least for so long [s]."""
 
 
 class Recording:
@@ -75,7 +88,14 @@ class Recording:
         self._limit = None if self._lockstep else FREERUN_QUEUE
         self._writer = CsvWriter()
         self._tables: dict[str, CsvTable] = {}
-        self._videos: dict[str, VideoSink] = {}
+        self._videos: dict[str, CameraSink] = {}
+        self._topics = TopicTables(self._open_topic, self._note_topic)
+        self._annotations = Annotations()
+        self._segments: list[dict[str, Any]] = []
+        self._future: dict[str, int] = {}
+        self._warnings: list[str] = []
+        self._silent: dict[str, float] = {}
+        self._heard: dict[str, float] = {}
         self._lock = threading.Lock()
         self._problems: list[str] = []
         self._disk_checked = 0.0
@@ -173,6 +193,86 @@ class Recording:
         table = self._tables.get(name) or self._table(name, columns.COMMAND)
         self._put(table, rows.command(topic, message, source, receive_ns))
 
+    def topic(self, topic: str, kind: str, flat: Flat, source: str, receive_ns: int) -> None:
+        """Record a message of any other topic.
+
+        Args:
+            topic: its name.
+            kind: type of the message, such as ``sensor_msgs/JointState``.
+            flat: the message.
+            source: caller id of the sender.
+            receive_ns: wall clock at reception.
+        """
+        table = self._topics.table(topic, kind, flat)
+        if table is not None:
+            self._put(table, flat.row(table.columns, receive_ns, source))
+
+    def topics(self) -> dict[str, dict[str, Any]]:
+        """By topic of the rest: type, tables, and what was too long to be kept."""
+        return self._topics.describe()
+
+    def tag(self, said: Tag, text: str, source: str, receive_ns: int, stamp_ns: int) -> None:
+        """Record a stage, a tag or a verdict.
+
+        Args:
+            said: the message, read.
+            text: the message as it came.
+            source: caller id of the sender.
+            receive_ns: wall clock at reception.
+            stamp_ns: now on the clock of the episode's stamps.
+        """
+        stamp = stamp_ns if said.stamp_ns is None else said.stamp_ns
+        self._annotations.add(said, stamp, source)
+        self.event("/record/tag", source, text, receive_ns, stamp)
+
+    def clock_stepped(self, step_ns: int, wall_ns: int) -> None:
+        """Mark a step of the wall clock: an event, and a new segment of the episode."""
+        tables = {name: table.rows + table.backlog for name, table in dict(self._tables).items()}
+        frames = {name: video.received for name, video in dict(self._videos).items()}
+        self._segments.append(
+            {"begin_ns": wall_ns, "step_ns": step_ns, "rows": tables, "frames": frames}
+        )
+        self.warn(f"the clock was set by {step_ns * 1e-9:+.3f} s: stamps on either side differ")
+        text = f"the wall clock stepped by {step_ns} ns"
+        self.event("clock_step", "", text, wall_ns, wall_ns)
+
+    def watch_cameras(self, now: float, wall_ns: int) -> None:
+        """Look for cameras that have fallen silent or have come back (free-run only).
+
+        Args:
+            now: steady clock [s].
+            wall_ns: wall clock [ns].
+        """
+        if self._lockstep:
+            return
+        for name, heard in list(self._heard.items()):
+            allowed = max(STALL_MIN_S, STALL_PERIODS * self._videos[name].period_ns * 1e-9)
+            since = self._silent.get(name)
+            if since is None and now - heard > allowed:
+                self._silent[name] = heard
+                self.warn(f"{name}: fell silent for more than {allowed:.2f} s")
+                text = f"{name}: no frame for {now - heard:.2f} s"
+                self.event("camera_stall", "", text, wall_ns)
+            elif since is not None and heard > since:
+                del self._silent[name]
+                text = f"{name}: frames again after {heard - since:.2f} s"
+                self.event("camera_back", "", text, wall_ns)
+
+    @property
+    def silent_cameras(self) -> list[str]:
+        """Cameras that send nothing now, though they did."""
+        return sorted(self._silent)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What somebody should know of this recording, so far."""
+        return list(self._warnings)
+
+    def warn(self, text: str) -> None:
+        """Keep a warning for the manifest: nothing is lost, but somebody should know."""
+        if text not in self._warnings:
+            self._warnings.append(text)
+
     def event(self, topic: str, source: str, text: str, receive_ns: int, stamp_ns: int = 0) -> None:
         """Record a text: a state, a warning, an error. ``stamp_ns`` 0: the message has none."""
         self._put(self._tables.get("events"), (stamp_ns, receive_ns, topic, source, text))
@@ -183,14 +283,19 @@ class Recording:
         if video is None:  # its encoder did not start
             self._orphans[camera] = self._orphans.get(camera, 0) + 1
             return
+        stamp_ns = rows.nanoseconds(message.header.stamp)
+        self._look_ahead(camera, stamp_ns, receive_ns)
+        self._heard[camera] = time.monotonic()
         video.put(
-            message.data,
-            width=message.width,
-            height=message.height,
-            step=message.step,
-            encoding=message.encoding,
-            stamp_ns=rows.nanoseconds(message.header.stamp),
-            receive_ns=receive_ns,
+            Frame(
+                message.data,
+                message.width,
+                message.height,
+                message.step,
+                message.encoding,
+                stamp_ns,
+                receive_ns,
+            )
         )
 
     def written_tick(self) -> int:
@@ -229,14 +334,27 @@ class Recording:
                 "frames": sum(video.backlog for video in videos.values()),
             },
             "problem": self.problem,
+            "warnings": list(self._warnings),
+            "future_stamps": dict(self._future),
+            "silent_cameras": self.silent_cameras,
+            "segments": len(self._segments) + 1,
+            "stage": self._stage,
         }
 
-    def close(self, manifest: Mapping[str, Any], video_timeout_s: float = 60.0) -> Path:
+    def close(
+        self,
+        manifest: Mapping[str, Any],
+        video_timeout_s: float = 60.0,
+        topics: Mapping[str, Mapping[str, Any]] | None = None,
+        end_stamp_ns: int = 0,
+    ) -> Path:
         """Write every backlog, finish the videos and the folder.
 
         Args:
             manifest: what has become known since the start.
             video_timeout_s: how long a video's backlog may take [s].
+            topics: what is known of the other topics by name, also of those that never came.
+            end_stamp_ns: now on the clock of the episode's stamps: the last stage ends here.
 
         Returns:
             The finished folder.
@@ -255,18 +373,29 @@ class Recording:
                 problems.append(f"{arm}: no cycle was received")
         drops = self._drops()
         problems += [f"{name}: {count} dropped" for name, count in drops.items() if count]
-        cameras = {
-            name: {"size": video.size, "encoding": video.encoding, "last_skip": video.last_skip}
-            for name, video in self._videos.items()
+        for name, count in self._future.items():
+            self.warn(f"{name}: {count} stamps more than {FUTURE_NS * 1e-6:g} ms in the future")
+        self._annotations.end(end_stamp_ns)
+        recorded = self.topics()
+        known = {
+            "camera_streams": {name: video.describe() for name, video in self._videos.items()},
+            "topics": {
+                topic: {**(topics or {}).get(topic, {}), **recorded.get(topic, {})}
+                for topic in sorted({*(topics or {}), *recorded})
+            },
+            "segments": self._segments,
+            "future_stamps": dict(self._future),
+            "stages": self._annotations.stages,
+            "tags": self._annotations.tags,
+            "result": self._annotations.judged(dict(manifest.get("sim") or {}).get("task")),
+            "warnings": list(self._warnings),
         }
-        return self._folder.finalise(
-            {**manifest, "camera_streams": cameras}, drops, "; ".join(problems) or None
-        )
+        return self._folder.finalise({**manifest, **known}, drops, "; ".join(problems) or None)
 
     def _start_encoders(self) -> None:
         for camera in self.cameras:
             try:
-                self._videos[camera] = VideoSink(
+                self._videos[camera] = CameraSink(
                     self.folder,
                     camera,
                     block=self._lockstep,
@@ -286,16 +415,44 @@ class Recording:
             drops[name] = drops.get(name, 0) + count
         return drops
 
+    @property
+    def _stage(self) -> str | None:
+        stages = self._annotations.stages
+        return stages[-1]["name"] if stages and stages[-1]["end_ns"] is None else None
+
     def _put(self, table: CsvTable | None, row: rows.Row) -> None:
         if table is not None:
+            self._look_ahead(table.path.stem, row[0], row[1])
             self._writer.put(table, row)
 
-    def _table(self, name: str, names: Sequence[str]) -> CsvTable | None:
+    def _look_ahead(self, name: str, stamp_ns: int, receive_ns: int) -> None:
+        """Count a stamp of the future; in lock-step stamps are the simulator's own time."""
+        if stamp_ns > receive_ns + FUTURE_NS and not self._lockstep:
+            self._future[name] = self._future.get(name, 0) + 1
+
+    def _open_topic(
+        self, name: str, names: Sequence[str], about: Mapping[str, Any]
+    ) -> CsvTable | None:
+        """Make a table below ``topics/``, with what a reader must know of it beside it."""
+        folder = self.folder / TOPICS
+        try:
+            folder.mkdir(exist_ok=True)
+            write_json(folder / f"{name}.json", about)
+        except OSError as problem:
+            self._problems.append(f"{TOPICS}/{name}: {problem.strerror}")
+            return None
+        # Nobody waits for these topics, in lock-step neither: their queues are always bounded.
+        return self._table(f"{TOPICS}/{name}", names, FREERUN_QUEUE)
+
+    def _note_topic(self, topic: str, text: str) -> None:
+        self.warn(f"{topic}: {text}")
+
+    def _table(self, name: str, names: Sequence[str], limit: int | None = None) -> CsvTable | None:
         with self._lock:
             if name not in self._tables:
                 try:
                     self._tables[name] = self._writer.table(
-                        self.folder / f"{name}.csv", names, self._limit
+                        self.folder / f"{name}.csv", names, limit or self._limit
                     )
                 except OSError as problem:
                     self._problems.append(f"{name}: {problem.strerror}")

@@ -18,7 +18,7 @@ from PIL import Image
 
 from surg_recording import episode as episodes
 from surg_recording import figures, summary, video_file
-from surg_recording.episode_writer import clean_json, write_json
+from surg_recording.finishing import clean_json, write_json
 from surg_recording.errors import EpisodeError, NoMotionError
 from surg_recording.page import document, embed, figure_section, number, text
 

@@ -246,43 +246,35 @@ class _Stream:
     receive: Stamps
     problem: str = ""
     periodic: bool = True
-    """False: only its age is looked at, as of commands, which come when they come."""
+    """False: only its age is looked at, as of commands, which come when they come, and of topics
+    of any kind, which may have stamps of their own."""
 
 
 def _streams(episode: Episode) -> list[_Stream]:
     """The stamps of all tables and sidecars."""
-    found = []
     wanted = ("stamp_ns", "receive_ns")
-    files = [(name, episode.folder / entry["file"]) for name, entry in _entries(episode, "tables")]
-    files += [(n, episode.folder / e["sidecar"]) for n, e in _entries(episode, "videos")]
-    for name, path in files:
+    entries = {**episode.manifest["tables"], **episode.manifest["videos"]}
+    found = []
+    for name, entry in entries.items():
         if name in _APART:
             continue
+        kinds = entry.get("kinds") if isinstance(entry, dict) else None
         try:
-            table = episodes.read_table(path, wanted)
+            table = episodes.read_table(episode.folder / f"{name}.csv", kinds, wanted)
         except EpisodeError as problem:
             found.append(_Stream(name, _NONE, _NONE, str(problem)))
             continue
-        if not all(column in table for column in wanted):
-            continue
+        if not all(column in table and table[column].dtype == np.int64 for column in wanted):
+            continue  # a topic whose messages bear no stamp
         valid = table["stamp_ns"] > 0
         stamp, receive = table["stamp_ns"][valid], table["receive_ns"][valid]
         if len(stamp):
-            found.append(_Stream(name, stamp, receive, "", not name.startswith("command_")))
+            periodic = not name.startswith(("command_", "topics/"))
+            found.append(_Stream(name, stamp, receive, "", periodic))
     return found
 
 
 _NONE: Stamps = np.zeros(0, dtype=np.int64)
-
-
-def _entries(episode: Episode, key: str) -> list[tuple[str, dict[str, Any]]]:
-    """Tables or videos of the manifest with their files."""
-    suffixes = {"tables": ("file", ".csv"), "videos": ("sidecar", ".csv")}
-    field, suffix = suffixes[key]
-    return [
-        (name, {field: f"{name}{suffix}", **(entry if isinstance(entry, dict) else {})})
-        for name, entry in episode.manifest[key].items()
-    ]
 
 
 def _skew(streams: Sequence[_Stream], wall_clock: bool) -> dict[str, Any]:
@@ -380,7 +372,7 @@ def _paths(episode: Episode) -> tuple[int, dict[str, video_lag.TipPath], list[st
         try:
             table = episodes.read_table(
                 episode.folder / f"cycle_{arm}.csv",
-                ("stamp_ns", "p_tip_x", "p_tip_y", "p_tip_z"),
+                wanted=("stamp_ns", "p_tip_x", "p_tip_y", "p_tip_z"),
             )
             tip = table.vector("p_tip")
         except EpisodeError as problem:

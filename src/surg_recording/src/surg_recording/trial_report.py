@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording import trial_figures
-from surg_recording.episode_writer import clean_json, write_json
+from surg_recording.finishing import clean_json, write_json
 from surg_recording.page import document, figure_section, number, text
 
 _DEFINITIONS = (

@@ -31,8 +31,13 @@ ENCODINGS: dict[str, tuple[str, int]] = {
     "rgb8": ("rgb24", 3),
     "bgr8": ("bgr24", 3),
     "mono8": ("gray", 1),
+    "8UC3": ("bgr24", 3),
+    "8UC1": ("gray", 1),
+    "rgba8": ("rgba", 4),
+    "bgra8": ("bgra", 4),
+    "yuv422_yuy2": ("yuyv422", 2),
 }
-"""ROS image encoding → PyAV pixel format and channels."""
+"""ROS image encoding → PyAV pixel format and bytes per pixel."""
 
 _FORMATS = list(ENCODINGS.values())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,11 +12,12 @@ import av
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import columns
+from surg_recording import columns, mp4_boxes
 from surg_recording.errors import EpisodeError
-from surg_recording.video_encoder import CONTAINER_OPTIONS
 
 Image = npt.NDArray[np.uint8]
+
+_INTEGER = re.compile(r"-?\d+$")
 
 
 def presentation_times(path: Path) -> list[int]:
@@ -57,42 +59,70 @@ def grab(path: Path, indices: Sequence[int]) -> list[Image]:
 
 
 def mend(path: Path, sidecar: Path) -> int:
-    """Make video and sidecar of a killed recorder agree; returns the number of frames kept.
+    """Make a video and its sidecar agree; returns the number of frames kept.
 
-    The readable packets are copied into a file with a proper end, and sidecar lines without a
-    frame are cut off. A video that holds nothing readable is left as it is, with an empty sidecar.
+    A cut fragment at the end of the video and sidecar lines without a frame are removed, in place.
+    A video with more frames than the sidecar has lines loses the fragments behind the last stamp. A
+    file in which nothing is readable is left as it is, with an empty sidecar.
     """
-    try:
-        frames = _remux(path)
-    except EpisodeError:
-        frames = 0
-    if sidecar.exists():
-        with open(sidecar, newline="", encoding="utf-8") as file:
-            lines = list(csv.reader(file))
-        good = [line for line in lines[1:] if len(line) == len(columns.VIDEO)][:frames]
+    lines = _sidecar_lines(sidecar)
+    whole = mp4_boxes.fragments(path)
+    frames, end, total = 0, 0, 0
+    for fragment in whole:
+        total += fragment.frames
+        if total > len(lines):
+            break
+        frames, end = total, fragment.end
+    if mp4_boxes.is_plain(path):  # not made by this recorder
+        frames = min(_readable(path), len(lines))
+    elif frames and not (fragment is whole[-1] and total == frames and mp4_boxes.is_closed(path)):
+        mp4_boxes.cut_behind(path, end)
+    if len(lines) != frames or not _ends_whole(sidecar):
         temporary = sidecar.with_suffix(".csv.tmp")
         with open(temporary, "w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows([columns.VIDEO, *good])
+            csv.writer(file, lineterminator="\n").writerows([columns.VIDEO, *lines[:frames]])
         os.replace(temporary, sidecar)
     return frames
 
 
-def _remux(path: Path) -> int:
-    times = presentation_times(path)
-    temporary = path.with_suffix(".mp4.tmp")
-    copied = 0
-    with (
-        av.open(str(path)) as source,
-        av.open(str(temporary), "w", format="mp4", options=CONTAINER_OPTIONS) as target,
-    ):
-        stream = target.add_stream(template=source.streams.video[0])
-        for packet in source.demux(source.streams.video[0]):
-            if packet.pts is None or packet.size == 0:
-                continue
-            if copied == len(times):
-                break
-            packet.stream = stream
-            target.mux(packet)
-            copied += 1
-    os.replace(temporary, path)
-    return copied
+def is_empty(path: Path) -> bool:
+    """Whether a video holds no frame that can be read."""
+    if mp4_boxes.is_plain(path):
+        return not _readable(path)
+    return not any(fragment.frames for fragment in mp4_boxes.fragments(path))
+
+
+def last_stamp(sidecar: Path) -> int:
+    """Stamp of the last line of a sidecar [ns]; -1: there is none."""
+    lines = _sidecar_lines(sidecar)
+    return int(lines[-1][columns.VIDEO.index("stamp_ns")]) if lines else -1
+
+
+def _sidecar_lines(sidecar: Path) -> list[list[str]]:
+    """The whole lines of a sidecar, up to the first that is none; empty without a file."""
+    good: list[list[str]] = []
+    if not sidecar.exists():
+        return good
+    with open(sidecar, newline="", encoding="utf-8", errors="replace") as file:
+        text = file.read().rpartition("\n")[0]
+    for line in csv.reader(text.replace("\0", "").splitlines()[1:]):
+        if len(line) != len(columns.VIDEO) or not all(_INTEGER.match(value) for value in line):
+            break
+        good.append(line)
+    return good
+
+
+def _ends_whole(sidecar: Path) -> bool:
+    """Whether the last line of a file is a whole one."""
+    if not sidecar.exists() or sidecar.stat().st_size == 0:
+        return False
+    with open(sidecar, "rb") as file:
+        file.seek(-1, os.SEEK_END)
+        return file.read(1) == b"\n"
+
+
+def _readable(path: Path) -> int:
+    try:
+        return len(presentation_times(path))
+    except EpisodeError:
+        return 0

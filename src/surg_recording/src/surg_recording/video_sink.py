@@ -1,5 +1,6 @@
-"""The recorder's end of a camera: a queue in front of an encoder process.
+"""The recorder's end of one video: a queue in front of an encoder process.
 
+A camera is a ``camera_sink.CameraSink``, which makes one of these for every part of its video.
 ``put`` is what a callback calls. In free-run it never blocks: a full queue drops the frame and
 counts it. In lock-step it waits for room, so that the camera, and by it the simulator, waits too
 and no frame is lost.
@@ -16,8 +17,9 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
+from typing import NamedTuple
 
-from surg_recording import video_encoder
+from surg_recording import video_encoder, video_file
 
 QUEUE_LIMIT = 40
 """Frames that may wait for the encoder: 2 s at 20 fps."""
@@ -25,11 +27,26 @@ QUEUE_LIMIT = 40
 STALL_S = 10.0
 """An encoder that takes no frame for this long has failed [s]."""
 
+IN_FLIGHT = 16
+"""Frames that may be with the encoder without an answer."""
+
 _LARGE_PIPE = 1 << 20
 
 
+class Frame(NamedTuple):
+    """One image as it came in a sensor_msgs/Image, and when [ns]."""
+
+    data: bytes
+    width: int
+    height: int
+    step: int
+    encoding: str
+    stamp_ns: int
+    receive_ns: int
+
+
 class VideoSink:
-    """Writes one camera to ``<folder>/<name>.mp4`` and ``<folder>/<name>.csv``."""
+    """Writes one video to ``<folder>/<name>.mp4`` and ``<folder>/<name>.csv``."""
 
     def __init__(
         self,
@@ -41,6 +58,7 @@ class VideoSink:
         crf: int = 23,
         queue_limit: int = QUEUE_LIMIT,
         keep_open: tuple[int, ...] = (),
+        missed: int = 0,
     ) -> None:
         """Start the encoder process.
 
@@ -52,6 +70,7 @@ class VideoSink:
             crf: x264's constant quality, 0–51, smaller is better.
             queue_limit: frames that may wait.
             keep_open: file descriptors the encoder inherits (the episode's lock).
+            missed: frames of the camera that were lost before the first of this video.
         """
         self.path, self.sidecar = folder / f"{name}.mp4", folder / f"{name}.csv"
         self.name = name
@@ -67,11 +86,12 @@ class VideoSink:
         self.encoding = self.size = ""
         self.last_stamp_ns = self.period_ns = 0
         self._block, self._limit = block, queue_limit
-        self._queue: deque[tuple[bytes, bytes]] = deque()
+        self._queue: deque[tuple[bytes, Frame]] = deque()
+        self._in_flight: deque[Frame] = deque()
         self._room = threading.Condition()
-        self._ending = False
+        self._ending = self._counted = False
         self._ready = threading.Event()
-        self._dropped_since = 0
+        self._dropped_since = missed
         self._process = subprocess.Popen(
             [
                 *(sys.executable, video_encoder.__file__),
@@ -117,12 +137,16 @@ class VideoSink:
         receive_ns: int,
     ) -> bool:
         """Queue one image as it came in a sensor_msgs/Image; False when it was dropped."""
-        problem = _unusable(data, width, height, step, encoding)
+        return self.put_frame(Frame(data, width, height, step, encoding, stamp_ns, receive_ns))
+
+    def put_frame(self, frame: Frame) -> bool:
+        """Queue one image; False when it was dropped."""
+        problem = unusable(frame)
         with self._room:
             self.received += 1
-            if stamp_ns > self.last_stamp_ns:
-                self.period_ns = stamp_ns - self.last_stamp_ns if self.last_stamp_ns else 0
-                self.last_stamp_ns = stamp_ns
+            if frame.stamp_ns > self.last_stamp_ns:
+                self.period_ns = frame.stamp_ns - self.last_stamp_ns if self.last_stamp_ns else 0
+                self.last_stamp_ns = frame.stamp_ns
             if problem is not None:
                 self.last_skip = problem
                 return self._drop()
@@ -130,18 +154,52 @@ class VideoSink:
             while self._block and len(self._queue) >= self._limit and not self._over():
                 if not self._room.wait(max(0.0, deadline - time.monotonic())):
                     self.error = f"the encoder took no frame for {STALL_S:g} s"
-            if self._over() or len(self._queue) >= self._limit:
+            # After a failure frames are still taken: they go into the next part (``abandon``).
+            if self._ending or len(self._queue) >= self._limit:
                 return self._drop()
-            code = list(video_encoder.ENCODINGS).index(encoding)
             head = video_encoder.HEADER.pack(
-                *(stamp_ns, receive_ns, self._dropped_since),
-                *(width, height, step, code, len(data)),
+                *(frame.stamp_ns, frame.receive_ns, self._dropped_since),
+                *(frame.width, frame.height, frame.step),
+                *(list(video_encoder.ENCODINGS).index(frame.encoding), len(frame.data)),
             )
             self._dropped_since = 0
-            self.encoding, self.size = encoding, f"{width}x{height}"
-            self._queue.append((head, data))
+            self.encoding, self.size = frame.encoding, f"{frame.width}x{frame.height}"
+            self._queue.append((head, frame))
             self._room.notify_all()
             return True
+
+    def abandon(self) -> tuple[list[Frame], int]:
+        """End at once; returns the frames that are not in the file, and how many are lost for good.
+
+        Lost are those that were dropped since the last one, and those of a cut fragment.
+        """
+        with self._room:
+            self._ending = True
+            self.error = self.error or "abandoned"
+            self._room.notify_all()
+        self._process.kill()
+        self._process.wait()
+        self._feeder.join()
+        self._listener.join()
+        self._counted = True
+        before = self.dropped
+        newest = self._count_what_is_there()
+        with self._room:
+            waiting = [*self._in_flight, *(frame for _, frame in self._queue)]
+            left = [frame for frame in waiting if frame.stamp_ns > newest]
+            self._queue.clear()
+            self._in_flight.clear()
+            self.received -= len(left)
+            self.dropped = self.received - self.frames
+            return left, max(0, self.dropped - before) + self._dropped_since
+
+    def _count_what_is_there(self) -> int:
+        """Mend the files of an encoder that failed; returns the newest stamp in them [ns]."""
+        if not self.path.exists():
+            self.frames = 0
+            return -1
+        self.frames = video_file.mend(self.path, self.sidecar)
+        return video_file.last_stamp(self.sidecar)
 
     def close(self, timeout_s: float = 60.0) -> None:
         """Write the backlog and finish the file, within ``timeout_s``. Safe to call twice."""
@@ -159,6 +217,10 @@ class VideoSink:
         self._listener.join(5.0)
         if self._process.returncode != 0 and self.error is None:
             self.error = f"the encoder ended with code {self._process.returncode}"
+        if self.error is not None and not self._counted:
+            self._counted = True
+            with contextlib.suppress(OSError):
+                self._count_what_is_there()
         with self._room:  # what never came out
             self.dropped = max(self.dropped, self.received - self.frames)
 
@@ -177,25 +239,24 @@ class VideoSink:
         try:
             while True:
                 with self._room:
-                    while not self._queue and not self._over():
+                    while self.error is None and not (
+                        self._queue and len(self._in_flight) < IN_FLIGHT
+                    ):
+                        if self._ending and not self._queue:
+                            break
                         self._room.wait()
                     if self.error is not None or not self._queue:
                         break
-                    head, data = self._queue[0]
-                _write_all(pipe.fileno(), head)
-                _write_all(pipe.fileno(), data)
-                with self._room:
-                    self._queue.popleft()
+                    head, frame = self._queue.popleft()
+                    self._in_flight.append(frame)
                     self._room.notify_all()
+                _write_all(pipe.fileno(), head)
+                _write_all(pipe.fileno(), frame.data)
         except OSError as problem:
             with self._room:
                 self.error = self.error or f"the encoder is gone ({problem.strerror})"
         finally:
             with self._room:
-                lost = len(self._queue)
-                self._queue.clear()
-                self.dropped += lost
-                self._dropped_since += lost
                 self._room.notify_all()
             with contextlib.suppress(OSError):
                 pipe.close()
@@ -213,9 +274,11 @@ class VideoSink:
                         self._ready.set()
                     elif word == "frame":
                         self.frames = int(rest)
+                        self._in_flight.popleft()
                     elif word == "skip":
                         self.last_skip = rest
                         self.dropped += 1
+                        self._in_flight.popleft()
                     elif word == "error":
                         self.error = rest
                     elif word == "end":
@@ -229,14 +292,15 @@ class VideoSink:
         answers.close()
 
 
-def _unusable(data: bytes, width: int, height: int, step: int, encoding: str) -> str | None:
+def unusable(frame: Frame) -> str | None:
     """Why an image cannot be encoded, or None."""
-    if encoding not in video_encoder.ENCODINGS:
-        return f"encoding {encoding!r}; allowed: {', '.join(video_encoder.ENCODINGS)}"
-    channels = video_encoder.ENCODINGS[encoding][1]
-    if width < 2 or height < 2 or step < width * channels or len(data) != step * height:
+    if frame.encoding not in video_encoder.ENCODINGS:
+        return f"encoding {frame.encoding!r}; allowed: {', '.join(video_encoder.ENCODINGS)}"
+    width, height, step, size = frame.width, frame.height, frame.step, len(frame.data)
+    channels = video_encoder.ENCODINGS[frame.encoding][1]
+    if width < 2 or height < 2 or step < width * channels or size != step * height:
         return (
-            f"image of {width}x{height} pixels, {step} bytes per row and {len(data)} bytes"
+            f"image of {width}x{height} pixels, {step} bytes per row and {size} bytes"
             " does not add up"
         )
     return None

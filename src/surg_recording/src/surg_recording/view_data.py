@@ -219,7 +219,7 @@ def _read(episode: Episode, name: str, wanted: Sequence[str], missing: list[str]
         missing.append(f"{name}: nothing was recorded")
         return None
     try:
-        table = episodes.read_table(episode.folder / f"{name}.csv", wanted)
+        table = episodes.read_table(episode.folder / f"{name}.csv", wanted=wanted)
         lacking = [column for column in wanted if column not in table]
         if lacking:
             raise EpisodeError(f"{name}: no column {', '.join(lacking)}")
@@ -324,7 +324,7 @@ def _event(topic: str, said: str) -> tuple[str, str]:
 def _phases(episode: Episode, origin: int, missing: list[str]) -> list[dict[str, Any]]:
     """Where the task's phase changes."""
     try:
-        table = episodes.read_table(episode.folder / "task_state.csv", ("stamp_ns", "phase"))
+        table = episodes.read_table(episode.folder / "task_state.csv", wanted=("stamp_ns", "phase"))
         stamps, phases = table["stamp_ns"], table["phase"]
     except EpisodeError as problem:
         missing.append(str(problem))

@@ -1,0 +1,135 @@
+"""What people and scripts say about an episode: stages, tags, a verdict, facts for the manifest.
+
+``/record/tag`` carries a text, which is a tag, or a JSON object with any of the keys ``tag``,
+``stage`` (a new stage begins; empty: none), ``success`` (true, false or null) with ``reason``, and
+``stamp_ns``. ``/record/info`` carries a JSON object of facts: ``operator``, ``task``, ``setting``,
+``seed`` or whatever else the manifest's ``run`` shall hold.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+KEYS = ("tag", "stage", "success", "reason", "stamp_ns")
+"""Keys of a tag's JSON object."""
+
+MAX_TEXT = 1000
+"""Longest tag, name of a stage, or reason."""
+
+MAX_INFO = 16_384
+"""Longest /record/info."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Tag:
+    """One message of /record/tag; None: it does not say."""
+
+    tag: str | None = None
+    stage: str | None = None
+    success: bool | None = None
+    judged: bool = False
+    """It says ``success``, be it that nobody knows (None)."""
+    reason: str = ""
+    stamp_ns: int | None = None
+
+
+def parse_tag(text: str) -> Tag:
+    """Read one message of /record/tag.
+
+    Raises:
+        ValueError: what was wrong and what is allowed.
+    """
+    text = text.strip()
+    if not text:
+        raise ValueError('an empty tag; give a text, or JSON such as {"stage": "approach"}')
+    if not text.startswith("{"):
+        return Tag(tag=_text(text, "tag"))
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError) as problem:
+        raise ValueError(f"a tag that begins with {{ must be JSON ({problem})") from None
+    unknown = sorted(set(said) - set(KEYS))
+    if unknown or not said:
+        named = f"key {unknown[0]!r} is unknown" if unknown else "no key"
+        raise ValueError(f"tag: {named}; allowed are {', '.join(KEYS)}")
+    success = said.get("success")
+    if not (success is None or isinstance(success, bool)):
+        raise ValueError(f"tag: success is {success!r}, allowed are true, false and null")
+    stamp = said.get("stamp_ns")
+    if not (stamp is None or (type(stamp) is int and 0 <= stamp < 2**63)):
+        raise ValueError(f"tag: stamp_ns is {stamp!r}, must be an integer of nanoseconds >= 0")
+    return Tag(
+        tag=_text(said["tag"], "tag") if "tag" in said else None,
+        stage=_text(said["stage"] or "", "stage") if "stage" in said else None,
+        success=success,
+        judged="success" in said,
+        reason=_text(said.get("reason") or "", "reason"),
+        stamp_ns=stamp,
+    )
+
+
+def parse_info(text: str) -> dict[str, Any]:
+    """Read one message of /record/info.
+
+    Raises:
+        ValueError: what was wrong and what is allowed.
+    """
+    if len(text) > MAX_INFO:
+        raise ValueError(f"info of {len(text)} characters; at most {MAX_INFO} are taken")
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError) as problem:
+        raise ValueError(f"info must be a JSON object ({problem})") from None
+    if not isinstance(said, dict):
+        raise ValueError('info must be a JSON object, such as {"operator": "A"}')
+    return said
+
+
+class Annotations:
+    """Stages, tags and verdict of one episode, as the manifest keeps them."""
+
+    def __init__(self) -> None:
+        self.tags: list[dict[str, Any]] = []
+        self.stages: list[dict[str, Any]] = []
+        self.result: dict[str, Any] = {"success": None, "reason": "", "by": None}
+
+    def add(self, said: Tag, stamp_ns: int, by: str) -> None:
+        """Take a tag in.
+
+        Args:
+            said: the message.
+            stamp_ns: when it came [ns]; its own ``stamp_ns`` goes before.
+            by: caller id of the sender.
+        """
+        stamp = stamp_ns if said.stamp_ns is None else said.stamp_ns
+        if said.tag is not None:
+            self.tags.append({"stamp_ns": stamp, "text": said.tag, "by": by})
+        if said.stage is not None:
+            self.end(stamp)
+            if said.stage:
+                self.stages.append({"name": said.stage, "begin_ns": stamp, "end_ns": None})
+        if said.judged:
+            self.result = {"success": said.success, "reason": said.reason, "by": by}
+
+    def end(self, stamp_ns: int) -> None:
+        """The stage that runs ends now."""
+        if self.stages and self.stages[-1]["end_ns"] is None:
+            self.stages[-1]["end_ns"] = max(stamp_ns, self.stages[-1]["begin_ns"])
+
+    def judged(self, task: Any) -> dict[str, Any]:
+        """The verdict: a person's where there is one, else the simulated task's."""
+        if self.result["by"] is None and isinstance(task, dict) and task.get("done"):
+            success = task.get("success")
+            reason = str(task.get("reason") or "")
+            return {"success": success, "reason": reason, "by": "task"}
+        return self.result
+
+
+def _text(value: Any, key: str) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"tag: {key} is {value!r}, must be a text")
+    if len(value) > MAX_TEXT:
+        raise ValueError(f"tag: {key} has {len(value)} characters, at most {MAX_TEXT} are taken")
+    return value

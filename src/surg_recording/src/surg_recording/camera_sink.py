@@ -1,0 +1,169 @@
+"""One camera of an episode: usually one video, more parts when the picture changes or a kill bites.
+
+A video has one size. When the camera changes its size, or its encoder has died, the next part
+begins: ``<camera>.2.mp4`` with a sidecar of its own. Frames that the encoder had not taken yet go
+into the next part. A camera that needs too many parts is given up and counted.
+"""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+from surg_recording.video_sink import Frame, VideoSink, unusable
+
+MAX_PARTS = 8
+"""A camera that goes on changing after so many parts is not recorded any further."""
+
+
+class CameraSink:
+    """Writes one camera. ``put`` is called by one thread, the rest by any."""
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        *,
+        block: bool,
+        preset: str = "ultrafast",
+        keep_open: tuple[int, ...] = (),
+    ) -> None:
+        """Start the first encoder; arguments as for ``VideoSink``."""
+        self.name = name
+        self.changes: list[str] = []
+        """Why each further part began."""
+        self.repeated = 0
+        """Frames with the very same picture as the one before: frozen camera or still scene."""
+        self._folder, self._block, self._preset, self._keep_open = folder, block, preset, keep_open
+        self._last_data: bytes | None = None
+        self._given_up: str | None = None
+        self._turning = threading.Lock()
+        self._empty_before = False
+        self._stamps = (0, 0)
+        self._parts = [self._make(0)]
+
+    @property
+    def _part(self) -> VideoSink:
+        return self._parts[-1]
+
+    @property
+    def pid(self) -> int:
+        """Process id of the encoder."""
+        return self._part.pid
+
+    @property
+    def received(self) -> int:
+        """Frames that came."""
+        return sum(part.received for part in self._parts)
+
+    @property
+    def frames(self) -> int:
+        """Frames that were written."""
+        return sum(part.frames for part in self._parts)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that were not written."""
+        return sum(part.dropped for part in self._parts)
+
+    @property
+    def backlog(self) -> int:
+        """Frames received and neither written nor dropped yet."""
+        return self._part.backlog
+
+    @property
+    def error(self) -> str | None:
+        """Why this video is not as it should be; None while all is well."""
+        found = [*self.changes, *([self._given_up] if self._given_up else [])]
+        if self._part.error is not None and not self._given_up:
+            found.append(self._part.error)
+        return "; ".join(found) or None
+
+    @property
+    def last_stamp_ns(self) -> int:
+        """Newest stamp [ns]; 0: none."""
+        return self._stamps[0]
+
+    @property
+    def period_ns(self) -> int:
+        """Distance of the newest stamp to the one before [ns]; 0: unknown."""
+        return self._stamps[1]
+
+    def describe(self) -> dict[str, Any]:
+        """What the manifest says of the camera's stream."""
+        return {
+            "size": self._parts[0].size,
+            "encoding": self._parts[0].encoding,
+            "last_skip": next((p.last_skip for p in reversed(self._parts) if p.last_skip), None),
+            "repeated": self.repeated,
+            "parts": len([part for part in self._parts if part.frames]),
+            "changes": list(self.changes),
+        }
+
+    def wait_ready(self, timeout_s: float) -> bool:
+        """Wait until the encoder takes frames."""
+        return self._part.wait_ready(timeout_s)
+
+    def put(self, frame: Frame) -> bool:
+        """Queue one image; False when it was dropped. Blocks in lock-step only."""
+        last, _ = self._stamps
+        if frame.stamp_ns > last:
+            self._stamps = frame.stamp_ns, frame.stamp_ns - last if last else 0
+        if frame.data == self._last_data:
+            self.repeated += 1
+        self._last_data = frame.data
+        size = self._part.size
+        if self._part.error is not None:
+            self._next_part(f"the encoder failed ({self._part.error})")
+        elif size and unusable(frame) is None and size != f"{frame.width}x{frame.height}":
+            self._next_part(f"its size changed from {size} to {frame.width}x{frame.height}")
+        return self._part.put_frame(frame)
+
+    def close(self, timeout_s: float = 60.0) -> None:
+        """Write the backlog and finish the files. Safe to call twice."""
+        if self._part.error is not None and self._part.backlog:
+            self._next_part(f"the encoder failed ({self._part.error})")
+        for part in self._parts:
+            part.close(timeout_s)
+
+    def _next_part(self, why: str) -> None:
+        """Begin another part, unless that is pointless."""
+        with self._turning:
+            old = self._part
+            if self._given_up is not None:
+                return
+            if old.error is not None and not old.frames and self._empty_before:
+                self._given_up = f"{why}, twice before its first frame"
+                return
+            self._empty_before = not old.frames
+            if len(self._parts) >= MAX_PARTS:
+                # The encoder goes on with frames of its size; it skips and counts the others.
+                self._given_up = f"{why}; {MAX_PARTS} parts are enough"
+                return
+            left: list[Frame] = []
+            missed = 0
+            if old.error is not None:
+                left, missed = old.abandon()
+            else:
+                threading.Thread(target=old.close, name=f"end_{old.name}", daemon=True).start()
+            try:
+                new = self._make(missed)
+            except OSError as problem:
+                self._given_up = f"{why}; no further encoder ({problem.strerror})"
+                return
+            self.changes.append(f"{why}: goes on in {new.name}")
+            self._parts = [*self._parts, new]
+        for frame in left:
+            new.put_frame(frame)
+
+    def _make(self, missed: int) -> VideoSink:
+        number = len(self._parts) + 1 if hasattr(self, "_parts") else 1
+        return VideoSink(
+            self._folder,
+            self.name if number == 1 else f"{self.name}.{number}",
+            block=self._block,
+            preset=self._preset,
+            keep_open=self._keep_open,
+            missed=missed,
+        )

@@ -1,0 +1,72 @@
+"""A wall clock that notices when somebody sets it.
+
+Stamps are wall-clock time, and NTP, PTP or a person may set that clock while a recording runs. The
+steady clock cannot be set: when the distance between the two jumps, the wall clock has stepped.
+Slow corrections (slewing) move the distance a little at a time and are no step.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+STEP_NS = 10_000_000
+"""A jump of more than this is a step [ns]."""
+
+FUTURE_NS = 50_000_000
+"""A stamp further ahead of its reception than this is of the future [ns]."""
+
+_TRIES = 5
+
+
+class SteppedClock:
+    """Wall time in nanoseconds; tells of steps. May be read from any thread.
+
+    Args:
+        on_step: called with (step [ns], wall time after it [ns]) by the thread that reads the clock
+            first after the step, before it gets its time.
+        wall: the wall clock [ns].
+        steady: a clock that nobody can set [ns].
+        threshold_ns: what is a step.
+    """
+
+    def __init__(
+        self,
+        on_step: Callable[[int, int], None],
+        wall: Callable[[], int] = time.time_ns,
+        steady: Callable[[], int] = time.monotonic_ns,
+        threshold_ns: int = STEP_NS,
+    ) -> None:
+        self._on_step, self._wall, self._steady = on_step, wall, steady
+        self._threshold = threshold_ns
+        self._lock = threading.Lock()
+        self._offset, _ = self._measure()
+
+    def now_ns(self) -> int:
+        """Wall time [ns]."""
+        wall = self._wall()
+        moved = wall - self._steady() - self._offset
+        if -self._threshold < moved < self._threshold:
+            # A reader that was preempted between its two readings must not drag the offset along.
+            self._offset += moved // 64
+            return wall
+        with self._lock:
+            offset, wall = self._measure()
+            step = offset - self._offset
+            if abs(step) >= self._threshold:
+                self._offset = offset
+                self._on_step(step, wall)
+        return wall
+
+    def _measure(self) -> tuple[int, int]:
+        """Wall minus steady time and the wall time [ns], as exactly as the scheduler lets."""
+        best: tuple[int, int, int] | None = None
+        for _ in range(_TRIES):
+            before = self._steady()
+            wall = self._wall()
+            width = self._steady() - before
+            if best is None or width < best[0]:
+                best = width, wall - before - width // 2, wall
+        assert best is not None
+        return best[1], best[2]

@@ -1,0 +1,219 @@
+"""Completing an episode folder: cut broken ends, count what is there, write the manifest.
+
+The recorder ends with this, and so does the recovery of what a killed recorder left.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import json
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surg_recording import video_file
+from surg_recording.episode import MANIFEST, TOPICS
+
+_CHUNK = 1 << 20
+_TICKED = ("cycle_", "ground_truth_")
+"""Tables that have a row for every tick."""
+
+
+def complete(
+    folder: Path, manifest: dict[str, Any], drops: Mapping[str, int], reason: str | None
+) -> None:
+    """Mend every file, describe it in the manifest, and write that.
+
+    Args:
+        folder: the episode, still ``.partial``.
+        manifest: what is known; gets ``tables``, ``videos``, ``outcome``, ``reason``, ``finished``.
+        drops: per table or video, what was received but not written.
+        reason: why the recording is incomplete; None when nothing is known against it.
+
+    Raises:
+        OSError: the disk refuses.
+    """
+    for leftover in [*folder.glob("*.tmp"), *folder.glob(f"{TOPICS}/*.tmp")]:
+        leftover.unlink()
+    reasons = [reason] if reason else []
+    videos = _videos(folder, drops, reasons)
+    tables = _tables(folder, videos, drops, reasons)
+    manifest.update(
+        tables=tables,
+        videos=videos,
+        outcome="incomplete" if reasons else "complete",
+        reason="; ".join(reasons) or None,
+        finished=utc_now(),
+    )
+    write_json(folder / MANIFEST, manifest)
+
+
+def _videos(folder: Path, drops: Mapping[str, int], reasons: list[str]) -> dict[str, Any]:
+    """Mend and describe the videos; those that hold no frame at all are removed."""
+    found: dict[str, Any] = {}
+    for path in sorted(folder.glob("*.mp4")):
+        sidecar = path.with_suffix(".csv")
+        if not sidecar.exists():
+            reasons.append(f"{path.name}: its sidecar is missing, so its frames have no stamps")
+            continue
+        frames = video_file.mend(path, sidecar)
+        if not frames and video_file.is_empty(path):
+            path.unlink()
+            sidecar.unlink()
+            continue
+        if not frames:
+            reasons.append(f"{path.name}: no stamp is left of its frames")
+            continue
+        entry = describe_table(sidecar)
+        entry["frames"] = entry.pop("rows")
+        camera, part, _ = path.stem.partition(".")
+        entry["dropped"] = 0 if part else int(drops.get(camera, 0))
+        if part:
+            entry["part_of"] = camera
+        found[path.stem] = {"file": path.name, "sidecar": sidecar.name, **entry}
+    return found
+
+
+def _tables(
+    folder: Path, videos: Mapping[str, Any], drops: Mapping[str, int], reasons: list[str]
+) -> dict[str, Any]:
+    """Mend and describe the tables; a file without even a header is removed."""
+    found: dict[str, Any] = {}
+    for path in [*sorted(folder.glob("*.csv")), *sorted(folder.glob(f"{TOPICS}/*.csv"))]:
+        name = str(path.relative_to(folder).with_suffix(""))
+        if name in videos or path.with_suffix(".mp4").exists():
+            continue
+        cut_broken_end(path)
+        if path.stat().st_size == 0:
+            path.unlink()
+            continue
+        entry = {"file": f"{name}.csv", **describe_table(path)}
+        entry["dropped"] = int(drops.get(name, 0))
+        about = path.with_suffix(".json")
+        if path.parent != folder and about.exists():
+            entry.update(_about(about))
+        if "problem" in entry:
+            reasons.append(f"{name}: {entry['problem']}")
+        missing = entry.get("missing_ticks")
+        if missing and name.startswith(_TICKED):
+            reasons.append(f"{name}: {missing} ticks missing")
+        found[name] = entry
+    return found
+
+
+def _about(path: Path) -> dict[str, Any]:
+    """What the recorder noted of a topic's table when it opened it: topic, type, kinds."""
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return said if isinstance(said, dict) else {}
+
+
+def cut_broken_end(path: Path) -> int:
+    """Cut a CSV file behind its last whole line; returns the number of bytes removed.
+
+    A kill or a full disk can only break the last line, because lines are appended. A machine that
+    went down may leave zeros from some place on: a line never holds one.
+    """
+    with open(path, "rb+") as file:
+        size = end = file.seek(0, os.SEEK_END)
+        file.seek(0)
+        place = 0
+        while chunk := file.read(_CHUNK):
+            zero = chunk.find(b"\0")
+            if zero >= 0:
+                end = place + zero
+                break
+            place += len(chunk)
+        while end > 0:
+            start = max(0, end - 65536)
+            file.seek(start)
+            newline = file.read(end - start).rfind(b"\n")
+            if newline >= 0:
+                end = start + newline + 1
+                break
+            end = start
+        if end < size:
+            file.truncate(end)
+        return size - end
+
+
+def describe_table(path: Path) -> dict[str, Any]:
+    """Rows, rate and gaps of a CSV file, from its stamps and ticks.
+
+    ``rate_hz`` is rows − 1 over the time from first to last stamp (of reception where the messages
+    have none). A gap is a distance of more than 1.5 times the median; ``missing_ticks`` counts
+    ticks between the first and the last that have no row. ``problem`` is there when the file is not
+    as the recorder writes it.
+    """
+    with open(path, encoding="utf-8", errors="replace", newline="") as file:
+        header = next(csv.reader([file.readline()]), [])
+        wanted = [header.index(name) for name in ("stamp_ns", "receive_ns") if name in header]
+        # The columns asked for stand before any text, so that splitting at commas is right.
+        tick = header.index("tick") if "tick" in header[:3] else None
+        parts = max([*wanted, tick or 0], default=0) + 2
+        lines = [line.split(",", parts) for line in file]
+    entry: dict[str, Any] = {"columns": header, "rows": len(lines)}
+    entry.update(first_stamp_ns=None, last_stamp_ns=None, rate_hz=None, gap_max_s=None, gaps=0)
+    if len(wanted) < 2 or not lines:
+        return entry
+    try:
+        stamps, received = (
+            np.array([int(line[place]) for line in lines], dtype=np.int64) for place in wanted
+        )
+        ticks = None if tick is None else np.array([int(line[tick]) for line in lines], np.int64)
+    except (ValueError, IndexError, OverflowError):
+        return {**entry, "problem": "a line's stamp is no integer"}
+    if not stamps.any():
+        stamps = received
+    entry["first_stamp_ns"], entry["last_stamp_ns"] = int(stamps[0]), int(stamps[-1])
+    if len(stamps) > 1:
+        distance = np.diff(stamps) * 1e-9
+        span = (stamps[-1] - stamps[0]) * 1e-9
+        entry["rate_hz"] = float((len(stamps) - 1) / span) if span > 0 else None
+        entry["gap_max_s"] = float(distance.max())
+        entry["gaps"] = int(np.sum(distance > 1.5 * np.median(distance)))
+    if ticks is not None:
+        entry["missing_ticks"] = int(ticks.max() - ticks.min() + 1 - len(np.unique(ticks)))
+    return entry
+
+
+def utc_now() -> str:
+    """Now in UTC, ISO 8601 with seconds."""
+    return datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def clean_json(value: Any) -> Any:
+    """The value with numpy numbers as Python's and non-finite ones as None (JSON has no NaN)."""
+    if isinstance(value, Mapping):
+        return {str(key): clean_json(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [clean_json(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return clean_json(value.tolist())
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if isinstance(value, Path):
+        return str(value)
+    return value
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write JSON by way of a temporary file, so that a reader never sees half of it."""
+    temporary = path.with_name(path.name + ".tmp")
+    with open(temporary, "w", encoding="utf-8") as file:
+        json.dump(clean_json(value), file, indent=1, allow_nan=False, default=str)
+        file.write("\n")
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary, path)

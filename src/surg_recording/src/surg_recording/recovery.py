@@ -1,0 +1,116 @@
+"""Finishing what a killed recorder, or a machine that went down, has left behind.
+
+An episode that was never finished lies in a folder with the suffix ``.partial``. Its rows and
+fragments of video are whole up to the kill; here its broken ends are cut, its manifest is completed
+and says why it is incomplete, and only then it gets its final name. Nothing is copied, so that it
+works on a disk that is nearly full. An interrupted recovery can be repeated.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from surg_recording import finishing
+from surg_recording.episode import FORMAT, MANIFEST, PARTIAL
+from surg_recording.episode_writer import LOCK, RESERVE, sync_folder
+from surg_recording.errors import EpisodeError
+
+REASON = "the recorder was killed; recovered at the next start"
+BY_HAND = "the recorder was killed; recovered by hand"
+
+
+class HeldError(EpisodeError):
+    """A folder that a living recorder or encoder is writing."""
+
+
+def recover(
+    parent: Path,
+    name: str | None = None,
+    on_problem: Callable[[str], None] | None = None,
+) -> list[Path]:
+    """Finish the ``.partial`` folders in ``parent`` that no living recorder holds.
+
+    Args:
+        parent: the folder that holds episode folders.
+        name: only episodes of this name (and ``name_2``, …); None for all.
+        on_problem: told in a sentence of each folder that cannot be mended; it is left as it is.
+
+    Returns:
+        The finished folders.
+    """
+    done: list[Path] = []
+    for folder in unfinished(parent):
+        final = folder.name.removesuffix(PARTIAL)
+        if name is not None and final != name and not final.startswith(f"{name}_"):
+            continue
+        try:
+            done.append(recover_one(folder))
+        except HeldError:
+            continue
+        except EpisodeError as problem:
+            if on_problem is not None:
+                on_problem(str(problem))
+    return done
+
+
+def unfinished(parent: Path) -> list[Path]:
+    """The ``.partial`` folders in a folder, by name."""
+    return sorted(path for path in parent.glob(f"*{PARTIAL}") if path.is_dir())
+
+
+def recover_one(folder: Path, reason: str = REASON) -> Path:
+    """Finish one ``.partial`` folder; returns it under its final name.
+
+    Args:
+        folder: the folder.
+        reason: what the manifest says of it.
+
+    Raises:
+        HeldError: somebody is still writing it.
+        EpisodeError: it is none, or cannot be finished; it stays as it is.
+    """
+    if not folder.name.endswith(PARTIAL) or not folder.is_dir():
+        raise EpisodeError(f"{folder}: no unfinished recording (a folder that ends in {PARTIAL})")
+    final = folder.with_name(folder.name.removesuffix(PARTIAL))
+    try:
+        lock = os.open(folder / LOCK, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as problem:
+        raise EpisodeError(f"{folder}: cannot be mended: {problem.strerror}") from problem
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise HeldError(f"{folder}: is being recorded now, or its encoder still runs") from None
+        if final.exists():
+            raise EpisodeError(f"{folder}: {final.name} is there already; move one of them away")
+        (folder / RESERVE).unlink(missing_ok=True)
+        manifest = _manifest(folder)
+        manifest["recovered"] = finishing.utc_now()
+        finishing.complete(folder, manifest, {}, reason)
+        (folder / LOCK).unlink(missing_ok=True)
+        os.rename(folder, final)
+        sync_folder(final.parent)
+    except OSError as problem:
+        raise EpisodeError(
+            f"{folder}: cannot be mended: {problem.strerror}; it stays as it is"
+        ) from problem
+    finally:
+        os.close(lock)
+    return final
+
+
+def _manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of the start, or the little that is known without one."""
+    try:
+        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        manifest = None
+    if not isinstance(manifest, dict):
+        arms = sorted(path.stem.removeprefix("cycle_") for path in folder.glob("cycle_*.csv"))
+        return {"format": FORMAT, "created": finishing.utc_now(), "arms": arms}
+    return manifest

@@ -1,0 +1,104 @@
+"""Which of a system's topics are recorded besides those that every episode has.
+
+A request is a topic's name or a pattern with ``*``, ``?`` or ``[…]``, as in a shell; ``*`` stands
+for slashes too. A named topic is listened to from the start, be there a publisher or not; what a
+pattern matches is found when it appears.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping
+from typing import Any
+
+NOT_TABLES = {
+    "sensor_msgs/Image": "an image topic: name it in ~cameras",
+    "sensor_msgs/CompressedImage": "compressed images are not recorded; name the raw topic in"
+    " ~cameras",
+}
+"""Types that no table can hold, with what to do."""
+
+_WILD = frozenset("*?[")
+_OURS = ("/record/",)
+
+
+class TopicChoice:
+    """The requests, and what has become of them.
+
+    Args:
+        requests: names and patterns.
+        taken: topics that are recorded anyway.
+
+    Raises:
+        ValueError: a request that is no topic, with what is allowed.
+    """
+
+    def __init__(self, requests: list[str], taken: frozenset[str]) -> None:
+        for request in requests:
+            if not request.startswith("/") or any(c.isspace() for c in request):
+                raise ValueError(
+                    f"parameter ~topics has {request!r}: a name or a pattern that begins with /"
+                    " is needed, e.g. /PSM1/measured_js or /PSM1/*"
+                )
+        self._patterns = [r for r in requests if _WILD & set(r)]
+        self.named = [r for r in dict.fromkeys(requests) if not _WILD & set(r)]
+        self._taken = taken
+        self.refused: dict[str, str] = {
+            topic: "recorded in a table of its own kind" for topic in self.named if topic in taken
+        }
+        """Topic → why it is not recorded here."""
+        self.chosen: set[str] = {topic for topic in self.named if topic not in taken}
+        """Topics to listen to."""
+
+    def look(self, published: Mapping[str, str]) -> list[str]:
+        """Topics that have to be listened to from now on.
+
+        Args:
+            published: topic → type, as the master knows them now.
+        """
+        found = []
+        for topic, kind in sorted(published.items()):
+            if topic in self.chosen or topic in self._taken or topic.startswith(_OURS):
+                continue
+            if not any(fnmatch.fnmatchcase(topic, pattern) for pattern in self._patterns):
+                continue
+            if kind in NOT_TABLES:
+                self.refuse(topic, NOT_TABLES[kind])
+            elif topic not in self.refused:
+                self.chosen.add(topic)
+                found.append(topic)
+        return found
+
+    def refuse(self, topic: str, why: str) -> bool:
+        """Take a topic out; True when that is news."""
+        self.chosen.discard(topic)
+        news = topic not in self.refused
+        self.refused.setdefault(topic, why)
+        return news
+
+    def silent(self, messages: Mapping[str, int]) -> list[str]:
+        """Topics that were asked for by name and have sent nothing, and patterns without a topic.
+
+        Args:
+            messages: topic → number of messages recorded.
+        """
+        quiet = [t for t in self.named if t not in self.refused and not messages.get(t)]
+        for pattern in self._patterns:
+            known = {*self.chosen, *self.refused, *self._taken}
+            if not any(fnmatch.fnmatchcase(topic, pattern) for topic in known):
+                quiet.append(pattern)
+        return quiet
+
+    def describe(self, repeats: Mapping[str, int]) -> dict[str, dict[str, Any]]:
+        """What the manifest says of each topic besides its tables.
+
+        Args:
+            repeats: topic → messages that came twice over two connections.
+        """
+        found: dict[str, dict[str, Any]] = {}
+        for topic in [*self.chosen, *(p for p in self._patterns)]:
+            found[topic] = {"type": None, "messages": 0, "tables": [], "repeats": 0}
+            found[topic]["repeats"] = int(repeats.get(topic, 0))
+        for topic, why in self.refused.items():
+            found[topic] = {"type": None, "messages": 0, "tables": [], "not_recorded": why}
+        return found

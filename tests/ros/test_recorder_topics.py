@@ -1,0 +1,266 @@
+"""The recorder node with what it has not been made for: any topic, tags, two connections, faults."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from helpers.ros import RosGraph
+from helpers.surg import surg
+from surg_cli import master
+from surg_cli.processes import Supervisor
+
+rospy = pytest.importorskip("rospy")
+surg_msgs = pytest.importorskip("surg_msgs.msg")
+
+from geometry_msgs.msg import PoseStamped  # noqa: E402
+from sensor_msgs.msg import Image, JointState  # noqa: E402
+from std_msgs.msg import Bool, Int64, String  # noqa: E402
+
+from surg_recording import episode  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+
+class Bench:
+    """Publishers of an arm and of some topics that no recorder knows."""
+
+    def __init__(self, graph: RosGraph) -> None:
+        def pub(topic: str, kind: type) -> Any:
+            return rospy.Publisher(topic, kind, queue_size=0, tcp_nodelay=True)
+
+        self.graph = graph
+        self.cycle = pub("/PSM1/cycle", surg_msgs.Cycle)
+        self.joints = pub("/PSM1/measured_js", JointState)
+        self.number = pub("/counter", Int64)
+        self.pose = pub("/tool/pose", PoseStamped)
+        self.record = pub("/record/record", Bool)
+        self.tag = pub("/record/tag", String)
+        self.info = pub("/record/info", String)
+        self.publishers = [
+            *(self.cycle, self.joints, self.number, self.pose),
+            *(self.record, self.tag, self.info),
+        ]
+        self.recording: bool | None = None
+        self.status: dict[str, Any] = {}
+        self._subscribers = [
+            rospy.Subscriber("/record/recording", Bool, self._on_recording),
+            rospy.Subscriber("/record/status", String, self._on_status),
+        ]
+
+    def _on_recording(self, message: Any) -> None:
+        self.recording = message.data
+
+    def _on_status(self, message: Any) -> None:
+        self.status = json.loads(message.data)
+
+    def start(self, folder: Path, **params: Any) -> Any:
+        child = self.graph.node(
+            "surg_recording",
+            "recorder_node",
+            "/recorder",
+            {
+                "out": str(folder / "episode"),
+                "mode": "freerun",
+                "arms": ["PSM1"],
+                "autostart": False,
+                "min_free_bytes": 0,
+                "topics": ["/PSM1/measured_*", "/counter", "/tool/pose", "/never", "/nobody/*"],
+                **params,
+            },
+        )
+        self.graph.wait_for(
+            lambda: all(p.get_num_connections() > 0 for p in self.publishers), 20, "the recorder"
+        )
+        return child
+
+    def begin(self) -> None:
+        self.record.publish(True)
+        self.graph.wait_for(lambda: self.recording is True, 20, "recording")
+
+    def end(self) -> None:
+        self.record.publish(False)
+        self.graph.wait_for(lambda: self.recording is False, 20, "the stop")
+
+    def tick(self, k: int) -> None:
+        now = rospy.Time(*divmod(time.time_ns(), 10**9))
+        cycle = surg_msgs.Cycle(tick=k, state=1)
+        cycle.header.stamp = now
+        cycle.q = cycle.qd = cycle.qd_command = [k / 3.0] * 6
+        self.cycle.publish(cycle)
+        joints = JointState(name=["a", "b"], position=[k / 7.0, -k / 11.0])
+        joints.header.stamp = now
+        self.joints.publish(joints)
+        self.number.publish(2**62 + k)
+
+    def close(self) -> None:
+        for end in (*self.publishers, *self._subscribers):
+            end.unregister()
+
+
+@pytest.fixture
+def bench(rospy_node: str, ros_graph: RosGraph) -> Iterator[Bench]:
+    made = Bench(ros_graph)
+    yield made
+    made.close()
+
+
+def _until(condition: Callable[[], bool], what: str, timeout: float = 15.0) -> None:
+    deadline = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < deadline, f"waited {timeout} s for {what}"
+        time.sleep(0.01)
+
+
+def test_any_topic_tags_and_facts_are_recorded(bench: Bench, tmp_path: Path) -> None:
+    bench.start(tmp_path, run_info=json.dumps({"operator": "A", "task": "bgr"}))
+    bench.info.publish(json.dumps({"operator": "B", "setting": "ex_vivo"}))
+    bench.tag.publish("too early: nothing is recorded")
+    time.sleep(0.2)
+    bench.begin()
+    for k in range(1, 101):
+        bench.tick(k)
+        if k == 30:
+            bench.tag.publish('{"stage": "approach"}')
+        time.sleep(0.001)
+    bench.tag.publish("{broken")
+    bench.tag.publish("slipped")
+    bench.tag.publish('{"success": true}')
+    _until(lambda: bench.status.get("stage") == "approach", "the stage in the status")
+    assert set(bench.status["waiting_for"]) == {"/tool/pose", "/never", "/nobody/*"}
+    bench.end()
+    recorded = episode.read(tmp_path / "episode")
+    assert recorded.complete, recorded.manifest["reason"]
+    k = np.arange(1, 101)
+    assert np.array_equal(recorded.cycle("PSM1")["tick"], k)
+    (joints,) = recorded.topic("/PSM1/measured_js")
+    assert np.array_equal(joints["position_0"], k / 7.0)
+    assert np.array_equal(joints["stamp_ns"], recorded.cycle("PSM1")["stamp_ns"])
+    (numbers,) = recorded.topic("/counter")
+    assert numbers["data"].tolist() == [2**62 + int(i) for i in k]
+    assert set(numbers["source"]) == {rospy.get_name()}
+    manifest = recorded.manifest
+    assert [s["name"] for s in recorded.stages] == ["approach"]
+    assert recorded.stages[0]["end_ns"] > recorded.stages[0]["begin_ns"] > 10**18
+    assert [t["text"] for t in recorded.tags] == ["slipped"]
+    assert manifest["result"] == {"success": True, "reason": "", "by": rospy.get_name()}
+    assert (manifest["operator"], manifest["setting"]) == ("B", "ex_vivo")
+    assert manifest["task"] == "bgr"
+    assert manifest["parameters"]["recorder"]["mode"] == "freerun"
+    silent = [text.partition(":")[0] for text in recorded.warnings]
+    assert silent == ["/tool/pose", "/never", "/nobody/*"]
+    assert manifest["topics"]["/never"]["messages"] == 0
+    assert manifest["topics"]["/counter"]["type"] == "std_msgs/Int64"
+
+
+def test_a_second_connection_doubles_no_row(bench: Bench, tmp_path: Path) -> None:
+    child = bench.start(tmp_path)
+    bench.begin()
+    for k in range(1, 51):
+        bench.tick(k)
+    # The master tells the recorder of the same publishers under another name of this machine.
+    uri = _own_uri()
+    other = uri.replace("localhost", "127.0.0.1")
+    assert other != uri
+    node = master.call(bench.graph.uri, "lookupNode", "/recorder")
+    for publisher in (bench.cycle, bench.joints, bench.number):
+        before = publisher.get_num_connections()
+        master.call(node, "publisherUpdate", publisher.resolved_name, [uri, other])
+        _until(lambda p=publisher, n=before: p.get_num_connections() == n + 1, "a connection more")
+    for k in range(51, 151):
+        bench.tick(k)
+        time.sleep(0.001)
+    bench.end()
+    assert child.exit_code is None
+    recorded = episode.read(tmp_path / "episode")
+    assert recorded.complete, recorded.manifest["reason"]
+    assert sorted(recorded.cycle("PSM1")["tick"]) == list(range(1, 151))
+    for topic in ("/PSM1/measured_js", "/counter"):
+        (table,) = recorded.topic(topic)
+        assert len(table) == 150
+        assert recorded.manifest["topics"][topic]["repeats"] == 100
+
+
+def _own_uri() -> str:
+    import rosgraph
+
+    return str(rosgraph.Master("/test").lookupNode(rospy.get_name()))
+
+
+def test_start_stop_and_tag_by_script(bench: Bench, tmp_path: Path) -> None:
+    bench.start(tmp_path)
+    port = bench.graph.uri.rpartition(":")[2].strip("/")
+    done = surg("record", "start", "--port", port, "--operator", "C", "--seed", "7")
+    assert done.returncode == 0, done.stderr
+    assert "recording" in done.stdout and bench.recording is True
+    for k in range(1, 21):
+        bench.tick(k)
+    assert surg("record", "start", "--port", port).returncode == 1
+    assert surg("record", "stage", "cut", "--port", port).returncode == 0
+    done = surg("record", "status", "--port", port)
+    assert "cycle_PSM1: 20 rows" in done.stdout
+    assert "nothing yet on /tool/pose" in done.stdout
+    done = surg("record", "stop", "--failure", "dropped it", "--port", port)
+    assert done.returncode == 0, done.stderr
+    assert "/never: nothing was received" in done.stderr
+    recorded = episode.read(done.stdout.strip().splitlines()[-1])
+    assert (recorded.manifest["operator"], recorded.manifest["seed"]) == ("C", "7")
+    assert recorded.manifest["result"]["reason"] == "dropped it"
+    assert [s["name"] for s in recorded.stages] == ["cut"]
+    done = surg("record", "tag", "late", "--port", port)
+    assert done.returncode == 1 and "nothing is being recorded" in done.stderr
+
+
+def test_f07_a_master_that_hangs_ends_no_recording(
+    bench: Bench, tmp_path: Path, ros_session: Supervisor
+) -> None:
+    bench.start(tmp_path)
+    (running,) = [c for c in ros_session.children if "master" in c.name]
+    bench.begin()
+    os.kill(running.process.pid, signal.SIGSTOP)
+    try:
+        for k in range(1, 1001):
+            bench.tick(k)
+            time.sleep(0.003)
+        bench.end()
+    finally:
+        os.kill(running.process.pid, signal.SIGCONT)
+    recorded = episode.read(tmp_path / "episode")
+    assert recorded.complete, recorded.manifest["reason"]
+    assert recorded.cycle("PSM1")["tick"].tolist() == list(range(1, 1001))
+
+
+def test_f08_f09_a_stalled_camera_and_stamps_of_the_future_are_said(
+    bench: Bench, tmp_path: Path
+) -> None:
+    camera = rospy.Publisher("/endoscope/left/image_raw", Image, queue_size=0)
+    bench.publishers.append(camera)
+    bench.start(tmp_path, cameras=["endoscope_left"])
+    bench.begin()
+
+    def send(ahead_ns: int = 0) -> None:
+        picture = Image(width=64, height=48, step=192, encoding="rgb8", data=bytes(192 * 48))
+        picture.header.stamp = rospy.Time(*divmod(time.time_ns() + ahead_ns, 10**9))
+        camera.publish(picture)
+
+    for k in range(1, 21):
+        bench.tick(k)
+        send()
+        time.sleep(0.05)
+    _until(lambda: bench.status.get("silent_cameras") == ["endoscope_left"], "the stall")
+    send(200_000_000)
+    _until(lambda: bench.status.get("silent_cameras") == [], "the camera's return")
+    bench.end()
+    recorded = episode.read(tmp_path / "episode")
+    events = list(recorded.table("events")["topic"])
+    assert "camera_stall" in events and "camera_back" in events
+    assert recorded.manifest["future_stamps"] == {"endoscope_left": 1}
+    assert len(recorded.video("endoscope_left").frames) == 21

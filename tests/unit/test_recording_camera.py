@@ -1,0 +1,155 @@
+"""Cameras that misbehave and encoders that die: counted, said, and the rest goes on."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers import recording_synthetic as synthetic
+from surg_recording import episode, video_file
+from surg_recording.camera_sink import MAX_PARTS
+from surg_recording.recording import Recording
+
+PERIOD_NS = 50_000_000
+
+
+def start(folder: Path, mode: str = "freerun") -> Recording:
+    return Recording(folder, mode=mode, arms=[], cameras=["cam"], manifest={}, min_free_bytes=0)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def numbers(recorded: episode.Episode) -> list[int]:
+    """Numbers of all frames of all parts, as the sidecars and the pictures say."""
+    found: list[int] = []
+    for video in recorded.parts("cam"):
+        stamps = video.frames["stamp_ns"] // PERIOD_NS
+        images = video_file.grab(video.path, list(range(len(stamps))))
+        assert len(images) == len(stamps)
+        for number, image in zip(stamps, images, strict=True):
+            assert abs(float(image.mean()) - number * 7 % 256) < 4
+        found += stamps.tolist()
+    return found
+
+
+def test_a_camera_that_changes_its_size_goes_on_in_a_further_part(tmp_path: Path) -> None:
+    recording = start(tmp_path / "e")
+    for k in range(1, 31):
+        width, height = (96, 64) if not 11 <= k <= 20 else (64, 48)
+        recording.image("cam", synthetic.image(k * PERIOD_NS, k, width, height), k)
+    recorded = episode.read(recording.close({}))
+    assert numbers(recorded) == list(range(1, 31)), "no frame is lost"
+    assert recorded.cameras == ["cam"]
+    assert [video.name for video in recorded.parts("cam")] == ["cam", "cam.2", "cam.3"]
+    assert not recorded.complete
+    assert "its size changed from 96x64 to 64x48: goes on in cam.2" in recorded.manifest["reason"]
+    stream = recorded.manifest["camera_streams"]["cam"]
+    assert (stream["parts"], stream["size"]) == (3, "96x64")
+
+
+def test_a_camera_that_never_settles_is_given_up_and_counted(tmp_path: Path) -> None:
+    recording = start(tmp_path / "e")
+    for k in range(1, 41):
+        recording.image("cam", synthetic.image(k * PERIOD_NS, k, 96 - 32 * (k % 2), 64), k)
+    recorded = episode.read(recording.close({}))
+    assert len(recorded.parts("cam")) == MAX_PARTS
+    kept = numbers(recorded)
+    assert kept[:MAX_PARTS] == list(range(1, MAX_PARTS + 1))
+    assert len(kept) + recorded.manifest["videos"]["cam"]["dropped"] == 40
+    assert f"{MAX_PARTS} parts are enough" in recorded.manifest["reason"]
+
+
+@pytest.mark.parametrize("mode", ["freerun", "lockstep"])
+def test_f13_a_killed_encoder_costs_half_a_second_and_the_camera_goes_on(
+    tmp_path: Path, mode: str, full: bool
+) -> None:
+    rng = np.random.default_rng(5)
+    recording = start(tmp_path / "e", mode)
+    kills = 5 if full else 2
+    k = 0
+    for _ in range(kills):
+        for _ in range(int(rng.integers(25, 45))):
+            k += 1
+            recording.image("cam", synthetic.image(k * PERIOD_NS, k), k)
+            time.sleep(0.004)
+        os.kill(recording.encoder_pids()["cam"], signal.SIGKILL)
+        until(lambda: recording._videos["cam"]._part.error is not None)
+        k += 1
+        recording.image("cam", synthetic.image(k * PERIOD_NS, k), k)  # starts the next encoder
+        until(lambda: recording.status()["backlog"]["frames"] == 0)
+    for _ in range(25):
+        k += 1
+        recording.image("cam", synthetic.image(k * PERIOD_NS, k), k)
+        time.sleep(0.004)
+    recorded = episode.read(recording.close({}))
+    found = numbers(recorded)
+    lost = sorted(set(range(1, k + 1)) - set(found))
+    assert found == sorted(set(found)) and found[0] == 1 and found[-1] == k
+    assert len(recorded.parts("cam")) == kills + 1
+    gaps = np.diff(found)
+    worst = float((gaps.max() - 1) * PERIOD_NS * 1e-9)
+    print(f"{kills} kills: {len(lost)} of {k} frames lost, at most {worst:.2f} s in a row")
+    assert worst <= 0.5
+    assert "the encoder failed" in recorded.manifest["reason"]
+    said = sum(int(video.frames["dropped"].sum()) for video in recorded.parts("cam"))
+    assert said == len(lost), "each lost frame is counted where it is missing"
+    assert recorded.manifest["videos"]["cam"]["dropped"] == len(lost)
+
+
+def test_f08_a_camera_that_stalls_is_said_and_may_come_back(tmp_path: Path) -> None:
+    recording = start(tmp_path / "e")
+    for k in range(1, 11):
+        recording.image("cam", synthetic.image(k * PERIOD_NS, k), k * PERIOD_NS)
+    heard = time.monotonic()
+    recording.watch_cameras(heard + 0.10, 1)
+    assert recording.silent_cameras == []
+    recording.watch_cameras(heard + 0.2, 2)  # more than 3 periods of 50 ms
+    assert recording.silent_cameras == ["cam"]
+    recording.watch_cameras(heard + 0.3, 3)
+    recording.image("cam", synthetic.image(11 * PERIOD_NS, 11), 11 * PERIOD_NS)
+    recording.watch_cameras(time.monotonic(), 4)
+    assert recording.silent_cameras == []
+    recorded = episode.read(recording.close({}))
+    events = recorded.table("events")
+    assert list(events["topic"]) == ["camera_stall", "camera_back"]
+    assert recorded.warnings == ["cam: fell silent for more than 0.15 s"]
+    assert recorded.complete, "what was sent is there"
+
+
+def test_a_frozen_picture_is_counted(tmp_path: Path) -> None:
+    recording = start(tmp_path / "e")
+    for k in range(1, 11):
+        recording.image("cam", synthetic.image(k * PERIOD_NS, min(k, 5)), k)
+    recorded = episode.read(recording.close({}))
+    assert recorded.manifest["camera_streams"]["cam"]["repeated"] == 5
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixel"),
+    [("rgba8", (90, 90, 90, 255)), ("bgra8", (90, 90, 90, 7)), ("8UC3", (90, 90, 90)),
+     ("8UC1", (90,)), ("yuv422_yuy2", (93, 128))],
+)  # fmt: skip
+def test_more_encodings_of_ros_images(
+    tmp_path: Path, encoding: str, pixel: tuple[int, ...]
+) -> None:
+    recording = start(tmp_path / "e")
+    for k in range(1, 4):
+        image = synthetic.image(k * PERIOD_NS, k)
+        image.encoding, image.step = encoding, 96 * len(pixel)
+        image.data = bytes(pixel) * (96 * 64)
+        recording.image("cam", image, k)
+    recorded = episode.read(recording.close({}))
+    assert recorded.complete, recorded.manifest["reason"]
+    (picture,) = video_file.grab(recorded.video("cam").path, [2])
+    assert abs(float(picture.mean()) - 90) < 4

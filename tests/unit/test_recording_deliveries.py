@@ -1,0 +1,54 @@
+"""A second connection to one publisher doubles nothing and loses nothing."""
+
+from __future__ import annotations
+
+import random
+
+import pytest
+
+from surg_recording.deliveries import WINDOW_S, Deliveries
+
+
+def interleave(rng: random.Random, lanes: list[list[int]]) -> list[tuple[int, int]]:
+    """The lanes' messages as (lane, message), each lane in its own order."""
+    left = [list(lane) for lane in lanes]
+    order = []
+    while any(left):
+        lane = rng.choice([i for i, lane in enumerate(left) if lane])
+        order.append((lane, left[lane].pop(0)))
+    return order
+
+
+@pytest.mark.parametrize("headers", [True, False])
+def test_every_message_is_kept_once_however_the_connections_interleave(
+    rng: random.Random, headers: bool, full: bool
+) -> None:
+    families = 3000 if full else 300
+    for _ in range(families):
+        # Without a header only the content tells messages apart, and content repeats.
+        sent = list(range(40)) if headers else [rng.randrange(3) for _ in range(40)]
+        # A connection begins late and may end early; one of them is always there.
+        lanes = [sent]
+        for _ in range(rng.randrange(1, 3)):
+            first = rng.randrange(40)
+            lanes.append(sent[first : rng.randrange(first, 41)] if headers else sent[first:])
+        deliveries = Deliveries()
+        order = interleave(rng, lanes)
+        kept = [m for n, (c, m) in enumerate(order) if not deliveries.repeated(c, m, n * 1e-3)]
+        assert sorted(kept) == sorted(sent)
+        assert deliveries.repeats == sum(map(len, lanes)) - len(sent)
+    print(f"{families} interleavings")
+
+
+def test_one_connection_may_say_the_same_again() -> None:
+    deliveries = Deliveries()
+    assert not any(deliveries.repeated(1, "hold", t) for t in range(10))
+
+
+def test_what_comes_much_later_is_news_and_memory_is_bounded() -> None:
+    deliveries = Deliveries()
+    for k in range(20_000):
+        assert not deliveries.repeated(1, k, k * 2e-3)
+    assert len(deliveries._recent) == len(deliveries._by_key) <= WINDOW_S / 2e-3 + 1
+    assert deliveries.repeated(2, 19_999, 40.0)
+    assert not deliveries.repeated(2, 0, 40.0)

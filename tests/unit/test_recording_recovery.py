@@ -1,0 +1,170 @@
+"""Recovery: whatever a kill or a power cut leaves, what is finished is whole and true."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import random
+import shutil
+from pathlib import Path
+
+import pytest
+
+from helpers import recording_synthetic as synthetic
+from surg_recording import episode, finishing, mp4_boxes, recovery, video_file
+from surg_recording.episode_writer import LOCK, EpisodeWriter
+from surg_recording.errors import EpisodeError
+from surg_recording.video_sink import VideoSink
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished video of 60 frames at 20 fps with its sidecar."""
+    folder = tmp_path_factory.mktemp("video")
+    sink = VideoSink(folder, "cam", block=True)
+    for k in range(60):
+        image = synthetic.image(k * 50_000_000 + 1, k)
+        sink.put(
+            image.data,
+            width=image.width,
+            height=image.height,
+            step=image.step,
+            encoding=image.encoding,
+            stamp_ns=k * 50_000_000 + 1,
+            receive_ns=k,
+        )
+    sink.close()
+    assert sink.error is None
+    return folder
+
+
+def test_boxes_tell_what_a_decoder_finds(video: Path) -> None:
+    found = mp4_boxes.fragments(video / "cam.mp4")
+    assert sum(fragment.frames for fragment in found) == 60
+    assert max(fragment.frames for fragment in found) <= 5, "0.2 s and a frame at most"
+    assert mp4_boxes.is_closed(video / "cam.mp4")
+
+
+def test_a_video_cut_anywhere_is_mended_to_its_last_whole_fragment(
+    video: Path, tmp_path: Path, rng: random.Random, full: bool
+) -> None:
+    whole, lines = (video / "cam.mp4").read_bytes(), (video / "cam.csv").read_text()
+    ends = mp4_boxes.fragments(video / "cam.mp4")
+    cuts = 400 if full else 60
+    path, sidecar = tmp_path / "cam.mp4", tmp_path / "cam.csv"
+    for number in range(cuts):
+        size = rng.randrange(len(whole) + 1)
+        zeros = bytes(rng.randrange(5000)) if number % 3 == 0 else b""  # a power cut
+        path.write_bytes(whole[:size] + zeros)
+        sidecar.write_text(lines[: rng.randrange(len(lines))] if number % 2 else lines)
+        stamps = max(0, sidecar.read_text().count("\n") - 1)
+        in_file = sum(f.frames for f in ends if f.end <= size)
+        kept = video_file.mend(path, sidecar)
+        side = episode.read_table(sidecar)
+        assert kept == len(side) <= min(in_file, stamps)
+        assert kept > min(in_file, stamps) - 5, "no more than one fragment goes with the cut"
+        if kept:
+            assert video_file.presentation_times(path) == side["pts"].tolist()
+            assert len(video_file.grab(path, list(range(kept)))) == kept
+        assert video_file.mend(path, sidecar) == kept, "mending again changes nothing"
+    print(f"{cuts} cuts")
+
+
+def test_a_table_cut_or_zeroed_anywhere_keeps_its_whole_lines(
+    tmp_path: Path, rng: random.Random
+) -> None:
+    text = "stamp_ns,x,text\n" + "".join(f'{k},{k / 7!r},"a, {k}"\n' for k in range(50))
+    data = text.encode()
+    path = tmp_path / "t.csv"
+    for number in range(200):
+        size = rng.randrange(16, len(data) + 1)
+        path.write_bytes(data[:size] + bytes(rng.randrange(9000)) * (number % 2))
+        finishing.cut_broken_end(path)
+        table = episode.read_table(path)
+        assert len(table) == data[:size].count(b"\n") - 1
+        assert table["stamp_ns"].tolist() == list(range(len(table)))
+
+
+def unfinished(folder: Path, video: Path) -> Path:
+    """A killed recording of one arm and one camera."""
+    writer = EpisodeWriter(folder, {"arms": ["PSM1"], "run": {"operator": "A"}}, 0)
+    os.close(writer.lock)
+    text = "stamp_ns,receive_ns,tick\n" + "".join(f"{k},{k},{k}\n" for k in range(1, 40))
+    (writer.folder / "cycle_PSM1.csv").write_text(text + "40,4")
+    for name in ("cam.mp4", "cam.csv"):
+        shutil.copy(video / name, writer.folder / name)
+    with open(writer.folder / "cam.mp4", "rb+") as file:
+        file.truncate(mp4_boxes.fragments(video / "cam.mp4")[5].end + 100)
+    (writer.folder / "manifest.json.tmp").write_text("{")
+    (writer.folder / "empty.csv").write_text("")
+    return writer.folder
+
+
+def test_what_is_recovered_says_so_and_keeps_what_it_was_told(tmp_path: Path, video: Path) -> None:
+    folder = unfinished(tmp_path / "e", video)
+    final = recovery.recover_one(folder)
+    assert final == tmp_path / "e" and not folder.exists()
+    recorded = episode.read(final)
+    assert recorded.manifest["run"] == {"operator": "A"}
+    assert recorded.manifest["outcome"] == "incomplete"
+    assert "killed" in recorded.manifest["reason"] and recorded.manifest["recovered"]
+    assert len(recorded.cycle("PSM1")) == 39
+    frames = sum(f.frames for f in mp4_boxes.fragments(video / "cam.mp4")[:6])
+    assert len(recorded.video("cam").frames) == frames
+    names = sorted(path.name for path in final.iterdir())
+    assert names == ["cam.csv", "cam.mp4", "cycle_PSM1.csv", "manifest.json"]
+
+
+def test_a_recovery_that_is_killed_can_be_repeated(tmp_path: Path, video: Path) -> None:
+    folder = unfinished(tmp_path / "e", video)
+    finishing.complete(folder, {"format": episode.FORMAT}, {}, "first try")
+    assert folder.name.endswith(".partial")
+    recorded = episode.read(recovery.recover_one(folder))
+    assert len(recorded.cycle("PSM1")) == 39
+
+
+def test_a_manifest_that_is_gone_costs_the_facts_only(tmp_path: Path, video: Path) -> None:
+    folder = unfinished(tmp_path / "e", video)
+    (folder / "manifest.json").write_text('{"format": "surg_ep')
+    recorded = episode.read(recovery.recover_one(folder))
+    assert recorded.arms == ["PSM1"] and len(recorded.cycle("PSM1")) == 39
+
+
+def test_a_hand_edited_table_and_a_missing_sidecar_are_named(tmp_path: Path, video: Path) -> None:
+    folder = unfinished(tmp_path / "e", video)
+    (folder / "cam.csv").unlink()
+    (folder / "events.csv").write_text("stamp_ns,receive_ns,topic,source,text\nnow,then,/x,,y\n")
+    recorded = episode.read(recovery.recover_one(folder))
+    assert "cam.mp4: its sidecar is missing" in recorded.manifest["reason"]
+    assert "events: a line's stamp is no integer" in recorded.manifest["reason"]
+    assert (recorded.folder / "cam.mp4").exists(), "nothing recorded is thrown away"
+    assert recorded.cameras == []
+
+
+def test_folders_that_must_be_left_alone(tmp_path: Path, video: Path) -> None:
+    held = unfinished(tmp_path / "held", video)
+    lock = os.open(held / LOCK, os.O_RDWR)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    taken = unfinished(tmp_path / "taken", video)
+    (tmp_path / "taken").mkdir()
+    told: list[str] = []
+    assert recovery.recover(tmp_path, on_problem=told.append) == []
+    assert [text.partition(": ")[2] for text in told] == [
+        "taken is there already; move one of them away"
+    ]
+    with pytest.raises(recovery.HeldError, match="is being recorded now"):
+        recovery.recover_one(held)
+    os.close(lock)
+    with pytest.raises(EpisodeError, match="no unfinished recording"):
+        recovery.recover_one(tmp_path)
+    assert taken.exists() and held.exists()
+
+
+def test_a_start_that_fails_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(EpisodeError, match="No space left"):
+        EpisodeWriter(tmp_path / "e", {}, 0)
+    assert list(tmp_path.iterdir()) == []
