@@ -166,10 +166,17 @@ def _clock(episode: Episode) -> dict[str, Any]:
     }
     if episode.manifest.get("mode") == "lockstep":
         return {**result, "reasons": ["lock-step: all stamps are the simulator's ticks"]}
+    steps = [s for s in episode.manifest.get("segments") or [] if isinstance(s, dict)]
+    stepped = [
+        f"the wall clock was set by {s.get('step_ns', 0) * 1e-9:+.3f} s while it was recorded"
+        for s in steps
+    ]
     several = result["machines"] > 1
     if CLOCK_TABLE not in episode.tables:
         if several:
-            return _clock_failed(result, "two machines, but no clock was monitored")
+            stepped.append("two machines, but no clock was monitored")
+        if stepped:
+            return _clock_failed(result, *stepped)
         return {**result, "reasons": ["one machine, one clock"]}
     try:
         table = episode.table(CLOCK_TABLE)
@@ -188,7 +195,7 @@ def _clock(episode: Episode) -> dict[str, Any]:
         result["offset_median_s"] = float(np.median(offset))
     if np.any(np.isfinite(delay)):
         result["path_delay_s"] = float(np.nanmedian(delay))
-    faults = _clock_faults(table, several)
+    faults = [*stepped, *_clock_faults(table, several)]
     if several and not np.any(followers):
         faults.append(
             "two machines, but only the master's clock was monitored: run the monitor on the other"
@@ -434,6 +441,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Examine the synchronisation of episodes; write sync.json and mark manifests.",
     )
     parser.add_argument("episodes", nargs="+", type=Path, metavar="EPISODE")
+    parser.add_argument("--quiet", action="store_true", help="print problems only")
     given = parser.parse_args(arguments)
     code = 0
     for folder in given.episodes:
@@ -443,9 +451,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"sync_report: {problem}", file=sys.stderr)
             code = 2
             continue
-        print(f"{folder}: {result['verdict']}")
-        for reason in result["reasons"]:
-            print(f"  {reason}")
+        if not given.quiet:
+            print("\n  ".join([f"{folder}: {result['verdict']}", *result["reasons"]]))
         if result["verdict"] == FAIL and code == 0:
             code = 1
     return code
