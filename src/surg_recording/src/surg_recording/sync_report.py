@@ -27,8 +27,8 @@ import numpy.typing as npt
 from surg_recording import clock_sync, image_motion, video_lag
 from surg_recording import episode as episodes
 from surg_recording.episode import MANIFEST, Episode, Table
-from surg_recording.episode_writer import clean_json, write_json
 from surg_recording.errors import EpisodeError
+from surg_recording.finishing import clean_json, write_json
 from surg_recording.video_lag import CANNOT_TELL, FAIL, PASS
 
 FILE = "sync.json"
@@ -314,7 +314,7 @@ def _skew(streams: Sequence[_Stream], wall_clock: bool) -> dict[str, Any]:
                 )
         levels[stream.name] = entry
     skews = [entry["skew_s"] for entry in levels.values() if entry["skew_s"]]
-    worst = {key: max(skew[key] for skew in skews) for key in ("p50", "p95", "max")}
+    worst = {key: max((skew[key] for skew in skews), default=0.0) for key in _LEVELS}
     return {
         "verdict": verdict,
         "reasons": reasons,
@@ -336,6 +336,9 @@ def nearest_ns(stamps: Stamps, reference: Stamps) -> Stamps:
     above = ordered[np.minimum(after, len(ordered) - 1)]
     below = ordered[np.maximum(after - 1, 0)]
     return np.minimum(np.abs(above - stamps), np.abs(stamps - below))
+
+
+_LEVELS = ("p50", "p95", "max")
 
 
 def _levels(values: npt.NDArray[np.float64]) -> dict[str, float]:
