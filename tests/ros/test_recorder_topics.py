@@ -1,4 +1,4 @@
-"""The recorder node with what it has not been made for: any topic, tags, two connections, faults."""
+"""The recorder node beyond an arm: any topic, tags, scripts, two connections, faults."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import pytest
 
 from helpers.ros import RosGraph
 from helpers.surg import surg
+from helpers.twin_publisher import TwinPublisher
 from surg_cli import master
 from surg_cli.processes import Supervisor
 
@@ -90,7 +91,7 @@ class Bench:
         self.record.publish(False)
         self.graph.wait_for(lambda: self.recording is False, 20, "the stop")
 
-    def tick(self, k: int) -> None:
+    def tick(self, k: int) -> tuple[Any, Any]:
         now = rospy.Time(*divmod(time.time_ns(), 10**9))
         cycle = surg_msgs.Cycle(tick=k, state=1)
         cycle.header.stamp = now
@@ -99,7 +100,9 @@ class Bench:
         joints = JointState(name=["a", "b"], position=[k / 7.0, -k / 11.0])
         joints.header.stamp = now
         self.joints.publish(joints)
-        self.number.publish(2**62 + k)
+        number = Int64(2**62 + k)
+        self.number.publish(number)
+        return cycle, number
 
     def close(self) -> None:
         for end in (*self.publishers, *self._subscribers):
@@ -162,31 +165,37 @@ def test_any_topic_tags_and_facts_are_recorded(bench: Bench, tmp_path: Path) -> 
 
 
 def test_a_second_connection_doubles_no_row(bench: Bench, tmp_path: Path) -> None:
-    child = bench.start(tmp_path)
+    bench.start(tmp_path)
     bench.begin()
     for k in range(1, 51):
         bench.tick(k)
-    # The master tells the recorder of the same publishers under another name of this machine.
     uri = _own_uri()
-    other = uri.replace("localhost", "127.0.0.1")
-    assert other != uri
     node = master.call(bench.graph.uri, "lookupNode", "/recorder")
-    for publisher in (bench.cycle, bench.joints, bench.number):
-        before = publisher.get_num_connections()
-        master.call(node, "publisherUpdate", publisher.resolved_name, [uri, other])
-        _until(lambda p=publisher, n=before: p.get_num_connections() == n + 1, "a connection more")
-    for k in range(51, 151):
-        bench.tick(k)
-        time.sleep(0.001)
-    bench.end()
-    assert child.exit_code is None
+    twins = {
+        "/PSM1/cycle": TwinPublisher(rospy.get_name(), "/PSM1/cycle", "surg_msgs/Cycle"),
+        "/counter": TwinPublisher(rospy.get_name(), "/counter", "std_msgs/Int64"),
+    }
+    try:
+        for topic, twin in twins.items():
+            master.call(node, "publisherUpdate", topic, [uri, twin.uri])
+            _until(lambda t=twin: t.listener is not None, f"a second connection of {topic}")
+        for k in range(51, 151):
+            cycle, number = bench.tick(k)
+            twins["/PSM1/cycle"].send(cycle)
+            twins["/counter"].send(number)
+            time.sleep(0.001)
+        time.sleep(0.2)
+        bench.end()
+    finally:
+        for twin in twins.values():
+            twin.close()
     recorded = episode.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
     assert sorted(recorded.cycle("PSM1")["tick"]) == list(range(1, 151))
-    for topic in ("/PSM1/measured_js", "/counter"):
-        (table,) = recorded.topic(topic)
-        assert len(table) == 150
-        assert recorded.manifest["topics"][topic]["repeats"] == 100
+    (table,) = recorded.topic("/counter")
+    assert sorted(table["data"]) == [2**62 + k for k in range(1, 151)]
+    assert recorded.manifest["repeats"] == {"/PSM1/cycle": 100, "/counter": 100}
+    assert recorded.manifest["topics"]["/counter"]["repeats"] == 100
 
 
 def _own_uri() -> str:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from helpers import recording_synthetic as synthetic
+from helpers.recording_results import note
 from surg_recording import episode, video_file
 from surg_recording.camera_sink import MAX_PARTS
 from surg_recording.recording import Recording
@@ -76,7 +77,7 @@ def test_f13_a_killed_encoder_costs_half_a_second_and_the_camera_goes_on(
 ) -> None:
     rng = np.random.default_rng(5)
     recording = start(tmp_path / "e", mode)
-    kills = 5 if full else 2
+    kills = 7 if full else 2  # more parts than eight are not made
     k = 0
     for _ in range(kills):
         for _ in range(int(rng.integers(25, 45))):
@@ -99,7 +100,8 @@ def test_f13_a_killed_encoder_costs_half_a_second_and_the_camera_goes_on(
     assert len(recorded.parts("cam")) == kills + 1
     gaps = np.diff(found)
     worst = float((gaps.max() - 1) * PERIOD_NS * 1e-9)
-    print(f"{kills} kills: {len(lost)} of {k} frames lost, at most {worst:.2f} s in a row")
+    result = f"{len(lost)} of {k} frames lost, at most {worst:.2f} s in a row (≤ 0.5), all counted"
+    note(f"kill -9 of the encoder, recorder lives, {mode}", kills, result)
     assert worst <= 0.5
     assert "the encoder failed" in recorded.manifest["reason"]
     said = sum(int(video.frames["dropped"].sum()) for video in recorded.parts("cam"))

@@ -6,6 +6,7 @@ import random
 
 import pytest
 
+from helpers.recording_results import note
 from surg_recording.deliveries import WINDOW_S, Deliveries
 
 
@@ -37,7 +38,8 @@ def test_every_message_is_kept_once_however_the_connections_interleave(
         kept = [m for n, (c, m) in enumerate(order) if not deliveries.repeated(c, m, n * 1e-3)]
         assert sorted(kept) == sorted(sent)
         assert deliveries.repeats == sum(map(len, lanes)) - len(sent)
-    print(f"{families} interleavings")
+    how = "with" if headers else "without"
+    note(f"two connections, {how} headers", families, "each message kept once")
 
 
 def test_one_connection_may_say_the_same_again() -> None:

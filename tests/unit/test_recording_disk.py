@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from helpers import recording_synthetic as synthetic
+from helpers.recording_results import note
 from surg_recording import episode
 from surg_recording.csv_sink import CsvWriter
 from surg_recording.errors import EpisodeError
@@ -60,7 +61,8 @@ def test_f12_a_disk_that_fills_up_ends_the_recording_cleanly(small_disk: Path) -
     begun = time.monotonic()
     folder = recording.close({"stopped_ns": 1})
     took = time.monotonic() - begun
-    print(f"full after {tick} ticks; longest call {longest * 1e3:.1f} ms, closed in {took:.2f} s")
+    result = f"longest call {longest * 1e3:.1f} ms; closed {took:.2f} s after the disk was full"
+    note("disk of 6 MB", tick, result)
     assert sorted(path.name for path in small_disk.iterdir()) == ["e"], "no partial folder is left"
     recorded = episode.read(folder)
     assert not recorded.complete
@@ -128,7 +130,8 @@ def test_f14_a_slow_disk_drops_rows_counts_them_and_blocks_nobody(
     reader.join(10.0)
     os.close(slow_end)
     rows = [int(line.split(b",")[0]) for line in bytes(taken).splitlines()]
-    print(f"{len(rows)} of 20000 rows written, {table.dropped} dropped, {spent:.2f} s of CPU")
+    result = f"{len(rows)} rows written in order, {table.dropped} dropped and counted"
+    note("disk of 40 kB/s", 20_000, result)
     assert rows == kept, "what was taken is written, in order"
     assert table.dropped == 20_000 - len(kept) > 0
     assert spent < 2.0

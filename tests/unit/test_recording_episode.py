@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from helpers import recording_synthetic as synthetic
+from helpers.recording_results import note
 from surg_recording import columns, episode, finishing, provenance
 from surg_recording.episode_writer import EpisodeWriter
 from surg_recording.errors import EpisodeError
@@ -231,7 +232,7 @@ while True:
 
 def test_a_killed_recorder_is_mended_at_the_next_start(tmp_path: Path, full: bool) -> None:
     rng = np.random.default_rng(3)
-    kills = 20 if full else 2
+    kills, rows_ms, video_s = (20 if full else 2), 0.0, 0.0
     for kill in range(kills):
         folder = tmp_path / f"e{kill}"
         path = [*sys.path, str(Path(__file__).parents[1])]
@@ -256,11 +257,14 @@ def test_a_killed_recorder_is_mended_at_the_next_start(tmp_path: Path, full: boo
         assert recorded.manifest["run"] == {"robot": "ur5e"}
         cycle = recorded.cycle("PSM1")
         assert np.array_equal(cycle["tick"], np.arange(1, len(cycle) + 1))
-        assert (killed - int(cycle["receive_ns"][-1])) * 1e-6 <= 50.0
+        rows_ms = max(rows_ms, (killed - int(cycle["receive_ns"][-1])) * 1e-6)
         side = recorded.video("cam").frames
-        assert (killed - int(side["receive_ns"][-1])) * 1e-9 <= 0.5
+        video_s = max(video_s, (killed - int(side["receive_ns"][-1])) * 1e-9)
+        assert rows_ms <= 50.0
+        assert video_s <= 0.5
         assert not list(folder.glob(".*")) and not list(folder.glob("*.tmp"))
-    print(f"{kills} kills")
+    result = f"≤ {rows_ms:.1f} ms of rows, ≤ {video_s:.3f} s of video lost"
+    note("kill -9 of the recorder: whole episode recovered", kills, result)
 
 
 def test_recover_mends_only_the_named_episode(tmp_path: Path) -> None:

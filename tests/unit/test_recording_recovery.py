@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from helpers import recording_synthetic as synthetic
+from helpers.recording_results import note
 from surg_recording import episode, finishing, mp4_boxes, recovery, video_file
 from surg_recording.episode_writer import LOCK, EpisodeWriter
 from surg_recording.errors import EpisodeError
@@ -67,7 +68,7 @@ def test_a_video_cut_anywhere_is_mended_to_its_last_whole_fragment(
             assert video_file.presentation_times(path) == side["pts"].tolist()
             assert len(video_file.grab(path, list(range(kept)))) == kept
         assert video_file.mend(path, sidecar) == kept, "mending again changes nothing"
-    print(f"{cuts} cuts")
+    note("video cut at a random byte", cuts, "every whole fragment with a stamp kept, all readable")
 
 
 def test_a_table_cut_or_zeroed_anywhere_keeps_its_whole_lines(

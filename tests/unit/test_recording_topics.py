@@ -68,10 +68,23 @@ def test_every_kind_of_field_has_its_name_and_its_value() -> None:
     q = flat.values.pop("q_2")
     assert math.isnan(q)
     assert flat.values == {
-        "header.seq": 7, "header.frame_id": "world", "pose.x": 0.1, "pose.ok": 1,
-        "poses.length": 2, "poses_0.x": 0.1, "poses_0.ok": 1, "poses_1.x": 0.1, "poses_1.ok": 1,
-        "q_0": 1.0, "q_1": 2.0, "big": 2**63 - 1, "raw.length": 2, "raw": "00ff",
-        "text": 'a,"b"', "wait_ns": -1, "source_": "mine",
+        "header.seq": 7,
+        "header.frame_id": "world",
+        "pose.x": 0.1,
+        "pose.ok": 1,
+        "poses.length": 2,
+        "poses_0.x": 0.1,
+        "poses_0.ok": 1,
+        "poses_1.x": 0.1,
+        "poses_1.ok": 1,
+        "q_0": 1.0,
+        "q_1": 2.0,
+        "big": 2**63 - 1,
+        "raw.length": 2,
+        "raw": "00ff",
+        "text": 'a,"b"',
+        "wait_ns": -1,
+        "source_": "mine",
     }
     assert flat.kinds["wait_ns"] == "int" and flat.kinds["raw"] == "text"
 

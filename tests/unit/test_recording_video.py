@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.recording_results import note
 from surg_recording import episode, video_file
 from surg_recording.errors import EpisodeError
 from surg_recording.video_sink import VideoSink
@@ -195,7 +196,8 @@ def test_kill_9_loses_at_most_half_a_second_of_video(tmp_path: Path, full: bool,
         decoded = video_file.grab(folder / "cam.mp4", list(range(frames)))
         assert len(decoded) == frames
         worst = max(worst, (killed - int(side["stamp_ns"][-1])) * 1e-9)
-    print(f"{kills} kills of {whom}, at most {worst:.3f} s lost")
+    victim_name = "both" if whom == "both" else f"the {whom}"
+    note(f"kill -9 of {victim_name}: video", kills, f"at most {worst:.3f} s lost (≤ 0.5)")
     assert worst <= 0.5
 
 

@@ -92,7 +92,7 @@ def _tables(
         if path.stat().st_size == 0:
             path.unlink()
             continue
-        entry = {"file": f"{name}.csv", **describe_table(path)}
+        entry: dict[str, Any] = {"file": f"{name}.csv", **describe_table(path)}
         entry["dropped"] = int(drops.get(name, 0))
         about = path.with_suffix(".json")
         if path.parent != folder and about.exists():
@@ -153,7 +153,7 @@ def describe_table(path: Path) -> dict[str, Any]:
     as the recorder writes it.
     """
     with open(path, encoding="utf-8", errors="replace", newline="") as file:
-        header = next(csv.reader([file.readline()]), [])
+        header: list[str] = next(csv.reader([file.readline()]), [])
         wanted = [header.index(name) for name in ("stamp_ns", "receive_ns") if name in header]
         # The columns asked for stand before any text, so that splitting at commas is right.
         tick = header.index("tick") if "tick" in header[:3] else None

@@ -165,9 +165,15 @@ class RecorderNode:
             self._warn_of_silence(recording)
             stopped = self._clock.now_ns()
             try:
+                repeats = self._repeats()
                 folder = recording.close(
-                    {**self._facts(), "sim": self.sim_status, "stopped_ns": stopped},
-                    topics=self.choice.describe(self._repeats()),
+                    {
+                        **self._facts(),
+                        "sim": self.sim_status,
+                        "stopped_ns": stopped,
+                        "repeats": repeats,
+                    },
+                    topics=self.choice.describe(repeats),
                     end_stamp_ns=self._episode_now(stopped),
                 )
                 self.finished, self.problem = str(folder), recording.problem
@@ -207,7 +213,7 @@ class RecorderNode:
         found: dict[str, int] = {}
         for (topic, _), deliveries in list(self._deliveries.items()):
             found[topic] = found.get(topic, 0) + deliveries.repeats
-        return found
+        return {topic: count for topic, count in found.items() if count}
 
     def _warn_of_silence(self, recording: Recording) -> None:
         """Name what was asked for and never came."""
