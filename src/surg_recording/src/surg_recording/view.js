@@ -220,7 +220,7 @@
       panel.py = (v) => height / 2 - 8 + (v - place.middle[j]) * panel.scale * (j === 2 ? 1 : -1);
       panel.size = [width, height];
       axes(panel, pen, width, height);
-      trace(panel, pen, 0, arm.path[0].length - 1, "#b7c4d1", 1);
+      trace(panel, pen, 0, arm.path[0].length - 1, "#93a5b8", 1.3);
       panel.still.width = panel.canvas.width;
       panel.still.height = panel.canvas.height;
       panel.still.getContext("2d").drawImage(panel.canvas, 0, 0);
