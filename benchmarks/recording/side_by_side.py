@@ -16,7 +16,7 @@ from surg_cli.watch import Watch
 ROSBAG = Path("/usr/lib/rosbag/record")
 WARM_UP_S = 3.0
 START_S = 60.0
-CAMERAS_S = 120.0
+CAMERAS_S = 300.0
 _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
 

@@ -1,0 +1,137 @@
+"""`./surg recover` and `./surg record` without a system: what they say, and what they refuse."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from surg_cli import __main__ as cli
+from surg_cli import record, running
+from surg_cli.terminal import Problem
+from surg_recording import episode
+from surg_recording.episode_writer import EpisodeWriter
+from surg_recording.recorder_settings import Settings, names
+
+
+@pytest.fixture
+def surg(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """Runs a command in this process."""
+
+    def run(*words: object) -> int:
+        monkeypatch.setenv(cli.READY, "1")
+        return cli.run([str(word) for word in words])
+
+    return run
+
+
+def test_recover_finds_what_lies_below_a_folder(
+    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a/episode", "b/episode"):
+        os.close(EpisodeWriter(tmp_path / name, {"arms": ["PSM1"]}, 0).lock)
+        text = "stamp_ns,receive_ns,topic,source,text\n1,2,/x,,one\n3,4,/x,,tw"
+        (tmp_path / f"{name}.partial" / "events.csv").write_text(text)
+    assert surg("recover", tmp_path) == 0
+    said = capsys.readouterr().out
+    for name in ("a/episode", "b/episode"):
+        assert f"{tmp_path / name}: 1 rows, 0 frames; the recorder was killed" in said
+        assert len(episode.read(tmp_path / name).table("events")) == 1
+    assert surg("recover", tmp_path) == 0
+    assert "nothing is unfinished" in capsys.readouterr().out
+
+
+def test_recover_says_what_it_cannot_do_and_goes_on(
+    surg: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    held = EpisodeWriter(tmp_path / "held", {}, 0)
+    os.close(EpisodeWriter(tmp_path / "good", {}, 0).lock)
+    assert surg("recover", tmp_path) == 1
+    said = capsys.readouterr()
+    assert "held.partial: is being recorded now" in said.err
+    assert f"{tmp_path / 'good'}: 0 rows" in said.out
+    os.close(held.lock)
+    with pytest.raises(Problem, match="no such folder"):
+        surg("recover", tmp_path / "none")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["tag"], "record tag: TEXT is missing"),
+        (["start", "now"], "takes no text"),
+        (["start", "--success"], "belong to record stop"),
+        (["status"], "no system of this checkout is running"),
+    ],
+)
+def test_record_refuses_in_words(
+    surg: Callable[..., int], monkeypatch: pytest.MonkeyPatch, words: list[str], said: str
+) -> None:
+    monkeypatch.setattr(running, "systems", list)
+    with pytest.raises(Problem, match=said):
+        surg("record", *words)
+
+
+def test_the_status_is_readable(capsys: pytest.CaptureFixture[str]) -> None:
+    record._show(
+        {
+            "recording": True,
+            "folder": "/e",
+            "rows": {"cycle_PSM1": 7},
+            "frames": {"cam": 3},
+            "drops": {"cam": 2},
+            "waiting_for": ["/never"],
+            "warnings": ["cam: silent"],
+            "problem": "disk full",
+        }
+    )
+    assert capsys.readouterr().out.splitlines() == [
+        "recording /e",
+        "  cycle_PSM1: 7 rows",
+        "  cam: 3 frames, 2 DROPPED",
+        "  nothing yet on /never",
+        "  warning: cam: silent",
+        "  problem: disk full",
+    ]
+
+
+def settings(**given: Any) -> Settings:
+    parameters = {"out": "/tmp/e", **given}
+    return Settings.read(lambda name, default: parameters.get(name[1:], default))
+
+
+def test_the_recorders_parameters() -> None:
+    found = settings(
+        arms="[PSM1, /PSM2]",
+        cameras="endoscope_left,/cam/image_raw",
+        topics="[/PSM[12]/measured_*,/tf]",
+        run_info='{"operator": "A"}',
+        min_free_bytes=4.3e9,
+    )
+    assert found.arms == ("PSM1", "PSM2")
+    assert found.cameras == {"endoscope_left": "/endoscope/left/image_raw", "cam": "/cam/image_raw"}
+    assert found.topics == ("/PSM[12]/measured_*", "/tf")
+    assert found.run_info == {"operator": "A"}
+    assert (found.min_free_bytes, found.autostart) == (4_300_000_000, True)
+    assert names("/PSM[12]", "~topics") == ["/PSM[12]"]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"mode": "fast"}, "~mode is 'fast', allowed are lockstep, freerun"),
+        ({"video_preset": "best"}, "~video_preset is 'best', allowed are ultrafast"),
+        ({"cameras": ["a_b", "/a/b/image_raw"]}, "names a camera twice"),
+        ({"topics": 3}, "~topics is 3, must be a list"),
+        ({"min_free_bytes": -1}, "~min_free_bytes is -1"),
+        ({"min_free_bytes": float("nan")}, "~min_free_bytes is nan"),
+        ({"min_free_bytes": True}, "~min_free_bytes is True"),
+        ({"run_info": "[1]"}, "must be a JSON object"),
+    ],
+)
+def test_a_parameter_out_of_range_is_named(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        settings(**given)
