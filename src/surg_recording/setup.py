@@ -10,7 +10,7 @@ setuptools.setup(
     python_requires=">=3.11",
     packages=["surg_recording", "surg_recording.metrics"],
     package_dir={"": "src"},
-    package_data={"surg_recording": ["py.typed"]},
+    package_data={"surg_recording": ["py.typed", "view.html", "view.css", "view.js"]},
     install_requires=[
         "numpy>=1.24",
         "scipy>=1.10",

@@ -21,7 +21,7 @@ sys.meta_path.insert(0, NoRos())
 import surg_recording
 found = [m.name for m in pkgutil.iter_modules(surg_recording.__path__)]
 for name in found:
-    if name != "recorder_node":
+    if not name.endswith("_node"):
         importlib.import_module(f"surg_recording.{name}")
 print(surg_recording.__file__, len(found))
 """
@@ -46,4 +46,5 @@ def test_pip_install_without_ros(tmp_path: Path) -> None:
     file, count = done.stdout.split()
     assert Path(file).is_relative_to(target)
     assert int(count) >= 15
-    assert (target / "surg_recording" / "py.typed").exists()
+    for data in ("py.typed", "view.html", "view.css", "view.js"):
+        assert (target / "surg_recording" / data).exists()

@@ -33,6 +33,8 @@ COMMANDS = {
     "recover": ("recover", True, "finish recordings that were cut off"),
     "check-frames": ("check_frames", True, "do hand and picture agree? judged by the pictures"),
     "status": ("status", True, "every node, topic rate and last error of a running system"),
+    "ptp": ("ptp", False, "keep the clocks of two machines together (PTP master or slave)"),
+    "view": ("view", True, "an episode as one page: video, tip path and curves under one cursor"),
     "shell": ("shell", True, "a shell with the environment sourced"),
     "doctor": ("doctor", False, "what is installed, missing, running"),
     "bench": ("bench", True, "measure"),

@@ -88,13 +88,25 @@ EVENTS: list[str] = ["stamp_ns", "receive_ns", "topic", "source", "text"]
 VIDEO: list[str] = ["frame", "stamp_ns", "receive_ns", "pts", "dropped"]
 """Columns of the sidecar ``<camera>.csv`` of a video."""
 
+CLOCK_SYNC: list[str] = [
+    *("stamp_ns", "receive_ns", "clock", "port_state", "offset_s", "path_delay_s"),
+    *("grandmaster", "in_step", "problem"),
+]
+"""Columns of ``clock_sync.csv``: what the clock monitors say, once a second per machine."""
+
 _INTEGERS = frozenset(
     (
         *("stamp_ns", "receive_ns", "tick", "state", "homed", "busy", "command", "accepted"),
         *("refused", "overruns", "tier", "frame", "pts", "dropped", "done", "success"),
+        "in_step",
     )
 )
-_STRINGS = frozenset(("phase", "reason", "source", "limited_by", "topic", "text"))
+_STRINGS = frozenset(
+    (
+        *("phase", "reason", "source", "limited_by", "topic", "text"),
+        *("clock", "port_state", "grandmaster", "problem"),
+    )
+)
 _ENTRY = re.compile(r"^([^\[\],]+)(?:\[(\d+(?:,\d+)*)\])?$")
 _JOINT = re.compile(r"^q(\d+)$")
 

@@ -6,10 +6,11 @@ is versioned: a reader for every version that was ever written stays here (docs/
 
 from __future__ import annotations
 
+import array
 import csv
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +43,8 @@ class Table:
     def __init__(self, name: str, arrays: Mapping[str, Column]) -> None:
         self.name = name
         self._arrays = dict(arrays)
-        for array in self._arrays.values():
-            array.setflags(write=False)
+        for values in self._arrays.values():
+            values.setflags(write=False)
 
     @property
     def columns(self) -> list[str]:
@@ -76,7 +77,7 @@ class Table:
 
     def select(self, rows: npt.NDArray[Any] | slice) -> Table:
         """The table with only these rows (a mask, indices or a slice)."""
-        return Table(self.name, {name: array[rows].copy() for name, array in self._arrays.items()})
+        return Table(self.name, {name: kept[rows].copy() for name, kept in self._arrays.items()})
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,13 +261,16 @@ def _read_1(folder: Path, manifest: dict[str, Any]) -> Episode:
 _READERS: dict[str, Callable[[Path, dict[str, Any]], Episode]] = {"surg_episode/1": _read_1}
 
 
-def read_table(path: Path, kinds: Mapping[str, str] | None = None) -> Table:
-    """Read one CSV table.
+def read_table(
+    path: Path, kinds: Mapping[str, str] | None = None, wanted: Collection[str] | None = None
+) -> Table:
+    """Read one CSV table, line by line: no more is held in memory than the columns kept.
 
     Args:
         path: the file.
         kinds: column → ``int``, ``float`` or ``text``; None: by the names of ``columns``. With
             them, a column of integers in which a field is empty comes as floats.
+        wanted: only these columns, as far as the file has them; None for all.
 
     Raises:
         EpisodeError: missing or empty file, a line with another number of fields, or a value that
@@ -274,54 +278,63 @@ def read_table(path: Path, kinds: Mapping[str, str] | None = None) -> Table:
     """
     try:
         with open(path, newline="", encoding="utf-8") as file:
-            lines = list(csv.reader(file))
+            lines = csv.reader(file)
+            header: list[str] = next(lines, [])
+            if not header:
+                raise EpisodeError(f"{path}: empty, not even a header line")
+            if len(set(header)) != len(header):
+                raise EpisodeError(f"{path}, line 1: a column name occurs twice")
+            kept = [
+                (place, _Column(path, name, kinds))
+                for place, name in enumerate(header)
+                if wanted is None or name in wanted
+            ]
+            for number, line in enumerate(lines, start=2):
+                if len(line) != len(header):
+                    raise EpisodeError(
+                        f"{path}, line {number}: {len(line)} fields, the header has {len(header)}"
+                    )
+                for place, column in kept:
+                    column.append(line[place], number)
     except FileNotFoundError:
         raise EpisodeError(f"{path}: the file is missing") from None
     except (csv.Error, UnicodeDecodeError) as problem:
         raise EpisodeError(f"{path}: not a CSV file ({problem})") from problem
-    if not lines or not lines[0]:
-        raise EpisodeError(f"{path}: empty, not even a header line")
-    header = lines[0]
-    if len(set(header)) != len(header):
-        raise EpisodeError(f"{path}, line 1: a column name occurs twice")
-    for number, line in enumerate(lines[1:], start=2):
-        if len(line) != len(header):
-            raise EpisodeError(
-                f"{path}, line {number}: {len(line)} fields, the header has {len(header)}"
-            )
-    fields = list(zip(*lines[1:], strict=True)) or [()] * len(header)
-    return Table(
-        path.stem,
-        {n: _convert(path, n, text, kinds) for n, text in zip(header, fields, strict=True)},
-    )
+    return Table(path.stem, {column.name: column.array() for _, column in kept})
 
 
 _KINDS = {"int": int, "float": float, "text": str}
+_CODE = {int: "q", float: "d"}
+"""Type codes of ``array`` by kind of column."""
 
 
-def _convert(
-    path: Path, name: str, text: tuple[str, ...], kinds: Mapping[str, str] | None
-) -> Column:
-    kind = columns.kind(name) if kinds is None else _KINDS.get(kinds.get(name, ""), float)
-    if kinds is not None and kind is int and "" in text:
-        kind = float
-    if kind is str:
-        array = np.empty(len(text), dtype=object)
-        array[:] = text
-        return array
-    try:
-        if kind is int:
-            return np.array(list(map(int, text)), dtype=np.int64)
-        if "" in text:
-            text = tuple(value or "nan" for value in text)
-        return np.array(list(map(float, text)), dtype=np.float64)
-    except (ValueError, OverflowError):
-        for number, value in enumerate(text, start=2):
-            try:
-                np.int64(int(value)) if kind is int else float(value)
-            except (ValueError, OverflowError):
-                raise EpisodeError(
-                    f"{path}, line {number}, column {name}: {value!r} is not"
-                    f" {'a 64-bit integer' if kind is int else 'a number'}"
-                ) from None
-        raise
+class _Column:
+    """The values of one column while a file is read."""
+
+    def __init__(self, path: Path, name: str, kinds: Mapping[str, str] | None) -> None:
+        self.name, self._path = name, path
+        self._kind: type = columns.kind(name)
+        if kinds is not None:
+            self._kind = _KINDS.get(kinds.get(name, ""), float)
+        self._holey = kinds is not None
+        self._values: Any = [] if self._kind is str else array.array(_CODE[self._kind])
+
+    def append(self, text: str, line: int) -> None:
+        """Take one field."""
+        if not text and self._kind is int and self._holey:
+            self._kind, self._values = float, array.array("d", self._values)
+        try:
+            self._values.append(self._kind(text if text or self._kind is not float else "nan"))
+        except (ValueError, OverflowError):
+            raise EpisodeError(
+                f"{self._path}, line {line}, column {self.name}: {text!r} is not"
+                f" {'a 64-bit integer' if self._kind is int else 'a number'}"
+            ) from None
+
+    def array(self) -> Column:
+        """What was taken, as numpy holds it."""
+        if self._kind is str:
+            found = np.empty(len(self._values), dtype=object)
+            found[:] = self._values
+            return found
+        return np.array(self._values, dtype=np.int64 if self._kind is int else np.float64)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import subprocess
 import sys
 import threading
 import time
@@ -27,7 +28,7 @@ from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState
-from surg_msgs.msg import Cycle, GroundTruth, Ready, TaskState
+from surg_msgs.msg import ClockSync, Cycle, GroundTruth, Ready, TaskState
 from surg_recording import annotations, provenance, rows
 from surg_recording.clock_steps import SteppedClock
 from surg_recording.deliveries import Deliveries
@@ -59,6 +60,7 @@ ASSISTANT = ("servo_jp", "jaw/servo_jp")
 """Command topics of the assistant's instrument that go to ``command_assistant.csv``."""
 
 TASK_TOPIC = "/sim/task_state"
+CLOCK_TOPIC = "/clock_sync/status"
 
 FACTS = ("task", "setting", "operator", "seed")
 """Facts about a run that stand in the manifest by themselves."""
@@ -175,6 +177,7 @@ class RecorderNode:
                     end_stamp_ns=self._episode_now(stopped),
                 )
                 self.finished, self.problem = str(folder), recording.problem
+                self._examine(folder)
             except EpisodeError as problem:
                 self.problem = str(problem)
             finally:
@@ -183,6 +186,22 @@ class RecorderNode:
             if self.problem:
                 rospy.logerr("recording incomplete: %s", self.problem)
             self._announce()
+
+    def _examine(self, folder: Path) -> None:
+        """Have sync.json made by a process of its own: it decodes the videos and must not disturb.
+
+        It is not waited for: the next episode can start at once.
+        """
+        argv = [sys.executable, "-m", "surg_recording.sync_report", "--quiet", str(folder)]
+        try:
+            subprocess.Popen(
+                ["nice", "-n", "10", *argv],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as problem:
+            rospy.logwarn("no sync.json: %s", problem.strerror)
 
     def _facts(self) -> dict[str, Any]:
         """What is known of the run: by parameter, and by /record/info since."""
@@ -262,6 +281,7 @@ class RecorderNode:
         on("/sim/status", String, self._on_sim_status)
         for camera, topic in self.settings.cameras.items():
             on(topic, Image, self._on_image, camera)
+        on(CLOCK_TOPIC, ClockSync, self._on_clock_sync)
         on("/record/record", Bool, self._on_record)
         on("/record/tag", String, self._on_tag)
         on("/record/info", String, self._on_info)
@@ -278,7 +298,7 @@ class RecorderNode:
         return [
             *(f"/{arm}/{name}" for arm in arms for name in names),
             *(f"/assistant/{name}" for name in ASSISTANT),
-            *("/sim/ground_truth/state", TASK_TOPIC, "/sim/status"),
+            *("/sim/ground_truth/state", TASK_TOPIC, "/sim/status", CLOCK_TOPIC),
             *("/record/record", "/record/tag", "/record/info"),
         ]
 
@@ -318,6 +338,11 @@ class RecorderNode:
         if recording is not None and not self._repeated(TASK_TOPIC, message, _key(message)):
             recording.task_state(message, self._clock.now_ns())
         self._last_row = time.monotonic()
+
+    def _on_clock_sync(self, message: ClockSync) -> None:
+        recording = self.recording
+        if recording is not None and not self._repeated(CLOCK_TOPIC, message, _key(message)):
+            recording.clock_sync(message, self._clock.now_ns())
 
     def _on_assistant(self, topic: str, message: JointState) -> None:
         recording = self.recording

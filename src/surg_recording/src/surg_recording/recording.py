@@ -181,6 +181,12 @@ class Recording:
             return
         self._put(table, row)
 
+    def clock_sync(self, message: Any, receive_ns: int) -> None:
+        """Record a surg_msgs/ClockSync: what a machine's PTP daemon says of its clock."""
+        name = "clock_sync"
+        table = self._tables.get(name) or self._table(name, columns.CLOCK_SYNC)
+        self._put(table, rows.clock_sync(message, receive_ns))
+
     def assistant_command(self, topic: str, message: Any, source: str, receive_ns: int) -> None:
         """Record a command to the assistant's instrument: ``servo_jp`` or ``jaw/servo_jp``."""
         name = "command_assistant"

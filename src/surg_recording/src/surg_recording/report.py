@@ -17,7 +17,7 @@ import numpy as np
 from PIL import Image
 
 from surg_recording import episode as episodes
-from surg_recording import figures, summary, video_file
+from surg_recording import figures, summary, sync_page, sync_report, video_file
 from surg_recording.errors import EpisodeError, NoMotionError
 from surg_recording.finishing import clean_json, write_json
 from surg_recording.page import document, embed, figure_section, number, text
@@ -140,6 +140,7 @@ def _page(
     if strip or video_problem:
         body.append(_frames(strip, video_problem))
     body += [figure_section(figure) for figure in drawn]
+    body.append(sync_page.section(sync_report.ensure(recorded)))
     body += [_recording(recorded, result), _definitions()]
     return document(title, body)
 

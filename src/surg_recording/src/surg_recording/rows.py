@@ -6,6 +6,7 @@ A row is a tuple in the order of ``columns``; ``None`` becomes an empty field.
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 from surg_recording import columns
@@ -100,6 +101,22 @@ def task_state(message: Any, receive_ns: int) -> Row:
         m.reward,
         m.reason,
         *m.values,
+    )
+
+
+def clock_sync(message: Any, receive_ns: int) -> Row:
+    """One surg_msgs/ClockSync as a row of ``columns.CLOCK_SYNC``; what is not known stays empty."""
+    m = message
+    return (
+        nanoseconds(m.header.stamp),
+        receive_ns,
+        m.clock,
+        m.port_state,
+        m.offset if math.isfinite(m.offset) else None,
+        m.path_delay if math.isfinite(m.path_delay) else None,
+        m.grandmaster,
+        int(m.in_step),
+        m.problem,
     )
 
 

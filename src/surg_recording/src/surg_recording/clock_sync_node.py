@@ -1,0 +1,101 @@
+"""The clock monitor: asks the machine's PTP daemon once a second and says what it answers.
+
+Publishes ``/clock_sync/status`` (surg_msgs/ClockSync), which the recorder stores, and an entry on
+``/diagnostics``. Parameters (private): ``socket`` of the daemon (/run/surg_ptp/ptp4l), ``bound``
+within which clocks count as being in step (0.001) [s], ``rate`` (1.0) [Hz]. Run one on every
+machine whose stamps are recorded, each under a name of its own. It changes nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from typing import Any
+
+import rospy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from surg_msgs.msg import ClockSync
+from surg_recording import clock_sync, pmc
+from surg_recording.clock_sync import ClockStatus
+
+TOPIC = "/clock_sync/status"
+
+
+class ClockSyncNode:
+    """Asks, judges, publishes."""
+
+    def __init__(self, socket: str, bound: float, rate: float) -> None:
+        self._socket, self._bound, self._period = socket, bound, 1.0 / rate
+        self._said: str | None = None
+        self._status = rospy.Publisher(TOPIC, ClockSync, queue_size=10)
+        self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
+
+    def spin(self) -> None:
+        """Look at the clock until the node is ended, paced by the steady clock."""
+        due = time.monotonic()
+        while not rospy.is_shutdown():
+            asked = rospy.Time(*divmod(time.time_ns(), 10**9))
+            self._publish(pmc.ask(self._socket), asked)
+            due = max(due + self._period, time.monotonic())
+            while not rospy.is_shutdown() and time.monotonic() < due:
+                time.sleep(min(0.05, self._period / 10.0))
+
+    def _publish(self, status: ClockStatus, asked: Any) -> None:
+        fault = status.fault(self._bound)
+        if fault != self._said:  # a line per change: one a second helps nobody
+            (rospy.logwarn if fault else rospy.loginfo)("clock: %s", fault or "in step")
+            self._said = fault
+        message = ClockSync(
+            clock=status.clock,
+            port_state=status.port_state,
+            offset=status.offset,
+            path_delay=status.path_delay,
+            grandmaster=status.grandmaster,
+            in_step=not fault,
+            problem=fault,
+        )
+        message.header.stamp = asked
+        self._status.publish(message)
+        entry = DiagnosticStatus(
+            name=f"{rospy.get_name().strip('/')}: PTP clock",
+            hardware_id=status.clock,
+            level=DiagnosticStatus.WARN if fault else DiagnosticStatus.OK,
+            message=fault or "in step",
+            values=[
+                KeyValue("port state", status.port_state or "unknown"),
+                KeyValue("offset [us]", _microseconds(status.offset)),
+                KeyValue("path delay [us]", _microseconds(status.path_delay)),
+                KeyValue("grandmaster", status.grandmaster or "none"),
+            ],
+        )
+        array = DiagnosticArray(status=[entry])
+        array.header.stamp = asked
+        self._diagnostics.publish(array)
+
+
+def _microseconds(seconds: float) -> str:
+    return "not measured" if math.isnan(seconds) else f"{seconds * 1e6:.3f}"
+
+
+def _positive(name: str, default: float) -> float:
+    """A parameter that must be a positive, finite number."""
+    value = rospy.get_param(name, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+        raise ValueError(f"parameter {name} is {value!r}, must be a number > 0")
+    return float(value)
+
+
+def main() -> int:
+    """Run the node; returns the exit code (2: broken parameters)."""
+    rospy.init_node("clock_sync")
+    try:
+        socket = str(rospy.get_param("~socket", clock_sync.SOCKET))
+        bound = _positive("~bound", clock_sync.OFFSET_BOUND)
+        rate = _positive("~rate", 1.0)
+    except ValueError as problem:
+        print(f"clock_sync: {problem}", file=sys.stderr)
+        return 2
+    ClockSyncNode(socket, bound, rate).spin()
+    return 0

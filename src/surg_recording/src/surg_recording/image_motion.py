@@ -1,0 +1,117 @@
+"""How much a picture changes from frame to frame, whatever the light does.
+
+Each frame is made small, its logarithm taken and the local mean subtracted: a light that gets
+brighter, also unevenly, adds a constant that drops out. The difference of two such pictures is
+averaged over cells, and of each cell its usual activity (the median over time) is subtracted, so
+that a background that moves all the time, as tissue does with breathing, counts little beside an
+instrument that passes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording.errors import EpisodeError
+
+Array = npt.NDArray[np.float64]
+
+WIDTH, HEIGHT = 96, 72
+"""Frames are made this small [pixels]."""
+CELL = 6
+"""Side of a cell [pixels]."""
+RADIUS = 8
+"""Of the box over which the local mean is taken [pixels]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ImageMotion:
+    """Change between consecutive frames of a video of N + 1 frames."""
+
+    energy: Array
+    """(N,) change from frame k to frame k + 1; no unit, 0: none."""
+    usable: npt.NDArray[np.bool_]
+    """(N,) False where the change is the codec's: frame k + 1 was coded anew."""
+
+
+def of_frames(frames: Iterable[tuple[npt.NDArray[np.uint8], bool]]) -> ImageMotion:
+    """Measure a sequence of small grey pictures.
+
+    Args:
+        frames: (HEIGHT, WIDTH) uint8, and whether the codec coded it without its predecessor.
+    """
+    cells: list[Array] = []
+    usable: list[bool] = []
+    before: Array | None = None
+    for picture, coded_anew in frames:
+        now = _without_light(picture)
+        if before is not None:
+            cells.append(_by_cell(np.abs(now - before)))
+            usable.append(not coded_anew)
+        before = now
+    if not cells:
+        return ImageMotion(np.zeros(0), np.zeros(0, dtype=bool))
+    change = np.stack(cells)
+    lively = np.maximum(change - np.median(change, axis=0), 0.0)
+    return ImageMotion(lively.mean(axis=1), np.array(usable))
+
+
+def of_video(path: Path, progress: Callable[[int], None] | None = None) -> ImageMotion:
+    """Measure a video file; one that is cut is read as far as it goes.
+
+    Args:
+        path: the video.
+        progress: told the number of frames read so far, now and then.
+
+    Raises:
+        EpisodeError: nothing in it can be read.
+    """
+    return of_frames(_small_frames(path, progress))
+
+
+def _small_frames(
+    path: Path, progress: Callable[[int], None] | None
+) -> Iterable[tuple[npt.NDArray[np.uint8], bool]]:
+    count = 0
+    try:
+        with av.open(str(path)) as container:
+            container.streams.video[0].thread_type = "NONE"
+            for frame in container.decode(video=0):
+                small = frame.reformat(
+                    width=WIDTH, height=HEIGHT, format="gray", interpolation="AREA"
+                )
+                yield small.to_ndarray(), bool(frame.key_frame)
+                count += 1
+                if progress is not None and count % 100 == 0:
+                    progress(count)
+    except (av.error.FFmpegError, IndexError) as problem:
+        if not count:
+            raise EpisodeError(f"{path}: no readable video ({problem})") from problem
+
+
+def _without_light(picture: npt.NDArray[np.uint8]) -> Array:
+    """Logarithm of the picture minus its local mean; + 8 keeps the noise of dark places small."""
+    logarithm = np.log(picture.astype(np.float64) + 8.0)
+    return logarithm - _box(_box(logarithm, 0), 1)
+
+
+def _box(values: Array, axis: int) -> Array:
+    """Running mean over 2 RADIUS + 1 pixels along one axis; the edge is repeated."""
+    pad = [(0, 0), (0, 0)]
+    pad[axis] = (RADIUS + 1, RADIUS)
+    sums = np.cumsum(np.pad(values, pad, mode="edge"), axis=axis)
+    size = 2 * RADIUS + 1
+    upper = np.take(sums, range(size, sums.shape[axis]), axis=axis)
+    lower = np.take(sums, range(sums.shape[axis] - size), axis=axis)
+    return np.asarray((upper - lower) / size)
+
+
+def _by_cell(change: Array) -> Array:
+    """Means over cells, as one row."""
+    rows, columns = HEIGHT // CELL, WIDTH // CELL
+    return change.reshape(rows, CELL, columns, CELL).mean(axis=(1, 3)).ravel()

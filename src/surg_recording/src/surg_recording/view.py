@@ -1,0 +1,115 @@
+"""An episode as one page to look at: video, tip path and curves under a common cursor.
+
+``page`` makes a single HTML file that needs no network: ``view.html``, ``view.css`` and ``view.js``
+filled with what ``view_data`` collects. On the command line:
+``python -m surg_recording.view EPISODE OUT.html``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import base64
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from surg_recording import episode as episodes
+from surg_recording import sync_report, view_data
+from surg_recording.episode import Episode
+from surg_recording.errors import EpisodeError
+from surg_recording.page import document, text
+from surg_recording.view_data import MAX_ROWS, VIDEO_BUDGET, Progress
+
+
+def page(
+    episode: Episode,
+    budget: int = VIDEO_BUDGET,
+    max_rows: int = MAX_ROWS,
+    progress: Progress | None = None,
+) -> str:
+    """The page of an episode; arguments as ``view_data.collect``.
+
+    Raises:
+        EpisodeError: there is nothing at all to show.
+    """
+    viewed = view_data.collect(episode, budget, max_rows, progress)
+    info = episode.manifest.get("run") or {}
+    what = info.get("title") or info.get("motion") or episode.manifest.get("task") or "episode"
+    title = " · ".join(str(part) for part in (what, info.get("robot"), info.get("setting")) if part)
+    here = Path(__file__).parent
+    notes = "".join(f"<li>{text(note)}</li>" for note in viewed.missing)
+    body = (here / "view.html").read_text(encoding="utf-8")
+    for key, value in {
+        "TITLE": text(title),
+        "CREATED": text(episode.manifest.get("created")),
+        "FOLDER": text(episode.folder.name),
+        "BADGES": _badges(episode),
+        "NOTES": f"<ul class='notes'>{notes}</ul>" if notes else "",
+    }.items():
+        body = body.replace(f"@{key}@", value)
+    files = "".join(
+        f"<script type='text/plain' id='video{i}'>{base64.b64encode(data).decode()}</script>\n"
+        for i, data in enumerate(viewed.videos)
+    )
+    said = json.dumps(viewed.data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    script = (here / "view.js").read_text(encoding="utf-8")
+    style = (here / "view.css").read_text(encoding="utf-8")
+    return document(
+        title,
+        [
+            f"<style>{style}</style>",
+            body,
+            files,
+            f"<script type='application/json' id='data'>{said}</script>",
+            f"<script>{script}</script>",
+        ],
+    )
+
+
+def _badges(episode: Episode) -> str:
+    """Is the recording whole, and do its streams belong to one time?"""
+    outcome = str(episode.manifest.get("outcome"))
+    reason = episode.manifest.get("reason")
+    found = [("pass" if outcome == "complete" else "fail", outcome, reason or "nothing was lost")]
+    sync = sync_report.load(episode)
+    if sync is not None:
+        words = {"pass": "in sync", "fail": "OUT OF SYNC", "cannot_tell": "sync: cannot tell"}
+        said = "; ".join(sync.get("reasons") or []) or "all streams belong to one time"
+        found.append((sync["verdict"], words.get(sync["verdict"], sync["verdict"]), said))
+    return "".join(
+        f"<span class='badge {text(kind)}' title='{text(said)}'>{text(words)}</span>"
+        for kind, words, said in found
+    )
+
+
+def write(episode: Episode, out: Path, progress: Progress | None = None) -> Path:
+    """Write the page of an episode; returns its path.
+
+    Raises:
+        EpisodeError: nothing to show, or the file cannot be written.
+    """
+    content = page(episode, progress=progress)
+    try:
+        out.write_text(content, encoding="utf-8")
+    except OSError as problem:
+        raise EpisodeError(f"{out}: cannot be written: {problem.strerror}") from problem
+    return out
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command line; exit code 2 when there is nothing to show."""
+    parser = argparse.ArgumentParser(prog="python -m surg_recording.view")
+    parser.add_argument("episode", type=Path, metavar="EPISODE")
+    parser.add_argument("out", type=Path, metavar="OUT.html")
+    given = parser.parse_args(arguments)
+    try:
+        print(write(episodes.read(given.episode), given.out))
+    except EpisodeError as problem:
+        print(f"view: {problem}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

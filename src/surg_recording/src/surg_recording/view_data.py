@@ -1,0 +1,341 @@
+"""What the page of an episode shows: its streams cut to size, on one axis of time.
+
+All times are integer nanoseconds since the first stamp. The sample and the frame at the cursor are
+the last ones whose stamp is not later: ``at_or_before`` here, ``at`` in ``view.js``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording import episode as episodes
+from surg_recording import metrics, video_embed
+from surg_recording.episode import Episode, Table
+from surg_recording.errors import EpisodeError
+from surg_recording.figures import EXECUTED, TRUE
+from surg_recording.summary import rotate
+
+MAX_ROWS = 20_000
+"""Samples kept of a table: 40 s at 500 Hz whole, more are thinned out and keep their extremes."""
+MAX_EVENTS = 2000
+VIDEO_BUDGET = 64 << 20
+"""Of all videos of a page together [bytes]."""
+
+STATES = ("DISABLED", "ENABLED", "PAUSED", "FAULT")
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+Progress = Callable[[str], None]
+
+_CYCLE = (
+    *("stamp_ns", "receive_ns", "tick", "state", "homed", "depth"),
+    *(f"{name}_{axis}" for name in ("p_tip", "s", "p_rcm") for axis in "xyz"),
+    *(f"q_br_{axis}" for axis in "xyzw"),
+)
+_TRUTH = (
+    "stamp_ns",
+    *(f"{name}_{axis}" for name in ("shaft", "axis", "trocar", "force") for axis in "xyz"),
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class Viewed:
+    """What a page shows, ready for JSON; ``missing`` says what it cannot show, and why."""
+
+    data: dict[str, Any]
+    videos: list[bytes]
+    missing: list[str]
+
+
+def at_or_before(stamps: Sequence[int] | Stamps, t: int) -> int:
+    """Index of the last stamp that is not later than t; −1 before the first.
+
+    Args:
+        stamps: (N,) increasing [ns].
+        t: time [ns].
+    """
+    return int(np.searchsorted(np.asarray(stamps), t, side="right")) - 1
+
+
+def kept_rows(curves: Sequence[Array], limit: int = MAX_ROWS) -> npt.NDArray[np.int64]:
+    """Which rows of a table are shown.
+
+    All of them up to the limit. Of more, the first and the last, and from every one of equal
+    stretches the rows with the least and the greatest value of each curve: no extreme is lost.
+
+    Args:
+        curves: (N,) each, with NaN where nothing is known.
+        limit: about how many rows may be kept.
+    """
+    count = len(curves[0])
+    if count <= limit:
+        return np.arange(count)
+    stretches = max(1, limit // (2 * len(curves)))
+    edges = np.linspace(0, count, stretches + 1).astype(np.int64)
+    kept = {0, count - 1}
+    for values in curves:
+        low = np.where(np.isnan(values), np.inf, values)
+        high = np.where(np.isnan(values), -np.inf, values)
+        for start, stop in itertools.pairwise(edges):
+            if stop > start:
+                kept.add(int(start + np.argmin(low[start:stop])))
+                kept.add(int(start + np.argmax(high[start:stop])))
+    return np.array(sorted(kept), dtype=np.int64)
+
+
+def collect(
+    episode: Episode,
+    budget: int = VIDEO_BUDGET,
+    max_rows: int = MAX_ROWS,
+    progress: Progress | None = None,
+) -> Viewed:
+    """Gather what the page shows. What is missing or broken is named, and the rest goes on.
+
+    Args:
+        episode: of any version.
+        budget: size of all videos together [bytes].
+        max_rows: samples kept per table.
+        progress: told in a few words what is being done.
+
+    Raises:
+        EpisodeError: there is nothing at all to show.
+    """
+    say = progress or (lambda _: None)
+    missing: list[str] = []
+    tables: dict[str, Table] = {}
+    for arm in episode.arms:
+        say(f"reading {arm}")
+        table = _read(episode, f"cycle_{arm}", _CYCLE, missing)
+        if table is not None:
+            tables[arm] = table
+    videos = _videos(episode, budget, say, missing)
+    firsts = [int(table["stamp_ns"][0]) for table in tables.values()]
+    lasts = [int(table["stamp_ns"][-1]) for table in tables.values()]
+    firsts += [int(stamps[0]) for _, stamps, _ in videos]
+    lasts += [int(stamps[-1]) for _, stamps, _ in videos]
+    if not firsts:
+        raise EpisodeError(f"{episode.folder}: nothing to show: {'; '.join(missing)}")
+    origin, end = min(firsts), max(lasts)
+    arms = [_arm(episode, arm, table, origin, max_rows, missing) for arm, table in tables.items()]
+    clock = next(iter(tables.values()), None)
+    events = _events(episode, origin, end, clock, missing)
+    data = {
+        "origin_ns": str(origin),
+        "duration": end - origin,
+        "arms": arms,
+        "videos": [
+            {
+                "name": name,
+                "stamps": (stamps - origin).tolist(),
+                "pts": shown.pts.tolist(),
+                "frames": shown.frames.tolist(),
+                "note": shown.note,
+            }
+            for name, stamps, shown in videos
+        ],
+        "events": events,
+        "states": STATES,
+    }
+    return Viewed(data, [shown.data for _, _, shown in videos], missing)
+
+
+# --- an arm -------------------------------------------------------------------------------------
+
+
+def _arm(
+    episode: Episode, arm: str, cycle: Table, origin: int, limit: int, missing: list[str]
+) -> dict[str, Any]:
+    """Path and curves of one arm, thinned out."""
+    tip, pivot = cycle.vector("p_tip"), cycle.vector("p_rcm")
+    deviation = metrics.rcm_deviation(tip, cycle.vector("s"), pivot)
+    in_rcm = rotate(cycle.vector("q_br", "xyzw") * [-1.0, -1.0, -1.0, 1.0], tip - pivot)
+    in_rcm[cycle["homed"] == 0] = np.nan  # there is no rcm frame before
+    depth = cycle["depth"]
+    rows = kept_rows([deviation, depth, *in_rcm.T], limit)
+    stamps = cycle["stamp_ns"]
+    curves = [
+        _curve("Depth", "mm", [_series("depth", EXECUTED, "cycle", depth[rows] * 1e3, 3)]),
+    ]
+    rcm = [_series("kinematic", EXECUTED, "cycle", deviation[rows] * 1e3, 5)]
+    clocks = {"cycle": (stamps[rows] - origin).tolist()}
+    truth = None
+    if f"ground_truth_{arm}" in episode.tables:
+        truth = _read(episode, f"ground_truth_{arm}", _TRUTH, missing)
+        why = ""
+    else:
+        why = "it was recorded without the simulator's ground truth"
+    if truth is not None:
+        true = metrics.rcm_deviation(
+            truth.vector("shaft"), truth.vector("axis"), truth.vector("trocar")
+        )
+        force = np.linalg.norm(truth.vector("force"), axis=1)
+        kept = kept_rows([true, force], limit)
+        clocks["truth"] = (truth["stamp_ns"][kept] - origin).tolist()
+        rcm.insert(0, _series("true", TRUE, "truth", true[kept] * 1e3, 5))
+    curves.append(_curve("RCM deviation", "mm", rcm))
+    if truth is not None:
+        series = [_series("force on the trocar", TRUE, "truth", force[kept], 4)]
+        curves.append(_curve("Force on the trocar", "N", series))
+    elif why:
+        missing.append(f"{arm}: no force and no true RCM deviation: {why}")
+    if not np.any(np.isfinite(in_rcm)):
+        missing.append(f"{arm}: no tip path: the arm was never homed")
+    return {
+        "name": arm,
+        "clocks": clocks,
+        "rows": rows.tolist() if len(rows) < len(cycle) else None,
+        "total": len(cycle),
+        "tick": cycle["tick"][rows].tolist(),
+        "state": cycle["state"][rows].tolist(),
+        "path": [_numbers(values[rows] * 1e3, 3) for values in in_rcm.T],
+        "curves": curves,
+    }
+
+
+def _curve(title: str, unit: str, series: list[dict[str, Any]]) -> dict[str, Any]:
+    return {"title": title, "unit": unit, "series": series}
+
+
+def _series(name: str, colour: str, clock: str, values: Array, digits: int) -> dict[str, Any]:
+    return {"name": name, "colour": colour, "clock": clock, "values": _numbers(values, digits)}
+
+
+def _numbers(values: Array, digits: int) -> list[float | None]:
+    """Rounded for the page; None where there is no number."""
+    return [round(v, digits) if math.isfinite(v) else None for v in values.tolist()]
+
+
+def _read(episode: Episode, name: str, wanted: Sequence[str], missing: list[str]) -> Table | None:
+    """A table with at least one row; else None, and why."""
+    if name not in episode.tables:
+        missing.append(f"{name}: nothing was recorded")
+        return None
+    try:
+        table = episodes.read_table(episode.folder / f"{name}.csv", wanted=wanted)
+        lacking = [column for column in wanted if column not in table]
+        if lacking:
+            raise EpisodeError(f"{name}: no column {', '.join(lacking)}")
+    except EpisodeError as problem:
+        missing.append(str(problem))
+        return None
+    if not len(table):
+        missing.append(f"{name}: no rows were recorded")
+        return None
+    return table
+
+
+# --- videos and events --------------------------------------------------------------------------
+
+
+def _videos(
+    episode: Episode, budget: int, say: Progress, missing: list[str]
+) -> list[tuple[str, Stamps, video_embed.Embedded]]:
+    """Name, stamps [ns] and file of every camera that can be shown."""
+    found = []
+    if not episode.cameras:
+        missing.append("no video: it was recorded without a camera")
+    for camera in episode.cameras:
+        say(f"{camera}: making the video fit")
+
+        def told(count: int, name: str = camera) -> None:
+            say(f"{name}: frame {count}")
+
+        try:
+            video = episode.video(camera)
+            shown = video_embed.embed(video.path, budget // len(episode.cameras), told)
+            inside = shown.frames < len(video.frames)
+            if not np.any(inside):
+                raise EpisodeError(f"{camera}: no frame of the video has a stamp")
+        except EpisodeError as problem:
+            missing.append(str(problem))
+            continue
+        shown = dataclasses.replace(shown, frames=shown.frames[inside], pts=shown.pts[inside])
+        found.append((camera, video.frames["stamp_ns"][shown.frames], shown))
+    return found
+
+
+def _events(
+    episode: Episode, origin: int, end: int, cycle: Table | None, missing: list[str]
+) -> list[dict[str, Any]]:
+    """States, messages and the phases of a task, in order of time."""
+    found: list[dict[str, Any]] = []
+    try:
+        table = episode.table("events") if "events" in episode.tables else None
+    except EpisodeError as problem:
+        missing.append(str(problem))
+        table = None
+    if table is not None:
+        for stamp, receive, topic, said in zip(
+            *(table[c] for c in ("stamp_ns", "receive_ns", "topic", "text")), strict=True
+        ):
+            t, exact = _when(int(stamp), int(receive), cycle, origin, end)
+            kind, words = _event(str(topic), str(said))
+            found.append({"t": t - origin, "kind": kind, "text": words, "exact": exact})
+    if "task_state" in episode.tables:
+        found += _phases(episode, origin, missing)
+    found.sort(key=lambda event: event["t"])
+    if not found:
+        missing.append("no events were recorded")
+    if len(found) > MAX_EVENTS:
+        missing.append(f"only {MAX_EVENTS} of {len(found)} events are shown, the first ones")
+    return found[:MAX_EVENTS]
+
+
+def _when(stamp: int, receive: int, cycle: Table | None, origin: int, end: int) -> tuple[int, bool]:
+    """Time of an event on the axis of the stamps, and whether it is its own stamp.
+
+    An event without a stamp, or with one of another clock, stands where the cycles stood that were
+    received with it.
+    """
+    if origin <= stamp <= end:
+        return stamp, True
+    if cycle is None:
+        return min(max(receive, origin), end), False
+    row = max(at_or_before(cycle["receive_ns"], receive), 0)
+    return int(cycle["stamp_ns"][row]), False
+
+
+def _event(topic: str, said: str) -> tuple[str, str]:
+    """Kind of an event, and the words for a person."""
+    arm, _, name = topic.strip("/").rpartition("/")
+    if name == "operating_state":
+        try:
+            state = json.loads(said)
+            words = [state["state"], "homed" if state["is_homed"] else "not homed"]
+            words += ["busy"] if state["is_busy"] else []
+            return "state", f"{arm}: {', '.join(words)}"
+        except (ValueError, KeyError, TypeError):
+            return "state", f"{arm}: {said}"
+    if topic == "/sim/status":
+        return "state", "the simulation ended"
+    kind = name if name in ("error", "warning") else "status"
+    said = said.removeprefix(f"{arm}: ") or name
+    return kind, f"{arm}: {said}" if arm else said
+
+
+def _phases(episode: Episode, origin: int, missing: list[str]) -> list[dict[str, Any]]:
+    """Where the task's phase changes."""
+    try:
+        table = episodes.read_table(episode.folder / "task_state.csv", wanted=("stamp_ns", "phase"))
+        stamps, phases = table["stamp_ns"], table["phase"]
+    except EpisodeError as problem:
+        missing.append(str(problem))
+        return []
+    changes = [i for i in range(len(table)) if i == 0 or phases[i] != phases[i - 1]]
+    return [
+        {
+            "t": int(stamps[i]) - origin,
+            "kind": "phase",
+            "text": f"phase: {phases[i]}",
+            "exact": True,
+        }
+        for i in changes
+    ]

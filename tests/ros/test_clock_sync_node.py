@@ -1,0 +1,211 @@
+"""The clock monitor: what pmc says is published once a second, recorded and judged."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import shutil
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from helpers import network_pair, sync_results
+from helpers.ros import RosGraph
+from helpers.surg import argv, environment
+
+rospy = pytest.importorskip("rospy")
+surg_msgs = pytest.importorskip("surg_msgs.msg")
+
+from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from std_msgs.msg import Bool, String  # noqa: E402
+
+from surg_cli import ptp  # noqa: E402
+from surg_cli.processes import Supervisor, wait_until  # noqa: E402
+from surg_recording import episode, pmc, sync_report  # noqa: E402
+
+pytestmark = pytest.mark.ros
+
+# Answers like pmc, with the offset [ns] that the file `offset` holds; none: no daemon.
+STAND_IN = """#!{python}
+import pathlib
+try:
+    offset = pathlib.Path({file!r}).read_text()
+except OSError:
+    raise SystemExit(0)
+print('''
+\t0000b0.fffe.00000b-0 seq 0 RESPONSE MANAGEMENT TIME_STATUS_NP
+\t\tingress_time 17
+\t\tgmPresent true
+\t\tgmIdentity 0000a0.fffe.00000a
+\t0000b0.fffe.00000b-0 seq 1 RESPONSE MANAGEMENT CURRENT_DATA_SET
+\t\toffsetFromMaster ''' + offset + '''
+\t\tmeanPathDelay 40000.0
+\t0000b0.fffe.00000b-1 seq 2 RESPONSE MANAGEMENT PORT_DATA_SET
+\t\tportState SLAVE''')
+"""
+
+
+class Ears:
+    """What the monitor says."""
+
+    def __init__(self) -> None:
+        self.said: list[Any] = []
+        self.diagnosed: list[Any] = []
+        self._subscribers = [
+            rospy.Subscriber("/clock_sync/status", surg_msgs.ClockSync, self.said.append),
+            rospy.Subscriber("/diagnostics", DiagnosticArray, self._on_diagnostics),
+        ]
+
+    def _on_diagnostics(self, message: Any) -> None:
+        self.diagnosed += [s for s in message.status if s.name.endswith("PTP clock")]
+
+    def close(self) -> None:
+        for subscriber in self._subscribers:
+            subscriber.unregister()
+
+
+@pytest.fixture
+def ears(rospy_node: str, ros_graph: RosGraph) -> Iterator[Ears]:
+    made = Ears()
+    yield made
+    made.close()
+
+
+def test_the_monitor_says_what_pmc_says(ears: Ears, ros_graph: RosGraph, tmp_path: Path) -> None:
+    offset, program = tmp_path / "offset", tmp_path / "pmc"
+    offset.write_text("12000.0")
+    program.write_text(STAND_IN.format(python=sys.executable, file=str(offset)))
+    program.chmod(0o755)
+    (tmp_path / "socket").touch()
+    ros_graph.node(
+        "surg_recording",
+        "clock_sync_node",
+        "/clock_sync",
+        {"socket": str(tmp_path / "socket"), "rate": 10.0},
+        env={"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+    )
+    ros_graph.wait_for(lambda: bool(ears.said and ears.diagnosed), 20, "the clock monitor")
+    first = ears.said[0]
+    assert first.offset == pytest.approx(12e-6)
+    assert first.path_delay == pytest.approx(40e-6)
+    assert (first.port_state, first.grandmaster) == ("SLAVE", "0000a0.fffe.00000a")
+    assert first.in_step
+    assert abs(first.header.stamp.to_sec() - time.time()) < 30.0
+    assert ears.diagnosed[0].level == 0
+    offset.write_text("-2500000.0")  # injected: 2.5 ms behind
+    ros_graph.wait_for(lambda: not ears.said[-1].in_step, 20, "the offset to be noticed")
+    assert ears.said[-1].offset == pytest.approx(-2.5e-3)
+    assert "-2.500 ms off its master" in ears.said[-1].problem
+    ros_graph.wait_for(lambda: ears.diagnosed[-1].level == 1, 20, "the diagnosis")
+    offset.unlink()
+    ros_graph.wait_for(lambda: not ears.said[-1].port_state, 20, "the daemon's end")
+    assert math.isnan(ears.said[-1].offset)
+    assert "./surg ptp" in ears.said[-1].problem
+
+
+@pytest.mark.parametrize(("name", "value"), [("rate", 0.0), ("bound", -1.0), ("rate", "fast")])
+def test_a_broken_parameter_ends_the_monitor(
+    rospy_node: str, ros_graph: RosGraph, name: str, value: object
+) -> None:
+    child = ros_graph.node("surg_recording", "clock_sync_node", "/clock_sync", {name: value})
+    assert wait_until(lambda: child.exit_code is not None, 20)
+    assert child.exit_code == 2
+    assert f"parameter ~{name} is {value!r}, must be a number > 0" in child.log_tail()
+
+
+# --- a real pair --------------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def daemons(tmp_path: Path, asymmetry_ns: int) -> Iterator[Path]:
+    """A master by `./surg ptp` and a slave that measures; yields the slave's socket.
+
+    The slave is told that the way to it takes ``asymmetry_ns`` longer than the way back, which is
+    not so: it measures an offset of that size.
+    """
+    slave = tmp_path / "slave"
+    slave.mkdir(parents=True)
+    with (
+        network_pair.joined() as ends,
+        Supervisor(environment(), tmp_path / "logs") as supervisor,
+    ):
+        words = ("ptp", "master", "--interface", ends.interfaces[0], "--folder", tmp_path / "m")
+        supervisor.start("master", [*ends.inside(0), *argv(*words)])
+        text = ptp.configuration("slave", ends.interfaces[1], slave / "ptp4l", True)
+        (slave / "conf").write_text(text + f"delayAsymmetry {asymmetry_ns}\n")
+        daemon = [str(pmc.program("ptp4l")), "-f", str(slave / "conf"), "-m"]
+        supervisor.start("slave", [*ends.inside(1), *daemon])
+        began = time.monotonic()
+        assert wait_until(lambda: not math.isnan(pmc.ask(slave / "ptp4l").offset), 60, 0.2), (
+            "no offset was measured: " + pmc.ask(slave / "ptp4l").fault()
+        )
+        print(f"measured after {time.monotonic() - began:.1f} s: {pmc.ask(slave / 'ptp4l')}")
+        yield slave / "ptp4l"
+
+
+def record(ears: Ears, graph: RosGraph, folder: Path, socket: Path, looks: int) -> Path:
+    """Record what the monitor says of a clock, as an episode of two machines."""
+    status: list[dict[str, Any]] = []
+    ear = rospy.Subscriber("/record/status", String, lambda m: status.append(json.loads(m.data)))
+    start = rospy.Publisher("/record/record", Bool, queue_size=1)
+    graph.node("surg_recording", "clock_sync_node", "/clock_sync", {"socket": str(socket)})
+    parameters = {"out": str(folder), "mode": "freerun", "min_free_bytes": 0}
+    info = json.dumps({"machines": ["robot", "operator"]})
+    graph.node("surg_recording", "recorder_node", "/recorder", {**parameters, "run_info": info})
+    begun = len(ears.said)
+
+    def heard() -> bool:
+        rows = (status[-1].get("rows") or {}) if status else {}
+        return rows.get("clock_sync", 0) >= looks and len(ears.said) >= begun + looks
+
+    graph.wait_for(heard, 30, "the monitor's looks in the recording")
+    start.publish(False)
+    graph.wait_for(lambda: bool(status and status[-1].get("finished")), 30, "the episode")
+    ear.unregister()
+    return Path(status[-1]["finished"])
+
+
+def possible() -> str:
+    """Why there can be no pair here; empty when there can."""
+    if pmc.program("ptp4l") is None:
+        return "linuxptp is not installed"
+    if shutil.which("setpriv") is None:
+        return "setpriv is missing"
+    try:
+        with network_pair.joined():
+            return ""
+    except OSError as problem:
+        return f"network namespaces are not permitted here: {problem}"
+
+
+@pytest.mark.full
+@pytest.mark.parametrize(("injected", "verdict"), [(0, "pass"), (5_000_000, "fail")])
+def test_a_real_pair_is_monitored_and_recorded(
+    ears: Ears, ros_graph: RosGraph, tmp_path: Path, injected: int, verdict: str
+) -> None:
+    """ptp4l against ptp4l in two network namespaces, whose true offset is 0: they share a clock."""
+    why_not = possible()
+    if why_not:
+        pytest.skip(why_not)
+    with daemons(tmp_path / "ptp", injected) as socket:
+        folder = record(ears, ros_graph, tmp_path / "episode", socket, looks=4)
+    recorded = episode.read(folder)
+    found = sync_report.make(recorded)
+    clock = found["clock"]
+    row = "a real ptp4l pair" + (" with an offset of 5 ms injected" if injected else "")
+    told = f"largest offset {found['offset_s'] * 1e6:+.2f} µs, path delay"
+    told += f" {found['path_delay_s'] * 1e6:.2f} µs, verdict on the clocks: {clock['verdict']}"
+    sync_results.note(row, clock["samples"], told)
+    assert clock["verdict"] == verdict, clock
+    assert clock["samples"] >= 4
+    # Software stamps on a loaded machine: half a millisecond is far away.
+    assert abs(abs(found["offset_s"]) - injected * 1e-9) < 0.5e-3
+    assert found["grandmaster"].count(".fffe.") == 1
+    if injected:
+        assert "ms off its master" in clock["reasons"][0]

@@ -1,0 +1,45 @@
+"""`./surg view EPISODE`: one page with video, tip path, curves and events under one cursor."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import webbrowser
+from pathlib import Path
+
+from surg_cli.terminal import Problem, Progress, say
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    parser.add_argument("episode", type=Path, help="an episode's folder, or that of its run")
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="page to write (default: beside the episode)"
+    )
+    parser.add_argument("--no-open", action="store_true", help="write the page, open no browser")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Write the page and open it; the last line printed is its path."""
+    from surg_recording import episode as episodes
+    from surg_recording import sync_report, view
+    from surg_recording.errors import EpisodeError
+
+    folder = options.episode
+    if not (folder / episodes.MANIFEST).exists() and (folder / "episode").is_dir():
+        folder = folder / "episode"
+    try:
+        recorded = episodes.read(folder)
+        out = options.out or folder.absolute().with_name(f"{folder.absolute().name}_view.html")
+        if not os.access(out.parent, os.W_OK):
+            raise Problem(f"{out.parent}: cannot be written; --out FILE names another place", 2)
+        with Progress("view") as progress:
+            sync_report.ensure(recorded, lambda words: progress.update(None, words))
+            view.write(recorded, out, lambda words: progress.update(None, words))
+    except EpisodeError as problem:
+        raise Problem(str(problem), 2) from problem
+    can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if not options.no_open and not (can_show and webbrowser.open(out.absolute().as_uri())):
+        say("view: there is no display here: open this file in a browser")
+    say(str(out))
+    return 0
