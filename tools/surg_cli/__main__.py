@@ -21,6 +21,11 @@ from surg_cli.terminal import Problem, say, warn
 COMMANDS = {
     "demo": ("demo", True, "drive an instrument through its trocar and report how well it went"),
     "run": ("run", True, "episodes of a task by scripted senders, with success and deviations"),
+    "export": (
+        "export",
+        True,
+        "recordings as a dataset: LeRobot, robomimic, ACT, diffusion_policy",
+    ),
     "test": ("testing", True, "build and run the tests"),
     "setup": ("setup", False, "install Debian packages and .venv"),
     "build": ("setup", False, "build the workspace (does setup first)"),
