@@ -1,12 +1,7 @@
-"""Recordings whose pictures carry their identity, so that a frame that is out of place is seen.
-
-A picture is a row of black and white squares: a number of 24 bits with a parity row below it. It
-says which recording it is of, which camera, and which frame; decoding survives H.264.
-"""
+"""Recordings for the tests of datasets: a moving arm, and pictures that say which they are."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -17,54 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from helpers import recording_synthetic as base
+from helpers.picture_identity import HEIGHT, WIDTH, Identity, draw
 from helpers.recording_synthetic import TICK_NS, Synthetic
 from surg_recording.recording import Recording
 
 CAMERAS = ("endoscope_left", "endoscope_right")
-WIDTH, HEIGHT = 96, 64
-BITS, COLUMNS, ROWS = 24, 6, 4
 IMAGE_TICKS = 25
 """A picture every 50 ms."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Identity:
-    """What a picture says."""
-
-    recording: int
-    camera: int
-    frame: int
-
-    def number(self) -> int:
-        """As 24 bits: recording (8), camera (1), frame (15)."""
-        return self.recording << 16 | self.camera << 15 | self.frame
-
-
-def draw(identity: Identity, width: int = WIDTH, height: int = HEIGHT) -> npt.NDArray[np.uint8]:
-    """The picture (height, width, 3): bits above, their complements below."""
-    bits = np.array([identity.number() >> i & 1 for i in range(BITS)]).reshape(ROWS, COLUMNS)
-    both = np.vstack([bits, 1 - bits])
-    image = np.kron(both * 200 + 25, np.ones((height // (2 * ROWS), width // COLUMNS)))
-    return np.repeat(image.astype(np.uint8)[..., None], 3, axis=2)
-
-
-def read(image: npt.NDArray[Any]) -> Identity:
-    """What a picture (height, width, 3) says.
-
-    Raises:
-        ValueError: it is no such picture, or two are mixed.
-    """
-    grey = np.asarray(image, dtype=float).mean(axis=2)
-    high, wide = grey.shape[0] // (2 * ROWS), grey.shape[1] // COLUMNS
-    grey = grey[: high * 2 * ROWS, : wide * COLUMNS]
-    blocks = grey.reshape(2 * ROWS, high, COLUMNS, wide)
-    # The middle of every square: its edges are what compression blurs.
-    middle = blocks[:, high // 4 : max(high - high // 4, 1), :, wide // 4 : wide - wide // 4]
-    ones = (middle.mean(axis=(1, 3)) > grey.mean()).astype(int)
-    if not np.array_equal(ones[:ROWS], 1 - ones[ROWS:]):
-        raise ValueError("no picture of ours, or a mixture of two")
-    number = int(sum(int(bit) << i for i, bit in enumerate(ones[:ROWS].ravel())))
-    return Identity(number >> 16, number >> 15 & 1, number & 0x7FFF)
+FRAME_NS = IMAGE_TICKS * TICK_NS
 
 
 def record(
@@ -76,12 +31,14 @@ def record(
     success: bool = True,
     robot: str = "ur5e",
     jitter_ns: int = 0,
+    stall: tuple[int, int] = (0, 0),
     size: tuple[int, int] = (WIDTH, HEIGHT),
     **run: Any,
 ) -> Path:
     """Record a made-up episode with a moving arm; 50 ticks at rest before and after the motion.
 
-    Frame n of a camera has the stamp of tick 25 n (plus a seeded jitter) and shows n.
+    Frame n of a camera has the stamp of tick 25 n (plus a seeded jitter) and shows n; frames n in
+    ``range(*stall)`` are missing.
     """
     what = Synthetic(seconds=seconds)
     rng = np.random.default_rng(recording)
@@ -111,6 +68,8 @@ def record(
         if tick % IMAGE_TICKS == 0:
             late = int(rng.integers(0, jitter_ns + 1)) if jitter_ns else 0
             for number, camera in enumerate(cameras):
+                if tick // IMAGE_TICKS in range(*stall):
+                    continue
                 picture = draw(Identity(recording, number, tick // IMAGE_TICKS), *size)
                 recorder.image(camera, _message(picture, tick * TICK_NS + late), tick)
     verdict = {"done": True, "success": success, "reason": ""}
@@ -122,6 +81,20 @@ def copy(source: Path, target: Path, **changes: Any) -> Path:
     shutil.copytree(source, target)
     edit(target, **changes)
     return target
+
+
+def shift_pictures(folder: Path, by_ns: int) -> None:
+    """Stamp all pictures of a recording later, in every place, as a late clock would."""
+    manifest = json.loads((folder / "manifest.json").read_text("utf-8"))
+    for entry in manifest["videos"].values():
+        path = folder / entry["sidecar"]
+        lines = [line.split(",") for line in path.read_text("utf-8").splitlines()]
+        for line in lines[1:]:
+            line[1] = str(int(line[1]) + by_ns)
+        path.write_text("".join(",".join(line) + "\n" for line in lines), "utf-8")
+        for key in ("first_stamp_ns", "last_stamp_ns"):
+            entry[key] += by_ns
+    edit(folder, videos=manifest["videos"])
 
 
 def edit(folder: Path, **changes: Any) -> None:

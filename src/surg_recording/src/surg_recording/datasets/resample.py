@@ -49,21 +49,6 @@ def offsets_ns(k: npt.NDArray[np.int64], fps: int) -> Stamps:
     return (2 * k.astype(np.int64) * SECOND + fps) // (2 * fps)
 
 
-def check_stamps(stamps: Stamps, what: str) -> None:
-    """Refuse stamps that do not increase strictly.
-
-    Raises:
-        EpisodeError: names the first row that is out of order (line 2 is the first row).
-    """
-    wrong = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(wrong):
-        row = int(wrong[0]) + 1
-        raise EpisodeError(
-            f"{what}, line {row + 2}: stamp_ns {stamps[row]} is not later than {stamps[row - 1]}"
-            " in the line before; a recorder never writes that: restore the file"
-        )
-
-
 def previous(stamps: Stamps, times: Stamps, what: str, max_age_ns: int | None = None) -> Stamps:
     """Index of the newest sample that is not later than each time.
 
