@@ -79,7 +79,8 @@ def record(
 def copy(source: Path, target: Path, **changes: Any) -> Path:
     """A recording once more with other keys in its manifest."""
     shutil.copytree(source, target)
-    edit(target, **changes)
+    if changes:
+        edit(target, **changes)
     return target
 
 

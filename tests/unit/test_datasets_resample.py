@@ -105,7 +105,7 @@ def test_linear_and_slerp_bridge_no_gap_and_extrapolate_nothing() -> None:
     for method, data in ((linear, values), (slerp, turns)):
         inside = np.array([5, 10, 20, 100, 105, 110]) * 1_000_000
         assert len(method(stamps, data, inside, "x", 10_000_000)[0]) == 6
-        with pytest.raises(EpisodeError, match="no sample for 80.0 ms round frame 1"):
+        with pytest.raises(EpisodeError, match=r"no sample for 80.0 ms round frame 1"):
             method(stamps, data, np.array([5, 50]) * 1_000_000, "x", 50_000_000)
         with pytest.raises(EpisodeError, match=r"ends 0.0 ms before frame 0"):
             method(stamps, data, np.array([110_000_001]), "x", GAP)

@@ -69,8 +69,7 @@ def recorded_frames(path: Path, indices: Sequence[int]) -> Iterator[av.VideoFram
     number = -1
     try:
         with av.open(str(path)) as container:
-            container.streams.video[0].thread_type = "AUTO"
-            for number, frame in enumerate(container.decode(video=0)):
+            for number, frame in enumerate(_decoded(container)):
                 while due == number:
                     yield frame
                     due = next(wanted, None)
@@ -80,6 +79,17 @@ def recorded_frames(path: Path, indices: Sequence[int]) -> Iterator[av.VideoFram
         raise EpisodeError(f"{path}: cannot be decoded behind frame {number} ({problem})") from None
     if due is not None:
         raise EpisodeError(f"{path}: ends after {number + 1} frames, frame {due} is needed")
+
+
+def _decoded(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
+    """Frames of a video, decoded in this thread.
+
+    Recordings are converted side by side, so threads would gain nothing; and a decoder thread that
+    logs while its container is being closed waits for the interpreter for ever.
+    """
+    context = container.streams.video[0].codec_context
+    context.thread_type, context.thread_count = "NONE", 1
+    yield from container.decode(video=0)
 
 
 def rgb(frame: av.VideoFrame, size: tuple[int, int] | None = None) -> Image:
@@ -227,7 +237,7 @@ def check_video(path: Path, how: Encoding, expected: Sequence[Print]) -> None:
     number = -1
     try:
         with av.open(str(path)) as container:
-            for number, frame in enumerate(container.decode(video=0)):
+            for number, frame in enumerate(_decoded(container)):
                 if number >= len(expected):
                     raise EpisodeError(f"{path}: more than the {len(expected)} frames given to it")
                 shown = Fraction(frame.pts) * frame.time_base
