@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -33,6 +34,7 @@ def record(
     jitter_ns: int = 0,
     stall: tuple[int, int] = (0, 0),
     size: tuple[int, int] = (WIDTH, HEIGHT),
+    picture: Callable[..., npt.NDArray[np.uint8]] = draw,
     **run: Any,
 ) -> Path:
     """Record a made-up episode with a moving arm; 50 ticks at rest before and after the motion.
@@ -70,8 +72,8 @@ def record(
             for number, camera in enumerate(cameras):
                 if tick // IMAGE_TICKS in range(*stall):
                     continue
-                picture = draw(Identity(recording, number, tick // IMAGE_TICKS), *size)
-                recorder.image(camera, _message(picture, tick * TICK_NS + late), tick)
+                shown = picture(Identity(recording, number, tick // IMAGE_TICKS), *size)
+                recorder.image(camera, _message(shown, tick * TICK_NS + late), tick)
     verdict = {"done": True, "success": success, "reason": ""}
     return recorder.close({"sim": {"tick": ticks + 100, "done": True, "task": verdict}})
 
