@@ -15,6 +15,7 @@ import pytest
 
 from helpers import dataset_readers, datasets_synthetic, picture_identity
 from helpers.dataset_readers import FORMATS
+from helpers.dataset_results import note
 from helpers.datasets_synthetic import CAMERAS, FRAME_NS
 from helpers.recording_synthetic import TICK_NS, Synthetic, path
 from surg_recording import datasets
@@ -70,6 +71,7 @@ def test_every_frame_is_in_its_place(
     # The order of the dataset: successes, then recovery, then failure.
     wrong, total = dataset_readers.misplaced(tmp_path / "out", format_name, [1, 1, 1, 2])
     assert (wrong, total) == (0, 2 * report.frames)
+    note(f"pictures in their place: {format_name}", total, "all right")
     assert report.frames > 4 * 15
     what, numbers = Synthetic(seconds=SECONDS), []
     for frame in dataset_readers.frames(tmp_path / "out", format_name):
@@ -97,6 +99,7 @@ def test_pictures_with_a_late_clock_are_noticed(
     assert export([shifted], tmp_path / "out", format_name).ok, "consistent in itself"
     wrong, total = dataset_readers.misplaced(tmp_path / "out", format_name, [1])
     assert wrong == total > 0
+    note("the same with all pictures stamped a frame late", total, "all found misplaced")
 
 
 def test_a_jittering_camera_gives_the_newest_picture_that_is_not_later(
@@ -387,7 +390,7 @@ def test_broken_recordings_are_refused_by_name_and_the_rest_goes_on(
     again = datasets.dry_run(datasets.load("lerobot"), folders, SERIAL, lambda fraction, note: None)
     assert again.recordings == 2
     assert set(again.refused) == set(report.refused), "a dry run finds what the export finds"
-    print(f"broken recordings refused: {len(report.refused)}")
+    note("broken recordings", len(report.refused), "all refused by name, the others exported")
 
 
 def test_what_stalls_or_is_too_short_is_refused(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from helpers import datasets_synthetic
+from helpers.dataset_results import note
 from surg_recording import datasets
 from surg_recording.datasets import ExportError, ExportOptions, Report, executors, parts
 from surg_recording.datasets.parts import Job, Outcome
@@ -181,7 +182,11 @@ def test_a_dask_worker_is_killed_on_the_way(tmp_path: Path, full: bool) -> None:
         again = export(folders, out, options)
         assert again.facts == {"up_to_date": True}
         assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
-    print(f"dask worker killed: {report.recordings}/{count}, second run converted {again.made}")
+    note(
+        "recordings with a Dask worker killed on the way",
+        count,
+        f"{report.recordings}/{count} exported; a second run converts {again.made}",
+    )
 
 
 @dask_is_there
