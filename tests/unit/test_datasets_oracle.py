@@ -41,7 +41,7 @@ def read(version: str, out: Path, tmp_path: Path) -> tuple[dict[str, Any], list[
     env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     env.update(HF_HUB_OFFLINE="1", HF_HOME=str(tmp_path / "hf"), HF_DATASETS_OFFLINE="1")
     argv = [str(python), str(READER), str(out), "100000", "1"]
-    done = subprocess.run(argv, env=env, capture_output=True, text=True, timeout=600, check=False)
+    done = subprocess.run(argv, env=env, capture_output=True, text=True, timeout=1800, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     versions, facts, *frames = [
         json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")

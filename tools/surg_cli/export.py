@@ -124,7 +124,7 @@ def _say(report: Any, options: argparse.Namespace) -> int:
     if facts.get("up_to_date"):
         rows.append(["state", "up to date: nothing was done"])
     for key in ("splits", "kinds", "files"):
-        if key in facts:
+        if facts.get(key):
             shown = facts[key]
             if isinstance(shown, dict):
                 shown = ", ".join(f"{name} {value}" for name, value in shown.items())

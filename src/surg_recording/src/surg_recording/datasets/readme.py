@@ -178,12 +178,16 @@ def _each(dataset: Dataset, key: str) -> str:
 
 def _seeds(dataset: Dataset) -> str:
     seeds = [p.about["seed"] for p in dataset.parts if isinstance(p.about.get("seed"), int)]
-    return f"{min(seeds)} to {max(seeds)}" if seeds else "not stated"
+    if len(set(seeds)) <= 1:
+        return str(seeds[0]) if seeds else "not stated"
+    return f"{min(seeds)} to {max(seeds)}"
 
 
 def _summary(dataset: Dataset) -> str:
     robots = " and ".join(dict.fromkeys(dataset.layout.robots))
-    return f"{len(dataset.parts)} recordings of {robots}: {'; '.join(dataset.tasks)}."
+    count = len(dataset.parts)
+    noun = "recording" if count == 1 else "recordings"
+    return f"{count} {noun} of {robots}: {'; '.join(dataset.tasks)}."
 
 
 def _data_type(simulated: int, total: int) -> str:

@@ -98,15 +98,17 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     """
     recorded = episode.read(candidate.folder)
     layout = candidate.layout
-    arms = [_arm(recorded, name) for name in layout.arms]
+    cycles = {name: _cycle(recorded, name) for name in layout.arms}
+    arms = [_arm(recorded, name, cycles[name]) for name in layout.commanded]
     videos = {camera: checked_video(recorded, camera) for camera in layout.cameras}
     task = checked_table(recorded, "task_state") if layout.labelled else None
     truth = [checked_table(recorded, f"ground_truth_{a}") for a in layout.arms if layout.truth]
-    grid = _grid(candidate, arms, videos, [*([task] if task else []), *truth], options)
+    others = [*cycles.values(), *([task] if task else []), *truth]
+    grid = _grid(candidate, arms, videos, others, options)
 
     made = _Columns(grid, options)
-    _observe(made, candidate, arms)
-    _act(made, arms, layout.commanded)
+    _observe(made, candidate, arms, cycles)
+    _act(made, arms)
     shown = _show(made, candidate, videos)
     if task is not None:
         _label(made, task)
@@ -281,23 +283,31 @@ def _as_recorded(path: Any, entry: Any, rows: Any, table: Table) -> None:
             )
 
 
-def _arm(recorded: Episode, name: str) -> _Arm:
-    """An arm's cycles, checked, with the vectors that are resampled."""
+def _cycle(recorded: Episode, name: str) -> Table:
+    """An arm's cycles, checked, with strictly later stamps."""
     path = recorded.folder / f"cycle_{name}.csv"
     cycle = checked_table(recorded, f"cycle_{name}")
     # A cycle without a new joint state repeats its stamp: the last one knows most.
     cycle = cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
-    homed = np.flatnonzero(cycle["homed"] == 1)
-    if not len(homed):
-        raise EpisodeError(f"{path}: {name} was never homed, so its rcm frame is not known")
-    cycle = cycle.select(slice(int(homed[0]), None))
-    used = ("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw", "q0", "qd0")
+    joints = columns.joint_count(cycle.columns)
+    used = [*("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")]
+    used += [f"{prefix}{i}" for prefix in ("q", "qd") for i in range(joints)]
     for column in used:
         bad = np.flatnonzero(~np.isfinite(cycle[column]))
         if len(bad):
             raise EpisodeError(
                 f"{path}, column {column}: not a number at stamp_ns {cycle['stamp_ns'][bad[0]]}"
             )
+    return cycle
+
+
+def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
+    """A commanded arm, from homing on, with the vectors that are resampled."""
+    homed = np.flatnonzero(cycle["homed"] == 1)
+    if not len(homed):
+        path = recorded.folder / f"cycle_{name}.csv"
+        raise EpisodeError(f"{path}: {name} was never homed, so its rcm frame is not known")
+    cycle = cycle.select(slice(int(homed[0]), None))
     q_BR = cycle.vector("q_br", "xyzw")
     p_BRcm = cycle.vector("p_rcm")
     p_BTip = cycle.vector("p_tip")
@@ -337,7 +347,7 @@ def _grid(
     commands = [
         int(arm.stamps[np.flatnonzero(arm.cycle["command"] > 0)[0]])
         for arm in arms
-        if arm.name in candidate.layout.commanded and (arm.cycle["command"] > 0).any()
+        if (arm.cycle["command"] > 0).any()
     ]
     if not commands:
         raise EpisodeError(
@@ -348,6 +358,7 @@ def _grid(
     firsts += [int(table["stamp_ns"][0]) for table in others]
     begin = max(*firsts, min(commands) - period)
     lasts = [int(arm.stamps[-1]) - period for arm in arms]
+    lasts += [int(table["stamp_ns"][-1]) for table in others if table.name != "task_state"]
     lasts += [int(video.frames["stamp_ns"][-1]) for video in videos.values()]
     end = min(lasts)
     if videos:
@@ -366,25 +377,19 @@ def _grid(
 # --- features ---------------------------------------------------------------------------------
 
 
-def _observe(made: _Columns, candidate: Candidate, arms: list[_Arm]) -> None:
-    """What the arms measured."""
-    grid = made.grid
-    gap = round(made.options.max_gap_s * SECOND)
-    states, poses, joints, speeds = [], [], [], []
+def _observe(
+    made: _Columns, candidate: Candidate, arms: list[_Arm], cycles: dict[str, Table]
+) -> None:
+    """What the arms measured: joints of all, tips of those that are commanded and so homed."""
+    grid, gap = made.grid, round(made.options.max_gap_s * SECOND)
+    states, poses = [], []
     for arm in arms:
-        what = f"{candidate.folder / f'cycle_{arm.name}.csv'}"
-        q, qd = arm.cycle.joints("q"), arm.cycle.joints("qd")
-        both = np.column_stack([arm.state, arm.p_BTip, q, qd])
-        found, before = linear(arm.stamps, both, grid.times_ns, what, gap)
+        what = str(candidate.folder / f"cycle_{arm.name}.csv")
+        both = np.column_stack([arm.state, arm.p_BTip])
+        found, _ = linear(arm.stamps, both, grid.times_ns, what, gap)
         quaternion, _ = slerp(arm.stamps, arm.q_BTool, grid.times_ns, what, gap)
-        n, m = arm.state.shape[1], q.shape[1]
-        states.append(found[:, :n])
-        poses.append(np.column_stack([found[:, n : n + 3], quaternion]))
-        joints.append(found[:, n + 3 : n + 3 + m])
-        speeds.append(found[:, n + 3 + m :])
-        made.timing(
-            arm.name, arm.stamps, before, grid.times_ns, f"cycle of {arm.name} before this frame"
-        )
+        states.append(found[:, : arm.state.shape[1]])
+        poses.append(np.column_stack([found[:, arm.state.shape[1] :], quaternion]))
     names = [arm.name for arm in arms]
     made.vector(
         schema.STATE,
@@ -404,35 +409,34 @@ def _observe(made: _Columns, candidate: Candidate, arms: list[_Arm]) -> None:
         "linear interpolation; slerp",
         "measured pose of the tool: tip and orientation (quaternion x, y, z, w)",
     )
-    numbers = [
-        [f"{a.name}/q{i}" for i in range(j.shape[1])] for a, j in zip(arms, joints, strict=True)
-    ]
-    flat = tuple(name for part in numbers for name in part)
-    made.vector(
-        "observation.joint_positions",
-        np.hstack(joints),
-        flat,
-        ("rad",) * len(flat),
-        "",
-        _LINEAR,
-        "measured joint positions",
-    )
-    made.vector(
-        "observation.joint_velocities",
-        np.hstack(speeds),
-        tuple(name.replace("/q", "/qd") for name in flat),
-        ("rad/s",) * len(flat),
-        "",
-        _LINEAR,
-        "measured joint velocities",
-    )
+    for kind, prefix, unit in (("positions", "q", "rad"), ("velocities", "qd", "rad/s")):
+        values, flat = [], []
+        for name, cycle in cycles.items():
+            what = str(candidate.folder / f"cycle_{name}.csv")
+            found, before = linear(
+                cycle["stamp_ns"], cycle.joints(prefix), grid.times_ns, what, gap
+            )
+            values.append(found)
+            flat += [f"{name}/{prefix}{i}" for i in range(found.shape[1])]
+            if prefix == "q":
+                text = f"cycle of {name} before this frame"
+                made.timing(name, cycle["stamp_ns"], before, grid.times_ns, text)
+        made.vector(
+            f"observation.joint_{kind}",
+            np.hstack(values),
+            tuple(flat),
+            (unit,) * len(flat),
+            "",
+            _LINEAR,
+            f"measured joint {kind}",
+        )
 
 
-def _act(made: _Columns, arms: list[_Arm], commanded: tuple[str, ...]) -> None:
+def _act(made: _Columns, arms: list[_Arm]) -> None:
     """The commands in force at the next grid times."""
     times = made.grid.next_ns
-    goals, chosen = [], [arm for arm in arms if arm.name in commanded]
-    for arm in chosen:
+    goals = []
+    for arm in arms:
         row = previous(arm.stamps, times, f"commands of {arm.name}")
         goals.append(arm.goal[row])
         text = f"cycle that accepted the action of {arm.name}"
@@ -440,8 +444,8 @@ def _act(made: _Columns, arms: list[_Arm], commanded: tuple[str, ...]) -> None:
     made.vector(
         schema.ACTION,
         np.hstack(goals),
-        _named([arm.name for arm in chosen], schema.ARM_ACTION),
-        schema.ARM_ACTION_UNITS * len(chosen),
+        _named([arm.name for arm in arms], schema.ARM_ACTION),
+        schema.ARM_ACTION_UNITS * len(arms),
         "rcm frame of each arm",
         _NEXT,
         "where tip, roll and jaw shall be at the next frame; absolute",
