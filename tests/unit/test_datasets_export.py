@@ -136,6 +136,23 @@ def test_scaled_pictures_and_a_faster_grid(recordings: dict[str, Path], tmp_path
             np.testing.assert_allclose(frame.state[:3], what.executed(t), atol=2e-6)
 
 
+@pytest.mark.parametrize(
+    ("manifest", "kind"),
+    [
+        ({}, "success"),
+        ({"sim": {"task": {"success": True}}}, "success"),
+        ({"sim": {"task": {"success": False}}}, "failure"),
+        ({"result": {"success": False}, "sim": {"task": {"success": True}}}, "failure"),
+        ({"result": {"success": None}, "sim": {"task": {"success": True}}}, "success"),
+        ({"tags": [{"stamp_ns": 1, "text": "recovery", "by": "/x"}]}, "recovery"),
+        ({"tags": ["failure", "recovery"]}, "failure"),
+        ({"tags": [{"text": "slipped once"}]}, "success"),
+    ],
+)
+def test_kinds_of_recordings(manifest: dict[str, Any], kind: str) -> None:
+    assert datasets.pipeline.inspection.kind_of(manifest) == kind
+
+
 def test_splits_are_ranges_in_the_order_of_open_h(
     recordings: dict[str, Path], tmp_path: Path
 ) -> None:
@@ -305,6 +322,12 @@ def cut_video(folder: Path) -> None:
     file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
 
 
+def two_parts(folder: Path) -> None:
+    videos = json.loads((folder / "manifest.json").read_text())["videos"]
+    videos["endoscope_left.2"] = {**videos["endoscope_left"], "part_of": "endoscope_left"}
+    datasets_synthetic.edit(folder, videos=videos)
+
+
 def not_recorded(folder: Path) -> None:
     folder.joinpath("sync.json").write_text('{"verdict": "fail"}')
 
@@ -361,6 +384,11 @@ BROKEN: dict[str, tuple[Any, str]] = {
         lambda f: datasets_synthetic.edit(f, format="surg_episode/9"),
         "surg_episode/9",
     ),
+    "the clock was set": (
+        lambda f: datasets_synthetic.edit(f, segments=[{"begin_ns": 1, "step_ns": 10**9}]),
+        "the clock was set 1 times",
+    ),
+    "a camera in two parts": (two_parts, "endoscope_left has more than one video"),
     "the same once more": (lambda f: None, "the same recording as"),
 }
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording import columns, episode
-from surg_recording.datasets import schema
+from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import Episode
 from surg_recording.errors import EpisodeError
@@ -94,6 +94,11 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
             f"{folder}: the recording is {manifest.get('outcome')}: {manifest.get('reason')};"
             " --allow-incomplete exports what is there"
         )
+    if manifest.get("segments"):
+        raise EpisodeError(
+            f"{folder}: the clock was set {len(manifest['segments'])} times while it was recorded"
+            " (key 'segments' of the manifest): stamps on either side cannot be compared"
+        )
     _check_sync(recorded, options)
     layout = layout_of(recorded, options)
     run = _mapping(manifest.get("run"))
@@ -137,18 +142,24 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
                 f"{folder}: no control cycle of {arm} was recorded; nothing to export"
             )
         joints.append(sum(1 for name in entry["columns"] if name[:1] == "q" and name[1:].isdigit()))
-    cameras = tuple(recorded.cameras) if options.cameras is None else options.cameras
-    streams = _mapping(manifest.get("camera_streams"))
+    videos = manifest["videos"]
+    own = tuple(name for name in recorded.cameras if not _mapping(videos[name]).get("part_of"))
+    cameras = own if options.cameras is None else options.cameras
     sizes = []
     for camera in cameras:
-        entry = manifest["videos"].get(camera)
+        entry = videos.get(camera)
         if not entry:
             raise EpisodeError(
-                f"{folder}: no camera {camera!r}; there are {', '.join(recorded.cameras) or 'none'}"
+                f"{folder}: no camera {camera!r}; there are {', '.join(own) or 'none'}"
+            )
+        if any(_mapping(video).get("part_of") == camera for video in videos.values()):
+            raise EpisodeError(
+                f"{folder}: {camera} has more than one video (its size changed, or its encoder was"
+                " killed); --cameras names those to take"
             )
         if not entry.get("frames"):
             raise EpisodeError(f"{folder}: {camera} holds no frame")
-        sizes.append(_size(str(_mapping(streams.get(camera)).get("size", ""))))
+        sizes.append(pictures.size_of(folder / f"{camera}.mp4"))
     task = _mapping(manifest["tables"].get("task_state"))
     commanded = tuple(
         arm for arm in arms if _mapping(manifest["tables"].get(f"command_{arm}")).get("rows")
@@ -179,14 +190,15 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
 
 
 def kind_of(manifest: Mapping[str, Any]) -> str:
-    """Success, recovery or failure: by tag (``tags``, also under ``run``), then by the task."""
-    tags = [*_listed(manifest.get("tags")), *_listed(_mapping(manifest.get("run")).get("tags"))]
+    """Success, recovery or failure: by tag, then by the result, then by the simulated task."""
+    tags = _texts(manifest.get("tags"))
     for kind in (FAILURE, RECOVERY):
         if kind in tags:
             return kind
-    verdict = _mapping(_mapping(manifest.get("sim")).get("task"))
-    said = verdict.get("success", _mapping(manifest.get("run")).get("success"))
-    return FAILURE if said is False else SUCCESS
+    verdicts = (manifest.get("result"), _mapping(manifest.get("sim")).get("task"))
+    said = [_mapping(verdict).get("success") for verdict in verdicts]
+    judged = [success for success in said if success is not None]
+    return FAILURE if judged and judged[0] is False else SUCCESS
 
 
 def _sync(recorded: Episode) -> dict[str, Any] | None:
@@ -213,16 +225,10 @@ def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
 
 
-def _listed(value: Any) -> list[str]:
-    return [str(item) for item in value] if isinstance(value, (list, tuple)) else []
-
-
-def _size(text: str) -> tuple[int, int]:
-    """``640x480`` as (640, 480), even as videos are; (0, 0): not said."""
-    width, _, height = text.partition("x")
-    if not (width.isdigit() and height.isdigit()):
-        return (0, 0)
-    return (int(width) & ~1, int(height) & ~1)
+def _texts(tags: Any) -> list[str]:
+    """Words of a manifest's tags: texts, or objects with one."""
+    found = tags if isinstance(tags, list) else []
+    return [str(tag.get("text")) if isinstance(tag, dict) else str(tag) for tag in found]
 
 
 def _words(value: Any) -> str:

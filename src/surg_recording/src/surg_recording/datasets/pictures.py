@@ -227,6 +227,20 @@ def count_frames(path: Path) -> int:
         raise EpisodeError(f"{path}: no readable video ({problem})") from None
 
 
+def size_of(path: Path) -> tuple[int, int]:
+    """Width and height of a video [px].
+
+    Raises:
+        EpisodeError: the file cannot be read.
+    """
+    try:
+        with av.open(str(path)) as container:
+            context = container.streams.video[0].codec_context
+            return (int(context.width), int(context.height))
+    except (av.error.FFmpegError, IndexError, OSError) as problem:
+        raise EpisodeError(f"{path}: cannot be read ({problem})") from None
+
+
 def check_video(path: Path, how: Encoding, expected: Sequence[Print]) -> None:
     """Read a written video back: number of frames, their times, and what they show.
 
