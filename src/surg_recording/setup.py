@@ -8,7 +8,7 @@ setuptools.setup(
     description="Episode folders: recording, metrics, figures and reports",
     license="Apache-2.0",
     python_requires=">=3.11",
-    packages=["surg_recording", "surg_recording.metrics"],
+    packages=["surg_recording", "surg_recording.datasets", "surg_recording.metrics"],
     package_dir={"": "src"},
     package_data={"surg_recording": ["py.typed", "view.html", "view.css", "view.js"]},
     install_requires=[
@@ -19,4 +19,21 @@ setuptools.setup(
         "av>=10",
         "pillow>=9",
     ],
+    # Dataset formats (surg_recording.datasets); pyarrow 26 asks for a numpy newer than Debian's.
+    extras_require={
+        "lerobot": ["pyarrow>=15,<26"],
+        "hdf5": ["h5py>=3.7"],
+        "zarr": ["zarr>=2.13,<3"],
+        "dask": ["distributed>=2022.12"],
+    },
+    entry_points={
+        "surg_recording.exporters": [
+            "lerobot = surg_recording.datasets.lerobot_v21:LeRobotV21",
+            "lerobot_v21 = surg_recording.datasets.lerobot_v21:LeRobotV21",
+            "lerobot_v30 = surg_recording.datasets.lerobot_v30:LeRobotV30",
+            "robomimic = surg_recording.datasets.robomimic:Robomimic",
+            "act = surg_recording.datasets.act:Act",
+            "diffusion_policy = surg_recording.datasets.diffusion_policy:DiffusionPolicy",
+        ]
+    },
 )

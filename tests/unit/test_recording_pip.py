@@ -23,6 +23,10 @@ found = [m.name for m in pkgutil.iter_modules(surg_recording.__path__)]
 for name in found:
     if not name.endswith("_node"):
         importlib.import_module(f"surg_recording.{name}")
+from importlib import metadata
+from surg_recording import datasets
+points = metadata.entry_points(group=datasets.GROUP)
+assert {p.name for p in points} == set(datasets.names()), points
 print(surg_recording.__file__, len(found))
 """
 

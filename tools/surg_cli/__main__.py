@@ -23,6 +23,11 @@ COMMANDS = {
     "run": ("run", True, "episodes of a task by scripted senders, with success and deviations"),
     "evaluate": ("evaluate", True, "figures and tables of recorded episodes, by condition"),
     "teleop": ("teleop", True, "the phantom under your hands: an operator console in the browser"),
+    "export": (
+        "export",
+        True,
+        "recordings as a dataset: LeRobot, robomimic, ACT, diffusion_policy",
+    ),
     "test": ("testing", True, "build and run the tests"),
     "setup": ("setup", False, "install Debian packages and .venv"),
     "build": ("setup", False, "build the workspace (does setup first)"),

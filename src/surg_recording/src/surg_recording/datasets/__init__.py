@@ -1,0 +1,37 @@
+"""Datasets from recordings: a resampler, a feature schema, and exporters for what people train in.
+
+Plain Python; no ROS, no torch, no lerobot. ``load("lerobot").write(folders, out, ExportOptions())``
+exports; docs/datasets.md says what comes out, docs/adding_an_exporter.md how to add a format.
+"""
+
+from surg_recording.datasets.exporter import (
+    GROUP,
+    Dataset,
+    Exporter,
+    ExportError,
+    Part,
+    Report,
+    load,
+    names,
+)
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.pipeline import check, dry_run
+from surg_recording.datasets.sampling import Sampled, sample
+from surg_recording.datasets.schema import Feature
+
+__all__ = [
+    "GROUP",
+    "Dataset",
+    "ExportError",
+    "ExportOptions",
+    "Exporter",
+    "Feature",
+    "Part",
+    "Report",
+    "Sampled",
+    "check",
+    "dry_run",
+    "load",
+    "names",
+    "sample",
+]

@@ -1,0 +1,192 @@
+"""Zarr (format 2) as diffusion_policy reads it: ``replay.zarr`` with all recordings end to end.
+
+Facts about that reader (``ReplayBuffer``): groups ``data`` and ``meta``; every array in ``data``
+has one row per frame of all recordings; ``meta/episode_ends`` (int64) says where each ends.
+Pictures are (N, H, W, 3) uint8. What is one text per recording stands in ``meta``.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+import zarr
+from numcodecs import Blosc
+
+from surg_recording.datasets import pictures, schema
+from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.sampling import Sampled
+from surg_recording.datasets.schema import Feature
+from surg_recording.errors import EpisodeError
+
+STORE = "replay.zarr"
+_PART = "part.zarr"
+_COMPRESSOR = Blosc("zstd", clevel=3, shuffle=Blosc.BITSHUFFLE)
+_ROWS = 4096
+"""Rows per chunk of a table."""
+
+
+class DiffusionPolicy(Exporter):
+    """diffusion_policy."""
+
+    name = "diffusion_policy"
+    title = "diffusion_policy (Zarr, format 2)"
+    needs: ClassVar[Mapping[str, str]] = {
+        "zarr": "Debian: python3-zarr; pip install 'surg_recording[zarr]'"
+    }
+
+    def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
+        """One recording as a store of its own."""
+        root = _new(folder / _PART)
+        for feature in sampled.features:
+            name = _key(feature)
+            if feature.is_video:
+                stored = _pictures(root, name, sampled.grid.frames, feature)
+                done = 0
+                for frame in sampled.frames(feature.name):
+                    stored[done] = pictures.rgb(frame, options.size)
+                    done += 1
+                if done != sampled.grid.frames:
+                    raise EpisodeError(f"{feature.name}: {done} of {sampled.grid.frames} frames")
+            elif feature.dtype != "string":
+                values = sampled.columns[feature.name]
+                stored = root.array(name, values, chunks=(_ROWS, *values.shape[1:]))
+            else:
+                continue
+            _describe(stored, feature)
+        again = zarr.open_group(str(folder / _PART), mode="r")
+        for feature in sampled.features:
+            if feature.is_video:
+                stored = again[_key(feature)]
+                for number, frame in enumerate(sampled.frames(feature.name)):
+                    if not np.array_equal(stored[number], pictures.rgb(frame, options.size)):
+                        raise EpisodeError(
+                            f"{folder / _PART}: {feature.name}: frame {number} differs"
+                        )
+            elif feature.dtype != "string" and not np.array_equal(
+                again[_key(feature)][:], sampled.columns[feature.name]
+            ):
+                raise EpisodeError(f"{folder / _PART}: {feature.name}: read back something else")
+
+    def assemble(self, dataset: Dataset, out: Path) -> None:
+        """Put the recordings end to end; pictures are chunks of one frame, so files just move."""
+        root = _new(out / STORE)
+        data, meta = root.create_group("data"), root.create_group("meta")
+        ends = np.cumsum([part.frames for part in dataset.parts]).astype(np.int64)
+        sources = [zarr.open_group(str(p.folder / _PART), mode="r") for p in dataset.parts]
+        for feature in dataset.features:
+            name = _key(feature)
+            if feature.dtype == "string":
+                continue
+            if feature.is_video:
+                stored = _pictures(data, name, int(ends[-1]), feature)
+                self._place_chunks(dataset.parts, name, out / STORE / "data" / name)
+            else:
+                values = np.concatenate([source[name][:] for source in sources])
+                stored = data.array(name, values, chunks=(_ROWS, *values.shape[1:]))
+            _describe(stored, feature)
+        _array(meta, "episode_ends", ends)
+        _array(meta, "instruction", np.array([part.instruction for part in dataset.parts]))
+        _array(meta, "kind", np.array([part.kind for part in dataset.parts]))
+        root.attrs.update(
+            fps=dataset.options.fps,
+            robot_type=dataset.robot_type,
+            splits={name: list(ends) for name, ends in dataset.splits.items()},
+            state=_key_of(dataset, schema.STATE),
+            action=_key_of(dataset, schema.ACTION),
+        )
+
+    def _place_chunks(self, parts: tuple[Part, ...], name: str, target: Path) -> None:
+        first = 0
+        for part in parts:
+            for number in range(part.frames):
+                chunk = part.folder / _PART / name / f"{number}.0.0.0"
+                if chunk.exists():  # a frame of zeros alone is not stored
+                    pictures.place(chunk, target / f"{first + number}.0.0.0")
+            first += part.frames
+
+    def validate(self, out: Path) -> Report:
+        """Open the store as ReplayBuffer does, and read everything."""
+        report = Report(self.name, out)
+        try:
+            root = zarr.open_group(str(out / STORE), mode="r")
+            stated = json.loads((out / STORE / ".zgroup").read_text("utf-8"))
+            if stated != {"zarr_format": 2}:
+                report.errors.append(f"zarr format is {stated}, not 2")
+            ends = root["meta"]["episode_ends"][:]
+            if ends.dtype != np.int64 or not (np.diff(ends, prepend=0) > 0).all():
+                report.errors.append("meta/episode_ends does not increase")
+            report.recordings, report.frames = len(ends), int(ends[-1])
+            for name, stored in root["data"].arrays():
+                self._validate(name, stored, report)
+            report.errors += _off_grid(root, ends)
+            report.facts["splits"] = dict(root.attrs["splits"])
+            report.facts["data"] = {n: list(a.shape) for n, a in root["data"].arrays()}
+        except Exception as problem:  # damaged files fail in many ways
+            report.errors.append(f"{type(problem).__name__}: {problem}")
+        return report
+
+    def _validate(self, name: str, stored: Any, report: Report) -> None:
+        if stored.shape[0] != report.frames:
+            report.errors.append(f"data/{name}: {stored.shape[0]} rows, not {report.frames}")
+            return
+        if stored.dtype == np.uint8:
+            for number in range(stored.shape[0]):
+                stored[number]
+        elif not np.isfinite(stored[:]).all():
+            report.errors.append(f"data/{name}: holds values that are no numbers")
+
+
+def _new(path: Path) -> Any:
+    return zarr.open_group(zarr.DirectoryStore(str(path)), mode="w")
+
+
+def _pictures(group: Any, name: str, frames: int, feature: Feature) -> Any:
+    return group.create_dataset(
+        name,
+        shape=(frames, *feature.shape),
+        chunks=(1, *feature.shape),
+        dtype=np.uint8,
+        compressor=_COMPRESSOR,
+        fill_value=0,
+    )
+
+
+def _array(group: Any, name: str, values: npt.NDArray[Any]) -> None:
+    group.array(name, values, chunks=values.shape, compressor=None)
+
+
+def _describe(stored: Any, feature: Feature) -> None:
+    stated = feature.describe()
+    kept = ("names", "units", "frame", "method", "text", "privileged")
+    stored.attrs.update(feature=feature.name, **{key: stated[key] for key in kept})
+
+
+def _key(feature: Feature) -> str:
+    """Name of an array: ``state``, ``action``, the camera, else as it is."""
+    if feature.name == schema.STATE:
+        return "state"
+    return feature.camera if feature.is_video else feature.name
+
+
+def _key_of(dataset: Dataset, name: str) -> str | None:
+    return next((_key(feature) for feature in dataset.features if feature.name == name), None)
+
+
+def _off_grid(root: Any, ends: npt.NDArray[np.int64]) -> list[str]:
+    """Recordings whose grid times are not 1 / fps apart (rounded to a nanosecond)."""
+    if "timing.grid_ns" not in root["data"]:
+        return []
+    times, fps = root["data"]["timing.grid_ns"][:], root.attrs["fps"]
+    found = []
+    for number, end in enumerate(ends):
+        begin = ends[number - 1] if number else 0
+        off = times[begin:end] - times[begin] - np.arange(end - begin) * (1e9 / fps)
+        if np.abs(off).max() > 1:
+            found.append(f"recording {number}: its frames are not {1 / fps:g} s apart")
+    return found

@@ -1,0 +1,129 @@
+"""Who does the work: this process, a pool of processes, or a Dask cluster.
+
+Tasks are idempotent, so a worker that dies costs time and nothing else: a broken pool is replaced,
+and Dask gives the task to another worker.
+"""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Sequence
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+from surg_recording.datasets.exporter import ExportError
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.parts import Job, Outcome, make
+
+Done = Callable[[Outcome], None]
+
+DASK_HINT = (
+    "the executor dask needs the package distributed (Debian: python3-distributed; pip:"
+    " 'surg_recording[dask]'); --executor process needs nothing"
+)
+_RETRIES = 10
+"""Workers that may die under one Dask task before it is given up."""
+
+
+def run(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
+    """Do the jobs in any order; ``done`` is called here for each.
+
+    Raises:
+        ExportError: the executor is not installed or cannot be reached.
+    """
+    if not jobs:
+        return
+    if options.executor == "serial":
+        for job in jobs:
+            done(make(job))
+    elif options.executor == "dask":
+        _dask(jobs, options, done)
+    else:
+        _processes(jobs, options, done)
+
+
+def workers_of(options: ExportOptions, jobs: int) -> int:
+    """How many processes are worth having."""
+    return max(1, min(options.workers or len(os.sched_getaffinity(0)), jobs))
+
+
+def _processes(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
+    """A pool; when a process of it dies, what was under way is tried again one by one."""
+    left = _pool(list(jobs), workers_of(options, len(jobs)), done)
+    for job in left:
+        if _pool([job], 1, done):  # alone in its pool: it is this recording that kills the process
+            done(Outcome(job.folder, job.key, f"{job.folder}: the process that converted it died"))
+
+
+def _pool(jobs: list[Job], workers: int, done: Done) -> list[Job]:
+    """Run jobs in one pool; returns those without an outcome because a process died."""
+    context = multiprocessing.get_context("spawn")  # forks of a process with threads may hang
+    pool = concurrent.futures.ProcessPoolExecutor(workers, context, _leave_signals_to_the_parent)
+    waiting = {pool.submit(make, job): job for job in jobs}
+    left: list[Job] = []
+    try:
+        for future in concurrent.futures.as_completed(waiting):
+            try:
+                done(future.result())
+            except BrokenProcessPool:
+                left.append(waiting[future])
+    except BaseException:
+        for child in multiprocessing.active_children():
+            child.terminate()
+        pool.shutdown(wait=False, cancel_futures=True)
+        raise
+    pool.shutdown()
+    return left
+
+
+def _leave_signals_to_the_parent() -> None:
+    """Ctrl-C reaches the whole terminal group: the parent ends its workers itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _dask(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
+    """A Dask cluster: one of its own, or the scheduler at an address (with the same disk)."""
+    try:
+        import distributed
+    except ImportError as problem:
+        raise ExportError(f"{DASK_HINT} ({problem})") from None
+    import dask
+
+    settings = {
+        "distributed.scheduler.allowed-failures": _RETRIES,
+        "distributed.worker.daemon": True,
+        "distributed.logging.distributed": "critical",
+    }
+    with dask.config.set(settings):
+        cluster: Any = None
+        try:
+            if options.scheduler is None:
+                cluster = distributed.LocalCluster(
+                    n_workers=workers_of(options, len(jobs)),
+                    threads_per_worker=1,
+                    dashboard_address=None,
+                    silence_logs="CRITICAL",
+                    host="127.0.0.1",
+                )
+            client = distributed.Client(cluster or options.scheduler, timeout=20)
+        except (OSError, TimeoutError, ValueError) as problem:
+            raise ExportError(
+                f"--scheduler {options.scheduler}: no Dask scheduler answers there ({problem})"
+            ) from None
+        try:
+            by_key = {f"export-{job.key}": job for job in jobs}
+            futures = [client.submit(make, job, key=key) for key, job in by_key.items()]
+            for future in distributed.as_completed(futures):
+                job = by_key[future.key]
+                if future.status == "finished":
+                    done(future.result())
+                else:
+                    reason = f"{job.folder}: {future.exception()}"
+                    done(Outcome(job.folder, job.key, reason))
+        finally:
+            client.close()
+            if cluster is not None:
+                cluster.close()

@@ -1,0 +1,293 @@
+"""What an exporter is, and how one is found: by name, by entry point, by the path of a file.
+
+An entry point in the group ``surg_recording.exporters`` names a class:
+``my_format = my_package.my_format:MyExporter``. docs/adding_an_exporter.md tells how to write one.
+"""
+
+from __future__ import annotations
+
+import abc
+import dataclasses
+import importlib
+import importlib.util
+import inspect
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from importlib import metadata
+from pathlib import Path
+from types import ModuleType
+from typing import Any, ClassVar
+
+from surg_recording.datasets.inspection import Layout
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.sampling import Sampled
+from surg_recording.datasets.schema import Feature, from_description
+from surg_recording.errors import EpisodeError
+
+GROUP = "surg_recording.exporters"
+"""Entry points of other packages."""
+
+MANIFEST = "surg_export.json"
+"""In every export: what it was made of, and the checksum of every file."""
+
+_BUNDLED = {
+    "lerobot": "lerobot_v21",
+    "lerobot_v21": "lerobot_v21",
+    "lerobot_v30": "lerobot_v30",
+    "robomimic": "robomimic",
+    "act": "act",
+    "diffusion_policy": "diffusion_policy",
+}
+"""Name on the command line → module; ``lerobot`` is the default version."""
+
+Progress = Callable[[float | None, str], None]
+"""Called with the done part in [0, 1] and a few words."""
+
+
+class ExportError(Exception):
+    """An export that cannot be done at all; the message says what to do."""
+
+
+@dataclasses.dataclass
+class Report:
+    """What an export or a check of one found."""
+
+    format: str
+    out: Path
+    recordings: int = 0
+    frames: int = 0
+    made: int = 0
+    """Recordings converted in this run; the others were there already."""
+    refused: dict[str, str] = dataclasses.field(default_factory=dict)
+    """Recording → why it is not in the export."""
+    errors: list[str] = dataclasses.field(default_factory=list)
+    """What is wrong with the export; empty when it is good."""
+    warnings: list[str] = dataclasses.field(default_factory=list)
+    facts: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Sizes, splits, counts, for people."""
+
+    @property
+    def ok(self) -> bool:
+        """The export is good, and every recording is in it."""
+        return not self.errors and not self.refused
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON."""
+        return {**dataclasses.asdict(self), "out": str(self.out), "ok": self.ok}
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """One converted recording, waiting to be put together with others."""
+
+    folder: Path
+    key: str
+    """Input hash: of the recording's files, the options and the exporter."""
+    source: str
+    kind: str
+    instruction: str
+    frames: int
+    fps: int
+    features: tuple[Feature, ...]
+    about: Mapping[str, Any]
+    notes: Mapping[str, Any]
+
+    def save(self) -> None:
+        """Write ``part.json``."""
+        stated = dataclasses.asdict(self)
+        stated["folder"] = None
+        stated["features"] = [feature.describe() for feature in self.features]
+        (self.folder / PART).write_text(json.dumps(stated, indent=1, default=str) + "\n", "utf-8")
+
+    @staticmethod
+    def load(folder: Path) -> Part:
+        """Read ``part.json``.
+
+        Raises:
+            EpisodeError: it is missing or broken; the folder should be deleted.
+        """
+        try:
+            stated = json.loads((folder / PART).read_text("utf-8"))
+            stated["folder"] = folder
+            stated["features"] = tuple(map(from_description, stated["features"]))
+            return Part(**stated)
+        except (OSError, ValueError, KeyError, TypeError) as problem:
+            raise EpisodeError(f"{folder}: no converted recording ({problem}); delete it") from None
+
+
+PART = "part.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class Dataset:
+    """Everything an exporter needs to put parts together."""
+
+    name: str
+    parts: tuple[Part, ...]
+    """In the order of the dataset."""
+    splits: Mapping[str, tuple[int, int]]
+    """Split → first recording, and the one behind the last."""
+    layout: Layout
+    options: ExportOptions
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """Of every recording."""
+        return self.parts[0].features
+
+    @property
+    def robot_type(self) -> str:
+        """Robots by name, such as ``ur5e`` or ``ur5e+panda``."""
+        return "+".join(dict.fromkeys(self.layout.robots))
+
+    @property
+    def tasks(self) -> list[str]:
+        """Instructions in words, each once, in order of appearance."""
+        return list(dict.fromkeys(part.instruction for part in self.parts))
+
+    @property
+    def frames(self) -> int:
+        """Of all recordings."""
+        return sum(part.frames for part in self.parts)
+
+
+class Exporter(abc.ABC):
+    """A dataset format. Recordings are converted one by one, anywhere, then put together."""
+
+    name: ClassVar[str]
+    """On the command line."""
+    title: ClassVar[str]
+    """In words."""
+    version: ClassVar[int] = 1
+    """Raise it when the same input gives another output."""
+    needs: ClassVar[Mapping[str, str]] = {}
+    """Module → how to get it."""
+
+    def write(
+        self,
+        episodes: Sequence[Path],
+        out: Path,
+        options: ExportOptions,
+        progress: Progress = lambda fraction, note: None,
+    ) -> Report:
+        """Export recordings.
+
+        Args:
+            episodes: folders of recordings, or folders that hold some.
+            out: the folder to make.
+            options: all choices.
+            progress: is told how far the work is.
+
+        Returns:
+            What was done, what was refused and why, what is wrong.
+
+        Raises:
+            ExportError: nothing can be exported at all.
+        """
+        from surg_recording.datasets import pipeline
+
+        return pipeline.export(self, episodes, out, options, progress)
+
+    @abc.abstractmethod
+    def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
+        """Write one recording into an empty folder, and read back what was written.
+
+        Raises:
+            EpisodeError: the recording is broken, or what was written is not what was meant.
+        """
+
+    @abc.abstractmethod
+    def assemble(self, dataset: Dataset, out: Path) -> None:
+        """Put parts together in an empty folder.
+
+        Raises:
+            EpisodeError: they do not fit together.
+        """
+
+    @abc.abstractmethod
+    def validate(self, out: Path) -> Report:
+        """Check a finished export by reading everything in it."""
+
+    def require(self) -> None:
+        """Check that what the format needs is installed.
+
+        Raises:
+            ExportError: names the modules and how to get them.
+        """
+        missing = [name for name in self.needs if importlib.util.find_spec(name) is None]
+        if missing:
+            cures = "; ".join(f"{name}: {self.needs[name]}" for name in missing)
+            raise ExportError(f"format {self.name} needs {', '.join(missing)} ({cures})")
+
+
+def names() -> tuple[str, ...]:
+    """Names that ``load`` knows: the bundled formats, then those of installed packages."""
+    found = {point.name for point in metadata.entry_points(group=GROUP)}
+    return (*_BUNDLED, *sorted(found - set(_BUNDLED)))
+
+
+def load(name_or_path: str) -> Any:
+    """A new exporter.
+
+    Args:
+        name_or_path: Of ``names``, or the path of a ``.py`` file that defines one. A file is
+            executed: load none that you would not run.
+
+    Returns:
+        An object with ``name``, ``write`` and ``validate``; the bundled ones are ``Exporter``.
+
+    Raises:
+        ExportError: There is no such exporter; lists what exists.
+    """
+    if name_or_path.endswith(".py"):
+        return _only_exporter(_module_of(Path(name_or_path)), name_or_path)()
+    if name_or_path in _BUNDLED:
+        module = importlib.import_module(f"surg_recording.datasets.{_BUNDLED[name_or_path]}")
+        return _only_exporter(module, name_or_path)()
+    for point in metadata.entry_points(group=GROUP):
+        if point.name == name_or_path:
+            kind = point.load()
+            if not inspect.isclass(kind) or not _looks_right(kind):
+                raise ExportError(f"entry point '{point.value}' of '{point.name}' is no exporter")
+            return kind()
+    raise ExportError(
+        f"no format '{name_or_path}': there are {', '.join(names())}, or the path of a .py file"
+    )
+
+
+def _looks_right(kind: type) -> bool:
+    """A class that can be used as an exporter."""
+    return all(hasattr(kind, name) for name in ("name", "write", "validate"))
+
+
+def _module_of(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ExportError(f"no exporter file {path}: known names are {', '.join(names())}")
+    name = f"surg_recording_exporter_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None and spec.loader is not None  # of a file that ends in .py
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses look their module up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise ExportError(f"{path}: {type(error).__name__}: {error}") from error
+    return module
+
+
+def _only_exporter(module: ModuleType, where: str) -> type:
+    found = [
+        kind
+        for _, kind in inspect.getmembers(module, inspect.isclass)
+        if kind.__module__ == module.__name__ and _looks_right(kind)
+    ]
+    if len(found) != 1:
+        raise ExportError(
+            f"{where} defines {len(found)} exporters: one class with name, write and validate is"
+            " needed (derive it from surg_recording.datasets.Exporter)"
+        )
+    missing = sorted(getattr(found[0], "__abstractmethods__", ()))
+    if missing:
+        raise ExportError(f"{where}: {found[0].__name__} lacks {', '.join(missing)}")
+    return found[0]

@@ -1,0 +1,238 @@
+"""A first look at a recording, by its manifest: can it be exported, and with which others?
+
+Nothing large is read here. What needs the tables and the videos (torn files, gaps, stalls) is
+found when the recording is converted (``sampling``).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from surg_recording import columns, episode
+from surg_recording.datasets import pictures, schema
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.episode import Episode
+from surg_recording.errors import EpisodeError
+
+SUCCESS, RECOVERY, FAILURE = "success", "recovery", "failure"
+"""Kinds of recordings; the last two get a split of their own."""
+
+SYNC_REPORT = "sync.json"
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """What all recordings of one export share."""
+
+    arms: tuple[str, ...]
+    robots: tuple[str, ...]
+    """Robot of each arm."""
+    joints: tuple[int, ...]
+    """Joints of each arm."""
+    instruments: tuple[str, ...]
+    """Instrument of each arm."""
+    commanded: tuple[str, ...]
+    """Arms that received motion commands."""
+    cameras: tuple[str, ...]
+    sizes: tuple[tuple[int, int], ...]
+    """Width and height of each camera [px]."""
+    labelled: bool
+    """Whether a task judged the recording."""
+    task_numbers: tuple[str, ...]
+    """Columns of the task's ground truth."""
+    truth: bool
+    """Whether the simulator's truth of every arm is there."""
+
+    def difference(self, other: Layout) -> str | None:
+        """What keeps ``other`` out of an export with this layout; None: nothing."""
+        words = {
+            "arms": "arms",
+            "robots": "robots",
+            "joints": "joints per arm",
+            "instruments": "instruments",
+            "commanded": "commanded arms",
+            "cameras": "cameras",
+            "sizes": "picture sizes",
+            "labelled": "judged by a task",
+            "task_numbers": "numbers of the task's state",
+            "truth": "ground truth",
+        }
+        for field, word in words.items():
+            mine, theirs = getattr(self, field), getattr(other, field)
+            if mine != theirs:
+                return f"{word}: {_words(theirs)}, but this export has {_words(mine)}"
+        return None
+
+
+@dataclasses.dataclass(frozen=True)
+class Candidate:
+    """A recording that may be exported."""
+
+    folder: Path
+    layout: Layout
+    kind: str
+    """``SUCCESS``, ``RECOVERY`` or ``FAILURE``."""
+    instruction: str
+    about: dict[str, Any]
+    """What the dataset's page says about it: task, operator, setting, seed, dates, software."""
+
+
+def look(folder: Path, options: ExportOptions) -> Candidate:
+    """Judge a recording by its manifest.
+
+    Raises:
+        EpisodeError: it cannot be exported; says why, and what would allow it.
+    """
+    recorded = episode.read(folder)
+    manifest = recorded.manifest
+    if not recorded.complete and not options.allow_incomplete:
+        raise EpisodeError(
+            f"{folder}: the recording is {manifest.get('outcome')}: {manifest.get('reason')};"
+            " --allow-incomplete exports what is there"
+        )
+    if manifest.get("segments"):
+        raise EpisodeError(
+            f"{folder}: the clock was set {len(manifest['segments'])} times while it was recorded"
+            " (key 'segments' of the manifest): stamps on either side cannot be compared"
+        )
+    _check_sync(recorded, options)
+    layout = layout_of(recorded, options)
+    run = _mapping(manifest.get("run"))
+    return Candidate(
+        folder=folder,
+        layout=layout,
+        kind=kind_of(manifest),
+        instruction=options.instruction
+        or str(run.get("instruction") or manifest.get("task") or run.get("motion") or "not stated"),
+        about={
+            "task": manifest.get("task"),
+            "operator": manifest.get("operator"),
+            "setting": run.get("setting"),
+            "seed": manifest.get("seed"),
+            "created": manifest.get("created"),
+            "mode": manifest.get("mode"),
+            "clock": manifest.get("clock"),
+            "software": _mapping(manifest.get("versions")).get("software"),
+            "simulated": bool(manifest.get("sim")),
+            "sync": _sync(recorded),
+        },
+    )
+
+
+def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
+    """What the recording holds.
+
+    Raises:
+        EpisodeError: something that every export needs is missing.
+    """
+    manifest, folder = recorded.manifest, recorded.folder
+    arms = tuple(recorded.arms)
+    if not arms:
+        raise EpisodeError(f"{folder}: no arm was recorded (key 'arms' of the manifest is empty)")
+    described = _mapping(_mapping(manifest.get("cell")).get("arms"))
+    joints = []
+    for arm in arms:
+        entry = manifest["tables"].get(f"cycle_{arm}")
+        if not entry or not entry.get("rows"):
+            raise EpisodeError(
+                f"{folder}: no control cycle of {arm} was recorded; nothing to export"
+            )
+        joints.append(sum(1 for name in entry["columns"] if name[:1] == "q" and name[1:].isdigit()))
+    videos = manifest["videos"]
+    own = tuple(name for name in recorded.cameras if not _mapping(videos[name]).get("part_of"))
+    cameras = own if options.cameras is None else options.cameras
+    sizes = []
+    for camera in cameras:
+        entry = videos.get(camera)
+        if not entry:
+            raise EpisodeError(
+                f"{folder}: no camera {camera!r}; there are {', '.join(own) or 'none'}"
+            )
+        if any(_mapping(video).get("part_of") == camera for video in videos.values()):
+            raise EpisodeError(
+                f"{folder}: {camera} has more than one video (its size changed, or its encoder was"
+                " killed); --cameras names those to take"
+            )
+        if not entry.get("frames"):
+            raise EpisodeError(f"{folder}: {camera} holds no frame")
+        sizes.append(pictures.size_of(folder / f"{camera}.mp4"))
+    task = _mapping(manifest["tables"].get("task_state"))
+    commanded = tuple(
+        arm for arm in arms if _mapping(manifest["tables"].get(f"command_{arm}")).get("rows")
+    )
+    if not commanded:
+        raise EpisodeError(f"{folder}: no arm was commanded: there is no action to export")
+    truths = [_mapping(manifest["tables"].get(f"ground_truth_{arm}")).get("rows") for arm in arms]
+    run, drop = _mapping(manifest.get("run")), options.drop
+    numbers = [name for name in task.get("columns", []) if name.startswith(columns.TASK_PREFIX)]
+    return Layout(
+        arms=arms,
+        robots=tuple(
+            str(_mapping(_mapping(described.get(arm)).get("robot")).get("name") or run.get("robot"))
+            for arm in arms
+        ),
+        joints=tuple(joints),
+        instruments=tuple(
+            str(_mapping(_mapping(described.get(arm)).get("instrument")).get("name") or "unknown")
+            for arm in arms
+        ),
+        commanded=commanded,
+        cameras=cameras,
+        sizes=tuple(sizes),
+        labelled=bool(task.get("rows")),
+        task_numbers=tuple(numbers) if task.get("rows") and schema.TASK_STATE not in drop else (),
+        truth=all(truths) and schema.GROUND_TRUTH not in drop,
+    )
+
+
+def kind_of(manifest: Mapping[str, Any]) -> str:
+    """Success, recovery or failure: by tag, then by the result, then by the simulated task."""
+    tags = _texts(manifest.get("tags"))
+    for kind in (FAILURE, RECOVERY):
+        if kind in tags:
+            return kind
+    verdicts = (manifest.get("result"), _mapping(manifest.get("sim")).get("task"))
+    said = [_mapping(verdict).get("success") for verdict in verdicts]
+    judged = [success for success in said if success is not None]
+    return FAILURE if judged and judged[0] is False else SUCCESS
+
+
+def _sync(recorded: Episode) -> dict[str, Any] | None:
+    """The recording's sync report, if there is one that can be read."""
+    try:
+        found = json.loads((recorded.folder / SYNC_REPORT).read_text("utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as problem:
+        raise EpisodeError(f"{recorded.folder / SYNC_REPORT}: not valid JSON ({problem})") from None
+    return found if isinstance(found, dict) else None
+
+
+def _check_sync(recorded: Episode, options: ExportOptions) -> None:
+    report = _sync(recorded)
+    if report and report.get("verdict") == "fail" and not options.allow_unsynchronised:
+        raise EpisodeError(
+            f"{recorded.folder}: its sync report ({SYNC_REPORT}) says 'fail': pictures and motion"
+            " may not belong together; --allow-unsynchronised exports it all the same"
+        )
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _texts(tags: Any) -> list[str]:
+    """Words of a manifest's tags: texts, or objects with one."""
+    found = tags if isinstance(tags, list) else []
+    return [str(tag.get("text")) if isinstance(tag, dict) else str(tag) for tag in found]
+
+
+def _words(value: Any) -> str:
+    if isinstance(value, tuple):
+        shown = [f"{v[0]}x{v[1]}" if isinstance(v, tuple) else str(v) for v in value]
+        return ", ".join(shown) or "none"
+    return "yes" if value is True else "no" if value is False else str(value)

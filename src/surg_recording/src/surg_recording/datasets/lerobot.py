@@ -1,0 +1,295 @@
+"""What the LeRobot formats 2.1 and 3.0 share: tables, feature descriptions, checks.
+
+Written with pyarrow and PyAV alone. Facts about the readers, found in lerobot 0.3.3 and 0.4.4:
+``timestamp`` is float32; statistics of a column whose name contains "image" must have the shape
+(3, 1, 1); a column of shape (1,) is a scalar; names hold no "/".
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from surg_recording.datasets import pictures, schema, statistics
+from surg_recording.datasets.exporter import Dataset, Part, Report
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.pictures import Encoding, Seen
+from surg_recording.datasets.sampling import Sampled
+from surg_recording.datasets.schema import Feature
+from surg_recording.errors import EpisodeError
+
+NEEDS = {"pyarrow": "pip install 'surg_recording[lerobot]'"}
+
+DATA = "data.parquet"
+COLOURS = "colours.json"
+CHUNK = 1000
+"""Recordings per folder."""
+
+INDEX_FEATURES: dict[str, dict[str, Any]] = {
+    "timestamp": {"dtype": "float32", "shape": [1], "names": None},
+    "frame_index": {"dtype": "int64", "shape": [1], "names": None},
+    "episode_index": {"dtype": "int64", "shape": [1], "names": None},
+    "index": {"dtype": "int64", "shape": [1], "names": None},
+    "task_index": {"dtype": "int64", "shape": [1], "names": None},
+}
+"""Columns that every LeRobot dataset has."""
+
+LONGEST_S = 1000.0
+"""Longest video [s]: float32 seconds stay exact to lerobot's tolerance of 0.1 ms up to 1024 s."""
+
+_ARROW = {
+    "float32": pa.float32(),
+    "float64": pa.float64(),
+    "int64": pa.int64(),
+    "bool": pa.bool_(),
+    "string": pa.string(),
+}
+
+
+# --- parts ------------------------------------------------------------------------------------
+
+
+def write_part(sampled: Sampled, folder: Path, options: ExportOptions) -> None:
+    """A recording as a table and a video per camera, read back.
+
+    Raises:
+        EpisodeError: too long, or what was written is not what was meant.
+    """
+    if sampled.grid.frames / sampled.grid.fps > LONGEST_S:
+        raise EpisodeError(
+            f"{sampled.candidate.folder}: {sampled.grid.frames / sampled.grid.fps:.0f} s long;"
+            f" LeRobot keeps time in float32 seconds, exact enough up to {LONGEST_S:g} s"
+        )
+    table = table_of(sampled.columns, sampled.features)
+    path = folder / DATA
+    pq.write_table(table, path)
+    if not pq.read_table(path).equals(table):
+        raise EpisodeError(f"{path}: what was read back is not what was written")
+    counted: dict[str, Any] = {}
+    how = Encoding(sampled.grid.fps, options.crf, options.gop, options.preset, options.size)
+    for feature in schema.videos_of(sampled.features):
+        seen = Seen()
+        target = folder / f"{feature.name}.mp4"
+        frames = sampled.frames(feature.name)
+        pictures.encode(
+            pictures.watch(frames, seen, sampled.grid.frames, options.size), target, how
+        )
+        pictures.check_video(target, how, seen.prints)
+        if len(seen.prints) != sampled.grid.frames:
+            raise EpisodeError(
+                f"{target}: {len(seen.prints)} frames, the grid has {sampled.grid.frames}"
+            )
+        counted[feature.name] = {"sampled": seen.sampled, "histogram": seen.histogram.tolist()}
+    (folder / COLOURS).write_text(json.dumps(counted) + "\n", "utf-8")
+
+
+def table_of(columns: Mapping[str, npt.NDArray[Any]], features: Iterable[Feature]) -> pa.Table:
+    """Columns as an Arrow table: scalars for shape (1,), lists of fixed length otherwise."""
+    arrays, names = [], []
+    for feature in schema.columns_of(list(features)):
+        arrays.append(_array(columns[feature.name], feature.dtype, feature.shape[0]))
+        names.append(feature.name)
+    return pa.table(arrays, names)
+
+
+def _array(values: npt.NDArray[Any], dtype: str, length: int) -> pa.Array:
+    kind = _ARROW[dtype]
+    if dtype == "string":
+        return pa.array([str(value) for value in values], kind)
+    if length == 1:
+        return pa.array(values, kind)
+    flat = pa.array(np.ascontiguousarray(values).ravel(), kind)
+    return pa.FixedSizeListArray.from_arrays(flat, length)
+
+
+def indexed(table: pa.Table, fps: int, episode: int, first: int, task: int) -> pa.Table:
+    """A part's table with the columns that say where it stands in the dataset."""
+    k = np.arange(table.num_rows)
+    places: dict[str, npt.NDArray[Any]] = {
+        "timestamp": (k / fps).astype(np.float32),
+        "frame_index": k,
+        "episode_index": np.full(len(k), episode),
+        "index": first + k,
+        "task_index": np.full(len(k), task),
+    }
+    for name, values in places.items():
+        kind = _ARROW[INDEX_FEATURES[name]["dtype"]]
+        table = table.append_column(name, pa.array(values, kind))
+    return table
+
+
+def numbers(table: pa.Table, name: str) -> npt.NDArray[Any]:
+    """A column as (N,) or (N, D)."""
+    column = table.column(name).combine_chunks()
+    if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
+        return column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), -1)
+    return column.to_numpy(zero_copy_only=False)
+
+
+# --- statistics -------------------------------------------------------------------------------
+
+
+def colours_of(part: Part) -> dict[str, tuple[npt.NDArray[np.int64], int]]:
+    """Histograms of a part's videos, and the number of frames counted."""
+    stated = json.loads((part.folder / COLOURS).read_text("utf-8"))
+    return {
+        name: (np.array(entry["histogram"], dtype=np.int64), int(entry["sampled"]))
+        for name, entry in stated.items()
+    }
+
+
+def stats_of(
+    table: pa.Table,
+    colours: Mapping[str, tuple[npt.NDArray[np.int64], int]],
+    quantiles: bool = False,
+) -> dict[str, statistics.Stats]:
+    """Statistics of every numeric column and every video."""
+    found = {}
+    for field in table.schema:
+        if not pa.types.is_string(field.type):
+            found[field.name] = statistics.of_column(numbers(table, field.name), quantiles)
+    for name, (histogram, sampled) in colours.items():
+        found[name] = statistics.of_histogram(histogram, sampled, quantiles)
+    return found
+
+
+# --- meta -------------------------------------------------------------------------------------
+
+
+def described(features: Sequence[Feature], fps: int) -> dict[str, dict[str, Any]]:
+    """The ``features`` of info.json; unit, frame and method stand under ``info``."""
+    found: dict[str, dict[str, Any]] = {}
+    for feature in features:
+        entry: dict[str, Any] = {
+            "dtype": feature.dtype,
+            "shape": list(feature.shape),
+            "names": list(feature.names),
+        }
+        if feature.is_video:
+            entry["info"] = {
+                "video.height": feature.shape[0],
+                "video.width": feature.shape[1],
+                "video.codec": "h264",
+                "video.pix_fmt": "yuv420p",
+                "video.is_depth_map": False,
+                "video.fps": fps,
+                "video.channels": 3,
+                "has_audio": False,
+            }
+        else:
+            entry["info"] = {
+                "units": list(feature.units),
+                "frame": feature.frame,
+                "method": feature.method,
+                "description": feature.text,
+                "privileged": feature.privileged,
+            }
+        found[feature.name] = entry
+    return {**found, **INDEX_FEATURES}
+
+
+def info(dataset: Dataset, version: str) -> dict[str, Any]:
+    """What info.json says in both versions."""
+    return {
+        "codebase_version": version,
+        "robot_type": dataset.robot_type,
+        "total_episodes": len(dataset.parts),
+        "total_frames": dataset.frames,
+        "total_tasks": len(dataset.tasks),
+        "chunks_size": CHUNK,
+        "fps": dataset.options.fps,
+        "splits": {name: f"{a}:{b}" for name, (a, b) in dataset.splits.items()},
+        "features": described(dataset.features, dataset.options.fps),
+    }
+
+
+def write_json(path: Path, value: Any) -> None:
+    """JSON with its folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(value, indent=4, ensure_ascii=False) + "\n", "utf-8")
+
+
+def write_lines(path: Path, values: Iterable[Any]) -> None:
+    """JSON, one value per line."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = [json.dumps(value, ensure_ascii=False) + "\n" for value in values]
+    path.write_text("".join(lines), "utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """Read JSON.
+
+    Raises:
+        EpisodeError: missing or broken.
+    """
+    try:
+        return json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError) as problem:
+        raise EpisodeError(f"{path}: {problem}") from None
+
+
+# --- checks -----------------------------------------------------------------------------------
+
+
+def check_rows(table: pa.Table, stated: Mapping[str, Any], episode: int, first: int) -> list[str]:
+    """What is wrong with the rows of one recording."""
+    where, fps, n = f"recording {episode}", stated["fps"], table.num_rows
+    k = np.arange(n)
+    expected: dict[str, npt.NDArray[Any]] = {
+        "timestamp": (k / fps).astype(np.float32),
+        "frame_index": k,
+        "episode_index": np.full(n, episode),
+        "index": first + k,
+    }
+    found = []
+    for name, values in expected.items():
+        if name not in table.column_names or not np.array_equal(numbers(table, name), values):
+            found.append(f"{where}: column {name} is not on the grid")
+    for name, feature in stated["features"].items():
+        if feature["dtype"] == "video":
+            continue
+        if name not in table.column_names:
+            found.append(f"{where}: no column {name}")
+        elif feature["dtype"].startswith("float"):
+            values = numbers(table, name)
+            if values.shape[1:] != tuple(
+                d for d in feature["shape"] if d != 1 or len(feature["shape"]) > 1
+            ):
+                found.append(f"{where}: column {name} has shape {values.shape[1:]}")
+            elif not np.isfinite(values).all():
+                found.append(f"{where}: column {name} holds values that are no numbers")
+    return found
+
+
+def check_splits(stated: Mapping[str, Any]) -> list[str]:
+    """Splits must be ranges that follow each other and cover all recordings."""
+    ranges = sorted(tuple(map(int, ends.split(":"))) for ends in stated["splits"].values())
+    flat = [end for pair in ranges for end in pair]
+    good = flat[:1] == [0] and flat[-1:] == [stated["total_episodes"]]
+    good = good and all(a == b for a, b in zip(flat[1:-1:2], flat[2::2], strict=False))
+    return [] if good else [f"splits {stated['splits']} do not cover {stated['total_episodes']}"]
+
+
+def check_openness(stated: Mapping[str, Any], report: Report) -> None:
+    """What Open-H asks for beyond the format: rate, resolution, names; said as warnings."""
+    if stated["fps"] < 20:
+        report.warnings.append(f"{stated['fps']} frames per second; Open-H asks for at least 20")
+    videos = {k: f for k, f in stated["features"].items() if f["dtype"] == "video"}
+    if not videos:
+        report.warnings.append("no pictures; Open-H asks for observation.images.endoscope.*")
+    for name, feature in videos.items():
+        if min(feature["shape"][:2]) < 480:
+            size = "x".join(map(str, feature["shape"][1::-1]))
+            report.warnings.append(f"{name}: {size}; Open-H asks for at least 480 lines")
+    for split in ("val", "test"):
+        if split not in stated["splits"]:
+            report.warnings.append(
+                f"no split '{split}'; too few recordings for the shares asked for"
+            )

@@ -1,0 +1,131 @@
+"""LeRobot 2.1: one Parquet file and one video per camera for each recording.
+
+Read by lerobot up to 0.3.3, asked for by Open-H-Embodiment and GR00T. With Open-H's conventions:
+``meta/README.md`` filled from the manifests, splits with recovery and failure.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import pyarrow.parquet as pq
+
+from surg_recording.datasets import lerobot, pictures, readme, schema, statistics
+from surg_recording.datasets.exporter import Dataset, Exporter, Report
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.sampling import Sampled
+from surg_recording.errors import EpisodeError
+
+DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
+VIDEO_PATH = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
+
+
+class LeRobotV21(Exporter):
+    """LeRobot 2.1 with Open-H's conventions."""
+
+    name = "lerobot_v21"
+    title = "LeRobot 2.1 (Open-H, GR00T)"
+    needs: ClassVar[Mapping[str, str]] = lerobot.NEEDS
+
+    def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
+        """A table and a video per camera."""
+        lerobot.write_part(sampled, folder, options)
+
+    def assemble(self, dataset: Dataset, out: Path) -> None:
+        """Number the rows, place the videos, write ``meta``."""
+        videos = schema.videos_of(dataset.features)
+        tasks = {task: index for index, task in enumerate(dataset.tasks)}
+        episodes, stats = [], []
+        first = 0
+        for index, part in enumerate(dataset.parts):
+            place = {"episode_chunk": index // lerobot.CHUNK, "episode_index": index}
+            table = pq.read_table(part.folder / lerobot.DATA)
+            table = lerobot.indexed(
+                table, dataset.options.fps, index, first, tasks[part.instruction]
+            )
+            path = out / DATA_PATH.format(**place)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            pq.write_table(table, path)
+            for feature in videos:
+                target = out / VIDEO_PATH.format(video_key=feature.name, **place)
+                pictures.place(part.folder / f"{feature.name}.mp4", target)
+            found = lerobot.stats_of(table, lerobot.colours_of(part))
+            stats.append({"episode_index": index, "stats": statistics.to_json(found)})
+            episodes.append(
+                {"episode_index": index, "tasks": [part.instruction], "length": part.frames}
+            )
+            first += part.frames
+        stated = lerobot.info(dataset, "v2.1")
+        stated.update(
+            total_videos=len(videos) * len(dataset.parts),
+            total_chunks=(len(dataset.parts) - 1) // lerobot.CHUNK + 1,
+            data_path=DATA_PATH,
+            video_path=VIDEO_PATH if videos else None,
+        )
+        meta = out / "meta"
+        lerobot.write_json(meta / "info.json", stated)
+        named = [{"task_index": index, "task": task} for task, index in tasks.items()]
+        lerobot.write_lines(meta / "tasks.jsonl", named)
+        lerobot.write_lines(meta / "episodes.jsonl", episodes)
+        lerobot.write_lines(meta / "episodes_stats.jsonl", stats)
+        (meta / "README.md").write_text(readme.page(dataset, "LeRobot 2.1"), "utf-8")
+
+    def validate(self, out: Path) -> Report:
+        """Read everything: rows, videos, statistics, splits, the page."""
+        report = Report(self.name, out)
+        try:
+            self._validate(out, report)
+        except Exception as problem:  # damaged files fail in many ways
+            report.errors.append(f"{type(problem).__name__}: {problem}")
+        return report
+
+    def _validate(self, out: Path, report: Report) -> None:
+        stated = lerobot.read_json(out / "meta" / "info.json")
+        episodes = _lines(out / "meta" / "episodes.jsonl")
+        stats = _lines(out / "meta" / "episodes_stats.jsonl")
+        tasks = _lines(out / "meta" / "tasks.jsonl")
+        videos = [k for k, f in stated["features"].items() if f["dtype"] == "video"]
+        if not len(episodes) == len(stats) == stated["total_episodes"]:
+            report.errors.append("info.json, episodes.jsonl and episodes_stats.jsonl disagree")
+        if len(tasks) != stated["total_tasks"]:
+            report.errors.append("info.json and tasks.jsonl disagree")
+        for index, entry in enumerate(episodes):
+            place = {"episode_chunk": index // stated["chunks_size"], "episode_index": index}
+            table = pq.read_table(out / stated["data_path"].format(**place))
+            report.errors += lerobot.check_rows(table, stated, index, report.frames)
+            if table.num_rows != entry["length"]:
+                report.errors.append(
+                    f"recording {index}: {table.num_rows} rows, not {entry['length']}"
+                )
+            found = lerobot.stats_of(table, {})
+            report.errors += statistics.differ(stats[index]["stats"], found, list(found))
+            for name in videos:
+                path = out / stated["video_path"].format(video_key=name, **place)
+                facts = pictures.video_facts(path)
+                size = [facts["height"], facts["width"], 3]
+                if size != stated["features"][name]["shape"]:
+                    report.errors.append(f"{path.name}: size {size}")
+                if facts["frames"] != table.num_rows or not facts["on_grid"]:
+                    report.errors.append(
+                        f"{name} of recording {index}: {facts['frames']} frames for"
+                        f" {table.num_rows} rows, on the grid: {facts['on_grid']}"
+                    )
+            report.recordings += 1
+            report.frames += table.num_rows
+        if report.frames != stated["total_frames"]:
+            report.errors.append(f"{report.frames} rows, info.json says {stated['total_frames']}")
+        report.errors += lerobot.check_splits(stated)
+        text = (out / "meta" / "README.md").read_text("utf-8")
+        report.errors += readme.missing_sections(text)
+        lerobot.check_openness(stated, report)
+        report.facts.update(splits=stated["splits"], features=list(stated["features"]))
+
+
+def _lines(path: Path) -> list[Any]:
+    try:
+        return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+    except (OSError, ValueError) as problem:
+        raise EpisodeError(f"{path}: {problem}") from None

@@ -1,0 +1,250 @@
+"""LeRobot 3.0: many recordings per Parquet file and per video, found by their first frame.
+
+Read by lerobot from 0.4 on. Videos of recordings are joined packet by packet, not encoded again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from surg_recording.datasets import lerobot, pictures, readme, schema, statistics
+from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.sampling import Sampled
+
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
+EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
+TASKS_PATH = "meta/tasks.parquet"
+DATA_MB, VIDEO_MB = 100, 200
+"""A file that would grow over this is followed by another [MiB]."""
+
+_PANDAS_INDEX = "__index_level_0__"
+
+
+class LeRobotV30(Exporter):
+    """LeRobot 3.0."""
+
+    name = "lerobot_v30"
+    title = "LeRobot 3.0 (lerobot 0.4 and later)"
+    needs: ClassVar[Mapping[str, str]] = lerobot.NEEDS
+
+    def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
+        """A table and a video per camera."""
+        lerobot.write_part(sampled, folder, options)
+
+    def assemble(self, dataset: Dataset, out: Path) -> None:
+        """Join tables and videos into files, write ``meta``."""
+        fps, parts = dataset.options.fps, dataset.parts
+        tasks = {task: index for index, task in enumerate(dataset.tasks)}
+        rows: list[dict[str, Any]] = []
+        first = 0
+        for index, part in enumerate(parts):
+            rows.append(
+                {
+                    "episode_index": index,
+                    "tasks": [part.instruction],
+                    "length": part.frames,
+                    "dataset_from_index": first,
+                    "dataset_to_index": first + part.frames,
+                }
+            )
+            first += part.frames
+        whole = []
+        colours: dict[str, list[Any]] = {}
+        groups = _groups([(p.folder / lerobot.DATA).stat().st_size for p in parts], DATA_MB << 20)
+        for file, members in enumerate(groups):
+            tables = []
+            for index in members:
+                part, row = parts[index], rows[index]
+                table = lerobot.indexed(
+                    pq.read_table(part.folder / lerobot.DATA),
+                    fps,
+                    index,
+                    row["dataset_from_index"],
+                    tasks[part.instruction],
+                )
+                counted = lerobot.colours_of(part)
+                for name, entry in counted.items():
+                    colours.setdefault(name, []).append(entry)
+                row.update(_place("data", file))
+                row.update(_flat(lerobot.stats_of(table, counted, quantiles=True)))
+                tables.append(table)
+            path = out / DATA_PATH.format(**_numbers(file))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            whole.append(pa.concat_tables(tables))
+            pq.write_table(whole[-1], path)
+        for feature in schema.videos_of(dataset.features):
+            self._join(feature.name, parts, rows, fps, out)
+        for row in rows:
+            row.update(_place("meta/episodes", 0))
+        path = out / EPISODES_PATH
+        path.parent.mkdir(parents=True)
+        pq.write_table(pa.Table.from_pylist(rows), path)
+        pq.write_table(tasks_table(tasks), out / TASKS_PATH)
+        summed = {
+            name: (sum(h for h, _ in entries), sum(n for _, n in entries))
+            for name, entries in colours.items()
+        }
+        stats = lerobot.stats_of(pa.concat_tables(whole), summed, quantiles=True)
+        lerobot.write_json(out / "meta" / "stats.json", statistics.to_json(stats))
+        stated = lerobot.info(dataset, "v3.0")
+        stated.update(
+            data_files_size_in_mb=DATA_MB,
+            video_files_size_in_mb=VIDEO_MB,
+            data_path=DATA_PATH,
+            video_path=VIDEO_PATH if schema.videos_of(dataset.features) else None,
+        )
+        lerobot.write_json(out / "meta" / "info.json", stated)
+        (out / "meta" / "README.md").write_text(readme.page(dataset, "LeRobot 3.0"), "utf-8")
+
+    def _join(
+        self, name: str, parts: tuple[Part, ...], rows: list[dict[str, Any]], fps: int, out: Path
+    ) -> None:
+        """Join the videos of one camera, and say in the rows where each recording begins."""
+        paths = [part.folder / f"{name}.mp4" for part in parts]
+        longest = [part.frames / fps / lerobot.LONGEST_S for part in parts]
+        sizes = [path.stat().st_size / (VIDEO_MB << 20) for path in paths]
+        weights = [max(pair) for pair in zip(longest, sizes, strict=True)]
+        for file, members in enumerate(_groups(weights, 1.0)):
+            path = out / VIDEO_PATH.format(video_key=name, **_numbers(file))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            starts = pictures.join([paths[index] for index in members], path, fps)
+            for index, start in zip(members, starts, strict=True):
+                rows[index].update(_place(f"videos/{name}", file))
+                rows[index][f"videos/{name}/from_timestamp"] = start / fps
+                end = start + parts[index].frames
+                rows[index][f"videos/{name}/to_timestamp"] = end / fps
+
+    def validate(self, out: Path) -> Report:
+        """Read everything: rows, videos, statistics, splits."""
+        report = Report(self.name, out)
+        try:
+            self._validate(out, report)
+        except Exception as problem:  # damaged files fail in many ways
+            report.errors.append(f"{type(problem).__name__}: {problem}")
+        return report
+
+    def _validate(self, out: Path, report: Report) -> None:
+        stated = lerobot.read_json(out / "meta" / "info.json")
+        stats = lerobot.read_json(out / "meta" / "stats.json")
+        rows = pq.read_table(out / EPISODES_PATH).to_pylist()
+        videos = [k for k, f in stated["features"].items() if f["dtype"] == "video"]
+        files: dict[Path, pa.Table] = {}
+        ends: dict[Path, float] = {}
+        for index, row in enumerate(rows):
+            path = out / stated["data_path"].format(**_found(row, "data"))
+            if path not in files:
+                files[path] = pq.read_table(path)
+            here = lerobot.numbers(files[path], "episode_index") == index
+            table = files[path].filter(pa.array(here))
+            report.errors += lerobot.check_rows(table, stated, index, report.frames)
+            if row["length"] != table.num_rows or row["dataset_from_index"] != report.frames:
+                report.errors.append(f"recording {index}: {table.num_rows} rows, row says {row}")
+            for name in videos:
+                path = out / stated["video_path"].format(
+                    video_key=name, **_found(row, f"videos/{name}")
+                )
+                if abs(row[f"videos/{name}/from_timestamp"] - ends.get(path, 0.0)) > 1e-9:
+                    report.errors.append(
+                        f"{name} of recording {index} does not follow the one before"
+                    )
+                ends[path] = row[f"videos/{name}/to_timestamp"]
+                length = ends[path] - row[f"videos/{name}/from_timestamp"]
+                if abs(length - row["length"] / stated["fps"]) > 1e-9:
+                    report.errors.append(f"{name} of recording {index}: {length} s of video")
+            report.recordings += 1
+            report.frames += table.num_rows
+        for path, end in ends.items():
+            facts = pictures.video_facts(path)
+            if facts["frames"] != round(end * stated["fps"]) or not facts["on_grid"]:
+                report.errors.append(
+                    f"{path.relative_to(out)}: {facts['frames']} frames, {end * stated['fps']:.0f}"
+                    f" are needed; on the grid: {facts['on_grid']}"
+                )
+        if (report.recordings, report.frames) != (stated["total_episodes"], stated["total_frames"]):
+            report.errors.append("info.json and the tables disagree on recordings or frames")
+        computed = lerobot.stats_of(pa.concat_tables(files.values()), {}, quantiles=True)
+        report.errors += statistics.differ(stats, computed, list(computed))
+        tasks = pq.read_table(out / TASKS_PATH).to_pylist()
+        if [task["task_index"] for task in tasks] != list(range(stated["total_tasks"])):
+            report.errors.append("tasks.parquet and info.json disagree")
+        report.errors += lerobot.check_splits(stated)
+        lerobot.check_openness(stated, report)
+        report.facts.update(splits=stated["splits"], features=list(stated["features"]))
+
+
+def tasks_table(tasks: Mapping[str, int]) -> pa.Table:
+    """``tasks.parquet``: the task's words are the pandas index, as lerobot asks for.
+
+    pandas is not needed to write it: it finds the index by this entry of the schema.
+    """
+    described = {
+        "index_columns": [_PANDAS_INDEX],
+        "column_indexes": [],
+        "columns": [
+            {
+                "name": "task_index",
+                "field_name": "task_index",
+                "pandas_type": "int64",
+                "numpy_type": "int64",
+                "metadata": None,
+            },
+            {
+                "name": None,
+                "field_name": _PANDAS_INDEX,
+                "pandas_type": "unicode",
+                "numpy_type": "object",
+                "metadata": None,
+            },
+        ],
+        "creator": {"library": "pyarrow", "version": pa.__version__},
+        "pandas_version": "1.5.3",
+    }
+    table = pa.table(
+        {
+            "task_index": pa.array(tasks.values(), pa.int64()),
+            _PANDAS_INDEX: pa.array(tasks.keys(), pa.string()),
+        }
+    )
+    return table.replace_schema_metadata({"pandas": json.dumps(described)})
+
+
+def _groups(sizes: list[float] | list[int], limit: float) -> list[list[int]]:
+    """Indices in order, in groups whose sizes add up to at most the limit (one at least)."""
+    groups: list[list[int]] = []
+    filled = 0.0
+    for index, size in enumerate(sizes):
+        if not groups or filled + size > limit:
+            groups.append([])
+            filled = 0.0
+        groups[-1].append(index)
+        filled += size
+    return groups
+
+
+def _numbers(file: int) -> dict[str, int]:
+    return {"chunk_index": file // lerobot.CHUNK, "file_index": file % lerobot.CHUNK}
+
+
+def _place(prefix: str, file: int) -> dict[str, int]:
+    return {f"{prefix}/{key}": value for key, value in _numbers(file).items()}
+
+
+def _found(row: Mapping[str, Any], prefix: str) -> dict[str, int]:
+    return {key: int(row[f"{prefix}/{key}"]) for key in ("chunk_index", "file_index")}
+
+
+def _flat(stats: Mapping[str, statistics.Stats]) -> dict[str, Any]:
+    return {
+        f"stats/{feature}/{key}": np.asarray(value).tolist()
+        for feature, found in stats.items()
+        for key, value in found.items()
+    }

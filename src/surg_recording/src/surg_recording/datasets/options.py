@@ -1,0 +1,114 @@
+"""What a person may choose about an export."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+EXECUTORS = ("process", "serial", "dask")
+SPLITS = ("train", "val", "test")
+
+
+@dataclasses.dataclass(frozen=True)
+class ExportOptions:
+    """All choices; those under "what is exported" are part of a recording's input hash."""
+
+    # What is exported.
+    fps: int = 20
+    """Frames per second of the grid."""
+    cameras: tuple[str, ...] | None = None
+    """Cameras to take; None: all of the first recording."""
+    size: tuple[int, int] | None = None
+    """Width and height that pictures are scaled to [px]; None: as recorded."""
+    max_image_age_s: float = 0.1
+    """A picture may be this old at its grid time [s]."""
+    max_gap_s: float = 0.05
+    """Kinematic samples further apart are not bridged [s]."""
+    drop: tuple[str, ...] = ()
+    """Features to leave out."""
+    instruction: str | None = None
+    """Instruction in words; None: the recording's own, or its task's name."""
+    crf: int = 18
+    """Constant quality of x264, 0 to 51, smaller is better."""
+    gop: int = 2
+    """Distance of key frames: small, because training reads frames in random order."""
+    preset: str = "veryfast"
+    """Of x264."""
+    allow_incomplete: bool = False
+    """Take recordings whose outcome is not ``complete``."""
+    allow_unsynchronised: bool = False
+    """Take recordings whose sync report fails."""
+
+    # How it is put together.
+    splits: Mapping[str, float] = dataclasses.field(
+        default_factory=lambda: {"train": 0.8, "val": 0.1, "test": 0.1}
+    )
+    """Shares of the recordings that are neither failures nor recoveries."""
+    about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """What only people know, for the dataset's page (``readme.KNOWN``)."""
+
+    # How it is computed.
+    executor: str = "process"
+    workers: int | None = None
+    """Processes at work; None: one per processor."""
+    scheduler: str | None = None
+    """Address of a Dask scheduler; None: a cluster of its own."""
+    shard: tuple[int, int] | None = None
+    """(i, n): only every n-th recording, from the i-th on, and no assembling (i from 0)."""
+    keep_parts: bool = False
+    """Leave the parts behind, so that a later export with more recordings is quick."""
+    replace: bool = False
+    """Take the place of an earlier export."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be meant.
+
+        Raises:
+            ValueError: names the option, its value and what is allowed.
+        """
+        _need(isinstance(self.fps, int) and 1 <= self.fps <= 1000, "fps", self.fps, "1 to 1000")
+        _need(0 <= self.crf <= 51, "crf", self.crf, "0 to 51")
+        _need(1 <= self.gop <= 1000, "gop", self.gop, "1 to 1000")
+        _need(0 < self.max_image_age_s < 3600, "max-image-age", self.max_image_age_s, "over 0 s")
+        _need(0 < self.max_gap_s < 3600, "max-gap", self.max_gap_s, "over 0 s")
+        _need(self.executor in EXECUTORS, "executor", self.executor, ", ".join(EXECUTORS))
+        _need(self.workers is None or self.workers >= 1, "workers", self.workers, "1 or more")
+        if self.size is not None:
+            even = all(2 <= n <= 8192 and n % 2 == 0 for n in self.size)
+            _need(even, "size", self.size, "even numbers of pixels, 2 to 8192")
+        if self.shard is not None:
+            i, n = self.shard
+            _need(n >= 1 and 0 <= i < n, "shard", f"{i}/{n}", "i/n with 0 ≤ i < n")
+        shares = dict(self.splits)
+        good = set(shares) <= set(SPLITS) and all(0 <= share <= 1 for share in shares.values())
+        good = good and abs(sum(shares.values()) - 1.0) < 1e-9
+        _need(good, "splits", shares, f"shares of {', '.join(SPLITS)} that add up to 1")
+        _need(
+            self.scheduler is None or self.executor == "dask",
+            "scheduler",
+            self.scheduler,
+            "only with the executor dask",
+        )
+
+    def content(self) -> dict[str, Any]:
+        """The choices that change what a recording becomes, for its input hash."""
+        return {
+            "fps": self.fps,
+            "cameras": None if self.cameras is None else list(self.cameras),
+            "size": None if self.size is None else list(self.size),
+            "max_image_age_s": self.max_image_age_s,
+            "max_gap_s": self.max_gap_s,
+            "drop": sorted(self.drop),
+            "instruction": self.instruction,
+            "crf": self.crf,
+            "gop": self.gop,
+            "preset": self.preset,
+            "allow_incomplete": self.allow_incomplete,
+            "allow_unsynchronised": self.allow_unsynchronised,
+        }
+
+
+def _need(condition: bool, name: str, value: object, allowed: str) -> None:
+    if not condition:
+        raise ValueError(f"{name}: {value!r} is not allowed; allowed: {allowed}")

@@ -1,0 +1,166 @@
+"""One recording, one task: convert it, check it, put it in its place in one step.
+
+The place is named after the hash of everything that goes in, so the task may run twice, anywhere,
+or be killed: whoever comes first wins, and half a part is never seen.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import socket
+import tempfile
+import time
+from pathlib import Path
+
+import surg_recording
+from surg_recording.datasets import exporter as exporters
+from surg_recording.datasets import inspection
+from surg_recording.datasets.exporter import PART, Exporter, Part
+from surg_recording.datasets.inspection import Layout
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.sampling import sample
+from surg_recording.errors import EpisodeError
+
+_UNFINISHED = ".unfinished-"
+
+
+@dataclasses.dataclass(frozen=True)
+class Job:
+    """What a worker needs to know; it can be sent to another machine with the same disk."""
+
+    folder: Path
+    exporter: str
+    """Name or path, for ``exporter.load``."""
+    options: ExportOptions
+    layout: Layout
+    key: str
+    parts: Path
+
+
+@dataclasses.dataclass(frozen=True)
+class Outcome:
+    """How a task ended."""
+
+    folder: Path
+    key: str
+    problem: str | None = None
+    """Why there is no part; None: there is one."""
+    made: bool = False
+    """It was made now, not found."""
+    seconds: float = 0.0
+
+
+def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: Exporter) -> str:
+    """SHA-256 of everything that decides what a recording becomes.
+
+    Raises:
+        EpisodeError: a file is missing.
+    """
+    names = ["manifest.json", inspection.SYNC_REPORT]
+    names += [f"cycle_{arm}.csv" for arm in layout.arms]
+    names += [f"ground_truth_{arm}.csv" for arm in layout.arms if layout.truth]
+    names += ["task_state.csv"] if layout.labelled else []
+    for camera in layout.cameras:
+        names += [f"{camera}.mp4", f"{camera}.csv"]
+    files = {}
+    for name in names:
+        path = folder / name
+        if name == inspection.SYNC_REPORT and not path.exists():
+            continue
+        files[name] = file_hash(path)
+    stated = {
+        "files": files,
+        "layout": dataclasses.asdict(layout),
+        "options": options.content(),
+        "exporter": [exporter.name, exporter.version, surg_recording.__version__],
+    }
+    return hashlib.sha256(json.dumps(stated, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file.
+
+    Raises:
+        EpisodeError: it cannot be read.
+    """
+    digest = hashlib.sha256()
+    try:
+        with open(path, "rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    except OSError as problem:
+        raise EpisodeError(f"{path}: cannot be read ({problem.strerror})") from None
+    return digest.hexdigest()
+
+
+def make(job: Job) -> Outcome:
+    """Convert a recording unless that is done already. Never raises: the outcome says why not."""
+    started = time.monotonic()
+    try:
+        made = _make(job)
+    except EpisodeError as problem:
+        return Outcome(job.folder, job.key, str(problem))
+    except OSError as problem:
+        return Outcome(job.folder, job.key, f"{job.folder}: {problem}")
+    except Exception as problem:  # an exporter's or a library's own: one recording, not the export
+        return Outcome(job.folder, job.key, f"{job.folder}: {type(problem).__name__}: {problem}")
+    return Outcome(job.folder, job.key, None, made, time.monotonic() - started)
+
+
+def _make(job: Job) -> bool:
+    place = job.parts / job.key
+    if (place / PART).exists():
+        return False
+    exporter = exporters.load(job.exporter)
+    candidate = inspection.look(job.folder, job.options)
+    sampled = sample(candidate, job.options)
+    owner = f"{_UNFINISHED}{socket.gethostname()}-{os.getpid()}-"
+    work = Path(tempfile.mkdtemp(prefix=owner, dir=job.parts))
+    try:
+        exporter.write_part(sampled, work, job.options)
+        Part(
+            folder=work,
+            key=job.key,
+            source=str(job.folder),
+            kind=candidate.kind,
+            instruction=candidate.instruction,
+            frames=sampled.grid.frames,
+            fps=sampled.grid.fps,
+            features=sampled.features,
+            about=candidate.about,
+            notes=sampled.notes,
+        ).save()
+        os.chmod(work, 0o755)
+        try:
+            os.rename(work, place)
+        except OSError:
+            if not (place / PART).exists():  # somebody else was not quicker
+                raise
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return True
+
+
+def sweep(parts: Path) -> None:
+    """Remove what killed workers of this machine left unfinished."""
+    here = f"{_UNFINISHED}{socket.gethostname()}-"
+    for folder in parts.glob(f"{here}*"):
+        owner = folder.name[len(here) :].partition("-")[0]
+        if owner.isdigit() and not _alive(int(owner)):
+            with contextlib.suppress(OSError):
+                shutil.rmtree(folder)
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True

@@ -1,0 +1,303 @@
+"""Pictures of an export: recorded frames in the grid's order, encoding, joining, reading back.
+
+A video of an export has a constant rate: frame n is shown at n / fps exactly, key frames are near
+(training reads in random order) and there are no B-frames, so that packets can be joined without
+another generation of losses.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording.errors import EpisodeError
+
+Image = npt.NDArray[np.uint8]
+Print = npt.NDArray[np.uint8]
+
+PRINT_SIZE = (16, 12)
+"""Width and height of the thumbnail by which a frame is known again."""
+
+TICKS = 1000
+"""Time base of a video: 1 / (fps · TICKS), in which every n / fps is whole."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Encoding:
+    """How a video is written."""
+
+    fps: int
+    crf: int = 18
+    gop: int = 2
+    preset: str = "veryfast"
+    size: tuple[int, int] | None = None
+    """Width and height [px]; None: as they come."""
+
+
+@dataclasses.dataclass
+class Seen:
+    """What was noted of the frames on their way: thumbnails of all, colours of some."""
+
+    prints: list[Print] = dataclasses.field(default_factory=list)
+    histogram: npt.NDArray[np.int64] = dataclasses.field(
+        default_factory=lambda: np.zeros((3, 256), np.int64)
+    )
+    """Counts of the 256 levels of red, green, blue."""
+    sampled: int = 0
+    """Frames that went into the histogram."""
+
+
+def recorded_frames(path: Path, indices: Sequence[int]) -> Iterator[av.VideoFrame]:
+    """Decode a recorded video's frames by index; equal indices give the same frame again.
+
+    Args:
+        path: the video.
+        indices: of the frames, never decreasing.
+
+    Raises:
+        EpisodeError: the video cannot be read, or ends before an index.
+    """
+    wanted = iter(indices)
+    due = next(wanted, None)
+    number = -1
+    try:
+        with av.open(str(path)) as container:
+            for number, frame in enumerate(_decoded(container)):
+                while due == number:
+                    yield frame
+                    due = next(wanted, None)
+                if due is None:
+                    return
+    except (av.error.FFmpegError, IndexError) as problem:
+        raise EpisodeError(f"{path}: cannot be decoded behind frame {number} ({problem})") from None
+    if due is not None:
+        raise EpisodeError(f"{path}: ends after {number + 1} frames, frame {due} is needed")
+
+
+def _decoded(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
+    """Frames of a video, decoded in this thread.
+
+    Recordings are converted side by side, so threads would gain nothing; and a decoder thread that
+    logs while its container is being closed waits for the interpreter for ever.
+    """
+    context = container.streams.video[0].codec_context
+    context.thread_type, context.thread_count = "NONE", 1
+    yield from container.decode(video=0)
+
+
+def rgb(frame: av.VideoFrame, size: tuple[int, int] | None = None) -> Image:
+    """A frame as (height, width, 3) RGB, scaled to ``size`` (width, height)."""
+    if size is not None and (frame.width, frame.height) != size:
+        frame = frame.reformat(width=size[0], height=size[1], interpolation="AREA")
+    return frame.to_ndarray(format="rgb24")
+
+
+def thumbnail(frame: av.VideoFrame) -> Print:
+    """Mean grey of a few blocks: enough to tell frames apart, blind to compression."""
+    width, height = PRINT_SIZE
+    small = frame.reformat(width=width, height=height, format="gray", interpolation="AREA")
+    return small.to_ndarray()
+
+
+def colours(image: Image) -> npt.NDArray[np.int64]:
+    """(3, 256) counts of the levels in a picture, of every n-th pixel each way."""
+    step = max(1, min(image.shape[:2]) // 150)
+    part = image[::step, ::step]
+    return np.stack([np.bincount(part[..., c].ravel(), minlength=256) for c in range(3)])
+
+
+def watch(
+    frames: Iterable[av.VideoFrame], seen: Seen, count: int, size: tuple[int, int] | None = None
+) -> Iterator[av.VideoFrame]:
+    """Pass frames on; note the thumbnails of all and the colours of evenly spaced ones.
+
+    Args:
+        frames: to pass on.
+        seen: takes the notes.
+        count: how many frames will come.
+        size: width and height they are scaled to; None: as they are.
+    """
+    chosen = set(np.unique(np.linspace(0, max(count - 1, 0), num=_sampled(count)).astype(int)))
+    for number, frame in enumerate(frames):
+        if size is not None and (frame.width, frame.height) != size:
+            frame = frame.reformat(width=size[0], height=size[1], interpolation="AREA")
+        seen.prints.append(thumbnail(frame))
+        if number in chosen:
+            seen.histogram += colours(frame.to_ndarray(format="rgb24"))
+            seen.sampled += 1
+        yield frame
+
+
+def _sampled(count: int) -> int:
+    """Frames whose colours are counted: at least 100, then growing as count^0.75."""
+    return min(count, max(100, int(count**0.75)))
+
+
+def encode(frames: Iterable[av.VideoFrame], path: Path, how: Encoding) -> int:
+    """Write frames as H.264 (yuv420p) of constant rate; returns how many."""
+    count = 0
+    options = {"movflags": "faststart", "video_track_timescale": str(how.fps * TICKS)}
+    with av.open(str(path), "w", format="mp4", options=options) as container:
+        stream = container.add_stream("libx264", rate=how.fps)
+        stream.options = {"crf": str(how.crf), "preset": how.preset, "bf": "0"}
+        stream.pix_fmt = "yuv420p"
+        stream.codec_context.gop_size = how.gop
+        stream.codec_context.thread_count = 1  # recordings run side by side
+        for frame in frames:
+            if count == 0:
+                stream.width, stream.height = how.size or (frame.width, frame.height)
+            frame = frame.reformat(
+                width=stream.width, height=stream.height, format="yuv420p", interpolation="AREA"
+            )
+            frame.pict_type = "NONE"  # the encoder decides, not the recording's
+            frame.pts, frame.time_base = count, Fraction(1, how.fps)
+            container.mux(stream.encode(frame))
+            count += 1
+        if count:
+            container.mux(stream.encode())
+    return count
+
+
+def join(parts: Sequence[Path], path: Path, fps: int) -> list[int]:
+    """Put videos of ``encode`` one behind the other without encoding them again.
+
+    Args:
+        parts: of one size and one set of encoder settings.
+        path: the file to make.
+        fps: of all.
+
+    Returns:
+        First frame of each part in the joined video.
+
+    Raises:
+        EpisodeError: a part was encoded differently.
+    """
+    starts: list[int] = []
+    done = 0
+    options = {"movflags": "faststart", "video_track_timescale": str(fps * TICKS)}
+    with av.open(str(path), "w", format="mp4", options=options) as target:
+        stream: av.video.stream.VideoStream | None = None
+        header = b""
+        for part in parts:
+            starts.append(done)
+            with av.open(str(part)) as source:
+                video = source.streams.video[0]
+                if stream is None:
+                    header = bytes(video.codec_context.extradata or b"")
+                    stream = _like(target, video)
+                elif bytes(video.codec_context.extradata or b"") != header:
+                    raise EpisodeError(f"{part}: encoded differently from {parts[0]}")
+                for packet in source.demux(video):
+                    if packet.pts is None or packet.size == 0:
+                        continue
+                    frame = Fraction(packet.pts) * packet.time_base * fps
+                    packet.pts = packet.dts = round((done + frame) / (fps * packet.time_base))
+                    packet.stream = stream
+                    target.mux(packet)
+                done += count_frames(part)
+    return starts
+
+
+def _like(container: av.container.OutputContainer, video: av.VideoStream) -> av.VideoStream:
+    """A stream of a container that takes another's packets."""
+    from_template = getattr(container, "add_stream_from_template", None)
+    if from_template is not None:
+        return from_template(video)
+    return container.add_stream(template=video)
+
+
+def count_frames(path: Path) -> int:
+    """Packets with a picture in a video.
+
+    Raises:
+        EpisodeError: the file cannot be read.
+    """
+    try:
+        with av.open(str(path)) as container:
+            video = container.streams.video[0]
+            return sum(1 for p in container.demux(video) if p.pts is not None and p.size > 0)
+    except (av.error.FFmpegError, IndexError, OSError) as problem:
+        raise EpisodeError(f"{path}: no readable video ({problem})") from None
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    """Width and height of a video [px].
+
+    Raises:
+        EpisodeError: the file cannot be read.
+    """
+    try:
+        with av.open(str(path)) as container:
+            context = container.streams.video[0].codec_context
+            return (int(context.width), int(context.height))
+    except (av.error.FFmpegError, IndexError, OSError) as problem:
+        raise EpisodeError(f"{path}: cannot be read ({problem})") from None
+
+
+def check_video(path: Path, how: Encoding, expected: Sequence[Print]) -> None:
+    """Read a written video back: number of frames, their times, and what they show.
+
+    Raises:
+        EpisodeError: what was written is not what was meant, with the frame.
+    """
+    tolerance = 4 + 0.4 * how.crf
+    number = -1
+    try:
+        with av.open(str(path)) as container:
+            for number, frame in enumerate(_decoded(container)):
+                if number >= len(expected):
+                    raise EpisodeError(f"{path}: more than the {len(expected)} frames given to it")
+                shown = Fraction(frame.pts) * frame.time_base
+                if shown != Fraction(number, how.fps):
+                    raise EpisodeError(
+                        f"{path}: frame {number} is shown at {float(shown):.6f} s instead of"
+                        f" {number / how.fps:.6f} s"
+                    )
+                off = np.abs(thumbnail(frame).astype(int) - expected[number]).max()
+                if off > tolerance:
+                    raise EpisodeError(
+                        f"{path}: frame {number} shows another picture than was given to it"
+                        f" (blocks differ by {off} grey levels, at most {tolerance:.0f})"
+                    )
+    except (av.error.FFmpegError, IndexError) as problem:
+        raise EpisodeError(f"{path}: what was written cannot be read ({problem})") from None
+    if number + 1 != len(expected):
+        raise EpisodeError(f"{path}: {number + 1} frames were written, {len(expected)} are needed")
+
+
+def video_facts(path: Path) -> dict[str, object]:
+    """Size, codec, pixel format, rate and frames of a video, and whether its times are n / fps."""
+    with av.open(str(path)) as container:
+        video = container.streams.video[0]
+        context = video.codec_context
+        times = sorted(
+            Fraction(p.pts) * p.time_base
+            for p in container.demux(video)
+            if p.pts is not None and p.size > 0
+        )
+        rate = video.average_rate
+        return {
+            "width": context.width,
+            "height": context.height,
+            "codec": context.name,
+            "pix_fmt": context.pix_fmt,
+            "fps": float(rate) if rate else 0.0,
+            "frames": len(times),
+            "on_grid": bool(rate) and all(t == Fraction(n) / rate for n, t in enumerate(times)),
+        }
+
+
+def place(source: Path, target: Path) -> None:
+    """The file once more under another name: a hard link, or a copy where there are none."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        os.link(source, target)
+    except OSError:
+        target.write_bytes(source.read_bytes())

@@ -1,0 +1,194 @@
+"""Recorded series on a strict grid: previous sample, linear, slerp, zero-order hold.
+
+Stamps are int64 nanoseconds of one clock and increase strictly. Nothing is extrapolated: a grid
+time before the first sample, or too far from one, is an error that names the time. Every function
+also gives the index of the sample it stood on, from which true stamps and ages are taken.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording.errors import EpisodeError
+
+Array = npt.NDArray[np.float64]
+Stamps = npt.NDArray[np.int64]
+
+SECOND = 1_000_000_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Grid:
+    """Frame k of ``frames`` stands at ``start_ns`` + k / ``fps``."""
+
+    start_ns: int
+    fps: int
+    frames: int
+
+    @property
+    def times_ns(self) -> Stamps:
+        """(frames,) grid times in the recording's clock, rounded to a nanosecond each."""
+        return self.start_ns + offsets_ns(np.arange(self.frames), self.fps)
+
+    @property
+    def next_ns(self) -> Stamps:
+        """(frames,) the grid time after each frame."""
+        return self.start_ns + offsets_ns(np.arange(1, self.frames + 1), self.fps)
+
+    @property
+    def timestamps(self) -> Array:
+        """(frames,) k / fps [s], exactly: never summed up."""
+        return np.arange(self.frames) / self.fps
+
+
+def offsets_ns(k: npt.NDArray[np.int64], fps: int) -> Stamps:
+    """K / fps in whole nanoseconds, rounded half up, without passing through floats."""
+    return (2 * k.astype(np.int64) * SECOND + fps) // (2 * fps)
+
+
+def previous(stamps: Stamps, times: Stamps, what: str, max_age_ns: int | None = None) -> Stamps:
+    """Index of the newest sample that is not later than each time.
+
+    Args:
+        stamps: (N,) of the samples, strictly increasing [ns].
+        times: (K,) asked for [ns].
+        what: the series, for messages.
+        max_age_ns: a sample older than this does not count; None: it holds for ever.
+
+    Returns:
+        (K,) indices.
+
+    Raises:
+        EpisodeError: there is no sample yet, or it is too old.
+    """
+    index = np.searchsorted(stamps, times, side="right") - 1
+    early = np.flatnonzero(index < 0)
+    if len(early):
+        raise EpisodeError(
+            f"{what}: no sample at or before {_at(times, early[0])}"
+            + (
+                f"; the first is {(stamps[0] - times[early[0]]) / 1e6:.1f} ms later"
+                if len(stamps)
+                else ""
+            )
+        )
+    if max_age_ns is not None:
+        age = times - stamps[index]
+        old = np.flatnonzero(age > max_age_ns)
+        if len(old):
+            raise EpisodeError(
+                f"{what}: the newest sample at {_at(times, old[0])} is"
+                f" {age[old[0]] / 1e6:.1f} ms old, at most {max_age_ns / 1e6:g} ms are allowed"
+                f" ({len(old)} of {len(times)} frames; it stalled or frames were dropped)"
+            )
+    return index.astype(np.int64)
+
+
+def _brackets(
+    stamps: Stamps, times: Stamps, what: str, max_gap_ns: int
+) -> tuple[Stamps, Stamps, Array]:
+    """Samples before and after each time, and how far between them it lies, in [0, 1]."""
+    before = previous(stamps, times, what)
+    after = np.where(stamps[before] == times, before, before + 1)
+    late = np.flatnonzero(after >= len(stamps))
+    if len(late):
+        raise EpisodeError(
+            f"{what}: ends {(times[late[0]] - stamps[-1]) / 1e6:.1f} ms before"
+            f" {_at(times, late[0])}"
+        )
+    gap = stamps[after] - stamps[before]
+    wide = np.flatnonzero(gap > max_gap_ns)
+    if len(wide):
+        raise EpisodeError(
+            f"{what}: no sample for {gap[wide[0]] / 1e6:.1f} ms round {_at(times, wide[0])},"
+            f" at most {max_gap_ns / 1e6:g} ms are bridged ({len(wide)} of {len(times)} frames)"
+        )
+    part = (times - stamps[before]) / np.maximum(gap, 1)
+    return before, after, part
+
+
+def linear(
+    stamps: Stamps, values: Array, times: Stamps, what: str, max_gap_ns: int
+) -> tuple[Array, Stamps]:
+    """Linear interpolation between the samples on both sides.
+
+    Args:
+        stamps: (N,) [ns].
+        values: (N, D).
+        times: (K,) [ns].
+        what: the series, for messages.
+        max_gap_ns: samples further apart are not bridged.
+
+    Returns:
+        (K, D) values, exactly the sample's where a time meets one, and (K,) the index of the
+        sample before.
+
+    Raises:
+        EpisodeError: a time outside the samples, or in a gap.
+    """
+    before, after, part = _brackets(stamps, times, what, max_gap_ns)
+    a, b, part = values[before], values[after], part[:, None]
+    return np.where(part == 0.0, a, a + (b - a) * part), before
+
+
+def slerp(
+    stamps: Stamps, quaternions: Array, times: Stamps, what: str, max_gap_ns: int
+) -> tuple[Array, Stamps]:
+    """Spherical linear interpolation of unit quaternions x, y, z, w, along the shorter arc.
+
+    Shoemake 1985. Successive results are in one hemisphere (no sign flips), so that the series is
+    continuous; the first has w ≥ 0.
+
+    Args:
+        stamps: (N,) [ns].
+        quaternions: (N, 4), of any sign; normalised here.
+        times: (K,) [ns].
+        what: the series, for messages.
+        max_gap_ns: samples further apart are not bridged.
+
+    Returns:
+        (K, 4) and (K,) the index of the sample before.
+
+    Raises:
+        EpisodeError: a time outside the samples, or in a gap; a quaternion without length.
+    """
+    before, after, part = _brackets(stamps, times, what, max_gap_ns)
+    length = np.linalg.norm(quaternions, axis=1)
+    if not np.all(length > 0.5):
+        line = int(np.flatnonzero(~(length > 0.5))[0]) + 2
+        raise EpisodeError(f"{what}, line {line}: this quaternion is none (its length is no 1)")
+    unit = quaternions / length[:, None]
+    a, b = unit[before], unit[after]
+    b = np.where(np.sum(a * b, axis=1, keepdims=True) < 0.0, -b, b)
+    # The angle from chord and sum is exact for small angles, where acos of the dot is not.
+    angle = 2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
+    sine = np.sin(angle)
+    small = angle < 1e-9
+    safe = np.where(small, 1.0, sine)
+    near = np.where(small, 1.0 - part, np.sin((1.0 - part) * angle) / safe)
+    far = np.where(small, part, np.sin(part * angle) / safe)
+    found = near[:, None] * a + far[:, None] * b
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    return continuous(found), before
+
+
+def continuous(quaternions: Array) -> Array:
+    """The same rotations with signs chosen so that neighbours are near; the first has w ≥ 0."""
+    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
+    sign = np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]).cumprod()[: len(quaternions)]
+    if len(quaternions) and quaternions[0, 3] < 0.0:
+        sign = -sign
+    return quaternions * sign[:, None]
+
+
+def ages_s(stamps: Stamps, index: Stamps, times: Stamps) -> Array:
+    """How old the sample of each time is [s]."""
+    return (times - stamps[index]) * 1e-9
+
+
+def _at(times: Stamps, row: int) -> str:
+    """A grid time for a message: seconds from the first."""
+    return f"frame {int(row)} ({(times[row] - times[0]) * 1e-9:.3f} s)"

@@ -1,0 +1,580 @@
+"""One recording on the grid: every feature of every frame, with true stamps and ages.
+
+The grid begins with a picture: with the first at which all series have begun, the arms are homed
+and an action is known. It ends with the last time at which nothing has ended. An observation is
+what was known *at* a grid time, an action is the command in force at the *next* one: where
+set-point and jaw shall be then (as in surg_sim.env, whose names the numbers have).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import av
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording import columns, episode, video_file
+from surg_recording.datasets import pictures, schema
+from surg_recording.datasets.inspection import Candidate
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.resample import (
+    SECOND,
+    Grid,
+    Stamps,
+    ages_s,
+    linear,
+    offsets_ns,
+    previous,
+    slerp,
+)
+from surg_recording.datasets.schema import Feature
+from surg_recording.episode import Episode, Table
+from surg_recording.errors import EpisodeError
+
+Array = npt.NDArray[np.float64]
+
+POSE_COMMANDS = (1, 2, 5, 6, 9, 10, 11, 12)
+"""Values of surg_msgs/Cycle.command whose goal is ``p_goal``; otherwise the set-point counts."""
+
+_LINEAR = "linear interpolation"
+_HOLD = "zero-order hold"
+_NEXT = "zero-order hold at the next grid time"
+
+
+@dataclasses.dataclass(frozen=True)
+class Pictures:
+    """Which recorded frame stands at each grid time."""
+
+    video: episode.Video
+    index: Stamps
+    """(frames,) of the recorded video's frames."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Sampled:
+    """A recording on its grid."""
+
+    candidate: Candidate
+    grid: Grid
+    features: tuple[Feature, ...]
+    columns: dict[str, npt.NDArray[Any]]
+    """By feature name: (frames, D), or (frames,) where D is 1; text as an object array."""
+    pictures: dict[str, Pictures]
+    """By feature name."""
+    notes: dict[str, Any]
+    """What a reader of the report wants to know: trimmed, repeated, skipped, oldest."""
+
+    def frames(self, feature: str) -> Iterator[av.VideoFrame]:
+        """The pictures of a video feature in the grid's order."""
+        shown = self.pictures[feature]
+        return pictures.recorded_frames(shown.video.path, [int(i) for i in shown.index])
+
+
+@dataclasses.dataclass(frozen=True)
+class _Arm:
+    """An arm's cycles with the vectors that are resampled; N rows of strictly later stamps."""
+
+    name: str
+    stamps: Stamps
+    cycle: Table
+    state: Array
+    """(N, 9) ``schema.ARM_STATE``, rcm frame."""
+    goal: Array
+    """(N, 5) ``schema.ARM_ACTION``, rcm frame."""
+    goal_row: Stamps
+    """(N,) row since which the goal of a row is in force."""
+    p_BTip: Array
+    q_BTool: Array
+
+
+def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
+    """Read a recording and put it on the grid.
+
+    Raises:
+        EpisodeError: something is missing, torn, edited, too old or too short; says what and where.
+    """
+    recorded = episode.read(candidate.folder)
+    layout = candidate.layout
+    cycles = {name: _cycle(recorded, name) for name in layout.arms}
+    arms = [_arm(recorded, name, cycles[name]) for name in layout.commanded]
+    videos = {camera: checked_video(recorded, camera) for camera in layout.cameras}
+    task = checked_table(recorded, "task_state") if layout.labelled else None
+    truth = [checked_table(recorded, f"ground_truth_{a}") for a in layout.arms if layout.truth]
+    others = [*cycles.values(), *([task] if task else []), *truth]
+    grid = _grid(candidate, arms, videos, others, options)
+
+    made = _Columns(grid, options)
+    _observe(made, candidate, arms, cycles)
+    _act(made, arms)
+    shown = _show(made, candidate, videos)
+    if task is not None:
+        _label(made, task)
+    if task is not None and layout.task_numbers:
+        _privileged_task(made, task, layout.task_numbers)
+    if truth:
+        _privileged_truth(made, layout.arms, truth)
+    made.text(schema.INSTRUCTION, candidate.instruction, "what the operator was to do")
+    tools = "; ".join(f"{a}: {i}" for a, i in zip(layout.arms, layout.instruments, strict=True))
+    made.text(schema.TOOL, tools, "instrument of each arm")
+    made.number(
+        "timing.grid_ns",
+        grid.times_ns,
+        "int64",
+        ("ns",),
+        text="time of the frame on the recording's clock",
+    )
+    features = tuple(sorted(made.features, key=lambda feature: schema.rank(feature.name)))
+    unknown = set(options.drop) - set(made.dropped) - schema.OPTIONAL
+    if unknown:
+        raise EpisodeError(
+            f"--drop {', '.join(sorted(unknown))}: no such feature; there are"
+            f" {', '.join(feature.name for feature in features)}"
+        )
+    return Sampled(candidate, grid, features, made.columns, shown, made.notes)
+
+
+class _Columns:
+    """The features in the making."""
+
+    def __init__(self, grid: Grid, options: ExportOptions) -> None:
+        self.grid, self.options = grid, options
+        self.features: list[Feature] = []
+        self.columns: dict[str, npt.NDArray[Any]] = {}
+        self.dropped: list[str] = []
+        self.notes: dict[str, Any] = {}
+
+    def add(self, feature: Feature, values: npt.NDArray[Any] | None) -> None:
+        """Add a feature unless it is to be left out."""
+        if feature.name in self.options.drop:
+            self.dropped.append(feature.name)
+            return
+        self.features.append(feature)
+        if values is None:
+            return
+        if feature.dtype in ("float32", "float64") and not np.isfinite(values).all():
+            row = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise EpisodeError(
+                f"{feature.name}: not a number at frame {row}; --drop {feature.name} leaves it out"
+            )
+        self.columns[feature.name] = (
+            values if feature.dtype == "string" else values.astype(feature.dtype)
+        )
+
+    def vector(
+        self,
+        name: str,
+        values: Array,
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        frame: str,
+        method: str,
+        text: str,
+        privileged: bool = False,
+    ) -> None:
+        """A vector of float32."""
+        values = values[:, 0] if len(names) == 1 else values
+        shape = (len(names),)
+        self.add(
+            Feature(name, "float32", shape, names, units, frame, method, text, privileged), values
+        )
+
+    def number(
+        self,
+        name: str,
+        values: npt.NDArray[Any],
+        dtype: str,
+        units: tuple[str, ...],
+        method: str = "",
+        text: str = "",
+        privileged: bool = False,
+    ) -> None:
+        """A single number per frame."""
+        last = name.rpartition(".")[2]
+        self.add(Feature(name, dtype, (1,), (last,), units, "", method, text, privileged), values)
+
+    def text(self, name: str, value: str, text: str) -> None:
+        """The same words for every frame."""
+        words = np.full(self.grid.frames, value, dtype=object)
+        self.add(Feature(name, "string", (1,), ("text",), text=text, method="constant"), words)
+
+    def timing(self, name: str, stamps: Stamps, index: Stamps, times: Stamps, text: str) -> None:
+        """True stamps and ages of the samples behind a series."""
+        self.number(f"timing.{name}.stamp_ns", stamps[index], "int64", ("ns",), text=text)
+        ages = ages_s(stamps, index, times)
+        self.number(f"timing.{name}.age_s", ages, "float32", ("s",), text="its age at that time")
+        self.notes[f"oldest_{name}_s"] = float(ages.max())
+
+
+# --- checked reading --------------------------------------------------------------------------
+
+
+def checked_table(recorded: Episode, name: str) -> Table:
+    """A table that is as the recorder left it: as many rows and the stamps of the manifest.
+
+    Raises:
+        EpisodeError: torn, edited or missing.
+    """
+    table = recorded.table(name)
+    entry = recorded.manifest["tables"][name]
+    path = recorded.folder / f"{name}.csv"
+    _as_recorded(path, entry, entry.get("rows"), table)
+    return table
+
+
+def checked_video(recorded: Episode, camera: str) -> episode.Video:
+    """A video whose frames and times are those of its sidecar.
+
+    Raises:
+        EpisodeError: a file is missing, shorter than the other, or their times differ.
+    """
+    video = recorded.video(camera)
+    sidecar = video.path.with_suffix(".csv")
+    frames = video.frames
+    missing = [name for name in columns.VIDEO if name not in frames]
+    if missing:
+        raise EpisodeError(f"{sidecar}: no column {', '.join(missing)}")
+    entry = recorded.manifest["videos"][camera]
+    _as_recorded(sidecar, entry, entry.get("frames"), frames)
+    times = np.array(video_file.presentation_times(video.path), dtype=np.int64)
+    if len(times) != len(frames):
+        raise EpisodeError(
+            f"{video.path}: {len(times)} frames can be read, its sidecar {sidecar.name} lists"
+            f" {len(frames)}; one of the files was cut. Record again, or mend both with"
+            " surg_recording.video_file.mend"
+        )
+    stamps = frames["stamp_ns"]
+    wrong = np.abs(times - frames["pts"]) > 2
+    wrong |= np.abs((stamps - stamps[0]) // 1000 - frames["pts"]) > 2
+    wrong |= frames["frame"] != np.arange(len(frames))
+    if wrong.any():
+        line = int(np.flatnonzero(wrong)[0]) + 2
+        raise EpisodeError(
+            f"{sidecar}, line {line}: frame, stamp_ns and pts do not fit the video"
+            " (pts is its presentation time in microseconds since the first frame); was it edited?"
+        )
+    return video
+
+
+def _as_recorded(path: Any, entry: Any, rows: Any, table: Table) -> None:
+    """Compare a file with what the manifest says of it."""
+    if rows is not None and rows != len(table):
+        raise EpisodeError(
+            f"{path}: {len(table)} rows, the manifest says {rows}: the file was cut or edited after"
+            " the recording; restore it"
+        )
+    if not len(table):
+        raise EpisodeError(f"{path}: holds no row")
+    stamps = table["stamp_ns"]
+    back = np.flatnonzero(np.diff(stamps) < 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise EpisodeError(
+            f"{path}, line {row + 2}: stamp_ns {stamps[row]} is earlier than {stamps[row - 1]} in"
+            " the line before; the clock was set back, or the file edited"
+        )
+    for key, row in (("first_stamp_ns", 0), ("last_stamp_ns", -1)):
+        if entry.get(key) is not None and entry[key] != int(stamps[row]):
+            raise EpisodeError(
+                f"{path}: {key} is {int(stamps[row])}, the manifest says {entry[key]}: the file was"
+                " edited after the recording; restore it"
+            )
+
+
+def _cycle(recorded: Episode, name: str) -> Table:
+    """An arm's cycles, checked, with strictly later stamps."""
+    path = recorded.folder / f"cycle_{name}.csv"
+    cycle = checked_table(recorded, f"cycle_{name}")
+    # A cycle without a new joint state repeats its stamp: the last one knows most.
+    cycle = cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
+    joints = columns.joint_count(cycle.columns)
+    used = [*("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")]
+    used += [f"{prefix}{i}" for prefix in ("q", "qd") for i in range(joints)]
+    for column in used:
+        bad = np.flatnonzero(~np.isfinite(cycle[column]))
+        if len(bad):
+            raise EpisodeError(
+                f"{path}, column {column}: not a number at stamp_ns {cycle['stamp_ns'][bad[0]]}"
+            )
+    return cycle
+
+
+def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
+    """A commanded arm, from homing on, with the vectors that are resampled."""
+    homed = np.flatnonzero(cycle["homed"] == 1)
+    if not len(homed):
+        path = recorded.folder / f"cycle_{name}.csv"
+        raise EpisodeError(f"{path}: {name} was never homed, so its rcm frame is not known")
+    cycle = cycle.select(slice(int(homed[0]), None))
+    q_BR = cycle.vector("q_br", "xyzw")
+    p_BRcm = cycle.vector("p_rcm")
+    p_BTip = cycle.vector("p_tip")
+    tip = turn_back(q_BR, p_BTip - p_BRcm)
+    p_set = turn_back(q_BR, cycle.vector("p_set") - p_BRcm)
+    goal = turn_back(q_BR, cycle.vector("p_goal") - p_BRcm)
+    roll, roll_set = np.unwrap(cycle["roll"]), np.unwrap(cycle["roll_set"])
+    posed = np.isin(cycle["command"], POSE_COMMANDS)
+    p_action = np.where(posed[:, None], goal, p_set)
+    roll_action = np.where(posed, cycle["roll_goal"], roll_set)
+    began = np.diff(cycle["accepted"], prepend=-1) != 0
+    s_R = turn_back(q_BR, cycle.vector("s"))
+    state = np.column_stack([tip, roll, cycle["jaw"], p_set, roll_set])
+    return _Arm(
+        name=name,
+        stamps=cycle["stamp_ns"],
+        cycle=cycle,
+        state=state,
+        goal=np.column_stack([p_action, np.unwrap(roll_action), cycle["jaw_set"]]),
+        goal_row=np.maximum.accumulate(np.where(began, np.arange(len(cycle)), 0)),
+        p_BTip=p_BTip,
+        q_BTool=multiply(q_BR, tool_quaternion(s_R, roll)),
+    )
+
+
+# --- the grid ---------------------------------------------------------------------------------
+
+
+def _grid(
+    candidate: Candidate,
+    arms: list[_Arm],
+    videos: dict[str, episode.Video],
+    others: list[Table],
+    options: ExportOptions,
+) -> Grid:
+    period = int(offsets_ns(np.array([1]), options.fps)[0])
+    commands = [
+        int(arm.stamps[np.flatnonzero(arm.cycle["command"] > 0)[0]])
+        for arm in arms
+        if (arm.cycle["command"] > 0).any()
+    ]
+    if not commands:
+        raise EpisodeError(
+            f"{candidate.folder}: no motion command was obeyed: there is no action to export"
+        )
+    firsts = [int(arm.stamps[0]) for arm in arms]
+    firsts += [int(video.frames["stamp_ns"][0]) for video in videos.values()]
+    firsts += [int(table["stamp_ns"][0]) for table in others]
+    begin = max(*firsts, min(commands) - period)
+    lasts = [int(arm.stamps[-1]) - period for arm in arms]
+    lasts += [int(table["stamp_ns"][-1]) for table in others if table.name != "task_state"]
+    lasts += [int(video.frames["stamp_ns"][-1]) for video in videos.values()]
+    end = min(lasts)
+    if videos:
+        reference = next(iter(videos.values())).frames["stamp_ns"]
+        later = reference[reference >= begin]
+        begin = int(later[0]) if len(later) else end + 1
+    frames = (end - begin) * options.fps // SECOND + 1 if end >= begin else 0
+    if frames < 2:
+        raise EpisodeError(
+            f"{candidate.folder}: {max(frames, 0)} frames at {options.fps} per second: pictures,"
+            " motion and commands overlap too shortly to export"
+        )
+    return Grid(begin, options.fps, int(frames))
+
+
+# --- features ---------------------------------------------------------------------------------
+
+
+def _observe(
+    made: _Columns, candidate: Candidate, arms: list[_Arm], cycles: dict[str, Table]
+) -> None:
+    """What the arms measured: joints of all, tips of those that are commanded and so homed."""
+    grid, gap = made.grid, round(made.options.max_gap_s * SECOND)
+    states, poses = [], []
+    for arm in arms:
+        what = str(candidate.folder / f"cycle_{arm.name}.csv")
+        both = np.column_stack([arm.state, arm.p_BTip])
+        found, _ = linear(arm.stamps, both, grid.times_ns, what, gap)
+        quaternion, _ = slerp(arm.stamps, arm.q_BTool, grid.times_ns, what, gap)
+        states.append(found[:, : arm.state.shape[1]])
+        poses.append(np.column_stack([found[:, arm.state.shape[1] :], quaternion]))
+    names = [arm.name for arm in arms]
+    made.vector(
+        schema.STATE,
+        np.hstack(states),
+        _named(names, schema.ARM_STATE),
+        schema.ARM_STATE_UNITS * len(names),
+        "rcm frame of each arm",
+        _LINEAR,
+        "measured tip, roll and jaw; set-point of tip and roll",
+    )
+    made.vector(
+        "observation.cartesian_state",
+        np.hstack(poses),
+        _named(names, schema.POSE),
+        schema.POSE_UNITS * len(names),
+        "base frame of each arm",
+        "linear interpolation; slerp",
+        "measured pose of the tool: tip and orientation (quaternion x, y, z, w)",
+    )
+    for kind, prefix, unit in (("positions", "q", "rad"), ("velocities", "qd", "rad/s")):
+        values, flat = [], []
+        for name, cycle in cycles.items():
+            what = str(candidate.folder / f"cycle_{name}.csv")
+            found, before = linear(
+                cycle["stamp_ns"], cycle.joints(prefix), grid.times_ns, what, gap
+            )
+            values.append(found)
+            flat += [f"{name}/{prefix}{i}" for i in range(found.shape[1])]
+            if prefix == "q":
+                text = f"cycle of {name} before this frame"
+                made.timing(name, cycle["stamp_ns"], before, grid.times_ns, text)
+        made.vector(
+            f"observation.joint_{kind}",
+            np.hstack(values),
+            tuple(flat),
+            (unit,) * len(flat),
+            "",
+            _LINEAR,
+            f"measured joint {kind}",
+        )
+
+
+def _act(made: _Columns, arms: list[_Arm]) -> None:
+    """The commands in force at the next grid times."""
+    times = made.grid.next_ns
+    goals = []
+    for arm in arms:
+        row = previous(arm.stamps, times, f"commands of {arm.name}")
+        goals.append(arm.goal[row])
+        text = f"cycle that accepted the action of {arm.name}"
+        made.timing(f"{arm.name}.action", arm.stamps, arm.goal_row[row], times, text)
+    made.vector(
+        schema.ACTION,
+        np.hstack(goals),
+        _named([arm.name for arm in arms], schema.ARM_ACTION),
+        schema.ARM_ACTION_UNITS * len(arms),
+        "rcm frame of each arm",
+        _NEXT,
+        "where tip, roll and jaw shall be at the next frame; absolute",
+    )
+
+
+def _show(
+    made: _Columns, candidate: Candidate, videos: dict[str, episode.Video]
+) -> dict[str, Pictures]:
+    """Which picture stands at each grid time."""
+    shown: dict[str, Pictures] = {}
+    limit = round(made.options.max_image_age_s * SECOND)
+    for camera, video in videos.items():
+        stamps = video.frames["stamp_ns"]
+        index = previous(stamps, made.grid.times_ns, f"{video.path}", limit)
+        width, height = made.options.size or candidate.layout.sizes[list(videos).index(camera)]
+        name = schema.video_name(camera)
+        made.add(
+            Feature(
+                name=name,
+                dtype="video",
+                shape=(height, width, 3),
+                names=("height", "width", "channels"),
+                method="newest picture that is not later",
+                text=f"camera {camera}, RGB",
+                camera=camera,
+            ),
+            None,
+        )
+        if name in made.dropped:
+            continue
+        made.timing(camera, stamps, index, made.grid.times_ns, f"stamp of the picture of {camera}")
+        steps = np.diff(index)
+        made.notes[f"repeated_{camera}"] = int(np.sum(steps == 0))
+        made.notes[f"skipped_{camera}"] = int(np.sum(np.maximum(steps - 1, 0)))
+        shown[name] = Pictures(video, index)
+    return shown
+
+
+def _label(made: _Columns, task: Table) -> None:
+    """Reward and success of the frame that an action leads to; the last frame has the verdict."""
+    row = previous(task["stamp_ns"], made.grid.next_ns, "task_state.csv")
+    row[-1] = len(task) - 1
+    last = np.zeros(made.grid.frames, dtype=bool)
+    last[-1] = True
+    made.number("next.reward", task["reward"][row], "float32", ("1",), _NEXT, "reward of the task")
+    made.number("next.done", last, "bool", ("1",), "", "the recording's last frame")
+    success = task["success"][row] == 1
+    made.number("next.success", success, "bool", ("1",), _NEXT, "the task was solved by then")
+
+
+def _privileged_task(made: _Columns, task: Table, numbers: tuple[str, ...]) -> None:
+    row = previous(task["stamp_ns"], made.grid.times_ns, "task_state.csv")
+    names = tuple(name.removeprefix(columns.TASK_PREFIX) for name in numbers)
+    made.vector(
+        schema.TASK_STATE,
+        np.column_stack([task[name] for name in numbers])[row],
+        names,
+        ("SI",) * len(names),
+        "as the task's page says (world)",
+        _HOLD,
+        "ground truth of the task: no robot can measure it",
+        privileged=True,
+    )
+    made.timing(
+        "task_state", task["stamp_ns"], row, made.grid.times_ns, "stamp of the task's state"
+    )
+
+
+def _privileged_truth(made: _Columns, arms: tuple[str, ...], truth: list[Table]) -> None:
+    parts, names = [], []
+    for arm, table in zip(arms, truth, strict=True):
+        stamps = table["stamp_ns"]
+        table = table.select(np.flatnonzero(np.append(np.diff(stamps) > 0, True)))
+        values = np.column_stack([table.vector("tip"), table.vector("force")])
+        gap = round(made.options.max_gap_s * SECOND)
+        what = f"ground_truth_{arm}.csv"
+        found, _ = linear(table["stamp_ns"], values, made.grid.times_ns, what, gap)
+        parts.append(found)
+        names += [f"{arm}/{name}_{axis}" for name in ("tip", "force") for axis in "xyz"]
+    made.vector(
+        schema.GROUND_TRUTH,
+        np.hstack(parts),
+        tuple(names),
+        ("m", "m", "m", "N", "N", "N") * len(arms),
+        "base frame of each arm",
+        _LINEAR,
+        "the simulator's tip, and the force of the shaft on the trocar's wall",
+        privileged=True,
+    )
+
+
+def _named(arms: list[str], names: tuple[str, ...]) -> tuple[str, ...]:
+    return tuple(f"{arm}/{name}" for arm in arms for name in names)
+
+
+# --- rotations --------------------------------------------------------------------------------
+
+
+def multiply(a: Array, b: Array) -> Array:
+    """Product of quaternions x, y, z, w, row by row, (N, 4): first b, then a."""
+    ax, ay, az, aw = a.T
+    bx, by, bz, bw = b.T
+    return np.column_stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ]
+    )
+
+
+def turn_back(q_AB: Array, v_A: Array) -> Array:
+    """Vectors (N, 3) in the axes of A, in those of B; ``q_AB`` (N, 4) is B's orientation in A."""
+    u, w = -q_AB[:, :3], q_AB[:, 3:]
+    t = 2.0 * np.cross(u, v_A)
+    return v_A + w * t + np.cross(u, t)
+
+
+def tool_quaternion(s_R: Array, roll: Array) -> Array:
+    """Orientation of a tool with shaft axis ``s_R`` (N, 3) and this roll (N,), in the rcm frame.
+
+    R_RTool = minimal rotation (z → s) · rotation (z, roll), see docs/conventions.md.
+    """
+    x, y, z = s_R.T
+    # Minimal rotation: axis z × s, half the angle.
+    swing = np.column_stack([-y, x, np.zeros_like(x), 1.0 + z])
+    swing /= np.linalg.norm(swing, axis=1, keepdims=True)
+    zero = np.zeros_like(roll)
+    twist = np.column_stack([zero, zero, np.sin(roll / 2), np.cos(roll / 2)])
+    return multiply(swing, twist)

@@ -1,0 +1,108 @@
+"""What an exported frame holds: features with names, units, frames and how they were resampled.
+
+A feature is one column of numbers or one text, on the grid. Whatever a policy may read begins with
+``observation`` or ``action``; what no robot can measure begins with ``privileged``; true stamps and
+ages begin with ``timing``. No name but a picture's contains "image": lerobot takes such a column's
+statistics for those of a picture.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+STATE = "observation.state"
+ACTION = "action"
+INSTRUCTION = "instruction.text"
+TOOL = "observation.meta.tool"
+TASK_STATE = "privileged.task_state"
+GROUND_TRUTH = "privileged.ground_truth"
+
+OPTIONAL = frozenset((TASK_STATE, GROUND_TRUTH))
+"""Features that a recording need not have."""
+
+_ORDER = (
+    STATE,
+    ACTION,
+    "observation.images.",
+    "observation.",
+    "next.",
+    "instruction.",
+    "privileged.",
+)
+
+
+def rank(name: str) -> int:
+    """Place of a feature: state and action first, because lerobot takes the first that it meets."""
+    found = [i for i, prefix in enumerate(_ORDER) if name.startswith(prefix)]
+    return found[0] if found else len(_ORDER)
+
+
+ARM_STATE = (
+    *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
+    *("set_x", "set_y", "set_z", "roll_set"),
+)
+"""Of each arm in ``observation.state``: the state of surg_sim.env, in its order."""
+ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
+ARM_ACTION = ("x", "y", "z", "roll", "jaw")
+"""Of each commanded arm in ``action``: the action of surg_sim.env."""
+ARM_ACTION_UNITS = ("m", "m", "m", "rad", "rad")
+POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+POSE_UNITS = ("m", "m", "m", "1", "1", "1", "1")
+
+
+@dataclasses.dataclass(frozen=True)
+class Feature:
+    """One column of a dataset."""
+
+    name: str
+    dtype: str
+    """``float32``, ``float64``, ``int64``, ``bool``, ``string`` or ``video``."""
+    shape: tuple[int, ...]
+    """Of one frame: (D,), for a video (height, width, 3)."""
+    names: tuple[str, ...]
+    units: tuple[str, ...] = ()
+    frame: str = ""
+    """Reference frame of the vectors; empty where there is none."""
+    method: str = ""
+    """How it came onto the grid."""
+    text: str = ""
+    """What it is, in a sentence."""
+    privileged: bool = False
+    """Ground truth that no robot can measure."""
+    camera: str = ""
+    """The episode's camera, for a video."""
+
+    @property
+    def is_video(self) -> bool:
+        """A camera's pictures."""
+        return self.dtype == "video"
+
+    def describe(self) -> dict[str, Any]:
+        """As it stands in the JSON files of an export."""
+        found = dataclasses.asdict(self)
+        return {key: list(v) if isinstance(v, tuple) else v for key, v in found.items()}
+
+
+def video_name(camera: str) -> str:
+    """Feature name of a camera: ``endoscope_left`` is ``observation.images.endoscope.left``."""
+    stem, _, side = camera.rpartition("_")
+    place = f"{stem}.{side}" if stem and side in ("left", "right") else camera
+    return f"observation.images.{place}"
+
+
+def from_description(described: dict[str, Any]) -> Feature:
+    """The feature that ``Feature.describe`` described."""
+    lists = ("shape", "names", "units")
+    return Feature(**{key: tuple(v) if key in lists else v for key, v in described.items()})
+
+
+def columns_of(features: Sequence[Feature]) -> list[Feature]:
+    """Those that are tables' columns: all but the videos."""
+    return [feature for feature in features if not feature.is_video]
+
+
+def videos_of(features: Sequence[Feature]) -> list[Feature]:
+    """Those that are pictures."""
+    return [feature for feature in features if feature.is_video]

@@ -1,0 +1,89 @@
+"""Statistics of features, in float64: per recording exactly, and of a whole dataset exactly.
+
+Pictures are counted as histograms of their 256 levels, so that minimum, mean, deviation and
+quantiles of any number of recordings follow from sums of integers, without rounding errors that
+grow. Standard deviations are those of the population (divided by N), as lerobot's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Stats = dict[str, Array]
+
+QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+
+
+def of_column(values: npt.NDArray[np.generic], quantiles: bool = False) -> Stats:
+    """Statistics of (N, D) or (N,) numbers; min, max, mean, std are (D,), count is (1,)."""
+    data = np.asarray(values, dtype=np.float64)
+    data = data.reshape(len(data), -1)
+    mean = data.mean(axis=0)
+    found = {
+        "min": data.min(axis=0),
+        "max": data.max(axis=0),
+        "mean": mean,
+        "std": np.sqrt(np.mean((data - mean) ** 2, axis=0)),
+        "count": np.array([len(data)], dtype=np.int64),
+    }
+    if quantiles:
+        for name, share in QUANTILES.items():
+            found[name] = np.quantile(data, share, axis=0)
+    return found
+
+
+def of_histogram(histogram: npt.NDArray[np.int64], sampled: int, quantiles: bool = False) -> Stats:
+    """Statistics of a picture's channels in [0, 1], (3, 1, 1) each.
+
+    Args:
+        histogram: (3, 256) counts of the levels.
+        sampled: frames that were counted.
+        quantiles: also q01 … q99.
+    """
+    levels = np.arange(256) / 255.0
+    total = histogram.sum(axis=1)
+    mean = (histogram * levels).sum(axis=1) / total
+    variance = (histogram * (levels[None] - mean[:, None]) ** 2).sum(axis=1) / total
+    present = histogram > 0
+    found = {
+        "min": levels[present.argmax(axis=1)],
+        "max": levels[255 - present[:, ::-1].argmax(axis=1)],
+        "mean": mean,
+        "std": np.sqrt(variance),
+    }
+    if quantiles:
+        below = histogram.cumsum(axis=1)
+        for name, share in QUANTILES.items():
+            found[name] = levels[(below >= share * total[:, None]).argmax(axis=1)]
+    shaped: Stats = {key: value.reshape(3, 1, 1) for key, value in found.items()}
+    shaped["count"] = np.array([sampled], dtype=np.int64)
+    return shaped
+
+
+def to_json(stats: Mapping[str, Stats]) -> dict[str, dict[str, object]]:
+    """Statistics by feature, as lists."""
+    return {
+        feature: {key: value.tolist() for key, value in found.items()}
+        for feature, found in stats.items()
+    }
+
+
+def differ(
+    stated: Mapping[str, Mapping[str, object]],
+    computed: Mapping[str, Stats],
+    features: Sequence[str],
+) -> list[str]:
+    """Where stated statistics are not the computed ones, in words."""
+    found = []
+    for feature in features:
+        for key, value in computed[feature].items():
+            said = stated.get(feature, {}).get(key)
+            if said is None or not np.allclose(
+                np.asarray(said, float), value, rtol=1e-9, atol=1e-12
+            ):
+                found.append(f"statistics of {feature}: {key} is {said}, computed {value.tolist()}")
+    return found

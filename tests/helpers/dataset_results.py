@@ -1,0 +1,41 @@
+"""docs/results/datasets.md: what the tests of datasets counted in a whole run."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+_HEAD = """# Datasets
+
+Written by `./surg test --full` (`tests/unit/test_datasets_resample.py`, `test_datasets_export.py`,
+`test_datasets_scale.py`).
+
+| what | cases | result |
+|---|---|---|
+"""
+ROWS = (
+    "grid times against exact fractions",
+    "resampler against brute force, scipy, geometry",
+    "pictures in their place: lerobot",
+    "pictures in their place: lerobot_v30",
+    "pictures in their place: robomimic",
+    "pictures in their place: act",
+    "pictures in their place: diffusion_policy",
+    "the same with all pictures stamped a frame late",
+    "broken recordings",
+    "recordings with a Dask worker killed on the way",
+)
+"""All rows, in order."""
+_found: dict[str, tuple[int, str]] = {}
+
+
+def note(row: str, cases: int, result: str) -> None:
+    """Print a figure, keep it (cases of one row add up), write the page once all are there."""
+    if row not in ROWS:
+        raise KeyError(row)
+    print(f"{row}: {cases}: {result}")
+    _found[row] = (cases + _found.get(row, (0, ""))[0], result)
+    folder = os.environ.get("SURG_RESULTS_DIR")
+    if folder and len(_found) == len(ROWS):
+        lines = [f"| {row} | {_found[row][0]} | {_found[row][1]} |\n" for row in ROWS]
+        Path(folder, "datasets.md").write_text(_HEAD + "".join(lines), "utf-8")

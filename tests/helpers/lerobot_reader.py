@@ -1,0 +1,74 @@
+"""Reads a dataset with the real lerobot, in an environment of its own; prints JSON lines.
+
+Usage: ``python lerobot_reader.py DATASET FRAMES SEED``: the versions first, then per sampled frame
+what lerobot gives. Every ``FRAMES``-th part of the dataset is sampled in random order, because a
+training program reads so.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import sys
+from importlib import metadata
+from pathlib import Path
+
+import torch
+
+# The compiled part of torchvision is of another build than a CPU-only torch. lerobot needs its
+# transforms only, but torchvision does not import unless these operators are known.
+_OPERATORS = torch.library.Library("torchvision", "DEF")
+for _name in ("nms", "qnms"):
+    _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
+
+from helpers import picture_identity  # noqa: E402
+
+VERSIONS = ("lerobot", "torch", "torchvision", "torchcodec", "datasets", "pyarrow", "numpy")
+
+
+def main(root: str, count: int, seed: int) -> None:
+    """Print versions, facts and frames."""
+    dataset = LeRobotDataset("local/export", root=root)
+    print(json.dumps({name: metadata.version(name) for name in VERSIONS}))
+    meta = dataset.meta
+    facts = {
+        "frames": len(dataset),
+        "episodes": meta.total_episodes,
+        "fps": meta.fps,
+        "robot": meta.robot_type,
+        "cameras": meta.camera_keys,
+        "mean": {key: value["mean"].tolist() for key, value in meta.stats.items()},
+        "std": {key: value["std"].tolist() for key, value in meta.stats.items()},
+    }
+    print(json.dumps(facts))
+    chosen = random.Random(seed).sample(range(len(dataset)), min(count, len(dataset)))
+    for index in chosen:
+        item = dataset[index]
+        found = {
+            "index": int(item["index"]),
+            "asked": index,
+            "episode": int(item["episode_index"]),
+            "frame": int(item["frame_index"]),
+            "timestamp": float(item["timestamp"]),
+            "grid_ns": int(item["timing.grid_ns"]),
+            "task": item["task"],
+            "tool": item["observation.meta.tool"],
+            "state": item["observation.state"].tolist(),
+            "action": item["action"].tolist(),
+            "pictures": {},
+        }
+        for key in meta.camera_keys:
+            image = item[key].permute(1, 2, 0).numpy()
+            try:
+                shown = picture_identity.read(image)
+                found["pictures"][key] = [shown.recording, shown.camera, shown.frame]
+            except ValueError:
+                found["pictures"][key] = None
+        print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))

@@ -1,0 +1,46 @@
+"""Environments with the real lerobot, one per version, beside the checkout and never in git."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from surg_cli import paths
+
+# lerobot's own pins ask for CUDA and much that reading needs not: it comes without dependencies.
+TORCH = ("torch==2.13.0", "torchvision==0.28.0", "torchcodec==0.13.0")
+PLAIN = (
+    *("numpy==2.2.6", "pandas<3", "pyarrow>=21", "huggingface_hub", "av==15.1.0", "pillow"),
+    *("packaging", "einops", "jsonlines", "imageio", "draccus", "filelock", "fsspec", "sympy"),
+    *("networkx", "jinja2", "typing_extensions", "mpmath", "termcolor", "deepdiff", "psutil"),
+    *("opencv-python-headless", "safetensors"),
+)
+DATASETS = {"0.3.3": "datasets==3.6.0", "0.4.4": "datasets>=4,<5"}
+
+
+def python(version: str) -> Path:
+    """The interpreter of the environment for a version; made when it is missing.
+
+    A torch for the processor alone is needed: its wheel (``torch==2.13.0+cpu``) must be in reach of
+    pip, by its settings or ``PIP_FIND_LINKS``. Skips the test where the environment cannot be made.
+    """
+    folder = paths.ROOT / f".venv-oracle-lerobot-{version}"
+    interpreter, stamp = folder / "bin" / "python", folder / ".complete"
+    if stamp.exists():
+        return interpreter
+    pip = [str(interpreter), "-m", "pip", "--disable-pip-version-check", "install", "-q"]
+    steps = [
+        [str(paths.SYSTEM_PYTHON), "-m", "venv", str(folder)],
+        [*pip, *PLAIN, DATASETS[version]],
+        [*pip, "--no-deps", *TORCH, "accelerate", f"lerobot=={version}"],
+        [str(interpreter), "-c", "import torch, torchcodec"],
+    ]
+    for step in steps:
+        done = subprocess.run(step, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            last = done.stderr.strip().splitlines()[-1:]
+            pytest.skip(f"no environment with lerobot {version}: {' '.join(step[:5])} …: {last}")
+    stamp.touch()
+    return interpreter

@@ -1,0 +1,197 @@
+"""`./surg export EPISODES…`: recordings as a dataset in a format that training programs read."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from surg_cli import paths
+from surg_cli.terminal import Problem, Progress, say, table, warn
+
+FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy")
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    parser.epilog = (
+        "Exit status: 0 all recordings are in the dataset, 1 some were refused or the dataset is"
+        " bad, 2 wrong input. docs/datasets.md says what comes out."
+    )
+    add = parser.add_argument
+    add("episodes", nargs="*", type=Path, metavar="EPISODES", help="recordings, or folders of some")
+    known = ", ".join(FORMATS)
+    add("--format", default="lerobot", help=f"{known}, an installed one, or a .py file")
+    add("--out", type=Path, metavar="DIR", help="the dataset; a new folder")
+    add("--dry-run", action="store_true", help="read and check everything, write nothing")
+    add("--check", action="store_true", help="read the dataset in --out again, whole")
+    content = parser.add_argument_group("what is exported")
+    add = content.add_argument
+    add("--fps", type=int, default=20, metavar="N", help="frames per second (default 20)")
+    add("--cameras", nargs="+", metavar="NAME", help="default: all of the first recording")
+    add("--size", type=_size, metavar="WxH", help="scale pictures (default: as recorded)")
+    add("--instruction", metavar="TEXT", help="in words (default: the recording's own)")
+    add("--drop", nargs="+", default=[], metavar="FEATURE", help="features to leave out")
+    add("--max-image-age", type=float, default=0.1, metavar="S", help="oldest picture (0.1 s)")
+    add("--max-gap", type=float, default=0.05, metavar="S", help="longest bridged gap (0.05 s)")
+    add("--crf", type=int, default=18, metavar="Q", help="video quality, 0 best to 51 (18)")
+    add("--gop", type=int, default=2, metavar="N", help="distance of key frames (2)")
+    add("--preset", default="veryfast", help="of x264 (veryfast)")
+    add("--allow-incomplete", action="store_true", help="also recordings that were cut off")
+    add("--allow-unsynchronised", action="store_true", help="also where the sync report fails")
+    content = parser.add_argument_group("how it is put together")
+    add = content.add_argument
+    shares = "default: train=0.8,val=0.1,test=0.1"
+    add("--splits", type=_splits, metavar="NAME=SHARE,…", help=shares)
+    add("--about", type=Path, metavar="FILE", help="YAML: what only people know, for the page")
+    add("--replace", action="store_true", help="take the place of an earlier export")
+    add("--keep-parts", action="store_true", help="so that a later, larger export is quick")
+    content = parser.add_argument_group("who does the work")
+    add = content.add_argument
+    add("--executor", choices=("process", "serial", "dask"), default="process")
+    add("--workers", type=int, metavar="N", help="processes (default: one per processor)")
+    add("--scheduler", metavar="ADDRESS", help="of a Dask cluster that sees the same disk")
+    add("--shard", type=_shard, metavar="i/n", help="only convert every n-th recording, from the i")
+    add("--merge", action="store_true", help="put together what the shards have converted")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Export, dry-run or check; say what was done."""
+    from surg_recording import datasets
+
+    try:
+        exporter = datasets.load(options.format)
+        if options.out is None and not options.dry_run:
+            raise Problem("export: --out DIR is needed (or --dry-run)", 2)
+        if options.check:
+            return _say(datasets.check(options.out, exporter), options)
+        if not options.episodes:
+            raise Problem("export: name recordings, or folders that hold some", 2)
+        chosen = choices(options, datasets.ExportOptions)
+        title = "export: dry run" if options.dry_run else f"export to {options.out}"
+        with Progress(title) as progress:
+            if options.dry_run:
+                report = datasets.dry_run(exporter, options.episodes, chosen, progress.update)
+            else:
+                report = exporter.write(options.episodes, options.out, chosen, progress.update)
+    except datasets.ExportError as problem:
+        raise Problem(f"export: {problem}", 2) from None
+    return _say(report, options)
+
+
+def choices(options: argparse.Namespace, kind: Any) -> Any:
+    """The export's options from the command line's.
+
+    Raises:
+        Problem: names the option, its value and what is allowed.
+    """
+    if options.scheduler is not None:
+        options.executor = "dask"
+    if options.merge:
+        if options.shard is not None:
+            raise Problem("export: --shard converts, --merge puts together: one of the two", 2)
+        if not options.out.with_name(options.out.name + ".parts").is_dir():
+            raise Problem(f"export: {options.out}.parts is missing: no shard has run yet", 2)
+    given: dict[str, Any] = {
+        "max_image_age_s": options.max_image_age,
+        "max_gap_s": options.max_gap,
+        "cameras": None if options.cameras is None else tuple(options.cameras),
+        "drop": tuple(options.drop),
+    }
+    for field in dataclasses.fields(kind):
+        if field.name not in given and hasattr(options, field.name):
+            given[field.name] = getattr(options, field.name)
+    if options.splits is None:
+        del given["splits"]
+    given["about"] = {} if options.about is None else _about(options.about)
+    try:
+        return kind(**given)
+    except ValueError as problem:
+        raise Problem(f"export: --{problem}", 2) from None
+
+
+def _say(report: Any, options: argparse.Namespace) -> int:
+    """Print a report; the exit status."""
+    counts = f"{report.recordings} recordings, {report.frames} frames"
+    rows = [["format", report.format], ["content", counts]]
+    if options.shard is not None:
+        rows[1] = ["content", f"{report.recordings} recordings of this shard are converted"]
+    facts = report.facts
+    if facts.get("up_to_date"):
+        rows.append(["state", "up to date: nothing was done"])
+    for key in ("splits", "kinds", "files"):
+        if facts.get(key):
+            shown = facts[key]
+            if isinstance(shown, dict):
+                shown = ", ".join(f"{name} {value}" for name, value in shown.items())
+            rows.append([key, str(shown)])
+    say(table(rows))
+    if "features" in facts and options.dry_run:
+        say("features:")
+        say(table([[name, str(shape)] for name, shape in facts["features"].items()], "    "))
+    for text in report.warnings:
+        warn(f"  note: {text}")
+    for reason in report.refused.values():
+        warn(f"  refused: {reason}")
+    for text in report.errors:
+        warn(f"  wrong: {text}")
+    if report.errors:
+        warn("surg: the dataset is bad" + ("" if options.check else ": it was not put in place"))
+    elif report.refused:
+        warn(f"surg: {len(report.refused)} recordings are not in the dataset")
+    if not options.dry_run and not options.check:
+        _write_report(report, options.out)
+    return 0 if report.ok else 1
+
+
+def _write_report(report: Any, out: Path) -> None:
+    """Beside the dataset, so that the dataset holds what its format knows and nothing else."""
+    path = out.with_name(out.name + ".report.json")
+    paths.write_text(path, json.dumps(report.to_json(), indent=1, default=str) + "\n")
+    say(f"  report: {path}")
+
+
+def _about(path: Path) -> dict[str, Any]:
+    """What only people know of the dataset.
+
+    Raises:
+        Problem: the file cannot be read, or has an unknown key.
+    """
+    from surg_recording.datasets.readme import KNOWN
+
+    try:
+        stated = yaml.safe_load(path.read_text("utf-8"))
+    except (OSError, yaml.YAMLError) as problem:
+        raise Problem(f"--about {path}: {problem}", 2) from None
+    if not isinstance(stated, dict) or set(stated) - set(KNOWN):
+        strange = ", ".join(map(str, set(stated) - set(KNOWN))) if stated else "nothing"
+        raise Problem(f"--about {path}: holds {strange}; known keys: {', '.join(KNOWN)}", 2)
+    return stated
+
+
+def _size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdigit() and height.isdigit()):
+        raise argparse.ArgumentTypeError(f"{text}: a size such as 640x480 is needed")
+    return (int(width), int(height))
+
+
+def _shard(text: str) -> tuple[int, int]:
+    index, _, count = text.partition("/")
+    if not (index.isdigit() and count.isdigit() and int(index) < int(count)):
+        raise argparse.ArgumentTypeError(f"{text}: i/n with 0 ≤ i < n, such as 0/4, is needed")
+    return (int(index), int(count))
+
+
+def _splits(text: str) -> dict[str, float]:
+    try:
+        pairs = [item.split("=") for item in text.split(",")]
+        return {name.strip(): float(share) for name, share in pairs}
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text}: shares such as train=0.9,val=0.1 are needed"
+        ) from None
