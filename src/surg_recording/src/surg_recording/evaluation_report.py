@@ -176,7 +176,9 @@ def _episodes(summary: Mapping[str, Any]) -> str:
             f"<td>{text(entry['law'])}</td><td>{text(end[entry['success']] + mark)}</td>"
             f"{numbers}</tr>"
         )
-    heads = "".join(f"<th class='n'>{text(m.title)}{f' [{m.unit}]' if m.unit else ''}</th>" for m in shown)
+    heads = "".join(
+        f"<th class='n'>{text(m.title)}{f' [{m.unit}]' if m.unit else ''}</th>" for m in shown
+    )
     return (
         "<section><h2>Every episode</h2><details><summary>Show</summary><table class='small'><tr>"
         f"<th>Folder</th><th>Setting</th><th>Robot</th><th>Law</th><th>End</th>{heads}</tr>"
