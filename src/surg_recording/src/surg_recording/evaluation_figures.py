@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -132,7 +133,8 @@ def _references(summary: Mapping[str, Any]) -> trial_figures.Groups:
     compared = summary["reference"]
     if compared is None:
         return []
-    each, name = compared["each"], str(compared["name"]).replace(" ", "\n", 1)
+    each = compared["each"]
+    name = textwrap.fill(str(compared["name"]), 11, break_long_words=False)
     groups = [(f"{name}\nn = {len(each)}", each)]
     experts = [trial for trial in each if trial["skill"] == "expert"]
     if 0 < len(experts) < len(each):

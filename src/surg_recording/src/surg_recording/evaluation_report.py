@@ -97,7 +97,7 @@ def _conditions(summary: Mapping[str, Any]) -> str:
     conditions = summary["conditions"]
     if not conditions:
         return "<section class='verdict bad'><h2>No episode could be evaluated</h2></section>"
-    heads = "".join(f"<th>{text(label)}</th>" for label in conditions)
+    heads = "".join(f"<th class='n'>{text(label)}</th>" for label in conditions)
     counts = "".join(f"<td class='n'>{found['n']}</td>" for found in conditions.values())
     rates = "".join(f"<td class='n'>{_rate(f['success_rate'])}</td>" for f in conditions.values())
     rows = [f"<tr><td>episodes</td>{counts}</tr>", f"<tr><td>success</td>{rates}</tr>"]
@@ -140,11 +140,11 @@ def _reference(compared: Mapping[str, Any] | None) -> str:
         for name, found in groups
     )
     left_out = "".join(f"<li>{text(reason)}</li>" for reason in compared["left_out"])
-    heads = "".join(f"<th>{title}</th>" for title in _OF_A_REFERENCE.values())
+    heads = "".join(f"<th class='n'>{title}</th>" for title in _OF_A_REFERENCE.values())
     return (
         f"<section><h2>Reference: {text(compared['name'])}</h2><p class='faint small'>"
         f"{text(compared['source'])}; through the same computation as the episodes.</p>"
-        f"<table class='small'><tr><th></th><th>Trials</th>{heads}</tr>{rows}</table>"
+        f"<table class='small'><tr><th></th><th class='n'>Trials</th>{heads}</tr>{rows}</table>"
         + (f"<p>Left out:</p><ul class='small'>{left_out}</ul>" if left_out else "")
         + "</section>"
     )
@@ -176,7 +176,9 @@ def _episodes(summary: Mapping[str, Any]) -> str:
             f"<td>{text(entry['law'])}</td><td>{text(end[entry['success']] + mark)}</td>"
             f"{numbers}</tr>"
         )
-    heads = "".join(f"<th>{text(m.title)}{f' [{m.unit}]' if m.unit else ''}</th>" for m in shown)
+    heads = "".join(
+        f"<th class='n'>{text(m.title)}{f' [{m.unit}]' if m.unit else ''}</th>" for m in shown
+    )
     return (
         "<section><h2>Every episode</h2><details><summary>Show</summary><table class='small'><tr>"
         f"<th>Folder</th><th>Setting</th><th>Robot</th><th>Law</th><th>End</th>{heads}</tr>"

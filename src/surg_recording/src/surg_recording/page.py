@@ -23,7 +23,8 @@ h1 { font-size: 24px; margin: 8px 0 2px; } h2 { font-size: 18px; margin: 4px 0 1
 table { border-collapse: collapse; width: 100%; }
 th, td { text-align: left; padding: 4px 12px 4px 0; border-bottom: 1px solid #e4e7eb;
          vertical-align: top; }
-th { font-weight: 600; } td.n { text-align: right; font-variant-numeric: tabular-nums; }
+th { font-weight: 600; } td.n { font-variant-numeric: tabular-nums; }
+td.n, th.n { text-align: right; }
 .met { color: #2f8f5b; font-weight: 600; } .missed { color: #c62f3b; font-weight: 600; }
 img { max-width: 100%; height: auto; display: block; }
 .strip { display: grid; grid-template-columns: repeat(3, 1fr); gap: 8px; }
