@@ -44,9 +44,10 @@ def test_f12_a_disk_that_fills_up_ends_the_recording_cleanly(small_disk: Path) -
         min_free_bytes=2 << 20,
         stop_free_bytes=0,
     )
+    (small_disk / "e.partial" / "others").write_bytes(bytes(3 << 20))
     rng = np.random.default_rng(1)
     what, longest, tick = synthetic.Synthetic(), 0.0, 0
-    deadline = time.monotonic() + 60.0
+    deadline = time.monotonic() + 120.0
     while not recording.failed and time.monotonic() < deadline:
         tick += 1
         begun = time.perf_counter()

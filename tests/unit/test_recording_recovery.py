@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import random
 import shutil
@@ -98,6 +99,12 @@ def unfinished(folder: Path, video: Path) -> Path:
         file.truncate(mp4_boxes.fragments(video / "cam.mp4")[5].end + 100)
     (writer.folder / "manifest.json.tmp").write_text("{")
     (writer.folder / "empty.csv").write_text("")
+    said = '1,2,/record/tag,/c,"{""stage"": ""cut""}"\n5,6,/record/tag,/c,oops\n7,8,/record'
+    (writer.folder / "events.csv").write_text("stamp_ns,receive_ns,topic,source,text\n" + said)
+    (writer.folder / "topics").mkdir()
+    (writer.folder / "topics" / "n.csv").write_text("stamp_ns,receive_ns,source,data\n0,1,/s,7\n0")
+    about = {"topic": "/n", "type": "std_msgs/Int64", "kinds": {"data": "int", "source": "text"}}
+    (writer.folder / "topics" / "n.json").write_text(json.dumps(about))
     return writer.folder
 
 
@@ -113,7 +120,12 @@ def test_what_is_recovered_says_so_and_keeps_what_it_was_told(tmp_path: Path, vi
     frames = sum(f.frames for f in mp4_boxes.fragments(video / "cam.mp4")[:6])
     assert len(recorded.video("cam").frames) == frames
     names = sorted(path.name for path in final.iterdir())
-    assert names == ["cam.csv", "cam.mp4", "cycle_PSM1.csv", "manifest.json"]
+    files = ["cam.csv", "cam.mp4", "cycle_PSM1.csv", "events.csv", "manifest.json", "topics"]
+    assert names == files
+    assert recorded.stages == [{"name": "cut", "begin_ns": 1, "end_ns": 5}]
+    assert recorded.tags == [{"stamp_ns": 5, "text": "oops", "by": "/c"}]
+    (numbers,) = recorded.topic("/n")
+    assert numbers["data"].tolist() == [7]
 
 
 def test_a_recovery_that_is_killed_can_be_repeated(tmp_path: Path, video: Path) -> None:

@@ -43,6 +43,7 @@ def complete(
     reasons = [reason] if reason else []
     videos = _videos(folder, drops, reasons)
     tables = _tables(folder, videos, drops, reasons)
+    manifest.setdefault("topics", _topics(tables))
     manifest.update(
         tables=tables,
         videos=videos,
@@ -103,6 +104,18 @@ def _tables(
         if missing and name.startswith(_TICKED):
             reasons.append(f"{name}: {missing} ticks missing")
         found[name] = entry
+    return found
+
+
+def _topics(tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Topics of the tables below ``topics/``, for a recorder that could not tell any more."""
+    found: dict[str, Any] = {}
+    for name, entry in tables.items():
+        if "topic" in entry:
+            of = found.setdefault(entry["topic"], {"messages": 0, "tables": []})
+            of["type"] = entry.get("type")
+            of["messages"] += entry["rows"]
+            of["tables"].append(name)
     return found
 
 

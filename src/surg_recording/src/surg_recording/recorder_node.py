@@ -180,6 +180,8 @@ class RecorderNode:
                 self._examine(folder)
             except EpisodeError as problem:
                 self.problem = str(problem)
+            except Exception as problem:  # never a silent end: the folder stays and is mended later
+                self.problem = f"not finished: {type(problem).__name__}: {problem}"
             finally:
                 self.finishing = False
                 self.warnings = recording.warnings

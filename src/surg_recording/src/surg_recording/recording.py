@@ -6,6 +6,7 @@ the episode will be incomplete, and the rest goes on.
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -19,7 +20,6 @@ from surg_recording.clock_steps import FUTURE_NS
 from surg_recording.csv_sink import CsvTable, CsvWriter
 from surg_recording.episode import TOPICS
 from surg_recording.episode_writer import MIN_FREE_BYTES, EpisodeWriter
-from surg_recording.finishing import write_json
 from surg_recording.flatten import Flat
 from surg_recording.topic_tables import TopicTables
 from surg_recording.video_sink import Frame
@@ -437,7 +437,8 @@ class Recording:
         folder = self.folder / TOPICS
         try:
             folder.mkdir(exist_ok=True)
-            write_json(folder / f"{name}.json", about)
+            # Not synced: this is called by a callback, which must not wait for the disk.
+            (folder / f"{name}.json").write_text(json.dumps(about, indent=1) + "\n", "utf-8")
         except OSError as problem:
             self._problems.append(f"{TOPICS}/{name}: {problem.strerror}")
             return None

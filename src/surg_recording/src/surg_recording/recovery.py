@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording import finishing
-from surg_recording.episode import FORMAT, MANIFEST, PARTIAL
+from surg_recording.annotations import Annotations, parse_tag
+from surg_recording.episode import FORMAT, MANIFEST, PARTIAL, read_table
 from surg_recording.episode_writer import LOCK, RESERVE, sync_folder
 from surg_recording.errors import EpisodeError
 
@@ -92,6 +93,8 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
         manifest = _manifest(folder)
         manifest["recovered"] = finishing.utc_now()
         finishing.complete(folder, manifest, {}, reason)
+        manifest.update(_said(folder))
+        finishing.write_json(folder / MANIFEST, manifest)
         (folder / LOCK).unlink(missing_ok=True)
         os.rename(folder, final)
         sync_folder(final.parent)
@@ -102,6 +105,24 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
     finally:
         os.close(lock)
     return final
+
+
+def _said(folder: Path) -> dict[str, Any]:
+    """Stages, tags and verdict again from the events, where they were written at once."""
+    found, last = Annotations(), 0
+    try:
+        events = read_table(folder / "events.csv")
+        for index in range(len(events)):
+            last = int(events["receive_ns"][index])
+            if events["topic"][index] == "/record/tag":
+                said = parse_tag(str(events["text"][index]))
+                stamp, by = int(events["stamp_ns"][index]), str(events["source"][index])
+                last = stamp
+                found.add(said, stamp, by)
+    except (EpisodeError, ValueError):
+        return {}
+    found.end(last)
+    return {"stages": found.stages, "tags": found.tags, "result": found.result}
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
