@@ -195,8 +195,9 @@ def test_a_real_pair_is_monitored_and_recorded(
         pytest.skip(why_not)
     with daemons(tmp_path / "ptp", injected) as socket:
         folder = record(ears, ros_graph, tmp_path / "episode", socket, looks=4)
-    recorded = episode.read(folder)
-    found = sync_report.make(recorded)
+    assert wait_until((folder / sync_report.FILE).exists, 60), "the recorder has it made"
+    found = sync_report.load(episode.read(folder))
+    assert found is not None
     clock = found["clock"]
     row = "a real ptp4l pair" + (" with an offset of 5 ms injected" if injected else "")
     told = f"largest offset {found['offset_s'] * 1e6:+.2f} µs, path delay"
