@@ -69,8 +69,8 @@ class Bench:
         )
 
     def until(self, condition: Any, what: str) -> None:
-        """Waits for something, at most 20 s."""
-        self.graph.wait_for(condition, 20.0, what)
+        """Waits for something, at most a minute: a machine may be busy."""
+        self.graph.wait_for(condition, 60.0, what)
 
     def latest(self, topic: str) -> Any:
         """What was said last on a topic of the leader."""

@@ -42,8 +42,8 @@ class Ears:
         return self.heard[topic]
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
-        """Waits at most 20 s."""
-        self.graph.wait_for(condition, 20.0, what)
+        """Waits at most a minute: a machine may be busy."""
+        self.graph.wait_for(condition, 60.0, what)
 
 
 @pytest.fixture
@@ -213,7 +213,7 @@ def test_keys_move_and_the_terminal_is_given_back(ears: Ears) -> None:
         ears.until(lambda: rates[-1].twist.linear.x == 0, "the key was let go")
         os.kill(terminal.process.pid, signal.SIGTSTP)  # Ctrl-Z must not keep the terminal
         os.write(terminal.master, b"\x03")  # Ctrl-C
-        assert terminal.process.wait(20.0) == 0
+        assert terminal.process.wait(60.0) == 0
         assert termios.tcgetattr(terminal.slave) == terminal.before
 
 
@@ -223,7 +223,7 @@ def test_the_terminal_is_given_back_on_every_exit(name: str, ears: Ears) -> None
         raw = lambda: not termios.tcgetattr(terminal.slave)[3] & termios.ICANON  # noqa: E731
         ears.until(raw, "the keyboard")
         os.kill(terminal.process.pid, getattr(signal, name))
-        assert terminal.process.wait(20.0) == 0
+        assert terminal.process.wait(60.0) == 0
         assert termios.tcgetattr(terminal.slave) == terminal.before
 
 
