@@ -141,7 +141,7 @@ def test_enable_says_present_and_follow_with_pedals_up(bench: Bench) -> None:
     assert bench.flush() == [Clutch(False), Camera(False), Present(True), Follow(True)]
 
 
-def test_silence_holds_at_the_first_tick_after_its_limit(bench: Bench) -> None:
+def test_f03_silence_holds_at_the_first_tick_after_its_limit(bench: Bench) -> None:
     bench.drive()
     last = bench.now
     bench.speak()
@@ -242,7 +242,7 @@ def test_without_a_picture_nothing_is_enabled(bench: Bench) -> None:
     assert Follow(True) not in bench.orders
 
 
-def test_a_picture_that_stands_still_holds(bench: Bench) -> None:
+def test_f08_a_picture_that_stands_still_holds(bench: Bench) -> None:
     bench.drive()
     bench.run(BLIND - 0.1, film=False)
     assert bench.session.phase is Phase.DRIVING
