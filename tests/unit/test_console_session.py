@@ -335,6 +335,16 @@ def test_the_mapping_is_changed_under_the_clutch_only(bench: Bench) -> None:
     assert bench.given(OtherMapping) == [OtherMapping()]
 
 
+def test_a_page_that_does_not_lead_enables_and_clutches_only(bench: Bench) -> None:
+    bench.session = Session(pictures=True, leads=False)
+    bench.follower = replace(bench.follower, mapping="rate")
+    bench.drive()
+    bench.run(0.5, clutch=True)
+    assert bench.orders == [Clutch(True)]
+    bench.run(0.3, page="")
+    assert bench.held()
+
+
 def test_what_does_not_become_ready_is_named(bench: Bench) -> None:
     cases = {
         "PSM1 did not become ready within 6 s and is FAULT: the shaft": (
