@@ -386,10 +386,10 @@ def test_scale_and_record_are_orders(bench: Bench) -> None:
     assert bench.flush() == [SetScale(0.5), Record(True)]
 
 
-def test_random_lives_never_move_without_an_operator() -> None:
+def test_random_lives_never_move_without_an_operator(full: bool) -> None:
     """An input goes out only from the page in control, after its Enable, and in time."""
     moves = holds = 0
-    for seed in range(300):
+    for seed in range(3000 if full else 100):
         rng = random.Random(seed)
         bench = Bench(pictures=rng.random() < 0.8)
         names = ["a", "b"]
@@ -432,8 +432,8 @@ def test_random_lives_never_move_without_an_operator() -> None:
                     enabled = ""
             bench.orders.clear()
     print(f"{moves} inputs went out, {holds} holds")
-    assert moves > 1000
-    assert holds > 300
+    assert moves > 400
+    assert holds > 100
 
 
 def test_reasons_are_read_off_what_a_controller_says() -> None:
