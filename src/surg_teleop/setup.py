@@ -5,7 +5,7 @@ import setuptools
 setuptools.setup(
     name="surg_teleop",
     version="0.1.0",
-    description="Recorded motions and the operator that plays them",
+    description="Hands on the controls of an arm, live and recorded",
     license="Apache-2.0",
     python_requires=">=3.11",
     packages=["surg_teleop", "surg_teleop.console", "surg_teleop.leaders"],

@@ -144,7 +144,7 @@ def test_a_surgeons_hand_is_followed(which: str, tmp_path: Path) -> None:
     file = synthetic(tmp_path) if which == "synthetic" else Path(str(GIVEN))
     chain = run(file, SECONDS)
     text = (
-        f"{which}, {RATE:.0f} Hz, scale 1: hand to set-point {1e3 * chain.lag:.1f} ms, "
+        f"{file.stem}, {RATE:.0f} Hz, scale 1: hand to set-point {1e3 * chain.lag:.1f} ms, "
         f"{1e3 * chain.rms:.2f} mm rms; set-point to tip {1e3 * chain.tip_lag:.0f} ms, "
         f"{1e3 * chain.tip_rms:.2f} mm rms"
     )
@@ -154,10 +154,10 @@ def test_a_surgeons_hand_is_followed(which: str, tmp_path: Path) -> None:
     assert chain.lag <= MAX_LAG
     assert chain.rms <= MAX_RMS
     if FULL:
-        _write(which, text)
+        _write(file.stem, text)
 
 
-def _write(which: str, text: str) -> None:
+def _write(name: str, text: str) -> None:
     file = paths.ROOT / "docs/results/teleop_lag.md"
     head = (
         "# From the hand to the tip\n\nWritten by `SURG_TEST_MOTION=FILE ./surg test --full "
@@ -166,5 +166,5 @@ def _write(which: str, text: str) -> None:
         "left. Lock-step: the wire and the operating system are not in it.\n\n"
     )
     lines = file.read_text().splitlines() if file.is_file() else []
-    kept = [line for line in lines if line.startswith("- ") and not line.startswith(f"- {which},")]
+    kept = [line for line in lines if line.startswith("- ") and not line.startswith(f"- {name},")]
     file.write_text(head + "\n".join(sorted([*kept, f"- {text}"])) + "\n")

@@ -149,18 +149,18 @@ def plan(
     """The series of both tables.
 
     Args:
-        episodes: Of each setting and robot.
+        episodes: Of bgr with the first robot, in each setting.
         ablation: Episodes of each row of the ablation.
         robots: Label of a robot and cell with it.
         names: Tasks.
-        others: Episodes of the tasks that are not bgr; None: as many.
+        others: Of each other task and robot; None: as many.
     """
     test = tuple(seeds.test_seeds(episodes))
     less = test if others is None else tuple(seeds.test_seeds(others))
     first = [
         Series(
             f"{name}, {setting}, {robot}", cell, name, condition(setting), "ours",
-            test if name == "bgr" else less,
+            test if (name, robot) == ("bgr", next(iter(robots))) else less,
         )
         for name in names
         for robot, cell in robots.items()
@@ -213,7 +213,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """Entry point."""
     parser = argparse.ArgumentParser(prog="surg_sim.evaluate", description=__doc__.splitlines()[0])
     parser.add_argument("--episodes", type=int, default=100, help="of each row of the first table")
-    parser.add_argument("--others", type=int, help="the same of tasks that are not bgr")
+    parser.add_argument("--others", type=int, help="the same of all but bgr with the first robot")
     parser.add_argument("--ablation", type=int, default=10, help="of each row of the second table")
     parser.add_argument("--tasks", nargs="*", default=list(tasks.names()))
     parser.add_argument("--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS))

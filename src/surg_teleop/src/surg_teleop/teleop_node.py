@@ -47,6 +47,8 @@ from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
 
 PERIOD = 0.004
 """[s] A leader that is asked (and not heard) is asked that often."""
+AGAIN = 1.0
+"""[s] The same warning is said no more often."""
 REPORT = 0.5
 """[s] ``~status`` is said at least that often."""
 CONNECT_TIMEOUT = 30.0
@@ -76,6 +78,7 @@ class TeleopNode:
         self._picture = PictureWatch(system.picture)
         self._latched: dict[tuple[str, str], rospy.Publisher] = {}
         self._said: dict[tuple[str, str], object] = {}
+        self._warned: dict[str, float] = {}
         self._ports = {name: ArmPort(name, claims=True) for name in system.bases}
         if system.assistant is not None:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, only=("servo_jp", "jaw/servo_jp"))
@@ -307,7 +310,10 @@ class TeleopNode:
                 self._latched[arm, name].publish(value)
         message = self._message(hand, output)
         if message and self._said.get((arm, "message")) != message:
-            self._warn(f"{hand.leader.name} on {arm}: {message}")
+            text, now = f"{hand.leader.name} on {arm}: {message}", time.monotonic()
+            if now - self._warned.get(text, -math.inf) >= AGAIN:
+                self._warned[text] = now
+                self._warn(text)
         self._said[arm, "message"] = message
 
     def _message(self, hand: Hand, output: TeleopOutput) -> str:
