@@ -30,7 +30,13 @@ LIMITS = {
     "depth_min": 0.02,
     "depth_max": 0.22,
 }
-FACTS = {"cell": "test_cell", "arm": "PSM1", "views": ["left", "right"], "limits": LIMITS}
+FACTS = {
+    "cell": "test_cell",
+    "arm": "PSM1",
+    "views": ["left", "right"],
+    "leads": True,
+    "limits": LIMITS,
+}
 
 
 class FakeSystem:

@@ -187,7 +187,7 @@ def _operator_nodes(
         "cell": str(plan.cell),
         "arm": driven,
         "arms": list(plan.arms),
-        "leader": BROWSER,
+        "leader": BROWSER if browser else "",
         "views": list(plan.cameras),
         "episodes": str(plan.out / "episode"),
         **web,

@@ -1,10 +1,11 @@
 """The operator console as a node: serves the page, and is a CRTK leader on topics.
 
 Parameters: ``~cell`` (folder or cell.yaml); ``~arm`` (the first with jaws) and ``~arms`` (others to
-show); ``~leader`` (browser), ``~teleop`` (name of the teleoperation node); ``~views`` (left; or
-left,right; empty: no camera); ``~episodes`` (the recorder's ``~out``); ``~bind`` (127.0.0.1),
-``~port`` (8090), ``~host_names``, ``~cert``, ``~key``, ``~token_file``: who may connect
-(docs/console.md). Exit code 1: the port cannot be had; 2: a parameter that must not be used.
+show); ``~leader`` (browser; empty: another device moves the arm), ``~teleop`` (name of the
+teleoperation node); ``~views`` (left; or left,right; empty: no camera); ``~episodes`` (the
+recorder's ``~out``); ``~bind`` (127.0.0.1), ``~port`` (8090), ``~host_names``, ``~cert``, ``~key``,
+``~token_file``: who may connect (docs/console.md). Exit code 1: the port cannot be had; 2: a
+parameter that must not be used.
 """
 
 from __future__ import annotations
@@ -113,6 +114,7 @@ async def serve(settings: Settings, stop: asyncio.Event) -> None:
         "cell": settings.cell.config.name,
         "arm": settings.arm,
         "views": list(settings.views),
+        "leads": bool(settings.leader),
         "limits": settings.limits,
     }
     name = f"{rospy.get_name().strip('/').replace('/', '_')}_video"
@@ -125,7 +127,7 @@ async def serve(settings: Settings, stop: asyncio.Event) -> None:
         server.picture_problem(text)
 
     encoder = EncoderProcess([*argv, ",".join(settings.views)], show, problem)
-    session = Session(pictures=bool(settings.views))
+    session = Session(pictures=bool(settings.views), leads=bool(settings.leader))
     server = Server(settings.access, session, system, encoder, facts, settings.limits)
     video = asyncio.create_task(encoder.run()) if settings.views else None
     try:

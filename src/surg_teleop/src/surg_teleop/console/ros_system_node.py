@@ -49,7 +49,7 @@ class RosSystem:
 
     Args:
         arms: CRTK names, the driven one first.
-        leader: Namespace of the leader's topics.
+        leader: Namespace of the leader's topics; empty: the page is no leader.
         teleop: Name of the teleoperation node.
         episodes: The recorder's folder; None: nothing is listed.
     """
@@ -246,13 +246,14 @@ def _publishers(arms: tuple[str, ...], leader: str) -> dict[str, rospy.Publisher
         return rospy.Publisher(topic, kind, queue_size=queue, tcp_nodelay=True)
 
     found = {
-        "measured_cp": publisher(f"/{leader}/measured_cp", PoseStamped, 1),
-        "measured_cv": publisher(f"/{leader}/measured_cv", TwistStamped, 1),
-        "gripper": publisher(f"/{leader}/gripper/measured_js", JointState, 1),
         "/record/record": publisher("/record/record", Bool),
         "/console/teleop/enable": publisher("/console/teleop/enable", Bool),
         "/console/teleop/set_scale": publisher("/console/teleop/set_scale", Float64),
     }
+    if leader:
+        found["measured_cp"] = publisher(f"/{leader}/measured_cp", PoseStamped, 1)
+        found["measured_cv"] = publisher(f"/{leader}/measured_cv", TwistStamped, 1)
+        found["gripper"] = publisher(f"/{leader}/gripper/measured_js", JointState, 1)
     for name in ("operator_present", "clutch", "camera", "rate"):
         found[f"/console/{name}"] = publisher(f"/console/{name}", Joy)
     for arm in arms:

@@ -110,13 +110,15 @@ class Session:
 
     Args:
         pictures: Whether there is a camera: without its picture nothing may be enabled.
+        leads: Whether the page is the leader. Otherwise another device moves the arm, and the page
+            enables, clutches and stops it.
     """
 
-    def __init__(self, pictures: bool) -> None:
+    def __init__(self, pictures: bool, leads: bool = True) -> None:
         self.phase = Phase.FREE
         self.reason = ""
         """Why nothing moves, in words; empty while all is well."""
-        self._pictures = pictures
+        self._pictures, self._leads = pictures, leads
         self._pages: dict[str, _Page] = {}
         self._holder: _Page | None = None
         self._orders: list[Order] = []
@@ -275,8 +277,9 @@ class Session:
         if sample.camera != self._camera:
             self._camera, self._acted = sample.camera, now
             self._orders.append(Camera(sample.camera))
-        self._hand = sample.hand
-        self._orders.append(Move(sample))
+        if self._leads:
+            self._hand = sample.hand
+            self._orders.append(Move(sample))
 
     # --- what happens by itself ---------------------------------------------------------------
 
@@ -294,7 +297,7 @@ class Session:
             self._hold(why)
             return
         follower = robot.follower
-        if follower.state in MAY_MAP and follower.mapping != self._hand:
+        if self._leads and follower.state in MAY_MAP and follower.mapping != self._hand:
             if now - self._tapped >= SETTLED:
                 self._tapped = self._acted = now
                 self._orders.append(OtherMapping())

@@ -123,7 +123,8 @@ function showHand(sample) {
   for (const button of element("hands").children) {
     button.setAttribute("aria-pressed", String(button.dataset.hand === sample.hand));
   }
-  const device = sample.hand === "position" ? "Drag in the picture." : hand.padName || "Keyboard";
+  const ours = sample.hand === "position" ? "Drag in the picture." : hand.padName || "Keyboard";
+  const device = view?.leads === false ? "Another device moves the arm." : ours;
   if (element("device").textContent !== device) element("device").textContent = device;
   const grip = sample.grip;
   element("jaw").firstElementChild.style.width = grip === null ? "0" : `${grip * 100}%`;

@@ -87,6 +87,7 @@ export class View {
     };
     this.trend = new Trend("trend", limits.rcm_error_warn / 20);
     this.page = facts.page;
+    this.leads = facts.leads;
   }
 
   /** Every report: a peak must not be missed. */
