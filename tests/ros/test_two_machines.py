@@ -161,7 +161,8 @@ def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory
         page = paths.ROOT / "docs/results/two_machines.md"
         command = "`SURG_TEST_FULL=1 ./surg test tests/ros/test_two_machines.py`"
         head = (
-            f"# Two machines on a bad cable\n\nWritten by {command}, stereo off, left eye on.\n\n"
+            f"# Two machines on a bad cable\n\nWritten by {command}, with the left eye of the "
+            "endoscope on.\n\n"
         )
         page.write_text(head + "\n".join(RESULTS) + "\n", "utf-8")
 
