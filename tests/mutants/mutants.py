@@ -49,6 +49,15 @@ def one(
 
 
 MUTANTS: tuple[Mutant, ...] = (
+    # -- the follower
+    one(
+        "late_states_trusted",
+        "on a starved machine the feedback shakes the arm off its pivot, even from rest",
+        "src/controller_guards.cpp",
+        "if (stale <= 0 || gains.rcm <= 0) return 1;",
+        "if (stale <= 0 || gains.rcm > 0) return 1;",
+        ("test_stale_state",),
+    ),
     # -- the law
     one(
         "pivot_lever_reversed",

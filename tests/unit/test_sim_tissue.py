@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import mujoco
 import numpy as np
 import pytest
@@ -275,20 +273,3 @@ def test_the_plain_shape_fits_every_setting() -> None:
         assert nodes.shape == (setting.tissue.nodes, 3)
         middle = site.local(nodes.mean(axis=0))
         assert np.abs(middle[:2]).max() < 0.05
-
-
-def test_speed_of_the_bowel_alone() -> None:
-    """Printed, not judged: figures of a busy machine say nothing."""
-    site, parameters = scene.site_of([arm_of("sim_ur5e")]), TissueParameters()
-    spec = mujoco.MjSpec()
-    spec.option.timestep, spec.option.integrator = 0.001, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    add_bowel(spec, site, parameters, False)
-    model = spec.compile()
-    data = mujoco.MjData(model)
-    data.xfrc_applied[model.body("bowel_18").id, 2] = 1.0
-    best = 1.0
-    for _ in range(5):
-        start = time.perf_counter()
-        mujoco.mj_step(model, data, 200)
-        best = min(best, time.perf_counter() - start)
-    print(f"bowel alone: {best / 200 * 1e6:.0f} us per step of 1 ms: {0.2 / best:.0f} x real time")

@@ -8,6 +8,9 @@ namespace {
 
 constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more means a stuck arm
 constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
+constexpr double kForgets = 0.5;          // [s] a late state
+constexpr double kLoop = 0.6;             // gain times delay of a loop that is well damped
+constexpr double kBothWays = 2.0;         // a link that speaks late obeys late
 
 bool finite(const MotionCommand& command) {
   return surg::finite(command.p) && surg::finite(command.rotation.coeffs()) &&
@@ -38,10 +41,17 @@ void Controller::Impl::sense(const Inputs& in) {
   }
   sensed = true;
   unseen = Reason::kNone;
+  stale = std::max(in.state_age - T, stale * (1 - T / kForgets));
   steady = trocar;
   if (!torn()) follow_trocar(in);
   arm.sense(in.q, in.qd, trocar);
   watch_tool(in);
+}
+
+double Controller::Impl::trust() const {
+  if (stale <= 0 || gains.rcm <= 0) return 1;
+  const double fresh = std::max(robot.tuning.link_lag, kLoop / gains.rcm);
+  return fresh / (fresh + kBothWays * stale);
 }
 
 void Controller::Impl::follow_trocar(const Inputs& in) {

@@ -54,6 +54,7 @@ struct Controller::Impl {
   JointTrace trace;  // the way back
 
   Pose X_BR = Pose::Identity();
+  double stale = 0;                   // [s] how much older than a period states have lately been
   bool sensed = false;                // a finite, fresh joint state has been seen in the last step
   Reason unseen = Reason::kLinkLost;  // why not
   Reason untracked = Reason::kNone;   // why the trocar's last sample was not taken
@@ -100,6 +101,9 @@ struct Controller::Impl {
 
   // Senses, guards and gate.
   void sense(const Inputs& in);
+  /// In (0, 1]: share of the feedback's gain that late states leave: a loop shakes once gain times
+  /// delay is about 1.5, so that what is 0.6 with fresh states must not grow with their age.
+  double trust() const;
   void follow_trocar(const Inputs& in);
   /// F31: without the tool link the arm holds, and so does the jaw.
   void watch_tool(const Inputs& in);
@@ -149,8 +153,8 @@ struct Controller::Impl {
     image(operating, authority, trocar, pilot, jaw, force);
     arm.remembered(image);
     follower.remembered(image);
-    image(trace, back, replaying, pivot_offset, pivot_offset_rate, X_BR, sensed, unseen, untracked,
-          inserted, tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
+    image(trace, back, replaying, pivot_offset, pivot_offset_rate, X_BR, stale, sensed, unseen,
+          untracked, inserted, tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
   }
 };
 

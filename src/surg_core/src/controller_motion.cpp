@@ -111,7 +111,7 @@ Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
   wish.flange_lead = flange_lead();
   const Home home{arm.s_home(), arm.R_home()};
   const Step step = limited.exact(follower.reference(), follower.velocity(), home, wish);
-  qd = follower.advance(T * step.qd, arm.now().q, arm.now().J);
+  qd = follower.advance(T * step.qd, arm.now().q, arm.now().J, trust());
   return step;
 }
 
@@ -140,7 +140,7 @@ Step Controller::Impl::retrace_step(JointVector& qd) {
   const JointVector q = follower.reference();
   const Step step = limited.retrace(q, follower.velocity(), trace, back, kRetraceRate, trocar.p_B(),
                                     flange_lead());
-  qd = follower.advance(T * step.qd, arm.now().q, arm.now().J);
+  qd = follower.advance(T * step.qd, arm.now().q, arm.now().J, trust());
   back += step.alpha * kRetraceRate * T;
   const Pose X_BF = arm.chain().forward(JointVector(q + T * step.qd));
   const Vector3 s_B = X_BF.linear() * arm.tool().s_F;
@@ -161,8 +161,10 @@ Step Controller::Impl::retrace_step(JointVector& qd) {
 TwistWish Controller::Impl::wish_for(const Setpoint& next) const {
   const Setpoint& setpoint = pilot.setpoint();
   if (law == Law::kPaper) return paper_wish(arm, setpoint, next, X_BR, limits, T);
-  return setpoint.axial() ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains, T)
-                          : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), gains,
+  const double share = trust();
+  const Gains left{share * gains.rcm, share * gains.tip, share * gains.roll};
+  return setpoint.axial() ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), left, T)
+                          : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), left,
                                           force.push(), limits, T);
 }
 

@@ -10,6 +10,7 @@ namespace {
 
 constexpr double kMostLag = 3;       // learnt lag over stated lag
 constexpr double kQuietPhi = 0.003;  // [rad/s] below it an error says little about the lag
+constexpr double kTeaches = 0.7;     // trust below which an error may be the state's age
 
 }  // namespace
 
@@ -29,7 +30,9 @@ void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
   newest_ = 0;
 }
 
-JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J) {
+JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J,
+                                   double trust) {
+  const double gain = trust * options_.gain;
   const JointVector v = dq / options_.T;
   const JointVector a = (v - v_last_) / options_.T;
   newest_ = (newest_ + 1) % kPast;
@@ -38,25 +41,25 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
   JointVector change(q.size());
   bool linear = true;
   for (Eigen::Index i = 0; i < q.size(); ++i) {
-    const double pull = feedback(i, error[i]);
-    linear = linear && pull == options_.gain * error[i];
+    const double pull = feedback(i, error[i], gain);
+    linear = linear && pull == gain * error[i];
     change[i] = (lag_[i] - delay()) * a[i] + pull - correction_[i];
   }
   const double share = room(v + correction_, change);
   correction_ += share * change;
-  phi_ += options_.T * (late().a - options_.gain * phi_);
-  // An error that the limits have left says nothing about the lags.
-  if (linear && share == 1) learn(error);
+  phi_ += options_.T * (late().a - gain * phi_);
+  // An error that the limits or old states have left says nothing about the lags.
+  if (linear && share == 1 && trust > kTeaches) learn(error);
   q_ref_ += dq;
   v_last_ = v;
   qd_last_ = within_limits(v + correction_, J);
   return qd_last_;
 }
 
-double ExactFollower::feedback(Eigen::Index i, double error) const {
-  const double linear = options_.gain * error;
-  if (options_.acceleration.size() <= i || options_.gain <= 0) return linear;
-  const double a = 0.5 * options_.acceleration[i], bend = a / (options_.gain * options_.gain);
+double ExactFollower::feedback(Eigen::Index i, double error, double gain) const {
+  const double linear = gain * error;
+  if (options_.acceleration.size() <= i || gain <= 0) return linear;
+  const double a = 0.5 * options_.acceleration[i], bend = a / (gain * gain);
   if (!(std::abs(error) > bend)) return linear;
   return std::copysign(std::sqrt(a * (2 * std::abs(error) - bend)), error);  // same slope there
 }

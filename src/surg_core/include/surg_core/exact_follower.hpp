@@ -24,9 +24,10 @@ namespace surg {
 /// pivot, tip and roll come back together.
 ///
 /// The feedback is gain e, and for a large e the speed from which the joint can still brake to the
-/// reference at half its acceleration limit. The command keeps the joints' limits whatever happens:
-/// what is added to v changes by one factor for all joints as far as it may (joint by joint would
-/// move the pivot ten times as much).
+/// reference at half its acceleration limit. Where measured states come late the caller takes the
+/// gain back ('trust'), and nothing is learnt from them. The command keeps the joints' limits
+/// whatever happens: what is added to v changes by one factor for all joints as far as it may
+/// (joint by joint would move the pivot ten times as much).
 class ExactFollower {
  public:
   /// What a reference should use of the joints' limits, so that the correction has room.
@@ -52,8 +53,10 @@ class ExactFollower {
   /// The virtual arm: what the law steps from.
   const JointVector& reference() const { return q_ref_; }
   /// Moves the reference on by dq (the law's step, limits applied) and returns the command for the
-  /// link [rad/s], 'q' being measured before the step; J: the arm's Jacobian there.
-  JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {});
+  /// link [rad/s], 'q' being measured before the step; J: the arm's Jacobian there; trust: share of
+  /// the feedback's gain, in (0, 1].
+  JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {},
+                      double trust = 1);
   /// Velocity of the reference in the last period [rad/s].
   const JointVector& velocity() const { return v_last_; }
   /// Everything that a step reads, for an image of the controller (image.hpp).
@@ -70,7 +73,7 @@ class ExactFollower {
   const JointVector& lag() const { return lag_; }
 
  private:
-  double feedback(Eigen::Index i, double error) const;
+  double feedback(Eigen::Index i, double error, double gain) const;
   double room(const JointVector& from, const JointVector& change) const;
   JointVector within_limits(JointVector qd, const Jacobian& J) const;
   void learn(const JointVector& error);

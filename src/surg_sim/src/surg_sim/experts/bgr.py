@@ -101,10 +101,12 @@ class RobotExpert(ArmExpert):
         away = self.view.point("tip") - self.view.point("assistant_tip")
         away -= (away @ UP) * UP
         away /= np.linalg.norm(away)
-        pulled, tip = 0.0, self.view.point("tip")
-        while self.view.number("tension") < PULL and pulled < PULL_MOST:
-            pulled += PULL_SPEED * STEP
-            self.path.stay(self.local(tip + pulled * away))
+        pulled, tip, pulling = 0.0, self.view.point("tip"), True
+        while pulled < PULL_MOST:  # taut in passing is not taut: what slackens is pulled again
+            pulling = self.view.number("tension") < (PULL if pulling else TAUT)
+            if pulling:
+                pulled += PULL_SPEED * STEP
+                self.path.stay(self.local(tip + pulled * away))
             yield
 
     def until(self, phase: str) -> Iterator[None]:
