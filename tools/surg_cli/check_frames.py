@@ -122,7 +122,7 @@ def _alone(cell: Path, config: Any, params: dict[str, object], out: Path) -> Non
         with processes.Supervisor(env, out / "logs") as supervisor:
             master.start(supervisor, master.free_port())
             sim, *others = system.nodes(plan)
-            patient = {**sim.params, "connect_timeout": CONNECT_S}
+            patient: dict[str, object] = {**sim.params, "connect_timeout": CONNECT_S}
             for node in (replace(sim, params=patient), *others):
                 system.start(supervisor, node)
             os.environ.update(supervisor.env)
