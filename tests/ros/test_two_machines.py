@@ -33,7 +33,15 @@ PORT = 11377  # namespaces have ports of their own
 CYCLE_S = 0.002
 TIP_VELOCITY = 0.25  # [m/s] of an axis, as shipped
 F03 = 51  # cycles
+RESULTS: list[str] = []
+"""What docs/results/two_machines.md says, in full mode."""
 Array = NDArray[np.float64]
+
+
+def say(text: str) -> None:
+    """A figure, for the terminal and the page."""
+    print(text)
+    RESULTS.append(f"- {text}")
 
 
 @pytest.fixture(scope="module")
@@ -149,6 +157,14 @@ def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory
         code = end(robot) if robot.poll() is None else robot.returncode
         print((folder / "robot.log").read_text("utf-8")[-3000:])
     assert code == 130
+    if FULL:
+        page = paths.ROOT / "docs/results/two_machines.md"
+        command = "`SURG_TEST_FULL=1 ./surg test tests/ros/test_two_machines.py`"
+        head = (
+            f"# Two machines on a bad cable\n\nWritten by {command}, with the left eye of the "
+            "endoscope on.\n\n"
+        )
+        page.write_text(head + "\n".join(RESULTS) + "\n", "utf-8")
 
 
 def cycles_of(far: Far) -> Array:
@@ -229,13 +245,13 @@ def test_the_far_hand_drives_and_sees(far: Far) -> None:
     lags = {}
     for delay, began, ended in rows:
         lags[delay], rms = lag(sent, cycles, (began + 0.8, ended - 0.1))
-        print(
+        say(
             f"{delay} ms each way: set-point {1e3 * lags[delay]:.1f} ms behind, "
             f"{1e3 * rms:.2f} mm rms"
         )
     moved = np.ptp(cycles[:, 9])
     step = largest_step(cycles)
-    print(f"tip moved {1e3 * moved:.1f} mm; largest step of a cycle {1e6 * step:.0f} um")
+    say(f"tip moved {1e3 * moved:.1f} mm; largest step of a cycle {1e6 * step:.0f} um")
     assert moved > 0.010
     assert step <= TIP_VELOCITY * CYCLE_S + 1e-9
     for delay in list(lags)[1:]:
@@ -269,7 +285,7 @@ def test_a_stalling_cable_stops_the_arm_without_a_jump(far: Far) -> None:
         part = cycles[(cycles[:, 0] >= began) & (cycles[:, 0] <= ended)]
         stops = int(np.count_nonzero(np.diff(part[:, 5]) > 0))
         refused = int(part[-1, 3] - part[0, 3])
-        print(
+        say(
             f"stall of {1e3 * stall:.0f} ms: {stops} stop(s), {refused} commands refused, largest "
             f"step {1e6 * largest_step(part):.0f} um"
         )
@@ -295,7 +311,7 @@ def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
     rest = after[after[:, 1] > stale[0, 1] + 100]
     still = float(np.ptp(rest[:, 6:9], axis=0).max())
     wall = float(stale[0, 0] - pulled)
-    print(f"pulled: said {silent} cycles after the last command, {1e3 * wall:.0f} ms after")
+    say(f"pulled: said {silent} cycles after the last command, {1e3 * wall:.0f} ms after")
     assert silent == F03
     assert wall < 0.1 + 0.3
     assert still < 1e-6, "the set-point stands"
@@ -307,7 +323,7 @@ def test_pulling_the_link_stops_the_arm_within_f03(far: Far) -> None:
     late = cycles_of(far)
     late = late[late[:, 1] > cycles[-1, 1]]
     way = float(np.ptp(late[:, 6:9], axis=0).max())
-    print(
+    say(
         f"mended after 1 s: {1e3 * way:.1f} mm of late motion, {late[-1, 3] - cycles[-1, 3]:.0f} "
         f"commands refused, largest step {1e6 * largest_step(late):.0f} um"
     )

@@ -113,14 +113,14 @@ std::optional<std::array<int, 4>> ipv4(const std::string& text) {
     if (part < 0 || part > 255) return std::nullopt;
     again += (again.empty() ? "" : ".") + std::to_string(part);
   }
-  if (again != text) return std::nullopt;  // leading zeros and blanks mean different things elsewhere
+  if (again != text) return std::nullopt;  // leading zeros are octal elsewhere
   return parts;
 }
 
 /// Whether an address is one that no router of the internet passes on (RFC 1918, RFC 3927).
 bool stays_local(const std::array<int, 4>& a) {
-  return a[0] == 10 || (a[0] == 172 && a[1] >= 16 && a[1] <= 31) ||
-         (a[0] == 192 && a[1] == 168) || (a[0] == 169 && a[1] == 254);
+  return a[0] == 10 || (a[0] == 172 && a[1] >= 16 && a[1] <= 31) || (a[0] == 192 && a[1] == 168) ||
+         (a[0] == 169 && a[1] == 254);
 }
 
 /// Reads a document key by key, remembers what was asked for, and refuses what was not.
@@ -450,8 +450,9 @@ std::map<std::string, std::string> read_machines(Reader& reader, const std::stri
   std::map<std::string, std::string> machines;
   if (!reader.has("machines")) return machines;
   if (network != "isolated") {
-    reader.fail("machines", "needs 'network: isolated': ROS 1 has no passwords, so its ports may be "
-                            "open only on a network of these machines alone");
+    reader.fail("machines",
+                "needs 'network: isolated': ROS 1 has no passwords, so its ports may be "
+                "open only on a network of these machines alone");
   }
   for (const std::string role : kRoles) {
     const std::string key = "machines." + role;
@@ -462,8 +463,9 @@ std::map<std::string, std::string> read_machines(Reader& reader, const std::stri
       reader.fail(key, "'" + address + "' is not an IPv4 address such as 192.168.77.1");
     }
     if (!stays_local(*parts)) {
-      reader.fail(key, address + " is routable or this machine alone; allowed are 10.x.x.x, "
-                                 "172.16.x.x to 172.31.x.x, 192.168.x.x and 169.254.x.x");
+      reader.fail(key, address +
+                           " is routable or this machine alone; allowed are 10.x.x.x, "
+                           "172.16.x.x to 172.31.x.x, 192.168.x.x and 169.254.x.x");
     }
     machines[role] = address;
   }

@@ -23,7 +23,6 @@ import numpy as np
 import rosgraph
 import rospy
 from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import String
 
 import surg_core
 from surg_core import ConfigError
@@ -31,9 +30,9 @@ from surg_msgs.msg import Cycle, Ready
 from surg_teleop.arm import Commands
 from surg_teleop.camera import HeldCamera, held_camera
 from surg_teleop.fit import Workspace
-from surg_teleop.frames.check import FramesCheck, Pair, split
+from surg_teleop.frames.check import FramesCheck, Pair, Stage, split
 from surg_teleop.frames.judge import Lens, Verdict, judge, not_seen
-from surg_teleop.frames.moves import WORDS
+from surg_teleop.frames.moves import REST, WORDS
 from surg_teleop.frames.sight import NotSeen, Picture, Place, find_places
 from surg_teleop.peers import publishers, subscribers
 from surg_teleop.ports_node import ArmPort, arm_view
@@ -142,10 +141,9 @@ class CheckNode:
         self.check = FramesCheck(task.arm, rospy.get_name(), workspace, enable=task.enable)
         self.eyes = Eyes(eyes)
         self._lock = threading.Lock()
-        self._port = ArmPort(task.arm, claims=True)
+        self._port = ArmPort(task.arm)  # no claim: it would outlive the check
         self._cycles: dict[str, Cycle] = {}
-        self._tick, self._said = 0, ""
-        self._status = rospy.Publisher("~status", String, queue_size=10, latch=True)
+        self._tick, self._said = 0, REST
         self._ready = rospy.Publisher(
             "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
         )
@@ -183,7 +181,7 @@ class CheckNode:
             R_WV = self.task.camera.view(q) if known else None
             view = arm_view(own, np.asarray(self.task.cell.arms[self.task.arm].X_WB)[:3, :3])
             commands = self.check.tick(view, R_WV, self.eyes.newest)
-            if self._tick % PERIOD_TICKS and not self.check.done and not commands.claim:
+            if self._tick % PERIOD_TICKS and not self.check.done:
                 commands.servo_cp = None
             self._send(commands)
         self._tell()
@@ -196,17 +194,9 @@ class CheckNode:
     def _tell(self) -> None:
         """What a viewer must see now, once for every step."""
         check = self.check
-        text = check.reason or f"{check.stage.value} {check.step}"
-        if text == self._said:
-            return
-        self._said = text
-        if check.stage.value == "go" and check.step.side:
-            print(f"the tip must now go to: {WORDS[check.step]}", flush=True)
-        self._status.publish(
-            json.dumps(
-                {"stage": check.stage.value, "step": str(check.step), "reason": check.reason}
-            )
-        )
+        if check.step != self._said and check.stage is Stage.GO and check.step.side:
+            self._said = check.step
+            print(f"the tip must now go: {WORDS[check.step]}", flush=True)
 
     def _say_ready(self, tick: int) -> None:
         done = self.check.done
