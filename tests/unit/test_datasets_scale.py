@@ -51,7 +51,7 @@ def content(out: Path) -> dict[str, str]:
 
 def test_all_executors_make_the_same_files(tmp_path: Path) -> None:
     folders = many(tmp_path, 3)
-    for format_name in ("lerobot", "lerobot_v30"):
+    for format_name in ("lerobot_v30",):
         found = []
         for executor in ("serial", "process"):
             options = ExportOptions(executor=executor, workers=2)
