@@ -1,7 +1,7 @@
 """The real lerobot reads what we export: 0.3.3 the format 2.1, 0.4.4 the format 3.0.
 
 Opt-in: `./surg test --tier oracle`. Each version has an environment of its own, made on first use
-(needs the internet): 1 GB each, some minutes.
+(needs the internet): 1.6 GB each, some minutes.
 """
 
 from __future__ import annotations

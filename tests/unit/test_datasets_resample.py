@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from helpers.dataset_results import note
-from surg_recording.datasets import sampling
+from surg_recording.datasets import rotations
 from surg_recording.datasets.resample import (
     SECOND,
     Grid,
@@ -166,7 +166,7 @@ def test_rotations_follow_the_conventions(full: bool) -> None:
         axis[0, 2] = abs(axis[0, 2])  # into the patient
         axis /= np.linalg.norm(axis)
         roll = rng.uniform(-4, 4, 1)
-        found = Rotation.from_quat(sampling.tool_quaternion(axis, roll))
+        found = Rotation.from_quat(rotations.tool_quaternion(axis, roll))
         np.testing.assert_allclose(found.apply([0, 0, 1])[0], axis[0], atol=1e-12)
         swing = np.cross([0, 0, 1], axis[0])
         angle = np.arctan2(np.linalg.norm(swing), axis[0, 2])
@@ -174,10 +174,12 @@ def test_rotations_follow_the_conventions(full: bool) -> None:
         expected = Rotation.from_rotvec(swing) * Rotation.from_rotvec([0, 0, roll[0]])
         assert (found.inv() * expected).magnitude()[0] < 1e-7
         a, b = Rotation.random(4, random_state=seed), Rotation.random(4, random_state=seed + 1)
-        product = sampling.multiply(a.as_quat(), b.as_quat())
+        product = rotations.multiply(a.as_quat(), b.as_quat())
         assert (Rotation.from_quat(product).inv() * (a * b)).magnitude().max() < 1e-7
         v = rng.normal(size=(4, 3))
-        np.testing.assert_allclose(sampling.turn_back(a.as_quat(), v), a.inv().apply(v), atol=1e-12)
+        np.testing.assert_allclose(
+            rotations.turn_back(a.as_quat(), v), a.inv().apply(v), atol=1e-12
+        )
 
 
 def test_continuous_keeps_rotations() -> None:

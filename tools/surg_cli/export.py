@@ -8,8 +8,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from surg_cli import paths
 from surg_cli.terminal import Problem, Progress, say, table, warn
 
@@ -161,6 +159,8 @@ def _about(path: Path) -> dict[str, Any]:
     Raises:
         Problem: the file cannot be read, or has an unknown key.
     """
+    import yaml  # not there before the first setup
+
     from surg_recording.datasets.readme import KNOWN
 
     try:

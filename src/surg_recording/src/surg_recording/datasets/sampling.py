@@ -16,20 +16,22 @@ import av
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import columns, episode, video_file
+from surg_recording import columns, episode
 from surg_recording.datasets import pictures, schema
+from surg_recording.datasets.columns import Columns
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.reading import checked_cycle, checked_table, checked_video
 from surg_recording.datasets.resample import (
     SECOND,
     Grid,
     Stamps,
-    ages_s,
     linear,
     offsets_ns,
     previous,
     slerp,
 )
+from surg_recording.datasets.rotations import multiply, tool_quaternion, turn_back
 from surg_recording.datasets.schema import Feature
 from surg_recording.episode import Episode, Table
 from surg_recording.errors import EpisodeError
@@ -98,7 +100,7 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     """
     recorded = episode.read(candidate.folder)
     layout = candidate.layout
-    cycles = {name: _cycle(recorded, name) for name in layout.arms}
+    cycles = {name: checked_cycle(recorded, name) for name in layout.arms}
     arms = [_arm(recorded, name, cycles[name]) for name in layout.commanded]
     videos = {camera: checked_video(recorded, camera) for camera in layout.cameras}
     task = checked_table(recorded, "task_state") if layout.labelled else None
@@ -106,7 +108,7 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     others = [*cycles.values(), *([task] if task else []), *truth]
     grid = _grid(candidate, arms, videos, others, options)
 
-    made = _Columns(grid, options)
+    made = Columns(grid, options)
     _observe(made, candidate, arms, cycles)
     _act(made, arms)
     shown = _show(made, candidate, videos)
@@ -134,171 +136,6 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
             f" {', '.join(feature.name for feature in features)}"
         )
     return Sampled(candidate, grid, features, made.columns, shown, made.notes)
-
-
-class _Columns:
-    """The features in the making."""
-
-    def __init__(self, grid: Grid, options: ExportOptions) -> None:
-        self.grid, self.options = grid, options
-        self.features: list[Feature] = []
-        self.columns: dict[str, npt.NDArray[Any]] = {}
-        self.dropped: list[str] = []
-        self.notes: dict[str, Any] = {}
-
-    def add(self, feature: Feature, values: npt.NDArray[Any] | None) -> None:
-        """Add a feature unless it is to be left out."""
-        if feature.name in self.options.drop:
-            self.dropped.append(feature.name)
-            return
-        self.features.append(feature)
-        if values is None:
-            return
-        if feature.dtype in ("float32", "float64") and not np.isfinite(values).all():
-            row = int(np.argwhere(~np.isfinite(values))[0][0])
-            raise EpisodeError(
-                f"{feature.name}: not a number at frame {row}; --drop {feature.name} leaves it out"
-            )
-        self.columns[feature.name] = (
-            values if feature.dtype == "string" else values.astype(feature.dtype)
-        )
-
-    def vector(
-        self,
-        name: str,
-        values: Array,
-        names: tuple[str, ...],
-        units: tuple[str, ...],
-        frame: str,
-        method: str,
-        text: str,
-        privileged: bool = False,
-    ) -> None:
-        """A vector of float32."""
-        values = values[:, 0] if len(names) == 1 else values
-        shape = (len(names),)
-        self.add(
-            Feature(name, "float32", shape, names, units, frame, method, text, privileged), values
-        )
-
-    def number(
-        self,
-        name: str,
-        values: npt.NDArray[Any],
-        dtype: str,
-        units: tuple[str, ...],
-        method: str = "",
-        text: str = "",
-        privileged: bool = False,
-    ) -> None:
-        """A single number per frame."""
-        last = name.rpartition(".")[2]
-        self.add(Feature(name, dtype, (1,), (last,), units, "", method, text, privileged), values)
-
-    def text(self, name: str, value: str, text: str) -> None:
-        """The same words for every frame."""
-        words = np.full(self.grid.frames, value, dtype=object)
-        self.add(Feature(name, "string", (1,), ("text",), text=text, method="constant"), words)
-
-    def timing(self, name: str, stamps: Stamps, index: Stamps, times: Stamps, text: str) -> None:
-        """True stamps and ages of the samples behind a series."""
-        self.number(f"timing.{name}.stamp_ns", stamps[index], "int64", ("ns",), text=text)
-        ages = ages_s(stamps, index, times)
-        self.number(f"timing.{name}.age_s", ages, "float32", ("s",), text="its age at that time")
-        self.notes[f"oldest_{name}_s"] = float(ages.max())
-
-
-# --- checked reading --------------------------------------------------------------------------
-
-
-def checked_table(recorded: Episode, name: str) -> Table:
-    """A table that is as the recorder left it: as many rows and the stamps of the manifest.
-
-    Raises:
-        EpisodeError: torn, edited or missing.
-    """
-    table = recorded.table(name)
-    entry = recorded.manifest["tables"][name]
-    path = recorded.folder / f"{name}.csv"
-    _as_recorded(path, entry, entry.get("rows"), table)
-    return table
-
-
-def checked_video(recorded: Episode, camera: str) -> episode.Video:
-    """A video whose frames and times are those of its sidecar.
-
-    Raises:
-        EpisodeError: a file is missing, shorter than the other, or their times differ.
-    """
-    video = recorded.video(camera)
-    sidecar = video.path.with_suffix(".csv")
-    frames = video.frames
-    missing = [name for name in columns.VIDEO if name not in frames]
-    if missing:
-        raise EpisodeError(f"{sidecar}: no column {', '.join(missing)}")
-    entry = recorded.manifest["videos"][camera]
-    _as_recorded(sidecar, entry, entry.get("frames"), frames)
-    times = np.array(video_file.presentation_times(video.path), dtype=np.int64)
-    if len(times) != len(frames):
-        raise EpisodeError(
-            f"{video.path}: {len(times)} frames can be read, its sidecar {sidecar.name} lists"
-            f" {len(frames)}; one of the files was cut. Record again, or mend both with"
-            " surg_recording.video_file.mend"
-        )
-    stamps = frames["stamp_ns"]
-    wrong = np.abs(times - frames["pts"]) > 2
-    wrong |= np.abs((stamps - stamps[0]) // 1000 - frames["pts"]) > 2
-    wrong |= frames["frame"] != np.arange(len(frames))
-    if wrong.any():
-        line = int(np.flatnonzero(wrong)[0]) + 2
-        raise EpisodeError(
-            f"{sidecar}, line {line}: frame, stamp_ns and pts do not fit the video"
-            " (pts is its presentation time in microseconds since the first frame); was it edited?"
-        )
-    return video
-
-
-def _as_recorded(path: Any, entry: Any, rows: Any, table: Table) -> None:
-    """Compare a file with what the manifest says of it."""
-    if rows is not None and rows != len(table):
-        raise EpisodeError(
-            f"{path}: {len(table)} rows, the manifest says {rows}: the file was cut or edited after"
-            " the recording; restore it"
-        )
-    if not len(table):
-        raise EpisodeError(f"{path}: holds no row")
-    stamps = table["stamp_ns"]
-    back = np.flatnonzero(np.diff(stamps) < 0)
-    if len(back):
-        row = int(back[0]) + 1
-        raise EpisodeError(
-            f"{path}, line {row + 2}: stamp_ns {stamps[row]} is earlier than {stamps[row - 1]} in"
-            " the line before; the clock was set back, or the file edited"
-        )
-    for key, row in (("first_stamp_ns", 0), ("last_stamp_ns", -1)):
-        if entry.get(key) is not None and entry[key] != int(stamps[row]):
-            raise EpisodeError(
-                f"{path}: {key} is {int(stamps[row])}, the manifest says {entry[key]}: the file was"
-                " edited after the recording; restore it"
-            )
-
-
-def _cycle(recorded: Episode, name: str) -> Table:
-    """An arm's cycles, checked, with strictly later stamps."""
-    path = recorded.folder / f"cycle_{name}.csv"
-    cycle = checked_table(recorded, f"cycle_{name}")
-    # A cycle without a new joint state repeats its stamp: the last one knows most.
-    cycle = cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
-    joints = columns.joint_count(cycle.columns)
-    used = [*("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")]
-    used += [f"{prefix}{i}" for prefix in ("q", "qd") for i in range(joints)]
-    for column in used:
-        bad = np.flatnonzero(~np.isfinite(cycle[column]))
-        if len(bad):
-            raise EpisodeError(
-                f"{path}, column {column}: not a number at stamp_ns {cycle['stamp_ns'][bad[0]]}"
-            )
-    return cycle
 
 
 def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
@@ -378,7 +215,7 @@ def _grid(
 
 
 def _observe(
-    made: _Columns, candidate: Candidate, arms: list[_Arm], cycles: dict[str, Table]
+    made: Columns, candidate: Candidate, arms: list[_Arm], cycles: dict[str, Table]
 ) -> None:
     """What the arms measured: joints of all, tips of those that are commanded and so homed."""
     grid, gap = made.grid, round(made.options.max_gap_s * SECOND)
@@ -432,7 +269,7 @@ def _observe(
         )
 
 
-def _act(made: _Columns, arms: list[_Arm]) -> None:
+def _act(made: Columns, arms: list[_Arm]) -> None:
     """The commands in force at the next grid times."""
     times = made.grid.next_ns
     goals = []
@@ -453,7 +290,7 @@ def _act(made: _Columns, arms: list[_Arm]) -> None:
 
 
 def _show(
-    made: _Columns, candidate: Candidate, videos: dict[str, episode.Video]
+    made: Columns, candidate: Candidate, videos: dict[str, episode.Video]
 ) -> dict[str, Pictures]:
     """Which picture stands at each grid time."""
     shown: dict[str, Pictures] = {}
@@ -485,7 +322,7 @@ def _show(
     return shown
 
 
-def _label(made: _Columns, task: Table) -> None:
+def _label(made: Columns, task: Table) -> None:
     """Reward and success of the frame that an action leads to; the last frame has the verdict."""
     row = previous(task["stamp_ns"], made.grid.next_ns, "task_state.csv")
     row[-1] = len(task) - 1
@@ -497,7 +334,7 @@ def _label(made: _Columns, task: Table) -> None:
     made.number("next.success", success, "bool", ("1",), _NEXT, "the task was solved by then")
 
 
-def _privileged_task(made: _Columns, task: Table, numbers: tuple[str, ...]) -> None:
+def _privileged_task(made: Columns, task: Table, numbers: tuple[str, ...]) -> None:
     row = previous(task["stamp_ns"], made.grid.times_ns, "task_state.csv")
     names = tuple(name.removeprefix(columns.TASK_PREFIX) for name in numbers)
     made.vector(
@@ -515,7 +352,7 @@ def _privileged_task(made: _Columns, task: Table, numbers: tuple[str, ...]) -> N
     )
 
 
-def _privileged_truth(made: _Columns, arms: tuple[str, ...], truth: list[Table]) -> None:
+def _privileged_truth(made: Columns, arms: tuple[str, ...], truth: list[Table]) -> None:
     parts, names = [], []
     for arm, table in zip(arms, truth, strict=True):
         stamps = table["stamp_ns"]
@@ -540,41 +377,3 @@ def _privileged_truth(made: _Columns, arms: tuple[str, ...], truth: list[Table])
 
 def _named(arms: list[str], names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(f"{arm}/{name}" for arm in arms for name in names)
-
-
-# --- rotations --------------------------------------------------------------------------------
-
-
-def multiply(a: Array, b: Array) -> Array:
-    """Product of quaternions x, y, z, w, row by row, (N, 4): first b, then a."""
-    ax, ay, az, aw = a.T
-    bx, by, bz, bw = b.T
-    return np.column_stack(
-        [
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-            aw * bw - ax * bx - ay * by - az * bz,
-        ]
-    )
-
-
-def turn_back(q_AB: Array, v_A: Array) -> Array:
-    """Vectors (N, 3) in the axes of A, in those of B; ``q_AB`` (N, 4) is B's orientation in A."""
-    u, w = -q_AB[:, :3], q_AB[:, 3:]
-    t = 2.0 * np.cross(u, v_A)
-    return v_A + w * t + np.cross(u, t)
-
-
-def tool_quaternion(s_R: Array, roll: Array) -> Array:
-    """Orientation of a tool with shaft axis ``s_R`` (N, 3) and this roll (N,), in the rcm frame.
-
-    R_RTool = minimal rotation (z → s) · rotation (z, roll), see docs/conventions.md.
-    """
-    x, y, z = s_R.T
-    # Minimal rotation: axis z × s, half the angle.
-    swing = np.column_stack([-y, x, np.zeros_like(x), 1.0 + z])
-    swing /= np.linalg.norm(swing, axis=1, keepdims=True)
-    zero = np.zeros_like(roll)
-    twist = np.column_stack([zero, zero, np.sin(roll / 2), np.cos(roll / 2)])
-    return multiply(swing, twist)

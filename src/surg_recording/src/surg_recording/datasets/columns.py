@@ -1,0 +1,87 @@
+"""The columns of a dataset in the making: features with their values, on one grid."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording.datasets.options import ExportOptions
+from surg_recording.datasets.resample import Grid, Stamps, ages_s
+from surg_recording.datasets.schema import Feature
+from surg_recording.errors import EpisodeError
+
+Array = npt.NDArray[np.float64]
+
+
+class Columns:
+    """The features in the making."""
+
+    def __init__(self, grid: Grid, options: ExportOptions) -> None:
+        self.grid, self.options = grid, options
+        self.features: list[Feature] = []
+        self.columns: dict[str, npt.NDArray[Any]] = {}
+        self.dropped: list[str] = []
+        self.notes: dict[str, Any] = {}
+
+    def add(self, feature: Feature, values: npt.NDArray[Any] | None) -> None:
+        """Add a feature unless it is to be left out."""
+        if feature.name in self.options.drop:
+            self.dropped.append(feature.name)
+            return
+        self.features.append(feature)
+        if values is None:
+            return
+        if feature.dtype in ("float32", "float64") and not np.isfinite(values).all():
+            row = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise EpisodeError(
+                f"{feature.name}: not a number at frame {row}; --drop {feature.name} leaves it out"
+            )
+        self.columns[feature.name] = (
+            values if feature.dtype == "string" else values.astype(feature.dtype)
+        )
+
+    def vector(
+        self,
+        name: str,
+        values: Array,
+        names: tuple[str, ...],
+        units: tuple[str, ...],
+        frame: str,
+        method: str,
+        text: str,
+        privileged: bool = False,
+    ) -> None:
+        """A vector of float32."""
+        values = values[:, 0] if len(names) == 1 else values
+        shape = (len(names),)
+        self.add(
+            Feature(name, "float32", shape, names, units, frame, method, text, privileged), values
+        )
+
+    def number(
+        self,
+        name: str,
+        values: npt.NDArray[Any],
+        dtype: str,
+        units: tuple[str, ...],
+        method: str = "",
+        text: str = "",
+        privileged: bool = False,
+    ) -> None:
+        """A single number per frame."""
+        last = name.rpartition(".")[2]
+        self.add(Feature(name, dtype, (1,), (last,), units, "", method, text, privileged), values)
+
+    def text(self, name: str, value: str, text: str) -> None:
+        """The same words for every frame."""
+        words = np.full(self.grid.frames, value, dtype=object)
+        self.add(Feature(name, "string", (1,), ("text",), text=text, method="constant"), words)
+
+    def timing(self, name: str, stamps: Stamps, index: Stamps, times: Stamps, text: str) -> None:
+        """True stamps and ages of the samples behind a series."""
+        self.number(f"timing.{name}.stamp_ns", stamps[index], "int64", ("ns",), text=text)
+        ages = ages_s(stamps, index, times)
+        self.number(f"timing.{name}.age_s", ages, "float32", ("s",), text="its age at that time")
+        self.notes[f"oldest_{name}_s"] = float(ages.max())

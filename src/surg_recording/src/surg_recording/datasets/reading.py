@@ -1,0 +1,110 @@
+"""Tables and videos of a recording that are as the recorder left them, or not at all.
+
+A hand that edits a file, a disk that cuts one, a clock that was set: each is found here, before a
+dataset is made of it, and named with file, line and value.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surg_recording import columns, episode, video_file
+from surg_recording.episode import Episode, Table
+from surg_recording.errors import EpisodeError
+
+
+def checked_table(recorded: Episode, name: str) -> Table:
+    """A table that is as the recorder left it: as many rows and the stamps of the manifest.
+
+    Raises:
+        EpisodeError: torn, edited or missing.
+    """
+    table = recorded.table(name)
+    entry = recorded.manifest["tables"][name]
+    path = recorded.folder / f"{name}.csv"
+    _as_recorded(path, entry, entry.get("rows"), table)
+    return table
+
+
+def checked_video(recorded: Episode, camera: str) -> episode.Video:
+    """A video whose frames and times are those of its sidecar.
+
+    Raises:
+        EpisodeError: a file is missing, shorter than the other, or their times differ.
+    """
+    video = recorded.video(camera)
+    sidecar = video.path.with_suffix(".csv")
+    frames = video.frames
+    missing = [name for name in columns.VIDEO if name not in frames]
+    if missing:
+        raise EpisodeError(f"{sidecar}: no column {', '.join(missing)}")
+    entry = recorded.manifest["videos"][camera]
+    _as_recorded(sidecar, entry, entry.get("frames"), frames)
+    times = np.array(video_file.presentation_times(video.path), dtype=np.int64)
+    if len(times) != len(frames):
+        raise EpisodeError(
+            f"{video.path}: {len(times)} frames can be read, its sidecar {sidecar.name} lists"
+            f" {len(frames)}; one of the files was cut. Record again, or mend both with"
+            " surg_recording.video_file.mend"
+        )
+    stamps = frames["stamp_ns"]
+    wrong = np.abs(times - frames["pts"]) > 2
+    wrong |= np.abs((stamps - stamps[0]) // 1000 - frames["pts"]) > 2
+    wrong |= frames["frame"] != np.arange(len(frames))
+    if wrong.any():
+        line = int(np.flatnonzero(wrong)[0]) + 2
+        raise EpisodeError(
+            f"{sidecar}, line {line}: frame, stamp_ns and pts do not fit the video"
+            " (pts is its presentation time in microseconds since the first frame); was it edited?"
+        )
+    return video
+
+
+def _as_recorded(path: Path, entry: Any, rows: Any, table: Table) -> None:
+    """Compare a file with what the manifest says of it."""
+    if rows is not None and rows != len(table):
+        raise EpisodeError(
+            f"{path}: {len(table)} rows, the manifest says {rows}: the file was cut or edited after"
+            " the recording; restore it"
+        )
+    if not len(table):
+        raise EpisodeError(f"{path}: holds no row")
+    stamps = table["stamp_ns"]
+    back = np.flatnonzero(np.diff(stamps) < 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise EpisodeError(
+            f"{path}, line {row + 2}: stamp_ns {stamps[row]} is earlier than {stamps[row - 1]} in"
+            " the line before; the clock was set back, or the file edited"
+        )
+    for key, row in (("first_stamp_ns", 0), ("last_stamp_ns", -1)):
+        if entry.get(key) is not None and entry[key] != int(stamps[row]):
+            raise EpisodeError(
+                f"{path}: {key} is {int(stamps[row])}, the manifest says {entry[key]}: the file was"
+                " edited after the recording; restore it"
+            )
+
+
+def checked_cycle(recorded: Episode, name: str) -> Table:
+    """An arm's control cycles with strictly later stamps, all measured values finite.
+
+    Raises:
+        EpisodeError: torn, edited or missing, or a value that is no number.
+    """
+    path = recorded.folder / f"cycle_{name}.csv"
+    cycle = checked_table(recorded, f"cycle_{name}")
+    # A cycle without a new joint state repeats its stamp: the last one knows most.
+    cycle = cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
+    joints = columns.joint_count(cycle.columns)
+    used = [*("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")]
+    used += [f"{prefix}{i}" for prefix in ("q", "qd") for i in range(joints)]
+    for column in used:
+        bad = np.flatnonzero(~np.isfinite(cycle[column]))
+        if len(bad):
+            raise EpisodeError(
+                f"{path}, column {column}: not a number at stamp_ns {cycle['stamp_ns'][bad[0]]}"
+            )
+    return cycle
