@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording import evaluation_figures, evaluation_tables
-from surg_recording.finishing import clean_json, write_json
 from surg_recording.evaluation import METRICS
+from surg_recording.finishing import clean_json, write_json
 from surg_recording.metrics import PRESETS
 from surg_recording.page import document, figure_section, number, text
 from surg_recording.trial_report import interval
