@@ -113,7 +113,7 @@ class CrtkHand:
 
     def engaged(self, arm: str) -> bool:
         """Whether the arm follows. A starved machine may have let go: the operator acts again."""
-        if self.states[arm] == "WAITING":
+        if self.states[arm] in ("WAITING", "FAULT"):
             self.enable.publish(True)
             time.sleep(0.3)
         return self.states[arm] == "FOLLOWING"
