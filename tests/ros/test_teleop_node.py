@@ -113,7 +113,7 @@ class CrtkHand:
 
     def engaged(self, arm: str) -> bool:
         """Whether the arm follows. A starved machine may have let go: the operator acts again."""
-        if self.states[arm] == "WAITING":
+        if self.states[arm] in ("WAITING", "FAULT"):
             self.enable.publish(True)
             time.sleep(0.3)
         return self.states[arm] == "FOLLOWING"
@@ -351,7 +351,7 @@ def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
     env = {"SURG_TEST_JITTER_MS": str(jitter_ms)}
     child = graph.node("surg_teleop", "teleop_node", "/teleop", params, env)
     graph.wait_for(lambda: bool(status.get("done")), 60.0, "the end of the run")
-    assert child.process.wait(10) == 0
+    assert child.process.wait(60) == 0
     for topic in topics:
         topic.unregister()
     assert status["deterministic"] is True
