@@ -188,7 +188,10 @@ def test_a_dask_worker_is_killed_on_the_way(tmp_path: Path, full: bool) -> None:
 
 
 @dask_is_there
-def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path) -> None:
+def test_a_scheduler_that_is_not_there_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(executors, "CONNECT_S", 1)
     options = ExportOptions(executor="dask", scheduler="tcp://127.0.0.1:1")
     with pytest.raises(ExportError, match="no Dask scheduler answers there"):
         executors.run([_job(tmp_path)], options, lambda outcome: None)

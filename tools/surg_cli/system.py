@@ -184,7 +184,7 @@ def nodes(plan: Plan) -> list[Node]:
             "cell": str(plan.cell),
             "mode": plan.mode,
             "arms": list(plan.arms),
-            "autostart": False,
+            "autostart": plan.lockstep,  # before the first tick; a later start would miss some
             "cameras": plan.streams,
             "run_info": json.dumps(plan.run_info, sort_keys=True),
         }

@@ -27,6 +27,9 @@ DASK_HINT = (
 _RETRIES = 10
 """Workers that may die under one Dask task before it is given up."""
 
+CONNECT_S = 20
+"""How long a scheduler may take to answer [s]."""
+
 
 def run(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
     """Do the jobs in any order; ``done`` is called here for each.
@@ -108,7 +111,7 @@ def _dask(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
                     silence_logs="CRITICAL",
                     host="127.0.0.1",
                 )
-            client = distributed.Client(cluster or options.scheduler, timeout=20)
+            client = distributed.Client(cluster or options.scheduler, timeout=CONNECT_S)
         except (OSError, TimeoutError, ValueError) as problem:
             raise ExportError(
                 f"--scheduler {options.scheduler}: no Dask scheduler answers there ({problem})"
