@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
+from helpers.results_page import ResultsPage
 
 _HEAD = """# Recordings that are cut off
 
@@ -27,16 +26,4 @@ ROWS = (
     "disk of 6 MB",
 )
 """All rows, in order."""
-_found: dict[str, tuple[int, str]] = {}
-
-
-def note(row: str, cases: int, result: str) -> None:
-    """Print a figure, keep it, and write the page once all are there and it is asked for."""
-    if row not in ROWS:
-        raise KeyError(row)
-    print(f"{row}: {cases}: {result}")
-    _found[row] = (cases, result)
-    folder = os.environ.get("SURG_RESULTS_DIR")
-    if folder and len(_found) == len(ROWS):
-        lines = [f"| {row} | {_found[row][0]} | {_found[row][1]} |\n" for row in ROWS]
-        Path(folder, "recording.md").write_text(_HEAD + "".join(lines), "utf-8")
+note = ResultsPage("recording.md", _HEAD, ROWS).note

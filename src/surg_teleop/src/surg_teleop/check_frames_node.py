@@ -35,7 +35,7 @@ from surg_teleop.frames.judge import Lens, Verdict, judge, not_seen
 from surg_teleop.frames.moves import REST, WORDS
 from surg_teleop.frames.sight import NotSeen, Picture, Place, find_places
 from surg_teleop.peers import publishers, subscribers
-from surg_teleop.ports_node import ArmPort, arm_view
+from surg_teleop.ports_node import ArmPort, arm_view, wait_for_all
 
 CONNECT_TIMEOUT = 180.0
 """[s] wall clock: longest wait for controllers and pictures."""
@@ -224,11 +224,11 @@ class CheckNode:
             TimeoutError: Somebody is missing; says who.
             OSError: The master does not answer.
         """
-        deadline = time.monotonic() + CONNECT_TIMEOUT
-        while missing := self._missing():
-            if time.monotonic() > deadline or rospy.is_shutdown() or self.finished.is_set():
-                raise TimeoutError(f"no connection after {CONNECT_TIMEOUT:.0f} s: {missing}")
-            time.sleep(0.02)
+        wait_for_all(
+            self._missing,
+            CONNECT_TIMEOUT,
+            lambda: bool(rospy.is_shutdown() or self.finished.is_set()),
+        )
         with self._lock:
             if self.task.lockstep and self._tick == 0:
                 self._say_ready(1)

@@ -29,7 +29,7 @@ from surg_teleop.motion import read_motion
 from surg_teleop.operator import Mode, Operator
 from surg_teleop.peers import publishers, subscribers
 from surg_teleop.plan import ConstantMotionError, Plan, make_plan
-from surg_teleop.ports_node import ArmPort, arm_view
+from surg_teleop.ports_node import ArmPort, arm_view, wait_for_all
 
 BUNDLED_MOTION = "motions/bundled.csv"
 CONNECT_TIMEOUT = 30.0
@@ -72,11 +72,7 @@ class OperatorNode:
             TimeoutError: Somebody is missing; says who.
             OSError: The master does not answer.
         """
-        deadline = time.monotonic() + CONNECT_TIMEOUT
-        while missing := self._missing():
-            if time.monotonic() > deadline or rospy.is_shutdown():
-                raise TimeoutError(f"no connection after {CONNECT_TIMEOUT:.0f} s: {missing}")
-            time.sleep(0.02)
+        wait_for_all(self._missing, CONNECT_TIMEOUT)
         with self._lock:
             self._report()
             if self._lockstep and self._tick == 0:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import rospy
@@ -25,6 +26,26 @@ COMMANDS = {
     "hold": Empty,
 }
 """What a sender of a motion needs."""
+
+
+def wait_for_all(
+    missing: Callable[[], str], timeout: float, over: Callable[[], bool] = rospy.is_shutdown
+) -> None:
+    """Wait until nobody is missing.
+
+    Args:
+        missing: Who is, in words; empty: nobody.
+        timeout: [s]
+        over: Whether there is nothing left to wait for.
+
+    Raises:
+        TimeoutError: Somebody is missing; says who.
+    """
+    deadline = time.monotonic() + timeout
+    while text := missing():
+        if time.monotonic() > deadline or over():
+            raise TimeoutError(f"no connection after {timeout:.0f} s: {text}")
+        time.sleep(0.02)
 
 
 class ArmPort:

@@ -40,7 +40,7 @@ from surg_teleop.leader import LeaderError
 from surg_teleop.leaders.crtk import CrtkLeader
 from surg_teleop.peers import publishers, subscribers
 from surg_teleop.picture import PictureWatch
-from surg_teleop.ports_node import ArmPort, RawCycle, arm_view
+from surg_teleop.ports_node import ArmPort, RawCycle, arm_view, wait_for_all
 from surg_teleop.seat import Pedals
 from surg_teleop.system import ASSISTANT, Hand, System, read_system
 from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
@@ -360,11 +360,7 @@ class TeleopNode:
             TimeoutError: Somebody is missing; says who.
             OSError: The master does not answer.
         """
-        deadline = time.monotonic() + CONNECT_TIMEOUT
-        while missing := self._missing():
-            if time.monotonic() > deadline or rospy.is_shutdown():
-                raise TimeoutError(f"no connection after {CONNECT_TIMEOUT:.0f} s: {missing}")
-            time.sleep(0.02)
+        wait_for_all(self._missing, CONNECT_TIMEOUT)
         with self._lock:
             if self._tick == 0:
                 self._say_ready(1)
