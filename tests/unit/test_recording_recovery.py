@@ -72,6 +72,26 @@ def test_a_video_cut_anywhere_is_mended_to_its_last_whole_fragment(
     note("video cut at a random byte", cuts, "every whole fragment with a stamp kept, all readable")
 
 
+def test_f12_mending_takes_no_room(
+    tmp_path: Path, video: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk is when encoders fail: lines without a frame are cut in place."""
+    path, sidecar = tmp_path / "cam.mp4", tmp_path / "cam.csv"
+    shutil.copy(video / "cam.mp4", path)
+    shutil.copy(video / "cam.csv", sidecar)
+    frames = len(video_file.presentation_times(path))
+    whole = sidecar.read_bytes()
+    with open(sidecar, "ab") as file:
+        file.write(whole.splitlines(True)[-1] * 3 + b"7,")
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(video_file.os, "replace", full)
+    assert video_file.mend(path, sidecar) == frames
+    assert sidecar.read_bytes() == whole
+
+
 def test_a_table_cut_or_zeroed_anywhere_keeps_its_whole_lines(
     tmp_path: Path, rng: random.Random
 ) -> None:

@@ -78,10 +78,7 @@ def mend(path: Path, sidecar: Path) -> int:
     elif frames and not (fragment is whole[-1] and total == frames and mp4_boxes.is_closed(path)):
         mp4_boxes.cut_behind(path, end)
     if len(lines) != frames or not _ends_whole(sidecar):
-        temporary = sidecar.with_suffix(".csv.tmp")
-        with open(temporary, "w", newline="", encoding="utf-8") as file:
-            csv.writer(file, lineterminator="\n").writerows([columns.VIDEO, *lines[:frames]])
-        os.replace(temporary, sidecar)
+        _keep(sidecar, lines[:frames])
     return frames
 
 
@@ -110,6 +107,20 @@ def _sidecar_lines(sidecar: Path) -> list[list[str]]:
             break
         good.append(line)
     return good
+
+
+def _keep(sidecar: Path, lines: list[list[str]]) -> None:
+    """Cut a sidecar behind its first whole lines, these; in place, as the disk may be full."""
+    data = sidecar.read_bytes() if sidecar.exists() else b""
+    ends = [place + 1 for place, byte in enumerate(data) if byte == ord("\n")]
+    head = (",".join(columns.VIDEO) + "\n").encode()
+    if len(ends) > len(lines) and data.startswith(head) and b"\0" not in data[: ends[len(lines)]]:
+        os.truncate(sidecar, ends[len(lines)])
+        return
+    temporary = sidecar.with_suffix(".csv.tmp")
+    with open(temporary, "w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([columns.VIDEO, *lines])
+    os.replace(temporary, sidecar)
 
 
 def _ends_whole(sidecar: Path) -> bool:
