@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli import paths
+from surg_cli.generated import write_part
 from surg_cli.terminal import say
 
 PAGE = paths.ROOT / "docs" / "benchmark_control.md"
@@ -156,21 +157,12 @@ def tables(result: dict[str, Any]) -> list[tuple[str, Rows]]:
 def write(result: dict[str, Any]) -> None:
     """Replace the generated part of the page, and the picture; the reading round it stays."""
     machine = result["machine"]
-    lines = [
-        BEGIN,
-        "",
+    head = (
         f"Measured {machine['date']} on {machine['cores']} cores of {machine['processor']}, "
         f"{machine['compiler']}; load {machine['load_before'][0]} before, "
-        f"{machine['load_after'][0]} after; {machine['cycles']} cycles per law.",
-    ]
-    for heading, rows in tables(result):
-        lines += ["", f"### {heading}", "", "| " + " | ".join(rows[0]) + " |"]
-        lines.append("|" + "---|" * len(rows[0]))
-        lines += ["| " + " | ".join(row) + " |" for row in rows[1:]]
-    text = "\n".join([*lines, "", END])
-    old = PAGE.read_text("utf-8") if PAGE.exists() else f"# Benchmark\n\n{BEGIN}\n{END}\n"
-    before, _, rest = old.partition(BEGIN)
-    PAGE.write_text(before + text + rest.partition(END)[2], encoding="utf-8")
+        f"{machine['load_after'][0]} after; {machine['cycles']} cycles per law."
+    )
+    write_part(PAGE, BEGIN, END, head, tables(result))
     draw(result, PICTURE)
     say(f"written: {PAGE}, {PICTURE}")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from surg_cli import paths
+from surg_cli.generated import write_part
 from surg_cli.terminal import say
 
 PAGE = paths.ROOT / "docs" / "benchmark_recording.md"
@@ -68,19 +69,10 @@ def tables(result: dict[str, Any]) -> list[tuple[str, Rows]]:
 def write(result: dict[str, Any]) -> None:
     """Replace the generated part of the page; the reading round it stays."""
     machine = result["machine"]
-    lines = [
-        BEGIN,
-        "",
+    head = (
         f"Measured {machine['date']} on {machine['cores']} cores of {machine['processor']}; load "
         f"{machine['load_before']:.1f} before, {machine['load_after']:.1f} after; "
-        f"{result['freerun']['seconds']:.0f} s of free-run.",
-    ]
-    for heading, rows in tables(result):
-        lines += ["", f"### {heading}", "", "| " + " | ".join(rows[0]) + " |"]
-        lines.append("|" + "---|" * len(rows[0]))
-        lines += ["| " + " | ".join(row) + " |" for row in rows[1:]]
-    text = "\n".join([*lines, "", END])
-    old = PAGE.read_text("utf-8") if PAGE.exists() else f"# Benchmark\n\n{BEGIN}\n{END}\n"
-    before, _, rest = old.partition(BEGIN)
-    PAGE.write_text(before + text + rest.partition(END)[2], encoding="utf-8")
+        f"{result['freerun']['seconds']:.0f} s of free-run."
+    )
+    write_part(PAGE, BEGIN, END, head, tables(result))
     say(f"written: {PAGE}")

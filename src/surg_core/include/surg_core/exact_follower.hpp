@@ -25,9 +25,9 @@ namespace surg {
 ///
 /// The feedback is gain e, and for a large e the speed from which the joint can still brake to the
 /// reference at half its acceleration limit. Where measured states come late the caller takes the
-/// gain back ('trust'), and nothing is learnt from them. The command keeps the joints' limits
-/// whatever happens: what is added to v changes by one factor for all joints as far as it may
-/// (joint by joint would move the pivot ten times as much).
+/// gain back ('trust'); from much later ones nothing is learnt. The command keeps the joints'
+/// limits whatever happens: what is added to v changes by one factor for all joints as far as it
+/// may (joint by joint would move the pivot ten times as much).
 class ExactFollower {
  public:
   /// What a reference should use of the joints' limits, so that the correction has room.
