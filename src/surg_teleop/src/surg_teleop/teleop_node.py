@@ -48,7 +48,7 @@ from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
 ASKED_PERIOD = 0.004
 """[s] A leader that must be asked is asked that often."""
 HEARD_PERIOD = 0.010
-"""[s] Where leaders speak, which begins a tick at once, time passes that often between two words."""
+"""[s] Leaders that speak begin a tick at once; in their pauses time passes that often."""
 AGAIN = 1.0
 """[s] The same warning is said no more often."""
 REPORT = 0.5
