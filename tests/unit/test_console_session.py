@@ -29,10 +29,10 @@ from surg_teleop.console.session import (
     LATENESS,
     SILENCE,
     START_TIMEOUT,
-    Lateness,
     Phase,
     Session,
 )
+from surg_teleop.lateness import Lateness
 
 PERIOD = 0.02
 """[s] between two inputs of a page."""

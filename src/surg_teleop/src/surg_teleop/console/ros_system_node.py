@@ -40,6 +40,8 @@ from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
 
 FRESH = 1.0
 """[s] for which a figure is shown."""
+REPEAT = 0.05
+"""[s] What is held down is said again that often: the teleoperation notices when it is not."""
 FOLLOWER_FRESH = 2.0
 """[s] for which the teleoperation's status is believed; it says it every 0.5 s."""
 
@@ -67,6 +69,8 @@ class RosSystem:
         self._peak = 0.0
         self._episodes = None if episodes is None else Episodes(episodes)
         self._leader = leader
+        self._held: dict[str, bool] = {}
+        self._repeated = -1e9
         self._out = _publishers(arms, leader)
         self._subscribers = self._subscribe(arms, teleop)
 
@@ -196,13 +200,13 @@ class RosSystem:
         if isinstance(order, Move):
             self._move(order.sample)
         elif isinstance(order, Present):
-            out["/console/operator_present"].publish(_joy(order.on))
+            self._hold("/console/operator_present", order.on)
         elif isinstance(order, Follow):
             out["/console/teleop/enable"].publish(order.on)
         elif isinstance(order, Clutch):
-            out["/console/clutch"].publish(_joy(order.on))
+            self._hold("/console/clutch", order.on)
         elif isinstance(order, Camera):
-            out["/console/camera"].publish(_joy(order.on))
+            self._hold("/console/camera", order.on)
         elif isinstance(order, OtherMapping):
             out["/console/rate"].publish(_joy(True))
             rospy.Timer(
@@ -218,6 +222,18 @@ class RosSystem:
             message = StringStamped(string=order.word)
             message.header.stamp = rospy.Time.now()
             out[f"/{order.arm}/state_command"].publish(message)
+
+    def _hold(self, topic: str, on: bool) -> None:
+        self._held[topic] = on
+        self._out[topic].publish(_joy(on))
+
+    def live(self) -> None:
+        """See `server.System`."""
+        now = time.monotonic()
+        if now - self._repeated >= REPEAT:
+            self._repeated = now
+            for topic, on in self._held.items():
+                self._out[topic].publish(_joy(on))
 
     def _move(self, sample: Input) -> None:
         stamp = rospy.Time(*divmod(time.time_ns(), 10**9))
