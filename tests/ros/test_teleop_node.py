@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 import surg_core
+from helpers import contract
 from helpers.ros import RosGraph
-from surg_cli import master, paths, system, topic_contract
+from surg_cli import paths, system
 from surg_cli.processes import Child
 from surg_teleop.camera import held_camera
 
@@ -195,7 +196,9 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     wait = ros_graph.wait_for
     wait(hand.connected, 40.0, "both arms and the teleoperation")
     assert hand.states == {"PSM1": "DISABLED", "ECM": "DISABLED"}
-    assert own_topics(ros_graph) == promised_topics()
+    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", PICTURE)
+    arms = ("PSM1", "ECM")
+    assert contract.found(ros_graph, "/teleop", others) == contract.promised("teleop", "hand", arms)
     freeze_the_picture(ros_graph, hand)
     hand.enable.publish(True)
     wait(lambda: hand.engaged("PSM1"), 10.0, "the instrument to follow")
@@ -289,29 +292,6 @@ def freeze_the_picture(graph: RosGraph, hand: CrtkHand) -> None:
 
     graph.wait_for(told, 5.0, "the frozen picture to be said")
     camera.unregister()
-
-
-def promised_topics() -> set[tuple[str, str, str]]:
-    """Topic, type and direction of every row of the node, for this leader and these arms."""
-    found = set()
-    for entry in topic_contract.load().entries:
-        for arm in ("PSM1", "ECM") if entry.node == "teleop" else ():
-            name = entry.name.replace("<leader>", "hand").replace("<arm>", arm)
-            found.add((name, entry.type, entry.direction))
-    return found
-
-
-def own_topics(graph: RosGraph) -> set[tuple[str, str, str]]:
-    """The same on the running graph, without the topics of others that the node uses."""
-    publications, subscriptions, _ = master.call(graph.uri, "getSystemState")
-    types = dict(master.call(graph.uri, "getTopicTypes"))
-    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", "/rosout", "/clock", PICTURE)
-    found = set()
-    for table, way in ((publications, "out"), (subscriptions, "in")):
-        for topic, nodes in table:
-            if "/teleop" in nodes and not topic.startswith(others):
-                found.add((topic, types[topic], way))
-    return found
 
 
 def motion_file(folder: Path) -> Path:

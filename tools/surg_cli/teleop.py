@@ -11,6 +11,7 @@ import os
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from surg_cli import (
     cells,
@@ -183,8 +184,11 @@ def _web(options: argparse.Namespace) -> dict[str, object]:
 def _plan(options: argparse.Namespace) -> Plan:
     """The system to start."""
     cell = cells.find(options.cell or DEFAULT_CELL)
-    arms = tuple(str(name) for name in cells.load(cell).arms)
+    loaded = cells.load(cell)
+    arms = tuple(str(name) for name in loaded.arms)
     task = options.task or (TASK_OF_TWO_ARMS if len(arms) > 1 else "none")
+    if task != "none":
+        _check_task(loaded, task, options.setting)
     return Plan(
         cell=cell,
         arms=arms,
@@ -201,6 +205,17 @@ def _plan(options: argparse.Namespace) -> Plan:
             "operator": options.leader,
         },
     )
+
+
+def _check_task(loaded: Any, task: str, setting: str) -> None:
+    """Refuse what the simulator would refuse, before anything starts."""
+    from surg_sim import tasks
+    from surg_sim.conditions import condition
+
+    try:
+        tasks.load(task).prepare(loaded, condition(setting))
+    except ValueError as error:  # a TaskError is one
+        raise Problem(str(error), 2) from error
 
 
 def _plan_of(attached: running.System) -> Plan:

@@ -113,6 +113,11 @@ class Session:
         """Whether the operator holds the clutch."""
         return self._clutch and self.phase is Phase.DRIVING
 
+    @property
+    def scoping(self) -> bool:
+        """Whether the operator holds the endoscope instead of the instrument."""
+        return self._camera and self.phase is Phase.DRIVING
+
     def take_orders(self) -> list[Order]:
         """What is to be sent now, in this order; handed out once."""
         orders, self._orders = self._orders, []
