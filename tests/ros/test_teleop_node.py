@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ import pytest
 import surg_core
 from helpers import contract
 from helpers.ros import RosGraph
-from surg_cli import paths, system
+from surg_cli import master, paths, system
 from surg_cli.processes import Child
 from surg_teleop.camera import held_camera
 
@@ -251,6 +252,8 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     hand.v = np.zeros(3)
     print(f"silence of the leader noticed after {1e3 * noticed:.0f} ms")
 
+    kill_the_pedals(ros_graph, hand)
+
     hand.scale.publish(7.0)
     wait(lambda: any("scale 7 is refused" in t for t in hand.warnings), 5.0, "the refused scale")
     hand.enable.publish(True)
@@ -292,6 +295,29 @@ def freeze_the_picture(graph: RosGraph, hand: CrtkHand) -> None:
 
     graph.wait_for(told, 5.0, "the frozen picture to be said")
     camera.unregister()
+
+
+def kill_the_pedals(graph: RosGraph, hand: CrtkHand) -> None:
+    """F03: a pedal node that is killed with its clutch up is noticed, and gone on without."""
+    hand.enable.publish(True)
+    graph.wait_for(lambda: hand.engaged("PSM1"), 10.0, "the instrument to follow again")
+    argv = [sys.executable, "-s", str(paths.ROOT / "tests" / "helpers" / "pedal_publisher.py")]
+    feet = graph.supervisor.start("/feet", argv)
+    topic = "/footpedals/clutch"
+    graph.wait_for(lambda: topic in master.publications(graph.uri), 20.0, "the pedals")
+    time.sleep(1.0)  # six repetitions make it a source that lives by them
+    graph.wait_for(lambda: hand.engaged("PSM1"), 10.0, "the instrument to follow on")
+    feet.process.kill()
+    killed = time.monotonic()
+    graph.wait_for(lambda: hand.states["PSM1"] == "WAITING", 5.0, "the silence of the pedals")
+    print(f"killed pedals noticed after {1e3 * (time.monotonic() - killed):.0f} ms")
+    graph.wait_for(
+        lambda: any("the buttons of /feet (/footpedals) are silent" in t for t in hand.warnings),
+        5.0,
+        "the warning",
+    )
+    assert hand.rests("PSM1")
+    assert hand.states["PSM1"] == "WAITING"
 
 
 def motion_file(folder: Path) -> Path:

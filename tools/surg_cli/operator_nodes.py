@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from surg_cli import cells
@@ -90,7 +91,7 @@ def driven_arm(plan: Plan) -> str:
 def _leader(leader: str) -> dict[str, object]:
     if leader == BROWSER:
         return {"leader": "crtk", "settings": {"name": BROWSER}}
-    return {"leader": leader}
+    return {"leader": str(Path(leader).absolute()) if leader.endswith(".py") else leader}
 
 
 def _assistant_frame(plan: Plan, loaded: Any) -> list[float]:

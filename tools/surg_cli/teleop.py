@@ -187,6 +187,8 @@ def _plan(options: argparse.Namespace) -> Plan:
     loaded = cells.load(cell)
     arms = tuple(str(name) for name in loaded.arms)
     task = options.task or (TASK_OF_TWO_ARMS if len(arms) > 1 else "none")
+    if task.endswith(".py"):
+        task = str(Path(task).absolute())
     if task != "none":
         _check_task(loaded, task, options.setting)
     return Plan(
