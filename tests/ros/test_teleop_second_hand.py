@@ -36,7 +36,7 @@ class Pair:
         self._R_VA, self._R_VW = R_WV.T @ R_WA, R_WV.T
         self._R_WB = cells.load(CELL).arms["PSM1"].X_WB[:3, :3]
         self.v = {name: np.zeros(3) for name in HANDS}
-        self.grip = {name: 0.0 for name in HANDS}
+        self.grip = dict.fromkeys(HANDS, 0.0)
         self.speaks = dict.fromkeys(HANDS, True)
         self.status: dict[str, dict[str, object]] = {}
         self.warnings: list[str] = []
@@ -89,7 +89,9 @@ class Pair:
     def connected(self) -> bool:
         """Whether everybody speaks and is heard."""
         ends = (*self._rates.values(), *self._grips.values(), self.enable)
-        said = self.cycle is not None and self.joints.size and set(self.status) >= set(HANDS.values())
+        said = (
+            self.cycle is not None and self.joints.size and set(self.status) >= set(HANDS.values())
+        )
         return bool(said) and all(end.get_num_connections() for end in ends)
 
     def follows(self, arm: str) -> bool:

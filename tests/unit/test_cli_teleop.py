@@ -63,7 +63,9 @@ def test_a_second_hand_holds_the_assistants_instrument() -> None:
     assert [set(hand.seat.arms) for hand in system.hands] == [{"PSM1", "ECM"}, {"assistant"}]
 
 
-@pytest.mark.parametrize("words", [("--task", "none"), ("--task", "endoscope_guidance"), ("sim_ur5e",)])
+@pytest.mark.parametrize(
+    "words", [("--task", "none"), ("--task", "endoscope_guidance"), ("sim_ur5e",)]
+)
 def test_a_second_hand_without_an_assistant_is_refused(words: tuple[str, ...]) -> None:
     chosen = options(*words, "--second-leader", "gamepad")
     with pytest.raises(Problem, match="has no assistant's instrument for a second hand"):
