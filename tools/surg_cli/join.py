@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,8 +60,11 @@ def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[No
     if place.role is roles.Role.OPERATOR:
         page = leader == operator_nodes.BROWSER
         hands = operator_nodes.teleoperation(plan, leader, page)
+        if not page:
+            return [hands, *clock]
         web = {"port": operator_nodes.WEB_PORT}  # for this machine only
-        return [hands, *([operator_nodes.console(plan, True, web)] if page else []), *clock]
+        here = replace(plan, record=False)  # the episodes are the robot's machine's
+        return [hands, operator_nodes.console(here, True, web), *clock]
     away = roles.Role.ENDOSCOPE.value in place.others
     return [*(node for node in every if not (away and node.name == camera)), *clock]
 

@@ -69,7 +69,7 @@ def console(plan: Plan, leads: bool, web: Mapping[str, object]) -> Node:
         "arms": list(plan.arms),
         "leader": BROWSER if leads else "",
         "views": list(plan.cameras),
-        "episodes": str(plan.out / "episode"),
+        **({"episodes": str(plan.out / "episode")} if plan.record else {}),
         **web,
     }
     return Node(CONSOLE, "surg_teleop", "console_node.py", params)

@@ -229,14 +229,22 @@ def _plan_of(attached: running.System) -> Plan:
         for view in ("left", "right")
         if f"/endoscope/{view}/image_raw" in master.publications(uri)
     )
-    out = Path(".")
-    if master.call(uri, "hasParam", "/recorder/out"):
-        out = Path(master.call(uri, "getParam", "/recorder/out")).parent
+    records = bool(master.call(uri, "hasParam", "/recorder/out"))
+    # The recorder may be another machine's: its folder is listed where it is this one's as well.
+    out = Path(master.call(uri, "getParam", "/recorder/out")).parent if records else Path()
     task = ""
     if master.call(uri, "hasParam", "/sim/task"):
         task = str(master.call(uri, "getParam", "/sim/task"))
     arms = tuple(str(name) for name in cells.load(cell).arms)
-    return Plan(cell=cell, arms=arms, lockstep=False, cameras=cameras, out=out, task=task)
+    return Plan(
+        cell=cell,
+        arms=arms,
+        lockstep=False,
+        cameras=cameras,
+        out=out,
+        record=records,
+        task=task,
+    )
 
 
 def _phantom(plan: Plan) -> list[Node]:
@@ -268,7 +276,9 @@ def _keep(
         if place is not None:
             network.refuse_foreign_ports(supervisor.children, place.address)
         say(f"Open {address} in a browser (Chromium, Chrome, Edge, Firefox, Safari).")
-        say(f"Episodes: {plan.out}. Logs: {supervisor.logs}. Ctrl-C ends everything started here.")
+        if plan.record:
+            say(f"Episodes: {plan.out}.")
+        say(f"Logs: {supervisor.logs}. Ctrl-C ends everything started here.")
         while True:
             time.sleep(0.1)
             _check(watch, supervisor)
