@@ -44,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add(
         "--leader",
         metavar="L",
-        help="--role operator: what the hand holds (default: crtk, a CRTK leader on topics)",
+        help="--role operator: what the hand holds (default: crtk, a CRTK leader on topics; "
+        "browser: the console's page)",
     )
     add("--lock-step", action="store_true", help="step by step instead of in real time")
     add(
@@ -202,6 +203,7 @@ def _greet(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> None:
         say(f"ROS ports are open on {link.address} alone. The other machines join with:")
         for role in link.others:
             say(f"  ./surg up {plan.cell.name} --role {role} --port {port}")
+        join.say_about_clocks(link)
     say("In another terminal: ./surg status, ./surg shell, or by hand:")
     say(f"  export ROS_MASTER_URI={link.uri if link else f'http://localhost:{port}'}")
     for word in ("enable", "home"):
