@@ -46,34 +46,38 @@ def wrong_frames(out: Path, made: Stepped, segment: int) -> tuple[int, int]:
     return wrong, total
 
 
+SECONDS = 6.0
 STEPS: dict[str, tuple[tuple[tuple[int, int], ...], int]] = {
-    "forward, the end is longer": (((1501, HOUR),), 1),
-    "back, the end is longer": (((1500, -HOUR),), 1),
-    "back by little": (((1501, -700_000_000),), 1),
-    "forward by little": (((1500, 20_000_000),), 1),
-    "back, the beginning is longer": (((3501, -HOUR),), 0),
-    "twice, the middle is longest": (((800, 30_000_000), (4101, -2 * 10**9)), 1),
+    "back, the end is longer": (((900, -HOUR),), 1),
+    "forward by little": (((901, 20_000_000),), 1),
+    "twice, the middle is longest": (((480, 30_000_000), (2461, -2 * 10**9)), 1),
+    "forward, the end is longer": (((901, HOUR),), 1),
+    "back by little": (((901, -700_000_000),), 1),
+    "back, the beginning is longer": (((2101, -HOUR),), 0),
 }
-"""(tick, step) and the longest stretch, of 10 s."""
+"""(tick, step) and the longest stretch."""
+MANY = [*list(STEPS)[:3], *(pytest.param(name, marks=pytest.mark.full) for name in list(STEPS)[3:])]
 
 
-@pytest.mark.parametrize("name", STEPS)
+@pytest.mark.parametrize("name", MANY)
 def test_the_longest_stretch_is_exported_and_every_frame_is_right(
     tmp_path: Path, name: str
 ) -> None:
     steps, longest = STEPS[name]
-    made = Stepped(10.0, steps)
+    made = Stepped(SECONDS, steps)
     folder = made.record(tmp_path / "e")
     recorded = episode.read(folder)
     assert recorded.complete, recorded.manifest["reason"]
     report = export(folder, tmp_path / "set")
     assert report.ok, (report.errors, report.refused)
     wrong, total = wrong_frames(tmp_path / "set", made, longest)
-    ends = [0.0, *(at * 0.002 for at, _ in steps), 10.0]
+    ends = [0.0, *(at * 0.002 for at, _ in steps), SECONDS]
     length = ends[longest + 1] - ends[longest]
     sides = (longest > 0) + (longest < len(steps))
     print(f"{name}: {total} frames of {length:.1f} s, {wrong} wrong")
     assert wrong == 0
+    other, _ = wrong_frames(tmp_path / "set", made, longest - 1 if longest else 1)
+    assert other == total, "by the clock of another stretch nothing is right"
     assert length - sides - 0.4 < total / 20 <= length - sides + 0.05
     said = f"of its {len(steps) + 1} stretches number {longest + 1}, the longest"
     (warning,) = [text for text in report.warnings if "clock was set" in text]
@@ -82,36 +86,30 @@ def test_the_longest_stretch_is_exported_and_every_frame_is_right(
     assert said in stated["recordings"][0]["notes"]["segment"]
 
 
-@pytest.mark.parametrize("name", ["forward by little", "back, the end is longer"])
-def test_without_the_guard_it_goes_wrong(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    """The negative control: pictures stamped before the step come after it."""
-    steps, longest = STEPS[name]
-    made = Stepped(10.0, steps)
-    folder = made.record(tmp_path / "e")
+def test_without_the_guard_it_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was stamped before the step and came after it never gets into a dataset."""
+    folder = Stepped(4.0, ((501, -700_000_000),)).record(tmp_path / "e")
     monkeypatch.setattr(clock_segments, "GUARD_NS", 0)
     monkeypatch.setattr(clock_segments, "EDGE", 0)
-    try:
-        report = export(folder, tmp_path / "set")
-    except ExportError as problem:
-        assert "cannot be told on which side" in str(problem)
-        return
-    assert report.ok
-    wrong, total = wrong_frames(tmp_path / "set", made, longest)
-    print(f"{name}: {wrong} of {total} frames wrong")
-    assert wrong > 0
+    assert refused(folder, tmp_path / "set")
+    monkeypatch.undo()
+    monkeypatch.setattr(dataset_readers, "CAMERAS", (CAMERA,))
+    assert export(folder, tmp_path / "set").ok
 
 
-def test_a_step_back_loses_no_picture(tmp_path: Path) -> None:
-    folder = Stepped(4.0, ((1000, -HOUR),)).record(tmp_path / "e")
+@pytest.mark.parametrize(
+    ("step", "said"),
+    [(-HOUR, "the clock was set back"), (HOUR, "its stamps jumped ahead by 3600 s")],
+)
+def test_a_large_step_loses_no_picture(tmp_path: Path, step: int, said: str) -> None:
+    folder = Stepped(3.0, ((700, step),)).record(tmp_path / "e")
     recorded = episode.read(folder)
     assert recorded.complete, recorded.manifest["reason"]
     parts = recorded.parts(CAMERA)
     assert [part.name for part in parts] == [CAMERA, f"{CAMERA}.2"]
-    assert sum(len(part.frames) for part in parts) == 2000 // 25 - 2, "the last is on its way"
+    assert sum(len(part.frames) for part in parts) == 1500 // 25 - 2, "the last is on its way"
     (change,) = recorded.manifest["camera_streams"][CAMERA]["changes"]
-    assert change == f"the clock was set back: goes on in {CAMERA}.2"
+    assert change == f"{said}: goes on in {CAMERA}.2"
 
 
 def test_in_lock_step_the_clock_does_not_matter(tmp_path: Path) -> None:
@@ -130,7 +128,7 @@ def refused(folder: Path, out: Path) -> str:
 
 
 def test_what_cannot_be_told_is_refused(tmp_path: Path) -> None:
-    made = Stepped(6.0, ((1000, HOUR),), machines=2)
+    made = Stepped(4.0, ((600, HOUR),), machines=2)
     two = made.record(tmp_path / "two")
     assert "not known which of their clocks was set" in refused(two, tmp_path / "out")
     datasets_synthetic.edit(two, run={"robot": "ur5e"})
@@ -139,23 +137,23 @@ def test_what_cannot_be_told_is_refused(tmp_path: Path) -> None:
     bare = {key: step[key] for key in ("begin_ns", "step_ns")}
     datasets_synthetic.edit(killed, segments=[bare])  # as a recovery knows it
     assert "it is not known which rows lie on which side" in refused(killed, tmp_path / "out")
-    short = [{**step, "begin_ns": START_NS + HOUR + k * 10**9} for k in range(1, 6)]
+    short = [{**step, "begin_ns": START_NS + k * 10**9} for k in range(1, 6)]
     short = [{**each, "step_ns": 10**8} for each in short]
-    datasets_synthetic.edit(killed, segments=short)
+    datasets_synthetic.edit(killed, segments=short, stopped_ns=START_NS + 6 * 10**9)
     assert "no stretch between" in refused(killed, tmp_path / "out")
-    other = Stepped(6.0, ((1000, HOUR),), sender_is_set=False).record(tmp_path / "other")
+    other = Stepped(4.0, ((600, HOUR),), sender_is_set=False).record(tmp_path / "other")
     text = refused(other, tmp_path / "out")
     assert "3600.000 s from their reception" in text and "cannot be told on which side" in text
 
 
 def test_the_sync_report_judges_the_stretch(tmp_path: Path) -> None:
-    folder = Stepped(8.0, ((1000, -HOUR),)).record(tmp_path / "e")
+    folder = Stepped(6.0, ((1000, -HOUR),)).record(tmp_path / "e")
     found = sync_report.write(folder)
     assert found["verdict"] == "fail"
     assert "the wall clock was set by -3600.000 s while it was recorded" in found["reasons"]
     assert found["segment"]["verdict"] == "cannot_tell", "squares do not move like instruments"
     assert "number 2, the longest" in found["segment"]["said"]
-    assert found["skew_s"]["max"] < 0.002, "of one side only"
+    assert found["skew_s"]["p95"] < 0.002 and found["skew_s"]["max"] < 0.1, "of one side only"
     assert export(folder, tmp_path / "set").ok, "the stretch did not fail"
     text = (folder / "sync.json").read_text()
     found["segment"]["verdict"] = "fail"

@@ -1,9 +1,9 @@
 """One camera of an episode: usually one video, more parts when the picture changes or a kill bites.
 
-A video has one size and times that go on. When the camera changes its size, its clock is set back,
-or its encoder has died, the next part begins: ``<camera>.2.mp4`` with a sidecar of its own. Frames
-that the encoder had not taken yet go into the next part. A camera that needs too many parts is
-given up and counted.
+A video has one size and times that go on. When the camera changes its size, its clock is set back
+or jumps far ahead, or its encoder has died, the next part begins: ``<camera>.2.mp4`` with a sidecar
+of its own. Frames that the encoder had not taken yet go into the next part. A camera that needs too
+many parts is given up and counted.
 """
 
 from __future__ import annotations
@@ -16,6 +16,10 @@ from surg_recording.video_sink import Frame, VideoSink, unusable
 
 MAX_PARTS = 8
 """A camera that goes on changing after so many parts is not recorded any further."""
+
+MAX_GAP_NS = 600_000_000_000
+"""A longer pause between two frames begins the next part: MP4 counts a frame's duration in 32 bits
+of microseconds."""
 
 
 class CameraSink:
@@ -121,11 +125,12 @@ class CameraSink:
     def put(self, frame: Frame) -> bool:
         """Queue one image; False when it was dropped. Blocks in lock-step only."""
         last, _ = self._stamps
-        if self._clock_back and 0 < frame.stamp_ns <= last and unusable(frame) is None:
+        torn = self._torn(frame, last)
+        if torn is not None:
             self._clock_back, self._stamps, last = False, (0, 0), 0
             if self._part.error is not None:
                 self._next_part(f"the encoder failed ({self._part.error})")
-            self._next_part("the clock was set back", a_fault=False)
+            self._next_part(torn, a_fault=False)
         if frame.stamp_ns > last:
             self._stamps = frame.stamp_ns, frame.stamp_ns - last if last else 0
         if frame.data == self._last_data:
@@ -137,6 +142,16 @@ class CameraSink:
         elif size and unusable(frame) is None and size != f"{frame.width}x{frame.height}":
             self._next_part(f"its size changed from {size} to {frame.width}x{frame.height}")
         return self._part.put_frame(frame)
+
+    def _torn(self, frame: Frame, last: int) -> str | None:
+        """Why a frame cannot follow the one stamped ``last`` [ns] in one video; None: it can."""
+        if not last or unusable(frame) is not None:
+            return None
+        if self._clock_back and frame.stamp_ns <= last:
+            return "the clock was set back"
+        if frame.stamp_ns > last + MAX_GAP_NS:
+            return f"its stamps jumped ahead by {(frame.stamp_ns - last) * 1e-9:.0f} s"
+        return None
 
     def close(self, timeout_s: float = 60.0) -> None:
         """Write the backlog and finish the files. Safe to call twice."""
