@@ -38,6 +38,8 @@ class Plan:
         seed: Seed of the simulator's random numbers.
         out: Folder of the run.
         record: Whether a recorder runs.
+        record_topics: Names and patterns of further topics to record.
+        record_cameras: Topics of further cameras to record.
         operator: Parameters of the operator node, None for a system without one.
         task: Name or file of the task that is played; empty: none.
         setting: Its physical setting.
@@ -57,6 +59,8 @@ class Plan:
     feedback_gain: float | None = None
     seed: int = 0
     record: bool = True
+    record_topics: tuple[str, ...] = ()
+    record_cameras: tuple[str, ...] = ()
     operator: dict[str, object] | None = None
     task: str = ""
     setting: str = ""
@@ -185,7 +189,8 @@ def nodes(plan: Plan) -> list[Node]:
             "mode": plan.mode,
             "arms": list(plan.arms),
             "autostart": plan.lockstep,  # before the first tick; a later start would miss some
-            "cameras": plan.streams,
+            "cameras": [*plan.streams, *plan.record_cameras],
+            "topics": list(plan.record_topics),
             "run_info": json.dumps(plan.run_info, sort_keys=True),
         }
         found.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))

@@ -11,6 +11,9 @@ import threading
 import time
 from collections.abc import Callable
 
+CLOCK_STEP = "clock_step"
+"""Topic of the event of a step; its text ends with the size: ``… -20000000 ns``."""
+
 STEP_NS = 10_000_000
 """A jump of more than this is a step [ns]."""
 

@@ -1,0 +1,279 @@
+"""F09, F12 in running systems: a clock that is set and a disk that is full do not reach the arm."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rospy
+from std_msgs.msg import Bool, String
+
+from faults.test_faults_ros import System
+from helpers.ros import RosGraph
+from surg_cli import cells, paths, run, system
+from surg_cli.processes import Child
+from surg_cli.run import Condition
+from surg_msgs.msg import Cycle
+from surg_recording import episode
+from surg_sim.episode import run_episode
+from surg_sim.session import Session
+
+pytestmark = pytest.mark.ros
+
+HOUR = 3600
+SAID_S = 1.0
+"""A step of the clock or a full disk is said within so much."""
+SHORT = str(paths.ROOT / "tests" / "helpers" / "short_bgr.py")
+SEED = 10_001
+
+
+def fake_clock() -> Path | None:
+    """The library that gives a process another wall clock."""
+    found = sorted(Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"))
+    return found[0] if found else None
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """Makes a file system of so many MB."""
+    made: list[Path] = []
+
+    def make(size: int) -> Path:
+        disk = tmp_path / f"disk{len(made)}"
+        disk.mkdir()
+        mount = ["mount", "-t", "tmpfs", "-o", f"size={size}m", "tmpfs", str(disk)]
+        done = subprocess.run(mount, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            pytest.skip(f"no tmpfs can be mounted here: {done.stderr.strip()}")
+        made.append(disk)
+        return disk
+
+    yield make
+    for disk in made:
+        subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+class Recorder:
+    """A recorder of the arm in free-run, and what it says."""
+
+    def __init__(self, graph: RosGraph, out: Path, env: dict[str, str] | None = None) -> None:
+        self.graph = graph
+        self.status: dict[str, Any] = {}
+        self._switch = rospy.Publisher("/record/record", Bool, queue_size=1)
+        self._ear = rospy.Subscriber("/record/status", String, self._on_status)
+        params = {"out": str(out), "mode": "freerun", "arms": ["PSM1"], "min_free_bytes": 0}
+        self.node = graph.node("surg_recording", "recorder_node", "/recorder", params, env)
+        self.wait(lambda: self.rows() > 200, "rows in the recording", 30.0)
+
+    def _on_status(self, message: String) -> None:
+        self.status = json.loads(message.data)
+
+    def rows(self) -> int:
+        """Cycles written so far."""
+        return int((self.status.get("rows") or {}).get("cycle_PSM1", 0))
+
+    def wait(self, condition: Callable[[], bool], what: str, limit: float = 10.0) -> float:
+        """Wait; how long it took [s]."""
+        begun = time.monotonic()
+        self.graph.wait_for(condition, limit, what)
+        return time.monotonic() - begun
+
+    def stop(self) -> Path:
+        """End the recording; its folder."""
+        self._switch.publish(False)
+        self.wait(lambda: bool(self.status.get("finished")), "the finished episode", 30.0)
+        return Path(self.status["finished"])
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._switch.unregister()
+        self._ear.unregister()
+
+
+def untouched(arm: System, first: int) -> str:
+    """Fail unless the arm has gone on as before since its cycle ``first``; figures in words."""
+    cycles = arm.cycles[first:]
+    ticks = [cycle.tick for cycle in cycles]
+    assert ticks == list(range(ticks[0], ticks[0] + len(ticks))), "a cycle is missing"
+    assert {cycle.state for cycle in cycles} == {Cycle.ENABLED}, arm.texts
+    assert min(float(np.linalg.norm(c.v_set)) for c in cycles[-50:]) > 0.005, "it moves on"
+    assert arm.jumps(first) <= 1.0 + 1e-6
+    periods = sorted(cycle.period_us * 1e-3 for cycle in cycles)
+    p99 = periods[int(0.99 * len(periods))]
+    return f"{len(cycles)} cycles, period p99 {p99:.2f} ms, largest {periods[-1]:.2f} ms"
+
+
+# --- F09 ------------------------------------------------------------------------------------------
+
+
+def test_f09_a_clock_that_is_set_is_said_and_the_arm_goes_on(
+    ros_graph: RosGraph, rospy_node: str, tmp_path: Path
+) -> None:
+    """Every node under libfaketime: their wall clock jumps an hour ahead, and back again."""
+    library = fake_clock()
+    if library is None:
+        pytest.skip("libfaketime is not installed: ./surg setup")
+    file = tmp_path / "clock"
+
+    def set_clock(seconds: int) -> None:
+        fresh = tmp_path / "clock.new"
+        fresh.write_text(f"{seconds:+d}\n")
+        os.replace(fresh, file)
+
+    set_clock(0)
+    ros_graph.supervisor.env.update(
+        LD_PRELOAD=str(library),
+        FAKETIME_TIMESTAMP_FILE=str(file),
+        FAKETIME_NO_CACHE="1",
+        FAKETIME_DONT_FAKE_MONOTONIC="1",
+        DONT_FAKE_MONOTONIC="1",
+        NO_FAKE_STAT="1",
+    )
+    arm = System(ros_graph)
+    recorder = Recorder(ros_graph, tmp_path / "episode")
+    try:
+        arm.in_motion()
+        first, said = len(arm.cycles), []
+        for steps, seconds in enumerate((HOUR, 0), start=1):
+            set_clock(seconds)
+            at = steps + 1
+            said.append(recorder.wait(lambda n=at: recorder.status.get("segments") == n, "a step"))
+            time.sleep(0.5)
+        print(untouched(arm, first), f"; said after {said[0]:.2f} and {said[1]:.2f} s")
+        folder = recorder.stop()
+    finally:
+        arm.close()
+        recorder.close()
+    assert max(said) < SAID_S
+    recorded = episode.read(folder)
+    assert recorded.complete, recorded.manifest["reason"]
+    steps = [segment["step_ns"] * 1e-9 for segment in recorded.segments]
+    assert steps == pytest.approx([HOUR, -HOUR], abs=0.05)
+    assert list(recorded.table("events")["topic"]).count("clock_step") == 2
+    cycle = recorded.cycle("PSM1")
+    assert np.all(np.diff(cycle["tick"]) == 1), "no row is lost"
+    for segment, step in zip(recorded.segments, (HOUR, -HOUR), strict=True):
+        row = segment["rows"]["cycle_PSM1"]
+        jumps = np.diff(cycle["receive_ns"][row - 3 : row + 3]) * 1e-9
+        assert np.abs(jumps - step).min() < 0.5, "the step lies where the manifest says"
+
+
+# --- F12 ------------------------------------------------------------------------------------------
+
+
+def fill(disk: Path) -> None:
+    """Use up what is left of a small file system."""
+    with open(disk / "others", "wb", buffering=0) as file:
+        size = 1 << 16
+        while size:
+            try:
+                file.write(bytes(size))
+            except OSError:
+                size //= 16
+
+
+def test_f12_a_disk_that_fills_up_does_not_reach_the_arm(
+    ros_graph: RosGraph, rospy_node: str, small_disk: Callable[[int], Path]
+) -> None:
+    """In real time: the recording ends, the arm goes on in motion, cycle by cycle."""
+    disk = small_disk(8)
+    arm = System(ros_graph)
+    recorder = Recorder(ros_graph, disk / "episode")
+    try:
+        arm.in_motion()
+        time.sleep(0.5)
+        first = len(arm.cycles)
+        fill(disk)
+        took = recorder.wait(lambda: bool(recorder.status.get("problem")), "the full disk")
+        recorder.wait(lambda: recorder.status.get("recording") is False, "the recording's end")
+        time.sleep(0.5)
+        print(f"{untouched(arm, first)}; said after {took:.2f} s")
+        assert recorder.node.exit_code is None, "the recorder lives"
+    finally:
+        arm.close()
+        recorder.close()
+    assert took < SAID_S
+    recorded = episode.read(disk / "episode")
+    assert not recorded.complete
+    assert "No space left" in recorded.manifest["reason"]
+    assert np.all(np.diff(recorded.cycle("PSM1")["tick"]) == 1)
+
+
+class Listener:
+    """Counts the cycles of arms and keeps what simulator and recorder say."""
+
+    def __init__(self, arms: tuple[str, ...]) -> None:
+        self.sim: dict[str, Any] = {}
+        self.record: dict[str, Any] = {}
+        self.ticks: dict[str, list[int]] = {arm: [] for arm in arms}
+        self._lock = threading.Lock()
+        keys = {"queue_size": None, "tcp_nodelay": True}
+        self._ears = [
+            rospy.Subscriber("/sim/status", String, self._on, "sim"),
+            rospy.Subscriber("/record/status", String, self._on, "record"),
+        ]
+        for arm in arms:
+            ear = rospy.Subscriber(f"/{arm}/cycle", Cycle, self._on_cycle, arm, **keys)
+            self._ears.append(ear)
+
+    def _on(self, message: String, name: str) -> None:
+        setattr(self, name, json.loads(message.data))
+
+    def _on_cycle(self, message: Cycle, arm: str) -> None:
+        with self._lock:
+            self.ticks[arm].append(message.tick)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        for ear in self._ears:
+            ear.unregister()
+
+
+def test_f12_a_full_disk_changes_no_tick_of_a_run_in_lock_step(
+    ros_graph: RosGraph, rospy_node: str, tmp_path: Path, small_disk: Callable[[int], Path]
+) -> None:
+    """The same run without a recorder, in one process: bit for bit the same states."""
+    disk = small_disk(3)
+    cell = cells.find("sim_two_arms")
+    condition = Condition("phantom", "ours")
+    plan = run.make_plan(SHORT, cell, cells.load(cell), [condition], SEED, (), tmp_path)
+    plan = run.of_episode(plan, condition, SEED, tmp_path / "run")
+    heard = Listener(plan.arms)
+    recorder: Child | None = None
+    try:
+        for node in [*system.nodes(plan), *system.senders(plan)]:
+            if node.name == "/recorder":
+                small = {"out": str(disk / "episode"), "min_free_bytes": 0}
+                recorder = system.start(
+                    ros_graph.supervisor,
+                    dataclasses.replace(node, params={**node.params, **small}),
+                )
+            else:
+                system.start(ros_graph.supervisor, node)
+        ros_graph.wait_for(lambda: bool(heard.sim.get("done")), 120.0, "the end of the run")
+        ros_graph.wait_for(lambda: heard.record.get("recording") is False, 20.0, "the recorder")
+        assert recorder is not None and recorder.exit_code is None, "the recorder lives"
+    finally:
+        heard.close()
+    expected = run_episode(Session(cell, SHORT, "phantom", SEED), SEED)
+    ticks = round(expected.duration / 0.002)
+    assert heard.sim["state_hash"] == expected.hash
+    assert (heard.sim["tick"], heard.sim["deterministic"]) == (ticks, True)
+    for arm, seen in heard.ticks.items():
+        # The first ones may come before this listener is connected: nobody waits for it.
+        assert seen == list(range(seen[0], ticks + 1)), arm
+    recorded = episode.read(disk / "episode")
+    assert not recorded.complete
+    assert "No space left" in recorded.manifest["reason"]
+    kept = {name: len(recorded.cycle(name)) for name in plan.arms}
+    assert all(100 < rows < ticks for rows in kept.values()), kept
+    print(f"{ticks} ticks, {kept} rows until the disk was full; hash {expected.hash[:16]}")
