@@ -211,11 +211,11 @@ class Spec:
         return found
 
     def check_chunk(self, chunk: np.ndarray) -> list[str]:
-        """What is wrong with a chunk of actions [K, A]: one sentence each."""
+        """What is wrong with a chunk of actions [K, A], K from 0: one sentence each."""
         if self.action is None:
             return ["the spec has no actions"]
         width = len(self.action.names)
-        if chunk.ndim != 2 or chunk.shape[1] != width or chunk.shape[0] < 1:
+        if chunk.ndim != 2 or chunk.shape[1] != width:
             names = ", ".join(self.action.names)
             return [f"a chunk is [K, {width}] ({names}), not {list(chunk.shape)}"]
         bad = np.argwhere(~np.isfinite(chunk))

@@ -41,7 +41,9 @@ MAX_PART = 8 << 20
 """Bytes of a frame; both sides give it to ZeroMQ as MAXMSGSIZE, so that larger ones never come."""
 MAX_PARTS = 8
 MAX_ROWS = 1024
-"""Of a chunk."""
+"""Of a chunk, which replaces what was sent before from its first step on. It may have none."""
+NEVER = 2**62
+"""Largest step. A chunk without rows from here on replaces nothing: there is nothing new to say."""
 MAX_KEY = 128
 
 Buffer = Union[bytes, memoryview]
@@ -135,7 +137,7 @@ def _maybe_spec(value: Any) -> str | None:
 
 _SESSION = _integer(1, 2**64 - 1)
 _COUNT = _integer(0, 2**31 - 1)
-_STEP = _integer(-(2**62), 2**62)
+_STEP = _integer(-NEVER, NEVER)
 _STAMP = _integer(0, 2**63 - 1)
 _REJECTION: dict[str, Check] = {"step": _STEP, "rule": _text(64), "text": _text(1024)}
 _FIELDS: dict[str, dict[str, Check]] = {
@@ -221,7 +223,7 @@ def encode(message: Message) -> list[Buffer]:
     head = dict(message.head)
     buffers: list[Buffer] = []
     if message.kind in _WITH_ARRAYS:
-        kept = {key: np.ascontiguousarray(a) for key, a in message.arrays.items()}
+        kept = {key: np.asarray(a, order="C") for key, a in message.arrays.items()}
         head["arrays"] = [
             {"key": key, "dtype": _dtype_name(key, a), "shape": list(a.shape)}
             for key, a in kept.items()
@@ -354,8 +356,8 @@ def _check_arrays(kind: str, described: Any, buffers: Sequence[Any]) -> None:
     if kind == "ACT":
         good = [each["key"] for each in described] == ["chunk"]
         good = good and described[0]["dtype"] in ("f4", "f8") and len(described[0]["shape"]) == 2
-        if not (good and 1 <= described[0]["shape"][0] <= MAX_ROWS):
-            raise WireError("shape", f"ACT: one array `chunk`, f4 or f8, [1 to {MAX_ROWS}, A]")
+        if not (good and described[0]["shape"][0] <= MAX_ROWS):
+            raise WireError("shape", f"ACT: one array `chunk`, f4 or f8, [0 to {MAX_ROWS}, A]")
 
 
 def _check_values(kind: str, arrays: Mapping[str, np.ndarray]) -> None:
