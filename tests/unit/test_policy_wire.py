@@ -1,4 +1,4 @@
-"""The codec between policy and model server: what goes in comes out, and nothing else is believed."""
+"""The codec of the policies' wire: what goes in comes out, and nothing else is believed."""
 
 import random
 import re

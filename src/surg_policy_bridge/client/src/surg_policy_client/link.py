@@ -188,9 +188,8 @@ class Link:
                 for message in talk.tick(time.monotonic()):
                     self._put(wire, encode(message))
                 wait = talk.due() - time.monotonic()
-                ready = dict(
-                    poller.poll(None if math.isinf(wait) else max(0, math.ceil(1e3 * wait)))
-                )
+                wait_ms = None if math.isinf(wait) else max(0, math.ceil(1e3 * wait))
+                ready = dict(poller.poll(wait_ms))
                 if wire in ready:
                     self._listen(wire)
                 if watch in ready:

@@ -9,7 +9,7 @@ import numpy as np
 
 from surg_policy_client.errors import BadAction
 from surg_policy_client.spec import Spec
-from surg_policy_client.wire import NEVER, Message
+from surg_policy_client.wire import Message
 
 STATE = "observation.state"
 _HELD = {"x": "set_x", "y": "set_y", "z": "set_z", "roll": "roll_set", "jaw": "jaw"}
@@ -112,7 +112,7 @@ def as_message(answer: Any, observation: Observation) -> Message:
     action = observation.spec.action
     width = len(action.names) if action is not None else 0
     if answer is None:
-        answer = Chunk(np.empty((0, width)), NEVER)
+        answer = np.empty((0, width))
     chunk = answer if isinstance(answer, Chunk) else Chunk(np.asarray(answer))
     rows = np.asarray(chunk.rows)
     if rows.dtype.kind not in "fiu":

@@ -41,9 +41,7 @@ MAX_PART = 8 << 20
 """Bytes of a frame; both sides give it to ZeroMQ as MAXMSGSIZE, so that larger ones never come."""
 MAX_PARTS = 8
 MAX_ROWS = 1024
-"""Of a chunk, which replaces what was sent before from its first step on. It may have none."""
-NEVER = 2**62
-"""Largest step. A chunk without rows from here on replaces nothing: there is nothing new to say."""
+"""Of a chunk. One without any says: nothing new, what was sent before goes on."""
 MAX_KEY = 128
 
 Buffer = Union[bytes, memoryview]
@@ -137,7 +135,7 @@ def _maybe_spec(value: Any) -> str | None:
 
 _SESSION = _integer(1, 2**64 - 1)
 _COUNT = _integer(0, 2**31 - 1)
-_STEP = _integer(-NEVER, NEVER)
+_STEP = _integer(-(2**62), 2**62)
 _STAMP = _integer(0, 2**63 - 1)
 _REJECTION: dict[str, Check] = {"step": _STEP, "rule": _text(64), "text": _text(1024)}
 _FIELDS: dict[str, dict[str, Check]] = {
