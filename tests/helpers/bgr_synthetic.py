@@ -1,4 +1,4 @@
-"""A made-up dataset for the learned policy: a tip that goes to a node, in the real one's numbers."""
+"""A made-up dataset for the learned policy: a tip goes to a node, in the real one's numbers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ ACTION = [f"PSM1/{name}" for name in ("x", "y", "z", "roll", "jaw")]
 def episode(seed: int, steps: int = 60) -> train_bgr.Episode:
     """The tip goes a tenth of what is left to the asked node in every step; then the jaws close."""
     rng = np.random.default_rng(seed)
-    nodes = np.cumsum(rng.normal(0.0, 0.004, (NODES, 3)) + [0.008, 0.0, 0.0], axis=0)
+    nodes = np.cumsum(rng.normal([0.008, 0.0, 0.0], 0.004, (NODES, 3)), axis=0)
     nodes -= nodes.mean(axis=0)
     target = int(rng.integers(17, 23))
     tip, rows = rng.normal(0.0, 0.02, 3), []
@@ -59,7 +59,7 @@ def episode(seed: int, steps: int = 60) -> train_bgr.Episode:
 
 
 def dataset(train: int = 6, val: int = 1, names: list[str] | None = None) -> train_bgr.Dataset:
-    """Episodes of seeds 0, 1, …"""
+    """Episodes with the seeds from 0 on."""
     found = [episode(seed) for seed in range(train + val)]
     return train_bgr.Dataset(
         {"train": found[:train], "val": found[train:]},

@@ -1,4 +1,4 @@
-"""The learned policy and its trainer: by seed the same, on disk without code, at work as in training.
+"""The learned policy and its trainer: same by seed, on disk without code, at work as in training.
 
 On made-up data: what it does in the phantom stands in docs/learning.md.
 """

@@ -21,7 +21,7 @@ TASKS = {"bgr": ("train_bgr.py", "bgr_policy.py")}
 HOPED = 0.85
 """Share of the roll-outs that are to succeed: the paper's 17 of 20."""
 SHAKE = 0.003
-"""Standard deviation of the pushes in every second demonstration, see surg_sim.experts.shaken [m]."""
+"""Spread of the pushes in every second demonstration [m], see surg_sim.experts.shaken."""
 COMPARED = 20
 """Demonstrations whose smoothness stands in the report, at most."""
 

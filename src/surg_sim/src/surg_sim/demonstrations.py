@@ -1,4 +1,4 @@
-"""Many recorded episodes of a task's scripted senders, several at a time, in processes of their own.
+"""Many recorded episodes of a task's scripted senders, several at a time, each in its process.
 
 Work that was cut off is taken up where it ended: a recording that is complete is not played again.
 """

@@ -213,7 +213,7 @@ class RecordedSession(Session):
             recording.image(self._cameras[name], message, stamp)
 
 
-# --- messages without ROS: what surg_recording.rows reads ------------------------------------------
+# --- messages without ROS: what surg_recording.rows reads -----------------------------------------
 
 
 def _header(stamp_ns: int) -> SimpleNamespace:

@@ -13,8 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.env import ARM_STATE, GRID, SurgEnv
 from surg_sim.arm import TICK
+from surg_sim.env import ARM_STATE, SurgEnv
 
 Array = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class Acts(Protocol):
     """What a policy is: examples/bgr_policy.py, or any object like it."""
 
     def reset(self, instruction: str, seed: int | None) -> None:
-        """Forget the last episode."""
+        """Forget the last episode; the seed is for policies that draw."""
 
     def act(self, observation: Any) -> Array | None:
         """Actions for this step and the following ones, (K, A); None: those of before go on."""
@@ -85,7 +85,7 @@ def roll_out(env: SurgEnv, policy: Acts, seed: int) -> Rollout:
         ValueError: The policy's chunk is over and it says nothing new.
     """
     observation, info = env.reset(seed=seed)
-    policy.reset("", None)
+    policy.reset(env.session.task.title, seed)
     done, worst = False, 0.0
     chunk, at = np.zeros((0, len(env.action_names))), 0
     while not done:

@@ -1,7 +1,7 @@
 """Which seeds may be learned from, which may be looked at, and which are kept for the judgement.
 
-The three ranges are disjoint and stand here only. Demonstrations are played with ``TRAINING`` seeds;
-a threshold, a gain or the size of a network is chosen with ``TUNING`` seeds; a figure in the
+The three ranges are disjoint and stand here only. Demonstrations have ``TRAINING`` seeds; a
+threshold, a gain or the size of a network is chosen with ``TUNING`` seeds; a figure in the
 documentation is of ``TEST`` seeds.
 """
 
