@@ -227,8 +227,7 @@ def main() -> int:
     try:
         with Progress("bench learn") as progress:
             found = candidates(root, options, progress)
-            context = get_context("spawn")
-            with ProcessPoolExecutor(options.jobs, mp_context=context) as pool:
+            with ProcessPoolExecutor(options.jobs, get_context("fork")) as pool:
                 for n, candidate in enumerate(found):
                     progress.update(0.6 + 0.4 * n / len(found), candidate.name)
                     waiting = [pool.submit(judge, candidate.make, seed) for seed in judged]

@@ -69,10 +69,11 @@ def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:
     for step in range(len(shown.state)):
         seen = rollouts.observe(env, observation)
         action = env.expert_action()
-        np.testing.assert_allclose(shown.state[step], seen[rollouts.STATE], atol=1e-6)
+        # The recording's rcm frame is the one that was measured at homing: micrometres away.
+        np.testing.assert_allclose(shown.state[step], seen[rollouts.STATE], atol=2e-5)
         np.testing.assert_allclose(shown.task[step], seen[rollouts.TASK], atol=1e-5)
         if step:  # the jaw's first command comes with the second look
-            np.testing.assert_allclose(shown.action[step, :4], action[:4], atol=1e-6)
+            np.testing.assert_allclose(shown.action[step, :4], action[:4], atol=2e-5)
         observation, _, ended, late, _ = env.step(action)
         compared += 1
         assert not ended
@@ -91,8 +92,9 @@ def test_no_demonstration_is_unsafe_pushed_or_not(recorded: Path) -> None:
             "PSM1": [],
             "ECM": [],
         }
-        paths_of.append(found.cycle("PSM1").vector("p_goal"))
-    spreads = [float(np.abs(np.diff(p[::25], n=3, axis=0)).max()) for p in paths_of]
+        cycle = found.cycle("PSM1")
+        paths_of.append(cycle.vector("p_goal")[cycle["command"] == 1][::25])
+    spreads = [float(np.abs(np.diff(p, n=3, axis=0)).max()) for p in paths_of]
     print(f"third differences of the goals, calm and pushed: {spreads[0]:.5f}, {spreads[1]:.5f} m")
     assert spreads[1] > 1.5 * spreads[0]
 

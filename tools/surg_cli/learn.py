@@ -8,7 +8,9 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,11 @@ from surg_cli import cells, paths, rollouts, run
 from surg_cli.stages import Ledger
 from surg_cli.terminal import Problem, Progress, say, table, warn
 
-TASKS = {"bgr": ("train_bgr.py", "bgr_policy.py")}
-"""Tasks that can be learned: program that trains, program that serves, both in examples/."""
+TRAINERS = {"bgr": "train_bgr.py"}
+"""Tasks that can be learned, and what trains; in examples/."""
+POLICIES = {("bgr", False): "bgr_policy.py", ("bgr", True): "bgr_image_policy.py"}
+"""What serves, without and with pictures; in examples/."""
+EPISODES = 80
 HOPED = 0.85
 """Share of the roll-outs that are to succeed: the paper's 17 of 20."""
 SHAKE = 0.003
@@ -32,12 +37,19 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "With the --out of a run that was cut off, it goes on where it ended. docs/learning.md"
     )
     add = parser.add_argument
-    add("task", metavar="TASK", help=", ".join(TASKS))
+    add("task", metavar="TASK", help=", ".join(TRAINERS))
     add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
     add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or a cell with two arms")
     add("--seed", type=int, default=0, metavar="S", help="of the training (default 0)")
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
-    add("--episodes", type=int, default=80, metavar="N", help="demonstrations (default 80)")
+    add("--cameras", action="store_true", help="the policy that looks at pictures")
+    add(
+        "--episodes",
+        type=int,
+        default=EPISODES,
+        metavar="N",
+        help=f"demonstrations (default {EPISODES})",
+    )
     add_options(parser)
 
 
@@ -57,6 +69,12 @@ class Wanted:
     seed: int
     episodes: int
     rollouts: int
+    cameras: bool
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Of the endoscope, that are recorded and served."""
+        return ("left",) if self.cameras else ()
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -69,7 +87,8 @@ def main(options: argparse.Namespace, command: str) -> int:
     loaded = cells.load(cell)
     again = f"./surg {_line(command, wanted)} --out {_shown(out)}"
     ledger = Ledger(out / "stages.json", again)
-    train, serve = (paths.ROOT / "examples" / name for name in TASKS[wanted.task])
+    train = paths.ROOT / "examples" / TRAINERS[wanted.task]
+    serve = paths.ROOT / "examples" / POLICIES[wanted.task, wanted.cameras]
     say(
         f"learn: {wanted.task}, {wanted.setting}, {wanted.episodes} demonstrations, "
         f"{wanted.rollouts} roll-outs -> {out}"
@@ -126,8 +145,9 @@ def _check(options: argparse.Namespace) -> Wanted:
     """
     from surg_sim import seeds
 
-    if options.task not in TASKS:
-        raise Problem(f"learn {options.task}: there is a policy for {', '.join(TASKS)} only", 2)
+    if options.task not in TRAINERS:
+        known = ", ".join(TRAINERS)
+        raise Problem(f"learn {options.task}: there is a trainer for {known} only", 2)
     for name, whole in (("episodes", seeds.TRAINING), ("rollouts", seeds.TEST)):
         value = getattr(options, name)
         if not 1 <= value <= len(whole):
@@ -143,6 +163,7 @@ def _check(options: argparse.Namespace) -> Wanted:
         options.seed,
         options.episodes,
         options.rollouts,
+        bool(options.cameras),
     )
 
 
@@ -177,9 +198,9 @@ def _folder(wanted: Path | None, what: Wanted) -> Path:
 def _line(command: str, wanted: Wanted) -> str:
     """The command line that asks for the same."""
     first = f"learn {wanted.task}" if command == "learn" else f"{command} --full"
-    given = asdict(wanted) | {"task": wanted.task}
-    words = [f"--{name} {given[name]}" for name in given if name != "task"]
-    return " ".join([first, *words])
+    given = asdict(wanted)
+    words = [f"--{name} {given[name]}" for name in given if name not in ("task", "cameras")]
+    return " ".join([first, *words, *(["--cameras"] if wanted.cameras else [])])
 
 
 def _shown(path: Path) -> Path:
@@ -201,7 +222,7 @@ def _show(wanted: Wanted, cell: Path, out: Path) -> dict[str, Any]:
     from surg_sim import demonstrations, seeds
 
     plan = demonstrations.Plan(
-        out / "demonstrations", cell, wanted.task, wanted.setting, shake=SHAKE
+        out / "demonstrations", cell, wanted.task, wanted.setting, wanted.views, shake=SHAKE
     )
     chosen = seeds.training_seeds(wanted.episodes)
     before = sum(plan.done(seed) for seed in chosen)
@@ -249,6 +270,7 @@ def _train(program: Path, wanted: Wanted, out: Path) -> dict[str, Any]:
     """Train in a process of its own, so that it is the same program that a person starts."""
     argv = [sys.executable, str(program), str(out / "dataset"), "--json"]
     argv += ["--out", str(out / "weights.npz"), "--seed", str(wanted.seed)]
+    argv += ["--images"] if wanted.cameras else []
     with Progress("training") as progress:
         last = follow(
             argv, out / "logs" / "training.log", lambda n: progress.update(n["part"], n["note"])
@@ -310,14 +332,13 @@ def _deploy(player: rollouts.Player, wanted: Wanted, folder: Path) -> list[dict[
 
 def _measure(wanted: Wanted, out: Path) -> list[dict[str, Any]]:
     """The same numbers of demonstrations as of roll-outs."""
-    from concurrent.futures import ProcessPoolExecutor
-
     from surg_recording import learning
     from surg_sim import seeds
 
     chosen = seeds.training_seeds(wanted.episodes)[0::2][:COMPARED]  # those that nobody pushed
     folders = [out / "demonstrations" / str(seed) for seed in chosen]
-    with Progress("smoothness") as progress, ProcessPoolExecutor(_jobs()) as pool:
+    forked = get_context("fork")
+    with Progress("smoothness") as progress, ProcessPoolExecutor(_jobs(), forked) as pool:
         found = []
         for entry in pool.map(learning.demonstration, folders):
             found.append(entry)

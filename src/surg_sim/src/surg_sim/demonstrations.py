@@ -90,8 +90,9 @@ def play(
         return []
     plan.out.mkdir(parents=True, exist_ok=True)
     made: list[Demonstration] = []
-    # Spawned, not forked: the parent may hold threads and an OpenGL context.
-    pool = ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("spawn"))
+    # Forked: a spawned process takes this one's sys.path, in which catkin has put source folders
+    # before those of compiled modules.
+    pool = ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("fork"))
     try:
         waiting = [pool.submit(_play_one, plan, seed, seed in seeds[1::2]) for seed in todo]
         for future in as_completed(waiting):
