@@ -34,6 +34,7 @@ COMMANDS = {
     "build": ("setup", False, "build the workspace (does setup first)"),
     "up": ("up", True, "bring a cell up and keep it until Ctrl-C"),
     "down": ("down", False, "end what `up` started"),
+    "keys": ("keys", True, "key pairs for a model server and the policies that may connect to it"),
     "calibrate": ("calibrate", True, "tool and trocar of a cell from recorded poses"),
     "record": ("record", True, "start, stop, tag a recording of a running system"),
     "recover": ("recover", True, "finish recordings that were cut off"),

@@ -1,0 +1,142 @@
+"""The robot as an environment: `reset` and `step`, over the wire. Needs no gymnasium."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+from surg_policy_client.errors import NoServer, Refused
+from surg_policy_client.keys import ClientKeys, Folder
+from surg_policy_client.link import Link
+from surg_policy_client.observation import Observation, as_message
+from surg_policy_client.serving import ADDRESS, Wants, wanted
+from surg_policy_client.spec import Spec
+from surg_policy_client.wire import Message
+
+
+class RemoteEnv:
+    """A task on the other side of the wire, in the manner of Gymnasium.
+
+    Time does not wait for `step` unless the server runs in lock-step: in real time a slow caller
+    gets the newest observation, and `info["skipped"]` counts what it missed. There is no reward on
+    the wire; ``info["success"]`` is the task's verdict when the episode is over.
+
+    Args:
+        address: Of the server.
+        wants: Observations to get, as keys or as a `Spec`.
+        keys: Folder of `./surg keys`, where the server was started with keys.
+        timeout_s: Longest wait for the server, an episode or an observation [s].
+    """
+
+    def __init__(
+        self,
+        address: str = ADDRESS,
+        *,
+        wants: Wants = None,
+        keys: ClientKeys | Folder | None = None,
+        timeout_s: float = 30.0,
+    ) -> None:
+        self._timeout = timeout_s
+        self._link = Link(address, wants=wanted(wants), policy="RemoteEnv", keys=keys)
+        self.spec = Spec()
+        self._last: Observation | None = None
+        self._over: Message | None = None
+        self._stepped = False
+        self._acks: dict[str, Any] = {}
+        if not self._link.wait_for_welcome(timeout_s):
+            error = self._link.no_server(timeout_s)
+            self._link.close()
+            raise error
+
+    def reset(self) -> tuple[Observation, dict[str, Any]]:
+        """First observation of an episode, and info.
+
+        An episode that has begun and was not acted in is taken; else the server is asked for a new
+        one.
+
+        Raises:
+            Refused: When the server begins none; NoServer: when it says nothing.
+        """
+        if self._stepped or self._over is not None:
+            self._ask()
+        if self._last is None and self._wait(0.5) is None:
+            self._ask()
+        observation = self._last or self._wait(self._timeout)
+        if observation is None:
+            raise self._silence("began no episode")
+        return observation, self._info()
+
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Send an action, wait for the next observation.
+
+        Args:
+            action: One row [A], rows [K, A] or a `Chunk`, from the next grid time on.
+
+        Returns:
+            Observation, reward (always 0.0), terminated, truncated (always False), info.
+        """
+        if self._last is None or self._over is not None:
+            raise RuntimeError("no episode: call reset() first")
+        self._link.send(as_message(action, self._last))
+        self._stepped = True
+        before, self._last = self._last, None
+        observation = self._wait(self._timeout)
+        if observation is None and self._over is None:
+            raise self._silence("sent no observation")
+        self._last = observation or before
+        return self._last, 0.0, self._over is not None, False, self._info()
+
+    def close(self) -> None:
+        """Say goodbye."""
+        self._link.close("the environment was closed")
+
+    def __enter__(self) -> RemoteEnv:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _ask(self) -> None:
+        session = self._link.session
+        if session is None and self._link.wait_for_welcome(self._timeout):
+            session = self._link.session
+        if session is None:
+            raise self._link.no_server(self._timeout)
+        self._last, self._over, self._stepped = None, None, False
+        self._link.send(Message("RESET", {"session": session}))
+
+    def _wait(self, timeout_s: float) -> Observation | None:
+        """The next observation; None when the episode ended, or after the time."""
+        until = time.monotonic() + timeout_s
+        while (left := until - time.monotonic()) > 0:
+            message = self._link.next(left)
+            if message is None:
+                continue
+            if message.kind == "WELCOME":
+                self.spec = Spec.from_map(message.head["spec"])
+            elif message.kind == "OBS":
+                self._last = Observation.of(message, self.spec)
+                return self._last
+            elif message.kind == "ACK":
+                self._acks = message.head
+            elif message.kind == "ERR":
+                raise Refused(message.head["code"], message.head["text"])
+            elif message.kind == "EPISODE" and message.head["event"] == "end" and self._stepped:
+                self._over = message
+                return None
+        return None
+
+    def _silence(self, what: str) -> NoServer:
+        return NoServer(
+            f"the server at {self._link.address} {what} within {self._timeout:g} s. "
+            "Is the policy enabled there, and is nobody else at the controls?"
+        )
+
+    def _info(self) -> dict[str, Any]:
+        over = self._over.head if self._over is not None else {}
+        return {
+            "success": over.get("success"),
+            "reason": over.get("reason", ""),
+            "acknowledged": self._acks,
+            "skipped": self._link.skipped,
+        }

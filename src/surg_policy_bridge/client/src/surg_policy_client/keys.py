@@ -1,0 +1,176 @@
+"""CURVE keys: who may talk to a model server, and which server a policy talks to.
+
+A folder made by `make` has one part for each machine::
+
+    DIR/server/server.key_secret    stays with the model server
+    DIR/server/server.key
+    DIR/server/clients/NAME.key     policies that may connect
+    DIR/NAME/NAME.key_secret        goes to the policy's machine, with
+    DIR/NAME/server.key             the server it trusts
+
+Files are ZeroMQ certificates. Secret ones are readable by their owner alone (0600), and are not
+loaded otherwise. Nothing is ever overwritten.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Union
+
+import zmq
+
+from surg_policy_client.errors import BadKeys
+
+SERVER = "server"
+POLICY = "policy"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+_LINE = re.compile(r'^\s*(public-key|secret-key)\s*=\s*"([ -~]{40})"\s*$', re.MULTILINE)
+Folder = Union[str, "os.PathLike[str]"]
+
+
+@dataclass(frozen=True)
+class ClientKeys:
+    """What a policy needs (Z85, 40 bytes each).
+
+    Attributes:
+        public: Its own.
+        secret: Its own.
+        server: The server's public key: no other server is believed.
+    """
+
+    public: bytes
+    secret: bytes = field(repr=False)
+    server: bytes
+
+
+@dataclass(frozen=True)
+class ServerKeys:
+    """What a server needs (Z85, 40 bytes each).
+
+    Attributes:
+        public: Its own.
+        secret: Its own.
+        clients: Public keys that may connect, by name of the policy.
+    """
+
+    public: bytes
+    secret: bytes = field(repr=False)
+    clients: dict[str, bytes]
+
+
+def make(folder: Folder, policy: str = POLICY) -> list[Path]:
+    """Make key pairs of a server and a policy; of the policy alone where the server has one.
+
+    Args:
+        folder: Made when missing.
+        policy: Name of the policy's machine or user.
+
+    Returns:
+        The files made.
+
+    Raises:
+        BadKeys: When the policy's keys are there already, or the name is no name.
+    """
+    root = Path(folder)
+    if not _NAME.fullmatch(policy) or policy == SERVER:
+        raise BadKeys(f"a name of letters, digits, - and _ (not {SERVER!r}), not {policy!r}")
+    server, mine = root / SERVER, root / policy
+    if mine.exists() or (server / "clients" / f"{policy}.key").exists():
+        raise BadKeys(
+            f"{mine} has keys already, and nothing is overwritten: "
+            "choose another name, or move that folder away"
+        )
+    made = []
+    for place in (root, server, server / "clients", mine):
+        place.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if (server / "server.key_secret").exists():
+        server_public = _read(server / "server.key")["public-key"]
+    else:
+        server_public, secret = zmq.curve_keypair()
+        made += [
+            _write(server / "server.key_secret", server_public, secret),
+            _write(server / "server.key", server_public),
+        ]
+    public, secret = zmq.curve_keypair()
+    made += [
+        _write(server / "clients" / f"{policy}.key", public),
+        _write(mine / f"{policy}.key_secret", public, secret),
+        _write(mine / "server.key", server_public),
+    ]
+    return made
+
+
+def client_keys(folder: Folder) -> ClientKeys:
+    """Keys of a policy, from its own part of the folder or from the whole one.
+
+    Raises:
+        BadKeys: With the file that is wrong, and what to do.
+    """
+    root = Path(folder)
+    if not (root / "server.key").is_file() and (root / POLICY / "server.key").is_file():
+        root = root / POLICY
+    secrets = sorted(root.glob("*.key_secret"))
+    if len(secrets) != 1 or secrets[0].name == "server.key_secret":
+        raise BadKeys(
+            f"{root}: exactly one policy's *.key_secret is wanted, "
+            f"there are {[path.name for path in secrets]}; `./surg keys` makes one"
+        )
+    own = _read_secret(secrets[0])
+    return ClientKeys(
+        own["public-key"], own["secret-key"], _read(root / "server.key")["public-key"]
+    )
+
+
+def server_keys(folder: Folder) -> ServerKeys:
+    """Keys of a server with its allow-list, from its own part of the folder or the whole one.
+
+    Raises:
+        BadKeys: With the file that is wrong, and what to do; also when nobody may connect.
+    """
+    root = Path(folder)
+    if not (root / "server.key_secret").is_file() and (root / SERVER).is_dir():
+        root = root / SERVER
+    own = _read_secret(root / "server.key_secret")
+    clients = {
+        path.stem: _read(path)["public-key"] for path in sorted((root / "clients").glob("*.key"))
+    }
+    if not clients:
+        raise BadKeys(f"{root / 'clients'} has no *.key: no policy could connect; `./surg keys`")
+    return ServerKeys(own["public-key"], own["secret-key"], clients)
+
+
+def _write(path: Path, public: bytes, secret: bytes | None = None) -> Path:
+    """A certificate; fails where the file exists."""
+    text = 'metadata\ncurve\n    public-key = "' + public.decode("ascii") + '"\n'
+    if secret is not None:
+        text += '    secret-key = "' + secret.decode("ascii") + '"\n'
+    mode = 0o600 if secret is not None else 0o644
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    with os.fdopen(handle, "w", encoding="ascii") as stream:
+        stream.write(text)
+    path.chmod(mode)  # whatever the umask is
+    return path
+
+
+def _read(path: Path) -> dict[str, bytes]:
+    """Keys of a certificate, by name."""
+    try:
+        text = path.read_text("ascii")
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadKeys(f"{path}: {error}; `./surg keys` makes keys") from None
+    found = {name: key.encode("ascii") for name, key in _LINE.findall(text)}
+    if "public-key" not in found:
+        raise BadKeys(f"{path}: no public-key of 40 characters; `./surg keys` makes keys")
+    return found
+
+
+def _read_secret(path: Path) -> dict[str, bytes]:
+    found = _read(path)
+    if os.name == "posix" and path.stat().st_mode & 0o077:
+        raise BadKeys(f"{path} can be read by others: chmod 600 {path}")
+    if "secret-key" not in found:
+        raise BadKeys(f"{path}: no secret-key of 40 characters; `./surg keys` makes keys")
+    return found

@@ -1,0 +1,1 @@
+"""Example policies: ``python -m surg_policy_client.policies.NAME --server ADDRESS``."""

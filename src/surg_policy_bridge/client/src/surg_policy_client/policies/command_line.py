@@ -1,0 +1,67 @@
+"""What every policy's program shares: where the server is, and how it ends."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from typing import Any, Callable, Sequence
+
+from surg_policy_client.errors import PolicyClientError
+from surg_policy_client.serving import ADDRESS, serve
+
+Arguments = Callable[[argparse.ArgumentParser], None]
+
+
+def run(
+    make: Callable[[argparse.Namespace], Any],
+    description: str | None,
+    add_arguments: Arguments = lambda parser: None,
+    argv: Sequence[str] | None = None,
+) -> int:
+    """Parse the command line, make the policy, serve it.
+
+    Args:
+        make: Takes the parsed options, returns the policy.
+        description: The program's docstring.
+        add_arguments: Declares the policy's own options.
+        argv: Words of the command line; default: the process's.
+
+    Returns:
+        Exit status: 0 when it ended as it should, 1 after an error, 2 for wrong input.
+    """
+    lines = (description or "").strip().splitlines() or [""]
+    parser = argparse.ArgumentParser(description=lines[0])
+    add = parser.add_argument
+    add("--server", default=ADDRESS, metavar="ADDRESS", help=f"of the server (default {ADDRESS})")
+    add("--keys", metavar="DIR", help="the policy's folder of ./surg keys")
+    add("--episodes", type=int, metavar="N", help="end after so many (default: never)")
+    add("--timeout", type=float, metavar="S", help="longest wait for a server (default: for ever)")
+    add("--seed", type=int, default=0, metavar="N", help="of policies that draw (default 0)")
+    add_arguments(parser)
+    options = parser.parse_args(argv)
+    # A supervisor ends programs by SIGTERM: the server is to hear of it as of Ctrl-C.
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        served = serve(
+            make(options),
+            options.server,
+            keys=options.keys,
+            seed=options.seed,
+            episodes=options.episodes,
+            timeout_s=options.timeout,
+            say=_say,
+        )
+    except (PolicyClientError, ValueError, OSError) as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr, flush=True)
+        return 2 if isinstance(error, ValueError) else 1
+    _say(
+        f"{served.observations} observations answered in {served.episodes} episodes, "
+        f"{served.successes} with success; rows accepted {served.accepted}, clipped "
+        f"{served.clipped}, late {served.late}, stale {served.stale}, refused {served.rejected}"
+    )
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text, flush=True)

@@ -1,0 +1,210 @@
+"""`serve`: answers a model server's observations with a policy's actions, until told to stop."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Callable, Sequence, Union
+
+from surg_policy_client.errors import Refused
+from surg_policy_client.keys import ClientKeys, Folder
+from surg_policy_client.link import Link
+from surg_policy_client.observation import Observation, as_message
+from surg_policy_client.spec import Spec
+from surg_policy_client.wire import Message
+
+ADDRESS = "tcp://127.0.0.1:5555"
+Wants = Union[Spec, Sequence[str], None]
+_REMIND_S = 5.0
+
+
+@dataclass
+class Served:
+    """What happened, in numbers.
+
+    Attributes:
+        sessions: WELCOMEs; more than one after a lost connection.
+        episodes: Episodes that ended.
+        successes: Of them, those that the task calls solved.
+        observations: Answered.
+        skipped: Observations that a newer one replaced while the policy was busy.
+        accepted: Rows, in the server's count; so the next four.
+        clipped: Rows that a limit changed.
+        late: Rows whose time had passed.
+        stale: Rows of an observation that was too old.
+        rejected: Rows refused.
+    """
+
+    sessions: int = 0
+    episodes: int = 0
+    successes: int = 0
+    observations: int = 0
+    skipped: int = 0
+    accepted: int = 0
+    clipped: int = 0
+    late: int = 0
+    stale: int = 0
+    rejected: int = 0
+
+
+def wanted(wants: Wants) -> Spec | None:
+    """A wish as a spec: keys alone ask for these observations, whatever they are like."""
+    return wants if wants is None or isinstance(wants, Spec) else Spec.of_keys(list(wants))
+
+
+def serve(
+    policy: Any,
+    address: str = ADDRESS,
+    *,
+    wants: Wants = None,
+    keys: ClientKeys | Folder | None = None,
+    name: str | None = None,
+    seed: int | None = None,
+    episodes: int | None = None,
+    timeout_s: float | None = None,
+    say: Callable[[str], None] = print,
+) -> Served:
+    """Connect a policy to a model server and answer until Ctrl-C.
+
+    Lost connections are made again by themselves; the policy is `reset` for every episode it
+    enters, also for one it comes back into. What the server refuses is said, once per rule and
+    episode.
+
+    Args:
+        policy: Has ``act(observation)`` and, if it likes, ``reset(instruction, seed)``,
+            ``acknowledged(fields_of_ACK)`` and ``wants``; or is itself the function ``act``. It
+            returns a `Chunk`, rows [K, A], one row [A], or None (what was sent before goes on).
+        address: Of the server.
+        wants: Observations the policy needs, as keys or as a `Spec`; default: ``policy.wants``,
+            else everything there is. Only these are sent.
+        keys: Folder of `./surg keys`, where the server was started with keys.
+        name: Of the policy, for the server's log.
+        seed: ``reset`` gets this plus the number of the episode; None: None.
+        episodes: End after so many.
+        timeout_s: Longest wait for a server [s]; None: for ever.
+        say: Takes lines of text for a person.
+
+    Returns:
+        Counts.
+
+    Raises:
+        PolicyClientError: When server and policy do not fit, nobody answers in time, or the policy
+            returned something that is no action. The arm holds from then on.
+    """
+    spec = wanted(getattr(policy, "wants", None) if wants is None else wants)
+    label = name or getattr(policy, "name", None) or getattr(policy, "__name__", None)
+    link = Link(address, wants=spec, policy=label or type(policy).__name__, keys=keys)
+    serving = _Serving(policy, link, seed, say)
+    reason = "the policy ended"
+    try:
+        if timeout_s is not None and not link.wait_for_welcome(timeout_s):
+            raise link.no_server(timeout_s)
+        serving.until(episodes)
+    except KeyboardInterrupt:
+        reason = "stopped by its user"
+    except Exception as error:
+        reason = f"the policy failed: {type(error).__name__}: {error}"
+        raise
+    finally:
+        link.close(reason)
+        serving.served.skipped = link.skipped
+    return serving.served
+
+
+class _Serving:
+    """The loop of `serve`."""
+
+    def __init__(
+        self, policy: Any, link: Link, seed: int | None, say: Callable[[str], None]
+    ) -> None:
+        self.served = Served()
+        self._policy, self._link, self._seed, self._say = policy, link, seed, say
+        self._act = policy.act if hasattr(policy, "act") else policy
+        self._spec = Spec()
+        self._entered: tuple[int, int] | None = None
+        self._told: set[str] = set()
+
+    def until(self, episodes: int | None) -> None:
+        """Answer; until so many episodes have ended."""
+        waiting_since, reminded = time.monotonic(), 0.0
+        while episodes is None or self.served.episodes < episodes:
+            message = self._link.next(0.5)
+            now = time.monotonic()
+            if message is not None:
+                self._take(message)
+                waiting_since = now
+            elif self._link.session is None:
+                waited = now - waiting_since
+                if waited >= 1.0 and now - reminded >= _REMIND_S:
+                    reminded = now
+                    hint = self._link.hint()
+                    self._say(f"waiting for a model server at {self._link.address}: {hint}")
+
+    def _take(self, message: Message) -> None:
+        head = message.head
+        if message.kind == "OBS":
+            self._answer(Observation.of(message, self._spec))
+        elif message.kind == "WELCOME":
+            self._spec = Spec.from_map(head["spec"])
+            self.served.sessions += 1
+            self._say(f"connected to {self._link.address}: {described(self._spec)}")
+        elif message.kind == "EPISODE":
+            self._episode(head)
+        elif message.kind == "ACK":
+            self._acknowledged(head)
+        elif message.kind == "ERR":
+            raise Refused(head["code"], f"the server at {self._link.address}: {head['text']}")
+        elif message.kind == "BYE":
+            self._say(f"the server said goodbye: {head['reason']}")
+
+    def _answer(self, observation: Observation) -> None:
+        self._enter(observation.session, observation.episode, observation.instruction)
+        self._link.send(as_message(self._act(observation), observation))
+        self.served.observations += 1
+
+    def _enter(self, session: int, episode: int, instruction: str) -> None:
+        """Reset the policy where it enters an episode."""
+        if self._entered == (session, episode):
+            return
+        self._entered = (session, episode)
+        self._told.clear()
+        if hasattr(self._policy, "reset"):
+            seed = None if self._seed is None else self._seed + episode
+            self._policy.reset(instruction, seed)
+
+    def _episode(self, head: dict[str, Any]) -> None:
+        event, number = head["event"], head["episode"]
+        if event == "begin":
+            self._enter(head["session"], number, head["instruction"])
+            self._say(f"episode {number}: {head['instruction']}")
+            return
+        if event == "end":
+            self.served.episodes += 1
+            self.served.successes += head["success"] is True
+            verdict = {True: "success", False: "failure", None: "ended"}[head["success"]]
+            self._say(f"episode {number}: {verdict}: {head['reason']}")
+            return
+        self._say(f"episode {number}: {event}: {head['reason']}")
+
+    def _acknowledged(self, head: dict[str, Any]) -> None:
+        for part in ("accepted", "clipped", "late", "stale"):
+            setattr(self.served, part, getattr(self.served, part) + head[part])
+        self.served.rejected += len(head["rejected"])
+        for each in head["rejected"]:
+            if each["rule"] not in self._told:
+                self._told.add(each["rule"])
+                self._say(f"the server refused step {each['step']}: {each['text']}")
+        if hasattr(self._policy, "acknowledged"):
+            self._policy.acknowledged(head)
+
+
+def described(spec: Spec) -> str:
+    """A served spec in one line."""
+    actions = spec.action.names if spec.action is not None else ()
+    observations = ", ".join(
+        f"{key} {'x'.join(map(str, feature.shape or ()))}"
+        + (" (privileged)" if feature.privileged else "")
+        for key, feature in spec.observation.items()
+    )
+    rate = 1.0 / spec.period_s if spec.period_s else 0.0
+    return f"task {spec.task}, {rate:g} Hz; {observations} -> {', '.join(actions)}"

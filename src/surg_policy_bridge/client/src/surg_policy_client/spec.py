@@ -1,0 +1,319 @@
+"""What a server observes and commands: the specification both sides agree on before anything moves.
+
+A `Spec` that is *served* says everything. A `Spec` that is *wanted* (a policy's) may leave out
+what the policy does not care about: None matches anything there. `mismatches` compares the two, in
+words.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Callable, Mapping, Sequence
+
+import numpy as np
+
+DTYPES = {"u1": np.uint8, "i8": np.int64, "f4": np.float32, "f8": np.float64, "b1": np.bool_}
+"""Element types on the wire, little-endian; nothing else passes."""
+MAX_NDIM = 4
+MAX_SIDE = 1 << 16
+MAX_NAMES = 1024
+MAX_TEXT = 256
+MAX_FEATURES = 64
+
+
+class SpecError(ValueError):
+    """A specification that is not well formed; the text names the place and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One observation. None: not said (served: there is none; wanted: any will do).
+
+    Attributes:
+        dtype: Of `DTYPES`.
+        shape: Sides; pictures are height, width, 3 (RGB).
+        unit: SI, such as ``m``; where numbers differ, comma-separated in their order.
+        frame: Frame of the numbers, such as ``rcm``.
+        names: Of the numbers of a vector, in order.
+        privileged: Whether it is simulator truth, which no robot can measure.
+    """
+
+    dtype: str | None = None
+    shape: tuple[int, ...] | None = None
+    unit: str | None = None
+    frame: str | None = None
+    names: tuple[str, ...] | None = None
+    privileged: bool = False
+
+
+@dataclass(frozen=True)
+class ActionSpec:
+    """What one row of a chunk is: absolute targets for one grid time.
+
+    Attributes:
+        names: Of the columns, such as ``PSM1/x``.
+        units: Of the columns (SI).
+        frame: ``rcm``: each arm's own trocar frame.
+        low: Least values that can be in the workspace; None: not said.
+        high: Largest values.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    frame: str | None = None
+    low: tuple[float, ...] | None = None
+    high: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Spec:
+    """Task, grid, observations and actions.
+
+    Attributes:
+        task: Name of the task; None: any.
+        period_s: Grid period: row i of a chunk is due i periods after row 0 [s]; None: any.
+        observation: Features by key; the keys are the dataset's (docs/datasets.md).
+        action: None only in what a policy wants: any.
+    """
+
+    task: str | None = None
+    period_s: float | None = None
+    observation: Mapping[str, Feature] = field(default_factory=dict)
+    action: ActionSpec | None = None
+
+    @classmethod
+    def of_keys(cls, keys: Sequence[str]) -> Spec:
+        """A wish for these observations, whatever they are like."""
+        return cls(observation={key: Feature() for key in keys})
+
+    def to_map(self) -> dict[str, Any]:
+        """Plain dicts and lists, as they go onto the wire."""
+        action = self.action
+        return {
+            "task": self.task,
+            "period_s": self.period_s,
+            "observation": {
+                key: {
+                    "dtype": feature.dtype,
+                    "shape": _listed(feature.shape),
+                    "unit": feature.unit,
+                    "frame": feature.frame,
+                    "names": _listed(feature.names),
+                    "privileged": feature.privileged,
+                }
+                for key, feature in self.observation.items()
+            },
+            "action": action
+            and {
+                "names": list(action.names),
+                "units": list(action.units),
+                "frame": action.frame,
+                "low": _listed(action.low),
+                "high": _listed(action.high),
+            },
+        }
+
+    @classmethod
+    def from_map(cls, value: Any) -> Spec:
+        """Read what `to_map` wrote; every key must be there and no other.
+
+        Raises:
+            SpecError: With the place and what is allowed there.
+        """
+        top = _keys(value, "spec", ("task", "period_s", "observation", "action"))
+        observation = top["observation"]
+        if not isinstance(observation, dict) or len(observation) > MAX_FEATURES:
+            raise SpecError(f"spec.observation: a map of at most {MAX_FEATURES} features")
+        period = _maybe(_number)(top["period_s"], "spec.period_s")
+        if period is not None and not 0.0 < period <= 10.0:
+            raise SpecError(f"spec.period_s: more than 0 and at most 10 s, not {period!r}")
+        return cls(
+            task=_maybe(_text)(top["task"], "spec.task"),
+            period_s=period,
+            observation={
+                _text(key, "spec.observation"): _feature(each, f"spec.observation.{key}")
+                for key, each in observation.items()
+            },
+            action=_maybe(_action)(top["action"], "spec.action"),
+        )
+
+    def served(self) -> Spec:
+        """This specification, if it says all that a server has to say.
+
+        Raises:
+            SpecError: With what is missing.
+        """
+        missing = [key for key in ("task", "period_s", "action") if getattr(self, key) is None]
+        for key, feature in self.observation.items():
+            missing += [
+                f"observation.{key}.{part}"
+                for part in ("dtype", "shape")
+                if getattr(feature, part) is None
+            ]
+        if not self.observation:
+            missing.append("observation")
+        if missing:
+            raise SpecError(f"a served spec has to say: {', '.join(missing)}")
+        return self
+
+    def only(self, keys: Sequence[str]) -> Spec:
+        """The same with these observations only, in their own order."""
+        kept = {key: each for key, each in self.observation.items() if key in set(keys)}
+        return Spec(self.task, self.period_s, kept, self.action)
+
+    def mismatches(self, served: Spec) -> list[str]:
+        """Where what is wanted (this) and what is served differ: one sentence each, both named.
+
+        Limits (``low``, ``high``) are the server's to say and are not compared.
+        """
+        found = [
+            f"{name}: the policy wants {_shown(mine)}, the server has {_shown(theirs)}"
+            for name, mine, theirs in self._pairs(served)
+            if mine is not None and mine != theirs
+        ]
+        for key in self.observation:
+            if key not in served.observation:
+                there = ", ".join(served.observation) or "none"
+                found.append(f"observation {key}: the policy wants it, the server has {there}")
+        return found
+
+    def _pairs(self, served: Spec) -> list[tuple[str, Any, Any]]:
+        pairs: list[tuple[str, Any, Any]] = [("task", self.task, served.task)]
+        pairs.append(("period_s", self.period_s, served.period_s))
+        for key, mine in self.observation.items():
+            theirs = served.observation.get(key)
+            if theirs is not None:
+                pairs += [
+                    (f"observation {key}, {part}", getattr(mine, part), getattr(theirs, part))
+                    for part in ("dtype", "shape", "unit", "frame", "names")
+                ]
+        if self.action is not None:
+            pairs += [
+                (f"action, {part}", getattr(self.action, part), getattr(served.action, part, None))
+                for part in ("names", "units", "frame")
+            ]
+        return pairs
+
+    def check_observation(self, arrays: Mapping[str, np.ndarray]) -> list[str]:
+        """What is wrong with observations that claim to follow this: one sentence each."""
+        found = [f"{key} is missing" for key in self.observation if key not in arrays]
+        for key, array in arrays.items():
+            feature = self.observation.get(key)
+            if feature is None:
+                found.append(f"{key} is not of the spec")
+                continue
+            dtype = array.dtype.str[1:]
+            if feature.dtype is not None and dtype != feature.dtype:
+                found.append(f"{key} is {dtype}, the spec says {feature.dtype}")
+            if feature.shape is not None and array.shape != feature.shape:
+                found.append(f"{key} has shape {array.shape}, the spec says {feature.shape}")
+        return found
+
+    def check_chunk(self, chunk: np.ndarray) -> list[str]:
+        """What is wrong with a chunk of actions [K, A], K from 0: one sentence each."""
+        if self.action is None:
+            return ["the spec has no actions"]
+        width = len(self.action.names)
+        if chunk.ndim != 2 or chunk.shape[1] != width:
+            names = ", ".join(self.action.names)
+            return [f"a chunk is [K, {width}] ({names}), not {list(chunk.shape)}"]
+        bad = np.argwhere(~np.isfinite(chunk))
+        if len(bad):
+            row, column = (int(i) for i in bad[0])
+            name = self.action.names[column]
+            return [f"row {row}, {name} is {chunk[row, column]}: not a number"]
+        return []
+
+
+def _feature(value: Any, where: str) -> Feature:
+    top = _keys(value, where, ("dtype", "shape", "unit", "frame", "names", "privileged"))
+    if top["dtype"] is not None and (
+        not isinstance(top["dtype"], str) or top["dtype"] not in DTYPES
+    ):
+        raise SpecError(f"{where}.dtype: one of {', '.join(DTYPES)}, not {_shown(top['dtype'])}")
+    if not isinstance(top["privileged"], bool):
+        raise SpecError(f"{where}.privileged: true or false")
+    return Feature(
+        dtype=top["dtype"],
+        shape=_maybe(_shape)(top["shape"], f"{where}.shape"),
+        unit=_maybe(_text)(top["unit"], f"{where}.unit"),
+        frame=_maybe(_text)(top["frame"], f"{where}.frame"),
+        names=_maybe(_texts)(top["names"], f"{where}.names"),
+        privileged=top["privileged"],
+    )
+
+
+def _action(value: Any, where: str) -> ActionSpec:
+    top = _keys(value, where, ("names", "units", "frame", "low", "high"))
+    found = ActionSpec(
+        names=_texts(top["names"], f"{where}.names"),
+        units=_texts(top["units"], f"{where}.units"),
+        frame=_maybe(_text)(top["frame"], f"{where}.frame"),
+        low=_maybe(_numbers)(top["low"], f"{where}.low"),
+        high=_maybe(_numbers)(top["high"], f"{where}.high"),
+    )
+    if not found.names or len(set(found.names)) != len(found.names):
+        raise SpecError(f"{where}.names: at least one, and each once")
+    for part in ("units", "low", "high"):
+        values = getattr(found, part)
+        if values is not None and len(values) != len(found.names):
+            raise SpecError(f"{where}.{part}: {len(values)} for {len(found.names)} names")
+    return found
+
+
+def _keys(value: Any, where: str, keys: Sequence[str]) -> dict[str, Any]:
+    """A map with exactly these keys."""
+    if not isinstance(value, dict):
+        raise SpecError(f"{where}: a map, not {type(value).__name__}")
+    if set(value) != set(keys):
+        raise SpecError(f"{where}: exactly the keys {', '.join(keys)}, not {_shown(list(value))}")
+    return value
+
+
+def _maybe(check: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
+    """None passes; all else is checked."""
+    return lambda value, where: None if value is None else check(value, where)
+
+
+def _text(value: Any, where: str) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= MAX_TEXT:
+        raise SpecError(f"{where}: a text of 1 to {MAX_TEXT} characters, not {_shown(value)}")
+    return value
+
+
+def _texts(value: Any, where: str) -> tuple[str, ...]:
+    return tuple(_text(each, where) for each in _list(value, where))
+
+
+def _number(value: Any, where: str) -> float:
+    if type(value) not in (int, float) or not abs(value) < 1e300 or math.isnan(value):
+        raise SpecError(f"{where}: a finite number, not {_shown(value)}")
+    return float(value)
+
+
+def _numbers(value: Any, where: str) -> tuple[float, ...]:
+    return tuple(_number(each, where) for each in _list(value, where))
+
+
+def _shape(value: Any, where: str) -> tuple[int, ...]:
+    sides = _list(value, where)
+    if len(sides) > MAX_NDIM or any(type(s) is not int or not 0 < s <= MAX_SIDE for s in sides):
+        raise SpecError(f"{where}: at most {MAX_NDIM} sides of 1 to {MAX_SIDE}")
+    return tuple(sides)
+
+
+def _list(value: Any, where: str) -> list[Any]:
+    if not isinstance(value, list) or len(value) > MAX_NAMES:
+        raise SpecError(f"{where}: a list of at most {MAX_NAMES}")
+    return value
+
+
+def _listed(values: Sequence[Any] | None) -> list[Any] | None:
+    return None if values is None else list(values)
+
+
+def _shown(value: Any) -> str:
+    """A value in an error's text, cut short."""
+    text = "any" if value is None else repr(value)
+    return text if len(text) <= 200 else text[:200] + "…"

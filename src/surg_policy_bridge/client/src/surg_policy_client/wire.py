@@ -1,0 +1,395 @@
+"""The messages between a policy and the model server, byte for byte (docs/protocol.md).
+
+A message is a header and up to seven buffers, each a frame of ZeroMQ. The header is ``SPB1``, one
+byte for the kind, and a msgpack map; a buffer is an array's bytes as they lie in memory, so that
+pictures are neither copied nor encoded. `decode` believes nothing: sizes before contents, every
+key and type, and a buffer's length against its shape, before anything is allocated for it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Callable, Mapping, Optional, Sequence, Union
+
+import msgpack
+import numpy as np
+
+from surg_policy_client.spec import DTYPES, MAX_NDIM, Spec, SpecError
+
+MAGIC = b"SPB1"
+VERSION = 1
+"""Of the protocol; HELLO offers a range, WELCOME names the one both know."""
+KINDS = {
+    "HELLO": 1,
+    "WELCOME": 2,
+    "OBS": 3,
+    "ACT": 4,
+    "ACK": 5,
+    "PING": 6,
+    "PONG": 7,
+    "RESET": 8,
+    "EPISODE": 9,
+    "BYE": 10,
+    "ERR": 11,
+}
+EVENTS = ("begin", "end", "paused", "resumed")
+"""Of EPISODE."""
+
+MAX_HEADER = 1 << 20
+"""Bytes of a header."""
+MAX_PART = 8 << 20
+"""Bytes of a frame; both sides give it to ZeroMQ as MAXMSGSIZE, so that larger ones never come."""
+MAX_PARTS = 8
+MAX_ROWS = 1024
+"""Of a chunk. One without any says: nothing new, what was sent before goes on."""
+MAX_KEY = 128
+
+Buffer = Union[bytes, memoryview]
+
+
+class WireError(ValueError):
+    """A message that is refused.
+
+    Attributes:
+        code: One word for counting: parts, size, magic, kind, header, keys, field, spec, dtype,
+            shape, length, finite.
+    """
+
+    def __init__(self, code: str, text: str) -> None:
+        super().__init__(f"{code}: {text}")
+        self.code = code
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message.
+
+    Attributes:
+        kind: Of `KINDS`.
+        head: Fields of the kind, plain values; ``wants`` and ``spec`` are `Spec.to_map`'s maps.
+        arrays: By key. Decoded ones are views of the frames and read-only.
+    """
+
+    kind: str
+    head: dict[str, Any]
+    arrays: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+# --- fields ---------------------------------------------------------------------------------------
+
+Check = Callable[[Any], Optional[str]]
+"""None: good; else what is allowed."""
+
+
+def _integer(low: int, high: int) -> Check:
+    allowed = f"an integer from {low} to {high}"
+    return lambda v: None if type(v) is int and low <= v <= high else allowed
+
+
+def _real(low: float, high: float) -> Check:
+    allowed = f"a number from {low:g} to {high:g}"
+    return lambda v: None if type(v) in (int, float) and low <= v <= high else allowed
+
+
+def _text(most: int) -> Check:
+    allowed = f"a text of at most {most} characters"
+    return lambda v: None if type(v) is str and len(v) <= most else allowed
+
+
+def _one_of(*words: str) -> Check:
+    return lambda v: None if type(v) is str and v in words else f"one of {', '.join(words)}"
+
+
+def _verdict(value: Any) -> str | None:
+    return None if value is None or type(value) is bool else "true, false or nil"
+
+
+def _versions(value: Any) -> str | None:
+    good = (
+        type(value) is list
+        and len(value) == 2
+        and all(type(v) is int and 1 <= v <= 65535 for v in value)
+        and value[0] <= value[1]
+    )
+    return None if good else "a list [lowest, highest] of versions from 1 to 65535"
+
+
+def _rejections(value: Any) -> str | None:
+    allowed = f"a list of at most {MAX_ROWS} maps {{step, rule, text}}"
+    if type(value) is not list or len(value) > MAX_ROWS:
+        return allowed
+    return next((allowed for each in value if _wrong_field(each, _REJECTION)), None)
+
+
+def _spec(value: Any) -> str | None:
+    try:
+        Spec.from_map(value)
+    except SpecError as error:
+        return str(error)
+    return None
+
+
+def _maybe_spec(value: Any) -> str | None:
+    return None if value is None else _spec(value)
+
+
+_SESSION = _integer(1, 2**64 - 1)
+_COUNT = _integer(0, 2**31 - 1)
+_STEP = _integer(-(2**62), 2**62)
+_STAMP = _integer(0, 2**63 - 1)
+_REJECTION: dict[str, Check] = {"step": _STEP, "rule": _text(64), "text": _text(1024)}
+_FIELDS: dict[str, dict[str, Check]] = {
+    "HELLO": {
+        "versions": _versions,
+        "client": _text(128),
+        "software": _text(256),
+        "policy": _text(256),
+        "wants": _maybe_spec,
+    },
+    "WELCOME": {
+        "version": _integer(1, 65535),
+        "session": _SESSION,
+        "spec": _spec,
+        "max_obs_age_s": _real(0.0, 60.0),
+        "ping_s": _real(0.0, 60.0),
+        "silence_s": _real(0.0, 60.0),
+    },
+    "OBS": {
+        "session": _SESSION,
+        "seq": _COUNT,
+        "stamp_ns": _STAMP,
+        "episode": _COUNT,
+        "step": _STEP,
+        "instruction": _text(1024),
+    },
+    "ACT": {"session": _SESSION, "seq": _COUNT, "stamp_ns": _STAMP, "step0": _STEP},
+    "ACK": {
+        "session": _SESSION,
+        "seq": _COUNT,
+        "accepted": _COUNT,
+        "clipped": _COUNT,
+        "late": _COUNT,
+        "stale": _COUNT,
+        "rejected": _rejections,
+        "queue": _COUNT,
+    },
+    "PING": {"session": _SESSION, "n": _COUNT},
+    "PONG": {"session": _SESSION, "n": _COUNT},
+    "RESET": {"session": _SESSION},
+    "EPISODE": {
+        "session": _SESSION,
+        "episode": _COUNT,
+        "event": _one_of(*EVENTS),
+        "instruction": _text(1024),
+        "success": _verdict,
+        "reason": _text(1024),
+    },
+    "BYE": {"session": _SESSION, "reason": _text(1024)},
+    "ERR": {"code": _text(64), "text": _text(65536)},
+}
+_NAMES = {number: name for name, number in KINDS.items()}
+_WITH_ARRAYS = ("OBS", "ACT")
+
+
+def _wrong_field(head: Any, fields: Mapping[str, Check]) -> tuple[str, str] | None:
+    """What is wrong with a map (code, text); None when nothing is."""
+    if type(head) is not dict or head.keys() != fields.keys():
+        there = sorted(map(str, head)) if type(head) is dict else type(head).__name__
+        return "keys", f"exactly {', '.join(fields)}, not {str(there)[:200]}"
+    for name, check in fields.items():
+        allowed = check(head[name])
+        if allowed is not None:
+            return "spec" if name in ("wants", "spec") else "field", f"{name}: {allowed}"
+    return None
+
+
+# --- bytes ----------------------------------------------------------------------------------------
+
+
+def encode(message: Message) -> list[Buffer]:
+    """Frames of a message, for `send_multipart`. Buffers share the arrays' memory.
+
+    Raises:
+        WireError: When the message is not of the protocol: what a peer would refuse never goes
+            out.
+    """
+    if message.kind not in KINDS:
+        raise WireError("kind", f"no kind {message.kind!r}")
+    wrong = _wrong_field(message.head, _FIELDS[message.kind])
+    if wrong:
+        raise WireError(wrong[0], f"{message.kind}: {wrong[1]}")
+    head = dict(message.head)
+    buffers: list[Buffer] = []
+    if message.kind in _WITH_ARRAYS:
+        kept = {key: np.asarray(a, order="C") for key, a in message.arrays.items()}
+        head["arrays"] = [
+            {"key": key, "dtype": _dtype_name(key, a), "shape": list(a.shape)}
+            for key, a in kept.items()
+        ]
+        buffers = [_bytes_of(a) for a in kept.values()]
+        _check_arrays(message.kind, head["arrays"], buffers)
+        _check_values(message.kind, kept)
+    elif message.arrays:
+        raise WireError("keys", f"{message.kind} carries no arrays")
+    packed = MAGIC + bytes([KINDS[message.kind]]) + msgpack.packb(head)
+    if len(packed) > MAX_HEADER:
+        raise WireError("size", f"a header of {len(packed)} bytes; at most {MAX_HEADER}")
+    return [packed, *buffers]
+
+
+def decode(parts: Sequence[Any]) -> Message:
+    """Message of frames (bytes, memoryviews, or frames of pyzmq).
+
+    Raises:
+        WireError: When anything is not as the protocol says.
+    """
+    if not 1 <= len(parts) <= MAX_PARTS:
+        raise WireError("parts", f"{len(parts)} frames; a message has 1 to {MAX_PARTS}")
+    views = [memoryview(getattr(part, "buffer", part)) for part in parts]
+    if views[0].nbytes > MAX_HEADER or any(v.nbytes > MAX_PART for v in views):
+        raise WireError("size", f"at most {MAX_HEADER} bytes of header, {MAX_PART} of a buffer")
+    start = bytes(views[0][: len(MAGIC) + 1])
+    if start[: len(MAGIC)] != MAGIC:
+        raise WireError("magic", f"a header begins with {MAGIC!r}, not {start[:4]!r}")
+    kind = _NAMES.get(start[4]) if len(start) == 5 else None
+    if kind is None:
+        raise WireError("kind", f"no kind {list(start[4:])}")
+    head = _unpacked(views[0][len(start) :])
+    described = head.pop("arrays", None)
+    wrong = _wrong_field(head, _FIELDS[kind])
+    if wrong:
+        raise WireError(wrong[0], f"{kind}: {wrong[1]}")
+    if (described is not None) != (kind in _WITH_ARRAYS):
+        raise WireError("keys", f"{kind}: `arrays` is of {' and '.join(_WITH_ARRAYS)}, no others")
+    if described is None and len(views) > 1:
+        raise WireError("parts", f"{kind} is one frame, not {len(views)}")
+    arrays: dict[str, np.ndarray] = {}
+    if described is not None:
+        _check_arrays(kind, described, views[1:])
+        arrays = {each["key"]: _array(each, v) for each, v in zip(described, views[1:])}
+        _check_values(kind, arrays)
+    return Message(kind, head, arrays)
+
+
+def receive(socket: Any, flags: int = 0) -> list[Any]:
+    """Frames of the next message of a ZeroMQ socket (a ROUTER's first is the peer's identity).
+
+    Never keeps more than `MAX_PARTS` + 1: of a message with more, the rest is read and let go, and
+    `decode` refuses what is left.
+
+    Args:
+        socket: A pyzmq socket.
+        flags: As of its ``recv``, such as ``zmq.NOBLOCK``.
+    """
+    parts = [socket.recv(flags, copy=False)]
+    while parts[-1].more:
+        more = socket.recv(copy=False)
+        if len(parts) > MAX_PARTS + 1:
+            parts[-1] = more
+        else:
+            parts.append(more)
+    return parts
+
+
+def _unpacked(data: memoryview) -> dict[str, Any]:
+    """The header's map. Limits first: msgpack would set aside what a length claims."""
+    try:
+        head = msgpack.unpackb(
+            data,
+            raw=False,
+            strict_map_key=True,
+            object_pairs_hook=_without_twins,
+            max_str_len=1 << 16,
+            max_bin_len=0,
+            max_ext_len=0,
+            max_array_len=MAX_ROWS,
+            max_map_len=256,
+        )
+    # Of msgpack: ValueError and its kinds (also for bad UTF-8), and RecursionError of its Python
+    # version; whatever else it may raise for a stranger's bytes must not end a server either.
+    except Exception as error:
+        raise WireError("header", f"no msgpack map: {type(error).__name__} {error}"[:300]) from None
+    if type(head) is not dict:
+        raise WireError("header", f"a map, not {type(head).__name__}")
+    return head
+
+
+def _without_twins(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
+    found = dict(pairs)
+    if len(found) != len(pairs):
+        raise ValueError("a key stands twice")
+    return found
+
+
+def _check_arrays(kind: str, described: Any, buffers: Sequence[Any]) -> None:
+    """Descriptions against the buffers' lengths; nothing is allocated."""
+    if type(described) is not list or len(described) != len(buffers):
+        raise WireError("parts", f"{kind}: a description for each of {len(buffers)} buffers")
+    if len(described) > MAX_PARTS - 1:
+        raise WireError("parts", f"{kind}: {len(described)} arrays; at most {MAX_PARTS - 1}")
+    seen = set()
+    for each, buffer in zip(described, buffers):
+        if type(each) is not dict or each.keys() != {"key", "dtype", "shape"}:
+            raise WireError("keys", f"{kind}: an array has exactly key, dtype, shape")
+        key, dtype, shape = each["key"], each["dtype"], each["shape"]
+        if type(key) is not str or not 0 < len(key) <= MAX_KEY or key in seen:
+            raise WireError("field", f"{kind}: keys of 1 to {MAX_KEY} characters, each once")
+        seen.add(key)
+        if type(dtype) is not str or dtype not in DTYPES:
+            raise WireError("dtype", f"{key}: one of {', '.join(DTYPES)}, not {dtype!r:.40}")
+        if (
+            type(shape) is not list
+            or len(shape) > MAX_NDIM
+            or any(type(side) is not int or not 0 <= side <= MAX_PART for side in shape)
+        ):
+            raise WireError("shape", f"{key}: at most {MAX_NDIM} sides of 0 to {MAX_PART}")
+        size = np.dtype(DTYPES[dtype]).itemsize
+        for side in shape:
+            size *= side
+        length = memoryview(buffer).nbytes
+        if size != length:
+            raise WireError("length", f"{key}: {dtype} {shape} is {size} bytes, {length} came")
+        if length > MAX_PART:
+            raise WireError("size", f"{key}: {length} bytes; at most {MAX_PART}")
+    if kind == "ACT":
+        good = [each["key"] for each in described] == ["chunk"]
+        good = good and described[0]["dtype"] in ("f4", "f8") and len(described[0]["shape"]) == 2
+        if not (good and described[0]["shape"][0] <= MAX_ROWS):
+            raise WireError("shape", f"ACT: one array `chunk`, f4 or f8, [0 to {MAX_ROWS}, A]")
+
+
+def _check_values(kind: str, arrays: Mapping[str, np.ndarray]) -> None:
+    """What only contents can show: numbers in actions, truth values that are 0 or 1."""
+    for key, array in arrays.items():
+        if kind == "ACT" and not np.isfinite(array).all():
+            raise WireError("finite", f"{key}: actions are finite numbers")
+        if array.dtype == np.bool_ and array.size and int(array.view(np.uint8).max()) > 1:
+            raise WireError("field", f"{key}: b1 is 0 or 1")
+
+
+def _dtype_name(key: str, array: np.ndarray) -> str:
+    name = array.dtype.str[1:]
+    if name not in DTYPES:
+        allowed = ", ".join(np.dtype(each).name for each in DTYPES.values())
+        raise WireError("dtype", f"{key}: {array.dtype} does not go onto the wire; {allowed} do")
+    return name
+
+
+def _bytes_of(array: np.ndarray) -> Buffer:
+    """The array's own memory, little-endian."""
+    if array.dtype.byteorder == ">" or (array.dtype.byteorder == "=" and not _LITTLE):
+        array = array.astype(array.dtype.newbyteorder("<"))
+    return array.data.cast("B") if array.size else b""
+
+
+def _array(described: Mapping[str, Any], view: memoryview) -> np.ndarray:
+    dtype = np.dtype(DTYPES[described["dtype"]]).newbyteorder("<")
+    flat = np.frombuffer(view, dtype) if view.nbytes else np.empty(0, dtype)
+    # ZeroMQ puts small frames at odd addresses, which some libraries cannot read.
+    flat = flat if flat.flags.aligned else flat.copy()
+    shaped = flat.reshape(described["shape"])
+    shaped.flags.writeable = False
+    return shaped
+
+
+_LITTLE = np.dtype("<i4").isnative

@@ -1,0 +1,1 @@
+"""Model server and safety controller: the ROS side of a learned policy."""

@@ -1,0 +1,128 @@
+"""The client on a machine of its own: its grammar, installation and first words, without ROS."""
+
+import ast
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from helpers import pythons
+from helpers.policy_server import PolicyServer
+from surg_cli import paths
+
+CLIENT = paths.ROOT / "src" / "surg_policy_bridge" / "client"
+ALLOWED = {"msgpack", "numpy", "zmq", "surg_policy_client"}
+# Imported where they are used only: adapters, and the dataset that `replay` reads.
+OPTIONAL = {"pyarrow", "torch", "lerobot", "websockets", "__future__"}
+
+TALK = """
+import importlib, pkgutil, sys
+import surg_policy_client
+for module in pkgutil.walk_packages(surg_policy_client.__path__, "surg_policy_client."):
+    importlib.import_module(module.name)
+ros = {"rospy", "genpy", "surg_core", "surg_cli"} & set(sys.modules)
+assert not ros, ros
+from surg_policy_client.policies.hold import Hold
+served = surg_policy_client.serve(Hold(), sys.argv[1], episodes=1, timeout_s=20.0)
+print("answered", served.observations, surg_policy_client.__file__)
+"""
+
+
+def sources() -> list[Path]:
+    return sorted((CLIENT / "src").rglob("*.py"))
+
+
+@pytest.mark.parametrize("minor", [8, 13])
+def test_every_file_is_python_3_8(minor: int) -> None:
+    for path in sources():
+        ast.parse(path.read_text("utf-8"), str(path), feature_version=(3, minor))
+    assert len(sources()) > 15
+
+
+def test_a_newer_grammar_is_noticed() -> None:
+    with pytest.raises(SyntaxError):
+        ast.parse("match x:\n  case 1: pass", feature_version=(3, 8))
+
+
+def test_it_needs_numpy_pyzmq_and_msgpack_alone() -> None:
+    for path in sources():
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            names = []
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, path
+                names = [node.module or ""]
+            tops = {name.split(".")[0] for name in names}
+            strange = tops - ALLOWED - OPTIONAL - set(sys.stdlib_module_names)
+            assert not strange, f"{path}:{node.lineno}: {strange}"
+
+
+def talk(python: Path, folder: Path) -> str:
+    """Let a Python of its own connect to a server and answer three observations."""
+    env = {k: v for k, v in os.environ.items() if k in ("HOME", "PATH", "LANG", "TMPDIR")}
+    with PolicyServer() as server:
+        program = subprocess.Popen(
+            [str(python), "-I", "-c", TALK, server.address],
+            cwd=folder,
+            env=env,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        try:
+            server.wait("PING", 30.0)
+            for step in range(3):
+                act = server.ask(step)
+                assert act.arrays["chunk"].shape == (8, 5)
+            server.episode(0, "end", True)
+            said, _ = program.communicate(timeout=20.0)
+        finally:
+            program.kill()
+    assert program.returncode == 0, said
+    assert "answered 3" in said, said
+    return said
+
+
+def copied(folder: Path) -> Path:
+    """The client as on a machine that got nothing else."""
+    ignore = shutil.ignore_patterns("__pycache__", "*.egg-info", "build")
+    return Path(shutil.copytree(CLIENT, folder / "client", ignore=ignore))
+
+
+def test_it_installs_into_an_environment_of_the_systems_python(tmp_path: Path) -> None:
+    venv = tmp_path / "venv"
+    argv = [str(paths.SYSTEM_PYTHON), "-m", "venv", "--system-site-packages", str(venv)]
+    subprocess.run(argv, check=True, timeout=120, capture_output=True)
+    python = venv / "bin" / "python"
+    # The three dependencies are the system's; what is tested is that the package is complete.
+    install = ["-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-build-isolation"]
+    env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    subprocess.run(
+        [str(python), *install, str(copied(tmp_path))],
+        check=True,
+        timeout=120,
+        capture_output=True,
+        env=env,
+    )
+    assert str(venv) in talk(python, tmp_path)
+
+
+@pytest.mark.oracle
+@pytest.mark.parametrize("version", ["3.8", "3.12", "3.13"])
+def test_it_installs_into_a_clean_python(version: str, tmp_path: Path) -> None:
+    python = pythons.find(version)
+    if python is None:
+        pytest.skip(f"missing: Python {version}; `uv python install {version}` or pyenv get it")
+    venv = tmp_path / "venv"
+    subprocess.run([str(python), "-m", "venv", str(venv)], check=True, timeout=120)
+    pip = [str(venv / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install"]
+    env = {k: v for k, v in os.environ.items() if not k.startswith("PYTHON")}
+    done = subprocess.run(
+        [*pip, "-q", str(copied(tmp_path))], capture_output=True, text=True, timeout=600, env=env
+    )
+    assert done.returncode == 0, done.stderr
+    print(version, talk(venv / "bin" / "python", tmp_path).splitlines()[-1])

@@ -1,0 +1,46 @@
+"""`./surg keys`: key pairs for a model server and the policies that may connect to it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from surg_cli import paths
+from surg_cli.terminal import Problem, say
+from surg_policy_client import BadKeys
+from surg_policy_client.keys import POLICY, make
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add(
+        "--out",
+        type=Path,
+        default=paths.ROOT / "keys",
+        metavar="DIR",
+        help="folder (default: keys/ in the checkout, which git ignores)",
+    )
+    add(
+        "--policy",
+        default=POLICY,
+        metavar="NAME",
+        help="of the policy's machine or user; another name adds another key pair to the folder",
+    )
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Make the keys; say which go where."""
+    try:
+        made = make(options.out, options.policy)
+    except (BadKeys, OSError) as error:
+        raise Problem(f"keys: {error}", 2) from None
+    for path in made:
+        say(f"  {path}")
+    folder = options.out
+    say(
+        f"Server: ./surg run TASK --policy ADDRESS --policy-keys {folder}\n"
+        f"Policy: copy {folder / options.policy} to its machine (it holds a secret), there "
+        f"`--keys {options.policy}`, or serve(..., keys='{options.policy}')"
+    )
+    return 0
