@@ -21,6 +21,7 @@ from surg_cli.run import Condition
 from surg_recording import episode as recorded
 from surg_sim import tasks
 from surg_sim.episode import EpisodeReport, run_episode
+from surg_sim.recorded import RecordedSession
 from surg_sim.session import Session
 
 pytestmark = pytest.mark.ros
@@ -77,6 +78,33 @@ def test_bowel_and_assistant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     # An action per look, joints and jaw, but for the look that ends the episode.
     for topic in ("servo_jp", "jaw/servo_jp"):
         assert (said["topic"] == topic).sum() == len(ticks) - 1
+    assert_recorded_alike(found, tmp_path / "here")
+
+
+WALL_CLOCK = {"receive_ns", "compute_us", "period_us", "overruns"}
+
+
+def assert_recorded_alike(graph: recorded.Episode, folder: Path) -> None:
+    """What is recorded in this process has the same rows as what came through the graph."""
+    session = RecordedSession(cells.find("sim_two_arms"), SHORT, "in_vivo", 10_000)
+    session.record(folder, 10_001)
+    here = recorded.read(folder)
+    names = [name for name in here.tables if name != "events"]
+    assert {"cycle_PSM1", "cycle_ECM", "ground_truth_PSM1", "command_PSM1"} <= set(names)
+    values = 0
+    for name in names:
+        one, other = here.table(name), graph.table(name)
+        assert one.columns == other.columns
+        for column in [c for c in one.columns if c not in WALL_CLOCK]:
+            # A command has a row per topic and tick; the topics of one tick come in any order.
+            rows = [
+                t["topic"].argsort(kind="stable") if "topic" in t else ... for t in (one, other)
+            ]
+            np.testing.assert_array_equal(
+                one[column][rows[0]], other[column][rows[1]], err_msg=f"{name}.{column}"
+            )
+            values += len(one)
+    print(f"{len(names)} tables, {values} values, the same in both ways")
 
 
 def test_both_arms_commanded(tmp_path: Path) -> None:

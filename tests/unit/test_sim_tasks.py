@@ -151,8 +151,11 @@ def test_a_task_of_an_installed_package_is_found(
     assert "touch" not in tasks.names()
 
 
-def test_seeds_of_tuning_and_test_have_nothing_in_common() -> None:
-    assert not set(seeds.TUNING) & set(seeds.TEST)
+def test_seeds_of_training_tuning_and_test_have_nothing_in_common() -> None:
+    ranges = [set(found) for found in (seeds.TRAINING, seeds.TUNING, seeds.TEST)]
+    assert len(set.union(*ranges)) == sum(map(len, ranges))
+    assert list(seeds.training_seeds(1)) == [seeds.TRAINING[0]]
+    assert list(seeds.tuning_seeds(1)) == [seeds.TUNING[0]]
     assert list(seeds.test_seeds(2)) == [seeds.TEST[0], seeds.TEST[1]]
     with pytest.raises(ValueError, match="1 to 1000"):
         seeds.test_seeds(1001)

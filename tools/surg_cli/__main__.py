@@ -21,6 +21,7 @@ from surg_cli.terminal import Problem, say, warn
 COMMANDS = {
     "demo": ("demo", True, "drive an instrument through its trocar and report how well it went"),
     "run": ("run", True, "episodes of a task by scripted senders, with success and deviations"),
+    "learn": ("learn", True, "demonstrate, export, train, deploy and judge a policy of a task"),
     "evaluate": ("evaluate", True, "figures and tables of recorded episodes, by condition"),
     "teleop": ("teleop", True, "the phantom under your hands: an operator console in the browser"),
     "export": (

@@ -13,7 +13,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, environment, follow, master, paths, processes, run, running, system
+from surg_cli import (
+    cells,
+    environment,
+    follow,
+    learn,
+    master,
+    paths,
+    processes,
+    run,
+    running,
+    system,
+)
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, Progress, say, table, warn
 from surg_cli.watch import Watch
@@ -46,13 +57,22 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         metavar="TASK",
         help="play a task instead of a motion, as ./surg run TASK does",
     )
+    add("--full", action="store_true", help="learn a policy of bgr, as ./surg learn bgr does")
     run.add_options(parser)
+    learn.add_options(parser)
+    parser.set_defaults(episodes=None)
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check everything, run, report; the last line printed is the path of summary.json."""
     _check_mixture(options, command)
+    if options.full:
+        options.task = "bgr"
+        options.episodes = learn.EPISODES if options.episodes is None else options.episodes
+        options.cameras = options.cameras != "none"
+        return learn.main(options, command)
     if options.task is not None:
+        options.episodes = 1 if options.episodes is None else options.episodes
         return run.main(options, command)
     if options.view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise Problem("--view needs a display: neither DISPLAY nor WAYLAND_DISPLAY is set", 2)
@@ -87,7 +107,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def _check_mixture(options: argparse.Namespace, command: str) -> None:
-    """Refuse options of a motion with a task, and of a task with a motion.
+    """Refuse options of a motion with a task, of a task with a motion, of neither with --full.
 
     Raises:
         Problem: Names those that must not be there.
@@ -96,10 +116,18 @@ def _check_mixture(options: argparse.Namespace, command: str) -> None:
     add_arguments(parser, command)
     of_task, shared = {"setting", "episodes", "cameras"}, {"task", "robot", "law", "seed", "out"}
     given = {name for name, value in vars(options).items() if value != parser.get_default(name)}
-    wrong = given & of_task if options.task is None else given - of_task - shared
+    if options.full:
+        allowed = {"full", "setting", "episodes", "cameras", "rollouts", "robot", "seed", "out"}
+        wrong, where = given - allowed, "without --full"
+    elif "rollouts" in given:
+        wrong, where = {"rollouts"}, "with --full"
+    elif options.task is None:
+        wrong, where = given & of_task, "with --task"
+    else:
+        wrong, where = given - of_task - shared, "without --task"
     if wrong:
         names = ", ".join(sorted(f"--{name.replace('_', '-')}" for name in wrong))
-        raise Problem(f"{names}: only {'with' if options.task is None else 'without'} --task", 2)
+        raise Problem(f"{names}: only {where}", 2)
 
 
 @dataclass(frozen=True)

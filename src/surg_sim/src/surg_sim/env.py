@@ -168,11 +168,11 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         """Begin an episode; the arms are homed and enabled, nothing has moved.
 
         Args:
-            seed: Of the episode; None: drawn from ``seeds.TUNING``.
+            seed: Of the episode; None: drawn from ``seeds.TRAINING``.
             options: Not used.
         """
         super().reset(seed=seed)
-        drawn = int(self.np_random.integers(seeds.TUNING.start, seeds.TUNING.stop))
+        drawn = int(self.np_random.integers(seeds.TRAINING.start, seeds.TRAINING.stop))
         self.seed = drawn if seed is None else seed
         session = self.session
         session.reset(self.seed)

@@ -143,7 +143,7 @@ def main(words: list[str] | None = None) -> int:
         prog="python -m surg_sim.gallery", description=(__doc__ or "").split("\n")[0]
     )
     parser.add_argument("out", type=Path, help="folder to write into")
-    parser.add_argument("--seed", type=int, default=seeds.TUNING.start + 1)
+    parser.add_argument("--seed", type=int, default=seeds.TRAINING.start + 1)
     parser.add_argument("--only", choices=("bgr", SHEET), help="leave the other out")
     options = parser.parse_args(words)
     options.out.mkdir(parents=True, exist_ok=True)

@@ -1,15 +1,36 @@
-"""Which seeds may be looked at while something is tuned, and which are kept for the judgement.
+"""Which seeds may be learned from, which may be looked at, and which are kept for the judgement.
 
-The ranges are disjoint and stand here only. A figure in the documentation is of ``TEST`` seeds; a
-threshold, a gain or a policy is chosen with ``TUNING`` seeds.
+The three ranges are disjoint and stand here only. Demonstrations have ``TRAINING`` seeds; a
+threshold, a gain or the size of a network is chosen with ``TUNING`` seeds; a figure in the
+documentation is of ``TEST`` seeds.
 """
 
 from __future__ import annotations
 
-TUNING = range(10_000, 11_000)
-"""Seeds to tune and to train with."""
+TRAINING = range(10_000, 10_700)
+"""Seeds to train with: demonstrations are theirs."""
+TUNING = range(10_700, 11_000)
+"""Seeds to choose with."""
 TEST = range(20_000, 21_000)
 """Seeds to judge with; a figure over n episodes takes the first n."""
+
+
+def training_seeds(n: int) -> range:
+    """The first n training seeds.
+
+    Raises:
+        ValueError: There are not so many.
+    """
+    return _first(TRAINING, n, "training")
+
+
+def tuning_seeds(n: int) -> range:
+    """The first n tuning seeds.
+
+    Raises:
+        ValueError: There are not so many.
+    """
+    return _first(TUNING, n, "tuning")
 
 
 def test_seeds(n: int) -> range:
@@ -18,6 +39,10 @@ def test_seeds(n: int) -> range:
     Raises:
         ValueError: There are not so many.
     """
-    if not 0 < n <= len(TEST):
-        raise ValueError(f"{n} test seeds: 1 to {len(TEST)} are there")
-    return TEST[:n]
+    return _first(TEST, n, "test")
+
+
+def _first(whole: range, n: int, name: str) -> range:
+    if not 0 < n <= len(whole):
+        raise ValueError(f"{n} {name} seeds: 1 to {len(whole)} are there")
+    return whole[:n]

@@ -206,8 +206,11 @@ def _grid(
     lasts += [int(table["stamp_ns"][-1]) for table in others if table.name != "task_state"]
     lasts += [int(video.frames["stamp_ns"][-1]) for video in videos.values()]
     end = min(lasts)
-    if videos:
-        reference = next(iter(videos.values())).frames["stamp_ns"]
+    # A sender speaks a tick after its look: a grid that stood on the commands, not on the looks,
+    # would give every observation the answer to the next one.
+    looks = next((table["stamp_ns"] for table in others if table.name == "task_state"), None)
+    reference = next((video.frames["stamp_ns"] for video in videos.values()), looks)
+    if reference is not None:
         later = reference[reference >= begin]
         begin = int(later[0]) if len(later) else end + 1
     frames = (end - begin) * options.fps // SECOND + 1 if end >= begin else 0

@@ -1,0 +1,302 @@
+"""A learned policy for bowel grasping and retraction: numpy only, no platform, no torch.
+
+    python3 examples/bgr_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
+
+`train_bgr.py` makes the weights. The policy reads `observation.state`, which a robot measures, and
+`privileged.task_state`, the simulator's ground truth: **no robot can measure that**, so this policy
+works on the phantom only. It answers each observation with a chunk of actions for the next steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import sys
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+FORMAT = "surg_bgr_policy/1"
+STATE, TASK, ACTION = "observation.state", "privileged.task_state", "action"
+LAGS = (0, 4, 8, 16)
+"""Steps back at which the slow features are looked at: when something happened is seen by this."""
+WEIGHTS = "SURG_BGR_WEIGHTS"
+"""Environment variable with the file of the weights, where the command line does not say it."""
+EVERY = 1
+"""Steps from one chunk to the next, chosen with tuning seeds."""
+ROBOT = "PSM1"
+NODES = 36
+"""Of the bowel."""
+SET = slice(5, 9)
+"""Set-point of tip and roll in `observation.state`."""
+
+
+class Columns:
+    """Finds numbers by their names, so that an order is never taken for granted.
+
+    Args:
+        state: Names of the numbers of `observation.state`.
+        task: Names of the numbers of `privileged.task_state`.
+
+    Raises:
+        ValueError: A name that is needed is not there.
+    """
+
+    def __init__(self, state: Sequence[str], task: Sequence[str]) -> None:
+        wanted = [f"{ROBOT}/{n}" for n in ("tip_x", "tip_y", "tip_z", "roll", "jaw")]
+        wanted += [f"{ROBOT}/{n}" for n in ("set_x", "set_y", "set_z", "roll_set")]
+        self.state = self._find(STATE, state, wanted)
+        self.task = {
+            name: self._find(TASK, task, [name])[0]
+            for name in ("target", "held", "assistant_held", "assistant_jaw", "tension", "visible")
+        }
+        for name in ("tip", "force", "assistant_tip"):
+            self.task[name] = self._find(TASK, task, [f"{name}_{i}" for i in range(3)])
+        flat = [f"nodes_{i}_{k}" for i in range(NODES) for k in range(3)]
+        self.task["nodes"] = self._find(TASK, task, flat)
+
+    @staticmethod
+    def _find(key: str, names: Sequence[str], wanted: Sequence[str]) -> Any:
+        missing = [name for name in wanted if name not in names]
+        if missing:
+            raise ValueError(f"{key} has no {', '.join(missing)}; it has {', '.join(names)[:200]}")
+        return np.array([list(names).index(name) for name in wanted])
+
+
+def features(columns: Columns, state: np.ndarray, task: np.ndarray) -> np.ndarray:
+    """What the network sees at each of T successive steps of one episode.
+
+    Vectors from place to place instead of places, the holds as numbers, and how some of it was a
+    little earlier (`LAGS`; before the first step: as at the first step). The set-point's past is
+    not among it: a network that sees it learns to go on as before.
+
+    Args:
+        columns: Where what is.
+        state: (T, 9) `observation.state`.
+        task: (T, 148) `privileged.task_state`.
+
+    Returns:
+        (T, F).
+    """
+    s = state[:, columns.state]
+    z = {name: task[:, index] for name, index in columns.task.items()}
+    nodes = z["nodes"].reshape(len(task), NODES, 3)
+    i = np.clip(np.rint(z["target"]).astype(int), 1, NODES - 2)
+    row = np.arange(len(task))
+    target, tip, helper = nodes[row, i], z["tip"], z["assistant_tip"]
+    held, assistant_held = (z[name] >= 0 for name in ("held", "assistant_held"))
+    now = [
+        s,
+        target - tip,
+        nodes[row, i + 1] - nodes[row, i - 1],
+        helper - tip,
+        np.where(held, z["held"] - z["target"], 0.0)[:, None],
+        z["force"],
+        z["visible"][:, None],
+    ]
+    slow = np.column_stack(
+        [helper - target, held, assistant_held, z["assistant_jaw"], s[:, 4], z["tension"]]
+    )
+    past = [slow[np.maximum(row - lag, 0)] for lag in LAGS]
+    return np.hstack([*now, *past])
+
+
+class Network:
+    """A multilayer perceptron with ReLU; weights (n_in, n_out) and biases, float32."""
+
+    def __init__(self, layers: Sequence[tuple[np.ndarray, np.ndarray]]) -> None:
+        self.layers = list(layers)
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """(T, n_in) to (T, n_out), both normalised."""
+        for weight, bias in self.layers[:-1]:
+            x = np.maximum(x @ weight + bias, 0.0)
+        weight, bias = self.layers[-1]
+        return x @ weight + bias
+
+
+class Policy:
+    """Weights and what they mean.
+
+    Attributes:
+        wants: Observations that it needs.
+        chunk: Actions per answer, K.
+        about: What the weights were made of and with.
+    """
+
+    format = FORMAT
+    wants = (STATE, TASK)
+    network_type: Any = Network
+    every = EVERY
+
+    def __init__(
+        self,
+        network: Any,
+        scales: Mapping[str, np.ndarray],
+        names: Mapping[str, Sequence[str]],
+        chunk: int,
+        about: Mapping[str, Any],
+    ) -> None:
+        self.network, self.scales, self.chunk = network, dict(scales), chunk
+        self.names = {key: list(value) for key, value in names.items()}
+        self.about = dict(about)
+        self._checked = False
+        if TASK in self.wants:
+            self._columns = Columns(self.names[STATE], self.names[TASK])
+        self.reset()
+
+    # --- weights on disk ----------------------------------------------------------------------
+
+    def save(self, file: Path) -> None:
+        """Write an .npz without pickle."""
+        head = {
+            "format": self.format,
+            "names": self.names,
+            "chunk": self.chunk,
+            "about": self.about,
+        }
+        arrays = {f"scale_{name}": value for name, value in self.scales.items()}
+        for i, (weight, bias) in enumerate(self.network.layers):
+            arrays[f"weight_{i}"], arrays[f"bias_{i}"] = weight, bias
+        text = np.frombuffer(json.dumps(head, sort_keys=True).encode(), np.uint8)
+        with file.open("wb") as stream:
+            np.savez(stream, head=text, **arrays)
+
+    @classmethod
+    def load(cls, file: Path) -> Policy:
+        """Read weights.
+
+        Raises:
+            ValueError: The file holds something else.
+        """
+        try:
+            with np.load(file, allow_pickle=False) as found:
+                arrays = {name: found[name] for name in found.files}
+            head = json.loads(arrays.pop("head").tobytes())
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"{file}: no weights of this policy ({error})") from None
+        if not isinstance(head, dict) or head.get("format") != cls.format:
+            raise ValueError(f"{file}: its format is not {cls.format}")
+        count = sum(name.startswith("weight_") for name in arrays)
+        layers = [(arrays[f"weight_{i}"], arrays[f"bias_{i}"]) for i in range(count)]
+        scales = {n[6:]: value for n, value in arrays.items() if n.startswith("scale_")}
+        return cls(cls.network_type(layers), scales, head["names"], head["chunk"], head["about"])
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over weights and scales: the same for the same training."""
+        found = hashlib.sha256()
+        for array in [a for layer in self.network.layers for a in layer]:
+            found.update(np.ascontiguousarray(array).tobytes())
+        for name in sorted(self.scales):
+            found.update(np.ascontiguousarray(self.scales[name]).tobytes())
+        return found.hexdigest()
+
+    # --- acting -------------------------------------------------------------------------------
+
+    def reset(self, instruction: str = "", seed: int | None = None) -> None:
+        """Forget the last episode. Nothing here is random, and there is one task."""
+        del instruction, seed
+        self._seen = 0
+        self._past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=max(LAGS) + 1)
+
+    def predict(self, inputs: np.ndarray, state: np.ndarray) -> np.ndarray:
+        """Chunks for features.
+
+        Args:
+            inputs: (T, F) of `features`.
+            state: (T, 9) `observation.state`: actions are learned relative to its set-point.
+
+        Returns:
+            (T, K, 5) tip [m], roll [rad], jaw [rad]; absolute.
+        """
+        scales = self.scales
+        x = (inputs - scales["input_mean"]) / scales["input_std"]
+        y = self.network(x.astype(np.float32)).astype(np.float64)
+        y = (y * scales["output_std"] + scales["output_mean"]).reshape(len(x), self.chunk, 5)
+        y[:, :, :4] += state[:, self._columns.state[SET]][:, None, :]
+        return y
+
+    def see(self, observation: Any) -> Mapping[str, np.ndarray]:
+        """The arrays of an observation, whose numbers are those of the training.
+
+        Args:
+            observation: A `surg_policy_client.Observation`, or arrays by key.
+
+        Raises:
+            ValueError: Its numbers are others, or in another order.
+        """
+        spec = getattr(observation, "spec", None)
+        if spec is not None and not self._checked:
+            for key in self.wants:
+                served = list(spec.observation[key].names or ())
+                if key in self.names and served != self.names[key]:
+                    raise ValueError(
+                        f"{key} is served as {', '.join(served)[:200]}; this policy was trained on "
+                        f"{', '.join(self.names[key])[:200]}"
+                    )
+            self._checked = True
+        return getattr(observation, "arrays", observation)
+
+    def act(self, observation: Any) -> np.ndarray | None:
+        """The next actions from an observation (`surg_policy_client.Observation`).
+
+        Returns:
+            (K, 5); None: the chunk before goes on.
+        """
+        arrays = self.see(observation)
+        state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
+        self._past.append((state, task))
+        self._seen += 1
+        if (self._seen - 1) % self.every:
+            return None
+        states, tasks = (np.array([pair[i] for pair in self._past]) for i in (0, 1))
+        inputs = features(self._columns, states, tasks)[-1:]
+        return self.predict(inputs, states[-1:])[0]
+
+
+def serve(kind: type[Policy], about: str, words: Sequence[str] | None = None) -> int:
+    """The command line of a policy: connect, and answer until Ctrl-C.
+
+    Args:
+        kind: Which policy.
+        about: One line of help.
+        words: Of the command line.
+
+    Returns:
+        Exit status: 0 after Ctrl-C, 1 for a server that does not fit, 2 for wrong input.
+    """
+    parser = argparse.ArgumentParser(description=about)
+    parser.add_argument("--server", default="tcp://127.0.0.1:5555", help="address of the platform")
+    parser.add_argument(
+        "--weights",
+        type=Path,
+        default=os.environ.get(WEIGHTS),
+        help=f"made by train_bgr.py (default: the variable {WEIGHTS})",
+    )
+    parser.add_argument("--keys", type=Path, help="folder of keys, where the server has keys")
+    options = parser.parse_args(words)
+    if options.weights is None:
+        parser.error("--weights FILE is needed; train_bgr.py makes one")
+    import surg_policy_client
+
+    try:
+        policy = kind.load(Path(options.weights))
+    except (OSError, ValueError) as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 2
+    try:
+        surg_policy_client.serve(policy, options.server, keys=options.keys)
+    except surg_policy_client.PolicyClientError as error:
+        print(f"{parser.prog}: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(serve(Policy, (__doc__ or "").split("\n")[0]))

@@ -1,0 +1,315 @@
+"""Trains the policy of `bgr_policy.py` on a LeRobot dataset (v2.1) that `./surg export` wrote.
+
+    python3 examples/train_bgr.py datasets/bgr --out weights.npz --seed 0
+
+Behaviour cloning of action chunks with a small multilayer perceptron, in plain numpy: the same
+dataset, options and seed give the same weights. Reads the split `train`; says what the loss is on
+it and on `val`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bgr_policy import ACTION, SET, STATE, TASK, Columns, Network, Policy, features
+
+Array = np.ndarray
+
+
+KINDS = {False: "multilayer perceptron", True: "convolutional network"}
+
+
+@dataclass(frozen=True)
+class Options:
+    """What may be chosen; chosen with tuning seeds."""
+
+    chunk: int = 16
+    """Actions predicted at once."""
+    hidden: tuple[int, ...] = (256, 256)
+    steps: int = 6000
+    """Of the optimiser."""
+    batch: int = 512
+    rate: float = 1.5e-3
+    """Of learning, at first; falls to nothing along half a cosine."""
+    decay: float = 1e-4
+    """Of weights."""
+    noise: float = 0.03
+    """Added to normalised inputs."""
+    seed: int = 0
+
+
+@dataclass
+class Episode:
+    """One recording of the dataset: T steps."""
+
+    state: Array
+    task: Array
+    action: Array
+
+
+@dataclass
+class Dataset:
+    """Episodes by split, and the names of their numbers."""
+
+    episodes: dict[str, list[Episode]]
+    names: dict[str, list[str]]
+    about: dict[str, Any]
+
+
+def read(folder: Path) -> Dataset:
+    """Read the tables of a dataset.
+
+    Raises:
+        ValueError: It is none, or lacks a feature that is needed.
+    """
+    import pyarrow.parquet
+
+    try:
+        info = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{folder}: no LeRobot dataset (meta/info.json: {error})") from None
+    needed = (STATE, TASK, ACTION)
+    missing = [name for name in needed if name not in info["features"]]
+    if missing:
+        raise ValueError(
+            f"{folder}: the dataset has no {', '.join(missing)}; export it without --drop"
+        )
+    names = {name: _flat(info["features"][name]["names"]) for name in needed}
+    episodes: dict[str, list[Episode]] = {}
+    for split, ends in info["splits"].items():
+        first, last = (int(number) for number in ends.split(":"))
+        for index in range(first, last):
+            file = folder / info["data_path"].format(
+                episode_chunk=index // info["chunks_size"], episode_index=index
+            )
+            table = pyarrow.parquet.read_table(file, columns=list(needed))
+            columns = [np.stack(table[name].to_numpy()).astype(np.float64) for name in needed]
+            episodes.setdefault(split, []).append(Episode(*columns))
+    return Dataset(episodes, names, {"fps": info["fps"], "robot": info["robot_type"]})
+
+
+def _flat(names: Any) -> list[str]:
+    """The format allows a list, or a dictionary with one."""
+    return list(next(iter(names.values()))) if isinstance(names, dict) else list(names)
+
+
+def samples(episode: Episode, columns: Columns, chunk: int) -> tuple[Array, Array]:
+    """Inputs (T, F) and targets (T, chunk * 5) of an episode."""
+    inputs = features(columns, episode.state, episode.task)
+    return inputs, targets_of(episode, columns.state[SET], chunk)
+
+
+def targets_of(episode: Episode, held: Any, chunk: int) -> Array:
+    """What is to be predicted at each step, (T, chunk * 5).
+
+    Relative to the set-point, but for the jaw. Behind the end the last action stays.
+
+    Args:
+        episode: Of the dataset.
+        held: Columns of the state with the set-point of tip and roll.
+        chunk: Actions ahead.
+    """
+    row = np.arange(len(episode.state))
+    ahead = np.minimum(row[:, None] + np.arange(chunk), len(row) - 1)
+    targets = episode.action[ahead]
+    targets[:, :, :4] -= episode.state[:, held][:, None, :]
+    return targets.reshape(len(row), -1)
+
+
+class Adam:
+    """The optimiser of Kingma and Ba (2015) with decoupled weight decay, on one flat vector.
+
+    Args:
+        parameters: (n,) float32; changed in place.
+        decay: Of weights, times the rate.
+    """
+
+    def __init__(self, parameters: Array, decay: float) -> None:
+        self._p, self._decay, self._t = parameters, decay, 0
+        self._m, self._v = np.zeros_like(parameters), np.zeros_like(parameters)
+        self._buffer = np.empty_like(parameters)
+
+    def step(self, gradient: Array, rate: float) -> None:
+        """Go one step down."""
+        self._t += 1
+        b1, b2, buffer = 0.9, 0.999, self._buffer
+        self._m *= b1
+        self._m += np.multiply(gradient, 1 - b1, out=buffer)
+        np.multiply(gradient, gradient, out=buffer)
+        buffer *= 1 - b2
+        self._v *= b2
+        self._v += buffer
+        np.divide(self._v, 1 - b2**self._t, out=buffer)
+        np.sqrt(buffer, out=buffer)
+        buffer += 1e-8
+        np.divide(self._m, buffer, out=buffer)
+        buffer *= rate / (1 - b1**self._t)
+        self._p *= 1 - rate * self._decay
+        self._p -= buffer
+
+
+def huber(error: Array) -> tuple[float, Array]:
+    """Mean Huber loss (linear from 0.5 on) of errors, and its slope by each of them."""
+    bounded = np.clip(error, -0.5, 0.5)
+    loss = float(np.mean(bounded * (error - 0.5 * bounded)))
+    return loss, bounded / error.dtype.type(error.size)
+
+
+def gradient_of(
+    network: Network, grads: Sequence[tuple[Array, Array]], x: Array, target: Array
+) -> float:
+    """Mean Huber loss of a batch; its gradient is written into ``grads``.
+
+    Args:
+        network: Its layers are read.
+        grads: Of each layer, weight and bias; written.
+        x: (B, n_in), normalised.
+        target: (B, n_out), normalised.
+    """
+    kept = [x]
+    for weight, bias in network.layers[:-1]:
+        kept.append(np.maximum(kept[-1] @ weight + bias, 0.0))
+    weight, bias = network.layers[-1]
+    loss, back = huber(kept[-1] @ weight + bias - target)
+    for i in range(len(network.layers) - 1, -1, -1):
+        np.matmul(kept[i].T, back, out=grads[i][0])
+        np.sum(back, axis=0, out=grads[i][1])
+        if i:
+            back = (back @ network.layers[i][0].T) * (kept[i] > 0)
+    return loss
+
+
+def flat_layers(shapes: Sequence[tuple[int, int]]) -> tuple[Array, list[tuple[Array, Array]]]:
+    """One vector of zeros, and layers (n_in, n_out) with their biases as views into it."""
+    flat, layers, at = np.zeros(sum((a + 1) * b for a, b in shapes), np.float32), [], 0
+    for a, b in shapes:
+        weight = flat[at : at + a * b].reshape(a, b)
+        layers.append((weight, flat[at + a * b : at + (a + 1) * b]))
+        at += (a + 1) * b
+    return flat, layers
+
+
+def train(
+    dataset: Dataset,
+    options: Options,
+    progress: Callable[[float, str], None] = lambda part, note: None,
+) -> Policy:
+    """Train on the split ``train``.
+
+    Raises:
+        ValueError: There is nothing to train on.
+    """
+    columns = Columns(dataset.names[STATE], dataset.names[TASK])
+    parts = {
+        split: [samples(episode, columns, options.chunk) for episode in episodes]
+        for split, episodes in dataset.episodes.items()
+    }
+    if not parts.get("train"):
+        raise ValueError("the dataset has no episode in its split 'train'")
+    inputs, targets = (np.concatenate(part) for part in zip(*parts["train"], strict=True))
+    scales = {
+        "input_mean": inputs.mean(axis=0),
+        "input_std": np.maximum(inputs.std(axis=0), 1e-3),
+        "output_mean": targets.mean(axis=0),
+        "output_std": np.maximum(targets.std(axis=0), 1e-4),
+    }
+    normal = {
+        split: [np.concatenate([pair[k] for pair in pairs]) for k in (0, 1)]
+        for split, pairs in parts.items()
+    }
+    for pair in normal.values():
+        pair[0] = ((pair[0] - scales["input_mean"]) / scales["input_std"]).astype(np.float32)
+        pair[1] = ((pair[1] - scales["output_mean"]) / scales["output_std"]).astype(np.float32)
+    x, y = normal["train"]
+    rng = np.random.default_rng(options.seed)
+    sizes = [x.shape[1], *options.hidden, y.shape[1]]
+    shapes = list(itertools.pairwise(sizes))
+    flat, layers = flat_layers(shapes)
+    for weight, _ in layers:
+        weight[:] = rng.standard_normal(weight.shape) * np.sqrt(2.0 / len(weight))
+    layers[-1][0][:] *= 0.1
+    network, adam = Network(layers), Adam(flat, options.decay)
+    slope, grads = flat_layers(shapes)
+    for step in range(options.steps):
+        chosen = rng.integers(0, len(x), options.batch)
+        batch = x[chosen]
+        batch += options.noise * rng.standard_normal(batch.shape, np.float32)
+        loss = gradient_of(network, grads, batch, y[chosen])
+        adam.step(slope, options.rate * 0.5 * (1 + np.cos(np.pi * step / options.steps)))
+        if step % 50 == 0:
+            progress(step / options.steps, f"step {step} of {options.steps}, loss {loss:.4f}")
+    losses = {split: _loss(network, *pair) for split, pair in normal.items()}
+    about = {
+        "options": asdict(options),
+        "dataset": dataset.about,
+        "episodes": {split: len(found) for split, found in dataset.episodes.items()},
+        "frames": len(x),
+        "parameters": int(flat.size),
+        "loss": losses,
+        "observation": [STATE, TASK],
+        "privileged": [TASK],
+    }
+    return Policy(network, scales, dataset.names, options.chunk, about)
+
+
+def _loss(network: Network, x: Array, y: Array) -> float:
+    """Mean absolute error in units of each output's standard deviation."""
+    return float(np.mean(np.abs(network(x) - y)))
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Entry point: 0 done, 2 for a dataset that cannot be used."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("dataset", type=Path, help="folder that ./surg export wrote")
+    parser.add_argument("--out", type=Path, required=True, help="weights (.npz)")
+    parser.add_argument("--seed", type=int, help="of the training (default 0)")
+    parser.add_argument("--steps", type=int, help="of the optimiser")
+    parser.add_argument("--chunk", type=int, help="actions predicted at once")
+    parser.add_argument("--images", action="store_true", help="the policy that looks at pictures")
+    parser.add_argument("--json", action="store_true", help="progress as JSON lines")
+    options = parser.parse_args(words)
+    started = time.monotonic()
+
+    def show(part: float, note: str) -> None:
+        print(json.dumps({"part": part, "note": note}) if options.json else note, flush=True)
+
+    given = {
+        n: getattr(options, n)
+        for n in ("seed", "steps", "chunk")
+        if getattr(options, n) is not None
+    }
+    try:
+        dataset = read(options.dataset)
+        if options.images:
+            import train_bgr_images as images
+
+            policy = images.train(dataset, options.dataset, images.ImageOptions(**given), show)
+        else:
+            policy = train(dataset, Options(**given), show)
+    except ValueError as error:
+        print(f"train_bgr: {error}", file=sys.stderr)
+        return 2
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    policy.save(options.out)
+    about = policy.about
+    losses = ", ".join(f"{split} {value:.4f}" for split, value in about["loss"].items())
+    words = (
+        f"chunks of {policy.chunk}, {KINDS[options.images]}, {about['parameters']} parameters, "
+        f"{about['frames']} frames, loss {losses}"
+    )
+    told = {**about, "words": words, "weights": policy.hash, "s": time.monotonic() - started}
+    print(json.dumps(told) if options.json else f"{words}; weights {policy.hash[:16]}", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

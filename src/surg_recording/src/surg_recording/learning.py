@@ -1,0 +1,161 @@
+"""What a policy that was learned came to: its roll-outs beside the demonstrations.
+
+Entries are those of ``trials.describe``, so that every number is computed as everywhere else. What
+each means is said in docs/learning.md and docs/run.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from surg_recording import episode, trials, unsafe
+from surg_recording.episode import Episode
+
+Entry = Mapping[str, Any]
+
+OF_THE_WIRE = ("rejected", "clipped", "late", "obs_age_ms", "round_trip_ms")
+"""Of a roll-out, as the model server counted them; None where it did not say."""
+
+
+def roll_out(entry: Entry, served: Mapping[str, Any], recorded: Episode | None) -> dict[str, Any]:
+    """One entry of ``rollouts`` in ``summary.json``.
+
+    Args:
+        entry: Made by ``trials.describe``.
+        served: What the model server said at the end, by ``OF_THE_WIRE``.
+        recorded: The recording; None where there is none.
+    """
+    rcm = entry["rcm_kinematic_mm"] or {}
+    smoothness = entry["smoothness"] or {}
+    return {
+        "seed": entry["seed"],
+        "success": entry["success"],
+        "reason": entry["failure_reason"] or "",
+        "phase": entry["phase"],
+        "played": entry["played"],
+        "duration_s": entry["duration_s"],
+        "rcm_mean_mm": rcm.get("mean"),
+        "rcm_max_mm": rcm.get("max"),
+        "sparc": smoothness.get("sparc"),
+        "ldlj": smoothness.get("ldlj"),
+        **{name: served.get(name) for name in OF_THE_WIRE},
+        "unsafe": None if recorded is None else look(recorded),
+        "state_hash": entry["state_hash"],
+    }
+
+
+def look(recorded: Episode) -> dict[str, Any]:
+    """Unsafe commands of all arms of a recording: how many cycles were looked at, and by rule."""
+    found: dict[str, int] = {}
+    cycles = 0
+    for arm in recorded.arms:
+        cycles += len(recorded.cycle(arm))
+        for rule in unsafe.examine(recorded, arm):
+            found[rule.name] = found.get(rule.name, 0) + rule.cycles
+    return {"cycles": cycles, "commands": sum(found.values()), "rules": found}
+
+
+def demonstration(folder: Path) -> dict[str, Any]:
+    """A demonstration's entry.
+
+    Args:
+        folder: Of its recording.
+
+    Raises:
+        EpisodeError: It cannot be read.
+    """
+    recorded = episode.read(folder)
+    run = recorded.manifest.get("run") or {}
+    verdict = (recorded.manifest.get("sim") or {}).get("task") or {}
+    ticks = (recorded.manifest.get("sim") or {}).get("sim_time_s") or 0.0
+    outcome = trials.Outcome(
+        bool(verdict.get("success")), str(verdict.get("reason")), "", float(ticks)
+    )
+    return trials.describe(run["seed"], run["setting"], run["law"], outcome, recorded)
+
+
+def summarise(
+    rollouts: Sequence[Entry], shown: Sequence[Entry], info: Mapping[str, Any], least: int
+) -> dict[str, Any]:
+    """The dictionary of ``summary.json``.
+
+    Args:
+        rollouts: Made by ``roll_out``.
+        shown: Entries of demonstrations, to compare with.
+        info: What else is to stand there; copied.
+        least: Successes that are hoped for.
+
+    Returns:
+        The summary. ``ok``: every roll-out was played to its end, as many as hoped for succeeded,
+        and no command was unsafe.
+    """
+    rate = trials.success_rate([e["success"] for e in rollouts])
+    reasons = [
+        f"roll-out of seed {e['seed']} was not played to its end: {e['reason']}"
+        for e in rollouts
+        if not e["played"]
+    ]
+    looked = [e["unsafe"] for e in rollouts if e["unsafe"] is not None]
+    commands = sum(each["commands"] for each in looked)
+    if len(looked) < len(rollouts):
+        reasons.append(f"{len(rollouts) - len(looked)} roll-outs have no recording to look at")
+    if commands:
+        reasons.append(f"{commands} unsafe commands (by rule: key 'unsafe')")
+    if rate["k"] < least:
+        reasons.append(f"{rate['k']} of {rate['n']} roll-outs succeeded, at least {least} were due")
+    rules: dict[str, int] = {}
+    for each in looked:
+        for name, cycles in each["rules"].items():
+            rules[name] = rules.get(name, 0) + cycles
+    return {
+        "ok": not reasons,
+        "reasons": reasons,
+        **info,
+        "success_rate": rate,
+        "unsafe_commands": commands,
+        "unsafe": {"cycles": sum(each["cycles"] for each in looked), "rules": rules},
+        "rcm_max_mm": spread(rollouts, "rcm_max_mm"),
+        "rcm_mean_mm": spread(rollouts, "rcm_mean_mm"),
+        "smoothness": {
+            name: {
+                "rollouts": spread(rollouts, name),
+                "demonstrations": spread([e["smoothness"] or {} for e in shown], name),
+            }
+            for name in ("sparc", "ldlj")
+        },
+        **{name: _total(rollouts, name) for name in ("rejected", "clipped", "late")},
+        "obs_age_ms": _percentiles(rollouts, "obs_age_ms"),
+        "round_trip_ms": _percentiles(rollouts, "round_trip_ms"),
+        "rollouts": [dict(e) for e in rollouts],
+    }
+
+
+def spread(entries: Sequence[Entry], name: str) -> dict[str, float | int | None]:
+    """Count, least, median and greatest of one number of the entries that have it."""
+    numbers = trials.values(entries, name)
+    if not numbers:
+        return {"n": 0, "min": None, "median": None, "max": None}
+    return {
+        "n": len(numbers),
+        "min": min(numbers),
+        "median": float(np.median(numbers)),
+        "max": max(numbers),
+    }
+
+
+def _total(entries: Sequence[Entry], name: str) -> int | None:
+    numbers = [e[name] for e in entries if e[name] is not None]
+    return sum(numbers) if numbers else None
+
+
+def _percentiles(entries: Sequence[Entry], name: str) -> dict[str, float | None]:
+    """Median of the roll-outs' medians, and the largest of their 99th percentiles."""
+    middle, high = trials.values(entries, name, "p50"), trials.values(entries, name, "p99")
+    return {
+        "p50": float(np.median(middle)) if middle else None,
+        "p99": max(high) if high else None,
+    }

@@ -1,0 +1,258 @@
+"""Unsafe commands in a recording, counted from its control cycles alone.
+
+An opinion of its own: it shares no code with the controller, its gate, or the model server's safety
+controller. Positions, steps, speeds and deviations are computed anew from the rows (never from the
+columns in which the controller says how well it went) and compared with the limits that the
+manifest recorded with the episode. What is counted are control cycles, by rule.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_recording.episode import Episode, Table
+from surg_recording.errors import EpisodeError
+
+Array = npt.NDArray[np.float64]
+
+TOLERANCE = 1e-6
+"""Relative; a limit that is met exactly is met."""
+ENABLED = 1
+SERVO = (1, 2, 3, 4, 9)
+"""Commands that stream: servo_cp, _jp, _cv, _jv, _jr."""
+POSES = (1, 2, 9)
+"""Those whose goal may be a step away."""
+STOP_NS = 300_000_000
+"""A ramp may last so long after an arm has left ENABLED [ns]."""
+STILL = 1e-6
+"""A joint velocity below it is none [rad/s]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Rule:
+    """What one rule found in the cycles of one arm.
+
+    Attributes:
+        name: Of the rule.
+        unit: Of ``worst`` and ``limit``.
+        cycles: How many cycles break it.
+        worst: Largest value found, of the joint or axis nearest to its limit; None: nothing to look
+            at.
+        limit: Its limit.
+        first_ns: Stamp of the first cycle that breaks it; None: none does.
+    """
+
+    name: str
+    unit: str
+    cycles: int
+    worst: float | None
+    limit: float
+    first_ns: int | None
+
+
+def count(episode: Episode) -> int:
+    """Cycles of all arms that break any rule, added over the rules."""
+    return sum(rule.cycles for arm in episode.arms for rule in examine(episode, arm))
+
+
+def examine(episode: Episode, arm: str) -> list[Rule]:
+    """Hold the cycles of an arm against the limits that were recorded with them.
+
+    Args:
+        episode: The recording.
+        arm: Whose.
+
+    Raises:
+        EpisodeError: There are no cycles, or the manifest does not say a limit that is needed.
+    """
+    limits = _Limits(episode, arm)
+    cycle = episode.cycle(arm)
+    # A cycle without a new joint state repeats its stamp: the last one counts.
+    stamps = cycle["stamp_ns"]
+    cycle = cycle.select(np.flatnonzero(np.append(np.diff(stamps) > 0, True)))
+    stamps = cycle["stamp_ns"]
+    dt = np.diff(stamps) * 1e-9
+    look = _Look(stamps)
+    qd = cycle.joints("qd_command") if "qd_command0" in cycle else np.zeros((len(cycle), 0))
+    bad = ~np.isfinite(qd).all(axis=1)
+    rules = [look.mask("not finite", "1", bad, bad.astype(float), 0.0)]
+    qd = np.nan_to_num(qd, nan=0.0, posinf=0.0, neginf=0.0)
+    joint = limits.joint
+    rules.append(look.bound("joint velocity", "rad/s", np.abs(qd), joint("velocity")))
+    change = np.abs(np.diff(qd, axis=0)) / dt[:, None]
+    rules.append(look.bound("joint acceleration", "rad/s^2", change, joint("acceleration"), 1))
+    q = cycle.joints()
+    low, high = joint("position_min"), joint("position_max")
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    rules.append(look.bound("joint position, from the middle", "rad", np.abs(q - middle), half))
+    rules.append(_motion_while_stopped(look, cycle, qd))
+    rules += _tip(look, cycle, dt, limits)
+    deviation = _distance(cycle.vector("p_rcm"), cycle.vector("p_tip"), cycle.vector("s"))
+    homed = cycle["homed"] == 1
+    deviation = np.where(homed, deviation, 0.0)
+    rules.append(look.bound("RCM deviation", "m", deviation[:, None], limits["rcm_error_fault"]))
+    return rules
+
+
+class _Limits:
+    """Limits of an arm as the manifest has them."""
+
+    def __init__(self, episode: Episode, arm: str) -> None:
+        self._where = f"{episode.folder}/manifest.json"
+        arms = (episode.manifest.get("cell") or {}).get("arms") or {}
+        if arm not in arms:
+            raise EpisodeError(f"{self._where}: no description of {arm}, so its limits are unknown")
+        self._arm: Mapping[str, Any] = arms[arm]
+        self._name = arm
+
+    def __getitem__(self, name: str) -> float:
+        found = (self._arm.get("limits") or {}).get(name)
+        if not isinstance(found, int | float):
+            raise EpisodeError(f"{self._where}: {self._name} has no limit '{name}'")
+        return float(found)
+
+    def joint(self, name: str) -> Array:
+        """A number for each joint, (n,)."""
+        found = ((self._arm.get("robot") or {}).get("joints") or {}).get(name)
+        if not isinstance(found, list):
+            raise EpisodeError(f"{self._where}: the robot of {self._name} has no joints.{name}")
+        return np.array(found, dtype=np.float64)
+
+    @property
+    def jaw(self) -> tuple[float, float] | None:
+        """Least and largest angle; None: the instrument has no jaws."""
+        found = (self._arm.get("instrument") or {}).get("jaw")
+        return (float(found["min"]), float(found["max"])) if found else None
+
+
+class _Look:
+    """Turns values of cycles into rules."""
+
+    def __init__(self, stamps: npt.NDArray[np.int64]) -> None:
+        self._stamps = stamps
+
+    def bound(
+        self, name: str, unit: str, values: Array, limit: Array | float, later: int = 0
+    ) -> Rule:
+        """Values (N, k) that must not be above a limit or limits (k,).
+
+        ``later``: the first value is of that cycle. What is not a number breaks the rule.
+        """
+        limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape[1:])
+        broken = (~(values <= limits * (1.0 + TOLERANCE))).any(axis=1)
+        if not values.size:
+            return Rule(name, unit, 0, None, float(np.min(limits, initial=np.inf)), None)
+        shares = np.where(np.isfinite(values), values / limits, np.inf)
+        column = int(np.argmax(shares.max(axis=0)))
+        return self.mask(name, unit, broken, values[:, column], float(limits[column]), later)
+
+    def mask(
+        self,
+        name: str,
+        unit: str,
+        broken: npt.NDArray[np.bool_],
+        values: Array,
+        limit: float,
+        later: int = 0,
+    ) -> Rule:
+        """Cycles that are known to break a rule."""
+        where = np.flatnonzero(broken)
+        first = int(self._stamps[later + where[0]]) if len(where) else None
+        worst = float(np.max(values)) if len(values) else None
+        return Rule(name, unit, len(where), worst, limit, first)
+
+
+def _motion_while_stopped(look: _Look, cycle: Table, qd: Array) -> Rule:
+    """Velocities sent to an arm that is not ENABLED, when its ramp must be over."""
+    stamps, stopped = cycle["stamp_ns"], cycle["state"] != ENABLED
+    fastest = np.max(np.abs(qd), axis=1, initial=0.0)
+    row = np.arange(len(cycle))
+    since = np.maximum.accumulate(np.where(stopped, -1, row))  # the last ENABLED cycle before
+    # Before the first ENABLED cycle nothing can be ramping down.
+    late = stopped & ((since < 0) | (stamps - stamps[np.maximum(since, 0)] > STOP_NS))
+    shown = np.where(late, fastest, 0.0)
+    return look.mask("motion while not enabled", "rad/s", shown > STILL, shown, STILL)
+
+
+def _tip(look: _Look, cycle: Table, dt: Array, limits: _Limits) -> list[Rule]:
+    """Set-point and goals of the tip, in the rcm frame, while a stream is obeyed."""
+    R_BR = _matrices(cycle.vector("q_br", "xyzw"))
+    to_R = np.transpose(R_BR, (0, 2, 1))
+
+    def in_R(prefix: str) -> Array:
+        found = to_R @ (cycle.vector(prefix) - cycle.vector("p_rcm"))[:, :, None]
+        return np.asarray(found[:, :, 0])
+
+    servo = np.isin(cycle["command"], SERVO) & (cycle["homed"] == 1)
+    p_set, goal = in_R("p_set"), in_R("p_goal")
+    both = servo[1:] & servo[:-1]
+    speed = np.where(both[:, None], np.abs(np.diff(p_set, axis=0)) / dt[:, None], 0.0)
+    depth = np.linalg.norm(p_set, axis=1)
+    lean = np.arctan2(np.linalg.norm(p_set[:, :2], axis=1), p_set[:, 2])
+    shallow = np.where(servo, limits["depth_min"] - depth, 0.0)
+    rules = [
+        look.bound("speed of the tip's set-point", "m/s", speed, limits["tip_velocity"], 1),
+        look.bound("depth", "m", np.where(servo, depth, 0.0)[:, None], limits["depth_max"]),
+        look.mask("too shallow", "m", shallow > TOLERANCE, shallow, 0.0),
+        look.bound("lean of the shaft", "rad", np.where(servo, lean, 0.0)[:, None], limits["cone"]),
+    ]
+    rules += _steps(look, cycle, goal, p_set, limits)
+    if limits.jaw is not None:
+        low, high = limits.jaw
+        jaw = np.where(np.isfinite(cycle["jaw_set"]) & servo, cycle["jaw_set"], low)
+        beyond = np.maximum(jaw - high, low - jaw)
+        rules.append(look.mask("jaw beyond its range", "rad", beyond > TOLERANCE, beyond, 0.0))
+    return rules
+
+
+def _steps(look: _Look, cycle: Table, goal: Array, p_set: Array, limits: _Limits) -> list[Rule]:
+    """How far a newly accepted goal lies from the one before, or a first one from the set-point."""
+    stamps = cycle["stamp_ns"]
+    taken = np.diff(cycle["accepted"], prepend=cycle["accepted"][:1]) > 0
+    pose = np.isin(cycle["command"], POSES) & (cycle["homed"] == 1)
+    moved = (np.diff(goal, axis=0, prepend=goal[:1]) != 0.0).any(axis=1)
+    moved |= np.diff(cycle["roll_goal"], prepend=cycle["roll_goal"][:1]) != 0.0
+    rows = np.flatnonzero(taken & pose & moved)
+    far, rolls, ages = [], [], []
+    for k, row in enumerate(rows.tolist()):
+        begins = k == 0 or not pose[rows[k - 1] : row].all()
+        before = row - 1
+        last = p_set[before] if begins else goal[before]
+        roll = cycle["roll_set"][before] if begins else cycle["roll_goal"][before]
+        age = 0.0 if begins else (stamps[row] - stamps[rows[k - 1]]) * 1e-9
+        far.append(float(np.linalg.norm(goal[row] - last)))
+        rolls.append(abs(float(cycle["roll_goal"][row] - roll)))
+        ages.append(min(age, limits["step_dt_max"]))
+    found = []
+    for name, unit, values, rate, slack in (
+        ("step of the tip's goal", "m", far, "tip_velocity", "step_slack"),
+        ("step of the roll's goal", "rad", rolls, "roll_velocity", "step_roll_slack"),
+    ):
+        allowed = limits[rate] * np.array(ages) + limits[slack]
+        excess = np.zeros(len(cycle))
+        excess[rows] = np.array(values) - allowed
+        found.append(look.mask(f"{name}, beyond what is allowed", unit, excess > 1e-9, excess, 0.0))
+    return found
+
+
+def _distance(p: Array, on_line: Array, along: Array) -> Array:
+    """Of points to lines, (N,)."""
+    s = along / np.linalg.norm(along, axis=1, keepdims=True)
+    d = p - on_line
+    return np.asarray(np.linalg.norm(d - np.sum(d * s, axis=1, keepdims=True) * s, axis=1))
+
+
+def _matrices(q: Array) -> Array:
+    """(N, 3, 3) of unit quaternions x, y, z, w."""
+    x, y, z, w = q.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), 2, 0)

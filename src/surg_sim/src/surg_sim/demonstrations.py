@@ -1,0 +1,128 @@
+"""Many recorded episodes of a task's scripted senders, several at a time, each in its process.
+
+Work that was cut off is taken up where it ended: a recording that is complete is not played again.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+from surg_recording import episode
+from surg_recording.errors import EpisodeError
+from surg_sim.experts.arm import ArmExpert
+from surg_sim.experts.shaken import Shaken
+from surg_sim.recorded import RecordedSession
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What all demonstrations have in common.
+
+    Attributes:
+        out: Folder of the recordings; each is ``<out>/<seed>``.
+        cell: Folder of the cell.
+        task: Name.
+        setting: Of ``conditions.CONDITIONS``.
+        cameras: Views to record.
+        size: Of the pictures [px].
+        shake: Of every second demonstration, see ``experts.shaken`` [m]; 0: of none.
+    """
+
+    out: Path
+    cell: Path
+    task: str
+    setting: str = "phantom"
+    cameras: tuple[str, ...] = ()
+    size: tuple[int, int] = (640, 480)
+    shake: float = 0.0
+
+    def folder(self, seed: int) -> Path:
+        """Where the recording of a seed lies."""
+        return self.out / str(seed)
+
+    def done(self, seed: int) -> bool:
+        """Whether the recording of a seed is there, whole."""
+        try:
+            return episode.read(self.folder(seed)).complete
+        except EpisodeError:
+            return False
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """One recording."""
+
+    seed: int
+    success: bool
+    reason: str
+    duration: float
+    """[s] simulated"""
+
+
+def play(
+    plan: Plan,
+    seeds: Sequence[int],
+    workers: int = 2,
+    progress: Callable[[int, Demonstration], None] = lambda n, made: None,
+) -> list[Demonstration]:
+    """Play and record what is not there yet.
+
+    Args:
+        plan: What is wanted.
+        seeds: Of the episodes, in order.
+        workers: Processes.
+        progress: Called with the number of episodes that were made so far, and the newest.
+
+    Returns:
+        What was made, by seed; what was there already is not in it.
+
+    Raises:
+        EpisodeError: A recording could not be written.
+        ValueError: The task does not fit the cell.
+    """
+    todo = [seed for seed in seeds if not plan.done(seed)]
+    if not todo:
+        return []
+    plan.out.mkdir(parents=True, exist_ok=True)
+    made: list[Demonstration] = []
+    # Forked: a spawned process takes this one's sys.path, in which catkin has put source folders
+    # before those of compiled modules.
+    pool = ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("fork"))
+    try:
+        waiting = [pool.submit(_play_one, plan, seed, seed in seeds[1::2]) for seed in todo]
+        for future in as_completed(waiting):
+            made.append(future.result())
+            progress(len(made), made[-1])
+    except BaseException:
+        pool.shutdown(wait=True, cancel_futures=True)
+        raise
+    pool.shutdown()
+    return sorted(made, key=lambda one: one.seed)
+
+
+_sessions: dict[Plan, RecordedSession] = {}
+
+
+def _play_one(plan: Plan, seed: int, shaken: bool) -> Demonstration:
+    """In a process of the pool, which compiles the scene once."""
+    if plan not in _sessions:
+        _sessions[plan] = RecordedSession(
+            plan.cell, plan.task, plan.setting, seed, plan.cameras, plan.size
+        )
+    session, folder = _sessions[plan], plan.folder(seed)
+    for left in (folder, folder.with_name(folder.name + episode.PARTIAL)):
+        shutil.rmtree(left, ignore_errors=True)  # of a run that was cut off
+    session.reset(seed)
+    experts = dict(session.task.experts(session.cell, seed))
+    spread = plan.shake if shaken else 0.0
+    if spread > 0.0:
+        for name, expert in experts.items():
+            if isinstance(expert, ArmExpert):
+                experts[name] = Shaken(expert, seed, spread)
+    report = session.record(folder, seed, experts, shake=spread)
+    return Demonstration(seed, report.success, report.reason, report.duration)

@@ -1,0 +1,62 @@
+"""A scripted sender whose hand is pushed about on the way.
+
+Demonstrations of a script that always goes its own way say nothing about what lies beside it: a
+policy that learned from them does not know how to come back. Here a slow random offset is added to
+the tip on its way, and fades out towards every goal, so that what is done at a goal is done as well
+as without. What is recorded is the command that was sent, push and return; on average over many
+pushes an offset only decays, and that is what is learned.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.experts.arm import ArmExpert
+from surg_sim.experts.base import STEP, Expert, View, Wishes, tip_quaternion
+
+Array = NDArray[np.float64]
+
+TIME = 0.4
+"""Of each of the two low passes that make the offset smooth [s]."""
+NEAR = 0.015
+"""The offset fades within this distance of a goal [m]."""
+
+
+class Shaken(Expert):
+    """Plays another sender's part with a less steady hand.
+
+    Args:
+        expert: The sender.
+        seed: Of the offset.
+        spread: Standard deviation of the offset, per axis [m].
+    """
+
+    def __init__(self, expert: ArmExpert, seed: int, spread: float) -> None:
+        self.arms = expert.arms
+        self._expert = expert
+        self._rng = np.random.default_rng([seed, 7])
+        self._keep = math.exp(-STEP / TIME)
+        # Variance of white noise behind two equal low passes, so that `spread` is what comes out.
+        a = self._keep
+        self._gain = spread * math.sqrt((1 - a * a) ** 3 / ((1 - a) ** 4 * (1 + a * a)))
+        self._slow, self._offset = np.zeros(3), np.zeros(3)
+
+    def act(self, view: View) -> Wishes:
+        """See :class:`Expert`."""
+        wishes = self._expert.act(view)
+        self.reason = self._expert.reason
+        a = self._keep
+        self._slow = a * self._slow + (1 - a) * self._gain * self._rng.standard_normal(3)
+        self._offset = a * self._offset + (1 - a) * self._slow
+        arms = dict(wishes.arms)
+        for name, wish in arms.items():
+            if wish.p is not None:
+                path = self._expert.path
+                left = float(np.linalg.norm(path.goal - path.at))
+                p = wish.p + min(left / NEAR, 1.0) * self._offset
+                arms[name] = replace(wish, p=p, q=tip_quaternion(p, wish.roll))
+        return Wishes(arms=arms, assistant=wishes.assistant)

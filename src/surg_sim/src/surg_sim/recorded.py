@@ -1,0 +1,314 @@
+"""Episodes played in this process, recorded as the recorder node would record them.
+
+The episode folders that come out are those of a ROS graph (docs/recording.md): the same tables with
+the same rows, so that whatever reads recordings reads these. What a wall clock would say is left
+out: the computing time of a control cycle is empty, and the stamps of reception are the ticks'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import surg_core
+from surg_core.transforms import matrix_to_quaternion_xyzw
+from surg_recording import provenance
+from surg_recording.recording import Recording
+from surg_sim import scene
+from surg_sim.assistant import AssistantCommand
+from surg_sim.episode import EpisodeReport, run_episode
+from surg_sim.session import Command, Session, Tick
+from surg_sim.tasks import GRID, State
+from surg_sim.world import TICK_NS
+
+if TYPE_CHECKING:
+    from surg_sim.experts.base import Expert
+    from surg_sim.render import Renderer
+
+SENDER = "/expert"
+"""Whose commands the recording says they are, as in a graph."""
+_POSE = "servo_cp"
+_JAW = "jaw/servo_jp"
+
+
+class RecordedSession(Session):
+    """A session that writes what happens in it.
+
+    Args:
+        cell: As for ``Session``; a path, because the recording describes the cell's files.
+        task: Its name.
+        setting: Of ``conditions.CONDITIONS``.
+        seed: Of the first episode.
+        cameras: Views to render and record, of ``left`` and ``right``.
+        size: Width and height of the pictures [px].
+    """
+
+    def __init__(
+        self,
+        cell: Path,
+        task: str,
+        setting: str = "phantom",
+        seed: int = 0,
+        cameras: Sequence[str] = (),
+        size: tuple[int, int] = (640, 480),
+    ) -> None:
+        super().__init__(cell, task, setting, seed, looks=bool(cameras))
+        self._described = provenance.describe_cell(cell)
+        self._versions = provenance.versions()
+        self._cameras = {name: f"endoscope_{name}" for name in cameras}
+        self._eye = self._open_eye(size) if cameras else None
+        self._recording: Recording | None = None
+
+    def record(
+        self,
+        folder: Path,
+        seed: int,
+        experts: Mapping[str, Expert] | None = None,
+        operator: str = "scripted expert",
+        **run: Any,
+    ) -> EpisodeReport:
+        """Play an episode to its end and record it.
+
+        Args:
+            folder: The episode folder; when its name is taken, a number is appended.
+            seed: Of the episode.
+            experts: Senders by node name; None: those of the task.
+            operator: Who commands the robot.
+            **run: What else the recording shall say of its run.
+
+        Returns:
+            How it went.
+
+        Raises:
+            EpisodeError: The folder cannot be written.
+        """
+        arms = list(self.world.arms)
+        about = {
+            "task": self.task.name,
+            "title": self.task.title,
+            "instruction": self.task.title,
+            "operator": operator,
+            "robot": self.cell.arms[arms[0]].robot.name,
+            "mode": "cartesian",
+            "timing": "lockstep",
+            "seed": seed,
+            "setting": self.condition.name,
+            "law": self.law,
+            **run,
+        }
+        self._recording = Recording(
+            folder,
+            mode="lockstep",
+            arms=arms,
+            cameras=list(self._cameras.values()),
+            manifest={
+                "run": about,
+                **{key: about[key] for key in ("task", "operator", "seed")},
+                "clock": "simulator ticks",
+                "cell": self._described,
+                "versions": self._versions,
+                "host": provenance.host(),
+            },
+        )
+        try:
+            report = run_episode(self, seed, experts)
+        except BaseException:
+            self._recording.note("the program that played the episode was ended")
+            self._recording.close({})
+            raise
+        finally:
+            recording, self._recording = self._recording, None
+        verdict = {
+            "name": self.task.name,
+            "setting": self.condition.name,
+            "phase": self.task.verdict().phase,
+            "done": True,
+            "success": report.success,
+            "reason": report.reason,
+        }
+        ticks = round(report.duration * 1e9) // TICK_NS
+        sim = {"tick": ticks, "sim_time_s": report.duration, "deterministic": True}
+        sim |= {"state_hash": report.hash, "done": True, "aborted": None, "task": verdict}
+        recording.close({"sim": sim}, end_stamp_ns=ticks * TICK_NS)
+        return report
+
+    def tick(
+        self,
+        commands: Mapping[str, Sequence[Command]] | None = None,
+        assistant: AssistantCommand | None = None,
+    ) -> Tick:
+        """See ``Session.tick``; writes what it was given, what was there and what came out."""
+        recording, world = self._recording, self.world
+        if recording is None:
+            return super().tick(commands, assistant)
+        stamp = world.tick * TICK_NS
+        before = {name: (world.state(name), world.truth(name)) for name in world.arms}
+        on_grid = world.tick % GRID == 0
+        state = self.task.state() if on_grid or self.task.verdict().done else None
+        if self._eye is not None and on_grid:
+            self._look(recording, stamp)
+        for arm, given in (commands or {}).items():
+            for command in given:
+                if isinstance(command, surg_core.MotionCommand):
+                    topic, message = _command(command, stamp)
+                    recording.command(arm, topic, message, SENDER, stamp)
+        if assistant is not None:
+            for topic, values in (("servo_jp", assistant.joints), (_JAW, assistant.jaw)):
+                if values is not None:
+                    message = SimpleNamespace(
+                        header=_header(stamp), position=np.atleast_1d(values).tolist()
+                    )
+                    recording.assistant_command(topic, message, "/assistant", stamp)
+        tick = super().tick(commands, assistant)
+        for name, out in tick.outputs.items():
+            X_BR = np.asarray(self.controllers[name].X_BR)
+            recording.cycle(name, _cycle(out, tick.tick, before[name][0], X_BR), stamp)
+        arms = [_truth(name, truth) for name, (_, truth) in before.items()]
+        recording.ground_truth(
+            SimpleNamespace(header=_header(stamp), tick=tick.tick, arms=arms), stamp
+        )
+        if state is not None:
+            recording.task_state(_task_state(tick, state), stamp)
+        return tick
+
+    def close(self) -> None:
+        """Give the OpenGL context back."""
+        if self._eye is not None:
+            self._eye.close()
+
+    def _open_eye(self, size: tuple[int, int]) -> Renderer:
+        from surg_sim.render import Renderer, StereoRenderer, show_only
+
+        show_only(self.world.model, lamps=False)
+        shown: dict[str, Any] = {"hidden": [scene.OUTSIDE], "skins": self.task.skins}
+        if len(self._cameras) == 2:
+            return StereoRenderer(self.world.model, *size, vignette=True, **shown)
+        name = next(iter(self._cameras.values()))
+        return Renderer(self.world.model, name, *size, vignette=True, **shown)
+
+    def _look(self, recording: Recording, stamp: int) -> None:
+        """The pictures of the state that is there."""
+        from surg_sim.render import StereoRenderer
+
+        qpos = self.world.data.qpos
+        if isinstance(self._eye, StereoRenderer):
+            pictures = dict(zip(("left", "right"), self._eye.pair(qpos), strict=True))
+        else:
+            assert self._eye is not None
+            pictures = {next(iter(self._cameras)): self._eye.render(qpos)}
+        for name, picture in pictures.items():
+            height, width, _ = picture.shape
+            message = SimpleNamespace(
+                header=_header(stamp),
+                width=width,
+                height=height,
+                step=3 * width,
+                encoding="rgb8",
+                data=picture.tobytes(),
+            )
+            recording.image(self._cameras[name], message, stamp)
+
+
+# --- messages without ROS: what surg_recording.rows reads -----------------------------------------
+
+
+def _header(stamp_ns: int) -> SimpleNamespace:
+    secs, nsecs = divmod(stamp_ns, 1_000_000_000)
+    return SimpleNamespace(stamp=SimpleNamespace(secs=secs, nsecs=nsecs))
+
+
+def _xyz(v: Any) -> SimpleNamespace:
+    x, y, z = np.asarray(v).tolist()
+    return SimpleNamespace(x=x, y=y, z=z)
+
+
+def _command(command: surg_core.MotionCommand, stamp_ns: int) -> tuple[str, SimpleNamespace]:
+    """A command of a scripted sender, which speaks in poses and jaw angles."""
+    header = _header(stamp_ns)
+    kinds = surg_core.Motion
+    if command.motion == kinds.JAW_SERVO_JP:
+        return _JAW, SimpleNamespace(header=header, position=[command.jaw])
+    if command.motion == kinds.HOLD:
+        return "hold", SimpleNamespace(header=header)
+    x, y, z, w = np.asarray(command.rotation).tolist()
+    pose = SimpleNamespace(
+        position=_xyz(command.p), orientation=SimpleNamespace(x=x, y=y, z=z, w=w)
+    )
+    return _POSE, SimpleNamespace(header=header, pose=pose)
+
+
+def _cycle(out: surg_core.Outputs, tick: int, measured: Any, X_BR: Any) -> SimpleNamespace:
+    """A control cycle as surg_msgs/Cycle has it."""
+
+    def plain(values: Any) -> list[float]:
+        return list(np.asarray(values).tolist())
+
+    return SimpleNamespace(
+        header=_header(tick * TICK_NS),
+        tick=tick,
+        state=int(out.state),
+        homed=out.homed,
+        busy=out.busy,
+        reason=surg_core.reason_name(out.reason) if int(out.reason) else "",
+        command=int(out.motion),
+        source=SENDER if int(out.source) else "",
+        accepted=out.accepted,
+        refused=out.refused,
+        q=plain(measured.q),
+        qd=plain(measured.qd),
+        p_goal=plain(out.p_goal),
+        roll_goal=out.roll_goal,
+        p_tip=plain(out.p_BTip),
+        s=plain(out.s_B),
+        p_rcm=plain(out.p_BRcm),
+        q_br=plain(matrix_to_quaternion_xyzw(X_BR[:3, :3])),
+        roll=out.roll,
+        depth=out.depth,
+        rcm_error=out.rcm_error,
+        p_set=plain(out.p_set),
+        v_set=plain(out.v_set),
+        roll_set=out.roll_set,
+        jaw_set=out.jaw_set,
+        jaw=out.jaw,
+        scale=out.scale,
+        limited_by=out.limited_by,
+        tier=out.tier,
+        qd_command=plain(out.qd_command),
+        twist_command=plain(out.twist_command),
+        compute_us=None,
+        period_us=0.0,
+        overruns=0,
+    )
+
+
+def _truth(name: str, truth: Any) -> SimpleNamespace:
+    """An arm's truth as surg_msgs/ArmTruth has it."""
+    vectors = ("shaft_point", "shaft_axis", "tip", "tip_velocity", "trocar", "trocar_loaded")
+    found = {key: _xyz(getattr(truth, key)) for key in (*vectors, "trocar_force")}
+    return SimpleNamespace(arm=name, jaw=truth.jaw, **found)
+
+
+def _task_state(tick: Tick, state: State) -> SimpleNamespace:
+    """A task's state as surg_msgs/TaskState has it."""
+    names, values = [], []
+    for key, value in state.items():
+        array = np.asarray(value, dtype=np.float64)
+        shape = ",".join(map(str, array.shape))
+        names.append(f"{key}[{shape}]" if shape else key)
+        values += array.ravel().tolist()
+    verdict = tick.verdict
+    return SimpleNamespace(
+        header=_header(tick.tick * TICK_NS),
+        tick=tick.tick,
+        names=names,
+        values=values,
+        phase=verdict.phase,
+        done=verdict.done,
+        success=verdict.success,
+        reason=verdict.reason,
+        reward=verdict.reward,
+    )

@@ -1,0 +1,111 @@
+"""A policy in the environment, without wire, server and ROS: to choose and to compare by.
+
+Observations have the names, units and order of an exported dataset (docs/datasets.md), which are
+those that the model server serves. What is measured here lacks what the way over the wire adds: the
+model server's safety controller, latencies. Figures that are published come from the graph.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_sim.arm import TICK
+from surg_sim.env import ARM_STATE, SurgEnv
+
+Array = NDArray[np.float64]
+
+STATE, TASK = "observation.state", "privileged.task_state"
+
+
+class Acts(Protocol):
+    """What a policy is: examples/bgr_policy.py, or any object like it."""
+
+    def reset(self, instruction: str, seed: int | None) -> None:
+        """Forget the last episode; the seed is for policies that draw."""
+
+    def act(self, observation: Any) -> Array | None:
+        """Actions for this step and the following ones, (K, A); None: those of before go on."""
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """How an episode went.
+
+    Attributes:
+        seed: Its seed.
+        success: Whether it was one.
+        reason: Why not.
+        phase: Where it ended.
+        duration: [s] simulated.
+        refused: Commands that the controller refused.
+        rcm_max: Largest kinematic deviation of the commanded arm [m].
+        hash: Of the states of all ticks.
+    """
+
+    seed: int
+    success: bool
+    reason: str
+    phase: str
+    duration: float
+    refused: int
+    rcm_max: float
+    hash: str
+
+
+def names(env: SurgEnv) -> dict[str, list[str]]:
+    """Names of the numbers of each observation, as in a dataset."""
+    flat = []
+    for key, value in env.session.task.state().items():
+        for place in np.ndindex(np.shape(value)):
+            flat.append("_".join([key, *map(str, place)]))
+    return {STATE: [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE], TASK: flat}
+
+
+def observe(env: SurgEnv, observation: dict[str, Any]) -> dict[str, Array]:
+    """An observation of the environment as a dataset has it."""
+    place = {name: i for i, name in enumerate(env.state_names)}
+    chosen = [place[name] for name in names(env)[STATE]]
+    truth = [np.ravel(value) for value in observation["privileged"].values()]
+    return {STATE: observation["state"][chosen], TASK: np.concatenate(truth)}
+
+
+def roll_out(env: SurgEnv, policy: Acts, seed: int) -> Rollout:
+    """Play one episode.
+
+    Args:
+        env: The environment; it is reset.
+        policy: Acts.
+        seed: Of the episode.
+
+    Raises:
+        ValueError: The policy's chunk is over and it says nothing new.
+    """
+    observation, info = env.reset(seed=seed)
+    policy.reset(env.session.task.title, seed)
+    done, worst = False, 0.0
+    chunk, at = np.zeros((0, len(env.action_names))), 0
+    while not done:
+        fresh = policy.act(observe(env, observation))
+        if fresh is not None:
+            chunk, at = np.asarray(fresh), 0
+        if at >= len(chunk):
+            raise ValueError(
+                f"no action: the chunk of {len(chunk)} is over, and none came after it"
+            )
+        observation, _, terminated, truncated, info = env.step(chunk[at])
+        at, done = at + 1, terminated or truncated
+        worst = max(worst, *(info["rcm_error"][arm] for arm in env.arms))
+    return Rollout(
+        seed=seed,
+        success=info["success"],
+        reason=info["reason"],
+        phase=info["phase"],
+        duration=(env.session.world.tick - 1) * TICK,
+        refused=info["refused"],
+        rcm_max=worst,
+        hash=env.session.hash,
+    )

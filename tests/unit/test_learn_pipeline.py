@@ -1,0 +1,121 @@
+"""Demonstrations in process, exported, read by the trainer: a tiny one, and what stands in it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers.bgr_synthetic import bgr_policy, train_bgr
+from surg_cli import paths
+from surg_recording import datasets, episode, unsafe
+from surg_sim import cells, demonstrations, rollouts
+from surg_sim.env import SurgEnv
+from surg_sim.experts.arm import ArmExpert
+from surg_sim.experts.shaken import Shaken
+from surg_sim.recorded import RecordedSession
+
+SHORT = str(paths.ROOT / "tests" / "helpers" / "short_bgr.py")
+SEEDS = (10_000, 10_001)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two short recordings; the second one's hand is pushed about."""
+    out = tmp_path_factory.mktemp("demonstrations")
+    session = RecordedSession(cells.find("sim_two_arms"), SHORT)
+    for seed, spread in zip(SEEDS, (0.0, 0.003), strict=True):
+        session.reset(seed)
+        experts = dict(session.task.experts(session.cell, seed))
+        robot = experts["expert"]
+        assert isinstance(robot, ArmExpert)
+        if spread:
+            experts["expert"] = Shaken(robot, seed, spread)
+        session.record(out / str(seed), seed, experts, shake=spread)
+    return out
+
+
+@pytest.fixture(scope="module")
+def exported(recorded: Path) -> Path:
+    """Both as one dataset. Cut short, they solved no task: only the label makes them successes."""
+    for seed in SEEDS:
+        file = recorded / str(seed) / "manifest.json"
+        manifest = json.loads(file.read_text("utf-8"))
+        manifest["result"] = {"success": True}
+        file.write_text(json.dumps(manifest), "utf-8")
+    options = datasets.ExportOptions(splits={"train": 1.0}, executor="serial")
+    out = recorded.with_name("dataset")
+    report = datasets.load("lerobot").write([recorded], out, options)
+    assert report.ok and report.recordings == 2
+    return out
+
+
+def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:
+    """The dataset's rows against the environment, driven by the same expert: no row early or late.
+
+    Without cameras the grid stands on the looks of the task; one that stood on the commands, a
+    tick later, would put the answer to the next look beside each observation.
+    """
+    dataset = train_bgr.read(exported)
+    shown = dataset.episodes["train"][0]
+    env = SurgEnv(SHORT)
+    names = rollouts.names(env)
+    assert dataset.names[bgr_policy.STATE] == names[rollouts.STATE]
+    assert dataset.names[bgr_policy.TASK] == names[rollouts.TASK]
+    observation, _ = env.reset(seed=SEEDS[0])
+    compared = 0
+    for step in range(len(shown.state)):
+        seen = rollouts.observe(env, observation)
+        action = env.expert_action()
+        # The recording's rcm frame is the one that was measured at homing: micrometres away.
+        np.testing.assert_allclose(shown.state[step], seen[rollouts.STATE], atol=2e-5)
+        np.testing.assert_allclose(shown.task[step], seen[rollouts.TASK], atol=1e-5)
+        if step:  # the jaw's first command comes with the second look
+            np.testing.assert_allclose(shown.action[step, :4], action[:4], atol=2e-5)
+        observation, _, ended, late, _ = env.step(action)
+        compared += 1
+        assert not ended
+        if late:
+            break
+    print(f"{compared} frames")
+    assert compared > 50
+
+
+def test_no_demonstration_is_unsafe_pushed_or_not(recorded: Path) -> None:
+    paths_of = []
+    for seed in SEEDS:
+        found = episode.read(recorded / str(seed))
+        assert found.complete and found.manifest["seed"] == seed
+        assert {arm: [r for r in unsafe.examine(found, arm) if r.cycles] for arm in found.arms} == {
+            "PSM1": [],
+            "ECM": [],
+        }
+        cycle = found.cycle("PSM1")
+        paths_of.append(cycle.vector("p_goal")[cycle["command"] == 1][::25])
+    spreads = [float(np.abs(np.diff(p, n=3, axis=0)).max()) for p in paths_of]
+    print(f"third differences of the goals, calm and pushed: {spreads[0]:.5f}, {spreads[1]:.5f} m")
+    assert spreads[1] > 1.5 * spreads[0]
+
+
+def test_training_reads_it_and_is_the_same_twice(exported: Path, tmp_path: Path) -> None:
+    for name in ("a.npz", "b.npz"):
+        words = [str(exported), "--out", str(tmp_path / name), "--steps", "30", "--seed", "3"]
+        assert train_bgr.main(words) == 0
+    one, two = (bgr_policy.Policy.load(tmp_path / name) for name in ("a.npz", "b.npz"))
+    assert one.hash == two.hash
+    assert one.about["options"]["seed"] == 3
+
+
+def test_what_is_recorded_is_not_played_again(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = demonstrations.Plan(recorded, cells.find("sim_two_arms"), SHORT)
+    assert demonstrations.play(plan, SEEDS) == []
+    torn = recorded / f"{SEEDS[1]}{episode.PARTIAL}"
+    plan.folder(SEEDS[1]).rename(torn)
+    try:
+        assert [plan.done(seed) for seed in SEEDS] == [True, False]
+    finally:
+        torn.rename(plan.folder(SEEDS[1]))

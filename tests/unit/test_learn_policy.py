@@ -1,0 +1,171 @@
+"""The learned policy and its trainer: same by seed, on disk without code, at work as in training.
+
+On made-up data: what it does in the phantom stands in docs/learning.md.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from helpers import bgr_synthetic as made
+from helpers.bgr_synthetic import bgr_policy, train_bgr
+from surg_cli import paths
+
+FEW = train_bgr.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
+
+
+@pytest.fixture(scope="module")
+def policy() -> bgr_policy.Policy:
+    return train_bgr.train(made.dataset(), FEW)
+
+
+def test_one_seed_one_policy(policy: bgr_policy.Policy) -> None:
+    again = train_bgr.train(made.dataset(), FEW)
+    other = train_bgr.train(made.dataset(), train_bgr.Options(**{**vars(FEW), "seed": 1}))
+    assert again.hash == policy.hash != other.hash
+    less = train_bgr.train(made.dataset(train=5), FEW)
+    assert less.hash != policy.hash
+
+
+def test_the_gradient_is_that_of_the_loss() -> None:
+    """Against central differences in float64, for every parameter of a small network."""
+    rng = np.random.default_rng(3)
+    flat, layers = train_bgr.flat_layers([(5, 7), (7, 6), (6, 4)])
+    flat = flat.astype(np.float64)
+    at, layers64 = 0, []
+    for weight, bias in layers:
+        layers64.append((flat[at : at + weight.size].reshape(weight.shape),
+                         flat[at + weight.size : at + weight.size + bias.size]))  # fmt: skip
+        at += weight.size + bias.size
+    flat[:] = rng.normal(0.0, 0.5, flat.size)
+    network = bgr_policy.Network(layers64)
+    x, y = rng.normal(size=(11, 5)), rng.normal(size=(11, 4))
+    slope, grads = train_bgr.flat_layers([(5, 7), (7, 6), (6, 4)])
+    train_bgr.gradient_of(network, grads, x, y)
+
+    def loss() -> float:
+        error = np.abs(network(x) - y)
+        return float(np.mean(np.where(error < 0.5, 0.5 * error**2, 0.5 * (error - 0.25))))
+
+    step = 1e-6
+    for i in range(flat.size):
+        kept = flat[i]
+        flat[i] = kept + step
+        up = loss()
+        flat[i] = kept - step
+        down = loss()
+        flat[i] = kept
+        assert slope[i] == pytest.approx((up - down) / (2 * step), abs=2e-6)
+    print(f"{flat.size} parameters")
+
+
+def test_it_learns_what_is_there_to_learn() -> None:
+    before = train_bgr.train(made.dataset(12), train_bgr.Options(steps=1, hidden=(64, 64)))
+    after = train_bgr.train(made.dataset(12), train_bgr.Options(steps=400, hidden=(64, 64)))
+    print(f"loss on val {before.about['loss']['val']:.3f} -> {after.about['loss']['val']:.3f}")
+    assert after.about["loss"]["val"] < 0.3 * before.about["loss"]["val"]
+
+
+def test_acting_step_by_step_is_what_was_trained(policy: bgr_policy.Policy) -> None:
+    """Memory included: chunks from observations one by one are those of the whole episode."""
+    shown = made.episode(99)
+    columns = bgr_policy.Columns(made.STATE, made.TASK)
+    inputs = bgr_policy.features(columns, shown.state, shown.task)
+    whole = policy.predict(inputs, shown.state)
+    for _ in range(2):  # the second time after a reset
+        policy.reset("", None)
+        for step in range(len(shown.state)):
+            observation = {
+                bgr_policy.STATE: shown.state[step],
+                bgr_policy.TASK: shown.task[step],
+            }
+            chunk = policy.act(observation)
+            assert chunk.shape == (8, 5) and chunk.dtype == np.float64
+            # One row and many are summed in another order by the BLAS: float32.
+            np.testing.assert_allclose(chunk, whole[step], atol=2e-6)
+
+
+def test_numpy_alone_gives_what_the_trainer_had(policy: bgr_policy.Policy, tmp_path: Path) -> None:
+    """Saved, loaded, and run by a plain interpreter that has numpy and nothing of ours."""
+    file = tmp_path / "weights.npz"
+    policy.save(file)
+    shown = made.episode(5)
+    np.savez(tmp_path / "episode.npz", state=shown.state, task=shown.task)
+    program = (
+        "import sys, numpy as np, bgr_policy as b\n"
+        f"p = b.Policy.load(__import__('pathlib').Path({str(file)!r}))\n"
+        f"e = np.load({str(tmp_path / 'episode.npz')!r})\n"
+        "x = b.features(b.Columns(p.names[b.STATE], p.names[b.TASK]), e['state'], e['task'])\n"
+        f"np.save({str(tmp_path / 'out.npy')!r}, p.predict(x, e['state']))\n"
+        "assert not {'torch', 'surg_core', 'surg_sim', 'pyarrow'} & set(sys.modules)\n"
+        "print(p.hash)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-s", "-c", program],
+        cwd=paths.ROOT / "examples",
+        capture_output=True,
+        text=True,
+        check=True,
+        env={"PATH": "/usr/bin:/bin"},
+    )
+    assert done.stdout.strip() == policy.hash
+    columns = bgr_policy.Columns(made.STATE, made.TASK)
+    inputs = bgr_policy.features(columns, shown.state, shown.task)
+    np.testing.assert_allclose(
+        np.load(tmp_path / "out.npy"), policy.predict(inputs, shown.state), rtol=0, atol=1e-6
+    )
+
+
+def test_weights_hold_no_code(policy: bgr_policy.Policy, tmp_path: Path) -> None:
+    file = tmp_path / "weights.npz"
+    policy.save(file)
+    with zipfile.ZipFile(file) as archive:
+        for name in archive.namelist():
+            with archive.open(name) as member:
+                np.lib.format.read_magic(member)
+                _, _, dtype = np.lib.format.read_array_header_1_0(member)
+                assert dtype.hasobject is False, name
+    again = bgr_policy.Policy.load(file)
+    assert again.hash == policy.hash and again.about["privileged"] == [bgr_policy.TASK]
+    assert again.about == json.loads(json.dumps(policy.about))
+
+
+def test_other_files_are_refused(policy: bgr_policy.Policy, tmp_path: Path) -> None:
+    text, foreign, pickled = (tmp_path / name for name in ("a.txt", "b.npz", "c.npz"))
+    text.write_text("no weights")
+    np.savez(foreign, a=np.zeros(3))
+    np.savez(pickled, head=np.array([{}], dtype=object))
+    for file in (text, foreign, pickled):
+        with pytest.raises(ValueError, match=file.name):
+            bgr_policy.Policy.load(file)
+
+
+def test_the_place_of_a_number_is_found_by_its_name(policy: bgr_policy.Policy) -> None:
+    """Another order of the same numbers is the same observation; a missing one is named."""
+    rng = np.random.default_rng(1)
+    order = rng.permutation(len(made.TASK))
+    shown = made.episode(7)
+    columns = bgr_policy.Columns(made.STATE, made.TASK)
+    shuffled = bgr_policy.Columns(made.STATE, [made.TASK[i] for i in order])
+    np.testing.assert_array_equal(
+        bgr_policy.features(columns, shown.state, shown.task),
+        bgr_policy.features(shuffled, shown.state, shown.task[:, order]),
+    )
+    with pytest.raises(ValueError, match="assistant_held"):
+        bgr_policy.Columns(made.STATE, [name for name in made.TASK if name != "assistant_held"])
+
+
+def test_nothing_to_train_on_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nothing = made.dataset(0, 1)
+    with pytest.raises(ValueError, match="train"):
+        train_bgr.train(nothing, FEW)
+    assert train_bgr.main([str(tmp_path), "--out", str(tmp_path / "w.npz")]) == 2
+    assert "no LeRobot dataset" in capsys.readouterr().err
+    assert not (tmp_path / "w.npz").exists()

@@ -1,0 +1,391 @@
+"""`./surg learn TASK`: demonstrations, data set, training, deployment in the graph, report."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from surg_cli import cells, paths, rollouts, run
+from surg_cli.stages import Ledger
+from surg_cli.terminal import Problem, Progress, say, table, warn
+
+TRAINERS = {"bgr": "train_bgr.py"}
+"""Tasks that can be learned, and what trains; in examples/."""
+POLICIES = {("bgr", False): "bgr_policy.py", ("bgr", True): "bgr_image_policy.py"}
+"""What serves, without and with pictures; in examples/."""
+EPISODES = 80
+HOPED = 0.85
+"""Share of the roll-outs that are to succeed: the paper's 17 of 20."""
+SHAKE = 0.003
+"""Spread of the pushes in every second demonstration [m], see surg_sim.experts.shaken."""
+COMPARED = 20
+"""Demonstrations whose smoothness stands in the report, at most."""
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    parser.epilog = (
+        "With the --out of a run that was cut off, it goes on where it ended. docs/learning.md"
+    )
+    add = parser.add_argument
+    add("task", metavar="TASK", help=", ".join(TRAINERS))
+    add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
+    add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or a cell with two arms")
+    add("--seed", type=int, default=0, metavar="S", help="of the training (default 0)")
+    add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
+    add("--cameras", action="store_true", help="the policy that looks at pictures")
+    add(
+        "--episodes",
+        type=int,
+        default=EPISODES,
+        metavar="N",
+        help=f"demonstrations (default {EPISODES})",
+    )
+    add_options(parser)
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare what `demo --full` has too."""
+    add = parser.add_argument
+    add("--rollouts", type=int, default=20, metavar="N", help="of the policy (default 20)")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a run of `learn` was asked for; kept beside its results."""
+
+    task: str
+    setting: str
+    robot: str
+    seed: int
+    episodes: int
+    rollouts: int
+    cameras: bool
+
+    @property
+    def views(self) -> tuple[str, ...]:
+        """Of the endoscope, that are recorded and served."""
+        return ("left",) if self.cameras else ()
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Do all stages; the last line printed is the path of summary.json."""
+    from surg_recording import learning, learning_report, provenance
+
+    wanted = _check(options)
+    out = _folder(options.out, wanted)
+    cell = run._cell(wanted.robot)
+    loaded = cells.load(cell)
+    again = f"./surg {_line(command, wanted)} --out {_shown(out)}"
+    ledger = Ledger(out / "stages.json", again)
+    train = paths.ROOT / "examples" / TRAINERS[wanted.task]
+    serve = paths.ROOT / "examples" / POLICIES[wanted.task, wanted.cameras]
+    say(
+        f"learn: {wanted.task}, {wanted.setting}, {wanted.episodes} demonstrations, "
+        f"{wanted.rollouts} roll-outs -> {out}"
+    )
+    demos = ledger.stage(
+        "demonstrations",
+        asdict(wanted) | {"rollouts": 0, "seed": 0},
+        lambda: _show(wanted, cell, out),
+    )
+    ledger.stage("dataset", {}, lambda: _export(out))
+    trained = ledger.stage(
+        "training",
+        {"seed": wanted.seed, "by": [paths.file_digest(file) for file in (train, serve)]},
+        lambda: _train(train, wanted, out),
+    )
+    player = rollouts.Player(wanted.task, cell, loaded, wanted.setting, serve, out / "weights.npz")
+    entries = ledger.stage(
+        "rollouts",
+        {"rollouts": wanted.rollouts, "weights": trained["weights"]},
+        lambda: _deploy(player, wanted, out / "rollouts" / trained["weights"][:12]),
+    )
+    shown = ledger.stage("smoothness", {}, lambda: _measure(wanted, out))
+    info = {
+        **{key: asdict(wanted)[key] for key in ("task", "setting")},
+        "title": player.title,
+        "robot": player.robot,
+        "seed": wanted.seed,
+        "demonstrations": wanted.episodes,
+        "demonstrations_success": demos["success"],
+        "observation": trained["observation"],
+        "privileged": trained["privileged"],
+        "policy": trained["words"],
+        "training": trained,
+        "stages_s": ledger.seconds,
+        "versions": provenance.versions(),
+    }
+    hoped = round(HOPED * wanted.rollouts)
+    summary = learning.summarise([e["rollout"] for e in entries], shown, info, hoped)
+    learning_report.write(summary, [e["episode"] for e in entries], shown, out)
+    _print_summary(summary)
+    say(str(out / "report.html"))
+    say(str(out / "summary.json"))
+    return 0 if summary["ok"] else 1
+
+
+# --- what is wanted -----------------------------------------------------------------------------
+
+
+def _check(options: argparse.Namespace) -> Wanted:
+    """Find what is wrong before anything begins.
+
+    Raises:
+        Problem: Says what, and what is allowed.
+    """
+    from surg_sim import seeds
+
+    if options.task not in TRAINERS:
+        known = ", ".join(TRAINERS)
+        raise Problem(f"learn {options.task}: there is a trainer for {known} only", 2)
+    for name, whole in (("episodes", seeds.TRAINING), ("rollouts", seeds.TEST)):
+        value = getattr(options, name)
+        if not 1 <= value <= len(whole):
+            raise Problem(f"--{name} {value}: 1 to {len(whole)} are allowed", 2)
+    if not 0 <= options.seed < 2**31:
+        raise Problem(f"--seed {options.seed}: 0 to {2**31 - 1} is allowed", 2)
+    if len(run._settings(options.setting)) > 1:
+        raise Problem(f"--setting {options.setting}: learn takes one setting", 2)
+    return Wanted(
+        options.task,
+        options.setting,
+        options.robot,
+        options.seed,
+        options.episodes,
+        options.rollouts,
+        bool(options.cameras),
+    )
+
+
+def _folder(wanted: Path | None, what: Wanted) -> Path:
+    """The folder of the run: a new one, or that of a run that was asked for the same.
+
+    Raises:
+        Problem: It holds something else.
+    """
+    if wanted is not None and (wanted / "wanted.json").is_file():
+        try:
+            before = json.loads((wanted / "wanted.json").read_text("utf-8"))
+        except ValueError as error:
+            raise Problem(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
+        now = asdict(what)
+        # More roll-outs, or another training on the same demonstrations, is no other run.
+        fixed = [name for name in now if name not in ("rollouts", "seed")]
+        other = [f"--{n} {before.get(n)}" for n in fixed if before.get(n) != now[n]]
+        if other:
+            raise Problem(
+                f"--out {wanted}: holds a run with {', '.join(other)}; name another folder, or ask"
+                " for the same",
+                2,
+            )
+        out = wanted.absolute()
+    else:
+        out = paths.run_folder(wanted)
+    paths.write_text(out / "wanted.json", json.dumps(asdict(what), indent=1) + "\n")
+    return out
+
+
+def _line(command: str, wanted: Wanted) -> str:
+    """The command line that asks for the same."""
+    first = f"learn {wanted.task}" if command == "learn" else f"{command} --full"
+    given = asdict(wanted)
+    words = [f"--{name} {given[name]}" for name in given if name not in ("task", "cameras")]
+    return " ".join([first, *words, *(["--cameras"] if wanted.cameras else [])])
+
+
+def _shown(path: Path) -> Path:
+    """Relative to where the person is, where that is shorter."""
+    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+
+
+# --- stages -------------------------------------------------------------------------------------
+
+
+def _jobs() -> int:
+    return len(os.sched_getaffinity(0))
+
+
+def _show(wanted: Wanted, cell: Path, out: Path) -> dict[str, Any]:
+    """Demonstrations of the scripted expert, in processes of their own, without ROS."""
+    from surg_recording import episode
+    from surg_recording.errors import EpisodeError
+    from surg_sim import demonstrations, seeds
+
+    plan = demonstrations.Plan(
+        out / "demonstrations", cell, wanted.task, wanted.setting, wanted.views, shake=SHAKE
+    )
+    chosen = seeds.training_seeds(wanted.episodes)
+    before = sum(plan.done(seed) for seed in chosen)
+    with Progress("demonstrations") as progress:
+
+        def show(made: int, newest: demonstrations.Demonstration) -> None:
+            n = before + made
+            progress.update(n / wanted.episodes, f"{n} of {wanted.episodes}, seed {newest.seed}")
+
+        try:
+            demonstrations.play(plan, chosen, _jobs(), show)
+        except (EpisodeError, OSError, ValueError) as problem:
+            raise Problem(str(problem)) from problem
+    verdicts = {}
+    for seed in chosen:
+        sim = episode.read(plan.folder(seed)).manifest["sim"]["task"]
+        verdicts[seed] = sim["reason"]
+    failed = {seed: reason for seed, reason in verdicts.items() if reason}
+    for seed, reason in failed.items():
+        say(f"  not solved, and not learned from: seed {seed}: {reason}")
+    return {"success": len(verdicts) - len(failed), "failed": failed}
+
+
+def _export(out: Path) -> dict[str, Any]:
+    """The data set of all demonstrations that were solved."""
+    from surg_recording import datasets
+
+    exporter = datasets.load("lerobot")
+    options = datasets.ExportOptions(
+        fps=20, splits={"train": 0.95, "val": 0.05}, workers=_jobs(), keep_parts=True, replace=True
+    )
+    with Progress("dataset") as progress:
+        try:
+            report = exporter.write(
+                [out / "demonstrations"], out / "dataset", options, progress.update
+            )
+        except datasets.ExportError as problem:
+            raise Problem(str(problem)) from problem
+    if not report.ok:
+        raise Problem("; ".join([*report.errors, *report.refused.values()][:3]))
+    return {"recordings": report.recordings, "frames": report.frames}
+
+
+def _train(program: Path, wanted: Wanted, out: Path) -> dict[str, Any]:
+    """Train in a process of its own, so that it is the same program that a person starts."""
+    argv = [sys.executable, str(program), str(out / "dataset"), "--json"]
+    argv += ["--out", str(out / "weights.npz"), "--seed", str(wanted.seed)]
+    argv += ["--images"] if wanted.cameras else []
+    with Progress("training") as progress:
+        last = follow(
+            argv, out / "logs" / "training.log", lambda n: progress.update(n["part"], n["note"])
+        )
+    if "weights" not in last:
+        raise Problem(f"{program.name} ended without saying what it made: {last}")
+    return last
+
+
+def follow(argv: list[str], log: Path, show: Callable[[Mapping[str, Any]], None]) -> dict[str, Any]:
+    """Run a program that says how far it is in lines of JSON; returns the last line.
+
+    Raises:
+        Problem: It failed; with the end of what it said.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    last: dict[str, Any] = {}
+    with log.open("w", encoding="utf-8") as errors:
+        process = subprocess.Popen(
+            argv, stdout=subprocess.PIPE, stderr=errors, stdin=subprocess.DEVNULL, text=True
+        )
+        assert process.stdout is not None
+        try:
+            for line in process.stdout:
+                try:
+                    last = json.loads(line)
+                except ValueError:
+                    errors.write(line)
+                    continue
+                if "part" in last:
+                    show(last)
+        except BaseException:
+            process.terminate()
+            raise
+        finally:
+            status = process.wait()
+    if status != 0:
+        said = log.read_text("utf-8", errors="replace").strip().splitlines()[-3:]
+        raise Problem("\n".join(said) or f"{Path(argv[1]).name} ended with {status}")
+    return last
+
+
+def _deploy(player: rollouts.Player, wanted: Wanted, folder: Path) -> list[dict[str, Any]]:
+    """The policy in the graph, over the wire, on seeds that nothing was chosen with."""
+    from surg_sim import seeds
+
+    found = []
+    with Progress("roll-outs") as progress:
+        for n, seed in enumerate(seeds.test_seeds(wanted.rollouts)):
+            good = sum(e["rollout"]["success"] for e in found)
+
+            def show(seconds: float, note: str, n: int = n, good: int = good) -> None:
+                words = f"{n + 1} of {wanted.rollouts}, {good} solved: {seconds:.1f} s, {note}"
+                progress.update(n / wanted.rollouts, words)
+
+            found.append(player.play(seed, folder / str(seed), show))
+    return found
+
+
+def _measure(wanted: Wanted, out: Path) -> list[dict[str, Any]]:
+    """The same numbers of demonstrations as of roll-outs."""
+    from surg_recording import learning
+    from surg_sim import seeds
+
+    chosen = seeds.training_seeds(wanted.episodes)[0::2][:COMPARED]  # those that nobody pushed
+    folders = [out / "demonstrations" / str(seed) for seed in chosen]
+    forked = get_context("fork")
+    with Progress("smoothness") as progress, ProcessPoolExecutor(_jobs(), forked) as pool:
+        found = []
+        for entry in pool.map(learning.demonstration, folders):
+            found.append(entry)
+            progress.update(len(found) / len(folders), "of the demonstrations")
+    return found
+
+
+# --- what came out ------------------------------------------------------------------------------
+
+
+def _print_summary(summary: dict[str, Any]) -> None:
+    """Print what a person looks for first, and every failure with its cause."""
+    from surg_recording.page import number
+    from surg_recording.trial_report import interval
+
+    smooth = summary["smoothness"]
+    rows = [
+        ["success", interval(summary["success_rate"])],
+        [
+            "unsafe commands",
+            f"{summary['unsafe_commands']} in {summary['unsafe']['cycles']} cycles",
+        ],
+        ["RCM deviation, largest", f"{number(summary['rcm_max_mm']['max'])} mm"],
+        *(
+            [
+                f"{name.upper()}, median",
+                f"{number(smooth[name]['rollouts']['median'])} (demonstrations "
+                f"{number(smooth[name]['demonstrations']['median'])})",
+            ]
+            for name in ("sparc", "ldlj")
+        ),
+        [
+            "actions",
+            ", ".join(f"{number(summary[n])} {n}" for n in ("rejected", "clipped", "late")),
+        ],
+        [
+            "age of observation",
+            f"median {number(summary['obs_age_ms']['p50'])}, "
+            f"p99 {number(summary['obs_age_ms']['p99'])} ms",
+        ],
+        ["stages [s]", ", ".join(f"{k} {v:.0f}" for k, v in summary["stages_s"].items())],
+    ]
+    if summary["privileged"]:
+        rows.append(["privileged", f"the policy looks at {', '.join(summary['privileged'])}"])
+    say(table(rows))
+    for e in summary["rollouts"]:
+        if not e["success"]:
+            say(f"  failed: seed {e['seed']}: {e['reason']}")
+    for reason in summary["reasons"]:
+        warn(f"surg: {reason}")

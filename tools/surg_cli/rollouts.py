@@ -1,0 +1,3 @@
+"""Roll-outs of a policy in the graph, one after another; what is done is not done again."""
+
+from __future__ import annotations
