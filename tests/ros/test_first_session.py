@@ -1,6 +1,6 @@
 """docs/first_session.md, done line by line with the simulator.
 
-In the short run simulated time passes as quickly as it can; in the full one the lines are the page's.
+In the short run simulated time passes as quickly as it can; in the full one nothing is added.
 """
 
 from __future__ import annotations
