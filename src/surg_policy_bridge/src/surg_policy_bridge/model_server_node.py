@@ -50,8 +50,9 @@ from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
 from surg_recording.recorder_settings import camera as camera_topic
 
-FRESH = SECOND // 10
-"""[ns] Free-run: an arm that has said nothing for longer is silent."""
+FRESH = SECOND // 4
+"""[ns] Free-run: an arm that has said nothing for longer is silent. (Its controller has a watchdog
+of its own for the link behind it; an observation is as old as the cycle in it.)"""
 REPORT = SECOND // 2
 """[ns] The status is published at least that often."""
 ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
@@ -314,7 +315,8 @@ class ModelServerNode:
             stamp_ns = self._put_state(views)
             seen = None if stamp_ns is None else self._observer.take(step, stamp_ns)
             if seen is not None:
-                self._server.observe(seen, now, now)
+                # As old as the oldest cycle in it.
+                self._server.observe(seen, min(at for at, _ in self._cycles.values()), now)
         for arm, target in self._free.play(self._server, views, now).items():
             commands[arm] = ArmCommand(servo=target)
         self._send(commands, time.time_ns())
