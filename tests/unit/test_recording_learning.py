@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from helpers.rollouts_synthetic import entry, rollout
 from surg_recording import learning, learning_report
 
 INFO: dict[str, Any] = {
@@ -22,42 +23,6 @@ INFO: dict[str, Any] = {
     "policy": "chunks of 16",
     "stages_s": {"demonstrations": 10.0, "training": 5.0},
 }
-
-
-def entry(
-    seed: int, success: bool = True, rcm: float = 0.01, sparc: float = -3.0
-) -> dict[str, Any]:
-    """As `trials.describe` makes it."""
-    return {
-        "seed": seed,
-        "setting": "phantom",
-        "law": "ours",
-        "success": success,
-        "failure_reason": None if success else "the robot lost its grasp",
-        "phase": "done" if success else "retract",
-        "duration_s": 12.0,
-        "played": True,
-        "rcm_kinematic_mm": {"mean": rcm / 2, "median": rcm / 2, "p95": rcm, "max": rcm},
-        "rcm_true_mm": {"mean": 0.2, "median": 0.2, "p95": 0.3, "max": 0.4},
-        "smoothness": {"preset": "reference", "sparc": sparc, "ldlj": -9.0},
-        "state_hash": "ab" * 32,
-    }
-
-
-SERVED = {
-    "rejected": 1,
-    "clipped": 2,
-    "late": 0,
-    "obs_age_ms": {"p50": 50.0, "p99": 100.0},
-    "round_trip_ms": {"p50": 0.6, "p99": 2.0},
-}
-
-
-def rollout(seed: int, unsafe: int | None = 0, served: Any = SERVED, **of: Any) -> dict[str, Any]:
-    found = learning.roll_out(entry(seed, **of), served, None)
-    if unsafe is not None:
-        found["unsafe"] = {"cycles": 6000, "commands": unsafe, "rules": {"joint velocity": unsafe}}
-    return found
 
 
 def summary(rollouts: list[dict[str, Any]], least: int = 17) -> dict[str, Any]:

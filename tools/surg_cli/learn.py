@@ -104,7 +104,16 @@ def main(options: argparse.Namespace, command: str) -> int:
         {"seed": wanted.seed, "by": [paths.file_digest(file) for file in (train, serve)]},
         lambda: _train(train, wanted, out),
     )
-    player = rollouts.Player(wanted.task, cell, loaded, wanted.setting, serve, out / "weights.npz")
+    player = rollouts.Player(
+        wanted.task,
+        cell,
+        loaded,
+        wanted.setting,
+        serve,
+        out / "weights.npz",
+        wanted.views,
+        bool(trained["privileged"]),
+    )
     entries = ledger.stage(
         "rollouts",
         {"rollouts": wanted.rollouts, "weights": trained["weights"]},

@@ -1,3 +1,112 @@
-"""Roll-outs of a policy in the graph, one after another; what is done is not done again."""
+"""Roll-outs of a learned policy through the graph: each in a graph of its own, played once.
+
+A roll-out is an episode of `./surg run TASK --policy SCRIPT`: the same graph, the same recording.
+What it came to is kept beside it, so that work that was cut off goes on behind it.
+"""
 
 from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from surg_cli import episode, paths, policy, run
+from surg_cli.run import Condition
+
+RESULT = "result.json"
+WEIGHTS = "SURG_BGR_WEIGHTS"
+"""Environment variable by which a policy's script learns of its weights."""
+
+
+@dataclass
+class Player:
+    """Plays roll-outs of one policy.
+
+    Attributes:
+        task: Name of the task.
+        cell: Folder of the cell.
+        loaded: The cell.
+        setting: Physical setting.
+        script: Client of the policy.
+        weights: Its weights.
+        views: Of the endoscope, rendered, recorded and served.
+        privileged: Whether the simulator's truth is served.
+    """
+
+    task: str
+    cell: Path
+    loaded: Any
+    setting: str
+    script: Path
+    weights: Path
+    views: tuple[str, ...]
+    privileged: bool
+
+    def __post_init__(self) -> None:
+        player = policy.read(str(self.script), None, self.privileged)
+        self._condition = Condition(self.setting, "ours")
+        self._plan = run.make_plan(
+            self.task, self.cell, self.loaded, [self._condition], 0, self.views, Path(), player
+        )
+
+    @property
+    def title(self) -> str:
+        """Of the task."""
+        return str(self._plan.run_info["title"])
+
+    @property
+    def robot(self) -> str:
+        """Of the commanded arm."""
+        return str(self._plan.run_info["robot"])
+
+    def play(self, seed: int, folder: Path, show: Callable[[float, str], None]) -> dict[str, Any]:
+        """Play one, or tell of it when it has been played.
+
+        Args:
+            seed: Of the episode.
+            folder: Of the roll-out; what a roll-out that was cut off left there is removed.
+            show: Called with the simulated time [s] and words.
+
+        Returns:
+            ``rollout`` (`learning.roll_out`) and ``episode`` (`trials.describe`).
+        """
+        file = folder / RESULT
+        if file.is_file():
+            return dict(json.loads(file.read_text("utf-8")))
+        shutil.rmtree(folder, ignore_errors=True)
+        plan = run.of_episode(self._plan, self._condition, seed, folder)
+        episode.write_plan(plan)
+        os.environ[WEIGHTS] = str(self.weights.absolute())
+        said = run.run_process(folder, show)
+        result = _describe(seed, self.setting, folder, said)
+        paths.write_text(file, json.dumps(result, indent=1) + "\n")
+        return result
+
+
+def _describe(seed: int, setting: str, folder: Path, said: str) -> dict[str, Any]:
+    """Both entries of a roll-out from what its process left."""
+    from surg_recording import episode as episodes
+    from surg_recording import learning, trials
+    from surg_recording.errors import EpisodeError
+
+    file = folder / episode.OUTCOME
+    if file.exists():
+        ended = episode.Ended(**json.loads(file.read_text("utf-8")))
+    else:
+        ended = episode.Ended(False, said, "", 0.0, False, None)
+    reason, recorded = ended.reason, None
+    try:
+        recorded = episodes.read(folder / "episode")
+        outcome = trials.Outcome(ended.success, reason, ended.phase, ended.duration_s, ended.played)
+        entry = trials.describe(seed, setting, "ours", outcome, recorded)
+        rollout = learning.roll_out(entry, ended.policy or {}, recorded)
+    except EpisodeError as error:
+        reason = "; ".join(filter(None, (reason, str(error))))
+        outcome = trials.Outcome(False, reason, ended.phase, ended.duration_s, False)
+        entry = trials.describe(seed, setting, "ours", outcome, None)
+        rollout = learning.roll_out(entry, ended.policy or {}, None)
+    return {"rollout": rollout, "episode": entry}

@@ -6,10 +6,11 @@ Work that was cut off is taken up where it ended: a recording that is complete i
 from __future__ import annotations
 
 import shutil
+import signal
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 
 from surg_recording import episode
@@ -92,17 +93,27 @@ def play(
     made: list[Demonstration] = []
     # Forked: a spawned process takes this one's sys.path, in which catkin has put source folders
     # before those of compiled modules.
-    pool = ProcessPoolExecutor(min(workers, len(todo)), mp_context=get_context("fork"))
+    context = get_context("fork")
+    pool = ProcessPoolExecutor(min(workers, len(todo)), context, _leave_signals_to_the_parent)
     try:
         waiting = [pool.submit(_play_one, plan, seed, seed in seeds[1::2]) for seed in todo]
         for future in as_completed(waiting):
             made.append(future.result())
             progress(len(made), made[-1])
     except BaseException:
-        pool.shutdown(wait=True, cancel_futures=True)
+        for child in active_children():
+            child.terminate()
+        pool.shutdown(wait=False, cancel_futures=True)
         raise
     pool.shutdown()
     return sorted(made, key=lambda one: one.seed)
+
+
+def _leave_signals_to_the_parent() -> None:
+    """Ctrl-C reaches the whole terminal group: the parent ends its workers itself."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Forked from a program that may turn this one into an exception.
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 _sessions: dict[Plan, RecordedSession] = {}

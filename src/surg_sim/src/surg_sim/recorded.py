@@ -62,6 +62,7 @@ class RecordedSession(Session):
         self._cameras = {name: f"endoscope_{name}" for name in cameras}
         self._eye = self._open_eye(size) if cameras else None
         self._recording: Recording | None = None
+        self._orientations: dict[str, tuple[bytes, list[float]]] = {}
 
     def record(
         self,
@@ -165,8 +166,8 @@ class RecordedSession(Session):
                     recording.assistant_command(topic, message, "/assistant", stamp)
         tick = super().tick(commands, assistant)
         for name, out in tick.outputs.items():
-            X_BR = np.asarray(self.controllers[name].X_BR)
-            recording.cycle(name, _cycle(out, tick.tick, before[name][0], X_BR), stamp)
+            row = _cycle(out, tick.tick, before[name][0], self._orientation(name))
+            recording.cycle(name, row, stamp)
         arms = [_truth(name, truth) for name, (_, truth) in before.items()]
         recording.ground_truth(
             SimpleNamespace(header=_header(stamp), tick=tick.tick, arms=arms), stamp
@@ -174,6 +175,15 @@ class RecordedSession(Session):
         if state is not None:
             recording.task_state(_task_state(tick, state), stamp)
         return tick
+
+    def _orientation(self, arm: str) -> list[float]:
+        """Of the rcm frame in the base, x, y, z, w; it changes when the arm is homed."""
+        R_BR = np.asarray(self.controllers[arm].X_BR)[:3, :3]
+        known = self._orientations.get(arm)
+        if known is None or known[0] != R_BR.tobytes():
+            known = (R_BR.tobytes(), list(matrix_to_quaternion_xyzw(R_BR).tolist()))
+            self._orientations[arm] = known
+        return known[1]
 
     def close(self) -> None:
         """Give the OpenGL context back."""
@@ -241,7 +251,7 @@ def _command(command: surg_core.MotionCommand, stamp_ns: int) -> tuple[str, Simp
     return _POSE, SimpleNamespace(header=header, pose=pose)
 
 
-def _cycle(out: surg_core.Outputs, tick: int, measured: Any, X_BR: Any) -> SimpleNamespace:
+def _cycle(out: surg_core.Outputs, tick: int, measured: Any, q_BR: list[float]) -> SimpleNamespace:
     """A control cycle as surg_msgs/Cycle has it."""
 
     def plain(values: Any) -> list[float]:
@@ -265,7 +275,7 @@ def _cycle(out: surg_core.Outputs, tick: int, measured: Any, X_BR: Any) -> Simpl
         p_tip=plain(out.p_BTip),
         s=plain(out.s_B),
         p_rcm=plain(out.p_BRcm),
-        q_br=plain(matrix_to_quaternion_xyzw(X_BR[:3, :3])),
+        q_br=q_BR,
         roll=out.roll,
         depth=out.depth,
         rcm_error=out.rcm_error,

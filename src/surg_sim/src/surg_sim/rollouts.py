@@ -19,6 +19,7 @@ from surg_sim.env import ARM_STATE, SurgEnv
 Array = NDArray[np.float64]
 
 STATE, TASK = "observation.state", "privileged.task_state"
+IMAGES = "observation.images.endoscope"
 
 
 class Acts(Protocol):
@@ -65,12 +66,17 @@ def names(env: SurgEnv) -> dict[str, list[str]]:
     return {STATE: [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE], TASK: flat}
 
 
-def observe(env: SurgEnv, observation: dict[str, Any]) -> dict[str, Array]:
-    """An observation of the environment as a dataset has it."""
+def observe(env: SurgEnv, observation: dict[str, Any]) -> dict[str, Any]:
+    """An observation of the environment as a dataset has it; pictures too, where there are any."""
     place = {name: i for i, name in enumerate(env.state_names)}
     chosen = [place[name] for name in names(env)[STATE]]
     truth = [np.ravel(value) for value in observation["privileged"].values()]
-    return {STATE: observation["state"][chosen], TASK: np.concatenate(truth)}
+    shown = observation.get("images", {})
+    return {
+        STATE: observation["state"][chosen],
+        TASK: np.concatenate(truth),
+        **{f"{IMAGES}.{name}": picture for name, picture in shown.items()},
+    }
 
 
 def roll_out(env: SurgEnv, policy: Acts, seed: int) -> Rollout:

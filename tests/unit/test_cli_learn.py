@@ -1,0 +1,187 @@
+"""`./surg learn` and `./surg demo --full`: what is asked for, in which order, and what is left.
+
+The stages themselves are made up here: each has tests of its own.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from helpers.rollouts_synthetic import entry, rollout
+from surg_cli import demo, learn, rollouts
+from surg_cli.terminal import Problem
+
+TRAINED = {
+    "weights": "c0ffee" * 8,
+    "words": "chunks of 16",
+    "observation": ["observation.state", "privileged.task_state"],
+    "privileged": ["privileged.task_state"],
+}
+
+
+def options(*words: str, full: bool = False) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    module: Any = demo if full else learn
+    module.add_arguments(parser, "demo" if full else "learn")
+    return parser.parse_args(words)
+
+
+class FakePlayer:
+    """Stands in for the graph."""
+
+    title, robot = "Bowel grasping and retraction", "ur5e"
+    played: list[int] = []  # noqa: RUF012: of all players
+
+    def __init__(self, *arguments: Any) -> None:
+        self.arguments = arguments
+
+    def play(self, seed: int, folder: Path, show: Any) -> dict[str, Any]:
+        show(1.0, "grasp")
+        FakePlayer.played.append(seed)
+        return {"rollout": rollout(seed), "episode": entry(seed)}
+
+
+@pytest.fixture
+def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the stages as they are done."""
+    found: list[str] = []
+
+    def fake(name: str, result: Any) -> Any:
+        def work(*arguments: Any) -> Any:
+            found.append(name)
+            if isinstance(result, Exception):
+                raise result
+            return result
+
+        return work
+
+    monkeypatch.setattr(learn, "_show", fake("show", {"success": 8, "failed": {}}))
+    monkeypatch.setattr(learn, "_export", fake("export", {"recordings": 8}))
+    monkeypatch.setattr(learn, "_train", fake("train", TRAINED))
+    monkeypatch.setattr(learn, "_measure", fake("measure", [entry(1)]))
+    monkeypatch.setattr(rollouts, "Player", FakePlayer)
+    FakePlayer.played.clear()
+    return found
+
+
+def test_all_stages_once_and_what_is_left(
+    tmp_path: Path, done: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    words = ("bgr", "--episodes", "8", "--rollouts", "3", "--out", str(out))
+    assert learn.main(options(*words), "learn") == 0
+    assert done == ["show", "export", "train", "measure"]
+    assert FakePlayer.played == [20_000, 20_001, 20_002]
+    said = capsys.readouterr().out
+    assert said.splitlines()[-1] == str(out / "summary.json")
+    assert "3 of 3" in said and "privileged.task_state" in said
+    summary = json.loads((out / "summary.json").read_text("utf-8"))
+    assert summary["ok"] and summary["unsafe_commands"] == 0
+    assert list(summary["stages_s"]) == [
+        *("demonstrations", "dataset", "training", "rollouts", "smoothness")
+    ]
+    assert [e["seed"] for e in summary["rollouts"]] == FakePlayer.played
+    # Again: nothing is done. More roll-outs: only the roll-outs and what is behind them.
+    assert learn.main(options(*words), "learn") == 0 and len(done) == 4
+    assert learn.main(options(*words[:3], "--rollouts", "4", *words[5:]), "learn") == 0
+    assert done[4:] == ["measure"]
+    # Another training: the demonstrations are those that are there.
+    assert learn.main(options(*words, "--seed", "1"), "learn") == 0
+    assert done[5:] == ["train", "measure"]
+
+
+def test_a_stage_that_breaks_is_named_with_the_line_to_go_on(
+    tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_memory(*arguments: Any) -> Any:
+        raise Problem("out of memory")
+
+    good = learn._train
+    monkeypatch.setattr(learn, "_train", no_memory)
+    out = tmp_path / "run"
+    words = ("bgr", "--episodes", "8", "--rollouts", "3", "--out", str(out))
+    with pytest.raises(Problem) as said:
+        learn.main(options(*words), "learn")
+    text = str(said.value)
+    assert "stage 'training'" in text and "out of memory" in text
+    line = "--setting phantom --robot ur5e --seed 0 --episodes 8 --rollouts 3"
+    assert f"./surg learn bgr {line} --out {out}" in text
+    monkeypatch.setattr(learn, "_train", good)
+    assert learn.main(options(*words), "learn") == 0
+    assert done == ["show", "export", "train", "measure"]
+
+
+def test_demo_full_is_learn(tmp_path: Path, done: list[str]) -> None:
+    words = ("--full", "--episodes", "8", "--rollouts", "2", "--out", str(tmp_path / "run"))
+    assert demo.main(options(*words, full=True), "demo") == 0
+    assert done == ["show", "export", "train", "measure"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("pick_and_place",), "trainer for bgr only"),
+        (("bgr", "--episodes", "0"), "--episodes 0: 1 to 700"),
+        (("bgr", "--episodes", "701"), "1 to 700"),
+        (("bgr", "--rollouts", "1001"), "--rollouts 1001: 1 to 1000"),
+        (("bgr", "--seed", "-1"), "--seed -1"),
+        (("bgr", "--setting", "space"), "space"),
+        (("bgr", "--setting", "phantom,in_vivo"), "one setting"),
+    ],
+)
+def test_what_cannot_be_meant_is_refused_before_anything_begins(
+    words: tuple[str, ...], said: str, tmp_path: Path, done: list[str]
+) -> None:
+    with pytest.raises(Problem, match=said) as problem:
+        learn.main(options(*words, "--out", str(tmp_path / "run")), "learn")
+    assert problem.value.code == 2
+    assert done == [] and not (tmp_path / "run").exists()
+
+
+def test_a_folder_of_another_run_is_left_alone(tmp_path: Path, done: list[str]) -> None:
+    out = str(tmp_path / "run")
+    learn.main(options("bgr", "--episodes", "8", "--rollouts", "1", "--out", out), "learn")
+    with pytest.raises(Problem, match="--episodes 8"):
+        learn.main(options("bgr", "--episodes", "9", "--rollouts", "1", "--out", out), "learn")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "thesis.txt").write_text("mine")
+    with pytest.raises(Problem, match="not an empty folder"):
+        learn.main(options("bgr", "--out", str(tmp_path / "other")), "learn")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--full", "--motion", "m.csv"), "--motion: only without --full"),
+        (("--full", "--law", "paper"), "--law: only without --full"),
+        (("--rollouts", "3"), "--rollouts: only with --full"),
+        (("--task", "bgr", "--rollouts", "3"), "--rollouts: only with --full"),
+    ],
+)
+def test_options_of_another_demo_are_refused(words: tuple[str, ...], said: str) -> None:
+    with pytest.raises(Problem, match=said):
+        demo.main(options(*words, full=True), "demo")
+
+
+def test_what_a_program_says_in_json_is_its_progress_and_its_result(tmp_path: Path) -> None:
+    told: list[float] = []
+    script = tmp_path / "train.py"
+    script.write_text(
+        "import json\n"
+        "for part in (0.0, 0.5):\n"
+        "    print(json.dumps({'part': part, 'note': 'x'}))\n"
+        "print('a warning')\n"
+        "print(json.dumps({'weights': 'ab'}))\n"
+    )
+    argv = ["/usr/bin/python3", str(script)]
+    last = learn.follow(argv, tmp_path / "log", lambda news: told.append(news["part"]))
+    assert last == {"weights": "ab"} and told == [0.0, 0.5]
+    assert (tmp_path / "log").read_text("utf-8") == "a warning\n"
+    script.write_text("import sys\nsys.exit('no data set')\n")
+    with pytest.raises(Problem, match="no data set"):
+        learn.follow(argv, tmp_path / "log", lambda news: None)
