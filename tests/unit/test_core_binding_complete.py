@@ -30,7 +30,7 @@ ABSENT = {
     # parts of Controller, reachable through step() and run(), whose types own no meaning alone
     "ArmState Sight Pilot Whereabouts Setpoint Space Dofs Trocar TrackSample Jaw": "part",
     "ForceGuard": "part",
-    "OperatingState Conditions Authority check_step": "part",
+    "OperatingState Conditions Authority": "part",
     "velocity_wish axial_wish paper_wish TwistWish Gains to_spherical to_cartesian": "part",
     "Wish PathView Barrier SingularityMeasures": "part",
     "is_servo is_jaw Inputs newton_step wrapped aside_near_trocar"

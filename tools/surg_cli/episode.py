@@ -14,8 +14,9 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from surg_cli import environment, follow, master, paths, processes, running, system
+from surg_cli import environment, follow, master, paths, policy, processes, running, system
 from surg_cli.__main__ import interrupt_on_signals
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, warn
@@ -39,6 +40,7 @@ class Ended:
         duration_s: Simulated time.
         played: It came to an end of its own, and all of it is recorded.
         real_time_factor: Simulated by wall time without start and end; None for a very short one.
+        policy: The last `/policy/status`; None without a policy.
     """
 
     success: bool
@@ -47,6 +49,7 @@ class Ended:
     duration_s: float
     played: bool
     real_time_factor: float | None
+    policy: dict[str, Any] | None = None
 
 
 def write_plan(plan: Plan) -> None:
@@ -62,6 +65,8 @@ def read_plan(folder: Path) -> Plan:
     values["senders"] = {name: tuple(arms) for name, arms in values["senders"].items()}
     for name in ("cell", "out"):
         values[name] = Path(values[name])
+    if values["policy"] is not None:
+        values["policy"] = system.Policy(**values["policy"])
     return Plan(**values)
 
 
@@ -78,12 +83,16 @@ def play(plan: Plan) -> Ended:
             port = master.free_port()
             master.start(supervisor, port)
             with running.announced("run", port, plan.cell, supervisor.logs) as entry:
-                for node in [*system.nodes(plan), *system.senders(plan)]:
-                    system.start(supervisor, node)
-                entry.nodes = {child.name: child.process.pid for child in supervisor.children}
-                entry.save()
                 os.environ.update(supervisor.env)
-                with Watch(plan.arms, senders=list(plan.senders)) as watch:
+                senders = [name for name in plan.senders if name != system.POLICY]
+                with Watch(plan.arms, senders=senders) as watch:
+                    if plan.policy is not None:
+                        policy.connect(plan, supervisor, watch, _progress)
+                    watch.begin()
+                    for node in [*system.nodes(plan), *system.senders(plan)]:
+                        system.start(supervisor, node)
+                    entry.nodes = {child.name: child.process.pid for child in supervisor.children}
+                    entry.save()
                     return _follow(plan, supervisor, watch)
     finally:
         with processes.signals_ignored():
@@ -121,6 +130,8 @@ def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended
     if not fault and not verdict.get("done"):
         reason = "the simulation ended before the task did"
     gave_up = [f"{name}: {why}" for name, why in watch.gave_up.items()]
+    if plan.policy is not None and not verdict.get("success"):
+        gave_up += policy.complaints(supervisor, watch)
     return Ended(
         success=bool(verdict.get("success")) and not broken and not fault,
         reason="; ".join([*broken, *([reason] if reason else []), *gave_up]),
@@ -128,6 +139,7 @@ def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended
         duration_s=float(sim.get("sim_time_s") or 0.0),
         played=not broken and (bool(fault) or bool(verdict.get("done"))),
         real_time_factor=rate.factor,
+        policy=watch.policy if plan.policy is not None else None,
     )
 
 

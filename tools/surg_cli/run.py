@@ -12,13 +12,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, episode, paths, processes
+from surg_cli import cells, episode, paths, policy, processes, system
 from surg_cli.system import Plan
 from surg_cli.terminal import Problem, Progress, is_interactive, say, table, warn
 
 LAWS = ("ours", "velocity", "paper")
 VIEWS = {"none": (), "left": ("left",), "stereo": ("left", "right")}
 ROBOT_CELLS = {"ur5e": "sim_two_arms", "panda": "sim_two_arms_panda"}
+EXPERT = "expert"
+"""The sender of a task whose place a policy takes; the others stay scripted."""
 EPISODE_TIMEOUT_S = 1800.0
 """[s] wall clock: longest an episode may take, start and report included."""
 
@@ -32,6 +34,15 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--law", default="ours", metavar="L", help="control law: " + ", ".join(LAWS))
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
     add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or a cell with two arms")
+    add(
+        "--policy",
+        metavar="P",
+        help="a policy plays instead of the expert: the address at which it connects, such as "
+        "tcp://127.0.0.1:5555, or its client's .py file, which is started (docs/policies.md)",
+    )
+    add("--policy-keys", type=Path, metavar="DIR", help="folder of ./surg keys")
+    add("--privileged", action="store_true", help="the policy may see the simulator's truth")
+    add("--free-run", action="store_true", help="with --policy: in real time, not in lock-step")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +81,10 @@ def main(options: argparse.Namespace, command: str) -> int:
     out = paths.run_folder(options.out)
     cell = _cell(options.robot)
     cameras = VIEWS[options.cameras]
-    plan = make_plan(options.task, cell, cells.load(cell), conditions, options.seed, cameras, out)
+    player = _player(options)
+    loaded = cells.load(cell)
+    plan = make_plan(options.task, cell, loaded, conditions, options.seed, cameras, out, player)
+    plan = _timed(plan, options.free_run)
     out.mkdir(parents=True, exist_ok=True)
     count = len(conditions) * options.episodes
     say(
@@ -150,6 +164,23 @@ def _check_numbers(options: argparse.Namespace) -> None:
         raise Problem(f"--seed {options.seed}: 0 to {2**31 - 1} is allowed", 2)
 
 
+def _player(options: argparse.Namespace) -> system.Policy | None:
+    """The policy that plays, if one does."""
+    if options.policy is not None:
+        return policy.read(options.policy, options.policy_keys, options.privileged)
+    for name in ("policy_keys", "privileged", "free_run"):
+        if getattr(options, name):
+            raise Problem(f"--{name.replace('_', '-')} goes with --policy", 2)
+    return None
+
+
+def _timed(plan: Plan, free_run: bool) -> Plan:
+    """The plan in lock-step or in real time."""
+    if not free_run:
+        return plan
+    return replace(plan, lockstep=False, run_info={**plan.run_info, "timing": "freerun"})
+
+
 def _cell(robot: str) -> Path:
     """The cell for a robot's name, or a cell itself."""
     try:
@@ -167,6 +198,7 @@ def make_plan(
     seed: int,
     cameras: tuple[str, ...],
     out: Path,
+    player: system.Policy | None = None,
 ) -> Plan:
     """What every episode of a run has in common; nothing has been started.
 
@@ -178,6 +210,7 @@ def make_plan(
         seed: Of the first episode.
         cameras: Views that are rendered and recorded.
         out: Folder of the run.
+        player: Plays in the place of the scripted expert.
 
     Raises:
         Problem: The task is unknown, does not fit the cell, or has nobody who plays it.
@@ -194,6 +227,9 @@ def make_plan(
         senders = {name: tuple(e.arms) for name, e in found.experts(loaded, seed).items()}
     except ValueError as error:  # a TaskError is one
         raise Problem(str(error), 2) from error
+    if player is not None:
+        senders.pop(EXPERT, None)
+        senders[system.POLICY] = tuple(found.commanded)
     if not senders:
         raise Problem(f"task '{found.name}' has no scripted sender: nobody would play it", 2)
     arms = tuple(str(arm) for arm in loaded.arms)
@@ -204,11 +240,12 @@ def make_plan(
         cameras=cameras,
         task=task,
         senders=senders,
+        policy=player,
         out=out,
         run_info={
             "task": found.name,
             "title": found.title,
-            "operator": "scripted expert",
+            "operator": "scripted expert" if player is None else _named(player),
             "robot": loaded.arms[arms[0]].robot.name,
             "mode": "cartesian",
             "timing": "lockstep",
@@ -216,11 +253,23 @@ def make_plan(
     )
 
 
+def _named(player: system.Policy) -> str:
+    """A policy in the manifest."""
+    return f"policy {Path(player.script).name if player.script else 'at ' + player.address}"
+
+
 def of_episode(plan: Plan, condition: Condition, seed: int, folder: Path) -> Plan:
     """The plan of one episode of a run."""
     info = {**plan.run_info, "seed": seed, "setting": condition.setting, "law": condition.law}
+    player = None if plan.policy is None else policy.addressed(plan.policy)
     return replace(
-        plan, setting=condition.setting, law=condition.law, seed=seed, out=folder, run_info=info
+        plan,
+        setting=condition.setting,
+        law=condition.law,
+        seed=seed,
+        policy=player,
+        out=folder,
+        run_info=info,
     )
 
 
@@ -294,6 +343,8 @@ def _describe(plan: Plan, ended: episode.Ended) -> dict[str, Any]:
         outcome = replace(outcome, reason="; ".join(filter(None, (ended.reason, str(error)))))
         entry = trials.describe(plan.seed, plan.setting, plan.law, outcome, None)
     entry["real_time_factor"] = ended.real_time_factor
+    if plan.policy is not None:
+        entry["policy"] = ended.policy
     entry["folder"] = f"episodes/{plan.out.name}"
     return entry
 
@@ -309,7 +360,7 @@ def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, A
         "task": plan.run_info["task"],
         "robot": plan.run_info["robot"],
         "cell": plan.cell.name,
-        "time": "lockstep",
+        "time": plan.mode,
         "versions": provenance.versions(),
     }
     summary = trials.summarise(entries, info)

@@ -20,6 +20,25 @@ from surg_cli.terminal import Problem
 OPERATOR = "operator"
 RECORDER = "recorder"
 ENDOSCOPE = "endoscope"
+POLICY = "policy"
+POLICY_TOPICS = ("/policy/action", "/policy/rejected", "/policy/status")
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A policy that plays in the place of the scripted expert.
+
+    Attributes:
+        address: Where the model server listens.
+        script: Client that is started with it; empty: somebody connects.
+        keys: Folder of CURVE keys; empty: none.
+        privileged: Whether the simulator's truth is served.
+    """
+
+    address: str
+    script: str = ""
+    keys: str = ""
+    privileged: bool = False
 
 
 @dataclass(frozen=True)
@@ -42,6 +61,7 @@ class Plan:
         task: Name or file of the task that is played; empty: none.
         setting: Its physical setting.
         senders: Names of the scripted nodes that play it, with the arms that each commands.
+        policy: Who plays as the sender `POLICY`; None: there is none.
         extra_participants: Nodes from elsewhere that a lock-step tick waits for.
         run_info: What the recorder writes into the manifest.
     """
@@ -61,6 +81,7 @@ class Plan:
     task: str = ""
     setting: str = ""
     senders: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    policy: Policy | None = None
     extra_participants: tuple[str, ...] = ()
     run_info: dict[str, object] = field(default_factory=dict)
 
@@ -187,15 +208,43 @@ def nodes(plan: Plan) -> list[Node]:
             "autostart": plan.lockstep,  # before the first tick; a later start would miss some
             "cameras": plan.streams,
             "run_info": json.dumps(plan.run_info, sort_keys=True),
+            **({"topics": list(POLICY_TOPICS)} if plan.policy is not None else {}),
         }
         found.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
     return found
 
 
 def senders(plan: Plan) -> list[Node]:
-    """The nodes that play the plan's task."""
+    """The scripted nodes that play the plan's task."""
     params: dict[str, object] = {"cell": str(plan.cell), "task": plan.task, "seed": plan.seed}
-    return [Node(f"/{name}", "surg_sim", "expert_node.py", dict(params)) for name in plan.senders]
+    return [
+        Node(f"/{name}", "surg_sim", "expert_node.py", dict(params))
+        for name in plan.senders
+        if name != POLICY
+    ]
+
+
+def model_server(plan: Plan) -> Node:
+    """The node that a policy connects to.
+
+    Args:
+        plan: With `policy` set.
+    """
+    policy = plan.policy
+    assert policy is not None
+    params: dict[str, object] = {
+        "bind": policy.address,
+        "keys": policy.keys,
+        "cell": str(plan.cell),
+        "arms": list(plan.senders[POLICY]),
+        "mode": plan.mode,
+        "task": str(plan.run_info.get("task", "")),
+        "instruction": str(plan.run_info.get("title", "")),
+        "privileged": policy.privileged,
+        "cameras": plan.streams,
+        "autostart": True,
+    }
+    return Node(f"/{POLICY}", "surg_policy_bridge", "model_server_node.py", params)
 
 
 def operator_node(plan: Plan) -> Node:

@@ -47,6 +47,7 @@ class Watch:
         self._faulted: list[str] = []
         self._errors: dict[str, str] = {}
         self._gave_up: dict[str, str] = {}
+        self._policy: dict[str, Any] = {}
         self._news: deque[tuple[str, str]] = deque(maxlen=self.KEPT)
         self._bool = Bool
         self._record_switch = rospy.Publisher("/record/record", Bool, queue_size=1, latch=True)
@@ -55,6 +56,7 @@ class Watch:
             subscribe("/sim/status", String, self._on_sim),
             subscribe("/record/recording", Bool, self._on_recording),
             subscribe("/record/status", String, self._on_record),
+            subscribe("/policy/status", String, self._on_policy),
         ]
         for sender in senders:
             self._subscribers.append(
@@ -76,6 +78,11 @@ class Watch:
         import rospy
 
         rospy.signal_shutdown("surg is done")
+
+    def begin(self) -> None:
+        """The simulator is started now: from here on it may be missed."""
+        with self._lock:
+            self._sim_changed = time.monotonic()
 
     def record(self, on: bool) -> None:
         """Tell the recorder to start or to stop; latched, so a late recorder hears it too."""
@@ -104,6 +111,12 @@ class Watch:
         """The newest `/record/status`, empty before the first."""
         with self._lock:
             return dict(self._record)
+
+    @property
+    def policy(self) -> dict[str, Any]:
+        """The newest `/policy/status`, empty before the first."""
+        with self._lock:
+            return dict(self._policy)
 
     @property
     def states(self) -> dict[str, str]:
@@ -153,6 +166,11 @@ class Watch:
         status = _parse(message.data, "/record/status")
         with self._lock:
             self._record = status
+
+    def _on_policy(self, message: Any) -> None:
+        status = _parse(message.data, "/policy/status")
+        with self._lock:
+            self._policy = status
 
     def _on_sender(self, message: Any, sender: str) -> None:
         reason = _parse(message.data, f"/{sender}/status").get("reason")

@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "convert.hpp"
+#include "surg_core/gate.hpp"
 #include "surg_core/limits.hpp"
 
 namespace surg::python {
@@ -271,6 +272,11 @@ void bind_config(py::module_& m) {
       },
       py::arg("limits"), py::arg("p_RTip"),
       "How far [m] a tip position (3,) lies outside depth range and cone; negative: inside.");
+  m.def("check_step", &check_step, py::arg("limits"), py::arg("begins"), py::arg("since"),
+        py::arg("distance"), py::arg("roll_distance"),
+        "Step test of a pose stream: Reason.NONE, STEP_TOO_LARGE or STREAM_START_TOO_FAR.\n"
+        "Distances [m], [rad] from the last accepted pose, which is 'since' [s] ago, or from the\n"
+        "set-point where a stream begins.");
   m.def("lateral_fade", &lateral_fade, py::arg("limits"), py::arg("depth"),
         "Factor of lateral tip motion at a depth [m]: 1 above depth_slow, 0 below depth_min.");
 }

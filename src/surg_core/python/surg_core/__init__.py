@@ -66,6 +66,7 @@ from surg_core._core import (
     calibrate_axis_by_rolling,
     calibrate_tip,
     calibrate_trocar,
+    check_step,
     exact_step,
     inside_workspace,
     inverse_velocity,
@@ -132,6 +133,7 @@ from surg_core.transforms import (
     matrix_to_quaternion_xyzw,
     quaternion_xyzw_to_matrix,
     rpy_to_matrix,
+    tip_quaternion,
 )
 from surg_core.urdf import chain_from_urdf, fixed_transform
 
@@ -205,6 +207,7 @@ __all__ = [
     "calibrate_tip",
     "calibrate_trocar",
     "chain_from_urdf",
+    "check_step",
     "exact_step",
     "fixed_transform",
     "flatten",
@@ -255,6 +258,7 @@ __all__ = [
     "stream_filter",
     "tighten",
     "tip_goal",
+    "tip_quaternion",
     "tool_calibration",
     "trocar_calibration",
     "with_home",

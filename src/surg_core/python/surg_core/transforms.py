@@ -157,3 +157,23 @@ def inverse_pose(X_AB: npt.ArrayLike) -> FloatArray:
     inverse[:3, :3] = X[:3, :3].T
     inverse[:3, 3] = -X[:3, :3].T @ X[:3, 3]
     return inverse
+
+
+def tip_quaternion(p: npt.ArrayLike, roll: float) -> FloatArray:
+    """Orientation of a tool whose tip is at p, with an absolute roll.
+
+    R = minimal rotation (z to p) * Rz(roll), see docs/conventions.md.
+
+    Args:
+        p: ``(3,)`` tip in the rcm frame [m], not above the trocar.
+        roll: [rad].
+
+    Returns:
+        Unit quaternion ``(x, y, z, w)``.
+    """
+    px, py, pz = (float(v) for v in _vector(p, 3, "p"))
+    x, y, w = -py, px, math.hypot(px, py, pz) + pz  # (z x p, |p| + z . p)
+    length = math.hypot(x, y, w)
+    x, y, w = x / length, y / length, w / length
+    c, n = math.cos(roll / 2.0), math.sin(roll / 2.0)
+    return np.array([x * c + y * n, y * c - x * n, w * n, w * c])

@@ -6,7 +6,6 @@ next grid time, never a place far away: the path is a minimum-jerk profile insid
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.transforms import tip_quaternion as tip_quaternion
 from surg_sim.arm import TICK
 from surg_sim.tasks.base import GRID
 
@@ -162,26 +162,6 @@ class Expert(ABC):
     @abstractmethod
     def act(self, view: View) -> Wishes:
         """Look at a tick of the grid, one after another, and say what to send."""
-
-
-def tip_quaternion(p: Array, roll: float) -> Array:
-    """Orientation of a tool whose tip is at p, with an absolute roll.
-
-    R = minimal rotation (z to p) * Rz(roll), see docs/conventions.md.
-
-    Args:
-        p: Tip in the rcm frame [m], not above the trocar, (3,).
-        roll: [rad].
-
-    Returns:
-        Unit quaternion x, y, z, w.
-    """
-    px, py, pz = (float(v) for v in p)
-    x, y, w = -py, px, math.hypot(px, py, pz) + pz  # (z x p, |p| + z . p)
-    length = math.hypot(x, y, w)
-    x, y, w = x / length, y / length, w / length
-    c, n = math.cos(roll / 2.0), math.sin(roll / 2.0)
-    return np.array([x * c + y * n, y * c - x * n, w * n, w * c])
 
 
 def home_frame(arm: surg_core.Arm) -> Array:

@@ -1,0 +1,95 @@
+"""What a cell's policy sees and commands: the specification of `surg_sim.env` and of datasets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import surg_core
+from surg_policy_bridge.arm import (
+    ACTION,
+    ACTION_UNITS,
+    ARM_STATE,
+    ARM_STATE_UNITS,
+    PERIOD,
+    SECOND,
+)
+from surg_policy_bridge.observer import IMAGE, STATE, TASK_STATE
+from surg_policy_client.spec import ActionSpec, Feature, Spec
+from surg_recording import columns
+
+
+def image_key(camera: str) -> str:
+    """Key of a camera: ``endoscope_left`` is ``observation.images.endoscope.left``."""
+    stem, _, side = camera.rpartition("_")
+    return IMAGE + (f"{stem}.{side}" if stem and side in ("left", "right") else camera)
+
+
+def task_numbers(names: Sequence[str]) -> list[str]:
+    """Names of the numbers of a surg_msgs/TaskState, as in a dataset."""
+    found = columns.task(names)[len(columns.TASK) :]
+    return [name.removeprefix(columns.TASK_PREFIX) for name in found]
+
+
+def make(
+    cell: surg_core.Cell,
+    arms: Sequence[str],
+    task: str,
+    cameras: Mapping[str, tuple[int, int]],
+    numbers: Sequence[str] | None,
+) -> Spec:
+    """The specification.
+
+    Args:
+        cell: The cell.
+        arms: Those that the policy commands.
+        task: Name of the task; empty: none.
+        cameras: Height and width [px] by name.
+        numbers: Names of the task's ground truth; None: it is not served.
+    """
+    observation = {
+        STATE: Feature(
+            dtype="f4",
+            shape=(len(arms) * len(ARM_STATE),),
+            unit=",".join(ARM_STATE_UNITS * len(arms)),
+            frame="rcm",
+            names=tuple(f"{arm}/{name}" for arm in arms for name in ARM_STATE),
+        )
+    }
+    for camera, (height, width) in cameras.items():
+        observation[image_key(camera)] = Feature(dtype="u1", shape=(height, width, 3))
+    if numbers is not None:
+        observation[TASK_STATE] = Feature(
+            dtype="f4",
+            shape=(len(numbers),),
+            unit="SI",
+            frame="world",
+            names=tuple(numbers),
+            privileged=True,
+        )
+    low, high = _range(cell, arms)
+    return Spec(
+        task=task or "none",
+        period_s=PERIOD / SECOND,
+        observation=observation,
+        action=ActionSpec(
+            names=tuple(f"{arm}/{name}" for arm in arms for name in ACTION),
+            units=ACTION_UNITS * len(arms),
+            frame="rcm",
+            low=tuple(low),
+            high=tuple(high),
+        ),
+    ).served()
+
+
+def _range(cell: surg_core.Cell, arms: Sequence[str]) -> tuple[list[float], list[float]]:
+    """Least and largest values that can be in the workspace."""
+    low: list[float] = []
+    high: list[float] = []
+    for name in arms:
+        arm = cell.arms[name]
+        far = float(arm.limits.depth_max)
+        wide = far * math.sin(min(float(arm.limits.cone), math.pi / 2))
+        low += [-wide, -wide, 0.0, -math.pi, float(arm.instrument.jaw_min)]
+        high += [wide, wide, far, math.pi, float(arm.instrument.jaw_max)]
+    return low, high

@@ -1,0 +1,87 @@
+"""What is counted, for the status topic."""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+KEPT = 4096
+"""Newest values of a spread."""
+
+
+@dataclass
+class Spread:
+    """The newest values of something that is measured [ns]."""
+
+    values: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    def add(self, value: int) -> None:
+        """One more."""
+        self.values.append(value)
+
+    def ms(self) -> dict[str, float | None]:
+        """Median and 99th percentile [ms]; None before the first."""
+        if not self.values:
+            return {"p50": None, "p99": None}
+        p50, p99 = np.percentile(np.array(self.values), [50, 99])
+        return {"p50": round(float(p50) * 1e-6, 3), "p99": round(float(p99) * 1e-6, 3)}
+
+
+@dataclass
+class Counters:
+    """Since the node's start.
+
+    Attributes:
+        accepted: Steps relayed to the arms.
+        clipped: Of them, those that a rule has shortened.
+        rejected: Steps that a rule has refused, by rule.
+        late: Steps that came after their time.
+        stale: Steps whose observation was too old when they were due, and chunks that answered an
+            observation older than the newest one answered.
+        empty: Grid times without a step.
+        waited: Lock-step: grid times at which no answer came in time.
+        messages: Messages of the wire.
+        malformed: Of them, those that are no messages, by the codec's code.
+        flooded: Messages that were not looked into, for they came too fast.
+        strangers: Messages of no session, or of another one.
+        sessions: Sessions so far.
+        obs_age: Age of the observation when a step that answers it is relayed.
+        round_trip: From sending an observation to the answer.
+    """
+
+    accepted: int = 0
+    clipped: int = 0
+    rejected: Counter[str] = field(default_factory=Counter)
+    late: int = 0
+    stale: int = 0
+    empty: int = 0
+    waited: int = 0
+    messages: int = 0
+    malformed: Counter[str] = field(default_factory=Counter)
+    flooded: int = 0
+    strangers: int = 0
+    sessions: int = 0
+    obs_age: Spread = field(default_factory=Spread)
+    round_trip: Spread = field(default_factory=Spread)
+
+    def report(self) -> dict[str, object]:
+        """As it stands on the status topic."""
+        return {
+            "accepted": self.accepted,
+            "clipped": self.clipped,
+            "rejected": sum(self.rejected.values()),
+            "rejected_by_rule": dict(sorted(self.rejected.items())),
+            "late": self.late,
+            "stale": self.stale,
+            "empty": self.empty,
+            "waited": self.waited,
+            "messages": self.messages,
+            "malformed": dict(sorted(self.malformed.items())),
+            "flooded": self.flooded,
+            "strangers": self.strangers,
+            "sessions": self.sessions,
+            "obs_age_ms": self.obs_age.ms(),
+            "round_trip_ms": self.round_trip.ms(),
+        }

@@ -1,0 +1,92 @@
+"""The grid of real time: when to observe, when a step is due, and what to send in between.
+
+A step is played out one period after the observation that it answers first was taken, so an answer
+within a period is in time whether it brings one step or fifty. Then the way to the next step is
+sent at 125 Hz (`playout`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from surg_policy_bridge.arm import ACTION, PERIOD, ArmView, Target
+from surg_policy_bridge.playout import SEND, Piece
+from surg_policy_bridge.server import ModelServer, State
+
+
+class FreeRun:
+    """Plays a server's steps in real time.
+
+    Args:
+        arms: Those that the policy commands.
+        start: Grid time 0 [ns].
+    """
+
+    def __init__(self, arms: Sequence[str], start: int) -> None:
+        self._arms, self._start = tuple(arms), start
+        self._seen = -1
+        self._step = -1
+        self._begun = 0
+        self._pieces: dict[str, Piece] = {}
+        self._last: tuple[int, dict[str, Piece]] = (start, {})
+        self._sent = start - SEND
+
+    def due(self, now: int) -> int:
+        """When there is something to do again [ns]."""
+        return min(self._sent + SEND, self._start + (self.step(now) + 1) * PERIOD)
+
+    def step(self, now: int) -> int:
+        """Number of the present grid time."""
+        return (now - self._start) // PERIOD
+
+    def observe(self, now: int) -> int | None:
+        """The grid time that has just come, once; None: there is none."""
+        step = self.step(now)
+        if step <= self._seen:
+            return None
+        self._seen = step
+        return step
+
+    def play(self, server: ModelServer, views: dict[str, ArmView], now: int) -> dict[str, Target]:
+        """What to send now, by arm; empty: nothing."""
+        step = self.step(now)
+        if step > self._step:
+            # The way to step n is played from grid time n on, where n - 1 has just been reached.
+            self._step = step
+            self._begin(server, views, step, now)
+        if server.state is not State.RUNNING:
+            self._pieces, self._last = {}, (now, {})
+        if not self._pieces or now - self._sent < SEND:
+            return {}
+        self._sent = now - (now - self._start) % SEND
+        share = (now - self._begun) / (self._start + (self._step + 1) * PERIOD - self._begun)
+        return {name: piece.at(share) for name, piece in self._pieces.items()}
+
+    def _begin(self, server: ModelServer, views: dict[str, ArmView], step: int, now: int) -> None:
+        if self._pieces:
+            self._last = (now, self._pieces)
+        targets = server.execute(step, now)
+        if not targets:
+            self._pieces = {}
+            return
+        beyond = server.coming(step + 1)
+        self._begun = now
+        self._pieces = {
+            name: self._piece(views[name], self._before(name, now), goal, beyond and beyond[name])
+            for name, goal in targets.items()
+        }
+
+    def _before(self, name: str, now: int) -> Piece | None:
+        """What has just been played; None: the arm rests, or will when its stream has ended."""
+        at, pieces = self._last
+        return pieces.get(name) if now - at <= PERIOD else None
+
+    def _piece(
+        self, view: ArmView, before: Piece | None, goal: Target, beyond: Target | None
+    ) -> Piece:
+        if before is None:
+            start = Target(view.p_set, view.roll_set, view.jaw_set)
+            return Piece(start, goal, np.zeros(len(ACTION)), beyond)
+        return Piece(before.goal, goal, before.slope, beyond)

@@ -1,0 +1,498 @@
+"""The model server as a node (docs/policies.md): policies on one side, the arms on the other.
+
+Parameters: ``~bind`` (tcp://127.0.0.1:5555), ``~keys`` (folder of ./surg keys), ``~cell``,
+``~arms`` ([PSM1]), ``~mode`` (freerun | lockstep), ``~task``, ``~instruction``, ``~privileged``
+(false: the simulator's truth is not served), ``~cameras`` ([]), ``~camera_rate`` (20), ``~clip``
+([jaw]), ``~autostart`` (false), ``~need_present`` (false), ``~answer_timeout`` (5 s). Exit code 2:
+a parameter or file that must not be used.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import signal
+import sys
+import threading
+import time
+import xmlrpc.client
+import zlib
+from typing import Any
+
+import numpy as np
+import rosgraph
+import rospy
+import zmq
+from sensor_msgs.msg import Image, Joy
+from std_msgs.msg import Bool, String
+
+import surg_core
+from surg_msgs.msg import PolicyAction, Ready
+from surg_policy_bridge import cell_spec
+from surg_policy_bridge.arm import GRID, SECOND, TICK, ArmCommand, ArmView
+from surg_policy_bridge.binding import BindError
+from surg_policy_bridge.free_run import FreeRun
+from surg_policy_bridge.observer import (
+    STATE,
+    TASK_STATE,
+    TOLERANCE,
+    CameraWatch,
+    Observation,
+    Observer,
+)
+from surg_policy_bridge.ports_node import ArmPort, RawCycle, RawTaskState
+from surg_policy_bridge.router_node import Router
+from surg_policy_bridge.safety import ArmLimits, SafetyController
+from surg_policy_bridge.server import ModelServer, ServerSettings, State
+from surg_policy_bridge.settings import Settings, SettingsError
+from surg_policy_client.errors import BadKeys
+from surg_policy_client.keys import ServerKeys, server_keys
+from surg_recording.recorder_settings import camera as camera_topic
+
+FRESH = SECOND // 4
+"""[ns] Free-run: an arm that has said nothing for longer is silent. (Its controller has a watchdog
+of its own for the link behind it; an observation is as old as the cycle in it.)"""
+REPORT = SECOND // 2
+"""[ns] The status is published at least that often."""
+ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
+
+
+class ModelServerNode:
+    """Wires socket and topics; every decision is `ModelServer`'s.
+
+    Args:
+        settings: The node's parameters.
+        cell: The cell.
+        keys: Of the server; None: this machine only.
+    """
+
+    def __init__(self, settings: Settings, cell: surg_core.Cell, keys: ServerKeys | None) -> None:
+        self._settings, self._cell = settings, cell
+        self._lock = threading.RLock()
+        self.finished = threading.Event()
+        """Set where the node shall end."""
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK)
+        self._router = Router(settings.bind, keys)
+        self._poller = zmq.Poller()
+        self._poller.register(self._router.socket, zmq.POLLIN)
+        self._poller.register(self._wake, zmq.POLLIN)
+        limits = {name: ArmLimits.of(cell.arms[name]) for name in settings.arms}
+        answer = round(settings.answer_timeout * SECOND)
+        more: dict[str, int] = {"silence": answer} if settings.lockstep else {}
+        self._server = ModelServer(
+            ServerSettings(
+                arms=settings.arms,
+                node=rospy.get_name(),
+                instruction=settings.instruction,
+                autostart=settings.autostart,
+                **more,
+            ),
+            SafetyController(limits, settings.clip),
+            lambda: secrets.randbits(64) or 1,
+        )
+        self._free = FreeRun(settings.arms, time.monotonic_ns())
+        keys_seen = [STATE, *map(cell_spec.image_key, settings.cameras)]
+        keys_seen += [TASK_STATE] if settings.privileged else []
+        self._observer = Observer(keys_seen, 0 if settings.lockstep else TOLERANCE)
+        period = round(SECOND / settings.camera_rate)
+        self._watches = {name: CameraWatch(name, period) for name in settings.cameras}
+        self._sizes: dict[str, tuple[int, int]] = {}
+        self._numbers: list[str] | None = None
+        self._serving = False
+        self._cycles: dict[str, tuple[int, RawCycle]] = {}
+        self._state = RawTaskState()
+        self._state_tick = 0
+        self._tick = 0
+        self._due: int | None = None
+        self._connected = False
+        self._over = False
+        self._operator = ""
+        self._present = not settings.need_present
+        self._refused = ""
+        self._reported = -REPORT
+        self._said: tuple[object, ...] = ()
+        self._ports = {name: ArmPort(name) for name in settings.arms}
+        self._advertise()
+        self._inputs = self._subscribe()
+        self._begin_serving()
+
+    # --- topics -----------------------------------------------------------------------------------
+
+    def _advertise(self) -> None:
+        out = rospy.Publisher
+        self._action = out("/policy/action", PolicyAction, queue_size=0, tcp_nodelay=True)
+        self._rejected = out("/policy/rejected", PolicyAction, queue_size=0, tcp_nodelay=True)
+        self._enabled = out("/policy/enabled", Bool, queue_size=2, latch=True)
+        self._status = out("/policy/status", String, queue_size=2, latch=True)
+        self._ready: Any = None
+        if self._settings.lockstep:
+            self._ready = out("/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True)
+
+    def _subscribe(self) -> list[rospy.Subscriber]:
+        settings = self._settings
+
+        def listen(topic: str, kind: type, callback: Any, *arguments: Any) -> rospy.Subscriber:
+            keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
+            return rospy.Subscriber(topic, kind, callback, *arguments, **keys)
+
+        found = [listen(f"/{arm}/cycle", RawCycle, self._on_cycle, arm) for arm in settings.arms]
+        if settings.task or settings.privileged:
+            found.append(listen("/sim/task_state", RawTaskState, self._on_task_state))
+        for camera in settings.cameras:
+            keys: dict[str, Any] = {"queue_size": 2, "buff_size": 1 << 24, "tcp_nodelay": True}
+            topic = camera_topic(camera)[1]
+            found.append(rospy.Subscriber(topic, Image, self._on_image, camera, **keys))
+        listen("/policy/enable", Bool, self._on_enable)
+        listen("/teleop/status", String, self._on_teleop)
+        if settings.need_present:
+            for source in ("/console", "/footpedals"):
+                listen(f"{source}/operator_present", Joy, self._on_present)
+        return found
+
+    def _on_cycle(self, message: RawCycle, arm: str) -> None:
+        with self._lock:
+            self._cycles[arm] = (time.monotonic_ns(), message)
+            if self._settings.lockstep:
+                self._advance()
+
+    def _on_task_state(self, message: RawTaskState) -> None:
+        with self._lock:
+            tick = message.tick()
+            if tick % GRID == 0:
+                self._state, self._state_tick = message, tick
+            if self._settings.privileged and tick % GRID == 0:
+                state = message.read()
+                values = np.array(state.values, dtype="<f4")
+                self._observer.put(TASK_STATE, state.header.stamp.to_nsec(), values)
+                if self._numbers is None:
+                    self._numbers = cell_spec.task_numbers(state.names)
+                    self._begin_serving()
+            self._look_for_the_end(message)
+            if self._settings.lockstep:
+                self._advance()
+
+    def _look_for_the_end(self, message: RawTaskState) -> None:
+        state = message.read()
+        if state.done and not self._over:
+            self._server.episode_over(bool(state.success), state.reason)
+            self._rouse()
+        self._over = bool(state.done)
+
+    def _on_image(self, message: Image, camera: str) -> None:
+        order = ENCODINGS.get(message.encoding)
+        if order is None or message.step != 3 * message.width:
+            rospy.logwarn_throttle(
+                5.0, f"{camera}: encoding {message.encoding}: rgb8 or bgr8 is needed"
+            )
+            return
+        pixels = np.frombuffer(message.data, np.uint8)
+        picture = pixels.reshape(message.height, message.width, 3)[:, :, order]
+        stamp_ns, fingerprint = message.header.stamp.to_nsec(), zlib.crc32(message.data)
+        with self._lock:
+            self._watches[camera].picture(time.monotonic_ns(), stamp_ns, fingerprint)
+            size = (message.height, message.width)
+            if self._sizes.setdefault(camera, size) != size:
+                rospy.logwarn_throttle(5.0, f"{camera}: size {size} is not {self._sizes[camera]}")
+                return
+            key = cell_spec.image_key(camera)
+            self._observer.put(key, stamp_ns, np.ascontiguousarray(picture))
+            self._begin_serving()
+            if self._due is not None:
+                self._rouse()
+
+    def _on_enable(self, message: Bool) -> None:
+        with self._lock:
+            self._refused = self._server.enable(bool(message.data), self._now())
+            if self._refused:
+                rospy.logwarn("the policy is not enabled: %s", self._refused)
+            self._reported = -REPORT
+            self._rouse()
+
+    def _on_teleop(self, message: String) -> None:
+        """An operator whose hand is on an arm of ours, or reaches for it, comes first."""
+        try:
+            hands = json.loads(message.data)["hands"]
+            wants = [h for h in hands if h["arm"] in self._ports and h["state"] != "DISABLED"]
+            words = [f"the operator wants {h['arm']} ({h['leader']})" for h in wants]
+        except (ValueError, KeyError, TypeError):
+            return
+        with self._lock:
+            self._operator = words[0] if words else ""
+            self._rouse()
+
+    def _on_present(self, message: Joy) -> None:
+        with self._lock:
+            self._present = bool(message.buttons) and message.buttons[0] == 1
+            self._rouse()
+
+    def _rouse(self) -> None:
+        os.eventfd_write(self._wake, 1)
+
+    # --- what is served ---------------------------------------------------------------------------
+
+    def _begin_serving(self) -> None:
+        """Serve as soon as everything that the specification names is known."""
+        settings = self._settings
+        numbers_known = self._numbers is not None or not settings.privileged
+        if self._serving or len(self._sizes) < len(settings.cameras) or not numbers_known:
+            return
+        self._serving = True
+        sizes = {name: self._sizes[name] for name in settings.cameras}
+        arms, task, cell = settings.arms, settings.task, self._cell
+        spec = cell_spec.make(cell, arms, task, sizes, self._numbers)
+        self._server.serve(spec, time.monotonic_ns())
+        self._rouse()
+
+    def _obstacle(self, now: int) -> str:
+        """Why no policy may run now."""
+        if self._operator:
+            return self._operator
+        if not self._present:
+            return "nobody is at the controls (operator_present)"
+        if self._settings.lockstep:
+            return ""  # a picture is waited for
+        for watch in self._watches.values():
+            if problem := watch.problem(now):
+                return problem
+        return ""
+
+    def _now(self) -> int:
+        """Time of the execution [ns]."""
+        return self._tick * TICK if self._settings.lockstep else time.monotonic_ns()
+
+    def _put_state(self, views: dict[str, ArmView]) -> int | None:
+        """Observe the arms; the stamp of the youngest, None while one is missing."""
+        if len(views) < len(self._ports):
+            return None
+        numbers = np.array([n for arm in self._ports for n in views[arm].numbers()], dtype="<f4")
+        if not np.isfinite(numbers).all():
+            return None
+        stamp_ns = max(view.stamp_ns for view in views.values())
+        self._observer.put(STATE, stamp_ns, numbers)
+        return stamp_ns
+
+    # --- real time --------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Serve until ``finished``."""
+        if self._settings.lockstep:
+            threading.Thread(target=self._connect, daemon=True).start()
+        while not self.finished.is_set() and not rospy.is_shutdown():
+            self._wait(self._free.due(time.monotonic_ns()))
+            with self._lock:
+                self._listen()
+                if self._settings.lockstep:
+                    self._grid_tick()
+                else:
+                    self._beat(time.monotonic_ns())
+                self._tell(time.monotonic_ns())
+
+    def _wait(self, due: int) -> None:
+        """Until a message, a callback or a time."""
+        left = max(0, due - time.monotonic_ns())
+        ready = dict(self._poller.poll(100 if self._settings.lockstep else left // 1_000_000 + 1))
+        if self._wake in ready:
+            os.eventfd_read(self._wake)
+
+    def _listen(self) -> None:
+        """Take what has come and answer it."""
+        for peer, parts in self._router.receive():
+            self._server.receive(peer, parts, time.monotonic_ns())
+        self._answer()
+
+    def _answer(self) -> None:
+        outbox, self._server.outbox = self._server.outbox, []
+        for peer, parts in outbox:
+            self._router.send(peer, parts)
+
+    def _beat(self, now: int) -> None:
+        """Free-run: look, observe, send."""
+        views = {arm: raw.view() for arm, (at, raw) in self._cycles.items() if now - at <= FRESH}
+        commands = self._server.tick(views, now, now, self._obstacle(now))
+        step = self._free.observe(now)
+        if step is not None:
+            stamp_ns = self._put_state(views)
+            seen = None if stamp_ns is None else self._observer.take(step, stamp_ns)
+            if seen is not None:
+                # As old as the oldest cycle in it.
+                self._server.observe(seen, min(at for at, _ in self._cycles.values()), now)
+        for arm, target in self._free.play(self._server, views, now).items():
+            commands[arm] = ArmCommand(servo=target)
+        self._send(commands, time.time_ns())
+        self._answer()
+
+    def _send(self, commands: dict[str, ArmCommand], stamp_ns: int) -> None:
+        for arm, command in commands.items():
+            self._ports[arm].send(command, stamp_ns)
+        self._publish_judged(stamp_ns)
+
+    # --- lock-step --------------------------------------------------------------------------------
+
+    def _connect(self) -> None:
+        """Speak for tick 1, before which is no cycle, when nothing that is said can get lost."""
+        while self._missing():
+            if self.finished.wait(0.02) or rospy.is_shutdown():
+                return
+        with self._lock:
+            self._connected = True
+            if self._tick == 0:
+                self._say_ready(1)
+
+    def _missing(self) -> bool:
+        if any(source.get_num_connections() == 0 for source in self._inputs):
+            return True
+        controllers = {f"/{arm}/controller" for arm in self._ports}
+        wanted = {
+            (f"/{arm}/{topic}", f"/{arm}/controller")
+            for arm, port in self._ports.items()
+            for topic in port.out
+        }
+        wanted |= {("/sim/ready", node) for node in ("/sim", *controllers)}
+        with xmlrpc.client.ServerProxy(rospy.get_node_uri()) as node:
+            links: Any = node.getBusInfo(rospy.get_name())
+        there = {(topic, peer) for _, peer, way, _, topic, on, *_ in links[2] if way == "o" and on}
+        return not wanted <= there
+
+    def _advance(self) -> None:
+        """Lock-step, with the lock held: all cycles of a tick are here?"""
+        ticks = {raw.tick() for _, raw in self._cycles.values()}
+        if len(self._cycles) < len(self._ports) or len(ticks) != 1 or ticks <= {self._tick}:
+            return
+        (tick,) = ticks
+        if tick % GRID:
+            self._tick = tick
+            self._say_ready(tick + 1)
+        elif self._state_tick == tick or not self._settings.task:
+            self._tick = self._due = tick
+            self._rouse()
+
+    def _grid_tick(self) -> None:
+        """Lock-step: observe, wait for the answer, execute, and let the tick go."""
+        if self._due is None:
+            return
+        tick, self._due = self._due, None
+        at, number = tick * TICK, tick // GRID
+        views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
+        commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle(at))
+        deadline = time.monotonic_ns() + round(self._settings.answer_timeout * SECOND)
+        if self._server.state is State.RUNNING:
+            seen = self._complete(views, number, deadline)
+            if seen is not None:
+                self._server.observe(seen, at, time.monotonic_ns())
+                self._answer()
+            self._await_answer(deadline)
+            for arm, target in self._server.execute(number + 1, at).items():
+                commands[arm] = ArmCommand(servo=target)
+        self._send(commands, at + TICK)
+        self._answer()
+        self._say_ready(tick + 1)
+
+    def _complete(
+        self, views: dict[str, ArmView], number: int, deadline: int
+    ) -> Observation | None:
+        """The observation of a tick; pictures of it may still be on their way."""
+        stamp_ns = self._put_state(views)
+        while stamp_ns is not None and self._observer.missing(stamp_ns):
+            if time.monotonic_ns() > deadline or self.finished.is_set():
+                return None
+            self._breathe()
+        return None if stamp_ns is None else self._observer.take(number, stamp_ns)
+
+    def _await_answer(self, deadline: int) -> None:
+        while self._server.unanswered:
+            if time.monotonic_ns() > deadline or self.finished.is_set():
+                self._server.counters.waited += 1
+                return
+            self._breathe()
+            self._listen()
+
+    def _breathe(self) -> None:
+        """Wait for news without the lock, which callbacks need."""
+        self._lock.release()
+        try:
+            self._wait(0)
+        finally:
+            self._lock.acquire()
+
+    def _say_ready(self, tick: int) -> None:
+        self._ready.publish(
+            Ready(
+                tick=tick,
+                participant=rospy.get_name().lstrip("/"),
+                arms=list(self._ports),
+                sent=[port.sent for port in self._ports.values()],
+                done=False,
+            )
+        )
+
+    # --- what people read -------------------------------------------------------------------------
+
+    def _publish_judged(self, stamp_ns: int) -> None:
+        judged, self._server.judged = self._server.judged, []
+        names = [f"{arm}/{name}" for arm in self._ports for name in cell_spec.ACTION]
+        for each in judged:
+            message = PolicyAction(
+                session=each.session,
+                seq=each.seq,
+                step=each.step,
+                obs_age=each.obs_age / SECOND,
+                names=names,
+                values=each.values.tolist(),
+                rule=each.rule,
+                text=each.text,
+            )
+            message.header.stamp = rospy.Time(*divmod(stamp_ns, SECOND))
+            (self._action if each.passed else self._rejected).publish(message)
+
+    def _tell(self, now: int) -> None:
+        server = self._server
+        said = (server.state, server.reason, server.waiting, server.session is None, self._refused)
+        if said == self._said and now - self._reported < REPORT:
+            return
+        if said[:1] != self._said[:1]:
+            self._enabled.publish(Bool(server.state is State.RUNNING))
+            rospy.loginfo("policy %s %s", server.state.value, server.reason)
+        self._said, self._reported = said, now
+        report = {**server.report(), "refused": self._refused, "address": self._settings.bind}
+        self._status.publish(json.dumps(report))
+
+    def stop(self) -> None:
+        """No exit leaves an arm moving: whoever is connected is told, what is held is paused."""
+        with self._lock:
+            self._server.end("the model server has ended")
+            views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
+            now = self._now()
+            commands = self._server.tick(views, now, time.monotonic_ns())
+            self._send(commands, time.time_ns())
+            self._answer()
+            self._tell(time.monotonic_ns())
+            self._router.close()
+
+
+def main() -> int:
+    """Run the node; returns the exit code."""
+    if not rosgraph.is_master_online():
+        uri = rosgraph.get_master_uri()
+        print(f"policy: no ROS master at {uri}; start one with './surg up CELL'", file=sys.stderr)
+        return 1
+    rospy.init_node("policy", disable_signals=True)
+    try:
+        settings = Settings.read(lambda key, default: rospy.get_param(f"~{key}", default))
+        cell = surg_core.load_cell(settings.cell)
+        settings.check_arms(list(cell.arms), [arm.link for arm in cell.arms.values()])
+        keys = server_keys(settings.keys) if settings.keys else None
+        node = ModelServerNode(settings, cell, keys)
+    except (SettingsError, surg_core.ConfigError, BadKeys, BindError, OSError) as error:
+        print(f"policy: {error}", file=sys.stderr, flush=True)
+        return 2
+    # rospy's own handler would close the topics before the arms have been told to stop.
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: node.finished.set())
+    rospy.loginfo("policies connect to %s", settings.bind)
+    try:
+        node.run()
+    finally:
+        node.stop()
+        rospy.signal_shutdown("policy: done")
+    return 0

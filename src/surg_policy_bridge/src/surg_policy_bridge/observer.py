@@ -1,0 +1,113 @@
+"""What belongs together: the newest values of all sources, matched by their stamps.
+
+Only the newest value of a source is kept: an observation is never queued. In lock-step all sources
+of a tick bear its stamp exactly; in free-run they may differ by a tolerance, and a source that is
+further behind is named instead of served.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_policy_bridge.arm import PERIOD, SECOND
+from surg_policy_bridge.timers import CAMERA_PERIODS
+
+STATE = "observation.state"
+TASK_STATE = "privileged.task_state"
+IMAGE = "observation.images."
+"""Keys as in a dataset (docs/datasets.md)."""
+TOLERANCE = CAMERA_PERIODS * PERIOD
+"""[ns] Free-run: largest difference between stamps of one observation."""
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One observation.
+
+    Attributes:
+        step: Number of its grid time.
+        stamp_ns: Stamp of the arms' state.
+        arrays: By key, as the spec says.
+    """
+
+    step: int
+    stamp_ns: int
+    arrays: Mapping[str, NDArray[np.generic]]
+
+
+class CameraWatch:
+    """Is a picture alive? One that stalls or repeats itself must not lead an arm (F08).
+
+    Args:
+        name: The camera's, for the texts.
+        period: Between two pictures [ns].
+    """
+
+    def __init__(self, name: str, period: int = PERIOD) -> None:
+        self._name, self._limit = name, CAMERA_PERIODS * period
+        self._stamp, self._fingerprint = -1, -1
+        self._fresh: int | None = None
+        self._arrived: int | None = None
+
+    def picture(self, now: int, stamp_ns: int, fingerprint: int) -> None:
+        """A picture has come; ``fingerprint``: of its pixels."""
+        self._arrived = now
+        if stamp_ns > self._stamp and fingerprint != self._fingerprint:
+            self._fresh = now
+        self._stamp, self._fingerprint = max(self._stamp, stamp_ns), fingerprint
+
+    def problem(self, now: int) -> str:
+        """Empty, or why no policy may look at this camera."""
+        if self._fresh is None or self._arrived is None:
+            return f"no picture of {self._name} yet: is the camera running?"
+        age = now - self._fresh
+        if age <= self._limit:
+            return ""
+        silent = now - self._arrived > self._limit
+        what = "sends nothing" if silent else "shows the same picture"
+        return (
+            f"the picture of {self._name} is {1e3 * age / SECOND:.0f} ms old (it {what}): check "
+            "the camera and its cable, then enable the policy again"
+        )
+
+
+class Observer:
+    """The newest value of every source, by the key that it is observed as.
+
+    Args:
+        keys: Of all sources; an observation is complete with all of them.
+        tolerance: Largest difference of stamps [ns]; 0: they are equal (lock-step).
+    """
+
+    def __init__(self, keys: Sequence[str], tolerance: int) -> None:
+        self._keys, self._tolerance = tuple(keys), tolerance
+        self._newest: dict[str, tuple[int, NDArray[np.generic]]] = {}
+
+    def put(self, key: str, stamp_ns: int, value: NDArray[np.generic]) -> None:
+        """A value has come; one that was overtaken is dropped."""
+        known = self._newest.get(key)
+        if known is None or stamp_ns >= known[0] or known[0] - stamp_ns > self._tolerance:
+            self._newest[key] = (stamp_ns, value)
+
+    def missing(self, stamp_ns: int) -> str:
+        """What an observation of this stamp still waits for, in words; empty: nothing."""
+        for key in self._keys:
+            known = self._newest.get(key)
+            if known is None:
+                return f"{key} has not come yet"
+            behind = stamp_ns - known[0]
+            if abs(behind) > self._tolerance:
+                where = "behind" if behind > 0 else "ahead of"
+                return f"{key} is {1e3 * abs(behind) / SECOND:.0f} ms {where} the arms' state"
+        return ""
+
+    def take(self, step: int, stamp_ns: int) -> Observation | None:
+        """The observation of this stamp, if all of it is here."""
+        if self.missing(stamp_ns):
+            return None
+        arrays = {key: self._newest[key][1] for key in self._keys}
+        return Observation(step, stamp_ns, arrays)

@@ -1,0 +1,148 @@
+"""The model server's parameters: checked once, then frozen. No ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from surg_policy_bridge import binding
+from surg_policy_bridge.safety import CLIPPABLE, CLIPPED
+
+MODES = ("lockstep", "freerun")
+ADDRESS = "tcp://127.0.0.1:5555"
+Get = Callable[[str, Any], Any]
+"""Looks a private parameter up: (name without ~, default) -> value."""
+
+
+class SettingsError(ValueError):
+    """A parameter that must not be used: name, value, what is allowed."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Parameters of the node ``/policy``.
+
+    Attributes:
+        bind: Address at which policies connect.
+        keys: Folder of `./surg keys`; empty: none, and then this machine only.
+        cell: Path of the cell.
+        arms: Those that the policy commands, in the order of the action.
+        mode: ``lockstep`` or ``freerun``.
+        task: Name of the task, for the specification.
+        instruction: The task in words, for the policy.
+        privileged: Serve the simulator's truth (``privileged.task_state``).
+        cameras: To observe, such as ``endoscope_left``.
+        camera_rate: Pictures per second [1/s].
+        clip: Rules that clip a step instead of refusing it.
+        autostart: Every new session is enabled at once.
+        need_present: Run only while somebody is at the controls (/console/operator_present).
+        answer_timeout: Lock-step: longest wall-clock wait for an answer [s].
+    """
+
+    bind: str
+    keys: str
+    cell: str
+    arms: tuple[str, ...]
+    mode: str
+    task: str
+    instruction: str
+    privileged: bool
+    cameras: tuple[str, ...]
+    camera_rate: float
+    clip: tuple[str, ...]
+    autostart: bool
+    need_present: bool
+    answer_timeout: float
+
+    @property
+    def lockstep(self) -> bool:
+        """Step by step, or in real time."""
+        return self.mode == "lockstep"
+
+    @classmethod
+    def read(cls, get: Get) -> Settings:
+        """Read and check all parameters.
+
+        Raises:
+            SettingsError: One is missing or must not be used.
+        """
+        clip = _texts("clip", get("clip", list(CLIPPED)))
+        if strange := [rule for rule in clip if rule not in CLIPPABLE]:
+            raise SettingsError(f"parameter ~clip has {strange}: {', '.join(CLIPPABLE)} can clip")
+        mode = get("mode", "freerun")
+        if mode not in MODES:
+            raise SettingsError(f"parameter ~mode is {mode!r}: allowed are {', '.join(MODES)}")
+        cell = get("cell", "")
+        if not isinstance(cell, str) or not cell:
+            raise SettingsError(f"parameter ~cell is {cell!r}: the folder of a cell")
+        keys = _word("keys", get("keys", ""))
+        try:
+            bind = binding.check(_word("bind", get("bind", ADDRESS)), bool(keys))
+        except binding.BindError as error:
+            raise SettingsError(f"parameter ~bind: {error}") from error
+        return cls(
+            bind=bind,
+            keys=keys,
+            cell=cell,
+            arms=_texts("arms", get("arms", ["PSM1"])) or ("PSM1",),
+            mode=mode,
+            task=_word("task", get("task", "")),
+            instruction=_word("instruction", get("instruction", "")),
+            privileged=_flag("privileged", get("privileged", False)),
+            cameras=_texts("cameras", get("cameras", [])),
+            camera_rate=_real("camera_rate", get("camera_rate", 20.0), 1.0, 240.0),
+            clip=clip,
+            autostart=_flag("autostart", get("autostart", False)),
+            need_present=_flag("need_present", get("need_present", False)),
+            answer_timeout=_real("answer_timeout", get("answer_timeout", 5.0), 0.1, 9.0),
+        )
+
+    def check_arms(self, names: Sequence[str], links: Sequence[str]) -> None:
+        """Compare with the cell.
+
+        Args:
+            names: Its arms.
+            links: What each is behind, such as ``simulator``.
+
+        Raises:
+            SettingsError: They do not fit.
+        """
+        there = dict(zip(names, links, strict=True))
+        if strange := [arm for arm in self.arms if arm not in there]:
+            raise SettingsError(
+                f"parameter ~arms names {', '.join(strange)}: the cell has {', '.join(there)}"
+            )
+        real = [arm for arm in self.arms if there[arm] != "simulator"]
+        if self.privileged and real:
+            raise SettingsError(
+                f"parameter ~privileged is true, but {', '.join(real)} is no simulated arm: a "
+                "robot has no ground truth to serve"
+            )
+
+
+def _word(name: str, value: Any) -> str:
+    if not isinstance(value, str):
+        raise SettingsError(f"parameter ~{name} is {value!r}: give a text")
+    return value
+
+
+def _texts(name: str, value: Any) -> tuple[str, ...]:
+    """A list of names, or one string with commas (what a rosrun line can pass)."""
+    items = value.split(",") if isinstance(value, str) else value
+    if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
+        raise SettingsError(f"parameter ~{name} is {value!r}: give a list of names, or 'a,b'")
+    return tuple(item.strip() for item in items if item.strip())
+
+
+def _flag(name: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise SettingsError(f"parameter ~{name} is {value!r}: true or false is allowed")
+    return value
+
+
+def _real(name: str, value: Any, low: float, high: float) -> float:
+    number = not isinstance(value, bool) and isinstance(value, int | float)
+    if not number or not low <= value <= high:
+        raise SettingsError(f"parameter ~{name} is {value!r}: {low:g} to {high:g} is allowed")
+    return float(value)

@@ -1,0 +1,230 @@
+"""A model server on a fake clock, with an arm that obeys and a policy that speaks the wire."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import surg_core
+from surg_cli import paths
+from surg_policy_bridge import cell_spec
+from surg_policy_bridge.arm import PERIOD, ArmCommand, ArmState, ArmView, Target
+from surg_policy_bridge.observer import STATE, Observation
+from surg_policy_bridge.safety import CLIPPED, ArmLimits, SafetyController
+from surg_policy_bridge.server import ModelServer, ServerSettings
+from surg_policy_client import wire
+from surg_policy_client.spec import Spec
+from surg_policy_client.wire import Message
+
+Array = NDArray[np.float64]
+ARM = "PSM1"
+NODE = "/policy"
+CELL = paths.ROOT / "cells" / "sim_ur5e"
+MS = 1_000_000
+"""[ns]"""
+HOME = np.array([0.0, 0.0, 0.12])
+"""[m] Tip at the beginning, rcm frame."""
+
+
+@functools.cache
+def cell() -> surg_core.Cell:
+    """The cell of the bench."""
+    return surg_core.load_cell(CELL)
+
+
+def spec() -> Spec:
+    """What the bench serves."""
+    return cell_spec.make(cell(), [ARM], "bench", {}, None)
+
+
+def arm_limits() -> ArmLimits:
+    """Of the bench's arm."""
+    return ArmLimits.of(cell().arms[ARM])
+
+
+class FakeArm:
+    """An arm that does what a controller would: states, authority, a set-point that jumps."""
+
+    def __init__(self) -> None:
+        rest = {"p_tip": HOME, "roll": 0.0, "jaw": 0.3, "p_set": HOME, "roll_set": 0.0}
+        self.view = ArmView(
+            stamp_ns=0,
+            state=ArmState.DISABLED,
+            homed=False,
+            reason="",
+            holder="",
+            jaw_set=0.3,
+            rcm_error=0.0,
+            **rest,  # type: ignore[arg-type]
+        )
+        self.told: list[str] = []
+
+    def obey(self, command: ArmCommand, sender: str = NODE) -> None:
+        """Take a command."""
+        view = self.view
+        if command.hold:
+            self.told.append("hold")
+        if command.state:
+            self.told.append(command.state)
+            if command.state == "home":
+                view = replace(view, homed=True)
+            elif command.state in ("enable", "resume"):
+                view = replace(view, state=ArmState.ENABLED, reason="")
+            elif command.state == "pause" and view.state is ArmState.ENABLED:
+                view = replace(view, state=ArmState.PAUSED, reason="operator", holder="")
+        if command.claim and view.holder in ("", sender):
+            view = replace(view, holder=sender)
+        if command.servo is not None and view.holder == sender:
+            self.set(command.servo)
+            return
+        self.view = view
+
+    def set(self, target: Target) -> None:
+        """The set-point is there."""
+        self.view = replace(
+            self.view,
+            p_tip=target.p,
+            p_set=target.p,
+            roll=target.roll,
+            roll_set=target.roll,
+            jaw=target.jaw,
+            jaw_set=target.jaw,
+        )
+
+
+class Bench:
+    """Time, arm, server and the frames of one policy.
+
+    Attributes:
+        now: [ns]
+        sent: Targets that went to the arm, with the time of each.
+        heard: Messages of the server to the policy.
+    """
+
+    def __init__(self, clip: Sequence[str] = CLIPPED, **settings: Any) -> None:
+        self.now = 1_000_000_000
+        self.arm = FakeArm()
+        self.sessions = iter(range(7001, 9000))
+        self.server = ModelServer(
+            ServerSettings(arms=(ARM,), node=NODE, instruction="do it", **settings),
+            SafetyController({ARM: arm_limits()}, clip),
+            lambda: next(self.sessions),
+        )
+        self.server.serve(spec(), self.now)
+        self.sent: list[tuple[int, Target]] = []
+        self.heard: list[Message] = []
+        self.errors: list[tuple[bytes, str, str]] = []
+        self.step = 0
+        self.obstacle = ""
+
+    # --- the policy -------------------------------------------------------------------------------
+
+    def say(self, kind: str, peer: bytes = b"a", arrays: Any = None, **head: Any) -> None:
+        """A message of a policy."""
+        parts = [bytes(part) for part in wire.encode(Message(kind, head, arrays or {}))]
+        self.server.receive(peer, parts, self.now)
+        self._hear()
+
+    def hello(self, peer: bytes = b"a", **changes: Any) -> None:
+        """HELLO."""
+        head: dict[str, Any] = {
+            "versions": [1, 1],
+            "client": "bench",
+            "software": "none",
+            "policy": "bench",
+            "wants": None,
+        }
+        self.say("HELLO", peer, **{**head, **changes})
+
+    def ping(self, peer: bytes = b"a") -> None:
+        """PING of the session."""
+        self.say("PING", peer, session=self.session, n=1)
+
+    @property
+    def session(self) -> int:
+        """Number of the newest session that was offered."""
+        return int(self.of("WELCOME")[-1].head["session"])
+
+    def of(self, kind: str) -> list[Message]:
+        """What the server has said of this kind."""
+        return [message for message in self.heard if message.kind == kind]
+
+    def act(self, rows: Any, first: int | None = None, **changes: Any) -> None:
+        """Answer the newest observation."""
+        seen = self.of("OBS")[-1].head
+        head = {
+            "session": self.session,
+            "seq": seen["seq"],
+            "stamp_ns": seen["stamp_ns"],
+            "step0": seen["step"] + 1 if first is None else first,
+        }
+        chunk = np.asarray(rows, dtype=np.float64).reshape(-1, np.shape(rows)[-1])
+        self.say("ACT", arrays={"chunk": chunk}, **{**head, **changes})
+
+    def _hear(self) -> None:
+        outbox, self.server.outbox = self.server.outbox, []
+        for peer, parts in outbox:
+            message = wire.decode([bytes(part) for part in parts])
+            if message.kind == "ERR":
+                self.errors.append((peer, message.head["code"], message.head["text"]))
+            self.heard.append(message)
+
+    # --- time -------------------------------------------------------------------------------------
+
+    def tick(self) -> None:
+        """The server looks at everything."""
+        view = replace(self.arm.view, stamp_ns=self.now)
+        for command in self.server.tick({ARM: view}, self.now, self.now, self.obstacle).values():
+            self.arm.obey(command)
+        self._hear()
+
+    def observe(self) -> None:
+        """The observation of the present grid time."""
+        numbers = np.array(self.arm.view.numbers(), dtype="<f4")
+        seen = Observation(self.step, self.now, {STATE: numbers})
+        self.server.observe(seen, self.now, self.now)
+        self._hear()
+
+    def execute(self) -> Target | None:
+        """The step that is due now."""
+        targets = self.server.execute(self.step + 1, self.now)
+        self._hear()
+        if not targets:
+            return None
+        self.sent.append((self.now, targets[ARM]))
+        self.arm.obey(ArmCommand(servo=targets[ARM]))
+        return targets[ARM]
+
+    def period(self, rows: Any = None, ping: bool = True) -> Target | None:
+        """One grid time: look, observe, answer with rows, execute; then the time passes."""
+        if ping:
+            self.ping()
+        self.tick()
+        self.observe()
+        if rows is not None:
+            self.act(rows)
+        done = self.execute()
+        self.now += PERIOD
+        self.step += 1
+        return done
+
+    def start(self) -> None:
+        """Connect, enable, and wait until it runs."""
+        self.hello()
+        self.tick()
+        assert self.server.enable(True, self.now) == ""
+        for _ in range(3):
+            self.tick()
+        assert self.server.state.value == "RUNNING", self.server.reason
+
+    def here(self, *offset: float) -> Array:
+        """An action at the set-point, moved by an offset [m]."""
+        moved = np.zeros(5)
+        moved[: len(offset)] = offset
+        view = self.arm.view
+        return np.array([*view.p_set, view.roll_set, view.jaw_set]) + moved

@@ -1,0 +1,117 @@
+"""A policy in the place of the scripted expert: `./surg run TASK --policy ADDRESS|PATH.py`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from surg_cli import follow, master, paths, system
+from surg_cli.processes import Child, Supervisor
+from surg_cli.system import Plan, Policy
+from surg_cli.terminal import Problem
+from surg_cli.watch import Watch
+
+CLIENT = "policy_client"
+CLIENT_TIMEOUT_S = 120.0
+"""[s] wall clock: longest time that a script may take to connect; its own libraries load first."""
+
+
+def read(given: str, keys: Path | None, privileged: bool) -> Policy:
+    """A policy from the command line.
+
+    Args:
+        given: Address to listen at, or the path of a client's script.
+        keys: Folder of `./surg keys`.
+        privileged: Whether the simulator's truth is served.
+
+    Raises:
+        Problem: It is neither, or may not be listened at; says what would do.
+    """
+    from surg_policy_bridge import binding
+    from surg_policy_client.errors import BadKeys
+    from surg_policy_client.keys import server_keys
+
+    folder = "" if keys is None else str(keys.absolute())
+    try:
+        if keys is not None:
+            server_keys(keys)
+        if "://" in given:
+            return Policy(binding.check(given, keys is not None), "", folder, privileged)
+    except (binding.BindError, BadKeys, OSError) as error:
+        raise Problem(f"--policy {given}: {error}", 2) from error
+    script = Path(given)
+    if script.suffix != ".py" or not script.is_file():
+        raise Problem(
+            f"--policy {given}: neither an address such as tcp://127.0.0.1:5555 nor the path of a "
+            "client's .py file",
+            2,
+        )
+    return Policy("", str(script.absolute()), folder, privileged)
+
+
+def connect(
+    plan: Plan,
+    supervisor: Supervisor,
+    watch: Watch,
+    progress: Callable[[float, str], None],
+) -> None:
+    """Start the model server and the client, and wait until one has connected.
+
+    Args:
+        plan: With `policy` set.
+        supervisor: Takes the processes in.
+        watch: Hears the server's status.
+        progress: Told what is waited for.
+
+    Raises:
+        Problem: The server or the client ends, or the script does not connect in time.
+    """
+    policy = plan.policy
+    assert policy is not None
+    system.start(supervisor, system.model_server(plan))
+    client = None
+    if policy.script:
+        argv = [str(paths.VENV_PYTHON), "-s", policy.script, "--server", policy.address]
+        argv += ["--keys", policy.keys] if policy.keys else []
+        client = supervisor.start(CLIENT, argv, essential=False)
+    deadline = time.monotonic() + CLIENT_TIMEOUT_S
+    while not watch.policy.get("waiting"):
+        dead = supervisor.first_dead()
+        if dead is not None:
+            raise Problem(follow.death_notice(dead), 2 if dead.exit_code == 2 else 1)
+        if client is not None:
+            _check(client, deadline)
+        progress(0.0, f"waiting for a policy at {policy.address}")
+        time.sleep(0.05)
+
+
+def _check(client: Child, deadline: float) -> None:
+    """The script runs, and has still time to connect."""
+    if client.exit_code is not None:
+        raise Problem(f"the policy's script ended before it had connected:\n{client.log_tail()}")
+    if time.monotonic() > deadline:
+        raise Problem(
+            f"the policy's script has not connected for {CLIENT_TIMEOUT_S:.0f} s:\n"
+            f"{client.log_tail()}"
+        )
+
+
+def complaints(supervisor: Supervisor, watch: Watch) -> list[str]:
+    """Why a policy may have failed, in sentences."""
+    found = []
+    status = watch.policy
+    if status.get("state") in ("IDLE", "PAUSED"):
+        found.append(f"policy: {status.get('reason')}")
+    for child in supervisor.children:
+        if child.name == CLIENT and child.exit_code not in (None, 0):
+            found.append(f"the policy's script ended ({child.exit_code}):\n{child.log_tail(5)}")
+    return found
+
+
+def addressed(policy: Policy) -> Policy:
+    """The policy of one episode: a script gets a port of its own."""
+    if policy.address:
+        return policy
+    address = f"tcp://127.0.0.1:{master.free_port()}"
+    return Policy(address, policy.script, policy.keys, policy.privileged)
