@@ -40,15 +40,23 @@ def answer(left: NDArray[np.uint8], right: NDArray[np.uint8]) -> NDArray[np.floa
     return chunk
 
 
-def robot(ask: Callable[[Pictures, NDArray[np.float32]], NDArray[np.float32]]) -> None:
+def robot(
+    ask: Callable[[Pictures, NDArray[np.float32]], NDArray[np.float32]],
+    idle: Callable[[], None] = lambda: None,
+) -> None:
     """Play the robot's role until standard input ends.
 
     Args:
         ask: Sends pictures and state, returns the chunk that answers them.
+        idle: Called while the others have their turn; returns when there is a line to read.
     """
     seen, at = pictures(), state()
     count = 0
-    for line in sys.stdin:
+    while True:
+        idle()
+        line = sys.stdin.readline()
+        if not line:
+            return
         times = []
         for _ in range(int(line)):
             count += 1

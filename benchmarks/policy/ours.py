@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -56,17 +57,30 @@ def as_robot(address: str, keys: str) -> None:
         frames = wire.encode(Message(kind, head, arrays or {}))
         socket.send_multipart([peer, *frames], copy=False)
 
-    def hear(kind: str) -> Message:
-        """The next message of this kind; the others are answered on the way."""
+    def hear_one() -> Message:
+        """The next message; a PING is answered."""
         nonlocal peer
+        identity, *frames = wire.receive(socket)
+        peer = identity.bytes
+        message = wire.decode(frames)
+        if message.kind == "PING":
+            say("PONG", message.head)
+        return message
+
+    def hear(kind: str) -> Message:
+        """The next message of this kind."""
         while True:
-            identity, *frames = wire.receive(socket)
-            peer = identity.bytes
-            message = wire.decode(frames)
-            if message.kind == "PING":
-                say("PONG", message.head)
+            message = hear_one()
             if message.kind == kind:
                 return message
+
+    def idle() -> None:
+        """Answer pings until there is something to read."""
+        poller = zmq.Poller()
+        poller.register(socket, zmq.POLLIN)
+        poller.register(sys.stdin.fileno(), zmq.POLLIN)
+        while sys.stdin.fileno() not in dict(poller.poll()):
+            hear_one()
 
     def ask(seen: Pictures, state: NDArray[np.float32]) -> NDArray[np.float32]:
         nonlocal seq
@@ -80,7 +94,7 @@ def as_robot(address: str, keys: str) -> None:
     hear("HELLO")
     times = {"max_obs_age_s": 0.6, "ping_s": 0.05, "silence_s": 0.15}
     say("WELCOME", {"version": 1, "session": SESSION, "spec": SPEC.to_map(), **times})
-    robot(ask)
+    robot(ask, idle)
 
 
 if __name__ == "__main__":
