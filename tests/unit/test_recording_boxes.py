@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import struct
 import sys
-import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -204,16 +204,17 @@ def test_every_mutant_is_noticed(name: str, tmp_path: Path) -> None:
     text, instead = MUTANTS[name]
     source = Path(mp4_boxes.__file__).read_text("utf-8")
     assert source.count(text) == 1, "the code has changed: renew the mutant"
-    module = types.ModuleType("mutant")
-    module.__dict__["__name__"] = "surg_recording.mutant"
-    # dataclasses look their module up.
-    sys.modules["surg_recording.mutant"] = module
+    file = tmp_path / "mutant_boxes.py"
+    file.write_text(source.replace(text, instead), "utf-8")
+    spec = importlib.util.spec_from_file_location(file.stem, file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[file.stem] = module  # dataclasses look it up there
     try:
-        code = compile(source.replace(text, instead), "mutant", "exec")
-        exec(code, module.__dict__)  # our own source, changed in one place
+        spec.loader.exec_module(module)
         failed = noticed(module, tmp_path)
     finally:
-        del sys.modules["surg_recording.mutant"]
+        del sys.modules[file.stem]
     print(f"{name}: {failed}")
     assert failed is not None
 

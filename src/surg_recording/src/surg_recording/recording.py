@@ -227,7 +227,7 @@ class Recording:
 
     def clock_stepped(self, step_ns: int, wall_ns: int) -> None:
         """Mark a step of the wall clock: an event, and a new segment of the episode."""
-        tables = {name: table.rows + table.backlog for name, table in dict(self._tables).items()}
+        tables = {name: table.taken for name, table in dict(self._tables).items()}
         frames = {name: video.received for name, video in dict(self._videos).items()}
         self._segments.append(
             {"begin_ns": wall_ns, "step_ns": step_ns, "rows": tables, "frames": frames}
