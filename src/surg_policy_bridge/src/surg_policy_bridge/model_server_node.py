@@ -313,7 +313,8 @@ class ModelServerNode:
         step = self._free.observe(now)
         if step is not None:
             stamp_ns = self._put_state(views)
-            seen = None if stamp_ns is None else self._observer.take(step, stamp_ns)
+            wanted = self._server.wanted
+            seen = None if stamp_ns is None else self._observer.take(step, stamp_ns, wanted)
             if seen is not None:
                 # As old as the oldest cycle in it.
                 self._server.observe(seen, min(at for at, _ in self._cycles.values()), now)
@@ -392,12 +393,12 @@ class ModelServerNode:
         self, views: dict[str, ArmView], number: int, deadline: int
     ) -> Observation | None:
         """The observation of a tick; pictures of it may still be on their way."""
-        stamp_ns = self._put_state(views)
-        while stamp_ns is not None and self._observer.missing(stamp_ns):
+        stamp_ns, wanted = self._put_state(views), self._server.wanted
+        while stamp_ns is not None and self._observer.missing(stamp_ns, wanted):
             if time.monotonic_ns() > deadline or self.finished.is_set():
                 return None
             self._breathe()
-        return None if stamp_ns is None else self._observer.take(number, stamp_ns)
+        return None if stamp_ns is None else self._observer.take(number, stamp_ns, wanted)
 
     def _await_answer(self, deadline: int) -> None:
         while self._server.unanswered:

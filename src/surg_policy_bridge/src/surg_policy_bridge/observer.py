@@ -7,7 +7,7 @@ further behind is named instead of served.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,9 +93,14 @@ class Observer:
         if known is None or stamp_ns >= known[0] or known[0] - stamp_ns > self._tolerance:
             self._newest[key] = (stamp_ns, value)
 
-    def missing(self, stamp_ns: int) -> str:
-        """What an observation of this stamp still waits for, in words; empty: nothing."""
-        for key in self._keys:
+    def missing(self, stamp_ns: int, keys: Iterable[str] | None = None) -> str:
+        """What an observation of this stamp still waits for, in words; empty: nothing.
+
+        Args:
+            stamp_ns: Of the arms' state.
+            keys: What is looked at; None: everything.
+        """
+        for key in self._keys if keys is None else keys:
             known = self._newest.get(key)
             if known is None:
                 return f"{key} has not come yet"
@@ -105,9 +110,12 @@ class Observer:
                 return f"{key} is {1e3 * abs(behind) / SECOND:.0f} ms {where} the arms' state"
         return ""
 
-    def take(self, step: int, stamp_ns: int) -> Observation | None:
-        """The observation of this stamp, if all of it is here."""
-        if self.missing(stamp_ns):
+    def take(
+        self, step: int, stamp_ns: int, keys: Iterable[str] | None = None
+    ) -> Observation | None:
+        """The observation of this stamp, if all of it that is looked at is here."""
+        wanted = self._keys if keys is None else tuple(keys)
+        if self.missing(stamp_ns, wanted):
             return None
-        arrays = {key: self._newest[key][1] for key in self._keys}
+        arrays = {key: self._newest[key][1] for key in wanted}
         return Observation(step, stamp_ns, arrays)
