@@ -8,7 +8,8 @@ its own, all in one run, in blocks that take turns. `--json FILE` writes
                     openpi_client}
     round_trip_ms   {ours_tcp|ours_ipc|ours_curve|msgpack_zmq|peer_openpi_ws|peer_reqrep_npsave:
                     {p50, p99, mean}}; peer_openpi_ws is absent where its package is not to be had
-    ratio           {peer_openpi_ws, msgpack_zmq, ...: p50 over that of ours_tcp}
+    cpu_ms          {the same names: processor time of both processes per round}
+    ratio           {the same names but ours_tcp: p50 over that of ours_tcp}
 """
 
 from __future__ import annotations
@@ -108,6 +109,7 @@ class Pair:
     def __init__(self, name: str, way: Way) -> None:
         self.name = name
         self.times: list[float] = []
+        self.cpu = 0
         address = way.address.format(_free_port())
         argv = [str(way.python), str(SOURCE / f"{way.program}.py")]
         rest = [address, way.keys] if way.keys else [address]
@@ -138,6 +140,14 @@ class Pair:
         found: list[float] = json.loads(line)
         return found
 
+    def cpu_ns(self) -> int:
+        """Processor time of both so far, all threads, user and system [ns]."""
+        return sum(
+            int(path.read_text("ascii").split()[0])
+            for process in (self._robot, self._policy)
+            for path in Path(f"/proc/{process.pid}/task").glob("*/schedstat")
+        )
+
     def close(self) -> None:
         """End both."""
         for process in (self._robot, self._policy):
@@ -164,7 +174,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             with Progress("rounds") as progress:
                 for block in range(options.blocks):
                     for pair in pairs:
+                        before = pair.cpu_ns()
                         pair.times += pair.run(options.rounds)
+                        pair.cpu += pair.cpu_ns() - before
                     progress.update((block + 1) / options.blocks)
         finally:
             for pair in pairs:
@@ -194,6 +206,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "format": "surg_bench_policy/1",
         "machine": machine,
         "round_trip_ms": found,
+        "cpu_ms": {pair.name: 1e-6 * pair.cpu / len(pair.times) for pair in pairs},
         "ratio": ratio,
     }
 

@@ -25,11 +25,12 @@ def tables(result: dict[str, Any]) -> list[tuple[str, list[list[str]]]]:
     """Heading and rows."""
     found = result["round_trip_ms"]
     ours = found["ours_tcp"]["p50"]
-    rows = [["way", "p50, ms", "p99, ms", "p50 to ours over TCP"]]
+    rows = [["way", "p50, ms", "p99, ms", "p50 to ours over TCP", "processor time, ms"]]
     for name, figures in found.items():
         what = WHAT[name].format(openpi=result["machine"].get("openpi_client", ""))
         ratio = f"{figures['p50'] / ours:.2f}"
-        rows.append([what, f"{figures['p50']:.2f}", f"{figures['p99']:.2f}", ratio])
+        cpu = f"{result['cpu_ms'][name]:.2f}"
+        rows.append([what, f"{figures['p50']:.2f}", f"{figures['p99']:.2f}", ratio, cpu])
     return [("Round trip: stereo 640x480 RGB and state out, a chunk of 50x8 back", rows)]
 
 

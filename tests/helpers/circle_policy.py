@@ -15,6 +15,8 @@ RADIUS = 0.015
 """[m]"""
 RAMP = 0.5
 """[s] Until the speed is reached."""
+ASTRAY = 0.008
+"""[m] Further from where it should be, the arm was led by somebody else: begin anew."""
 
 
 class Circle:
@@ -29,7 +31,7 @@ class Circle:
 
     def __init__(self, speed: float, rows: int) -> None:
         self._speed, self._rows = speed, rows
-        self._begin: tuple[int, np.ndarray, int] | None = None
+        self._begin: tuple[int, np.ndarray] | None = None
 
     def reset(self, instruction: str, seed: int | None) -> None:
         """Begin anew where the arm is."""
@@ -45,21 +47,27 @@ class Circle:
                 strict=True,
             )
         )
-        gap = self._begin is not None and observation.step - self._begin[2] > 4
-        if self._begin is None or gap:
-            now = [state[f"PSM1/set_{axis}"] for axis in "xyz"]
-            roll, jaw = state["PSM1/roll_set"], state["PSM1/jaw"]
-            self._begin = (observation.step, np.array([*now, roll, jaw]), observation.step)
-        first, start, _ = self._begin
-        self._begin = (first, start, observation.step)
-        rows = []
-        for step in range(observation.step + 1, observation.step + 1 + self._rows):
-            t = 0.05 * (step - first)
-            way = self._speed * (t - RAMP / 2 if t > RAMP else t * t / (2 * RAMP))
-            angle = way / RADIUS
-            moved = [RADIUS * (1 - np.cos(angle)), RADIUS * np.sin(angle), 0.0, 0.0, 0.0]
-            rows.append(start + moved)
+        now = np.array([state[f"PSM1/set_{axis}"] for axis in "xyz"])
+        if self._begin is not None:
+            first, start = self._begin
+            astray = float(
+                np.linalg.norm(self._row(observation.step - first)[:3] + start[:3] - now)
+            )
+        if self._begin is None or astray > ASTRAY:
+            self._begin = (
+                observation.step,
+                np.array([*now, state["PSM1/roll_set"], state["PSM1/jaw"]]),
+            )
+        first, start = self._begin
+        steps = range(observation.step + 1, observation.step + 1 + self._rows)
+        rows = [start + self._row(step - first) for step in steps]
         return Chunk(np.array(rows), observation.step + 1)
+
+    def _row(self, n: int) -> np.ndarray:
+        """How far from the beginning after n steps, (5,)."""
+        t = 0.05 * n
+        angle = self._speed * (t - RAMP / 2 if t > RAMP else t * t / (2 * RAMP)) / RADIUS
+        return np.array([RADIUS * (1 - np.cos(angle)), RADIUS * np.sin(angle), 0.0, 0.0, 0.0])
 
 
 def main() -> None:

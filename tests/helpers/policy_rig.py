@@ -35,18 +35,20 @@ class Seen:
     Attributes:
         at: Receipt on the steady clock [s].
         p_set: Set-point of the tip [m].
+        p_tip: Measured tip [m].
+        rcm_error: Distance of the shaft from its pivot [m].
         state: Operating state.
         source: Who holds the arm.
         period_us: Since the cycle before.
-        refused: Commands refused so far.
     """
 
     at: float
     p_set: np.ndarray
+    p_tip: np.ndarray
+    rcm_error: float
     state: int
     source: str
     period_us: float
-    refused: int
 
 
 class PolicyRig:
@@ -56,6 +58,7 @@ class PolicyRig:
         graph: A private graph.
         cell: Folder of a cell with one arm, PSM1.
         nodes: Brings the arm up; default: the simulator and its controller.
+        address: Of the server; default: a free port.
         server: Further parameters of the model server.
     """
 
@@ -64,10 +67,11 @@ class PolicyRig:
         graph: RosGraph,
         cell: Path = CELL,
         nodes: Callable[[RosGraph], None] | None = None,
+        address: str = "",
         **server: object,
     ) -> None:
         self.graph, self.cell = graph, cell
-        self.address = f"tcp://127.0.0.1:{master.free_port()}"
+        self.address = address or f"tcp://127.0.0.1:{master.free_port()}"
         (nodes or self._simulator)(graph)
         params: dict[str, object] = {"cell": cell, "bind": self.address, **server}
         self.server = graph.node("surg_policy_bridge", "model_server_node", "/policy", params)
@@ -100,9 +104,14 @@ class PolicyRig:
         return heard and bool(self.cycles) and bool(self.status)
 
     def _on_cycle(self, cycle: Cycle) -> None:
-        p_set = np.array(cycle.p_set)
         seen = Seen(
-            time.monotonic(), p_set, cycle.state, cycle.source, cycle.period_us, cycle.refused
+            at=time.monotonic(),
+            p_set=np.array(cycle.p_set),
+            p_tip=np.array(cycle.p_tip),
+            rcm_error=cycle.rcm_error,
+            state=cycle.state,
+            source=cycle.source,
+            period_us=cycle.period_us,
         )
         with self._lock:
             self.cycles.append(seen)
@@ -178,9 +187,11 @@ class PolicyRig:
         return cycles[0].at
 
     def largest_step(self, since: int = 0) -> float:
-        """Of the set-point between two cycles [m]."""
+        """Of the set-point between two cycles, from the first in which it was ENABLED on [m]."""
         with self._lock:
-            points = np.array([seen.p_set for seen in self.cycles[since:]])
+            cycles = self.cycles[since:]
+        first = next(i for i, seen in enumerate(cycles) if seen.state == Cycle.ENABLED)
+        points = np.array([seen.p_set for seen in cycles[first:]])
         return float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
 
     def close(self) -> None:
