@@ -23,6 +23,8 @@ import numpy as np
 
 FORMAT = "surg_bgr_policy/1"
 STATE, TASK, ACTION = "observation.state", "privileged.task_state", "action"
+BESIDE = 8
+"""Nodes from the asked one to one that lies still, which tells how high the held one is."""
 LAGS = (0, 4, 8, 16)
 """Steps back at which the slow features are looked at: when something happened is seen by this."""
 WEIGHTS = "SURG_BGR_WEIGHTS"
@@ -68,42 +70,73 @@ class Columns:
         return np.array([list(names).index(name) for name in wanted])
 
 
-def features(columns: Columns, state: np.ndarray, task: np.ndarray) -> np.ndarray:
+def features(columns: Columns, state: np.ndarray, task: np.ndarray, X_RW: np.ndarray) -> np.ndarray:
     """What the network sees at each of T successive steps of one episode.
 
-    Vectors from place to place instead of places, the holds as numbers, and how some of it was a
-    little earlier (`LAGS`; before the first step: as at the first step). The set-point's past is
-    not among it: a network that sees it learns to go on as before.
+    Everything in the rcm frame, as the actions are: vectors from the set-point to places instead
+    of places, the holds as numbers, and how the slow things were a little earlier (`LAGS`; before
+    the first step: as at the first step). The set-point's past is not among it: a network that
+    sees it learns to go on as before.
 
     Args:
         columns: Where what is.
         state: (T, 9) `observation.state`.
         task: (T, 148) `privileged.task_state`.
+        X_RW: (4, 4) the world in the rcm frame, see `world_in_rcm`.
 
     Returns:
-        (T, F).
+        (T, F); the last three are the set-point itself.
     """
     s = state[:, columns.state]
     z = {name: task[:, index] for name, index in columns.task.items()}
     nodes = z["nodes"].reshape(len(task), NODES, 3)
-    i = np.clip(np.rint(z["target"]).astype(int), 1, NODES - 2)
-    row = np.arange(len(task))
-    target, tip, helper = nodes[row, i], z["tip"], z["assistant_tip"]
+    row, last = np.arange(len(task)), NODES - 1
+    i = np.clip(np.rint(z["target"]).astype(int), 1, last - 1)
+    p_set = s[:, SET][:, :3]
+
+    def to(p_W: np.ndarray) -> np.ndarray:
+        return p_W @ X_RW[:3, :3].T + X_RW[:3, 3] - p_set
+
+    along = (nodes[row, i + 1] - nodes[row, i - 1]) @ X_RW[:3, :3].T
+    beside = nodes[row, np.minimum(i + BESIDE, last)]
+    target, helper = to(nodes[row, i]), to(z["assistant_tip"])
     held, assistant_held = (z[name] >= 0 for name in ("held", "assistant_held"))
+    pointing = np.linalg.norm(helper - target, axis=1)
     now = [
-        s,
-        target - tip,
-        nodes[row, i + 1] - nodes[row, i - 1],
-        helper - tip,
-        np.where(held, z["held"] - z["target"], 0.0)[:, None],
-        z["force"],
-        z["visible"][:, None],
+        target,
+        np.linalg.norm(target, axis=1),
+        along / np.linalg.norm(along, axis=1, keepdims=True),
+        helper,
+        to(beside),
+        s[:, :3] - p_set,
+        s[:, [3, 4, 8]],
+        np.where(held, z["held"] - z["target"], 0.0),
+        z["force"] @ X_RW[:3, :3].T,
+        z["assistant_jaw"],
+        z["tension"],
+        z["visible"],
     ]
-    slow = np.column_stack(
-        [helper - target, held, assistant_held, z["assistant_jaw"], s[:, 4], z["tension"]]
-    )
+    slow = np.column_stack([held, assistant_held, pointing])
     past = [slow[np.maximum(row - lag, 0)] for lag in LAGS]
-    return np.hstack([*now, *past])
+    return np.column_stack([*now, *past, p_set])
+
+
+def world_in_rcm(p_R: np.ndarray, p_W: np.ndarray) -> np.ndarray:
+    """The rigid motion that best takes points of the world to the rcm frame (Kabsch 1976).
+
+    Args:
+        p_R: (N, 3) the tip as `observation.state` has it.
+        p_W: (N, 3) the tip as `privileged.task_state` has it.
+
+    Returns:
+        (4, 4) X_RW.
+    """
+    middle_R, middle_W = p_R.mean(axis=0), p_W.mean(axis=0)
+    U, _, Vt = np.linalg.svd((p_R - middle_R).T @ (p_W - middle_W))
+    R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = R, middle_R - R @ middle_W
+    return X
 
 
 class Network:
@@ -256,7 +289,7 @@ class Policy:
         if (self._seen - 1) % self.every:
             return None
         states, tasks = (np.array([pair[i] for pair in self._past]) for i in (0, 1))
-        inputs = features(self._columns, states, tasks)[-1:]
+        inputs = features(self._columns, states, tasks, self.scales["X_RW"])[-1:]
         return self.predict(inputs, states[-1:])[0]
 
 

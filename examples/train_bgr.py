@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bgr_policy import ACTION, SET, STATE, TASK, Columns, Network, Policy, features
+from bgr_policy import ACTION, SET, STATE, TASK, Columns, Network, Policy, features, world_in_rcm
 
 Array = np.ndarray
 
@@ -42,8 +42,10 @@ class Options:
     """Of learning, at first; falls to nothing along half a cosine."""
     decay: float = 1e-4
     """Of weights."""
-    noise: float = 0.03
-    """Added to normalised inputs."""
+    noise: float = 0.02
+    """Added to normalised inputs,"""
+    noise_place: float = 0.3
+    """and to the last three, the set-point: what is learned shall not depend on the place."""
     seed: int = 0
 
 
@@ -102,9 +104,9 @@ def _flat(names: Any) -> list[str]:
     return list(next(iter(names.values()))) if isinstance(names, dict) else list(names)
 
 
-def samples(episode: Episode, columns: Columns, chunk: int) -> tuple[Array, Array]:
+def samples(episode: Episode, columns: Columns, X_RW: Array, chunk: int) -> tuple[Array, Array]:
     """Inputs (T, F) and targets (T, chunk * 5) of an episode."""
-    inputs = features(columns, episode.state, episode.task)
+    inputs = features(columns, episode.state, episode.task, X_RW)
     return inputs, targets_of(episode, columns.state[SET], chunk)
 
 
@@ -209,18 +211,23 @@ def train(
         ValueError: There is nothing to train on.
     """
     columns = Columns(dataset.names[STATE], dataset.names[TASK])
+    shown = dataset.episodes.get("train")
+    if not shown:
+        raise ValueError("the dataset has no episode in its split 'train'")
+    tips = [episode.state[:, columns.state[:3]] for episode in shown]
+    tips_W = [episode.task[:, columns.task["tip"]] for episode in shown]
+    X_RW = world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
     parts = {
-        split: [samples(episode, columns, options.chunk) for episode in episodes]
+        split: [samples(episode, columns, X_RW, options.chunk) for episode in episodes]
         for split, episodes in dataset.episodes.items()
     }
-    if not parts.get("train"):
-        raise ValueError("the dataset has no episode in its split 'train'")
     inputs, targets = (np.concatenate(part) for part in zip(*parts["train"], strict=True))
     scales = {
         "input_mean": inputs.mean(axis=0),
         "input_std": np.maximum(inputs.std(axis=0), 1e-3),
         "output_mean": targets.mean(axis=0),
         "output_std": np.maximum(targets.std(axis=0), 1e-4),
+        "X_RW": X_RW,
     }
     normal = {
         split: [np.concatenate([pair[k] for pair in pairs]) for k in (0, 1)]
@@ -239,10 +246,12 @@ def train(
     layers[-1][0][:] *= 0.1
     network, adam = Network(layers), Adam(flat, options.decay)
     slope, grads = flat_layers(shapes)
+    noise = np.full(x.shape[1], options.noise, np.float32)
+    noise[-3:] = options.noise_place
     for step in range(options.steps):
         chosen = rng.integers(0, len(x), options.batch)
         batch = x[chosen]
-        batch += options.noise * rng.standard_normal(batch.shape, np.float32)
+        batch += noise * rng.standard_normal(batch.shape, np.float32)
         loss = gradient_of(network, grads, batch, y[chosen])
         adam.step(slope, options.rate * 0.5 * (1 + np.cos(np.pi * step / options.steps)))
         if step % 50 == 0:

@@ -27,7 +27,8 @@ sys.meta_path.insert(0, NoRos())
 import surg_sim
 found = [m.name for m in pkgutil.walk_packages(surg_sim.__path__, "surg_sim.")]
 for name in found:
-    if name.endswith(("_node", ".env")):
+    # Environments need gymnasium, and what writes recordings surg_recording.
+    if name.endswith(("_node", ".env", ".rollouts", ".recorded", ".demonstrations")):
         continue
     importlib.import_module(name)
 print(surg_sim.__file__, len(found))

@@ -93,11 +93,9 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"learn: {wanted.task}, {wanted.setting}, {wanted.episodes} demonstrations, "
         f"{wanted.rollouts} roll-outs -> {out}"
     )
-    demos = ledger.stage(
-        "demonstrations",
-        asdict(wanted) | {"rollouts": 0, "seed": 0},
-        lambda: _show(wanted, cell, out),
-    )
+    of_demos = asdict(wanted) | {"rollouts": 0, "seed": 0, "shake": SHAKE}
+    demos = ledger.stage("demonstrations", of_demos, lambda: _show(wanted, cell, out))
+    shown = ledger.stage("smoothness", {}, lambda: _measure(wanted, out))
     ledger.stage("dataset", {}, lambda: _export(out))
     trained = ledger.stage(
         "training",
@@ -119,7 +117,6 @@ def main(options: argparse.Namespace, command: str) -> int:
         {"rollouts": wanted.rollouts, "weights": trained["weights"]},
         lambda: _deploy(player, wanted, out / "rollouts" / trained["weights"][:12]),
     )
-    shown = ledger.stage("smoothness", {}, lambda: _measure(wanted, out))
     info = {
         **{key: asdict(wanted)[key] for key in ("task", "setting")},
         "title": player.title,

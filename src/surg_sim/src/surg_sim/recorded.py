@@ -16,14 +16,20 @@ import numpy as np
 
 import surg_core
 from surg_core.transforms import matrix_to_quaternion_xyzw
-from surg_recording import provenance
-from surg_recording.recording import Recording
 from surg_sim import scene
 from surg_sim.assistant import AssistantCommand
 from surg_sim.episode import EpisodeReport, run_episode
 from surg_sim.session import Command, Session, Tick
 from surg_sim.tasks import GRID, State
 from surg_sim.world import TICK_NS
+
+try:
+    from surg_recording import provenance
+    from surg_recording.recording import Recording
+except ImportError as error:  # pragma: no cover - of an installation of surg_sim alone
+    raise ImportError(
+        "recording in process needs surg_recording: pip install ./src/surg_recording"
+    ) from error
 
 if TYPE_CHECKING:
     from surg_sim.experts.base import Expert
@@ -132,7 +138,11 @@ class RecordedSession(Session):
             "reason": report.reason,
         }
         ticks = round(report.duration * 1e9) // TICK_NS
-        sim = {"tick": ticks, "sim_time_s": report.duration, "deterministic": True}
+        sim: dict[str, Any] = {
+            "tick": ticks,
+            "sim_time_s": report.duration,
+            "deterministic": True,
+        }
         sim |= {"state_hash": report.hash, "done": True, "aborted": None, "task": verdict}
         recording.close({"sim": sim}, end_stamp_ns=ticks * TICK_NS)
         return report
