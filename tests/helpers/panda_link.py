@@ -127,13 +127,13 @@ class Link:
 
 
 def main() -> None:
-    """Run at 500 Hz; what a starved machine has missed is not caught up with."""
+    """Run at 500 Hz; what is missed beyond the dead-man is not caught up with."""
     rospy.init_node("panda_link")
     link = Link()
     due = last = time.monotonic()
     while not rospy.is_shutdown():
         now = time.monotonic()
-        link.publish(link.step(now, min(now - last, 5 * PERIOD)))
+        link.publish(link.step(now, min(now - last, DEAD_MAN)))
         last, due = now, max(due + PERIOD, now)
         time.sleep(max(0.0, due - time.monotonic()))
 

@@ -187,9 +187,11 @@ class PolicyRig:
         return cycles[0].at
 
     def largest_step(self, since: int = 0) -> float:
-        """Of the set-point between two cycles [m]."""
+        """Of the set-point between two cycles, from the first in which it was ENABLED on [m]."""
         with self._lock:
-            points = np.array([seen.p_set for seen in self.cycles[since:]])
+            cycles = self.cycles[since:]
+        first = next(i for i, seen in enumerate(cycles) if seen.state == Cycle.ENABLED)
+        points = np.array([seen.p_set for seen in cycles[first:]])
         return float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
 
     def close(self) -> None:

@@ -68,7 +68,7 @@ def test_f17_a_storm_of_bad_frames_and_a_good_one(full: bool) -> None:
         x += 2e-4
         bench.act([bench.here(2e-4)])
         done = bench.execute()
-        assert (done is not None and done.p[0] == np.float64(x)) or abs(done.p[0] - x) < 1e-12
+        assert done is not None and abs(done.p[0] - x) < 1e-12
         good += 1
         bench.heard = bench.heard[-50:] + bench.of("WELCOME")[:1]
         bench.now += 30 * MS

@@ -60,6 +60,11 @@ def report(
             "problem": str(robot.record.get("problem") or ""),
         },
         "task": words.task_sentence(robot),
+        "policy": {
+            "state": str(robot.policy.get("state", "")),
+            "on": robot.policy.get("state") in words.POLICY_ACTIVE,
+            "sentence": words.as_sentence(words.policy_sentence(robot)),
+        },
     }
 
 
@@ -74,6 +79,9 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
         if arm is not None and now - arm.warned < RECENT:
             return arm.warning
         return "The tip follows your hand."
+    about = robot.policy.get("state") in words.POLICY_ACTIVE or session.reason == words.POLICY_ASKED
+    if session.phase is Phase.READY and about and (said := words.policy_sentence(robot)):
+        return said
     if session.reason:
         return session.reason
     if arm is None or not arm.state:
@@ -91,6 +99,8 @@ def _headline(session: Session, robot: Robot) -> str:
     fault = any(arm.state == "FAULT" for arm in robot.arms)
     if fault:
         return "Fault"
+    if session.phase is Phase.READY and robot.policy.get("state") == "RUNNING":
+        return "Policy"
     if session.phase is Phase.DRIVING and not robot.follower.following:
         return "Waiting" if not session.clutched else "Clutched"
     if session.phase is Phase.DRIVING and session.clutched:
