@@ -45,6 +45,8 @@ REACH = np.array([0.020, 0.015, 0.012])
 PERIODS = np.array([[7.3, 2.9], [5.9, 3.7], [9.1, 4.3]])
 """[s] of the two sines along each axis."""
 START_S = 60.0
+FINISH_S = 180.0
+"""[s] that half an hour of rows may take to be checked and named."""
 
 
 def hand(t: float) -> np.ndarray:
@@ -64,7 +66,7 @@ class Surgeon:
 
         from crtk_msgs.msg import OperatingState
 
-        self.state, self.arm_state = "", ""
+        self.state, self.arm_state, self.recording = "", "", False
         self.said: list[str] = []
         send = {"queue_size": 10, "tcp_nodelay": True}
         self.pose = rospy.Publisher("/hand/measured_cp", PoseStamped, **send)
@@ -78,6 +80,7 @@ class Surgeon:
             rospy.Subscriber("/teleop/warning", String, self._on_words),
             rospy.Subscriber("/PSM1/warning", String, self._on_words),
             rospy.Subscriber("/PSM1/error", String, self._on_words),
+            rospy.Subscriber("/record/recording", Bool, self._on_recording),
         ]
 
     def speak(self, p: np.ndarray, grip: float, clutch: bool) -> None:
@@ -100,6 +103,9 @@ class Surgeon:
 
     def _on_arm(self, message: Any) -> None:
         self.arm_state = message.state
+
+    def _on_recording(self, message: Any) -> None:
+        self.recording = message.data
 
     def _on_words(self, message: Any) -> None:
         self.said = [*self.said[-4:], message.data]
@@ -210,7 +216,10 @@ def measure(minutes: float) -> dict[str, Any]:
             found = work(surgeon, 60.0 * minutes)
             surgeon.record.publish(Bool(False))
             surgeon.enable.publish(Bool(False))
-            time.sleep(3.0)
+            say(f"{len(found['stops'])} stops in {found['seconds']:.0f} s; the recorder finishes")
+            deadline = time.monotonic() + FINISH_S
+            while surgeon.recording and time.monotonic() < deadline:
+                time.sleep(0.2)
             rospy.signal_shutdown("measured")
         episodes = sorted(path.parent for path in out.rglob("manifest.json"))
         if not episodes:
