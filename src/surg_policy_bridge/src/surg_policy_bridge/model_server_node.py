@@ -325,13 +325,15 @@ class ModelServerNode:
                 self._server.observe(seen, min(at for at, _ in self._cycles.values()), now)
         for arm, target in self._free.play(self._server, views, now).items():
             commands[arm] = ArmCommand(servo=target)
-        self._send(commands, time.time_ns())
+        self._send(commands, views)
+        self._publish_judged(time.time_ns())
         self._answer()
 
-    def _send(self, commands: dict[str, ArmCommand], stamp_ns: int) -> None:
+    def _send(self, commands: dict[str, ArmCommand], views: dict[str, ArmView]) -> None:
+        """Send; the stamp says which cycle is answered: it is meant for the next one."""
         for arm, command in commands.items():
-            self._ports[arm].send(command, stamp_ns)
-        self._publish_judged(stamp_ns)
+            answered = views[arm].stamp_ns if arm in views else 0
+            self._ports[arm].send(command, answered + TICK if answered else 0)
 
     # --- lock-step --------------------------------------------------------------------------------
 
@@ -390,7 +392,8 @@ class ModelServerNode:
             self._await_answer(deadline)
             for arm, target in self._server.execute(number + 1, at).items():
                 commands[arm] = ArmCommand(servo=target)
-        self._send(commands, at + TICK)
+        self._send(commands, views)
+        self._publish_judged(at + TICK)
         self._answer()
         self._say_ready(tick + 1)
 
@@ -470,7 +473,7 @@ class ModelServerNode:
             views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
             now = self._now()
             commands = self._server.tick(views, now, time.monotonic_ns())
-            self._send(commands, time.time_ns())
+            self._send(commands, views)
             self._answer()
             self._tell(time.monotonic_ns())
             self._router.close()

@@ -38,7 +38,7 @@ def report(
     return {
         "say": "status",
         "phase": session.phase.value,
-        "headline": _headline(session, robot),
+        "headline": _policy_headline(session, robot) or _headline(session, robot),
         "sentence": words.as_sentence(sentence(session, robot, now)),
         "holder": session.holder,
         "pages": session.pages,
@@ -101,8 +101,6 @@ def _headline(session: Session, robot: Robot) -> str:
     fault = any(arm.state == "FAULT" for arm in robot.arms)
     if fault:
         return "Fault"
-    if session.phase is Phase.READY and robot.policy.get("state") == "RUNNING":
-        return "Policy"
     if session.phase is not Phase.DRIVING:
         return _HEADLINES[session.phase]
     if session.clutched:
@@ -121,6 +119,12 @@ def _helper(hand: Follower) -> dict[str, Any]:
         "state": hand.state,
         "sentence": hand.reason,
     }
+
+
+def _policy_headline(session: Session, robot: Robot) -> str:
+    """Where a policy has the arm."""
+    running = robot.policy.get("state") == "RUNNING"
+    return "Policy" if session.phase is Phase.READY and running else ""
 
 
 def _arm(arm: Arm, now: float) -> dict[str, Any]:
