@@ -155,11 +155,11 @@ def test_f09_a_clock_that_is_set_is_said_and_the_arm_goes_on(
     assert list(recorded.table("events")["topic"]).count("clock_step") == len(set_at)
     cycle = recorded.cycle("PSM1")
     assert np.all(np.diff(cycle["tick"]) == 1), "no row is lost"
-    for segment, step in zip(recorded.segments, expected, strict=True):
-        row = segment["rows"]["cycle_PSM1"]
-        jumps = np.diff(cycle["receive_ns"][row - 3 : row + 3]) * 1e-9
-        # Half of the step: a starved machine may let some seconds pass between two rows.
-        assert np.any(np.sign(step) * jumps > HOUR / 2), "it lies where the manifest says"
+    # Half a step: a starved machine may let some seconds pass between two rows.
+    jumps = np.flatnonzero(np.abs(np.diff(cycle["receive_ns"])) > HOUR * 10**9 / 2) + 1
+    rows = np.array([segment["rows"]["cycle_PSM1"] for segment in recorded.segments])
+    assert len(jumps) == len(rows)
+    assert np.abs(jumps - rows).max() <= 1, (jumps, rows)
 
 
 # --- F12 ------------------------------------------------------------------------------------------
