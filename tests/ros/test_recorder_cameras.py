@@ -100,7 +100,7 @@ def test_any_image_topic_is_recorded_raw_or_compressed(
     ros_graph.node(
         "surg_recording", "recorder_node", "/recorder", {**parameters, "cameras": CAMERAS}
     )
-    ros_graph.wait_for(bench.connected, 20, "the recorder")
+    ros_graph.wait_for(bench.connected, 60, "the recorder")
     twin = TwinPublisher(rospy.get_name(), CAMERAS[2], "sensor_msgs/CompressedImage")
     try:
         own = master.call(ros_graph.uri, "lookupNode", rospy.get_name())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import threading
 import time
 from collections import deque
 from pathlib import Path
@@ -70,6 +71,28 @@ def test_f09_a_clock_that_is_slewed_for_an_hour_does_not_step(clocks: Clocks) ->
         clocks.offset_ns += 5_000
         clock.now_ns()
     assert steps == []
+
+
+def test_f09_nobody_gets_a_time_behind_a_step_before_it_is_told(clocks: Clocks) -> None:
+    """Else rows behind the step would be counted as before it."""
+    told = threading.Event()
+    early: list[bool] = []
+
+    def reader() -> None:
+        clock.now_ns()
+        early.append(not told.is_set())
+
+    def on_step(step: int, wall: int) -> None:
+        thread.start()
+        time.sleep(0.1)
+        told.set()
+
+    clock = SteppedClock(on_step, clocks.wall, clocks.steady)
+    thread = threading.Thread(target=reader)
+    clocks.offset_ns += HOUR
+    clock.now_ns()
+    thread.join()
+    assert early == [False]
 
 
 def test_f09_being_preempted_between_the_readings_is_no_step(

@@ -28,7 +28,8 @@ class SteppedClock:
 
     Args:
         on_step: called with (step [ns], wall time after it [ns]) by the thread that reads the clock
-            first after the step, before it gets its time.
+            first after the step, before any thread gets a time behind it. It must be quick, and
+            must not read this clock.
         wall: the wall clock [ns].
         steady: a clock that nobody can set [ns].
         threshold_ns: what is a step.
@@ -58,8 +59,10 @@ class SteppedClock:
             offset, wall = self._measure()
             step = offset - self._offset
             if abs(step) >= self._threshold:
-                self._offset = offset
-                self._on_step(step, wall)
+                try:
+                    self._on_step(step, wall)
+                finally:  # last: until the step has been told, nobody else gets a time behind it
+                    self._offset = offset
         return wall
 
     def _measure(self) -> tuple[int, int]:

@@ -459,9 +459,11 @@ class RecorderNode:
             rospy.logwarn("recorder: %s", problem)
 
     def _on_clock_step(self, step_ns: int, wall_ns: int) -> None:
-        rospy.logwarn("recorder: the clock was set by %+.3f s", step_ns * 1e-9)
+        # Every callback waits for this: the log, which may be slow, is written by another thread.
         if self.recording is not None:
             self.recording.clock_stepped(step_ns, wall_ns)
+        said = ("recorder: the clock was set by %+.3f s", step_ns * 1e-9)
+        threading.Thread(target=rospy.logwarn, args=said, daemon=True).start()
 
     def _episode_now(self, wall_ns: int) -> int:
         """Now on the clock of the episode's stamps [ns]."""
