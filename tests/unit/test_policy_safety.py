@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.policy_bench import ARM, HOME, Bench, arm_limits, cell
+from helpers.policy_results import note
 from surg_policy_bridge.arm import PERIOD, SECOND, ArmState, ArmView, Target
 from surg_policy_bridge.observer import CameraWatch, Observer
 from surg_policy_bridge.safety import CLIPPABLE, RULES, ArmSafety, SafetyController
@@ -77,7 +78,7 @@ def test_every_verdict_against_an_oracle(full: bool) -> None:
                 assert verdict.target is None, target
                 assert verdict.broken[0].rule in RULES and ARM in verdict.broken[0].text
                 refused += 1  # and the same moment is tried again
-    print(f"{taken} taken, {refused} refused")
+    note(0, taken + refused, f"{taken} taken, {refused} refused, each as the oracle says")
     assert min(taken, refused) > 300
 
 
@@ -180,7 +181,7 @@ def test_the_expert_is_never_refused(full: bool) -> None:
     """Every action that the scripted senders take, as a policy's."""
     from surg_sim.env import SurgEnv
 
-    judged, most = 0, 10_000 if full else 60
+    judged, most = 0, 10_000 if full else 30
     for task in ("bgr", "pick-and-place") if full else ("bgr",):
         env = SurgEnv(task)
         for seed in range(10_000, 10_005) if full else (10_000,):
@@ -200,8 +201,8 @@ def test_the_expert_is_never_refused(full: bool) -> None:
                 _, _, terminated, truncated, _ = env.step(action)
                 done = terminated or truncated or judged >= most
         env.close()
-    print(f"{judged} actions")
-    assert judged >= 60
+    note(1, judged, "none")
+    assert judged >= 30
 
 
 # --- pictures -------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.policy_bench import ARM, HOME, MS, Bench, spec
+from helpers.policy_results import note
 from surg_policy_bridge.arm import PERIOD, SECOND, ArmState
 from surg_policy_bridge.chunk_queue import LONGEST, ChunkQueue
 from surg_policy_bridge.sessions import BURST, PEERS, RATE, Flow
@@ -143,7 +144,7 @@ def test_the_queue_against_a_slow_book(rng: random.Random, full: bool) -> None:
             assert late == sum(first + i <= now for i in range(len(rows)))
             said.append((first, rows, now + 1))
             chunks += 1
-    print(f"{chunks} chunks")
+    note(2, chunks, "the same steps, the same number of late ones")
 
 
 def test_the_queue_is_bounded() -> None:
