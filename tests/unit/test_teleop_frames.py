@@ -22,7 +22,16 @@ from helpers.stage import Stage, stage_of, turn
 from surg_cli import paths
 from surg_sim.render import Picture
 from surg_teleop.camera import HeldCamera, held_camera
-from surg_teleop.frames.judge import Cause, Lens, Outcome, Verdict, direction, judge, not_seen
+from surg_teleop.frames.judge import (
+    MATCHED,
+    Cause,
+    Lens,
+    Outcome,
+    Verdict,
+    direction,
+    judge,
+    not_seen,
+)
 from surg_teleop.frames.moves import REST, SIDE, SPEED, STEPS, Step, between
 from surg_teleop.frames.sight import NotSeen, Place, find_places
 
@@ -354,7 +363,7 @@ def test_the_tip_is_found_to_a_pixel(stage: Stage) -> None:
             assert disparity is not None
             d = lens(stage).f * stage.renderer.baseline / z
             offsets.append(disparity[0] - d)
-            assert abs(disparity[1]) < 0.6
+            assert abs(disparity[1]) < MATCHED
         # What is followed reaches from the tip towards the lens: a constant, and no motion.
         assert abs(np.mean(offsets)) < 2.0
         depths += [abs(offset - np.mean(offsets)) for offset in offsets]

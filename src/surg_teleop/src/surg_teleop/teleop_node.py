@@ -45,8 +45,10 @@ from surg_teleop.seat import Pedals
 from surg_teleop.system import ASSISTANT, Hand, System, read_system
 from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
 
-PERIOD = 0.004
-"""[s] A leader that is asked (and not heard) is asked that often."""
+ASKED_PERIOD = 0.004
+"""[s] A leader that must be asked is asked that often."""
+HEARD_PERIOD = 0.010
+"""[s] Leaders that speak begin a tick at once; in their pauses time passes that often."""
 AGAIN = 1.0
 """[s] The same warning is said no more often."""
 REPORT = 0.5
@@ -200,9 +202,11 @@ class TeleopNode:
     # Ticks.
 
     def run(self) -> None:
-        """Free-run: a tick whenever a leader speaks, and every PERIOD, until ``finished``."""
+        """Free-run: a tick whenever a leader speaks, and every period, until ``finished``."""
+        heard = all(isinstance(hand.leader, CrtkLeader) for hand in self._system.hands)
+        period = HEARD_PERIOD if heard else ASKED_PERIOD
         while not self.finished.is_set() and not rospy.is_shutdown():
-            self._wake.wait(PERIOD)
+            self._wake.wait(period)
             self._wake.clear()
             with self._lock:
                 self._act(time.monotonic())
