@@ -18,10 +18,10 @@ import numpy as np
 import pytest
 import zmq
 
-from helpers.policy_rig import CAMERA, Camera, PolicyRig
+from helpers.policy_rig import CAMERA, CELL, Camera, PolicyRig
 from helpers.reactions import Reactions
 from helpers.ros import RosGraph
-from surg_cli import master
+from surg_cli import master, topic_contract
 from surg_msgs.msg import Cycle
 from surg_policy_bridge.binding import BindError
 from surg_policy_bridge.router_node import Router
@@ -79,6 +79,7 @@ def test_f04_f05_f08_f17_f18_f29_f30_policies_in_one_running_system(
     rig.run()
     first = int(rig.status["session"])
     assert not rig.rejected and rig.now.source == "/policy"
+    assert own_topics(rig) == promised_topics()
 
     _flood(rig)
     rig.run()
@@ -102,6 +103,24 @@ def test_f04_f05_f08_f17_f18_f29_f30_policies_in_one_running_system(
     # 50 mm/s are 0.1 mm per cycle; a wall clock that stood still may have cost the test cycles.
     print(f"largest step of the set-point in all hand-overs: {1e6 * step:.0f} um")
     assert step < 1e-3
+
+
+def own_topics(rig: PolicyRig) -> set[tuple[str, str, str]]:
+    """Topics of the model server on the running graph, without those of others that it uses."""
+    publications, subscriptions, _ = master.call(rig.graph.uri, "getSystemState")
+    types = dict(master.call(rig.graph.uri, "getTopicTypes"))
+    return {
+        (topic, types[topic], way)
+        for table, way in ((publications, "out"), (subscriptions, "in"))
+        for topic, nodes in table
+        if "/policy" in nodes and topic.startswith("/policy/")
+    }
+
+
+def promised_topics() -> set[tuple[str, str, str]]:
+    """The same by docs/topics.yaml."""
+    entries = topic_contract.load().entries
+    return {(e.name, e.type, e.direction) for e in entries if e.node == "policy"}
 
 
 def _flood(rig: PolicyRig) -> None:
@@ -196,6 +215,15 @@ def _hand_over(rig: PolicyRig) -> None:
     hands("DISABLED")
     rig.graph.wait_for(lambda: rig.now.state == Cycle.PAUSED, 3.0, "PAUSED")
     rig.run()
+
+
+def test_f19_a_server_that_others_reach_does_not_start_without_keys(
+    ros_graph: RosGraph, rospy_node: str
+) -> None:
+    params = {"cell": CELL, "bind": "tcp://0.0.0.0:5999"}
+    child = ros_graph.node("surg_policy_bridge", "model_server_node", "/policy", params)
+    ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the refusal")
+    assert child.exit_code == 2 and "./surg keys" in child.log_tail()
 
 
 def test_f19_only_who_is_on_the_list_enters(tmp_path: Path) -> None:

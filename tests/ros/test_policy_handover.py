@@ -118,7 +118,7 @@ def _lead(graph: RosGraph, rig: PolicyRig, hand: Hand) -> None:
 
     def follows() -> bool:
         nonlocal asked
-        if hand.state in ("DISABLED", "WAITING", "FAULT") and time.monotonic() - asked > 3.0:
+        if hand.state != "FOLLOWING" and time.monotonic() - asked > 3.0:
             asked = time.monotonic()  # a starved machine may have let go: the operator acts again
             hand.enable.publish(True)
         return hand.state == "FOLLOWING"

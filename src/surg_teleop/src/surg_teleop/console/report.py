@@ -39,7 +39,7 @@ def report(
     return {
         "say": "status",
         "phase": session.phase.value,
-        "headline": _headline(session, robot),
+        "headline": _policy_headline(session, robot) or _headline(session, robot),
         "sentence": words.as_sentence(sentence(session, robot, now)),
         "holder": session.holder,
         "pages": session.pages,
@@ -99,13 +99,17 @@ def _headline(session: Session, robot: Robot) -> str:
     fault = any(arm.state == "FAULT" for arm in robot.arms)
     if fault:
         return "Fault"
-    if session.phase is Phase.READY and robot.policy.get("state") == "RUNNING":
-        return "Policy"
     if session.phase is Phase.DRIVING and not robot.follower.following:
         return "Waiting" if not session.clutched else "Clutched"
     if session.phase is Phase.DRIVING and session.clutched:
         return "Clutched"
     return _HEADLINES[session.phase]
+
+
+def _policy_headline(session: Session, robot: Robot) -> str:
+    """Where a policy has the arm."""
+    running = robot.policy.get("state") == "RUNNING"
+    return "Policy" if session.phase is Phase.READY and running else ""
 
 
 def _arm(arm: Arm, now: float) -> dict[str, Any]:
