@@ -25,6 +25,7 @@ from surg_policy_client import (
     keys,
     serve,
 )
+from surg_policy_client.link import Link
 from surg_policy_client.wire import Message
 
 STATE = "observation.state"
@@ -250,6 +251,32 @@ def test_a_lost_server_is_found_again(how: str, tmp_path: Path) -> None:
     assert (served.sessions, served.episodes, served.successes) == (2, 1, 1)
     assert len(policy.resets) == 2
     assert [o.step for o in policy.seen] == [3, 4]
+
+
+def test_the_hint_follows_the_connection() -> None:
+    server = PolicyServer()
+    link = Link(server.address)
+    try:
+        assert link.wait_for_welcome(10.0)
+        server.close()
+        until = time.monotonic() + 20.0
+        while "nobody listens" not in link.hint() and time.monotonic() < until:
+            time.sleep(0.02)
+        assert "nobody listens" in link.hint()
+    finally:
+        link.close()
+
+
+def test_a_connection_that_breaks_inside_is_no_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: Link, wire: Any) -> None:
+        raise OSError("no buffer space")
+
+    with PolicyServer() as server:
+        client = Client(Policy(), server.address)
+        server.wait("PING")
+        monkeypatch.setattr(Link, "_listen", broken)
+        with pytest.raises(OSError, match="no buffer space"):
+            client.end()
 
 
 def test_a_spec_that_does_not_fit_names_both_sides() -> None:

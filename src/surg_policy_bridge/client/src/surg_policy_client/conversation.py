@@ -11,6 +11,8 @@ from surg_policy_client.wire import VERSION, Message
 
 HELLO_S = 0.25
 """Between two HELLOs, until a server answers."""
+LEAST_PING_S = 0.01
+"""Between two PINGs, whatever a server asks for."""
 LOST_S = 1.0
 """Without a word of the server: it is gone, or has another session now."""
 
@@ -113,7 +115,8 @@ class Conversation:
             self._fail(SpecMismatch(self._differs("\n".join(wrong))))
             return None
         self.state, self.session, self.welcome = State.LIVE, message.head["session"], message.head
-        self._ping_s, self._heard, self._next, self.busy = message.head["ping_s"], now, now, ""
+        self._ping_s = max(message.head["ping_s"], LEAST_PING_S)
+        self._heard, self._next, self.busy = now, now, ""
         return message
 
     def _error(self, code: str, text: str, message: Message) -> Message | None:

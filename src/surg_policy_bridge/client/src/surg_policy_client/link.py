@@ -73,11 +73,17 @@ class Link:
         self._sending = threading.Lock()
         self._hint = ""
         self._stop = False
+        self._closed = False
+        self._broken: Exception | None = None
         self.skipped = 0
         """Observations that a newer one replaced before the policy was ready."""
         self.dropped = 0
         """Messages that could not be sent, and frames that were no messages."""
-        self._first: Any = self._socket()  # here, so that a bad address fails here
+        try:
+            self._first: Any = self._socket()  # here, so that a bad address fails here
+        except ValueError:
+            self._context.term()
+            raise
         self._outbox = self._context.socket(zmq.PAIR)
         self._outbox.bind("inproc://out")
         self._thread = threading.Thread(target=self._run, name="surg-policy-link", daemon=True)
@@ -139,27 +145,34 @@ class Link:
     def send(self, message: Message) -> None:
         """Hand a message to the connection; it is dropped (and counted) while there is none."""
         parts = encode(message)
-        with self._sending:
-            if not self._stop:
-                self._outbox.send_multipart(parts, copy=False)
+        self._hand_over(parts)
 
     def close(self, reason: str = "the policy ended") -> None:
         """Say goodbye and end the thread."""
-        if self._stop:
+        if self._closed:
             return
         session = self.session
         if session is not None:
             self.send(Message("BYE", {"session": session, "reason": reason[:1024]}))
-        with self._sending:
-            self._stop = True
-            self._outbox.send(b"")
+        self._hand_over([b""])
+        self._closed = True
         self._thread.join()
         self._outbox.close(0)
         self._context.term()
 
+    def _hand_over(self, parts: list[Any]) -> None:
+        """To the thread; dropped where it has ended, for nobody would ever take it."""
+        with self._sending:
+            try:
+                if not self._closed:
+                    self._outbox.send_multipart(parts, zmq.NOBLOCK, copy=False)
+            except zmq.Again:
+                self.dropped += 1
+
     def _raise_failure(self) -> None:
-        if self._talk.failure is not None:
-            raise self._talk.failure
+        failure = self._talk.failure or self._broken
+        if failure is not None:
+            raise failure
 
     # --- the thread -------------------------------------------------------------------------------
 
@@ -169,6 +182,8 @@ class Link:
         try:
             while self._one_connection(out):
                 pass
+        except Exception as error:  # whoever waits for news has to hear of it
+            self._broken = error
         finally:
             out.close(0)
             with self._news:
@@ -265,6 +280,8 @@ class Link:
             self._hint = self._hint or "connected"
         elif kind == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._hint = "connected"
+        elif kind == zmq.EVENT_CLOSED:  # an attempt that reached nobody
+            self._hint = ""
         elif kind == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             self._hint = "denied"
         elif kind in (
