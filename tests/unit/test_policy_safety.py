@@ -239,6 +239,8 @@ def test_f08_a_drawn_picture_may_repeat_itself_while_nothing_moves() -> None:
     assert watch.problem(now, rest + 0.9e-3) == ""
     assert "same picture" in watch.problem(now, rest + 1.1e-3)
     assert "sends nothing" in watch.problem(now + 3 * PERIOD + 1, rest)
+    watch.settle()  # homing gives the arms another frame: that was no motion
+    assert watch.problem(now, rest + 0.12) == ""
 
 
 def test_f08_a_blind_camera_pauses_the_policy_and_nothing_is_observed() -> None:

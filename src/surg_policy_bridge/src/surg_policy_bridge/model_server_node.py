@@ -258,6 +258,8 @@ class ModelServerNode:
         if self._drawn and views:
             place = np.concatenate([view.p_tip for view in views.values()])
         for watch in self._watches.values():
+            if not all(view.homed for view in views.values()):
+                watch.settle()
             if problem := watch.problem(now, place):
                 return problem
         return ""

@@ -92,6 +92,10 @@ class CameraWatch:
             "the camera and its cable, then enable the policy again"
         )
 
+    def settle(self) -> None:
+        """What was said of places until now does not count: the arms had no frame yet."""
+        self._place = None
+
     def _at_rest(self, place: Array | None) -> bool:
         """Whether no tip has moved since the picture changed."""
         if place is None or self._place is None:
