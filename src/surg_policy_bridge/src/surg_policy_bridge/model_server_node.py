@@ -110,6 +110,7 @@ class ModelServerNode:
         self._connected = False
         self._over = False
         self._operator = ""
+        self._homed = False
         self._present = not settings.need_present
         self._refused = ""
         self._reported = -REPORT
@@ -257,8 +258,9 @@ class ModelServerNode:
         place = None
         if self._drawn and views:
             place = np.concatenate([view.p_tip for view in views.values()])
+        before, self._homed = self._homed, all(view.homed for view in views.values())
         for watch in self._watches.values():
-            if not all(view.homed for view in views.values()):
+            if not (before and self._homed):  # the tips were not yet said in the frame of now
                 watch.settle()
             if problem := watch.problem(now, place):
                 return problem
