@@ -270,6 +270,19 @@ def test_f05_without_a_step_for_two_seconds_the_arm_is_paused(bench: Bench) -> N
     assert bench.arm.view.state is ArmState.PAUSED
 
 
+def test_f05_without_an_observation_the_source_is_named(bench: Bench) -> None:
+    bench.start()
+    bench.period([bench.here()])
+    while bench.server.state.value == "RUNNING":
+        bench.ping()
+        bench.tick()
+        bench.server.observe_nothing("endoscope is 400 ms behind the arms' state")
+        bench.execute()
+        bench.now += PERIOD
+        bench.step += 1
+    assert "endoscope is 400 ms behind" in bench.server.reason
+
+
 def test_f05_an_answer_that_is_too_old_when_it_comes_is_counted(bench: Bench) -> None:
     bench.start()
     bench.tick()
