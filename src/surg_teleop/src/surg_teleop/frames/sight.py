@@ -28,6 +28,8 @@ PATCH = 0.075
 """Radius of what is followed, as a share of the picture's height."""
 NEAR = 6.0
 """[px] How far the other eye's picture may differ from the disparity at rest."""
+ASIDE = 1.5
+"""[px] How far it may lie beside the line of the disparity at rest: no motion changes that line."""
 LEAST = 80
 """[px] Fewer changed pixels are no instrument."""
 ALIKE = 0.6
@@ -106,7 +108,7 @@ def find_places(
         if other is not None:
             # The other eye sees the same moment: the same light, the same size, the same angle.
             there = _moved(patch, picture, shift)
-            apart, _ = _find(there, other[step], across, NEAR, "in the right picture")
+            apart, _ = _find(there, other[step], across, NEAR, aside=ASIDE)
             disparity = -apart
         found[step] = Place(patch.tip + shift, disparity, likeness)
     return found
@@ -192,7 +194,12 @@ def _moved(patch: Patch, picture: Smooth, shift: Array) -> Patch:
 
 
 def _find(
-    patch: Patch, picture: Smooth, guess: Array, reach: float, where: str = "in the right picture"
+    patch: Patch,
+    picture: Smooth,
+    guess: Array,
+    reach: float,
+    where: str = "in the right picture",
+    aside: float = np.inf,
 ) -> tuple[Array, float]:
     """Where a patch is in a picture.
 
@@ -202,6 +209,8 @@ def _find(
         guess: (2,) shift from its place at which the search is centred [px].
         reach: How far from there to look [px].
         where: For the error.
+        aside: How far beside the line through the guess [px]. Along a plain shaft everything looks
+            alike, and a patch would slide.
 
     Returns:
         Its shift (2,) [px] and the correlation there.
@@ -219,6 +228,11 @@ def _find(
         raise NotSeen(f"the tip leaves the picture {where}; bring it to the middle and try again")
     window = picture[first[1] : last[1], first[0] : last[0]]
     score = _correlate(patch, window)
+    if np.isfinite(aside) and np.hypot(*guess) > aside:
+        y, x = np.indices(score.shape)
+        off = np.stack([x, y], -1) + (first - patch.corner - guess)
+        beside = np.abs(off @ np.array([-guess[1], guess[0]])) / np.hypot(*guess)
+        score = np.where(beside <= aside, score, -1.0)
     row, column = divmod(int(np.argmax(score)), score.shape[1])
     best = float(score[row, column])
     if best < ALIKE:
