@@ -266,10 +266,12 @@ def test_observations_belong_together() -> None:
     exact.put("b", 50, np.ones(1))
     seen = exact.take(1, 50)
     assert seen is not None and seen.arrays["b"] == 1.0
+    assert exact.take(1, 50, ()) is not None, "nobody looks at anything"
     loose = Observer(["a", "b"], 3 * PERIOD)
     loose.put("a", 10 * PERIOD, np.zeros(1))
     loose.put("b", 7 * PERIOD, np.ones(1))
-    assert loose.take(1, 10 * PERIOD) is not None
+    seen = loose.take(1, 10 * PERIOD)
+    assert seen is not None and seen.behind == 3 * PERIOD
     loose.put("a", 10 * PERIOD + 1, np.zeros(1))
     assert "b is 150 ms behind" in loose.missing(10 * PERIOD + 1)
     loose.put("a", 9 * PERIOD, np.full(1, 5.0))

@@ -326,8 +326,9 @@ class ModelServerNode:
             stamp_ns, wanted = self._put_state(views), self._server.wanted
             seen = None if stamp_ns is None else self._observer.take(step, stamp_ns, wanted)
             if seen is not None:
-                # As old as the oldest cycle in it.
-                self._server.observe(seen, min(at for at, _ in self._cycles.values()), now)
+                # As old as the oldest cycle or picture in it.
+                oldest = min(at for at, _ in self._cycles.values()) - seen.behind
+                self._server.observe(seen, oldest, now)
             else:
                 late = "an arm is silent, or does not know its jaw"
                 why = late if stamp_ns is None else self._observer.missing(stamp_ns, wanted)

@@ -37,11 +37,13 @@ class Observation:
         step: Number of its grid time.
         stamp_ns: Stamp of the arms' state.
         arrays: By key, as the spec says.
+        behind: How much older than the arms' state its oldest part is [ns].
     """
 
     step: int
     stamp_ns: int
     arrays: Mapping[str, NDArray[np.generic]]
+    behind: int = 0
 
 
 class CameraWatch:
@@ -146,4 +148,5 @@ class Observer:
         if self.missing(stamp_ns, wanted):
             return None
         arrays = {key: self._newest[key][1] for key in wanted}
-        return Observation(step, stamp_ns, arrays)
+        oldest = min((self._newest[key][0] for key in wanted), default=stamp_ns)
+        return Observation(step, stamp_ns, arrays, max(stamp_ns - oldest, 0))
