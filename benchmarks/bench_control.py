@@ -41,6 +41,7 @@ import libraries
 import page
 import scene
 import streams
+from machine import processor
 
 from surg_cli import paths
 from surg_cli.terminal import Problem, Progress, say, table, warn
@@ -162,13 +163,6 @@ def nodelet(seconds: float) -> dict[str, float] | None:
             return None
         compute = json.loads(summary.read_text("utf-8"))["controller"]["compute_us"]
     return {"p50": float(compute["p50"]), "p99": float(compute["p99"])}
-
-
-def processor() -> str:
-    """Name of the processor."""
-    lines = Path("/proc/cpuinfo").read_text("utf-8").splitlines()
-    named = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return named[0] if named else "unknown"
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:

@@ -81,6 +81,8 @@ def violations(src: Path) -> list[str]:
             where = f"{use.file.relative_to(src)}:{use.line}"
             if top in OURS and top != package and top not in ALLOWED[package]:
                 found.append(f"{where}: {package} must not use {top}")
+            if use.file.relative_to(src / package).parts[0] == "client" and top in OURS:
+                found.append(f"{where}: a client must use nothing of ours but itself ({top})")
             if is_pure(use.file, src / package) and needs_ros(use):
                 found.append(f"{where}: a core must not use ROS ({use.target})")
     return found

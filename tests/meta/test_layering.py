@@ -99,6 +99,11 @@ BROKEN = {
         "from surg_cli import paths\n",
         "surg_sim must not use surg_cli",
     ),
+    "the policies' client uses something of ours": (
+        "surg_policy_bridge/client/src/surg_policy_client/link.py",
+        "def f():\n    from surg_core import Gate\n",
+        "a client must use nothing of ours but itself (surg_core)",
+    ),
     "an unknown package": ("surg_more/a.py", "", "a package that the layering does not know"),
 }
 

@@ -15,6 +15,7 @@ from surg_teleop.console.orders import (
     Follow,
     Move,
     OtherMapping,
+    Policy,
     Present,
     Record,
     SetScale,
@@ -168,6 +169,69 @@ def test_a_closed_page_holds_at_once_and_frees_control(bench: Bench) -> None:
     bench.flush()
     assert bench.held()
     assert bench.session.holder == ""
+
+
+# --- a policy on the same arm -----------------------------------------------------------------
+
+
+def with_policy(bench: Bench, state: str, **more: object) -> Robot:
+    """The robot with a model server that is in a state."""
+    return replace(bench.robot, policy={"state": state, "policy": "Circle", **more})
+
+
+def test_f30_the_policy_gets_the_arm_when_the_hand_is_off_it(bench: Bench) -> None:
+    bench.drive()
+    assert bench.session.policy("a", with_policy(bench, "READY"), bench.now) == ""
+    assert Follow(False) in bench.flush() and Policy(True) not in bench.orders
+    assert bench.session.phase is Phase.READY
+    bench.follower = replace(bench.follower, state="WAITING")  # the teleoperation takes its time
+    for _ in range(50):
+        bench.now += TICK
+        bench.session.tick(with_policy(bench, "READY"), bench.now)
+        assert Policy(True) not in bench.flush()
+    bench.follower = replace(bench.follower, state="DISABLED")
+    bench.session.tick(with_policy(bench, "READY"), bench.now)
+    assert bench.flush() == [Policy(True)]
+    said = report(bench.session, with_policy(bench, "RUNNING"), {}, bench.now)
+    assert said["headline"] == "Policy" and "Enable takes it back" in said["sentence"]
+    assert said["policy"]["on"]
+
+
+def test_f30_a_promise_to_a_policy_ends_with_anything_else_the_operator_does() -> None:
+    for act in ("enable", "stop", "late"):
+        bench = Bench()
+        bench.drive()
+        assert bench.session.policy("a", with_policy(bench, "READY"), bench.now) == ""
+        bench.flush()
+        if act == "enable":
+            bench.session.enable("a", bench.robot, bench.now)
+        elif act == "stop":
+            bench.session.stop(bench.robot)
+        else:
+            bench.follower = replace(bench.follower, state="WAITING")
+            bench.now += START_TIMEOUT + 0.01
+            bench.session.tick(with_policy(bench, "READY"), bench.now)
+        bench.follower = replace(bench.follower, state="DISABLED")
+        for _ in range(100):
+            bench.now += TICK
+            bench.session.tick(with_policy(bench, "READY"), bench.now)
+            assert Policy(True) not in bench.flush(), act
+
+
+def test_a_policy_is_ended_from_the_page_and_by_stop(bench: Bench) -> None:
+    bench.drive()
+    running = with_policy(bench, "RUNNING")
+    assert bench.session.policy("a", running, bench.now) == ""
+    assert bench.flush() == [Policy(False)]
+    bench.session.stop(running)
+    assert Policy(False) in bench.flush()
+    assert bench.session.policy("a", with_policy(bench, "IDLE"), bench.now) == words.NO_POLICY
+    assert bench.session.policy("a", bench.robot, bench.now) == words.NO_POLICY
+    bench.session.join("b", bench.now)
+    assert bench.session.policy("b", running, bench.now) == words.NO_CONTROL
+
+
+# --- the operator again ------------------------------------------------------------------------
 
 
 def test_nothing_resumes_by_itself(bench: Bench) -> None:

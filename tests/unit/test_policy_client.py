@@ -377,6 +377,16 @@ def test_an_environment_without_episodes_gives_up_in_time() -> None:
         env.reset()
 
 
+def test_an_environment_that_was_paused_says_why() -> None:
+    with PolicyServer() as server, RemoteEnv(server.address, timeout_s=0.5) as env:
+        server.wait("PING")
+        server.observe(0)
+        env.reset()
+        server.episode(0, "paused")
+        with pytest.raises(NoServer, match="was paused: as the test says"):
+            env.step(np.zeros(5))
+
+
 # --- what a policy sees ---------------------------------------------------------------------------
 
 

@@ -141,10 +141,10 @@ def program(*words: str) -> subprocess.Popen[str]:
 def test_a_program_serves_until_it_is_ended_and_says_how_it_went() -> None:
     with PolicyServer() as server:
         process = program("surg_policy_client.policies.scripted", "--server", server.address)
-        server.wait("PING", 10.0)
+        server.wait("PING", 60.0)
         assert server.ask(0).arrays["chunk"].shape == (10, 5)
         process.terminate()
-        out, err = process.communicate(timeout=10.0)
+        out, err = process.communicate(timeout=60.0)
         assert server.wait("BYE").head["reason"] == "stopped by its user"
     assert (process.returncode, err) == (0, "")
     assert "connected to tcp://127.0.0.1" in out
@@ -154,7 +154,7 @@ def test_a_program_serves_until_it_is_ended_and_says_how_it_went() -> None:
 def test_a_program_without_a_server_ends_with_what_to_do() -> None:
     words = ("--server", "tcp://127.0.0.1:9", "--timeout", "0.2")
     process = program("surg_policy_client.policies.hold", *words)
-    out, err = process.communicate(timeout=10.0)
+    out, err = process.communicate(timeout=60.0)
     assert process.returncode == 1
     assert "nobody listens there" in err
     assert "Traceback" not in out + err

@@ -35,7 +35,7 @@ def test_pieces_go_through_their_ends_and_never_beyond(full: bool) -> None:
     rng = np.random.default_rng(4)
     shares = np.linspace(0.0, 1.0, 41)
     pieces = 0
-    for _ in range(500 if full else 50):
+    for _ in range(500 if full else 20):
         walk = np.cumsum(rng.normal(scale=5e-3, size=20) * rng.integers(0, 2, 20))
         steps = targets(walk)
         for known in (True, False):

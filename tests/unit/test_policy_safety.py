@@ -227,6 +227,19 @@ def test_f08_a_picture_that_is_not_new_is_noticed_after_three_periods(fault: str
     assert watch.problem(last + 4 * PERIOD) == ""
 
 
+def test_f08_a_drawn_picture_may_repeat_itself_while_nothing_moves() -> None:
+    """The simulator's camera has no noise; a camera that freezes is noticed when a tip moves."""
+    watch, rest = CameraWatch("endoscope_left", PERIOD), np.zeros(3)
+    for n in range(100):
+        watch.picture(n * PERIOD, n * PERIOD, 7)
+        assert watch.problem(n * PERIOD, rest) == ""
+        assert ("same picture" in watch.problem(n * PERIOD)) == (n > 3), "a real camera's would"
+    now = 99 * PERIOD
+    assert watch.problem(now, rest + 0.9e-3) == ""
+    assert "same picture" in watch.problem(now, rest + 1.1e-3)
+    assert "sends nothing" in watch.problem(now + 3 * PERIOD + 1, rest)
+
+
 def test_f08_a_blind_camera_pauses_the_policy_and_nothing_is_observed() -> None:
     bench = Bench()
     bench.start()

@@ -11,6 +11,7 @@ import pytest
 import zmq
 
 from helpers import policy_messages
+from helpers.policy_results import note
 from helpers.policy_server import spec
 from surg_cli import paths
 from surg_policy_client import wire
@@ -31,14 +32,17 @@ def same(a: Message, b: Message) -> bool:
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_what_goes_in_comes_out(kind: str, rng: random.Random) -> None:
-    for _ in range(60):
-        message = policy_messages.draw(rng, kind)
-        parts = encode(message)
-        for frames in (parts, [zmq.Frame(bytes(p)) for p in parts], [memoryview(p) for p in parts]):
-            assert same(decode(frames), message)
-        assert [bytes(p) for p in encode(decode(parts))] == [bytes(p) for p in parts]
+def test_what_goes_in_comes_out(rng: random.Random, full: bool) -> None:
+    count = 1_000 if full else 60
+    for kind in KINDS:
+        for _ in range(count):
+            message = policy_messages.draw(rng, kind)
+            parts = encode(message)
+            plain = [bytes(part) for part in parts]
+            for frames in (parts, [zmq.Frame(p) for p in plain], [memoryview(p) for p in plain]):
+                assert same(decode(frames), message)
+            assert [bytes(part) for part in encode(decode(parts))] == plain
+    note("round trips of drawn messages", count * len(KINDS), "equal to the bit")
 
 
 def test_arrays_in_any_memory_order_arrive_as_they_are() -> None:
@@ -217,6 +221,13 @@ def test_refused(what: str) -> None:
     assert decode(ping()).head["n"] == 1  # and a good one passes right after
 
 
+def test_every_way_to_be_wrong_has_its_reason() -> None:
+    reasons = {code for code, _ in REFUSED.values()}
+    text = f"{len(reasons)} reasons: {', '.join(sorted(reasons))}"
+    note("kinds of wrong messages, each refused for its own reason", len(REFUSED), text)
+    assert len(reasons) == 11
+
+
 def test_nothing_is_set_aside_for_what_a_header_claims() -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for what in ("a list that claims to be long", "a shape beyond memory", "a depth bomb of maps"):
@@ -266,7 +277,8 @@ def test_fuzz(rng: random.Random, full: bool) -> None:
         if i % 100 == 0:
             assert same(decode(encode(good)), good)
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    print(f"{count} messages, {grown:.0f} MiB growth:", dict(sorted(codes.items())))
+    found = ", ".join(f"{code} {n:,}" for code, n in sorted(codes.items()))
+    note("fuzzed messages", count, f"{found}; {grown:.0f} MiB of growth; nothing else was raised")
     expected = {"good", "header", "magic", "kind", "keys", "field", "parts", "length", "finite"}
     assert expected <= set(codes)
     assert codes["good"] < 0.6 * count

@@ -81,10 +81,10 @@ def main(options: argparse.Namespace, command: str) -> int:
     out = paths.run_folder(options.out)
     cell = _cell(options.robot)
     cameras = VIEWS[options.cameras]
-    player = _player(options)
+    player = _player(options) if command == "run" else None
     loaded = cells.load(cell)
     plan = make_plan(options.task, cell, loaded, conditions, options.seed, cameras, out, player)
-    plan = _timed(plan, options.free_run)
+    plan = _timed(plan, player is not None and options.free_run)
     out.mkdir(parents=True, exist_ok=True)
     count = len(conditions) * options.episodes
     say(

@@ -74,7 +74,9 @@ class FreeRun:
         beyond = server.coming(step + 1)
         self._begun = now
         self._pieces = {
-            name: self._piece(views[name], self._before(name, now), goal, beyond and beyond[name])
+            name: self._piece(
+                views[name], self._before(name, now), goal, beyond[name] if beyond else None
+            )
             for name, goal in targets.items()
         }
 

@@ -50,8 +50,9 @@ from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
 from surg_recording.recorder_settings import camera as camera_topic
 
-FRESH = SECOND // 10
-"""[ns] Free-run: an arm that has said nothing for longer is silent."""
+FRESH = SECOND // 4
+"""[ns] Free-run: an arm that has said nothing for longer is silent. (Its controller has a watchdog
+of its own for the link behind it; an observation is as old as the cycle in it.)"""
 REPORT = SECOND // 2
 """[ns] The status is published at least that often."""
 ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
@@ -96,6 +97,8 @@ class ModelServerNode:
         self._observer = Observer(keys_seen, 0 if settings.lockstep else TOLERANCE)
         period = round(SECOND / settings.camera_rate)
         self._watches = {name: CameraWatch(name, period) for name in settings.cameras}
+        # Of the simulator: pictures without noise.
+        self._drawn = all(cell.arms[name].link == "simulator" for name in settings.arms)
         self._sizes: dict[str, tuple[int, int]] = {}
         self._numbers: list[str] | None = None
         self._serving = False
@@ -243,7 +246,7 @@ class ModelServerNode:
         self._server.serve(spec, time.monotonic_ns())
         self._rouse()
 
-    def _obstacle(self, now: int) -> str:
+    def _obstacle(self, now: int, views: dict[str, ArmView]) -> str:
         """Why no policy may run now."""
         if self._operator:
             return self._operator
@@ -251,8 +254,11 @@ class ModelServerNode:
             return "nobody is at the controls (operator_present)"
         if self._settings.lockstep:
             return ""  # a picture is waited for
+        place = None
+        if self._drawn and views:
+            place = np.concatenate([view.p_tip for view in views.values()])
         for watch in self._watches.values():
-            if problem := watch.problem(now):
+            if problem := watch.problem(now, place):
                 return problem
         return ""
 
@@ -308,22 +314,26 @@ class ModelServerNode:
     def _beat(self, now: int) -> None:
         """Free-run: look, observe, send."""
         views = {arm: raw.view() for arm, (at, raw) in self._cycles.items() if now - at <= FRESH}
-        commands = self._server.tick(views, now, now, self._obstacle(now))
+        commands = self._server.tick(views, now, now, self._obstacle(now, views))
         step = self._free.observe(now)
         if step is not None:
             stamp_ns = self._put_state(views)
-            seen = None if stamp_ns is None else self._observer.take(step, stamp_ns)
+            wanted = self._server.wanted
+            seen = None if stamp_ns is None else self._observer.take(step, stamp_ns, wanted)
             if seen is not None:
-                self._server.observe(seen, now, now)
+                # As old as the oldest cycle in it.
+                self._server.observe(seen, min(at for at, _ in self._cycles.values()), now)
         for arm, target in self._free.play(self._server, views, now).items():
             commands[arm] = ArmCommand(servo=target)
-        self._send(commands, time.time_ns())
+        self._send(commands, views)
+        self._publish_judged(time.time_ns())
         self._answer()
 
-    def _send(self, commands: dict[str, ArmCommand], stamp_ns: int) -> None:
+    def _send(self, commands: dict[str, ArmCommand], views: dict[str, ArmView]) -> None:
+        """Send; the stamp says which cycle is answered: it is meant for the next one."""
         for arm, command in commands.items():
-            self._ports[arm].send(command, stamp_ns)
-        self._publish_judged(stamp_ns)
+            answered = views[arm].stamp_ns if arm in views else 0
+            self._ports[arm].send(command, answered + TICK if answered else 0)
 
     # --- lock-step --------------------------------------------------------------------------------
 
@@ -372,7 +382,7 @@ class ModelServerNode:
         tick, self._due = self._due, None
         at, number = tick * TICK, tick // GRID
         views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
-        commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle(at))
+        commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle(at, views))
         deadline = time.monotonic_ns() + round(self._settings.answer_timeout * SECOND)
         if self._server.state is State.RUNNING:
             seen = self._complete(views, number, deadline)
@@ -382,7 +392,8 @@ class ModelServerNode:
             self._await_answer(deadline)
             for arm, target in self._server.execute(number + 1, at).items():
                 commands[arm] = ArmCommand(servo=target)
-        self._send(commands, at + TICK)
+        self._send(commands, views)
+        self._publish_judged(at + TICK)
         self._answer()
         self._say_ready(tick + 1)
 
@@ -390,12 +401,12 @@ class ModelServerNode:
         self, views: dict[str, ArmView], number: int, deadline: int
     ) -> Observation | None:
         """The observation of a tick; pictures of it may still be on their way."""
-        stamp_ns = self._put_state(views)
-        while stamp_ns is not None and self._observer.missing(stamp_ns):
+        stamp_ns, wanted = self._put_state(views), self._server.wanted
+        while stamp_ns is not None and self._observer.missing(stamp_ns, wanted):
             if time.monotonic_ns() > deadline or self.finished.is_set():
                 return None
             self._breathe()
-        return None if stamp_ns is None else self._observer.take(number, stamp_ns)
+        return None if stamp_ns is None else self._observer.take(number, stamp_ns, wanted)
 
     def _await_answer(self, deadline: int) -> None:
         while self._server.unanswered:
@@ -462,7 +473,7 @@ class ModelServerNode:
             views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
             now = self._now()
             commands = self._server.tick(views, now, time.monotonic_ns())
-            self._send(commands, time.time_ns())
+            self._send(commands, views)
             self._answer()
             self._tell(time.monotonic_ns())
             self._router.close()

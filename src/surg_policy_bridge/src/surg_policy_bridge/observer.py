@@ -7,7 +7,7 @@ further behind is named instead of served.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +20,13 @@ STATE = "observation.state"
 TASK_STATE = "privileged.task_state"
 IMAGE = "observation.images."
 """Keys as in a dataset (docs/datasets.md)."""
+STILL = 1e-3
+"""[m] What a tip may move without a drawn picture having to change."""
 TOLERANCE = CAMERA_PERIODS * PERIOD
 """[ns] Free-run: largest difference between stamps of one observation."""
+
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -50,22 +55,35 @@ class CameraWatch:
     def __init__(self, name: str, period: int = PERIOD) -> None:
         self._name, self._limit = name, CAMERA_PERIODS * period
         self._stamp, self._fingerprint = -1, -1
-        self._fresh: int | None = None
         self._arrived: int | None = None
+        self._newer: int | None = None
+        self._fresh: int | None = None
+        self._place: Array | None = None
 
     def picture(self, now: int, stamp_ns: int, fingerprint: int) -> None:
         """A picture has come; ``fingerprint``: of its pixels."""
         self._arrived = now
-        if stamp_ns > self._stamp and fingerprint != self._fingerprint:
-            self._fresh = now
+        if stamp_ns > self._stamp:
+            self._newer = now
+            if fingerprint != self._fingerprint:
+                self._fresh, self._place = now, None
         self._stamp, self._fingerprint = max(self._stamp, stamp_ns), fingerprint
 
-    def problem(self, now: int) -> str:
-        """Empty, or why no policy may look at this camera."""
-        if self._fresh is None or self._arrived is None:
+    def problem(self, now: int, place: Array | None = None) -> str:
+        """Empty, or why no policy may look at this camera.
+
+        Args:
+            now: Steady clock [ns].
+            place: Where the tips are, (3 n,) [m], for a camera that is drawn and so has no noise: a
+                scene at rest is the same picture again, and only one in which a tip has moved is
+                expected to change. None: a real camera is never twice the same.
+        """
+        if self._fresh is None or self._newer is None or self._arrived is None:
             return f"no picture of {self._name} yet: is the camera running?"
+        if self._place is None:
+            self._place = place
         age = now - self._fresh
-        if age <= self._limit:
+        if age <= self._limit or (now - self._newer <= self._limit and self._at_rest(place)):
             return ""
         silent = now - self._arrived > self._limit
         what = "sends nothing" if silent else "shows the same picture"
@@ -73,6 +91,12 @@ class CameraWatch:
             f"the picture of {self._name} is {1e3 * age / SECOND:.0f} ms old (it {what}): check "
             "the camera and its cable, then enable the policy again"
         )
+
+    def _at_rest(self, place: Array | None) -> bool:
+        """Whether no tip has moved since the picture changed."""
+        if place is None or self._place is None:
+            return False
+        return float(np.abs(place - self._place).max()) <= STILL
 
 
 class Observer:
@@ -93,9 +117,14 @@ class Observer:
         if known is None or stamp_ns >= known[0] or known[0] - stamp_ns > self._tolerance:
             self._newest[key] = (stamp_ns, value)
 
-    def missing(self, stamp_ns: int) -> str:
-        """What an observation of this stamp still waits for, in words; empty: nothing."""
-        for key in self._keys:
+    def missing(self, stamp_ns: int, keys: Iterable[str] | None = None) -> str:
+        """What an observation of this stamp still waits for, in words; empty: nothing.
+
+        Args:
+            stamp_ns: Of the arms' state.
+            keys: What is looked at; None: everything.
+        """
+        for key in self._keys if keys is None else keys:
             known = self._newest.get(key)
             if known is None:
                 return f"{key} has not come yet"
@@ -105,9 +134,12 @@ class Observer:
                 return f"{key} is {1e3 * abs(behind) / SECOND:.0f} ms {where} the arms' state"
         return ""
 
-    def take(self, step: int, stamp_ns: int) -> Observation | None:
-        """The observation of this stamp, if all of it is here."""
-        if self.missing(stamp_ns):
+    def take(
+        self, step: int, stamp_ns: int, keys: Iterable[str] | None = None
+    ) -> Observation | None:
+        """The observation of this stamp, if all of it that is looked at is here."""
+        wanted = self._keys if keys is None else tuple(keys)
+        if self.missing(stamp_ns, wanted):
             return None
-        arrays = {key: self._newest[key][1] for key in self._keys}
+        arrays = {key: self._newest[key][1] for key in wanted}
         return Observation(step, stamp_ns, arrays)

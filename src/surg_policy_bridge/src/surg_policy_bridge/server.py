@@ -239,7 +239,7 @@ class ModelServer:
         """Send an observation to a policy that is running.
 
         Args:
-            observation: All that the specification names.
+            observation: All that the policy looks at (`wanted`).
             at: When it was taken [ns].
             now: Steady clock [ns].
         """
@@ -257,6 +257,11 @@ class ModelServer:
         }
         arrays = {key: observation.arrays[key] for key in session.spec.observation}
         self.outbox.append((session.peer, wire.encode(Message("OBS", head, arrays))))
+
+    @property
+    def wanted(self) -> tuple[str, ...]:
+        """Keys of what the connected policy looks at."""
+        return tuple(self.session.spec.observation) if self.session is not None else ()
 
     @property
     def unanswered(self) -> bool:

@@ -299,7 +299,8 @@ _MEASURED = (
 
 def _measure(run: Run, lockstep: bool) -> dict[str, Any]:
     rate = (len(run.t) - 1) / run.t[-1] if run.t[-1] > 0 else math.nan
-    fs = round(1.0 / float(np.median(np.diff(run.t))), 6)
+    steps = np.diff(run.t)  # a link that was starved in free-run shows a state more than once
+    fs = round(1.0 / float(np.median(steps[steps > 0])), 6)
     _, path_in = metrics.uniform(run.t, metrics.interpolate(run.t, run.t_input, run.input), fs)
     _, path_out = metrics.uniform(run.t_executed, run.executed, fs)
     cycle = run.cycle

@@ -43,6 +43,7 @@ class RemoteEnv:
         self._over: Message | None = None
         self._stepped = False
         self._acks: dict[str, Any] = {}
+        self._said = ""
         if not self._link.wait_for_welcome(timeout_s):
             error = self._link.no_server(timeout_s)
             self._link.close()
@@ -121,14 +122,17 @@ class RemoteEnv:
                 self._acks = message.head
             elif message.kind == "ERR":
                 raise Refused(message.head["code"], message.head["text"])
-            elif message.kind == "EPISODE" and message.head["event"] == "end" and self._stepped:
-                self._over = message
-                return None
+            elif message.kind == "EPISODE":
+                event, reason = message.head["event"], message.head["reason"]
+                self._said = f"the episode was {event}: {reason}. " if event == "paused" else ""
+                if event == "end" and self._stepped:
+                    self._over = message
+                    return None
         return None
 
     def _silence(self, what: str) -> NoServer:
         return NoServer(
-            f"the server at {self._link.address} {what} within {self._timeout:g} s. "
+            f"the server at {self._link.address} {what} within {self._timeout:g} s. {self._said}"
             "Is the policy enabled there, and is nobody else at the controls?"
         )
 

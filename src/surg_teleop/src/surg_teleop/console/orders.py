@@ -62,6 +62,13 @@ class Record:
 
 
 @dataclass(frozen=True)
+class Policy:
+    """The arm to the connected policy, or back to nobody: `/policy/enable`."""
+
+    on: bool
+
+
+@dataclass(frozen=True)
 class StateCommand:
     """A word on an arm's `state_command`."""
 
@@ -69,4 +76,15 @@ class StateCommand:
     word: str
 
 
-Order = Move | Present | Follow | Clutch | Camera | OtherMapping | SetScale | Record | StateCommand
+Order = (
+    Move
+    | Present
+    | Follow
+    | Clutch
+    | Camera
+    | OtherMapping
+    | SetScale
+    | Record
+    | Policy
+    | StateCommand
+)

@@ -132,7 +132,7 @@ class Shown:
 
 Said = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown
 
-PRESSES = ("take", "release", "enable", "stop", "record", "record_stop")
+PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy")
 HIDDEN = ("hidden", "closed", "gamepad", "pointer")
 
 

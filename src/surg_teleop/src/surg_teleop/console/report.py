@@ -39,7 +39,7 @@ def report(
     return {
         "say": "status",
         "phase": session.phase.value,
-        "headline": _headline(session, robot),
+        "headline": _policy_headline(session, robot) or _headline(session, robot),
         "sentence": words.as_sentence(sentence(session, robot, now)),
         "holder": session.holder,
         "pages": session.pages,
@@ -60,6 +60,11 @@ def report(
             "problem": str(robot.record.get("problem") or ""),
         },
         "task": words.task_sentence(robot),
+        "policy": {
+            "state": str(robot.policy.get("state", "")),
+            "on": robot.policy.get("state") in words.POLICY_ACTIVE,
+            "sentence": words.as_sentence(words.policy_sentence(robot)),
+        },
     }
 
 
@@ -74,6 +79,9 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
         if arm is not None and now - arm.warned < RECENT:
             return arm.warning
         return "The tip follows your hand."
+    about = robot.policy.get("state") in words.POLICY_ACTIVE or session.reason == words.POLICY_ASKED
+    if session.phase is Phase.READY and about and (said := words.policy_sentence(robot)):
+        return said
     if session.reason:
         return session.reason
     if arm is None or not arm.state:
@@ -96,6 +104,12 @@ def _headline(session: Session, robot: Robot) -> str:
     if session.phase is Phase.DRIVING and session.clutched:
         return "Clutched"
     return _HEADLINES[session.phase]
+
+
+def _policy_headline(session: Session, robot: Robot) -> str:
+    """Where a policy has the arm."""
+    running = robot.policy.get("state") == "RUNNING"
+    return "Policy" if session.phase is Phase.READY and running else ""
 
 
 def _arm(arm: Arm, now: float) -> dict[str, Any]:

@@ -87,6 +87,7 @@ class Robot:
         gauges: Of the driven arm.
         record: The newest `/record/status`.
         sim: The newest `/sim/status`; empty on a real system.
+        policy: The newest `/policy/status`; empty: no model server speaks.
     """
 
     arms: tuple[Arm, ...] = ()
@@ -94,3 +95,4 @@ class Robot:
     gauges: Gauges = Gauges()
     record: Mapping[str, Any] = field(default_factory=dict)
     sim: Mapping[str, Any] = field(default_factory=dict)
+    policy: Mapping[str, Any] = field(default_factory=dict)

@@ -30,6 +30,7 @@ from surg_teleop.console.orders import (
     Move,
     Order,
     OtherMapping,
+    Policy,
     Present,
     Record,
     SetScale,
@@ -63,6 +64,8 @@ class RosSystem:
         self._follower, self._follower_heard = Follower(), -1e9
         self._record: dict[str, Any] = {}
         self._sim: dict[str, Any] = {}
+        self._policy: dict[str, Any] = {}
+        self._policy_heard = -1e9
         self._newest: dict[str, tuple[float, bytes]] = {}
         self._peak = 0.0
         self._episodes = None if episodes is None else Episodes(episodes)
@@ -86,6 +89,7 @@ class RosSystem:
             on(f"/{teleop}/status", String, self._on_teleop),
             on("/record/status", String, self._on_json, "_record"),
             on("/sim/status", String, self._on_json, "_sim"),
+            on("/policy/status", String, self._on_policy),
         ]
         for arm in arms:
             found.append(on(f"/{arm}/operating_state", OperatingState, self._on_state, arm))
@@ -149,6 +153,10 @@ class RosSystem:
         with self._lock:
             setattr(self, name, _object(message.data))
 
+    def _on_policy(self, message: String) -> None:
+        with self._lock:
+            self._policy, self._policy_heard = _object(message.data), time.monotonic()
+
     def robot(self) -> Robot:
         """See `server.System`."""
         now = time.monotonic()
@@ -169,6 +177,7 @@ class RosSystem:
                 ),
                 self._record,
                 self._sim,
+                policy=self._policy if now - self._policy_heard < FOLLOWER_FRESH else {},
             )
 
     def _with_reason(self, arm: Arm) -> Arm:
@@ -214,6 +223,8 @@ class RosSystem:
             out["/console/teleop/set_scale"].publish(order.value)
         elif isinstance(order, Record):
             out["/record/record"].publish(order.on)
+        elif isinstance(order, Policy):
+            out["/policy/enable"].publish(order.on)
         elif isinstance(order, StateCommand):
             message = StringStamped(string=order.word)
             message.header.stamp = rospy.Time.now()
@@ -247,6 +258,7 @@ def _publishers(arms: tuple[str, ...], leader: str) -> dict[str, rospy.Publisher
 
     found = {
         "/record/record": publisher("/record/record", Bool),
+        "/policy/enable": publisher("/policy/enable", Bool),
         "/console/teleop/enable": publisher("/console/teleop/enable", Bool),
         "/console/teleop/set_scale": publisher("/console/teleop/set_scale", Float64),
     }

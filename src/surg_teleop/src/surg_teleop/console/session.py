@@ -23,6 +23,7 @@ from surg_teleop.console.orders import (
     Move,
     Order,
     OtherMapping,
+    Policy,
     Present,
     Record,
     SetScale,
@@ -123,6 +124,7 @@ class Session:
         self._holder: _Page | None = None
         self._orders: list[Order] = []
         self._enabled = self._acted = self._tapped = -math.inf
+        self._promised = -math.inf
         self._clutch = self._camera = False
         self._hand = "position"
 
@@ -213,10 +215,31 @@ class Session:
         if why:
             self._hold(why)
             return why
-        self.phase, self.reason = Phase.STARTING, ""
+        self.phase, self.reason, self._promised = Phase.STARTING, "", -math.inf
         self._enabled = self._acted = now
         self._clutch = self._camera = False
         self._orders += [Clutch(False), Camera(False), Present(True), Follow(True)]
+        return ""
+
+    def policy(self, name: str, robot: Robot, now: float) -> str:
+        """Policy is pressed: the arm goes to the policy, or comes back from it.
+
+        The hand lets go first; the policy is told when the teleoperation has given the arm up.
+
+        Returns:
+            Why it is refused; empty: it is under way.
+        """
+        if self.holder != name:
+            return words.NO_CONTROL
+        state = robot.policy.get("state", "")
+        if state in words.POLICY_ACTIVE:
+            self._orders.append(Policy(False))
+            self.reason = words.POLICY_ENDED
+            return ""
+        if state in ("", "IDLE"):
+            return words.NO_POLICY
+        self._hold(words.POLICY_ASKED)
+        self.phase, self._promised = Phase.READY, now
         return ""
 
     def stop(self, robot: Robot, who: str = "") -> None:
@@ -230,6 +253,8 @@ class Session:
         self._orders += [
             StateCommand(arm.name, "pause") for arm in robot.arms if arm.state == "ENABLED"
         ]
+        if robot.policy.get("state") in words.POLICY_ACTIVE:
+            self._orders.append(Policy(False))
 
     def hide(self, name: str, why: str) -> None:
         """The page says that it can no longer be trusted with the arm.
@@ -290,6 +315,7 @@ class Session:
             robot: As it is now.
             now: Steady clock [s].
         """
+        self._hand_over(robot, now)
         if self._holder is None or self.phase not in (Phase.STARTING, Phase.DRIVING):
             return
         why = self._doubt(self._holder, now)
@@ -311,6 +337,15 @@ class Session:
         elif now - self._enabled > START_TIMEOUT:
             self._hold(words.not_ready(robot, self._enabled, START_TIMEOUT))
 
+    def _hand_over(self, robot: Robot, now: float) -> None:
+        """The policy gets the arm as soon as the hand is off it."""
+        since = now - self._promised
+        if since > START_TIMEOUT:
+            self._promised = -math.inf
+        elif since >= SETTLED and robot.follower.state in ("DISABLED", ""):
+            self._promised = -math.inf
+            self._orders.append(Policy(True))
+
     def _doubt(self, page: _Page, now: float) -> str:
         """Why the page must not drive now."""
         if not page.visible:
@@ -326,7 +361,7 @@ class Session:
     def _hold(self, why: str) -> None:
         """Nothing moves any more, until Enable is pressed again."""
         self._orders += [Present(False), Follow(False)]
-        self.reason = why
+        self.reason, self._promised = why, -math.inf
         if self._holder is not None:
             self.phase = Phase.HELD
 

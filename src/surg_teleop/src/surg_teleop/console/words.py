@@ -18,6 +18,11 @@ FROZEN_PICTURE = (
 )
 NO_ARM = "no arm has spoken yet: see that the controllers run (./surg status)"
 NO_FOLLOWER = "the teleoperation node does not speak: see that it runs (./surg status)"
+NO_POLICY = "no policy is connected: start one, it connects by itself (docs/policies.md)"
+POLICY_ASKED = "the arm goes to the policy"
+POLICY_ENDED = "the policy gives the arm up; press Enable to have it yourself"
+POLICY_ACTIVE = ("WAKING", "RUNNING")
+"""States of the model server in which the policy has the arm, or is about to."""
 HIDDEN = {
     "hidden": "the tab was hidden: the arm holds; press Enable to go on",
     "closed": CLOSED,
@@ -127,6 +132,21 @@ def task_sentence(robot: Robot) -> str:
     if task.get("done"):
         return f"{name}: over, {task.get('reason') or 'no success'}"
     return f"{name}: {task.get('phase', '')}"
+
+
+def policy_sentence(robot: Robot) -> str:
+    """What the policy does with the arm; empty: nothing is to be said."""
+    policy = robot.policy
+    state, name = policy.get("state", ""), policy.get("policy") or "the policy"
+    if state == "RUNNING":
+        return f"{name} moves the arm: Enable takes it back, Stop pauses it"
+    if state == "WAKING":
+        return f"the arm is being enabled for {name}"
+    if policy.get("refused"):
+        return f"the policy does not get the arm: {policy['refused']}"
+    if state in ("PAUSED", "IDLE"):
+        return f"the policy stands: {policy.get('reason', '')}"
+    return ""
 
 
 def record_sentence(robot: Robot) -> str:

@@ -22,7 +22,7 @@ const MOTION_KEYS = {
   KeyK: ["grip", -1], KeyL: ["grip", 1],
 };
 const HELD_KEYS = { Space: "clutch", KeyC: "camera" };
-const PRESSED_KEYS = { Enter: "enable", Escape: "stop", KeyV: "record", KeyM: "hand" };
+const PRESSED_KEYS = { Enter: "enable", Escape: "stop", KeyV: "record", KeyP: "policy", KeyM: "hand" };
 
 // buttons of the standard gamepad
 const PAD = { stop: 1, record: 2, clutch: 4, camera: 5, close: 7, open: 6, back: 8, start: 9 };

@@ -21,6 +21,7 @@ const KEYS = [
   [["Enter"], "enable"],
   [["Esc"], "stop"],
   [["V"], "record"],
+  [["P"], "policy"],
   [["Drag"], "mouse; with Shift: deeper, roll"],
 ];
 
@@ -98,6 +99,7 @@ function mayChange() {
 function press(button) {
   if (button === "stop") link.press("stop");
   else if (button === "enable") link.press("enable");
+  else if (button === "policy") link.press("policy");
   else if (button === "record") link.press(status?.record.on ? "record_stop" : "record");
   else if (button === "hand") hand.use(hand.hand === "rate" ? "position" : "rate");
 }
@@ -140,7 +142,7 @@ document.addEventListener("freeze", () => link.say("hidden", { why: "hidden" }))
 
 // --- buttons ---
 
-for (const id of ["enable", "stop", "record"]) {
+for (const id of ["enable", "stop", "record", "policy"]) {
   element(id).addEventListener("click", () => press(id));
 }
 element("veil-enable").addEventListener("click", () => press("enable"));

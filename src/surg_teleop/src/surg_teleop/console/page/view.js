@@ -131,6 +131,11 @@ export class View {
       write(element("veil-sentence"), status.sentence);
     }
     element("state").hidden = veiled;
+    const policy = element("policy");
+    policy.hidden = !status.policy.state;
+    policy.disabled = !mine || status.policy.state === "IDLE";
+    policy.setAttribute("aria-pressed", String(status.policy.on));
+    policy.title = status.policy.sentence;
     const record = element("record");
     record.setAttribute("aria-pressed", String(status.record.on));
     const word = status.record.finishing ? "Finishing …" : status.record.on ? "Stop recording" : "Record";

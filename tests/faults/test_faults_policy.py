@@ -1,0 +1,265 @@
+"""Faults of policies and of their wire, in one running system of real processes.
+
+Times are of this machine's clocks, with whatever else it does; deadlines are exact on the fake
+clock of test_policy_server.py.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+
+from helpers.policy_rig import CAMERA, CELL, Camera, PolicyRig
+from helpers.reactions import Reactions
+from helpers.ros import RosGraph
+from surg_cli import master, topic_contract
+from surg_msgs.msg import Cycle
+from surg_policy_bridge.binding import BindError
+from surg_policy_bridge.router_node import Router
+from surg_policy_client import wire
+from surg_policy_client.keys import client_keys, make, server_keys
+from surg_policy_client.wire import Message
+
+pytestmark = pytest.mark.ros
+
+HOSTILE = Path(__file__).parents[1] / "helpers" / "hostile_peer.py"
+STANDSTILL_MS = 300 + 90
+"""The requirement, and what a shared machine may add."""
+FROZEN_MS = 150 + 50 + STANDSTILL_MS
+"""Three periods of the camera, and the one in which it froze."""
+GROWTH = 64 << 20
+FLOOD = 300
+"""Messages of the hostile peer."""
+
+
+@pytest.fixture
+def rig(ros_graph: RosGraph, rospy_node: str) -> Iterator[PolicyRig]:
+    """The system, with a camera that the policy's server watches."""
+    camera = Camera()
+    made = PolicyRig(ros_graph, cameras=[CAMERA])
+    made.camera = camera  # type: ignore[attr-defined]
+    yield made
+    made.close()
+    camera.close()
+
+
+def resident(pid: int) -> int:
+    """Memory of a process [bytes]."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def replay(rig: PolicyRig, session: int) -> str:
+    """A former session's action, sent again; returns the server's answer."""
+    context = zmq.Context()
+    peer = context.socket(zmq.DEALER)
+    peer.setsockopt(zmq.LINGER, 0)
+    peer.connect(rig.address)
+    head = {"session": session, "seq": 1, "stamp_ns": 0, "step0": 0}
+    peer.send_multipart(wire.encode(Message("ACT", head, {"chunk": np.zeros((1, 5))})))
+    assert peer.poll(2000), "no answer"
+    answer = wire.decode(peer.recv_multipart())
+    context.destroy(0)
+    return str(answer.head["code"])
+
+
+def test_f04_f05_f08_f17_f18_f29_f30_policies_in_one_running_system(
+    rig: PolicyRig, reactions: Reactions
+) -> None:
+    rig.policy("first")
+    rig.run()
+    first = int(rig.status["session"])
+    assert not rig.rejected and rig.now.source == "/policy"
+    assert own_topics(rig) == promised_topics()
+
+    _flood(rig)
+    rig.run()
+    _kill(rig, reactions)
+    # F29: what the dead one's session would have said is not obeyed, by anybody.
+    assert replay(rig, first) == "session"
+    second = rig.policy("second")
+    rig.wait_state("READY")
+    time.sleep(0.3)
+    assert rig.speed() == 0.0, "nothing resumes by itself"
+    rig.run()
+    assert rig.status["session"] != first
+    _stop(rig, second.process.pid, reactions)
+    rig.run()
+    _freeze_the_camera(rig, reactions)
+    rig.run()
+    _hand_over(rig)
+    # A starved machine may break a stream off: then its next step is too far away, and refused.
+    assert {each.rule for each in rig.rejected} <= {"start"}, rig.rejected
+    step = rig.largest_step()
+    # 50 mm/s are 0.1 mm per cycle; a wall clock that stood still may have cost the test cycles.
+    print(f"largest step of the set-point in all hand-overs: {1e6 * step:.0f} um")
+    assert step < 1e-3
+
+
+def own_topics(rig: PolicyRig) -> set[tuple[str, str, str]]:
+    """Topics of the model server on the running graph, without those of others that it uses."""
+    publications, subscriptions, _ = master.call(rig.graph.uri, "getSystemState")
+    types = dict(master.call(rig.graph.uri, "getTopicTypes"))
+    return {
+        (topic, types[topic], way)
+        for table, way in ((publications, "out"), (subscriptions, "in"))
+        for topic, nodes in table
+        if "/policy" in nodes and topic.startswith("/policy/")
+    }
+
+
+def promised_topics() -> set[tuple[str, str, str]]:
+    """The same by docs/topics.yaml."""
+    entries = topic_contract.load().entries
+    return {(e.name, e.type, e.direction) for e in entries if e.node == "policy"}
+
+
+def _flood(rig: PolicyRig) -> None:
+    """F17, F18: the arm goes on as if nothing was, and the good policy's steps are taken."""
+    pid = rig.server.process.pid
+    calm = len(rig.cycles)
+    time.sleep(1.0)
+    before, accepted = resident(pid), int(rig.status["accepted"])
+    flooded = len(rig.cycles)
+    script = [sys.executable, "-s", str(HOSTILE), rig.address, str(FLOOD)]
+    peer = rig.graph.supervisor.start("hostile", script, essential=False)
+    rig.graph.wait_for(lambda: peer.exit_code is not None, 30.0, "the flood to end")
+    end = len(rig.cycles)
+    assert peer.exit_code == 0, peer.log_tail()
+    rig.run()
+    rig.graph.wait_for(lambda: rig.status["accepted"] > accepted + 15, 5.0, "good steps")
+    growth = resident(pid) - before
+    periods = [
+        np.array([seen.period_us for seen in rig.cycles[a:b]])
+        for a, b in ((calm, flooded), (flooded, end))
+    ]
+    p99 = [1e-3 * float(np.percentile(each, 99)) for each in periods]
+    sent = json.loads(peer.log_tail(1))
+    print(
+        f"flood of {sent}: server grew by {growth / 2**20:.1f} MiB, control period p99 "
+        f"{p99[0]:.2f} -> {p99[1]:.2f} ms, refused by kind {rig.status['malformed']}, not looked "
+        f"into {rig.status['flooded']}"
+    )
+    assert rig.status["state"] == "RUNNING" and rig.server.exit_code is None
+    assert growth < GROWTH and sum(rig.status["malformed"].values()) > FLOOD / 3
+
+
+def _kill(rig: PolicyRig, reactions: Reactions) -> None:
+    """F04: from 50 mm/s to standstill."""
+    pid = next(c for c in rig.graph.supervisor.children if c.name == "first").process.pid
+    os.kill(pid, signal.SIGKILL)
+    moment = time.monotonic()
+    took = 1e3 * rig.standstill_after(moment)
+    rig.wait_state("IDLE")
+    print(f"killed: standstill after {took:.0f} ms; {rig.status['reason']}")
+    rig.graph.wait_for(lambda: rig.now.state == Cycle.PAUSED, 2.0, "PAUSED")
+    assert rig.now.source == "", "free for others"
+    reactions.add("F04", "policy killed at 50 mm/s", "standstill", [took], STANDSTILL_MS, "ms")
+
+
+def _stop(rig: PolicyRig, pid: int, reactions: Reactions) -> None:
+    """F05: a process that does not run neither pings nor answers."""
+    os.kill(pid, signal.SIGSTOP)
+    moment = time.monotonic()
+    took = 1e3 * rig.standstill_after(moment)
+    rig.wait_state("IDLE")
+    print(f"stopped: standstill after {took:.0f} ms")
+    reactions.add("F05", "policy stopped at 50 mm/s", "standstill", [took], STANDSTILL_MS, "ms")
+    os.kill(pid, signal.SIGCONT)
+    rig.wait_state("READY")  # it has connected again, by a session of its own
+    time.sleep(0.3)
+    assert rig.speed() == 0.0, "nothing resumes by itself"
+
+
+def _freeze_the_camera(rig: PolicyRig, reactions: Reactions) -> None:
+    """F08: a picture that repeats itself."""
+    rig.camera.fault = "frozen"  # type: ignore[attr-defined]
+    moment = time.monotonic()
+    took = 1e3 * rig.standstill_after(moment)
+    rig.wait_state("PAUSED")
+    print(f"frozen camera: standstill after {took:.0f} ms; {rig.status['reason']}")
+    assert "same picture" in rig.status["reason"]
+    reactions.add("F08", "camera frozen under a policy", "standstill", [took], FROZEN_MS, "ms")
+    rig.enable.publish(True)
+    rig.graph.wait_for(lambda: "same picture" in rig.status["refused"], 3.0, "the refusal")
+    rig.camera.fault = ""  # type: ignore[attr-defined]
+    time.sleep(0.3)
+    assert rig.status["state"] == "PAUSED"
+
+
+def _hand_over(rig: PolicyRig) -> None:
+    """F30: an operator reaches for the arm, has it, and gives it back."""
+
+    def hands(state: str) -> None:
+        hand = {"leader": "hand", "arm": "PSM1", "state": state}
+        rig.teleop.publish(json.dumps({"hands": [hand], "picture": ""}))
+
+    hands("WAITING")
+    rig.wait_state("PAUSED")
+    assert "operator wants PSM1" in rig.status["reason"]
+    rig.graph.wait_for(lambda: rig.now.source == "", 3.0, "the arm to be free")
+    rig.say("resume")
+    rig.graph.wait_for(lambda: rig.now.state == Cycle.ENABLED, 3.0, "the operator to have it")
+    rig.enable.publish(True)
+    rig.graph.wait_for(lambda: "operator" in rig.status["refused"], 3.0, "the refusal")
+    rig.say("pause")
+    hands("DISABLED")
+    rig.graph.wait_for(lambda: rig.now.state == Cycle.PAUSED, 3.0, "PAUSED")
+    rig.run()
+
+
+def test_f19_a_server_that_others_reach_does_not_start_without_keys(
+    ros_graph: RosGraph, rospy_node: str
+) -> None:
+    params = {"cell": CELL, "bind": "tcp://0.0.0.0:5999"}
+    child = ros_graph.node("surg_policy_bridge", "model_server_node", "/policy", params)
+    ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the refusal")
+    assert child.exit_code == 2 and "./surg keys" in child.log_tail()
+
+
+def test_f19_only_who_is_on_the_list_enters(tmp_path: Path) -> None:
+    """A plain peer, an unknown key and raw bytes reach nothing; the listed key does."""
+    for host in ("0.0.0.0", "*", "192.0.2.7", "[::]", "eth0"):
+        with pytest.raises(BindError, match="surg keys"):
+            Router(f"tcp://{host}:5999", None)
+    for address in ("udp://127.0.0.1:1", "tcp://127.0.0.1", "5555", "ipc://relative"):
+        with pytest.raises(BindError, match="such as"):
+            Router(address, None)
+    make(tmp_path / "ours")
+    make(tmp_path / "theirs", "stranger")
+    address = f"tcp://127.0.0.1:{master.free_port()}"
+    router = Router(address, server_keys(tmp_path / "ours"))
+    context = zmq.Context()
+    good, other = client_keys(tmp_path / "ours"), client_keys(tmp_path / "theirs" / "stranger")
+    peers = {}
+    for name, keys in (("plain", None), ("unknown", other), ("good", good)):
+        peer = peers[name] = context.socket(zmq.DEALER)
+        peer.setsockopt(zmq.LINGER, 0)
+        if keys is not None:
+            peer.curve_publickey, peer.curve_secretkey = keys.public, keys.secret
+            peer.curve_serverkey = good.server
+        peer.connect(address)
+        peer.send(name.encode())
+    for n in range(40):
+        raw = zmq.Context.instance().socket(zmq.STREAM)
+        raw.setsockopt(zmq.LINGER, 0)
+        raw.connect(address)
+        raw.send_multipart([raw.getsockopt(zmq.IDENTITY) or raw.recv(), bytes([n]) * 100])
+        raw.close()
+    heard = []
+    end = time.monotonic() + 1.0
+    while time.monotonic() < end:
+        heard += [bytes(parts[0].buffer) for _, parts in router.receive()]
+        time.sleep(0.01)
+    context.destroy(0)
+    router.close()
+    assert heard == [b"good"]

@@ -1,0 +1,84 @@
+"""A policy that leads the tip along a circle: `python circle_policy.py --server ADDRESS`.
+
+It begins at the set-point that it finds and comes up to its speed within half a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from surg_policy_client import Chunk, Observation, serve
+
+RADIUS = 0.015
+"""[m]"""
+RAMP = 0.5
+"""[s] Until the speed is reached."""
+ASTRAY = 0.008
+"""[m] Further from where it should be, the arm was led by somebody else: begin anew."""
+
+
+class Circle:
+    """The tip on a circle in the plane across the home shaft axis.
+
+    Args:
+        speed: Of the tip [m/s].
+        rows: Steps per answer.
+    """
+
+    wants = ("observation.state",)
+
+    def __init__(self, speed: float, rows: int) -> None:
+        self._speed, self._rows = speed, rows
+        self._begin: tuple[int, np.ndarray] | None = None
+
+    def reset(self, instruction: str, seed: int | None) -> None:
+        """Begin anew where the arm is."""
+        del instruction, seed
+        self._begin = None
+
+    def act(self, observation: Observation) -> Chunk:
+        """The coming steps."""
+        state = dict(
+            zip(
+                observation.spec.observation["observation.state"].names,
+                observation.arrays["observation.state"].astype(float),
+                strict=True,
+            )
+        )
+        now = np.array([state[f"PSM1/set_{axis}"] for axis in "xyz"])
+        if self._begin is not None:
+            first, start = self._begin
+            astray = float(
+                np.linalg.norm(self._row(observation.step - first)[:3] + start[:3] - now)
+            )
+        if self._begin is None or astray > ASTRAY:
+            self._begin = (
+                observation.step,
+                np.array([*now, state["PSM1/roll_set"], state["PSM1/jaw"]]),
+            )
+        first, start = self._begin
+        steps = range(observation.step + 1, observation.step + 1 + self._rows)
+        rows = [start + self._row(step - first) for step in steps]
+        return Chunk(np.array(rows), observation.step + 1)
+
+    def _row(self, n: int) -> np.ndarray:
+        """How far from the beginning after n steps, (5,)."""
+        t = 0.05 * n
+        angle = self._speed * (t - RAMP / 2 if t > RAMP else t * t / (2 * RAMP)) / RADIUS
+        return np.array([RADIUS * (1 - np.cos(angle)), RADIUS * np.sin(angle), 0.0, 0.0, 0.0])
+
+
+def main() -> None:
+    """Serve."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--server", required=True)
+    parser.add_argument("--speed", type=float, default=0.05)
+    parser.add_argument("--rows", type=int, default=10)
+    options = parser.parse_args()
+    serve(Circle(options.speed, options.rows), options.server)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""The model server's parameters and specification: what is refused, and what agrees with whom."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import surg_core
+from surg_cli import paths
+from surg_policy_bridge import binding, cell_spec
+from surg_policy_bridge.settings import Settings, SettingsError
+from surg_recording.datasets import schema
+
+GOOD: dict[str, Any] = {"cell": "cells/sim_ur5e"}
+
+
+def reader(values: dict[str, Any]) -> Callable[[str, Any], Any]:
+    """Parameters as a node looks them up."""
+    return lambda key, default: values.get(key, default)
+
+
+def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() -> None:
+    settings = Settings.read(reader(GOOD))
+    assert settings.bind == "tcp://127.0.0.1:5555" and settings.arms == ("PSM1",)
+    assert not (settings.autostart or settings.privileged or settings.lockstep)
+    assert settings.clip == ("jaw",)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("cell", "", "~cell"),
+        ("mode", "freerunn", "lockstep, freerun"),
+        ("arms", [1], "~arms"),
+        ("clip", ["jaw", "rcm_error"], "rcm_error"),
+        ("camera_rate", 0, "1 to 240"),
+        ("answer_timeout", True, "0.1 to 9"),
+        ("privileged", "yes", "true or false"),
+        ("bind", "tcp://0.0.0.0:5555", "./surg keys"),
+        ("bind", "tcp://localhost", "such as"),
+        ("keys", 5, "~keys"),
+    ],
+)
+def test_what_must_not_be_used_is_said(name: str, value: Any, said: str) -> None:
+    with pytest.raises(SettingsError, match=f"(?s).*{said}") as error:
+        Settings.read(reader({**GOOD, name: value}))
+    assert f"~{name}" in str(error.value)
+
+
+def test_ground_truth_is_of_a_simulator_only() -> None:
+    settings = Settings.read(reader({**GOOD, "privileged": True}))
+    settings.check_arms(["PSM1"], ["simulator"])
+    with pytest.raises(SettingsError, match="no simulated arm"):
+        settings.check_arms(["PSM1"], ["ur_driver"])
+    with pytest.raises(SettingsError, match="the cell has ECM"):
+        settings.check_arms(["ECM"], ["simulator"])
+
+
+@pytest.mark.parametrize(
+    ("address", "plain", "keyed"),
+    [
+        ("tcp://127.0.0.1:5555", True, True),
+        ("tcp://127.3.2.1:1", True, True),
+        ("tcp://localhost:5555", True, True),
+        ("tcp://[::1]:5555", True, True),
+        ("ipc:///tmp/policy", True, True),
+        ("tcp://10.0.0.7:5555", False, True),
+        ("tcp://*:5555", False, True),
+        ("tcp://localhost.evil.example:5555", False, True),
+        ("ipc://@abstract", False, False),
+        ("inproc://here", False, False),
+    ],
+)
+def test_f19_what_other_machines_reach_needs_keys(address: str, plain: bool, keyed: bool) -> None:
+    for has_keys, good in ((False, plain), (True, keyed)):
+        if good:
+            assert binding.check(address, has_keys) == address
+        else:
+            with pytest.raises(binding.BindError):
+                binding.check(address, has_keys)
+
+
+def test_the_specification_is_that_of_the_environment_and_of_datasets() -> None:
+    from surg_sim.env import SurgEnv
+
+    env = SurgEnv("bgr")
+    cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")
+    names = ["mark[3]", "tear", "nodes[2,3]"]
+    numbers = cell_spec.task_numbers(names)
+    assert numbers == [
+        *("mark_0", "mark_1", "mark_2", "tear"),
+        *(f"nodes_{i}_{j}" for i in range(2) for j in range(3)),
+    ]
+    made = cell_spec.make(cell, env.arms, "bgr", {"endoscope_left": (480, 640)}, numbers)
+    assert made.action is not None
+    assert list(made.action.names) == env.action_names
+    np.testing.assert_array_equal(made.action.low, env.action_space.low)
+    np.testing.assert_array_equal(made.action.high, env.action_space.high)
+    state = made.observation["observation.state"].names
+    assert state is not None and list(state) == env.state_names[: len(state)]
+    assert list(made.observation) == [
+        "observation.state",
+        schema.video_name("endoscope_left"),
+        schema.TASK_STATE,
+    ]
+    truth = made.observation[schema.TASK_STATE]
+    assert truth.privileged and truth.shape == (10,)
+    env.close()
