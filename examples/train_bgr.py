@@ -52,9 +52,9 @@ class Options:
     chunk: int = 16
     """Actions predicted at once."""
     hidden: tuple[int, ...] = (256, 256)
-    steps: int = 6000
+    steps: int = 5000
     """Of the optimiser."""
-    batch: int = 512
+    batch: int = 256
     rate: float = 1.5e-3
     """Of learning, at first; falls to nothing along half a cosine."""
     decay: float = 1e-4
