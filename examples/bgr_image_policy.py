@@ -98,6 +98,7 @@ class ImagePolicy(Policy):
         y = self.network(pictures, x).astype(np.float64)
         y = (y * scales["output_std"] + scales["output_mean"]).reshape(len(x), self.chunk, 5)
         y[:, :, :4] += state[:, SET][:, None, :]
+        y[:, :, 4] = np.clip(y[:, :, 4], *scales["jaw_range"])
         return y
 
     def act(self, observation: Any) -> np.ndarray | None:

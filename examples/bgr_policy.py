@@ -36,6 +36,9 @@ NODES = 36
 """Of the bowel."""
 SET = slice(5, 9)
 """Set-point of tip and roll in `observation.state`."""
+PLACES, DISTANCE, HERE = slice(0, 9), 9, slice(-3, None)
+"""Of the features: vectors from the set-point to the asked node, the assistant, a node that lies
+still; the distance of the first; the set-point."""
 
 
 class Columns:
@@ -85,7 +88,8 @@ def features(columns: Columns, state: np.ndarray, task: np.ndarray, X_RW: np.nda
         X_RW: (4, 4) the world in the rcm frame, see `world_in_rcm`.
 
     Returns:
-        (T, F); the last three are the set-point itself.
+        (T, F), of which `PLACES` are vectors from the set-point, `DISTANCE` is the length of the
+        first and `HERE` the set-point itself.
     """
     s = state[:, columns.state]
     z = {name: task[:, index] for name, index in columns.task.items()}
@@ -104,10 +108,10 @@ def features(columns: Columns, state: np.ndarray, task: np.ndarray, X_RW: np.nda
     pointing = np.linalg.norm(helper - target, axis=1)
     now = [
         target,
-        np.linalg.norm(target, axis=1),
-        along / np.linalg.norm(along, axis=1, keepdims=True),
         helper,
         to(beside),
+        np.linalg.norm(target, axis=1),
+        along / np.linalg.norm(along, axis=1, keepdims=True),
         s[:, :3] - p_set,
         s[:, [3, 4, 8]],
         np.where(held, z["held"] - z["target"], 0.0),
@@ -253,6 +257,7 @@ class Policy:
         y = self.network(x.astype(np.float32)).astype(np.float64)
         y = (y * scales["output_std"] + scales["output_mean"]).reshape(len(x), self.chunk, 5)
         y[:, :, :4] += state[:, self._columns.state[SET]][:, None, :]
+        y[:, :, 4] = np.clip(y[:, :, 4], *scales["jaw_range"])
         return y
 
     def see(self, observation: Any) -> Mapping[str, np.ndarray]:

@@ -20,11 +20,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from bgr_policy import ACTION, SET, STATE, TASK, Columns, Network, Policy, features, world_in_rcm
+from bgr_policy import (
+    ACTION,
+    DISTANCE,
+    HERE,
+    PLACES,
+    SET,
+    STATE,
+    TASK,
+    Columns,
+    Network,
+    Policy,
+    features,
+    world_in_rcm,
+)
 
 Array = np.ndarray
 
 
+OPEN, NEAR = 0.6, 0.03
+"""Jaws that are less open [rad] so near to the asked node [m] are about to hold it."""
+THERE = 0.0015
+"""Jaws may close when they are so near to where they were to close [m]."""
 KINDS = {False: "multilayer perceptron", True: "convolutional network"}
 
 
@@ -35,9 +52,9 @@ class Options:
     chunk: int = 16
     """Actions predicted at once."""
     hidden: tuple[int, ...] = (256, 256)
-    steps: int = 6000
+    steps: int = 5000
     """Of the optimiser."""
-    batch: int = 512
+    batch: int = 256
     rate: float = 1.5e-3
     """Of learning, at first; falls to nothing along half a cosine."""
     decay: float = 1e-4
@@ -45,7 +62,11 @@ class Options:
     noise: float = 0.02
     """Added to normalised inputs,"""
     noise_place: float = 0.3
-    """and to the last three, the set-point: what is learned shall not depend on the place."""
+    """and to the set-point: what is learned shall not depend on the place."""
+    push: float = 0.004
+    """Spread of what every second sample of a free arm is moved aside by, per axis [m],"""
+    back: float = 0.25
+    """and time constant of its way back [s]."""
     seed: int = 0
 
 
@@ -104,14 +125,62 @@ def _flat(names: Any) -> list[str]:
     return list(next(iter(names.values()))) if isinstance(names, dict) else list(names)
 
 
-def samples(episode: Episode, columns: Columns, X_RW: Array, chunk: int) -> tuple[Array, Array]:
-    """Inputs (T, F) and targets (T, chunk * 5) of an episode."""
-    inputs = features(columns, episode.state, episode.task, X_RW)
-    return inputs, targets_of(episode, columns.state[SET], chunk)
+@dataclass
+class Samples:
+    """Steps to learn from, N in all; SI.
+
+    Attributes:
+        inputs: (N, F) of `features`.
+        targets: (N, K, 5) of `targets_of`.
+        free: (N,) whether the arm might as well be a little beside where it is: nothing is held or
+            about to be.
+        jaw: (N,) jaw angle [rad].
+    """
+
+    inputs: Array
+    targets: Array
+    free: Array
+    jaw: Array
+
+    @classmethod
+    def of(cls, episodes: Sequence[Episode], columns: Columns, X_RW: Array, chunk: int) -> Samples:
+        """The steps of episodes, one after another."""
+        parts = []
+        for episode in episodes:
+            inputs = features(columns, episode.state, episode.task, X_RW)
+            held = episode.task[:, columns.task["held"]] >= 0
+            jaw = episode.state[:, columns.state[4]]
+            free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))
+            parts.append((inputs, targets_of(episode, columns.state[SET], chunk), free, jaw))
+        return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+
+    def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
+        """Some steps as they would be with the arm beside where it was, and on its way back.
+
+        An arm that is free goes where it is told, so that what it should do there is known: close
+        the gap. Its jaws do not close before that.
+
+        Args:
+            rows: (B,) of the samples.
+            push: (B, 3) by how much they are aside [m].
+            left: (K,) share of it that is left at each step of the chunk.
+
+        Returns:
+            Inputs (B, F) and targets (B, K, 5).
+        """
+        x, y, jaw = self.inputs[rows], self.targets[rows], self.jaw[rows][:, None]
+        push = push * self.free[rows][:, None]
+        x[:, PLACES] -= np.tile(push, 3)
+        x[:, DISTANCE] = np.linalg.norm(x[:, :3], axis=1)
+        x[:, HERE] += push
+        y[:, :, :3] += push[:, None, :] * (left - 1.0)[:, None]
+        far = np.linalg.norm(push, axis=1)[:, None] * left > THERE
+        y[:, :, 4] = np.where(far, np.maximum(y[:, :, 4], jaw), y[:, :, 4])
+        return x, y
 
 
 def targets_of(episode: Episode, held: Any, chunk: int) -> Array:
-    """What is to be predicted at each step, (T, chunk * 5).
+    """What is to be predicted at each step, (T, chunk, 5).
 
     Relative to the set-point, but for the jaw. Behind the end the last action stays.
 
@@ -124,7 +193,7 @@ def targets_of(episode: Episode, held: Any, chunk: int) -> Array:
     ahead = np.minimum(row[:, None] + np.arange(chunk), len(row) - 1)
     targets = episode.action[ahead]
     targets[:, :, :4] -= episode.state[:, held][:, None, :]
-    return targets.reshape(len(row), -1)
+    return targets
 
 
 class Adam:
@@ -218,27 +287,27 @@ def train(
     tips_W = [episode.task[:, columns.task["tip"]] for episode in shown]
     X_RW = world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
     parts = {
-        split: [samples(episode, columns, X_RW, options.chunk) for episode in episodes]
+        split: Samples.of(episodes, columns, X_RW, options.chunk)
         for split, episodes in dataset.episodes.items()
     }
-    inputs, targets = (np.concatenate(part) for part in zip(*parts["train"], strict=True))
+    known = parts["train"]
+    flat_targets = known.targets.reshape(len(known.targets), -1)
     scales = {
-        "input_mean": inputs.mean(axis=0),
-        "input_std": np.maximum(inputs.std(axis=0), 1e-3),
-        "output_mean": targets.mean(axis=0),
-        "output_std": np.maximum(targets.std(axis=0), 1e-4),
+        "input_mean": known.inputs.mean(axis=0),
+        "input_std": np.maximum(known.inputs.std(axis=0), 1e-3),
+        "output_mean": flat_targets.mean(axis=0),
+        "output_std": np.maximum(flat_targets.std(axis=0), 1e-4),
         "X_RW": X_RW,
+        "jaw_range": np.array([known.targets[:, :, 4].min(), known.targets[:, :, 4].max()]),
     }
-    normal = {
-        split: [np.concatenate([pair[k] for pair in pairs]) for k in (0, 1)]
-        for split, pairs in parts.items()
-    }
-    for pair in normal.values():
-        pair[0] = ((pair[0] - scales["input_mean"]) / scales["input_std"]).astype(np.float32)
-        pair[1] = ((pair[1] - scales["output_mean"]) / scales["output_std"]).astype(np.float32)
-    x, y = normal["train"]
+
+    def normal(inputs: Array, targets: Array) -> tuple[Array, Array]:
+        x = (inputs - scales["input_mean"]) / scales["input_std"]
+        y = (targets.reshape(len(x), -1) - scales["output_mean"]) / scales["output_std"]
+        return x.astype(np.float32), y.astype(np.float32)
+
     rng = np.random.default_rng(options.seed)
-    sizes = [x.shape[1], *options.hidden, y.shape[1]]
+    sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
     shapes = list(itertools.pairwise(sizes))
     flat, layers = flat_layers(shapes)
     for weight, _ in layers:
@@ -246,22 +315,27 @@ def train(
     layers[-1][0][:] *= 0.1
     network, adam = Network(layers), Adam(flat, options.decay)
     slope, grads = flat_layers(shapes)
-    noise = np.full(x.shape[1], options.noise, np.float32)
-    noise[-3:] = options.noise_place
+    noise = np.full(sizes[0], options.noise, np.float32)
+    noise[HERE] = options.noise_place
+    left = np.exp(-np.arange(1, options.chunk + 1) / (options.back * dataset.about["fps"]))
     for step in range(options.steps):
-        chosen = rng.integers(0, len(x), options.batch)
-        batch = x[chosen]
-        batch += noise * rng.standard_normal(batch.shape, np.float32)
-        loss = gradient_of(network, grads, batch, y[chosen])
+        rows = rng.integers(0, len(known.inputs), options.batch)
+        push = options.push * rng.standard_normal((options.batch, 3))
+        push[::2] = 0.0
+        x, y = normal(*known.pushed(rows, push, left))
+        x += noise * rng.standard_normal(x.shape, np.float32)
+        loss = gradient_of(network, grads, x, y)
         adam.step(slope, options.rate * 0.5 * (1 + np.cos(np.pi * step / options.steps)))
         if step % 50 == 0:
             progress(step / options.steps, f"step {step} of {options.steps}, loss {loss:.4f}")
-    losses = {split: _loss(network, *pair) for split, pair in normal.items()}
+    losses = {
+        split: _loss(network, *normal(part.inputs, part.targets)) for split, part in parts.items()
+    }
     about = {
         "options": asdict(options),
         "dataset": dataset.about,
         "episodes": {split: len(found) for split, found in dataset.episodes.items()},
-        "frames": len(x),
+        "frames": len(known.inputs),
         "parameters": int(flat.size),
         "loss": losses,
         "observation": [STATE, TASK],

@@ -162,7 +162,7 @@ def train(
                 raise ValueError(f"{folder}: episode {index} has {len(seen)} pictures")
             shown.append(seen)
             states.append(episode.state)
-            targets.append(targets_of(episode, SET, options.chunk))
+            targets.append(targets_of(episode, SET, options.chunk).reshape(len(seen), -1))
             index += 1
             progress(0.2 * index / everything, f"pictures of {index} of {everything} episodes")
         splits[split] = (first, sum(map(len, states)))
@@ -175,6 +175,7 @@ def train(
         "input_std": np.maximum(s[chosen].std(axis=0), 1e-3),
         "output_mean": y[chosen].mean(axis=0),
         "output_std": np.maximum(y[chosen].std(axis=0), 1e-4),
+        "jaw_range": np.array([y[chosen, 4::5].min(), y[chosen, 4::5].max()]),
     }
     s = ((s - scales["input_mean"]) / scales["input_std"]).astype(np.float32)
     y = ((y - scales["output_mean"]) / scales["output_std"]).astype(np.float32)

@@ -96,6 +96,7 @@ def test_weights_of_one_policy_are_not_taken_by_the_other(tmp_path: Path) -> Non
         "input_std": np.ones(9),
         "output_mean": np.zeros(10),
         "output_std": np.ones(10),
+        "jaw_range": np.array([-10.0, 10.0]),
     }
     policy = seeing.ImagePolicy(made, scales, {bgr_policy.STATE: STATE}, 2, {"privileged": []})
     file = tmp_path / "weights.npz"

@@ -66,6 +66,33 @@ def test_the_gradient_is_that_of_the_loss() -> None:
     print(f"{flat.size} parameters")
 
 
+def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> None:
+    columns = bgr_policy.Columns(made.STATE, made.TASK)
+    shown = made.dataset().episodes["train"]
+    known = train_bgr.Samples.of(shown, columns, np.eye(4), 8)
+    rng = np.random.default_rng(2)
+    rows = rng.permutation(len(known.inputs))
+    push = 0.005 * rng.standard_normal((len(rows), 3))
+    left = np.exp(-np.arange(1, 9) / 5.0)
+    x, y = known.pushed(rows, push, left)
+    x_0, y_0 = known.inputs[rows], known.targets[rows]
+    free = known.free[rows]
+    assert 0.2 < free.mean() < 0.9
+    # Where the tip is told to be, in the rcm frame: the way back, to the place it was to be at.
+    aside = (y[:, :, :3] + push[:, None]) - y_0[:, :, :3]
+    np.testing.assert_allclose(aside[free], (push[:, None] * left[:, None])[free], atol=1e-15)
+    here = x[:, bgr_policy.HERE] - x_0[:, bgr_policy.HERE]
+    np.testing.assert_allclose(here[free], push[free], atol=1e-15)
+    first = x[:, :3] + x[:, bgr_policy.HERE]
+    np.testing.assert_allclose(first, x_0[:, :3] + x_0[:, bgr_policy.HERE], atol=1e-15)
+    np.testing.assert_array_equal(x[~free], x_0[~free])
+    np.testing.assert_array_equal(y[~free], y_0[~free])
+    far = (np.linalg.norm(push, axis=1)[:, None] * left > train_bgr.THERE) & free[:, None]
+    assert (y[:, :, 4] >= known.jaw[rows][:, None] - 1e-12)[far].all()
+    np.testing.assert_array_equal(y[:, :, 4][~far], y_0[:, :, 4][~far])
+    print(f"{free.sum()} of {len(free)} samples are free")
+
+
 def test_it_learns_what_is_there_to_learn() -> None:
     before = train_bgr.train(made.dataset(12), train_bgr.Options(steps=1, hidden=(64, 64)))
     after = train_bgr.train(made.dataset(12), train_bgr.Options(steps=400, hidden=(64, 64)))
