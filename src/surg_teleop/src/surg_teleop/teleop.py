@@ -423,6 +423,9 @@ class Teleop:
             why = f" ({arm.reason})" if arm.reason else f" (see {name}/warning)"
             self._let_go(now, f"{name} does not obey{why}", commands)
             return
+        if not self._obeyed:  # until then a step would be a beginning away from the set-point
+            commands.servo_cp = target.command(now)
+            return
         if not (behind := float(np.linalg.norm(target.wanted - arm.p_set))) <= BEHIND:
             self._let_go(now, f"{name} is {1e3 * behind:.0f} mm behind the hand", commands)
             return
