@@ -316,7 +316,7 @@ def test_spherical_rates_have_a_topic(ears: Ears) -> None:
     import rospy
 
     stranger = rospy.Publisher("/gamepad/spherical/measured_js", JointState, queue_size=1)
-    ears.until(lambda: stranger.get_num_connections() >= 2, "the stranger's connections")
+    ears.until(lambda: stranger.get_num_connections() > 0, "the stranger's connection")
     stranger.publish(JointState(name=["elbow"], velocity=[1.0]))
     ears.until(lambda: rates[-1].name == ["elbow"], "the stranger")
     assert far.read(time.monotonic()).rate.spherical == pytest.approx(told.spherical)
