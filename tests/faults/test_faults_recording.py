@@ -119,6 +119,7 @@ def went_on(arm: System, first: int) -> bool:
 # --- F09 ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_f09_a_clock_that_is_set_is_said_and_the_arm_goes_on(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
@@ -137,7 +138,7 @@ def test_f09_a_clock_that_is_set_is_said_and_the_arm_goes_on(
                 set_at.append(time.time_ns() + seconds * 10**9)  # by the clock that is set
                 clock.set(seconds * 10**9)
                 count = len(set_at) + 1
-                recorder.wait(lambda n=count: recorder.status.get("segments") == n, "the step")
+                recorder.wait(lambda n=count: recorder.status.get("segments") == n, "a step", 60)
                 time.sleep(0.5)
             clean = went_on(arm, first)
         folder = recorder.stop()
@@ -176,6 +177,7 @@ def fill(disk: Path) -> None:
                 size //= 16
 
 
+@pytest.mark.full
 def test_f12_a_disk_that_fills_up_does_not_reach_the_arm(
     ros_graph: RosGraph, rospy_node: str, small_disk: Callable[[int], Path]
 ) -> None:
