@@ -414,7 +414,7 @@ def test_an_environment_that_is_refused_says_so() -> None:
 
 def test_an_environment_without_episodes_gives_up_in_time() -> None:
     began_none = pytest.raises(NoServer, match="began no episode within")
-    with PolicyServer() as server, RemoteEnv(server.address, timeout_s=0.3) as env, began_none:
+    with PolicyServer() as server, RemoteEnv(server.address, timeout_s=0.2) as env, began_none:
         env.reset()
 
 
