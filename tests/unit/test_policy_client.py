@@ -359,6 +359,20 @@ def test_keys_that_do_not_fit_are_told_apart(
         assert server.heard == []
 
 
+def test_a_server_that_gets_the_right_keys_is_found(tmp_path: Path) -> None:
+    """A handshake that failed is not the end: the client tries again by itself."""
+    keys.make(tmp_path)
+    address = f"ipc://{tmp_path / 'wire'}"
+    with PolicyServer(address=address, keys=tmp_path):
+        client = Client(Policy(), address, episodes=1)
+        time.sleep(0.2)
+        assert client.is_alive()
+    with PolicyServer(address=address) as server:
+        server.wait("PING")
+        server.episode(0, "end")
+        client.end()
+
+
 # --- as an environment ----------------------------------------------------------------------------
 
 
@@ -400,7 +414,7 @@ def test_an_environment_that_is_refused_says_so() -> None:
 
 def test_an_environment_without_episodes_gives_up_in_time() -> None:
     began_none = pytest.raises(NoServer, match="began no episode within")
-    with PolicyServer() as server, RemoteEnv(server.address, timeout_s=0.3) as env, began_none:
+    with PolicyServer() as server, RemoteEnv(server.address, timeout_s=0.2) as env, began_none:
         env.reset()
 
 

@@ -11,8 +11,8 @@ import pytest
 import zmq
 
 from helpers import policy_messages
-from helpers.policy_results import note
 from helpers.policy_server import spec
+from helpers.policy_wire_results import note
 from surg_cli import paths
 from surg_policy_client import wire
 from surg_policy_client.wire import KINDS, Message, WireError, decode, encode

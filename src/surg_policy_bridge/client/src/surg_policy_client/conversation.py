@@ -50,7 +50,7 @@ class Conversation:
         self.busy = ""
         self._hello = {"versions": [VERSION, VERSION], **hello}
         self._ping_s = 0.05
-        self._next = float("-inf")
+        self._next = self._earliest = float("-inf")
         self._heard = 0.0
         self._pings = 0
 
@@ -61,6 +61,11 @@ class Conversation:
         if self.state is State.LIVE:
             return min(self._next, self._heard + LOST_S)
         return self._next
+
+    def reached(self) -> None:
+        """Somebody can hear now: a greeting need not wait for its turn."""
+        if self.state is State.GREETING:
+            self._next = self._earliest
 
     def tick(self, now: float) -> list[Message]:
         """Messages that are due.
@@ -97,9 +102,8 @@ class Conversation:
             return None  # a message to an earlier session, or no message of a server
         self._heard = now
         if message.kind == "BYE":
-            self._start_again()
             # A server that ends is not greeted at once: its successor needs its place.
-            self._next = now + HELLO_S
+            self._start_again(now + HELLO_S)
         return None if message.kind == "PONG" else message
 
     def _welcomed(self, message: Message, now: float) -> Message | None:
@@ -135,10 +139,10 @@ class Conversation:
             self._fail(Refused(code, f"the server at {self.address} refused: {text}"))
         return None
 
-    def _start_again(self) -> None:
+    def _start_again(self, earliest: float = float("-inf")) -> None:
         self.state, self.session = State.GREETING, None
         self.generation += 1
-        self._next = float("-inf")
+        self._next = self._earliest = earliest
 
     def _fail(self, failure: PolicyClientError) -> None:
         self.state, self.failure = State.FAILED, failure

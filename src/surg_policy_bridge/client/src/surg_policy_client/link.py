@@ -23,6 +23,8 @@ from surg_policy_client.spec import Spec
 from surg_policy_client.wire import MAX_PART, Message, WireError, decode, encode, receive
 
 _LINGER_MS = 200
+_RENEW_S = 1.0
+"""After a handshake that failed: the server may be another one by then."""
 _HINTS = {
     "": "nobody listens there. Start a server (./surg run TASK --policy ADDRESS), or look at the "
     "address, and at the firewall between the machines.",
@@ -72,6 +74,7 @@ class Link:
         self._news = threading.Condition()
         self._sending = threading.Lock()
         self._hint = ""
+        self._renew = math.inf
         self._stop = False
         self._closed = False
         self._broken: Exception | None = None
@@ -193,16 +196,17 @@ class Link:
     def _one_connection(self, out: Any) -> bool:
         """One socket's life; returns whether another shall follow."""
         talk, generation = self._talk, self._talk.generation
+        self._renew = math.inf
         wire, self._first = self._first or self._socket(), None
-        watch = wire.get_monitor_socket()
+        watch = wire.get_monitor_socket()  # the same as in _socket
         poller = zmq.Poller()
         for each in (wire, out, watch):
             poller.register(each, zmq.POLLIN)
         try:
-            while talk.generation == generation:
+            while talk.generation == generation and time.monotonic() < self._renew:
                 for message in talk.tick(time.monotonic()):
                     self._put(wire, encode(message))
-                wait = talk.due() - time.monotonic()
+                wait = min(talk.due(), self._renew) - time.monotonic()
                 wait_ms = None if math.isinf(wait) else max(0, math.ceil(1e3 * wait))
                 ready = dict(poller.poll(wait_ms))
                 if wire in ready:
@@ -232,9 +236,13 @@ class Link:
             wire.curve_publickey = self._keys.public
             wire.curve_secretkey = self._keys.secret
             wire.curve_serverkey = self._keys.server
+        # Before the first attempt: after a handshake that failed ZeroMQ may not try again.
+        watch = wire.get_monitor_socket()
         try:
             wire.connect(self.address)
         except zmq.ZMQError as error:
+            wire.disable_monitor()
+            watch.close(0)
             wire.close(0)
             raise ValueError(
                 f"{self.address!r} is no address ({error}); "
@@ -280,12 +288,15 @@ class Link:
             self._hint = self._hint or "connected"
         elif kind == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._hint = "connected"
-        elif kind == zmq.EVENT_CLOSED:  # an attempt that reached nobody
-            self._hint = ""
+            self._talk.reached()
+        elif kind == zmq.EVENT_CLOSED and self._hint == "connected":
+            self._hint = ""  # an attempt that reached nobody; what a handshake told stays true
         elif kind == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             self._hint = "denied"
+            self._renew = time.monotonic() + _RENEW_S
         elif kind in (
             zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL,
             zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL,
         ):
             self._hint = "protocol"
+            self._renew = time.monotonic() + _RENEW_S
