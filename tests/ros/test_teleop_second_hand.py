@@ -39,7 +39,6 @@ class Pair:
         self.grip = dict.fromkeys(HANDS, 0.0)
         self.speaks = dict.fromkeys(HANDS, True)
         self.status: dict[str, dict[str, object]] = {}
-        self.states: set[str] = set()
         self.warnings: list[str] = []
         self.joints, self.jaw, self.cycle = np.zeros(0), 0.0, None
         self._stop = threading.Event()
@@ -70,7 +69,6 @@ class Pair:
 
     def _on_status(self, message: object) -> None:
         self.status = {hand["arm"]: hand for hand in json.loads(message.data)["hands"]}
-        self.states |= {str(hand["state"]) for hand in self.status.values()}
 
     def _run(self) -> None:
         import rospy
@@ -111,6 +109,12 @@ class Pair:
         assert self.cycle is not None
         return self._R_VW @ self._R_WB @ np.array(self.cycle.p_tip)
 
+    def rests(self) -> bool:
+        """Whether the assistant's servos are where they were told to be: in the time they need."""
+        before = self.joints
+        time.sleep(0.2)
+        return bool(np.abs(self.joints - before).max() < 1e-5)
+
     def close(self) -> None:
         self._stop.set()
         self._thread.join()
@@ -148,27 +152,23 @@ def test_two_hands_move_two_instruments_as_the_picture_shows_it(
     for arm in HANDS.values():
         wait(lambda arm=arm: pair.follows(arm), 20.0, f"{arm} to follow")
 
-    # Both at once, each along another axis of the picture. Where a starved machine has let go in
-    # between, the servos of the assistant stop on the way, each at a place of its own: once more.
+    # Both at once, each along another axis of the picture. Roughly: a starved machine lets go again
+    # and again, and the assistant's servos then stop on the way, each at a place of its own. Exact
+    # is `test_the_second_hand_moves_its_tip_as_the_picture_shows_it` (test_cli_teleop.py).
     axes = {"first": np.array([1.0, 0.0, 0.0]), "second": np.array([0.0, -1.0, 0.0])}
     before = {arm: pair.tip(arm) for arm in HANDS.values()}
 
     def gone() -> bool:
-        if not all(pair.follows(arm) for arm in HANDS.values()):
-            return False
-        before.update({arm: pair.tip(arm) for arm in HANDS.values()})
-        pair.states.clear()
-        pair.v = {name: 0.02 * axis for name, axis in axes.items()}
-        time.sleep(0.3)
-        pair.v = {name: np.zeros(3) for name in HANDS}
-        time.sleep(0.3)
-        return pair.states <= {"FOLLOWING"}
+        for name, arm in HANDS.items():
+            if pair.follows(arm):
+                pair.v[name] = 0.02 * axes[name]
+        return all(np.linalg.norm(pair.tip(arm) - before[arm]) > 3e-3 for arm in before)
 
-    wait(gone, 60.0, "both tips to move")
+    wait(gone, 40.0, "both tips to move")
     for name, arm in HANDS.items():
         way = pair.tip(arm) - before[arm]
-        assert np.linalg.norm(way) > 3e-3, name
-        assert way / np.linalg.norm(way) == pytest.approx(axes[name], abs=0.1), name
+        assert way @ axes[name] > 0.8 * np.linalg.norm(way), (name, way)
+    pair.v = {name: np.zeros(3) for name in HANDS}
     # The assistant's jaw follows the second hand's grip, and nobody else's.
     pair.grip["second"] = 0.6
     wait(lambda: pair.follows("assistant") and pair.jaw > 0.1, 20.0, "the assistant's jaw to open")
@@ -183,7 +183,7 @@ def test_two_hands_move_two_instruments_as_the_picture_shows_it(
     wait(lambda: pair.status["assistant"]["state"] == "WAITING", 5.0, "the silence to be noticed")
     print(f"silence of the second hand noticed after {1e3 * (time.monotonic() - silent):.0f} ms")
     assert any("second on assistant: second is silent" in text for text in pair.warnings)
-    time.sleep(0.4)  # the servos come to rest
+    wait(pair.rests, 20.0, "the assistant's instrument to rest")
     rest, first = pair.joints, pair.tip("PSM1")
 
     def goes_on() -> bool:

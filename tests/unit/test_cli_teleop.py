@@ -12,8 +12,11 @@ import surg_core
 from surg_cli import paths, teleop
 from surg_cli.terminal import Problem
 from surg_sim import tasks
+from surg_sim.assistant import AssistantCommand, forward
 from surg_sim.world import World
+from surg_teleop.leader import HandRate, LeaderSample
 from surg_teleop.system import read_system
+from surg_teleop.teleop import CameraView
 
 
 def options(*words: str) -> argparse.Namespace:
@@ -61,6 +64,32 @@ def test_a_second_hand_holds_the_assistants_instrument() -> None:
     assert pytest.approx(R, abs=1e-12) == world.task.state()["X_WAssistant"][:3, :3]
     system = read_system({**hands.params, "cell": str(paths.CELLS / "sim_two_arms")}, "/teleop")
     assert [set(hand.seat.arms) for hand in system.hands] == [{"PSM1", "ECM"}, {"assistant"}]
+
+
+def test_the_second_hand_moves_its_tip_as_the_picture_shows_it() -> None:
+    """The simulator's instrument, the system of the command's parameters, a stick up for 1 s."""
+    chosen = options("--second-leader", "crtk")
+    hands, _ = teleop._operator_nodes(chosen, teleop._plan(chosen), {}, [])
+    cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")
+    params = {**hands.params, "second_settings": {"name": "second"}, "second_mapping": "rate"}
+    system = read_system(params, "/teleop")
+    world = World(cell, 0, task=tasks.load("bgr"))
+    arm, seat, instrument = system.assistant, system.hands[1].seat, world.task.assistant
+    camera = CameraView(system.camera.view(np.array(cell.arms["ECM"].robot.home)))
+    R_VA = camera.R_WV.T @ arm.R_WR
+    seat.enable()
+    start = R_VA @ forward(instrument.joints)[:3, 3]
+    for k in range(1000):
+        now = k * 0.002
+        arm.joints(now, 0, instrument.joints)
+        stick = np.array([0.0, -0.02, 0.0]) if 250 <= k < 750 else np.zeros(3)
+        sample = LeaderSample(now, rate=HandRate(stick))
+        commands = seat.tick(now, sample, {"assistant": arm.view()}, camera)["assistant"].commands
+        asked = arm.obey(commands)
+        world.step({}, AssistantCommand(asked.servo_jp, asked.jaw))
+    way = R_VA @ forward(instrument.joints)[:3, 3] - start
+    print(f"a stick up for 1 s at 20 mm/s: {np.round(1e3 * way, 2)} mm right, down, away")
+    assert way == pytest.approx([0.0, -0.02, 0.0], abs=1e-3)
 
 
 @pytest.mark.parametrize(
