@@ -112,7 +112,7 @@ def test_any_image_topic_is_recorded_raw_or_compressed(
             time.sleep(0.03)
         ros_graph.wait_for(
             lambda: set((bench.status.get("frames") or {}).values()) == {0, FRAMES - 1, FRAMES},
-            20,
+            60,
             "every frame",
         )
     finally:

@@ -257,14 +257,20 @@ def test_f09_a_step_of_the_clock_is_marked_at_once_and_at_its_row(
     bench.start(tmp_path, clock.env)
     bench.begin()
     k, set_at = 0, []
-    for hours in (1, 0) * 5:
+
+    def send() -> None:
+        nonlocal k
         for _ in range(60):
             k += 1
             bench.tick(k)
             time.sleep(0.001)
+
+    for hours in (1, 0) * 5:
+        send()
         set_at.append(time.time_ns() + hours * 3600 * 10**9)
         clock.set(hours * 3600 * 10**9)
     _until(lambda: bench.status.get("segments") == 11, "the last step")
+    send()
     bench.end()
     recorded = episode.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
