@@ -150,7 +150,7 @@ class Pair:
 
     def close(self) -> None:
         """End both."""
-        for process in (self._robot, self._policy):
+        for process in (self._policy, self._robot):
             process.kill()
             process.wait()
 

@@ -41,12 +41,14 @@ class Phantom:
     Attributes:
         url: Of the page.
         out: Folder of the episodes.
-        tips: Steady clock [s] and tip in the rcm frame [m], as it came.
+        tips: Steady clock [s] and the instrument's tip in its rcm frame [m], as it came.
+        lens: The same of the endoscope's, where an arm holds it.
     """
 
     def __init__(self, url: str, out: Path) -> None:
         self.url, self.out = url, out
         self.tips: list[tuple[float, np.ndarray]] = []
+        self.lens: list[tuple[float, np.ndarray]] = []
 
     @property
     def tip(self) -> np.ndarray:
@@ -63,29 +65,23 @@ class Phantom:
 
 
 @contextlib.asynccontextmanager
-async def phantom(folder: Path, cell: str) -> AsyncIterator[Phantom]:
+async def phantom(folder: Path, cell: str, *more: object) -> AsyncIterator[Phantom]:
     port, web = master.free_port(), master.free_port()
     log, out = folder / "teleop.log", folder / "out"
-    words = ("teleop", cell, "--port", port, "--web-port", web, "--out", out)
+    words = ("teleop", cell, "--port", port, "--web-port", web, "--out", out, *more)
     with start(log, *words) as process:
-        printer = None
+        printers: list[tuple[asyncio.subprocess.Process, asyncio.Task[None]]] = []
         try:
             await until(lambda: _is("Open http" in log.read_text()), "the system", 120.0)
             made = Phantom(f"http://localhost:{web}/", out)
-            printer = await asyncio.create_subprocess_exec(
-                sys.executable,
-                str(paths.ROOT / "tests" / "helpers" / "tip_printer.py"),
-                "PSM1",
-                env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
-                stdout=asyncio.subprocess.PIPE,
-            )
-            assert printer.stdout is not None
-            reading = asyncio.create_task(_read(printer.stdout, made))
+            printers.append(await _print_tips("PSM1", port, made.tips))
+            if "two_arms" in cell:
+                printers.append(await _print_tips("ECM", port, made.lens))
             yield made
-            reading.cancel()
             assert process.poll() is None, log.read_text()
         finally:
-            if printer is not None:
+            for printer, reading in printers:
+                reading.cancel()
                 with contextlib.suppress(ProcessLookupError):
                     printer.kill()
                 await printer.wait()
@@ -94,10 +90,25 @@ async def phantom(folder: Path, cell: str) -> AsyncIterator[Phantom]:
                 process.wait(60)
 
 
-async def _read(lines: asyncio.StreamReader, made: Phantom) -> None:
+async def _print_tips(
+    arm: str, port: int, into: list[tuple[float, np.ndarray]]
+) -> tuple[asyncio.subprocess.Process, asyncio.Task[None]]:
+    """A process that says where a tip is, and the task that reads it."""
+    printer = await asyncio.create_subprocess_exec(
+        sys.executable,
+        str(paths.ROOT / "tests" / "helpers" / "tip_printer.py"),
+        arm,
+        env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
+        stdout=asyncio.subprocess.PIPE,
+    )
+    assert printer.stdout is not None
+    return printer, asyncio.create_task(_read(printer.stdout, into))
+
+
+async def _read(lines: asyncio.StreamReader, into: list[tuple[float, np.ndarray]]) -> None:
     async for line in lines:
         at, *tip = map(float, line.split())
-        made.tips.append((at, np.array(tip)))
+        into.append((at, np.array(tip)))
 
 
 async def _is(value: bool) -> bool:
@@ -119,12 +130,12 @@ async def drive(tab: Tab) -> None:
     await until(engaged, "driving", 120.0)
 
 
-async def push(tab: Tab, axes: np.ndarray) -> None:
-    """Push the sticks: right, down, away in the picture, each from -1 to 1."""
+async def push(tab: Tab, axes: np.ndarray, held: str = "{}") -> None:
+    """Push the sticks: right, down, away in the picture, each from -1 to 1; buttons as well."""
     right, down, away = (float(np.sign(a) * np.sqrt(abs(a))) for a in np.clip(axes, -1, 1))
     # The page squares a stick beyond its dead zone of 0.12.
     stick = [np.sign(v) * (0.12 + 0.88 * abs(v)) if v else 0.0 for v in (right, down, away)]
-    await tab.run(f"window.plug([{stick[0]}, {stick[1]}, 0, {-stick[2]}], {{}})")
+    await tab.run(f"window.plug([{stick[0]}, {stick[1]}, 0, {-stick[2]}], {held})")
 
 
 async def probe(made: Phantom, tab: Tab) -> np.ndarray:
@@ -178,7 +189,6 @@ def test_ten_targets_are_touched_and_recorded(tmp_path: Path) -> None:
                 target = home + rng.uniform(-0.012, 0.012, 3)
                 took.append(await touch(made, tab, J, target))
             note("target touched", TARGETS, took, "by gamepad, within 2 mm")
-            await tab.screenshot(tmp_path / "console.png")
             await tab.tap("KeyV")
             await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
             await tab.until(
@@ -193,12 +203,87 @@ def test_ten_targets_are_touched_and_recorded(tmp_path: Path) -> None:
         assert recorded.complete, recorded.manifest["reason"]
         assert len(recorded.cycle("PSM1")) > 1000
         assert len(recorded.video("endoscope_left").frames) > 50
+
+    asyncio.run(asyncio.wait_for(test(), 900.0))
+
+
+def test_bgr_with_two_arms_and_two_hands_from_the_page(tmp_path: Path) -> None:
+    """The hand on the instrument, then on the endoscope; another on the assistant's instrument."""
+    camera = "{5: 1}"  # the right shoulder button
+    headline = "surgConsole.status()?.headline"
+    second = paths.ROOT / "tests" / "helpers" / "second_hand.py"
+
+    async def test() -> None:
+        more = ("--second-leader", second)
+        async with phantom(tmp_path, "sim_two_arms", *more) as made, Chromium() as browser:
+            tab = await browser.open(made.url, GAMEPAD)
+            await tab.until("surgConsole.picture.drawn.length > 10", "pictures", 120.0)
+            await tab.until("surgConsole.status().task.startsWith('bgr: ')", "the task", 60.0)
+            await tab.run("(window.plug([0, 0, 0, 0], {}), 0)")
+            await tab.click('#hands [data-hand="rate"]')
+            await drive(tab)
+            await tab.tap("KeyV")
+            await tab.until("surgConsole.status().record.on", "the recording", 60.0)
+
+            # The instrument moves and the endoscope stands.
+            lens, tip = made.lens[-1][1], made.tip
+            await moved(made, tab, np.array([0.5, 0.0, 0.0]), "{}", made.tips, tip)
+            assert np.linalg.norm(made.lens[-1][1] - lens) < 2e-4
+
+            # The camera button: the endoscope moves and the instrument stands.
+            await push(tab, np.zeros(3), camera)
+            await tab.until(f"{headline} === 'Endoscope'", "the hand-over", 30.0)
+            await asyncio.sleep(0.3)
+            lens, tip = made.lens[-1][1], made.tip
+            await moved(made, tab, np.array([0.0, 0.0, 0.5]), camera, made.lens, lens)
+            assert np.linalg.norm(made.tip - tip) < 2e-4
+            await push(tab, np.zeros(3))
+            await tab.until(f"{headline} === 'Following'", "the way back", 30.0)
+            await moved(made, tab, np.array([-0.5, 0.0, 0.0]), "{}", made.tips, made.tip)
+
+            # The second hand has a line of its own, and moves by itself meanwhile.
+            line = "[...document.querySelectorAll('#arms li')].at(-1).innerText"
+            await tab.until(f"{line}.includes('assistant (second_hand)')", "the second hand")
+            await tab.until(f"{line}.includes('FOLLOWING')", "it to follow", 30.0)
+            await asyncio.sleep(6.0)
+            await tab.screenshot(tmp_path / "console_bgr.png")
+            await tab.tap("KeyV")
+            await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
+            assert browser.errors == []
+        recorded = episode.read(tmp_path / "out" / "episode")
+        assert recorded.complete, recorded.manifest["reason"]
+        for arm in ("PSM1", "ECM"):
+            assert np.ptp(recorded.cycle(arm).vector("p_set"), axis=0).max() > 1e-3, arm
+        state = recorded.table("task_state")
+        ways = [np.ptp(state[f"task.assistant_joints_{i}"]) for i in range(4)]
+        assert max(ways) > 0.02, "the assistant's instrument has moved"
         folder = os.environ.get("SURG_RESULTS_DIR")
         if folder:
             picture = Path(folder).parent / "pictures" / "console.png"
-            picture.write_bytes((tmp_path / "console.png").read_bytes())
+            picture.write_bytes((tmp_path / "console_bgr.png").read_bytes())
 
-    asyncio.run(asyncio.wait_for(test(), 900.0))
+    asyncio.run(asyncio.wait_for(test(), 600.0))
+
+
+async def moved(
+    made: Phantom,
+    tab: Tab,
+    axes: np.ndarray,
+    held: str,
+    places: list[tuple[float, np.ndarray]],
+    start: np.ndarray,
+) -> None:
+    """Push until a tip is 3 mm from where it was, then let go; a busy machine may let go first."""
+    began = time.monotonic()
+    while np.linalg.norm(places[-1][1] - start) < 0.003:
+        assert time.monotonic() - began < 60.0, (start, places[-1])
+        headline = await tab.run("surgConsole.status()?.headline")
+        if headline not in ("Following", "Endoscope"):
+            await drive(tab)
+        await push(tab, axes, held)
+        await asyncio.sleep(0.05)
+    await push(tab, np.zeros(3), held)
+    await asyncio.sleep(0.3)
 
 
 @pytest.mark.parametrize("what", ["hidden", "frozen", "closed"])

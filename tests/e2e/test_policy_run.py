@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from helpers.nudge_policy import begin, row
+from helpers.policy_results import note
 from helpers.surg import surg
 from surg_cli import paths, run
 from surg_cli.terminal import Problem
@@ -58,7 +59,8 @@ def test_a_roll_out_is_what_an_environment_computes(tmp_path: Path) -> None:
         rows = list(csv.DictReader(lines))
     assert len(rows) == policy["accepted"] and rows[0]["names_0"] == "PSM1/x"
     assert int(rows[0]["step"]) == 4 and int(rows[0]["stamp_ns"]) % 50_000_000 == 2_000_000
-    print(f"{len(rows)} steps, state hash {wanted[:12]}…, round trip {policy['round_trip_ms']}")
+    note(9, len(rows), f"the same state hash, {wanted[:12]}…")
+    print(f"round trip {policy['round_trip_ms']}")
 
 
 @pytest.mark.parametrize(

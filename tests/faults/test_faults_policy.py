@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import zmq
 
+from helpers.policy_results import note
 from helpers.policy_rig import CAMERA, CELL, Camera, PolicyRig
 from helpers.reactions import Reactions
 from helpers.ros import RosGraph
@@ -72,37 +73,51 @@ def replay(rig: PolicyRig, session: int) -> str:
     return str(answer.head["code"])
 
 
-def test_f04_f05_f08_f17_f18_f29_f30_policies_in_one_running_system(
+def test_f04_f29_a_policy_that_is_killed_and_its_successor(
     rig: PolicyRig, reactions: Reactions
 ) -> None:
+    """And, in the same system, its topics are those that docs/topics.yaml promises."""
     rig.policy("first")
     rig.run()
     first = int(rig.status["session"])
-    assert not rig.rejected and rig.now.source == "/policy"
+    assert rig.now.source == "/policy"
     assert own_topics(rig) == promised_topics()
-
-    _flood(rig)
-    rig.run()
     _kill(rig, reactions)
     # F29: what the dead one's session would have said is not obeyed, by anybody.
     assert replay(rig, first) == "session"
-    second = rig.policy("second")
+    rig.policy("second")
     rig.wait_state("READY")
     time.sleep(0.3)
     assert rig.speed() == 0.0, "nothing resumes by itself"
     rig.run()
     assert rig.status["session"] != first
-    _stop(rig, second.process.pid, reactions)
+    _judge(rig)
+
+
+@pytest.mark.full
+def test_f05_f08_f17_f18_f30_policies_in_one_running_system(
+    rig: PolicyRig, reactions: Reactions
+) -> None:
+    client = rig.policy("client")
+    rig.run()
+    _flood(rig)
+    rig.run()
+    _stop(rig, client.process.pid, reactions)
     rig.run()
     _freeze_the_camera(rig, reactions)
     rig.run()
     _hand_over(rig)
+    _judge(rig)
+
+
+def _judge(rig: PolicyRig) -> None:
+    """No step was refused, and the set-point never jumped."""
     # A starved machine may break a stream off: then its next step is too far away, and refused.
     assert {each.rule for each in rig.rejected} <= {"start"}, rig.rejected
     step = rig.largest_step()
-    # 50 mm/s are 0.1 mm per cycle; a wall clock that stood still may have cost the test cycles.
-    print(f"largest step of the set-point in all hand-overs: {1e6 * step:.0f} um")
-    assert step < 1e-3
+    print(f"largest step of the set-point in one cycle: {1e6 * step:.0f} um")
+    # 50 mm/s are 0.1 mm in a cycle; who catches up after a stall goes at 0.25 m/s in each axis.
+    assert step < 0.9e-3
 
 
 def own_topics(rig: PolicyRig) -> set[tuple[str, str, str]]:
@@ -144,11 +159,14 @@ def _flood(rig: PolicyRig) -> None:
     ]
     p99 = [1e-3 * float(np.percentile(each, 99)) for each in periods]
     sent = json.loads(peer.log_tail(1))
-    print(
-        f"flood of {sent}: server grew by {growth / 2**20:.1f} MiB, control period p99 "
-        f"{p99[0]:.2f} -> {p99[1]:.2f} ms, refused by kind {rig.status['malformed']}, not looked "
-        f"into {rig.status['flooded']}"
+    note(
+        5,
+        sent["messages"],
+        f"beside {sent['raw']} raw connections and {sent['huge']} frames of 9 MiB: the server grew "
+        f"by {growth / 2**20:.0f} MiB, control period p99 {p99[0]:.2f} ms before, {p99[1]:.2f} ms "
+        "in it, and the good policy's steps were taken",
     )
+    print(f"refused by kind {rig.status['malformed']}, not looked into {rig.status['flooded']}")
     assert rig.status["state"] == "RUNNING" and rig.server.exit_code is None
     assert growth < GROWTH and sum(rig.status["malformed"].values()) > FLOOD / 3
 

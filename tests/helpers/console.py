@@ -59,6 +59,9 @@ class FakeSystem:
     def told(self) -> None:
         """See `server.System`."""
 
+    def live(self) -> None:
+        """See `server.System`."""
+
     def obey(self, orders: list[Order]) -> None:
         """See `server.System`."""
         for order in orders:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from helpers.results_page import ResultsPage
+
 _HEAD = """# Datasets
 
 Written by `./surg test --full` (`tests/unit/test_datasets_resample.py`, `test_datasets_export.py`,
@@ -39,3 +41,21 @@ def note(row: str, cases: int, result: str) -> None:
     if folder and len(_found) == len(ROWS):
         lines = [f"| {row} | {_found[row][0]} | {_found[row][1]} |\n" for row in ROWS]
         Path(folder, "datasets.md").write_text(_HEAD + "".join(lines), "utf-8")
+
+
+_READERS_HEAD = """# Datasets in the programs that they are for
+
+Written by `./surg test --full --tier oracle tests/unit/test_datasets_oracle.py`: the real readers,
+each in an environment of its own, in random order. A picture says which recording, camera and
+frame it is of.
+
+| reader | frames or sequences | result |
+|---|---|---|
+"""
+_PROGRAMS = ("lerobot 0.3.3", "lerobot 0.4.4", "robomimic 0.3.0")
+READERS = ResultsPage(
+    "readers.md",
+    _READERS_HEAD,
+    [row for name in _PROGRAMS for row in (name, f"{name}, all pictures stamped a frame late")],
+)
+"""docs/results/readers.md: what the real readers found."""

@@ -3,6 +3,9 @@
 ``far_hand.py ARM LOG``. Lines on stdin, answered on stdout: ``ready`` (ENABLED and homed?), ``go``
 (stream on from the newest set-point), ``rest`` (stop), ``seen`` (what has come back: poses and
 pictures), ``quit``. A line of LOG: steady time [s], x, y, z sent [m].
+
+As the teleoperation node does, it says with each command's stamp what it answers, and rests when it
+has heard nothing from the arm for 0.1 s.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from sensor_msgs.msg import Image
 from crtk_msgs.msg import OperatingState, StringStamped
 
 RATE = 200.0
+SILENCE = 0.1  # [s]
 SWING, FREQUENCY = 0.008, 0.5  # [m], [1/s]: 25 mm/s at most
 
 
@@ -31,6 +35,7 @@ class Hand:
         self.state: OperatingState | None = None
         self.set_point: PoseStamped | None = None
         self.poses, self.pictures, self.picture_at = 0, 0, 0.0
+        self.heard = 0.0
         self.latched: PoseStamped | None = None
         self.began = 0.0
         self.log = open(log, "w", buffering=1, encoding="utf-8")  # noqa: SIM115 - to the end
@@ -48,6 +53,7 @@ class Hand:
     def _on_set_point(self, message: PoseStamped) -> None:
         with self.lock:
             self.set_point, self.poses = message, self.poses + 1
+            self.heard = time.monotonic()
 
     def _on_picture(self, message: Image) -> None:
         self.pictures, self.picture_at = self.pictures + 1, time.monotonic()
@@ -82,9 +88,14 @@ class Hand:
                 if self.latched is None:
                     continue
                 now = time.monotonic()
+                if now - self.heard > SILENCE:
+                    self.latched = None
+                    continue
                 t = now - self.began
                 x = SWING * min(t, 1.0) ** 2 * math.sin(2.0 * math.pi * FREQUENCY * t)
                 message = PoseStamped()
+                assert self.set_point is not None
+                message.header.stamp = self.set_point.header.stamp
                 q, p = message.pose.orientation, message.pose.position
                 q.x, q.y, q.z, q.w = (getattr(self.latched.pose.orientation, c) for c in "xyzw")
                 p.x, p.y, p.z = (getattr(self.latched.pose.position, c) for c in "xyz")

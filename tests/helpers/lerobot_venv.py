@@ -1,4 +1,7 @@
-"""Environments with the real lerobot, one per version, beside the checkout and never in git."""
+"""Environments with the real lerobot, one per version, beside the checkout and never in git.
+
+Each has the real robomimic too, which needs the same torch.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,9 @@ PLAIN = (
     *("numpy==2.2.6", "pandas<3", "pyarrow>=21", "huggingface_hub", "av==15.1.0", "pillow"),
     *("packaging", "einops", "jsonlines", "imageio", "draccus", "filelock", "fsspec", "sympy"),
     *("networkx", "jinja2", "typing_extensions", "mpmath", "termcolor", "deepdiff", "psutil"),
-    *("opencv-python-headless", "safetensors"),
+    *("opencv-python-headless", "safetensors", "h5py", "tqdm"),
 )
+ROBOMIMIC = "robomimic==0.3.0"
 DATASETS = {"0.3.3": "datasets==3.6.0", "0.4.4": "datasets>=4,<5"}
 
 
@@ -34,13 +38,14 @@ def python(version: str) -> Path:
     steps = [
         [str(paths.SYSTEM_PYTHON), "-m", "venv", str(folder)],
         [*pip, *PLAIN, DATASETS[version]],
-        [*pip, "--no-deps", *TORCH, "accelerate", f"lerobot=={version}"],
+        [*pip, "--no-deps", *TORCH, "accelerate", f"lerobot=={version}", ROBOMIMIC],
         [str(interpreter), "-c", "import torch, torchcodec"],
     ]
     for step in steps:
         done = subprocess.run(step, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             last = done.stderr.strip().splitlines()[-1:]
-            pytest.skip(f"no environment with lerobot {version}: {' '.join(step[:5])} …: {last}")
+            said = f"{' '.join(step[:5])} …: {last}"
+            pytest.skip(f"missing: an environment with lerobot {version}: {said}")
     stamp.touch()
     return interpreter

@@ -34,6 +34,7 @@ class Seen:
 
     Attributes:
         at: Receipt on the steady clock [s].
+        tick: The controller's own count.
         p_set: Set-point of the tip [m].
         p_tip: Measured tip [m].
         rcm_error: Distance of the shaft from its pivot [m].
@@ -43,6 +44,7 @@ class Seen:
     """
 
     at: float
+    tick: int
     p_set: np.ndarray
     p_tip: np.ndarray
     rcm_error: float
@@ -106,6 +108,7 @@ class PolicyRig:
     def _on_cycle(self, cycle: Cycle) -> None:
         seen = Seen(
             at=time.monotonic(),
+            tick=cycle.tick,
             p_set=np.array(cycle.p_set),
             p_tip=np.array(cycle.p_tip),
             rcm_error=cycle.rcm_error,
@@ -192,7 +195,8 @@ class PolicyRig:
             cycles = self.cycles[since:]
         first = next(i for i, seen in enumerate(cycles) if seen.state == Cycle.ENABLED)
         points = np.array([seen.p_set for seen in cycles[first:]])
-        return float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
+        neighbours = np.diff([seen.tick for seen in cycles[first:]]) == 1
+        return float(np.linalg.norm(np.diff(points, axis=0), axis=1)[neighbours].max())
 
     def close(self) -> None:
         """Leave the graph."""

@@ -91,8 +91,8 @@ class Bench:
             if self.pedals is not None:
                 pressed = self.pedals.read(now).buttons
                 for button in ("clutch", "camera", "present"):
-                    self.feet.press("feet", button, button in pressed)
-            sample = self.feet.merge(self.hand.read(now))
+                    self.feet.press("feet", button, button in pressed, now)
+            sample = self.feet.merge(self.hand.read(now), now)
             view = self.arm.view({1: "/teleop"})
             camera = CameraView(view.R_WR, now)
             before = view.p_tip

@@ -14,10 +14,11 @@ from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, String
 
+from helpers.policy_results import note
 from helpers.policy_rig import CELL, PolicyRig
 from helpers.ros import RosGraph
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.full]
 
 VIEW = [0.907, 0.0, 0.0, 0.421]  # any: an endoscope that nobody holds
 
@@ -106,7 +107,7 @@ def test_f30_operator_policy_operator_without_a_jump(ros_graph: RosGraph, hand: 
     hand.enable.publish(False)
     ros_graph.wait_for(lambda: hand.state == "DISABLED", 5.0, "the operator to let go")
     step = rig.largest_step(begin)
-    print(f"largest step of the set-point in one cycle: {1e6 * step:.0f} um")
+    note(6, len(rig.cycles) - begin, f"{1e6 * step:.0f} um")
     # 0.25 m/s are 0.5 mm in a cycle; this process may have missed one.
     assert step < 1e-3
     rig.close()

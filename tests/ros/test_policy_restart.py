@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from helpers.policy_results import note
 from helpers.policy_rig import CELL, PolicyRig
 from helpers.ros import RosGraph
 from surg_cli import paths, system
@@ -17,6 +18,7 @@ HELPERS = paths.ROOT / "tests" / "helpers"
 
 
 @pytest.mark.ros
+@pytest.mark.full
 def test_f04_a_restart_within_the_episode_recovers_and_completes(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
@@ -59,9 +61,11 @@ def test_f04_a_restart_within_the_episode_recovers_and_completes(
     assert "resumed" in second.log_tail(20) and rig.status["episode"] == 1
     assert rig.status["sessions"] == 2
     way = float(np.linalg.norm(rig.now.p_tip - left))
-    print(
-        f"killed under way: standstill after {1e3 * took:.0f} ms; the second process led the last "
-        f"{1e3 * way:.0f} mm and the task was solved"
+    note(
+        7,
+        1,
+        f"standstill after {1e3 * took:.0f} ms; the second process led the last {1e3 * way:.0f} mm "
+        "and the task was solved",
     )
     assert way > 0.005
     rig.close()

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 
 from helpers import panda_link
 from helpers.dh import panda
+from helpers.policy_results import note
 from helpers.policy_rig import PolicyRig
 from helpers.ros import RosGraph
 from surg_cli import paths
@@ -57,6 +58,7 @@ def test_the_links_own_kinematics() -> None:
 
 
 @pytest.mark.ros
+@pytest.mark.full
 def test_the_same_client_process_drives_a_second_robot(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
@@ -92,7 +94,8 @@ def test_the_same_client_process_drives_a_second_robot(
     path = np.array([seen.p_tip for seen in rig.cycles[begin:]])
     worst = max(seen.rcm_error for seen in rig.cycles[begin:])
     reach = float(np.linalg.norm(path.max(axis=0) - path.min(axis=0)))
-    print(f"Panda: {1e3 * reach:.0f} mm across, pivot kept within {1e6 * worst:.0f} um")
+    pivot = f"pivot kept within {1e6 * worst:.0f} um"
+    note(8, 1, f"UR5e, then a kinematic Panda: {1e3 * reach:.0f} mm across, {pivot}")
     assert client.exit_code is None, "the same process"
     assert not rig.rejected and reach > 0.02 and worst < 1e-3
 

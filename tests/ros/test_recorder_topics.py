@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from helpers.ros import RosGraph
+from helpers.set_clock import SetClock
 from helpers.surg import surg
 from helpers.twin_publisher import TwinPublisher
 from surg_cli import master
@@ -63,7 +64,7 @@ class Bench:
     def _on_status(self, message: Any) -> None:
         self.status = json.loads(message.data)
 
-    def start(self, folder: Path, **params: Any) -> Any:
+    def start(self, folder: Path, env: dict[str, str] | None = None, **params: Any) -> Any:
         child = self.graph.node(
             "surg_recording",
             "recorder_node",
@@ -77,9 +78,10 @@ class Bench:
                 "topics": ["/PSM1/measured_*", "/counter", "/tool/pose", "/never", "/nobody/*"],
                 **params,
             },
+            env,
         )
         self.graph.wait_for(
-            lambda: all(p.get_num_connections() > 0 for p in self.publishers), 20, "the recorder"
+            lambda: all(p.get_num_connections() > 0 for p in self.publishers), 60, "the recorder"
         )
         return child
 
@@ -116,7 +118,7 @@ def bench(rospy_node: str, ros_graph: RosGraph) -> Iterator[Bench]:
     made.close()
 
 
-def _until(condition: Callable[[], bool], what: str, timeout: float = 15.0) -> None:
+def _until(condition: Callable[[], bool], what: str, timeout: float = 30.0) -> None:
     deadline = time.monotonic() + timeout
     while not condition():
         assert time.monotonic() < deadline, f"waited {timeout} s for {what}"
@@ -245,6 +247,36 @@ def test_f07_a_master_that_hangs_ends_no_recording(
     recorded = episode.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
     assert recorded.cycle("PSM1")["tick"].tolist() == list(range(1, 1001))
+
+
+def test_f09_a_step_of_the_clock_is_marked_at_once_and_at_its_row(
+    bench: Bench, tmp_path: Path
+) -> None:
+    """The recorder's wall clock jumps an hour ahead and back, ten times in all."""
+    clock = SetClock(tmp_path)
+    bench.start(tmp_path, clock.env)
+    bench.begin()
+    k, set_at = 0, []
+    for hours in (1, 0) * 5:
+        for _ in range(60):
+            k += 1
+            bench.tick(k)
+            time.sleep(0.001)
+        set_at.append(time.time_ns() + hours * 3600 * 10**9)
+        clock.set(hours * 3600 * 10**9)
+    _until(lambda: bench.status.get("segments") == 11, "the last step")
+    bench.end()
+    recorded = episode.read(tmp_path / "episode")
+    assert recorded.complete, recorded.manifest["reason"]
+    late = [s["begin_ns"] - at for s, at in zip(recorded.segments, set_at, strict=True)]
+    print(f"{len(late)} steps, marked within {max(late) * 1e-6:.1f} ms")
+    assert min(late) >= 0 and max(late) < 1e9
+    cycle = recorded.cycle("PSM1")
+    assert np.array_equal(cycle["tick"], np.arange(1, k + 1)), "no row is lost"
+    jumps = np.flatnonzero(np.abs(np.diff(cycle["receive_ns"])) > 1800 * 10**9) + 1
+    rows = np.array([segment["rows"]["cycle_PSM1"] for segment in recorded.segments])
+    assert len(jumps) == len(rows)
+    assert np.abs(jumps - rows).max() <= 1, (jumps, rows)
 
 
 def test_f08_f09_a_stalled_camera_and_stamps_of_the_future_are_said(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers import lambda7
+from helpers import contract, lambda7
 from helpers.lambda7 import State
 from helpers.ros import RosGraph
 from surg_cli.processes import Child
@@ -103,6 +103,7 @@ def bench(ros_graph: RosGraph, rospy_node: str, library: Path) -> Iterator[Bench
 def test_hand_and_picture_agree_and_the_handle_stays_free(bench: Bench) -> None:
     child = bench.start(clutch_button=0)
     bench.following()
+    assert contract.found(bench.graph, "/lambda7") == contract.promised("lambda7", "MTMR")
     state = bench.state
     for moved, goes in (
         ([0.0, 0.01, 0.0], [0.01, 0.0, 0.0]),  # right: right

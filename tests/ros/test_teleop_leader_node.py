@@ -9,14 +9,17 @@ import signal
 import subprocess
 import sys
 import termios
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from helpers import contract
 from helpers.input_devices import GAMEPAD, PEDALS, Machine
 from helpers.ros import RosGraph, find_executable
 from surg_cli import paths
@@ -52,7 +55,8 @@ def ears(ros_graph: RosGraph, rospy_node: str) -> Ears:
     return Ears(ros_graph)
 
 
-def test_a_gamepad_on_topics_is_silent_when_it_has_gone(ears: Ears) -> None:
+def test_a_gamepad_on_topics_is_silent_when_it_has_gone(ears: Ears, rospy_node: str) -> None:
+    """Before that: its topics are those of docs/topics.yaml."""
     from geometry_msgs.msg import TwistStamped
     from sensor_msgs.msg import JointState, Joy
     from std_msgs.msg import String
@@ -114,6 +118,8 @@ def test_a_gamepad_on_topics_is_silent_when_it_has_gone(ears: Ears) -> None:
     assert "has gone (No such device)" in errors[-1].data
     settled()
     said = len(rates), len(joys), len(grips)
+    own = contract.found(ears.graph, rospy_node)
+    assert {topic for topic in own if topic[2] == "out"} == contract.promised("leader", "gamepad")
     run(200)
     ears.until(lambda: len(states) > 10, "its state again and again")
     assert (len(rates), len(joys), len(grips)) == said
@@ -264,7 +270,6 @@ def test_a_wrong_start_says_why(
         ({"pedals": "left"}, "~pedals: 'left'; allowed: true or false"),
         ({"settings": "fast"}, "~settings: 'fast'; allowed: a dictionary"),
         ({"settings": {"size": 3}}, "setting size is unknown; allowed: name, layout, device"),
-        ({"settings": {"layout": "gamepad_spherical"}}, "spherical rates have no topic"),
     ],
 )
 def test_a_wrong_parameter_is_refused(params: dict[str, object], said: str) -> None:
@@ -273,6 +278,50 @@ def test_a_wrong_parameter_is_refused(params: dict[str, object], said: str) -> N
     with pytest.raises(LeaderError) as caught:
         read_parameters(params)
     assert said in str(caught.value)
+
+
+def test_spherical_rates_have_a_topic(ears: Ears) -> None:
+    """What `gamepad_spherical` says is read back by a CRTK leader as it was."""
+    from sensor_msgs.msg import JointState
+
+    from surg_teleop.crtk_node import CrtkTopics
+    from surg_teleop.leader_node import LeaderNode
+    from surg_teleop.leaders.crtk import CrtkLeader
+
+    machine = Machine()
+    pad = machine.plug(GAMEPAD)
+    leader = Gamepad(host=machine, layout="gamepad_spherical")
+    leader.open()
+    node, far = LeaderNode(leader, pedals=False), CrtkLeader("gamepad")
+    CrtkTopics(far, threading.Lock(), threading.Event())
+    rates = ears.listen("/gamepad/spherical/measured_js", JointState)
+    now = 0.0
+
+    def said() -> bool:
+        nonlocal now
+        now += 0.01
+        node.tick(now)
+        sample = far.read(time.monotonic())
+        return bool(rates) and sample is not None and sample.rate.spherical.any()
+
+    ears.until(lambda: not said() and bool(rates), "the rates at rest")
+    pad.press("BTN_TR")
+    pad.push("ABS_X", 1.0)
+    ears.until(said, "the rates")
+    told, heard = leader.read(now).rate, far.read(time.monotonic()).rate
+    assert heard.spherical == pytest.approx(told.spherical) and np.abs(told.spherical).max() > 0.1
+    assert heard.roll == told.roll and not heard.v_V.any()
+    assert rates[-1].name == ["yaw", "pitch", "insertion", "roll"]
+    # Joints of another arm on that topic are refused; the last rates are what they were.
+    import rospy
+
+    stranger = rospy.Publisher("/gamepad/spherical/measured_js", JointState, queue_size=1)
+    ears.until(lambda: stranger.get_num_connections() > 0, "the stranger's connection")
+    stranger.publish(JointState(name=["elbow"], velocity=[1.0]))
+    ears.until(lambda: rates[-1].name == ["elbow"], "the stranger")
+    assert far.read(time.monotonic()).rate.spherical == pytest.approx(told.spherical)
+    stranger.unregister()
+    leader.close()
 
 
 OUTSIDE = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -12,8 +13,9 @@ import numpy as np
 import pytest
 
 import surg_core
+from helpers import contract
 from helpers.ros import RosGraph
-from surg_cli import master, paths, system, topic_contract
+from surg_cli import master, paths, system
 from surg_cli.processes import Child
 from surg_teleop.camera import held_camera
 
@@ -195,7 +197,9 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     wait = ros_graph.wait_for
     wait(hand.connected, 40.0, "both arms and the teleoperation")
     assert hand.states == {"PSM1": "DISABLED", "ECM": "DISABLED"}
-    assert own_topics(ros_graph) == promised_topics()
+    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", PICTURE)
+    arms = ("PSM1", "ECM")
+    assert contract.found(ros_graph, "/teleop", others) == contract.promised("teleop", "hand", arms)
     freeze_the_picture(ros_graph, hand)
     hand.enable.publish(True)
     wait(lambda: hand.engaged("PSM1"), 10.0, "the instrument to follow")
@@ -248,6 +252,8 @@ def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: C
     hand.v = np.zeros(3)
     print(f"silence of the leader noticed after {1e3 * noticed:.0f} ms")
 
+    kill_the_pedals(ros_graph, hand)
+
     hand.scale.publish(7.0)
     wait(lambda: any("scale 7 is refused" in t for t in hand.warnings), 5.0, "the refused scale")
     hand.enable.publish(True)
@@ -291,27 +297,27 @@ def freeze_the_picture(graph: RosGraph, hand: CrtkHand) -> None:
     camera.unregister()
 
 
-def promised_topics() -> set[tuple[str, str, str]]:
-    """Topic, type and direction of every row of the node, for this leader and these arms."""
-    found = set()
-    for entry in topic_contract.load().entries:
-        for arm in ("PSM1", "ECM") if entry.node == "teleop" else ():
-            name = entry.name.replace("<leader>", "hand").replace("<arm>", arm)
-            found.add((name, entry.type, entry.direction))
-    return found
-
-
-def own_topics(graph: RosGraph) -> set[tuple[str, str, str]]:
-    """The same on the running graph, without the topics of others that the node uses."""
-    publications, subscriptions, _ = master.call(graph.uri, "getSystemState")
-    types = dict(master.call(graph.uri, "getTopicTypes"))
-    others = ("/PSM1/", "/ECM/", "/record/", "/sim/", "/rosout", "/clock", PICTURE)
-    found = set()
-    for table, way in ((publications, "out"), (subscriptions, "in")):
-        for topic, nodes in table:
-            if "/teleop" in nodes and not topic.startswith(others):
-                found.add((topic, types[topic], way))
-    return found
+def kill_the_pedals(graph: RosGraph, hand: CrtkHand) -> None:
+    """F03: a pedal node that is killed with its clutch up is noticed, and gone on without."""
+    hand.enable.publish(True)
+    graph.wait_for(lambda: hand.engaged("PSM1"), 10.0, "the instrument to follow again")
+    argv = [sys.executable, "-s", str(paths.ROOT / "tests" / "helpers" / "pedal_publisher.py")]
+    feet = graph.supervisor.start("/feet", argv)
+    topic = "/footpedals/clutch"
+    graph.wait_for(lambda: topic in master.publications(graph.uri), 20.0, "the pedals")
+    time.sleep(1.0)  # six repetitions make it a source that lives by them
+    graph.wait_for(lambda: hand.engaged("PSM1"), 10.0, "the instrument to follow on")
+    feet.process.kill()
+    killed = time.monotonic()
+    graph.wait_for(lambda: hand.states["PSM1"] == "WAITING", 5.0, "the silence of the pedals")
+    print(f"killed pedals noticed after {1e3 * (time.monotonic() - killed):.0f} ms")
+    graph.wait_for(
+        lambda: any("the buttons of /feet (/footpedals) are silent" in t for t in hand.warnings),
+        5.0,
+        "the warning",
+    )
+    assert hand.rests("PSM1")
+    assert hand.states["PSM1"] == "WAITING"
 
 
 def motion_file(folder: Path) -> Path:

@@ -17,9 +17,11 @@ from surg_cli import (
     master,
     paths,
     processes,
+    roles,
     running,
     system,
     testing,
+    up,
 )
 from surg_cli.processes import Supervisor
 from surg_cli.system import Plan
@@ -85,6 +87,50 @@ def test_rosrun_lines_name_node_and_params(tmp_path: Path) -> None:
     assert "_mode:=lockstep" in line
     assert "_participants:=operator" in line
     assert "_observers:=recorder,endoscope" in line
+
+
+def up_prints(words: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+    """What `./surg up` prints of the recorder with `--print`."""
+    parser = argparse.ArgumentParser()
+    up.add_arguments(parser, "up")
+    up.main(parser.parse_args([*words, "--print"]), "up")
+    (line,) = [text for text in capsys.readouterr().out.splitlines() if "recorder_node" in text]
+    return line
+
+
+def test_up_records_what_it_is_told_besides(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["sim_ur5e", "--record-topics", "/tf", "/PSM1/measured_*", "--record-topics", "/tf"]
+    line = up_prints([*words, "--record-cameras", "/scope/image_raw/compressed"], capsys)
+    assert "'_topics:=/tf,/PSM1/measured_*'" in line
+    assert "_cameras:=endoscope_left,/scope/image_raw/compressed" in line
+    assert "_topics" not in up_prints(["sim_ur5e"], capsys)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--record-topics", "tf"], r"--record-topics 'tf': a name or pattern that begins with /"),
+        (["--record-topics", "/a,/b"], r"--record-topics '/a,/b'"),
+        (["--record-cameras", "/eye/*"], r"--record-cameras '/eye/\*': a name that begins with /"),
+    ],
+)
+def test_what_is_no_topic_is_not_recorded(words: list[str], said: str) -> None:
+    parser = argparse.ArgumentParser()
+    up.add_arguments(parser, "up")
+    with pytest.raises(Problem, match=said) as caught:
+        up.main(parser.parse_args(["sim_ur5e", *words, "--print"]), "up")
+    assert caught.value.code == 2
+
+
+def test_only_the_robots_machine_records() -> None:
+    robot, operator = (
+        roles.Link(role, "10.0.0.2", "10.0.0.1", 11311)
+        for role in (roles.Role.ROBOT, roles.Role.OPERATOR)
+    )
+    assert up.recorded_too(["/tf"], ["/eye"], robot) == (("/tf",), ("/eye",))
+    assert up.recorded_too([], [], operator) == ((), ())
+    with pytest.raises(Problem, match="only the robot's machine records"):
+        up.recorded_too(["/tf"], [], operator)
 
 
 def test_an_unknown_cell_names_the_bundled_ones() -> None:

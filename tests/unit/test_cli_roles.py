@@ -6,14 +6,17 @@ import os
 import socket
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from helpers.surg import surg
-from surg_cli import network, roles
+from surg_cli import join, network, paths, roles
 from surg_cli.roles import Link, Role
+from surg_cli.system import Plan
 from surg_cli.terminal import Problem
+from surg_teleop.console.console_node import Settings
 
 MACHINES = {"robot": "192.168.77.1", "operator": "192.168.77.2"}
 HEADER = "Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT\n"
@@ -110,6 +113,52 @@ def test_an_address_of_another_machine_is_refused_with_what_there_is() -> None:
 def test_an_isolated_address_beside_another_network_is_taken() -> None:
     table = roles.routes(HEADER + ELSEWHERE + ISOLATED)
     roles.check_address("192.168.77.1", Role.ROBOT, True, [], table)
+
+
+def plan_of(cameras: tuple[str, ...] = ("left",)) -> Plan:
+    out = paths.RUNS / "x"
+    return Plan(paths.CELLS / "sim_two_arms", ("PSM1", "ECM"), False, cameras, out)
+
+
+def place_of(role: Role, **machines: str) -> Link:
+    return roles.link_of(cell(machines={**MACHINES, **machines}), role, 11311)
+
+
+def names_on(role: Role, leader: str = join.LEADER, **machines: str) -> set[str]:
+    return {node.name for node in join.nodes(plan_of(), place_of(role, **machines), leader)}
+
+
+def test_every_node_is_on_one_machine_of_the_cell() -> None:
+    scope = {"endoscope": "192.168.77.3"}
+    robot = {"/sim", "/PSM1/controller", "/ECM/controller", "/recorder"}
+    assert names_on(Role.ROBOT) == robot | {"/endoscope"}
+    assert names_on(Role.ROBOT, **scope) == robot
+    assert names_on(Role.ENDOSCOPE, **scope) == {"/endoscope"}
+    assert names_on(Role.OPERATOR) == {"/teleop"}
+    assert names_on(Role.OPERATOR, "browser") == {"/teleop", "/console"}
+
+
+def test_the_operators_page_is_served_on_the_operators_machine_alone() -> None:
+    hands, page = join.nodes(plan_of(), place_of(Role.OPERATOR), "browser")
+    assert hands.params["settings"] == {"name": "browser"} and hands.params["need_present"] is True
+    assert page.params["leader"] == "browser" and "bind" not in page.params
+    rules = Settings(dict(page.params)).access
+    assert (rules.bind, rules.port) == ("127.0.0.1", 8090)
+    (hands,) = join.nodes(plan_of(()), place_of(Role.OPERATOR), "gamepad")
+    assert hands.params["need_present"] is False and hands.params["picture"] == ""
+
+
+def test_a_clock_that_a_daemon_keeps_is_watched_on_every_machine(tmp_path: Path) -> None:
+    daemon = tmp_path / "ptp4l"
+    assert join.clock_monitor(Role.ROBOT, daemon) == []
+    daemon.touch()
+    found = [node for role in Role for node in join.clock_monitor(role, daemon)]
+    assert [node.name for node in found] == [
+        "/clock_sync_robot",
+        "/clock_sync_operator",
+        "/clock_sync_endoscope",
+    ]
+    assert all(node.params == {"socket": str(daemon)} and not node.essential for node in found)
 
 
 def test_foreign_ports_are_named() -> None:

@@ -30,10 +30,10 @@ from surg_teleop.console.session import (
     LATENESS,
     SILENCE,
     START_TIMEOUT,
-    Lateness,
     Phase,
     Session,
 )
+from surg_teleop.lateness import Lateness
 
 PERIOD = 0.02
 """[s] between two inputs of a page."""
@@ -530,3 +530,37 @@ def test_the_report_is_json_in_words(bench: Bench) -> None:
     bench.flush()
     said = report(bench.session, bench.robot, {}, bench.now)
     assert said["headline"] == "Held" and "tab was hidden" in said["sentence"]
+
+
+def test_the_camera_button_says_what_the_hand_holds(bench: Bench) -> None:
+    def said(scope: Follower) -> tuple[str, str]:
+        robot = replace(bench.robot, follower=Follower("CLUTCHED"), scope=scope)
+        found = report(bench.session, robot, {}, bench.now)
+        return found["headline"], found["sentence"]
+
+    bench.drive()
+    bench.run(0.2, camera=True)
+    assert Camera(True) in bench.orders and bench.session.phase is Phase.DRIVING
+    following = Follower("FOLLOWING", leader="browser", arm="ECM")
+    assert said(following) == (
+        "Endoscope",
+        "Your hand moves the endoscope (ECM); the instrument stays where it is.",
+    )
+    why = "ECM is PAUSED (operator); press enable"
+    waits = replace(following, state="WAITING", reason=why)
+    assert said(waits) == ("Waiting", "ECM is PAUSED (operator); press enable.")
+    assert said(Follower())[0] == "Clutched" and "No arm of this cell" in said(Follower())[1]
+    bench.run(0.2, camera=True, clutch=True)
+    assert said(replace(following, state="CLUTCHED"))[0] == "Clutched"
+    bench.run(0.2)
+    assert Camera(False) in bench.orders
+    assert report(bench.session, bench.robot, {}, bench.now)["headline"] == "Following"
+
+
+def test_a_second_hand_has_a_line_of_its_own(bench: Bench) -> None:
+    why = "gamepad is silent: is it connected and switched on? then press the clutch or enable"
+    second = Follower("WAITING", reason=why, leader="gamepad", arm="assistant")
+    found = report(bench.session, replace(bench.robot, helpers=(second,)), {}, bench.now)
+    assert found["helpers"] == [
+        {"name": "assistant (gamepad)", "state": "WAITING", "sentence": why}
+    ]

@@ -386,7 +386,9 @@ BROKEN: dict[str, tuple[Any, str]] = {
         "surg_episode/9",
     ),
     "the clock was set": (
-        lambda f: datasets_synthetic.edit(f, segments=[{"begin_ns": 1, "step_ns": 10**9}]),
+        lambda f: datasets_synthetic.edit(
+            f, mode="freerun", segments=[{"begin_ns": 1, "step_ns": 10**9}]
+        ),
         "the clock was set 1 times",
     ),
     "a camera in two parts": (two_parts, "endoscope_left has more than one video"),

@@ -1,7 +1,8 @@
-"""The real lerobot reads what we export: 0.3.3 the format 2.1, 0.4.4 the format 3.0.
+"""The programs that exports are for read them: lerobot 0.3.3 and 0.4.4, robomimic 0.3.0.
 
 Opt-in: `./surg test --tier oracle`. Each version has an environment of its own, made on first use
-(needs the internet): 1.6 GB each, some minutes.
+(needs the internet): 1.6 GB each, some minutes. With `--full` what they found is written to
+docs/results/readers.md.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from typing import Any
 import pytest
 
 from helpers import datasets_synthetic, lerobot_venv
+from helpers.dataset_results import READERS
 from helpers.datasets_synthetic import FRAME_NS
 from helpers.recording_synthetic import Synthetic
 from surg_recording import datasets
@@ -23,7 +25,7 @@ from surg_recording.datasets import ExportOptions
 
 pytestmark = pytest.mark.oracle
 
-READER = Path(__file__).parents[1] / "helpers" / "lerobot_reader.py"
+HELPERS = Path(__file__).parents[1] / "helpers"
 VERSIONS = {"0.3.3": "lerobot_v21", "0.4.4": "lerobot_v30"}
 IDENTITIES = [1, 2, 3]
 """Of the recordings, in the order of the dataset."""
@@ -35,19 +37,25 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return [datasets_synthetic.record(root / f"r{i}", i, 1.0 + 0.35 * i) for i in IDENTITIES]
 
 
-def read(version: str, out: Path, tmp_path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Facts and every frame, as the real lerobot gives them, in random order."""
+def run(version: str, script: str, *words: object, home: Path) -> list[dict[str, Any]]:
+    """What a script says in the environment of a version of lerobot, a JSON object per line."""
     python = lerobot_venv.python(version)
     env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
-    env.update(HF_HUB_OFFLINE="1", HF_HOME=str(tmp_path / "hf"), HF_DATASETS_OFFLINE="1")
-    argv = [str(python), str(READER), str(out), "100000", "1"]
+    env.update(HF_HUB_OFFLINE="1", HF_HOME=str(home / "hf"), HF_DATASETS_OFFLINE="1")
+    argv = [str(python), str(HELPERS / script), *map(str, words)]
     done = subprocess.run(argv, env=env, capture_output=True, text=True, timeout=1800, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
-    versions, facts, *frames = [
+    versions, *found = [
         json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")
     ]
-    assert versions["lerobot"] == version
     print(", ".join(f"{name} {value}" for name, value in versions.items()), file=sys.stderr)
+    return [versions, *found]
+
+
+def read(version: str, out: Path, tmp_path: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Facts and every frame, as the real lerobot gives them, in random order."""
+    versions, facts, *frames = run(version, "lerobot_reader.py", out, 100_000, 1, home=tmp_path)
+    assert versions["lerobot"] == version
     return facts, frames
 
 
@@ -83,10 +91,7 @@ def test_lerobot_gives_every_frame_right(
         what.seconds = 1.0 + 0.35 * IDENTITIES[frame["episode"]]
         expected = what.executed(frame["grid_ns"] * 1e-9)
         assert frame["state"][:3] == pytest.approx(list(expected), abs=1e-7)
-    print(
-        f"lerobot {version}: {len(frames)} frames, {2 * len(frames)} pictures, 0 misplaced",
-        file=sys.stderr,
-    )
+    READERS.note(f"lerobot {version}", len(frames), f"{2 * len(frames)} pictures, 0 misplaced")
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -102,4 +107,72 @@ def test_lerobot_sees_that_pictures_are_late(
     assert datasets.load(VERSIONS[version]).write(late, tmp_path / "set", options).ok
     _, frames = read(version, tmp_path / "set", tmp_path)
     assert misplaced(frames) == 2 * len(frames) > 0
-    print(f"lerobot {version}: shifted by a frame, all misplaced", file=sys.stderr)
+    told = f"{2 * len(frames)} of {2 * len(frames)} pictures misplaced"
+    READERS.note(f"lerobot {version}, all pictures stamped a frame late", len(frames), told)
+
+
+# --- robomimic ------------------------------------------------------------------------------------
+
+LENGTH = 5
+
+
+def sequences(folders: list[Path], tmp_path: Path) -> list[dict[str, Any]]:
+    """Every sequence of an export, as the real robomimic gives it."""
+    options = ExportOptions(executor="serial", splits={"train": 1.0})
+    out = tmp_path / "set"
+    assert datasets.load("robomimic").write(folders, out, options).ok
+    words = (out / "demos.hdf5", "train", LENGTH)
+    versions, *found = run("0.4.4", "robomimic_reader.py", *words, home=tmp_path)
+    assert versions["robomimic"] == "0.3.0"
+    assert found.pop()["batch"] == [4, LENGTH, 64, 96, 3]
+    return found
+
+
+def wrong_in(sequence: dict[str, Any], key: str, later: int) -> int:
+    """Pictures of a sequence that are not those of their time, or of ``later`` frames on.
+
+    The sequence is filled up with its recording's last frame, and so is ``next_obs``.
+    """
+    wrong = 0
+    grid = sequence["grid_ns"]
+    recording = sequence["obs"][0][0][0] if sequence["obs"][0][0] else None
+    for camera, shown in enumerate(sequence[key]):
+        for place, picture in enumerate(shown):
+            last = sequence["dones"][place]
+            frame = grid[place] // FRAME_NS + (0 if last else later)
+            wrong += picture != [recording, camera, frame]
+    return wrong
+
+
+def test_robomimic_gives_every_frame_right(recordings: list[Path], tmp_path: Path) -> None:
+    found = sequences(recordings, tmp_path)
+    what = Synthetic()
+    pictures = 0
+    for sequence in found:
+        recording = sequence["obs"][0][0][0]
+        what.seconds = 1.0 + 0.35 * recording
+        assert recording in IDENTITIES
+        assert wrong_in(sequence, "obs", 0) == wrong_in(sequence, "next", 1) == 0
+        steps = [b - a for a, b in zip(sequence["grid_ns"], sequence["grid_ns"][1:], strict=False)]
+        assert all(
+            step == FRAME_NS or done for step, done in zip(steps, sequence["dones"], strict=False)
+        )
+        for grid_ns, state in zip(sequence["grid_ns"], sequence["state"], strict=True):
+            assert state[:3] == pytest.approx(list(what.executed(grid_ns * 1e-9)), abs=1e-7)
+        pictures += 4 * LENGTH
+    grids = {(s["obs"][0][0][0], s["grid_ns"][0]) for s in found}
+    assert len(grids) == len(found), "every frame begins one sequence"
+    told = f"sequences of {LENGTH} frames with the next ones, {pictures} pictures, 0 misplaced"
+    READERS.note("robomimic 0.3.0", len(found), told)
+
+
+def test_robomimic_sees_that_pictures_are_late(recordings: list[Path], tmp_path: Path) -> None:
+    late = []
+    for number, folder in enumerate(recordings):
+        late.append(datasets_synthetic.copy(folder, tmp_path / f"late{number}", note="late"))
+        datasets_synthetic.shift_pictures(late[-1], FRAME_NS)
+    found = sequences(late, tmp_path)
+    wrong = sum(wrong_in(sequence, "obs", 0) for sequence in found)
+    assert wrong == 2 * LENGTH * len(found) > 0
+    told = f"{wrong} of {wrong} pictures misplaced"
+    READERS.note("robomimic 0.3.0, all pictures stamped a frame late", len(found), told)

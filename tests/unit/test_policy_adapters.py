@@ -1,7 +1,11 @@
 """Policies of other projects: what they are asked, what becomes of their answers."""
 
 import io
+import json
+import os
+import subprocess
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,7 +14,9 @@ import numpy as np
 import pytest
 import zmq
 
+from helpers import lerobot_venv
 from helpers.policy_server import spec
+from surg_cli import paths
 from surg_policy_client import BadAction, NoServer, Observation
 from surg_policy_client.adapters.gr00t import Gr00tPolicy
 from surg_policy_client.adapters.openpi import OpenPiPolicy
@@ -90,3 +96,40 @@ def test_gr00t_is_asked_over_its_socket_and_a_lost_answer_is_no_end() -> None:
     assert state.tolist() == [list(range(9))]
     server.close(0)
     context.destroy(0)
+
+
+# What lerobot's policies import and reading its datasets does not need.
+POLICIES = (
+    *("pyzmq", "msgpack", "diffusers", "importlib_metadata", "zipp", "regex", "pyserial"),
+    *("gymnasium<2", "farama-notifications", "cloudpickle"),
+)
+
+
+@pytest.mark.oracle
+def test_a_lerobot_checkpoint_answers_as_lerobot_itself(tmp_path: Path) -> None:
+    python = lerobot_venv.python("0.4.4")
+    beside = paths.ROOT / ".venv-oracle-lerobot-policies"
+    stamp = beside / ".complete"
+    if not stamp.exists():
+        pip = [str(python), "-m", "pip", "install", "-q", "--no-deps", "--target", str(beside)]
+        done = subprocess.run([*pip, *POLICIES], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            pytest.skip(f"missing: {', '.join(POLICIES)}: {done.stderr.strip()[-300:]}")
+        stamp.touch()
+    client = paths.ROOT / "src" / "surg_policy_bridge" / "client" / "src"
+    env = {**os.environ, "PYTHONPATH": f"{client}:{beside}", "HF_HUB_OFFLINE": "1"}
+    program = Path(__file__).parents[1] / "helpers" / "lerobot_policy.py"
+    done = subprocess.run(
+        [str(python), str(program), str(tmp_path / "checkpoint")],
+        capture_output=True,
+        text=True,
+        timeout=600,
+        env=env,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    told = json.loads(done.stdout.splitlines()[-1])
+    print(told)
+    assert (told["lerobot"], told["shape"], told["refused"]) == ("0.4.4", [20, 5], [])
+    assert told["wants"] == [STATE, LEFT]
+    assert told["worst"] <= 1e-5 < told["spread"]

@@ -25,6 +25,7 @@ from surg_policy_client import (
     keys,
     serve,
 )
+from surg_policy_client.link import Link
 from surg_policy_client.wire import Message
 
 STATE = "observation.state"
@@ -252,6 +253,32 @@ def test_a_lost_server_is_found_again(how: str, tmp_path: Path) -> None:
     assert [o.step for o in policy.seen] == [3, 4]
 
 
+def test_the_hint_follows_the_connection() -> None:
+    server = PolicyServer()
+    link = Link(server.address)
+    try:
+        assert link.wait_for_welcome(10.0)
+        server.close()
+        until = time.monotonic() + 20.0
+        while "nobody listens" not in link.hint() and time.monotonic() < until:
+            time.sleep(0.02)
+        assert "nobody listens" in link.hint()
+    finally:
+        link.close()
+
+
+def test_a_connection_that_breaks_inside_is_no_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(self: Link, wire: Any) -> None:
+        raise OSError("no buffer space")
+
+    with PolicyServer() as server:
+        client = Client(Policy(), server.address)
+        server.wait("PING")
+        monkeypatch.setattr(Link, "_listen", broken)
+        with pytest.raises(OSError, match="no buffer space"):
+            client.end()
+
+
 def test_a_spec_that_does_not_fit_names_both_sides() -> None:
     with PolicyServer() as server:
         client = Client(Policy(), server.address, wants=Spec(task="pick_and_place"))
@@ -332,6 +359,20 @@ def test_keys_that_do_not_fit_are_told_apart(
         assert server.heard == []
 
 
+def test_a_server_that_gets_the_right_keys_is_found(tmp_path: Path) -> None:
+    """A handshake that failed is not the end: the client tries again by itself."""
+    keys.make(tmp_path)
+    address = f"ipc://{tmp_path / 'wire'}"
+    with PolicyServer(address=address, keys=tmp_path):
+        client = Client(Policy(), address, episodes=1)
+        time.sleep(0.2)
+        assert client.is_alive()
+    with PolicyServer(address=address) as server:
+        server.wait("PING")
+        server.episode(0, "end")
+        client.end()
+
+
 # --- as an environment ----------------------------------------------------------------------------
 
 
@@ -373,7 +414,7 @@ def test_an_environment_that_is_refused_says_so() -> None:
 
 def test_an_environment_without_episodes_gives_up_in_time() -> None:
     began_none = pytest.raises(NoServer, match="began no episode within")
-    with PolicyServer() as server, RemoteEnv(server.address, timeout_s=0.3) as env, began_none:
+    with PolicyServer() as server, RemoteEnv(server.address, timeout_s=0.2) as env, began_none:
         env.reset()
 
 

@@ -39,6 +39,19 @@ def test_it_greets_until_somebody_answers() -> None:
     assert talk.tick(10.0)[0].head["versions"] == [1, 1]
 
 
+def test_it_greets_at_once_when_somebody_can_hear() -> None:
+    talk = Conversation(ADDRESS, hello())
+    assert talk.tick(0.0)
+    assert not talk.tick(0.01)
+    talk.reached()
+    assert [m.kind for m in talk.tick(0.01)] == ["HELLO"]
+    assert not talk.tick(0.02)
+    talk.take(welcome(), 0.02)
+    talk.reached()  # of no meaning once a session stands
+    assert [m.kind for m in talk.tick(0.02)] == ["PING"]
+    assert not talk.tick(0.03)
+
+
 def test_it_pings_every_50_ms_and_never_in_a_salvo() -> None:
     talk = live()
     pings = []
@@ -73,6 +86,10 @@ def test_a_session_that_ended_is_followed_by_another(word: str) -> None:
     )
     talk.take(message, 0.1)
     assert (talk.state, talk.generation) == (State.GREETING, 1)
+    talk.reached()
+    assert bool(talk.tick(0.1)) == (
+        word == "session"
+    )  # who says goodbye is left in peace for a bit
     assert [m.kind for m in talk.tick(0.1 + HELLO_S)] == ["HELLO"]
 
 

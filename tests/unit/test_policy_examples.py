@@ -1,6 +1,9 @@
 """The example policies and `./surg keys`: what they do, what they say when given nonsense."""
 
+import ast
+import importlib
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,7 +14,7 @@ import pytest
 
 from helpers.policy_server import ACTION, STATE, PolicyServer, spec
 from surg_cli import __main__ as cli
-from surg_cli import keys
+from surg_cli import keys, paths
 from surg_cli.terminal import Problem
 from surg_policy_client import Observation
 from surg_policy_client.keys import server_keys
@@ -158,6 +161,21 @@ def test_a_program_without_a_server_ends_with_what_to_do() -> None:
     assert process.returncode == 1
     assert "nobody listens there" in err
     assert "Traceback" not in out + err
+
+
+@pytest.mark.parametrize(
+    "page", ["docs/policy_client.md", "src/surg_policy_bridge/client/README.md"]
+)
+def test_the_code_on_a_page_is_python_3_8_and_uses_what_there_is(page: str) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", (paths.ROOT / page).read_text("utf-8"), re.DOTALL)
+    used = 0
+    for block in blocks:
+        for node in ast.walk(ast.parse(block, feature_version=(3, 8))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("surg_"):
+                module = importlib.import_module(node.module or "")
+                assert all(hasattr(module, alias.name) for alias in node.names), ast.dump(node)
+                used += 1
+    assert used >= 1
 
 
 # --- ./surg keys ----------------------------------------------------------------------------------

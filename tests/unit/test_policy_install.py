@@ -95,14 +95,15 @@ def copied(folder: Path) -> Path:
 
 def test_it_installs_into_an_environment_of_the_systems_python(tmp_path: Path) -> None:
     venv = tmp_path / "venv"
-    argv = [str(paths.SYSTEM_PYTHON), "-m", "venv", "--system-site-packages", str(venv)]
-    subprocess.run(argv, check=True, timeout=120, capture_output=True)
+    argv = [str(paths.SYSTEM_PYTHON), "-m", "venv", "--system-site-packages", "--without-pip"]
+    subprocess.run([*argv, str(venv)], check=True, timeout=120, capture_output=True)
     python = venv / "bin" / "python"
     # The three dependencies are the system's; what is tested is that the package is complete.
-    install = ["-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-build-isolation"]
+    install = [str(paths.SYSTEM_PYTHON), "-m", "pip", "--python", str(python), "install", "-q"]
+    install += ["--no-deps", "--no-index", "--no-build-isolation"]
     env = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
     subprocess.run(
-        [str(python), *install, str(copied(tmp_path))],
+        [*install, str(copied(tmp_path))],
         check=True,
         timeout=120,
         capture_output=True,

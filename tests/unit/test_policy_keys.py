@@ -54,6 +54,23 @@ def test_a_second_policy_joins_and_nothing_is_overwritten(tmp_path: Path) -> Non
     assert {path: path.read_bytes() for path in first} == first
 
 
+@pytest.mark.parametrize("half", ["server.key", "server.key_secret"])
+def test_half_of_a_pair_is_not_made_up_for(half: str, tmp_path: Path) -> None:
+    keys.make(tmp_path)
+    (tmp_path / "server" / half).unlink()
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(BadKeys, match="one half"):
+        keys.make(tmp_path, "laboratory")
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_file_that_came_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "x.key").write_text("somebody's")
+    with pytest.raises(BadKeys, match="nothing is overwritten"):
+        keys._write(tmp_path / "x.key", b"0" * 40)
+    assert (tmp_path / "x.key").read_text() == "somebody's"
+
+
 @pytest.mark.parametrize("name", ["server", "", "../x", "a/b", ".hidden", "x" * 65])
 def test_bad_names_are_refused(name: str, tmp_path: Path) -> None:
     with pytest.raises(BadKeys, match="a name of letters"):

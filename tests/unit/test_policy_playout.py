@@ -10,6 +10,7 @@ import pytest
 
 import surg_core
 from helpers.policy_bench import ARM, HOME, Bench, cell
+from helpers.policy_results import note
 from surg_core import Motion, MotionCommand
 from surg_policy_bridge.arm import PERIOD, SECOND, TICK, ArmCommand, Target
 from surg_policy_bridge.free_run import FreeRun
@@ -125,7 +126,7 @@ def test_a_stream_of_steps_overshoots_and_the_way_between_them_does_not() -> Non
     """60 mm in 0.9 s: the peak is 0.125 m/s, as the expert's hand."""
     rows = minimum_jerk(0.06, 0.9)
     found = {way: 1e3 * overshoot(rows, way) for way in ("steps", "one step", "chunk")}
-    print({way: f"{value:.3f} mm" for way, value in found.items()})
+    note(4, 1, f"{found['steps']:.2f} mm; {max(found['one step'], found['chunk']):.3f} mm")
     assert found["chunk"] < 0.5 * found["steps"]
     assert found["one step"] < found["steps"]
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.policy_bench import ARM, HOME, Bench, arm_limits, cell
+from helpers.policy_results import note
 from surg_policy_bridge.arm import PERIOD, SECOND, ArmState, ArmView, Target
 from surg_policy_bridge.observer import CameraWatch, Observer
 from surg_policy_bridge.safety import CLIPPABLE, RULES, ArmSafety, SafetyController
@@ -77,7 +78,7 @@ def test_every_verdict_against_an_oracle(full: bool) -> None:
                 assert verdict.target is None, target
                 assert verdict.broken[0].rule in RULES and ARM in verdict.broken[0].text
                 refused += 1  # and the same moment is tried again
-    print(f"{taken} taken, {refused} refused")
+    note(0, taken + refused, f"{taken} taken, {refused} refused, each as the oracle says")
     assert min(taken, refused) > 300
 
 
@@ -180,7 +181,7 @@ def test_the_expert_is_never_refused(full: bool) -> None:
     """Every action that the scripted senders take, as a policy's."""
     from surg_sim.env import SurgEnv
 
-    judged, most = 0, 10_000 if full else 60
+    judged, most = 0, 10_000 if full else 30
     for task in ("bgr", "pick-and-place") if full else ("bgr",):
         env = SurgEnv(task)
         for seed in range(10_000, 10_005) if full else (10_000,):
@@ -200,8 +201,8 @@ def test_the_expert_is_never_refused(full: bool) -> None:
                 _, _, terminated, truncated, _ = env.step(action)
                 done = terminated or truncated or judged >= most
         env.close()
-    print(f"{judged} actions")
-    assert judged >= 60
+    note(1, judged, "none")
+    assert judged >= 30
 
 
 # --- pictures -------------------------------------------------------------------------------------
@@ -238,6 +239,8 @@ def test_f08_a_drawn_picture_may_repeat_itself_while_nothing_moves() -> None:
     assert watch.problem(now, rest + 0.9e-3) == ""
     assert "same picture" in watch.problem(now, rest + 1.1e-3)
     assert "sends nothing" in watch.problem(now + 3 * PERIOD + 1, rest)
+    watch.settle()  # homing gives the arms another frame: that was no motion
+    assert watch.problem(now, rest + 0.12) == ""
 
 
 def test_f08_a_blind_camera_pauses_the_policy_and_nothing_is_observed() -> None:
@@ -263,10 +266,12 @@ def test_observations_belong_together() -> None:
     exact.put("b", 50, np.ones(1))
     seen = exact.take(1, 50)
     assert seen is not None and seen.arrays["b"] == 1.0
+    assert exact.take(1, 50, ()) is not None, "nobody looks at anything"
     loose = Observer(["a", "b"], 3 * PERIOD)
     loose.put("a", 10 * PERIOD, np.zeros(1))
     loose.put("b", 7 * PERIOD, np.ones(1))
-    assert loose.take(1, 10 * PERIOD) is not None
+    seen = loose.take(1, 10 * PERIOD)
+    assert seen is not None and seen.behind == 3 * PERIOD
     loose.put("a", 10 * PERIOD + 1, np.zeros(1))
     assert "b is 150 ms behind" in loose.missing(10 * PERIOD + 1)
     loose.put("a", 9 * PERIOD, np.full(1, 5.0))

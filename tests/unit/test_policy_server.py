@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from helpers.policy_bench import ARM, HOME, MS, Bench, spec
+from helpers.policy_results import note
 from surg_policy_bridge.arm import PERIOD, SECOND, ArmState
 from surg_policy_bridge.chunk_queue import LONGEST, ChunkQueue
 from surg_policy_bridge.sessions import BURST, PEERS, RATE, Flow
@@ -143,7 +144,7 @@ def test_the_queue_against_a_slow_book(rng: random.Random, full: bool) -> None:
             assert late == sum(first + i <= now for i in range(len(rows)))
             said.append((first, rows, now + 1))
             chunks += 1
-    print(f"{chunks} chunks")
+    note(2, chunks, "the same steps, the same number of late ones")
 
 
 def test_the_queue_is_bounded() -> None:
@@ -267,6 +268,19 @@ def test_f05_without_a_step_for_two_seconds_the_arm_is_paused(bench: Bench) -> N
     assert "no action" in bench.server.reason and bench.server.counters.empty == 42
     bench.tick()
     assert bench.arm.view.state is ArmState.PAUSED
+
+
+def test_f05_without_an_observation_the_source_is_named(bench: Bench) -> None:
+    bench.start()
+    bench.period([bench.here()])
+    while bench.server.state.value == "RUNNING":
+        bench.ping()
+        bench.tick()
+        bench.server.observe_nothing("endoscope is 400 ms behind the arms' state")
+        bench.execute()
+        bench.now += PERIOD
+        bench.step += 1
+    assert "endoscope is 400 ms behind" in bench.server.reason
 
 
 def test_f05_an_answer_that_is_too_old_when_it_comes_is_counted(bench: Bench) -> None:

@@ -11,8 +11,8 @@ import pytest
 import zmq
 
 from helpers import policy_messages
-from helpers.policy_results import note
 from helpers.policy_server import spec
+from helpers.policy_wire_results import note
 from surg_cli import paths
 from surg_policy_client import wire
 from surg_policy_client.wire import KINDS, Message, WireError, decode, encode
@@ -152,6 +152,9 @@ REFUSED: dict[str, tuple[str, list[bytes]]] = {
     "a time stamp": ("header", ping(n=msgpack.Timestamp(1, 1))),
     "a list that claims to be long": ("header", [wire.MAGIC + b"\x06\xdd\xff\xff\xff\xff"]),
     "a map that claims to be long": ("header", [wire.MAGIC + b"\x06\xdf\xff\xff\xff\xff"]),
+    "a list over the limit": ("header", ping(n=[1] * 1025)),
+    "a map over the limit": ("header", ping(n={str(i): 1 for i in range(257)})),
+    "a text over the limit": ("header", ping(n="x" * 65537)),
     "a depth bomb of lists": ("header", [wire.MAGIC + b"\x06" + b"\x91" * 100_000]),
     "a depth bomb of maps": ("header", [wire.MAGIC + b"\x06" + b"\x81\xa1x" * 300_000]),
     "a header over the limit": ("size", [wire.MAGIC + b"\x06" + b"\0" * wire.MAX_HEADER]),
@@ -225,7 +228,7 @@ def test_every_way_to_be_wrong_has_its_reason() -> None:
     reasons = {code for code, _ in REFUSED.values()}
     text = f"{len(reasons)} reasons: {', '.join(sorted(reasons))}"
     note("kinds of wrong messages, each refused for its own reason", len(REFUSED), text)
-    assert len(reasons) == 11
+    assert len(reasons) == 12
 
 
 def test_nothing_is_set_aside_for_what_a_header_claims() -> None:

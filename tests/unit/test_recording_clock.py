@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import random
+import threading
+import time
+from collections import deque
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -69,6 +73,28 @@ def test_f09_a_clock_that_is_slewed_for_an_hour_does_not_step(clocks: Clocks) ->
     assert steps == []
 
 
+def test_f09_nobody_gets_a_time_behind_a_step_before_it_is_told(clocks: Clocks) -> None:
+    """Else rows behind the step would be counted as before it."""
+    told = threading.Event()
+    early: list[bool] = []
+
+    def reader() -> None:
+        clock.now_ns()
+        early.append(not told.is_set())
+
+    def on_step(step: int, wall: int) -> None:
+        thread.start()
+        time.sleep(0.1)
+        told.set()
+
+    clock = SteppedClock(on_step, clocks.wall, clocks.steady)
+    thread = threading.Thread(target=reader)
+    clocks.offset_ns += HOUR
+    clock.now_ns()
+    thread.join()
+    assert early == [False]
+
+
 def test_f09_being_preempted_between_the_readings_is_no_step(
     clocks: Clocks, rng: random.Random
 ) -> None:
@@ -107,6 +133,33 @@ def test_f09_a_step_begins_a_segment_and_future_stamps_are_counted(tmp_path: Pat
     assert list(events["topic"]) == ["clock_step"]
     assert any("-3600.000 s" in text for text in recorded.warnings)
     assert any("10 stamps" in text for text in recorded.warnings)
+
+
+def test_f09_rows_before_a_step_are_counted_while_others_are_written(tmp_path: Path) -> None:
+    """The step is noticed in the middle of the writer's work: a row is in its queue and counted."""
+    recording = Recording(
+        tmp_path / "e", mode="freerun", arms=["PSM1"], cameras=[], manifest={}, min_free_bytes=0
+    )
+    steps: list[int] = []
+
+    class Watched(deque[Any]):
+        def popleft(self) -> Any:
+            steps.append(len(steps))
+            recording.clock_stepped(HOUR, 1)
+            return super().popleft()
+
+    what = synthetic.Synthetic()
+    recording.cycle("PSM1", synthetic.cycle(what, 1, 0), 1)
+    table = recording._tables["cycle_PSM1"]
+    while table.backlog:
+        time.sleep(0.001)
+    table._queue = Watched()
+    for tick in range(2, 9):
+        recording.cycle("PSM1", synthetic.cycle(what, tick, 0), tick)
+    recorded = episode.read(recording.close({}))
+    assert len(steps) == 7
+    assert recorded.segments[-1]["rows"]["cycle_PSM1"] == 8
+    assert {s["rows"]["cycle_PSM1"] for s in recorded.segments} <= set(range(2, 9))
 
 
 def test_f09_stamps_of_the_simulator_are_of_no_future(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ import pytest
 
 from helpers import recording_synthetic as synthetic
 from helpers.recording_results import note
-from surg_recording import episode, finishing, mp4_boxes, recovery, video_file
+from surg_recording import clock_segments, episode, finishing, mp4_boxes, recovery, video_file
 from surg_recording.episode_writer import LOCK, EpisodeWriter
 from surg_recording.errors import EpisodeError
 from surg_recording.video_sink import VideoSink
@@ -146,6 +146,18 @@ def test_what_is_recovered_says_so_and_keeps_what_it_was_told(tmp_path: Path, vi
     assert recorded.tags == [{"stamp_ns": 5, "text": "oops", "by": "/c"}]
     (numbers,) = recorded.topic("/n")
     assert numbers["data"].tolist() == [7]
+
+
+def test_f09_a_step_of_the_clock_is_known_after_a_kill(tmp_path: Path, video: Path) -> None:
+    """But not which rows came before it: such a recording is not exported."""
+    folder = unfinished(tmp_path / "e", video)
+    with open(folder / "events.csv", "w") as file:
+        file.write("stamp_ns,receive_ns,topic,source,text\n")
+        file.write("9,9,clock_step,,the wall clock stepped by -20000000 ns\n")
+    recorded = episode.read(recovery.recover_one(folder))
+    assert recorded.segments == [{"begin_ns": 9, "step_ns": -20_000_000}]
+    with pytest.raises(EpisodeError, match="not known which rows lie on which side"):
+        clock_segments.longest({**recorded.manifest, "mode": "freerun"})
 
 
 def test_a_recovery_that_is_killed_can_be_repeated(tmp_path: Path, video: Path) -> None:

@@ -5,22 +5,25 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scipy.spatial.transform import Rotation
 
 import surg_core
 from helpers.gate_arm import TICK, GateArm
 from helpers.hand import JAW, WORKSPACE, Hand, settings
 from surg_cli import paths
+from surg_teleop import camera_file
 from surg_teleop import leader as leaders
 from surg_teleop.arm import ArmState, Commands, tip_pose, virtual_joints
 from surg_teleop.camera import held_camera
 from surg_teleop.handle import Handle
 from surg_teleop.jaw import MET, SLOW, JawGhost
+from surg_teleop.lateness import Arrivals
 from surg_teleop.leader import HandlePose, LeaderError
 from surg_teleop.leaders.crtk import CrtkLeader
 from surg_teleop.leaders.motion import MotionLeader
 from surg_teleop.picture import PictureWatch
-from surg_teleop.seat import Pedals, Seat
+from surg_teleop.seat import PEDAL_SILENCE, Pedals, Seat
 from surg_teleop.system import read_system
 from surg_teleop.teleop import CameraView, State, Teleop
 from surg_teleop.virtual_arm import VirtualArm
@@ -248,18 +251,56 @@ def test_a_measured_camera_replaces_the_drawing(tmp_path: Path) -> None:
     folder = tmp_path / "cells/sim_two_arms"
     file = folder / "calibration/camera_ECM.yaml"
     drawn = held_camera(surg_core.load_cell(folder))
-    file.write_text("format: surg_camera/1\nquaternion: [0.0, 0.0, 0.6, 0.8]\n")
+    file.write_text(yaml.safe_dump(CAMERA))
     measured = held_camera(surg_core.load_cell(folder))
     assert not np.allclose(measured.R_FV, drawn.R_FV)
     assert pytest.approx(Rotation.from_quat([0, 0, 0.6, 0.8]).as_matrix()) == measured.R_FV
-    for text, words in (
-        ("format: surg_camera/2\nquaternion: [0, 0, 0, 1]\n", "allowed: surg_camera/1"),
-        ("format: surg_camera/1\nquaternion: [0, 0, 0, 2]\n", "is not of unit length"),
-        ("format: surg_camera/1\n", "quaternion: None"),
-    ):
-        file.write_text(text)
-        with pytest.raises(surg_core.ConfigError, match=words):
-            held_camera(surg_core.load_cell(folder))
+    file.write_text(yaml.safe_dump({**CAMERA, "n": 2}))
+    with pytest.raises(surg_core.ConfigError, match=r"camera_ECM.yaml: n: 2; allowed: number of"):
+        held_camera(surg_core.load_cell(folder))
+
+
+CAMERA = {
+    "format": "surg_camera/1",
+    "quaternion": [0.0, 0.0, 0.6, 0.8],
+    "residual": 0.004,
+    "n": 15,
+    "date": "2026-11-21",
+}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"format": "surg_camera/2"}, "format: 'surg_camera/2'; allowed: surg_camera/1"),
+        ({"quaternion": [0, 0, 0, 2]}, "quaternion: .* is not of unit length"),
+        ({"quaternion": [0, 0, 1]}, "quaternion: .* is not of unit length"),
+        ({"quaternion": "up"}, "quaternion: 'up' is not of unit length"),
+        ({"quaternion": [math.nan, 0, 0, 1]}, "quaternion: .* is not of unit length"),
+        ({"residual": 0.06}, "residual: 0.06; allowed: 0 to 0.05"),
+        ({"residual": -1e-9}, "residual: -1e-09; allowed"),
+        ({"residual": math.nan}, "residual: nan; allowed"),
+        ({"residual": True}, "residual: True; allowed"),
+        ({"n": 2}, "n: 2; allowed: number of views, 3 or more"),
+        ({"n": 12.5}, "n: 12.5; allowed"),
+        ({"n": math.nan}, "n: nan; allowed"),
+        ({"n": True}, "n: True; allowed"),
+        ({"date": "yesterday"}, "date: 'yesterday'; allowed: day of the measurement"),
+        ({"date": 20261121.5}, "date: '20261121.5'; allowed"),
+        ({"residuals": 0.0}, "residuals: unknown; allowed: format, quaternion, residual, n, date"),
+        *(({key: None}, f"camera.yaml: {key}: is missing; allowed") for key in CAMERA),
+    ],
+)
+def test_a_camera_without_evidence_is_refused(change: dict[str, object], words: str) -> None:
+    values = {k: v for k, v in {**CAMERA, **change}.items() if v is not None}
+    with pytest.raises(surg_core.ConfigError, match=words):
+        camera_file.parse(values, "camera.yaml")
+
+
+def test_a_measured_camera_says_how_good_it_is() -> None:
+    found = camera_file.parse(CAMERA, "camera.yaml")
+    assert (found.residual, found.n, found.date.isoformat()) == (0.004, 15, "2026-11-21")
+    assert pytest.approx(Rotation.from_quat([0, 0, 0.6, 0.8]).as_matrix()) == found.R_FV
 
 
 def test_a_moving_endoscope_is_applied_exactly_once() -> None:
@@ -306,7 +347,7 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
         for _ in range(n):
             now = psm.tick * TICK
             hand.move(np.array([step, 0.0, 0.0]))
-            sample = pedals.merge(hand.sample(now))
+            sample = pedals.merge(hand.sample(now), now)
             views = {"PSM1": psm.view(), "ECM": ecm.view()}
             outputs = seat.tick(now, sample, views, CameraView(np.eye(3)))
             psm.step(outputs["PSM1"].commands)
@@ -314,17 +355,183 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
         return {arm: out.state for arm, out in outputs.items()}
 
     assert run(10, 1e-4) == {"PSM1": State.FOLLOWING, "ECM": State.CLUTCHED}
-    pedals.press("/console", "camera", True)
-    pedals.press("/footpedals", "camera", True)
+    pedals.press("/console", "camera", True, psm.tick * TICK)
+    pedals.press("/footpedals", "camera", True, psm.tick * TICK)
     p_psm, p_ecm = psm.p, ecm.p
     assert run(100, 1e-4) == {"PSM1": State.CLUTCHED, "ECM": State.FOLLOWING}
     assert np.linalg.norm(psm.p - p_psm) < 1e-3
     assert (ecm.p - p_ecm)[0] == pytest.approx(0.01, abs=5e-4)
-    pedals.press("/console", "camera", False)
+    pedals.press("/console", "camera", False, psm.tick * TICK)
     assert run(10, 0.0)["ECM"] is State.FOLLOWING  # the other foot is still down
-    pedals.press("/footpedals", "camera", False)
+    pedals.press("/footpedals", "camera", False, psm.tick * TICK)
     assert run(100, 0.0) == {"PSM1": State.FOLLOWING, "ECM": State.CLUTCHED}
     assert psm.refusals == ecm.refusals == []
+
+
+class Floor:
+    """A pedal node that repeats what is down 20 times a second, before a hand on an arm."""
+
+    def __init__(self) -> None:
+        self.hand, self.arm, self.pedals = Hand(), GateArm(), Pedals()
+        self.teleop = Teleop(settings(), scale=1.0)
+        self.down, self.speaks, self.sent = False, True, 0
+
+    def run(self, ticks: int) -> State:
+        """Moves the hand on for so many ticks; the state at the end."""
+        for _ in range(ticks):
+            now = self.arm.tick * TICK
+            if self.speaks and self.arm.tick % 25 == 0:
+                self.pedals.press("/pedals", "clutch", self.down, now)
+            self.hand.move(np.array([1e-4, 0.0, 0.0]))
+            sample = self.pedals.merge(self.hand.sample(now), now)
+            self.out = self.teleop.tick(now, sample, self.arm.view(), CameraView(np.eye(3)))
+            self.sent += self.out.commands.servo_cp is not None
+            self.arm.step(self.out.commands)
+        return self.out.state
+
+    def ticks_to(self, state: State, at_most: int = 2000) -> int:
+        return next(i + 1 for i in range(at_most) if self.run(1) is state)
+
+
+def test_f03_pedals_that_are_killed_hold_the_arm_within_their_limit() -> None:
+    floor = Floor()
+    floor.teleop.enable()
+    assert floor.run(500) is State.FOLLOWING
+    floor.speaks = False  # kill -9 with the clutch up
+    last = (floor.arm.tick - 1) // 25 * 25
+    floor.ticks_to(State.WAITING)
+    # The first tick later than the limit after the last word.
+    assert floor.arm.tick - 1 - last == round(PEDAL_SILENCE / TICK) + 1
+    assert "the buttons of /pedals are silent" in floor.out.message
+    rest, sent = floor.arm.p, floor.sent
+    assert floor.run(1000) is State.WAITING
+    assert floor.sent == sent and np.linalg.norm(floor.arm.p - rest) < 1e-3
+    # They are back, with the clutch let go meanwhile: that is no act.
+    floor.speaks = True
+    assert floor.run(1000) is State.WAITING and floor.sent == sent
+    assert "press and release the clutch, or press enable" in floor.out.message
+    floor.down = True
+    floor.ticks_to(State.CLUTCHED)
+    floor.down = False
+    floor.ticks_to(State.FOLLOWING)
+    assert floor.arm.refusals == []
+
+
+def test_f03_pedals_killed_with_the_clutch_down_engage_nothing_when_they_come_back_up() -> None:
+    floor = Floor()
+    floor.teleop.enable()
+    floor.run(500)
+    floor.down = True
+    floor.ticks_to(State.CLUTCHED)
+    floor.run(200)
+    floor.speaks = False
+    floor.ticks_to(State.WAITING)
+    floor.down, floor.speaks = False, True
+    assert floor.run(1000) is State.WAITING
+
+
+def test_enable_goes_on_without_pedals_that_are_silent() -> None:
+    floor = Floor()
+    floor.down = True
+    floor.run(500)
+    floor.speaks = False
+    floor.run(500)
+    floor.pedals.forget(floor.arm.tick * TICK)
+    floor.teleop.enable()
+    assert floor.run(500) is State.FOLLOWING  # what they held down is up
+    floor.speaks = True
+    floor.ticks_to(State.CLUTCHED)  # their foot is on it again
+
+
+def test_a_pedal_that_speaks_on_change_alone_is_not_watched() -> None:
+    pedals, hand = Pedals(), Hand()
+    for k in range(4):  # a change, and the same again three times, as a driver may do
+        pedals.press("/dvrk", "clutch", True, 0.1 * k)
+    pedals.press("/dvrk", "clutch", False, 5.0)
+    assert pedals.problem(60.0) == ""
+    assert pedals.merge(hand.sample(60.0), 60.0).problem == ""
+
+
+# --- what a network holds up
+
+
+def test_f03_messages_that_a_stall_held_up_are_as_old_as_they_are() -> None:
+    """Random networks with stalls; the true time of arrival without the stall is the oracle."""
+    worst, stalled = 0.0, 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        offset = rng.uniform(-1e6, 1e6)  # between the clocks
+        delay, period = rng.uniform(0.0, 0.2), rng.choice([0.002, 0.033])
+        arrivals, free, sent = Arrivals(), 0.0, 0.0
+        stall = (rng.uniform(1.0, 3.0), rng.uniform(0.1, 1.5))
+        for _ in range(int(5.0 / period)):
+            sent += period
+            way = delay + rng.uniform(0.0, 0.01)
+            held = stall[0] < sent + way < sum(stall)
+            came = max(sum(stall) if held else sent + way, free)
+            free = came
+            found = arrivals.of(sent + offset, came)
+            stalled += held
+            assert found <= came
+            worst = max(worst, abs(found - (sent + way)) if sent > 0.5 else 0.0)
+    print(f"{stalled} messages held up; their age found within {1e3 * worst:.1f} ms")
+    assert stalled > 10_000 and worst < 0.011  # the jitter of the way
+
+
+def test_f09_no_clock_that_is_set_makes_a_message_late() -> None:
+    for step in (-3600.0, -1.0, -0.2, 0.2, 1.0, 3600.0):
+        arrivals = Arrivals()
+        for k in range(2000):
+            now = 0.01 * k
+            stamp = 1e9 + now + (step if k >= 1000 else 0.0)
+            assert arrivals.of(stamp, now) == pytest.approx(now, abs=1e-6)
+
+
+def test_f09_a_stamp_that_stands_still_makes_no_message_late() -> None:
+    arrivals = Arrivals()  # a link that is lost: its controller goes on with the last state
+    assert {arrivals.of(7.0, 0.002 * k) - 0.002 * k for k in range(3000)} == {0.0}
+
+
+def test_a_way_that_stays_longer_is_taken_as_it_is() -> None:
+    arrivals = Arrivals()
+    ages = []
+    for k in range(1000):
+        sent = 0.01 * k
+        came = sent + (0.3 if k >= 300 else 0.0)
+        ages.append(came - arrivals.of(sent, came))
+    assert max(ages[:300]) == 0.0
+    assert min(ages[300:450]) == pytest.approx(0.3)
+    assert max(ages[300 + int(2 * Arrivals.WINDOW / 0.01) + 1 :]) < 1e-9
+
+
+def test_f03_a_leader_whose_messages_are_held_up_is_not_followed() -> None:
+    """A stall of 0.3 s between leader and teleoperation: hold, and the burst engages nothing."""
+    leader, arrivals, arm = CrtkLeader("far"), Arrivals(), GateArm()
+    teleop = Teleop(settings(), scale=1.0)
+    teleop.enable()
+    sent: list[tuple[float, np.ndarray]] = []
+    p, states, messages = np.zeros(3), [], []
+    for k in range(1500):
+        now = arm.tick * TICK
+        stalls = 500 <= k < 650
+        if k % 5 == 0:
+            p = p + np.array([2e-4, 0.0, 0.0])
+            sent.append((now, p))
+        while sent and not stalls:
+            stamp, place = sent.pop(0)
+            at = arrivals.of(stamp + 1e6, now)
+            if now - at > 0.1:
+                leader.on_late(now, now - at)
+            leader.on_pose(at, place, np.array([0.0, 0.0, 0.0, 1.0]))
+        out = teleop.tick(now, leader.read(now), arm.view(), CameraView(np.eye(3)))
+        states.append(out.state)
+        messages.append(out.message)
+        arm.step(out.commands)
+    assert states[499] is State.FOLLOWING
+    waits = states.index(State.WAITING, 500)
+    assert waits - 500 <= 51
+    assert set(states[waits:]) == {State.WAITING}  # an act is needed
+    assert arm.refusals == []
 
 
 # --- the picture

@@ -14,9 +14,12 @@ from surg_cli import (
     cells,
     environment,
     frames_picture,
+    join,
     master,
+    network,
     paths,
     processes,
+    roles,
     running,
     system,
     terminal,
@@ -55,7 +58,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         params["arm"] = options.arm
     try:
         if found is not None:
-            _attached(found, params, out)
+            _attached(found, config, params, out)
         else:
             _alone(cell, config, params, out)
         return _tell(out)
@@ -78,8 +81,15 @@ def _refuse(config: Any, cell: Path, arm: str | None) -> None:
             2,
         )
     others = [name for name in config.arms if name != scopes[0]]
-    if not others or arm not in (None, *others):
-        raise Problem(f"--arm {arm}: {cell.name} has {', '.join(others) or 'no other arm'}", 2)
+    if not others:
+        raise Problem(
+            f"{cell.name}: {scopes[0]} holds the endoscope and there is no arm with an instrument "
+            "whose tip could be looked at",
+            2,
+        )
+    if arm not in (None, *others):
+        why = "holds the endoscope and is not moved" if arm in scopes else "is no arm of the cell"
+        raise Problem(f"--arm {arm}: it {why}; allowed: {', '.join(others)}", 2)
 
 
 def _running(cell: Path, port: int | None) -> running.System | None:
@@ -93,10 +103,13 @@ def _running(cell: Path, port: int | None) -> running.System | None:
     return mine[0] if mine else None
 
 
-def _attached(found: running.System, params: dict[str, object], out: Path) -> None:
+def _attached(found: running.System, config: Any, params: dict[str, object], out: Path) -> None:
     """Check a running system; nothing is enabled for the person."""
     say(f"check-frames: the running system on port {found.port}")
     env = environment.for_nodes(found.port, out / "logs" / "ros")
+    if found.role:  # one machine of several: the others must reach the node
+        place = join.link(config.config, roles.Role(found.role), found.port)
+        env = place.environment(env, network.GUARD)
     env["ROS_MASTER_URI"] = found.master_uri
     with processes.Supervisor(env, out / "logs") as supervisor:
         _await(system.start(supervisor, _node(params)), supervisor)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import environment, master, network, processes, roles, running, system
+from surg_cli import environment, master, network, operator_nodes, processes, roles, running, system
 from surg_cli.follow import death_notice
 from surg_cli.system import Node, Plan
 from surg_cli.terminal import Problem, Progress, say
@@ -53,14 +54,47 @@ def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[No
     if place is None:
         return every
     camera = f"/{system.ENDOSCOPE}"
+    clock = clock_monitor(place.role)
     if place.role is roles.Role.ENDOSCOPE:
-        return [node for node in every if node.name == camera]
+        return [*(node for node in every if node.name == camera), *clock]
     if place.role is roles.Role.OPERATOR:
-        picture = f"{camera}/left/image_raw" if plan.cameras else ""
-        params: dict[str, object] = {"cell": str(plan.cell), "leader": leader, "picture": picture}
-        return [Node("/teleop", "surg_teleop", "teleop_node.py", params)]
+        page = leader == operator_nodes.BROWSER
+        hands = operator_nodes.teleoperation(plan, leader, page)
+        if not page:
+            return [hands, *clock]
+        web = {"port": operator_nodes.WEB_PORT}  # for this machine only
+        here = replace(plan, record=False)  # the episodes are the robot's machine's
+        return [hands, operator_nodes.console(here, True, web), *clock]
     away = roles.Role.ENDOSCOPE.value in place.others
-    return [node for node in every if not (away and node.name == camera)]
+    return [*(node for node in every if not (away and node.name == camera)), *clock]
+
+
+def clock_monitor(role: roles.Role, daemon: Path | None = None) -> list[Node]:
+    """The node that says how well this machine's clock is kept, where a PTP daemon keeps it.
+
+    Args:
+        role: Of this machine, for the node's name.
+        daemon: Socket of the daemon of `./surg ptp`; None: where that puts it.
+    """
+    from surg_recording import clock_sync
+
+    socket = daemon or Path(clock_sync.SOCKET)
+    if not socket.exists():
+        return []
+    name, params = f"/clock_sync_{role}", {"socket": str(socket)}
+    return [
+        Node(name, "surg_recording", "clock_sync_node.py", dict(params), essential=False),
+    ]
+
+
+def say_about_clocks(place: roles.Link) -> None:
+    """Say so where nobody keeps this machine's clock."""
+    if not clock_monitor(place.role):
+        kind = "master" if place.role is roles.Role.ROBOT else "slave"
+        say(
+            "No PTP daemon keeps this machine's clock: recordings will not be able to tell how far "
+            f"the machines' stamps are apart. sudo ./surg ptp {kind}, then start this role again"
+        )
 
 
 def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
@@ -85,6 +119,9 @@ def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
             entry.nodes = {child.name: child.process.pid for child in supervisor.children}
             entry.save()
             say(f"{cell.name}: this machine, {place.address}, is its {role}; master {place.uri}")
+            if any(node == operator_nodes.CONSOLE for node in entry.nodes):
+                say(f"Open http://localhost:{operator_nodes.WEB_PORT}/ in a browser.")
+            say_about_clocks(place)
             say(f"Logs: {logs}. Ctrl-C or ./surg down ends it.")
             _stay(place, supervisor)
     return 0

@@ -57,6 +57,8 @@ class Plan:
         seed: Seed of the simulator's random numbers.
         out: Folder of the run.
         record: Whether a recorder runs.
+        record_topics: Names and patterns of further topics to record.
+        record_cameras: Topics of further cameras to record.
         operator: Parameters of the operator node, None for a system without one.
         task: Name or file of the task that is played; empty: none.
         setting: Its physical setting.
@@ -77,6 +79,8 @@ class Plan:
     feedback_gain: float | None = None
     seed: int = 0
     record: bool = True
+    record_topics: tuple[str, ...] = ()
+    record_cameras: tuple[str, ...] = ()
     operator: dict[str, object] | None = None
     task: str = ""
     setting: str = ""
@@ -206,7 +210,8 @@ def nodes(plan: Plan) -> list[Node]:
             "mode": plan.mode,
             "arms": list(plan.arms),
             "autostart": plan.lockstep,  # before the first tick; a later start would miss some
-            "cameras": plan.streams,
+            "cameras": [*plan.streams, *plan.record_cameras],
+            "topics": list(plan.record_topics),
             "run_info": json.dumps(plan.run_info, sort_keys=True),
             **({"topics": list(POLICY_TOPICS)} if plan.policy is not None else {}),
         }

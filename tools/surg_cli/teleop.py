@@ -1,7 +1,7 @@
 """`./surg teleop [CELL]`: the phantom in real time under an operator's hands, with the console.
 
 Starts simulator, controllers, endoscope, recorder, teleoperation and console, or attaches the last
-two to a system of `./surg up`.
+two to a system of `./surg up`, also to one machine's part of it.
 """
 
 from __future__ import annotations
@@ -13,9 +13,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, environment, master, paths, processes, running, system
+from surg_cli import (
+    cells,
+    environment,
+    join,
+    master,
+    network,
+    operator_nodes,
+    paths,
+    processes,
+    roles,
+    running,
+    system,
+)
 from surg_cli.demo import tcp_port
 from surg_cli.follow import death_notice
+from surg_cli.operator_nodes import BROWSER, WEB_PORT
 from surg_cli.system import Node, Plan
 from surg_cli.terminal import Problem, Progress, say
 from surg_cli.up import DEFAULT_PORT
@@ -23,10 +36,7 @@ from surg_cli.watch import Watch
 
 DEFAULT_CELL = "sim_two_arms"
 TASK_OF_TWO_ARMS = "bgr"
-WEB_PORT = 8090
 START_TIMEOUT_S = 60.0
-BROWSER = "browser"
-"""The console as a leader, and the namespace of its topics."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -44,6 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         metavar="L",
         help="what the hand holds: browser (default), a bundled leader, or a leader's .py file",
     )
+    add(
+        "--second-leader",
+        default="",
+        metavar="L",
+        help="what a second hand holds, which moves the assistant's instrument of the task",
+    )
     add("--out", type=Path, metavar="DIR", help="folder of the episodes (runs/<UTC time>)")
     add("--port", type=tcp_port, default=DEFAULT_PORT, metavar="P", help="of the ROS master")
     web = parser.add_argument_group("who may open the page (docs/console.md)")
@@ -58,33 +74,84 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check, start or attach, say the address, wait."""
-    web = _web(options)
     attached = next((s for s in running.systems() if s.port == options.port), None)
-    if attached is None:
-        plan = _plan(options)
-    elif options.cell and cells.find(options.cell) != Path(attached.cell):
+    place = None if attached is None else _place(attached, options)
+    web = _web(options)
+    plan = _plan(options) if attached is None else _plan_of(attached)
+    logs = paths.SYSTEMS / f"{options.port}_teleop_logs"
+    nodes = _operator_nodes(options, plan, web, [] if attached is None else _there(attached))
+    processes.adopt_orphans()
+    try:
+        env = environment.for_nodes(ros_home=logs / "ros")
+        if place is not None:
+            env = place.environment(env, network.GUARD)
+        with processes.Supervisor(env, logs) as supervisor:
+            if attached is not None:
+                supervisor.env["ROS_MASTER_URI"] = attached.master_uri
+                return _keep(plan, supervisor, nodes, None, place)
+            master.start(supervisor, options.port)
+            with running.announced(command, options.port, plan.cell, logs) as entry:
+                return _keep(plan, supervisor, [*_phantom(plan), *nodes], entry)
+    finally:
+        with processes.signals_ignored():
+            processes.end_orphans()
+
+
+def _place(attached: running.System, options: argparse.Namespace) -> roles.Link | None:
+    """This machine's place in a running cell of several machines; None: there is one machine.
+
+    Raises:
+        Problem: It is another cell's, or ROS ports may not be opened here.
+    """
+    if options.cell and cells.find(options.cell) != Path(attached.cell):
         raise Problem(
             f"port {options.port} has {attached.command} of {attached.cell}; end it with "
             f"./surg down, or start another system with --port",
             2,
         )
-    else:
-        plan = _plan_of(attached)
-    teleop, console = _operator_nodes(options, plan, web)
-    logs = paths.SYSTEMS / f"{options.port}_teleop_logs"
-    processes.adopt_orphans()
-    try:
-        env = environment.for_nodes(ros_home=logs / "ros")
-        with processes.Supervisor(env, logs) as supervisor:
-            if attached is not None:
-                supervisor.env["ROS_MASTER_URI"] = f"http://localhost:{options.port}"
-                return _keep(plan, supervisor, [teleop, console], None)
-            master.start(supervisor, options.port)
-            with running.announced(command, options.port, plan.cell, logs) as entry:
-                return _keep(plan, supervisor, [*_phantom(plan), teleop, console], entry)
-    finally:
-        with processes.signals_ignored():
-            processes.end_orphans()
+    if not attached.role:
+        return None
+    config = cells.load(Path(attached.cell)).config
+    return join.link(config, roles.Role(attached.role), attached.port)
+
+
+def _there(attached: running.System) -> list[str]:
+    """Names of the nodes that run already, on whatever machine."""
+    found = master.nodes(attached.master_uri)
+    if operator_nodes.CONSOLE in found:
+        raise Problem(
+            f"{attached.master_uri} has a console already: open its page, or end the one that "
+            "runs (Ctrl-C where it was started)",
+            2,
+        )
+    return found
+
+
+def _operator_nodes(
+    options: argparse.Namespace, plan: Plan, web: dict[str, object], there: list[str]
+) -> list[Node]:
+    """Teleoperation and console, or the console alone where a teleoperation runs already.
+
+    Args:
+        options: Of the command line.
+        plan: The system.
+        web: Who may open the page.
+        there: Names of the nodes that run already.
+    """
+    if operator_nodes.TELEOP in there:
+        if options.leader != BROWSER or options.second_leader:
+            raise Problem(
+                "a teleoperation runs already, with leaders of its own: leave --leader and "
+                "--second-leader out, and the page shows, enables, stops and records",
+                2,
+            )
+        return [operator_nodes.console(plan, False, web)]
+    return [
+        operator_nodes.teleoperation(
+            plan, options.leader, True, options.scale, options.second_leader
+        ),
+        operator_nodes.console(plan, options.leader == BROWSER, web),
+    ]
 
 
 def _web(options: argparse.Namespace) -> dict[str, object]:
@@ -117,8 +184,13 @@ def _web(options: argparse.Namespace) -> dict[str, object]:
 def _plan(options: argparse.Namespace) -> Plan:
     """The system to start."""
     cell = cells.find(options.cell or DEFAULT_CELL)
-    arms = tuple(str(name) for name in cells.load(cell).arms)
+    loaded = cells.load(cell)
+    arms = tuple(str(name) for name in loaded.arms)
     task = options.task or (TASK_OF_TWO_ARMS if len(arms) > 1 else "none")
+    if task.endswith(".py"):
+        task = str(Path(task).absolute())
+    if task != "none":
+        _check_task(loaded, task, options.setting)
     return Plan(
         cell=cell,
         arms=arms,
@@ -137,20 +209,42 @@ def _plan(options: argparse.Namespace) -> Plan:
     )
 
 
+def _check_task(loaded: Any, task: str, setting: str) -> None:
+    """Refuse what the simulator would refuse, before anything starts."""
+    from surg_sim import tasks
+    from surg_sim.conditions import condition
+
+    try:
+        tasks.load(task).prepare(loaded, condition(setting))
+    except ValueError as error:  # a TaskError is one
+        raise Problem(str(error), 2) from error
+
+
 def _plan_of(attached: running.System) -> Plan:
     """What a system of `./surg up` runs, as far as the operator's nodes must know it."""
-    uri = f"http://localhost:{attached.port}"
+    uri = attached.master_uri
     cell = Path(attached.cell)
     cameras = tuple(
         view
         for view in ("left", "right")
         if f"/endoscope/{view}/image_raw" in master.publications(uri)
     )
-    out = Path(".")
-    if master.call(uri, "hasParam", "/recorder/out"):
-        out = Path(master.call(uri, "getParam", "/recorder/out")).parent
+    records = bool(master.call(uri, "hasParam", "/recorder/out"))
+    # The recorder may be another machine's: its folder is listed where it is this one's as well.
+    out = Path(master.call(uri, "getParam", "/recorder/out")).parent if records else Path()
+    task = ""
+    if master.call(uri, "hasParam", "/sim/task"):
+        task = str(master.call(uri, "getParam", "/sim/task"))
     arms = tuple(str(name) for name in cells.load(cell).arms)
-    return Plan(cell=cell, arms=arms, lockstep=False, cameras=cameras, out=out)
+    return Plan(
+        cell=cell,
+        arms=arms,
+        lockstep=False,
+        cameras=cameras,
+        out=out,
+        record=records,
+        task=task,
+    )
 
 
 def _phantom(plan: Plan) -> list[Node]:
@@ -162,63 +256,12 @@ def _phantom(plan: Plan) -> list[Node]:
     return found
 
 
-def _operator_nodes(
-    options: argparse.Namespace, plan: Plan, web: dict[str, object]
-) -> tuple[Node, Node]:
-    """Teleoperation and console."""
-    loaded = cells.load(plan.cell)
-    driven = next((a.name for a in loaded.arms.values() if a.instrument.camera is None), None)
-    if driven is None:
-        raise Problem(f"{plan.cell}: no arm of this cell holds an instrument to drive", 2)
-    browser = options.leader == BROWSER
-    params: dict[str, object] = {
-        "cell": str(plan.cell),
-        "arm": driven,
-        "leader": "crtk" if browser else options.leader,
-        "scale": options.scale,
-        "need_present": True,
-        "picture": "/endoscope/left/image_raw" if plan.cameras else "",
-    }
-    if browser:
-        params["settings"] = {"name": BROWSER}
-    if all(arm.instrument.camera is None for arm in loaded.arms.values()):
-        params["view"] = _standing_view(loaded)
-    page = {
-        "cell": str(plan.cell),
-        "arm": driven,
-        "arms": list(plan.arms),
-        "leader": BROWSER if browser else "",
-        "views": list(plan.cameras),
-        "episodes": str(plan.out / "episode"),
-        **web,
-    }
-    return (
-        Node("/teleop", "surg_teleop", "teleop_node.py", params),
-        Node("/console", "surg_teleop", "console_node.py", page),
-    )
-
-
-def _standing_view(loaded: Any) -> list[float]:
-    """Orientation x, y, z, w in the world of the phantom's camera that no arm holds."""
-    import mujoco
-    import numpy as np
-    from scipy.spatial.transform import Rotation
-
-    from surg_sim.endoscope import LEFT
-    from surg_sim.world import World
-
-    world = World(loaded, 0)
-    mujoco.mj_forward(world.model, world.data)
-    # A MuJoCo camera looks along -z with y up.
-    R_WV = world.data.camera(LEFT).xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
-    return [float(value) for value in Rotation.from_matrix(R_WV).as_quat()]
-
-
 def _keep(
     plan: Plan,
     supervisor: processes.Supervisor,
     nodes: list[Node],
     entry: running.System | None,
+    place: roles.Link | None = None,
 ) -> int:
     """Start the nodes and stay until a signal arrives or a node dies."""
     for node in nodes:
@@ -230,8 +273,12 @@ def _keep(
         if entry is not None:
             entry.nodes = {child.name: child.process.pid for child in supervisor.children}
             entry.save()
+        if place is not None:
+            network.refuse_foreign_ports(supervisor.children, place.address)
         say(f"Open {address} in a browser (Chromium, Chrome, Edge, Firefox, Safari).")
-        say(f"Episodes: {plan.out}. Logs: {supervisor.logs}. Ctrl-C ends everything started here.")
+        if plan.record:
+            say(f"Episodes: {plan.out}.")
+        say(f"Logs: {supervisor.logs}. Ctrl-C ends everything started here.")
         while True:
             time.sleep(0.1)
             _check(watch, supervisor)

@@ -7,6 +7,7 @@ import datetime
 import os
 import shlex
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from surg_cli import (
@@ -29,6 +30,11 @@ from surg_cli.watch import Watch
 
 DEFAULT_PORT = 11311
 START_TIMEOUT_S = 60.0
+RECORDED = (
+    ("--record-topics", "TOPIC", "record these too: names or patterns, such as '/PSM1/measured_*'"),
+    ("--record-cameras", "TOPIC", "record these image topics too, raw or compressed"),
+)
+"""Option, name of its words, help."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -44,7 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add(
         "--leader",
         metavar="L",
-        help="--role operator: what the hand holds (default: crtk, a CRTK leader on topics)",
+        help="--role operator: what the hand holds (default: crtk, a CRTK leader on topics; "
+        "browser: the console's page)",
     )
     add("--lock-step", action="store_true", help="step by step instead of in real time")
     add(
@@ -60,6 +67,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--no-video", action="store_true", help="without the endoscope camera")
     add("--stereo", action="store_true", help="both eyes of a stereo endoscope")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
+    for option, metavar, what in RECORDED:
+        add(option, nargs="+", action="extend", default=[], metavar=metavar, help=what)
     add("--print", action="store_true", help="only print the rosrun line of every node")
 
 
@@ -76,6 +85,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             raise Problem("--lock-step needs one machine; leave --role or --lock-step out", 2)
         link = join.link(loaded.config, roles.Role(options.role), options.port)
     leader = options.leader or join.LEADER
+    recorded = recorded_too(options.record_topics, options.record_cameras, link)
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
     plan = Plan(
         cell=cell,
@@ -88,6 +98,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         seed=options.seed,
         out=paths.RUNS / now,
         extra_participants=tuple(options.participant),
+        record_topics=recorded[0],
+        record_cameras=recorded[1],
         run_info={"task": "up", "cell": str(cell)},
     )
     if options.print:
@@ -101,6 +113,34 @@ def main(options: argparse.Namespace, command: str) -> int:
     finally:
         with processes.signals_ignored():
             processes.end_orphans()
+
+
+def recorded_too(
+    topics: Sequence[str], cameras: Sequence[str], link: roles.Link | None
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Further topics and cameras of the recording, checked before anything is started.
+
+    Args:
+        topics: Names and patterns.
+        cameras: Names of image topics.
+        link: This machine's place among several; None: it is the only one.
+
+    Raises:
+        Problem: One is no topic, or another machine records.
+    """
+    if (topics or cameras) and link is not None and link.role is not roles.Role.ROBOT:
+        raise Problem("--record-topics, --record-cameras: only the robot's machine records", 2)
+    wild = set("*?[")
+    for option, given, patterns in (
+        ("--record-topics", topics, True),
+        ("--record-cameras", cameras, False),
+    ):
+        for topic in given:
+            good = topic.startswith("/") and not any(c.isspace() or c == "," for c in topic)
+            if not good or (wild & set(topic) and not patterns):
+                shape = "name or pattern" if patterns else "name"
+                raise Problem(f"{option} {topic!r}: a {shape} that begins with / is needed", 2)
+    return tuple(dict.fromkeys(topics)), tuple(dict.fromkeys(cameras))
 
 
 def _print_lines(plan: Plan, link: roles.Link | None, leader: str) -> int:
@@ -202,6 +242,7 @@ def _greet(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> None:
         say(f"ROS ports are open on {link.address} alone. The other machines join with:")
         for role in link.others:
             say(f"  ./surg up {plan.cell.name} --role {role} --port {port}")
+        join.say_about_clocks(link)
     say("In another terminal: ./surg status, ./surg shell, or by hand:")
     say(f"  export ROS_MASTER_URI={link.uri if link else f'http://localhost:{port}'}")
     for word in ("enable", "home"):

@@ -93,6 +93,10 @@ surg::Reason ControlCycle::take_track(const CommandItem& item, std::int64_t now_
 
 /// Takes a motion into the inputs, from the user's frame into R.
 surg::Reason ControlCycle::take_motion(const CommandItem& item) {
+  if (item.motion.motion != surg::Motion::kHold && echoes_.late(item.stamp_ns)) {
+    ++record_.refused_by_cycle;
+    return surg::Reason::kLate;
+  }
   const bool twist = item.motion.motion == surg::Motion::kServoCv;
   const bool pose = is_pose(item.motion.motion);
   if ((pose || twist) && !item.frame.empty() && item.frame != record_.frame.name) {
@@ -171,6 +175,7 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
   const auto end = std::chrono::steady_clock::now();
 
   enabled_ = out.state == surg::State::kEnabled;
+  echoes_.remember(link.stamp_ns, out.motion);
   record_.stamp_ns = link.stamp_ns;
   record_.q = link.q;
   record_.qd = link.qd;

@@ -279,5 +279,52 @@ TEST(ControlCycle, AClaimKeepsOthersOut) {
   EXPECT_EQ(after.out.verdicts[0].reason, surg::Reason::kNone);
 }
 
+/// F03: a network stalls while a hand streams, and delivers everything when the stall ends.
+TEST(ControlCycle, WhatWasSentBeforeTheStopIsLateAndMovesNothing) {
+  Arm arm;
+  arm.enable();
+  const ToolPose start = arm.tip();
+  const auto answer = [&](int k, surg::Motion motion = surg::Motion::kServoCp) {
+    ToolPose target = start;
+    target.p.x() += 1e-4 * k;
+    CommandItem item = Arm::pose(motion, target);
+    item.stamp_ns = arm.cycle->record().stamp_ns;  // of the cycle that its sender saw
+    return item;
+  };
+  int k = 0;
+  for (; k < 20; ++k) {
+    EXPECT_EQ(arm.step({answer(k)}).out.verdicts[0].reason, surg::Reason::kNone);
+  }
+  std::vector<CommandItem> stalled;  // the hand goes on until it notices the silence
+  for (int late = 0; late < 8; ++late) stalled.push_back(answer(k + late));
+  CommandItem jaw = answer(0, surg::Motion::kJawServoJp);
+  jaw.motion.jaw = 0.5;
+  stalled.push_back(jaw);
+  for (int silent = 0; silent < 150; ++silent) arm.step();
+  EXPECT_EQ(arm.cycle->record().out.motion, surg::Motion::kNone);
+  const surg::Vector3 p_set = arm.cycle->record().out.p_set;
+  const double jaw_set = arm.cycle->record().out.jaw_set;
+  const CycleRecord& burst = arm.step(stalled);
+  ASSERT_EQ(burst.n_answers, static_cast<int>(stalled.size()));
+  for (int i = 0; i < burst.n_answers; ++i) {
+    EXPECT_EQ(burst.answers[i].reason, surg::Reason::kLate);
+    EXPECT_EQ(burst.answers[i].motion, stalled[i].motion.motion);
+  }
+  EXPECT_EQ(burst.refused_by_cycle, stalled.size());
+  EXPECT_EQ(burst.out.n_verdicts, 0);
+  for (int after = 0; after < 200; ++after) arm.step();
+  EXPECT_EQ(arm.cycle->record().out.p_set, p_set);
+  EXPECT_EQ(arm.cycle->record().out.jaw_set, jaw_set);
+  EXPECT_EQ(arm.cycle->record().out.state, surg::State::kEnabled);
+  // A hold is obeyed however late it comes; an answer to the arm at rest begins a new stream.
+  CommandItem hold = answer(0, surg::Motion::kHold);
+  hold.stamp_ns = stalled[0].stamp_ns;
+  EXPECT_EQ(arm.step({hold}).out.verdicts[0].reason, surg::Reason::kNone);
+  for (int quiet = 0; quiet < 60; ++quiet) arm.step();
+  CommandItem anew = Arm::pose(surg::Motion::kServoCp, arm.tip());
+  anew.stamp_ns = arm.cycle->record().stamp_ns;
+  EXPECT_EQ(arm.step({anew}).out.verdicts[0].reason, surg::Reason::kNone);
+}
+
 }  // namespace
 }  // namespace surg_control

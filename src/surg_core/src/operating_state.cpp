@@ -105,6 +105,10 @@ Text text(Reason reason) {
     case Reason::kMasterLost:
       return {"master_lost",
               "the ROS master is gone: start it again, then restart every node of the system"};
+    case Reason::kLate:
+      return {"late",
+              "it answers what the arm said before it stopped, so it was held up on its way: begin "
+              "again from the newest setpoint_cp; look at the network or at the sender"};
   }
   return {"unknown", ""};
 }

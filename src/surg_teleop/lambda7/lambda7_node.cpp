@@ -33,7 +33,7 @@ namespace {
 constexpr int kLoopRate =
     1000;  // [Hz] what the vendor asks for, and what makes a free handle feel free
 constexpr int kButtons = 8;
-constexpr int kStateRate = 10;         // [Hz]
+constexpr int kStateRate = 20;         // [Hz] of state and buttons: who hears them notices an end
 constexpr double kMaxForceLimit = 20;  // [N] what a Lambda.7 can do
 
 std::atomic<bool> stop_requested{false};

@@ -23,7 +23,7 @@ struct CommandItem {
   surg::StateCommand state = surg::StateCommand::kDisable;  ///< kState
   surg::Vector3 p_B = surg::Vector3::Zero();                ///< kSetRcm, kTrack: the trocar [m]
   surg::Vector3 v_B = surg::Vector3::Zero();                ///< kTrack [m/s]
-  std::uint64_t stamp_ns = 0;                               ///< kTrack: of the message; 0: none
+  std::uint64_t stamp_ns = 0;                               ///< of the message; 0: none
   std::int64_t received_ns = 0;  ///< kTrack: steady clock; 0: in the cycle that takes it
   FrameName frame;               ///< kMotion: header.frame_id; kSetFrame: name of U
   surg::Pose X_UR = surg::Pose::Identity();  ///< kSetFrame

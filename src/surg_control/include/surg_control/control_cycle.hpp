@@ -7,6 +7,7 @@
 #include <string_view>
 
 #include "surg_control/command_item.hpp"
+#include "surg_control/echoes.hpp"
 #include "surg_core/black_box.hpp"
 
 namespace surg_control {
@@ -49,6 +50,7 @@ class ControlCycle {
   FrameName rcm_frame_;
   bool enabled_ = false;
   Track track_;
+  Echoes echoes_;
   surg::Inputs inputs_;
   CycleRecord record_;
 };

@@ -48,7 +48,8 @@ void bind_state(py::module_& m) {
       .value("FRAME_WHILE_ENABLED", Reason::kFrameWhileEnabled)
       .value("FORCE", Reason::kForce)
       .value("MASTER_LOST", Reason::kMasterLost)
-      .value("NOT_AT_REST", Reason::kNotAtRest);
+      .value("NOT_AT_REST", Reason::kNotAtRest)
+      .value("LATE", Reason::kLate);
   py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
       .value("ENABLE", StateCommand::kEnable)
       .value("DISABLE", StateCommand::kDisable)

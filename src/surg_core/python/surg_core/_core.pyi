@@ -68,6 +68,7 @@ class Reason(enum.Enum):
     FORCE = 29
     MASTER_LOST = 30
     NOT_AT_REST = 31
+    LATE = 32
     def __int__(self) -> int: ...
 
 class StateCommand(enum.Enum):

@@ -46,6 +46,7 @@ from surg_policy_bridge.router_node import Router
 from surg_policy_bridge.safety import ArmLimits, SafetyController
 from surg_policy_bridge.server import ModelServer, ServerSettings, State
 from surg_policy_bridge.settings import Settings, SettingsError
+from surg_policy_bridge.timers import CAMERA_PERIODS
 from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
 from surg_recording.recorder_settings import camera as camera_topic
@@ -94,8 +95,9 @@ class ModelServerNode:
         self._free = FreeRun(settings.arms, time.monotonic_ns())
         keys_seen = [STATE, *map(cell_spec.image_key, settings.cameras)]
         keys_seen += [TASK_STATE] if settings.privileged else []
-        self._observer = Observer(keys_seen, 0 if settings.lockstep else TOLERANCE)
         period = round(SECOND / settings.camera_rate)
+        tolerance = max(TOLERANCE, CAMERA_PERIODS * period if settings.cameras else 0)
+        self._observer = Observer(keys_seen, 0 if settings.lockstep else tolerance)
         self._watches = {name: CameraWatch(name, period) for name in settings.cameras}
         # Of the simulator: pictures without noise.
         self._drawn = all(cell.arms[name].link == "simulator" for name in settings.arms)
@@ -110,6 +112,7 @@ class ModelServerNode:
         self._connected = False
         self._over = False
         self._operator = ""
+        self._homed = False
         self._present = not settings.need_present
         self._refused = ""
         self._reported = -REPORT
@@ -257,7 +260,10 @@ class ModelServerNode:
         place = None
         if self._drawn and views:
             place = np.concatenate([view.p_tip for view in views.values()])
+        before, self._homed = self._homed, all(view.homed for view in views.values())
         for watch in self._watches.values():
+            if not (before and self._homed):  # the tips were not yet said in the frame of now
+                watch.settle()
             if problem := watch.problem(now, place):
                 return problem
         return ""
@@ -317,12 +323,16 @@ class ModelServerNode:
         commands = self._server.tick(views, now, now, self._obstacle(now, views))
         step = self._free.observe(now)
         if step is not None:
-            stamp_ns = self._put_state(views)
-            wanted = self._server.wanted
+            stamp_ns, wanted = self._put_state(views), self._server.wanted
             seen = None if stamp_ns is None else self._observer.take(step, stamp_ns, wanted)
             if seen is not None:
-                # As old as the oldest cycle in it.
-                self._server.observe(seen, min(at for at, _ in self._cycles.values()), now)
+                # As old as the oldest cycle or picture in it.
+                oldest = min(at for at, _ in self._cycles.values()) - seen.behind
+                self._server.observe(seen, oldest, now)
+            else:
+                late = "an arm is silent, or does not know its jaw"
+                why = late if stamp_ns is None else self._observer.missing(stamp_ns, wanted)
+                self._server.observe_nothing(why)
         for arm, target in self._free.play(self._server, views, now).items():
             commands[arm] = ArmCommand(servo=target)
         self._send(commands, views)

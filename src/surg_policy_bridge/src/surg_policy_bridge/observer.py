@@ -37,11 +37,13 @@ class Observation:
         step: Number of its grid time.
         stamp_ns: Stamp of the arms' state.
         arrays: By key, as the spec says.
+        behind: How much older than the arms' state its oldest part is [ns].
     """
 
     step: int
     stamp_ns: int
     arrays: Mapping[str, NDArray[np.generic]]
+    behind: int = 0
 
 
 class CameraWatch:
@@ -91,6 +93,10 @@ class CameraWatch:
             f"the picture of {self._name} is {1e3 * age / SECOND:.0f} ms old (it {what}): check "
             "the camera and its cable, then enable the policy again"
         )
+
+    def settle(self) -> None:
+        """What was said of places until now does not count: the arms had no frame yet."""
+        self._place = None
 
     def _at_rest(self, place: Array | None) -> bool:
         """Whether no tip has moved since the picture changed."""
@@ -142,4 +148,5 @@ class Observer:
         if self.missing(stamp_ns, wanted):
             return None
         arrays = {key: self._newest[key][1] for key in wanted}
-        return Observation(step, stamp_ns, arrays)
+        oldest = min((self._newest[key][0] for key in wanted), default=stamp_ns)
+        return Observation(step, stamp_ns, arrays, max(stamp_ns - oldest, 0))

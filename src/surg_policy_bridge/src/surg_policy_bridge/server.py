@@ -139,6 +139,7 @@ class ModelServer:
         self._spec: Spec | None = None
         self._early: tuple[bytes, dict[str, Any]] | None = None
         self._obstacle = ""
+        self._blind = ""
         self._views: Mapping[str, ArmView] = {}
         self._told = _Told()
         self._in_a_row = 0
@@ -246,6 +247,7 @@ class ModelServer:
         session = self.session
         if session is None or self.state is not State.RUNNING:
             return
+        self._blind = ""
         seq = session.note(Sent(observation.stamp_ns, observation.step, at, now))
         head = {
             "session": session.number,
@@ -257,6 +259,10 @@ class ModelServer:
         }
         arrays = {key: observation.arrays[key] for key in session.spec.observation}
         self.outbox.append((session.peer, wire.encode(Message("OBS", head, arrays))))
+
+    def observe_nothing(self, why: str) -> None:
+        """There is no observation at this grid time, and why."""
+        self._blind = why
 
     @property
     def wanted(self) -> tuple[str, ...]:
@@ -292,7 +298,10 @@ class ModelServer:
             self._empty.lasts(at)
             if self._empty.exceeded(at):
                 limit = self._settings.empty / SECOND
-                self._stop(State.PAUSED, f"the policy has sent no action for more than {limit:g} s")
+                why = f"the policy has sent no action for more than {limit:g} s"
+                if self._blind:
+                    why = f"nothing could be observed for more than {limit:g} s: {self._blind}"
+                self._stop(State.PAUSED, why)
             return {}
         self._empty.over()
         return self._judge(step, at)

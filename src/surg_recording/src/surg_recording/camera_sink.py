@@ -1,8 +1,9 @@
 """One camera of an episode: usually one video, more parts when the picture changes or a kill bites.
 
-A video has one size. When the camera changes its size, or its encoder has died, the next part
-begins: ``<camera>.2.mp4`` with a sidecar of its own. Frames that the encoder had not taken yet go
-into the next part. A camera that needs too many parts is given up and counted.
+A video has one size and times that go on. When the camera changes its size, its clock is set back
+or jumps far ahead, or its encoder has died, the next part begins: ``<camera>.2.mp4`` with a sidecar
+of its own. Frames that the encoder had not taken yet go into the next part. A camera that needs too
+many parts is given up and counted.
 """
 
 from __future__ import annotations
@@ -15,6 +16,10 @@ from surg_recording.video_sink import Frame, VideoSink, unusable
 
 MAX_PARTS = 8
 """A camera that goes on changing after so many parts is not recorded any further."""
+
+MAX_GAP_NS = 600_000_000_000
+"""A longer pause between two frames begins the next part: MP4 counts a frame's duration in 32 bits
+of microseconds."""
 
 
 class CameraSink:
@@ -33,6 +38,7 @@ class CameraSink:
         self.name = name
         self.changes: list[str] = []
         """Why each further part began."""
+        self._faults: list[str] = []
         self.repeated = 0
         """Frames with the very same picture as the one before: frozen camera or still scene."""
         self._folder, self._block, self._preset, self._keep_open = folder, block, preset, keep_open
@@ -41,6 +47,8 @@ class CameraSink:
         self._turning = threading.Lock()
         self._empty_before = False
         self._stamps = (0, 0)
+        self._clock_back = False
+        self._number = 0
         self._parts = [self._make(0)]
 
     @property
@@ -75,10 +83,15 @@ class CameraSink:
     @property
     def error(self) -> str | None:
         """Why this video is not as it should be; None while all is well."""
-        found = [*self.changes, *([self._given_up] if self._given_up else [])]
+        found = [*self._faults, *([self._given_up] if self._given_up else [])]
         if self._part.error is not None and not self._given_up:
             found.append(self._part.error)
         return "; ".join(found) or None
+
+    @property
+    def last_skip(self) -> str | None:
+        """Why the newest frame that could not be encoded was left out."""
+        return next((part.last_skip for part in reversed(self._parts) if part.last_skip), None)
 
     @property
     def last_stamp_ns(self) -> int:
@@ -95,7 +108,7 @@ class CameraSink:
         return {
             "size": self._parts[0].size,
             "encoding": self._parts[0].encoding,
-            "last_skip": next((p.last_skip for p in reversed(self._parts) if p.last_skip), None),
+            "last_skip": self.last_skip,
             "repeated": self.repeated,
             "parts": len([part for part in self._parts if part.frames]),
             "changes": list(self.changes),
@@ -105,9 +118,19 @@ class CameraSink:
         """Wait until the encoder takes frames."""
         return self._part.wait_ready(timeout_s)
 
+    def expect_earlier_stamps(self) -> None:
+        """The clock was set back: the first frame stamped before the newest begins a new part."""
+        self._clock_back = True
+
     def put(self, frame: Frame) -> bool:
         """Queue one image; False when it was dropped. Blocks in lock-step only."""
         last, _ = self._stamps
+        torn = self._torn(frame, last)
+        if torn is not None:
+            self._clock_back, self._stamps, last = False, (0, 0), 0
+            if self._part.error is not None:
+                self._next_part(f"the encoder failed ({self._part.error})")
+            self._next_part(torn, a_fault=False)
         if frame.stamp_ns > last:
             self._stamps = frame.stamp_ns, frame.stamp_ns - last if last else 0
         if frame.data == self._last_data:
@@ -120,6 +143,16 @@ class CameraSink:
             self._next_part(f"its size changed from {size} to {frame.width}x{frame.height}")
         return self._part.put_frame(frame)
 
+    def _torn(self, frame: Frame, last: int) -> str | None:
+        """Why a frame cannot follow the one stamped ``last`` [ns] in one video; None: it can."""
+        if not last or unusable(frame) is not None:
+            return None
+        if self._clock_back and frame.stamp_ns <= last:
+            return "the clock was set back"
+        if frame.stamp_ns > last + MAX_GAP_NS:
+            return f"its stamps jumped ahead by {(frame.stamp_ns - last) * 1e-9:.0f} s"
+        return None
+
     def close(self, timeout_s: float = 60.0) -> None:
         """Write the backlog and finish the files. Safe to call twice."""
         if self._part.error is not None and self._part.backlog:
@@ -127,7 +160,7 @@ class CameraSink:
         for part in self._parts:
             part.close(timeout_s)
 
-    def _next_part(self, why: str) -> None:
+    def _next_part(self, why: str, a_fault: bool = True) -> None:
         """Begin another part, unless that is pointless."""
         with self._turning:
             old = self._part
@@ -145,6 +178,10 @@ class CameraSink:
             missed = 0
             if old.error is not None:
                 left, missed = old.abandon()
+                if not old.frames:  # nothing is in it: the camera's first video is never missing
+                    old.path.unlink(missing_ok=True)
+                    old.sidecar.unlink(missing_ok=True)
+                    self._number -= 1
             else:
                 threading.Thread(target=old.close, name=f"end_{old.name}", daemon=True).start()
             try:
@@ -153,15 +190,17 @@ class CameraSink:
                 self._given_up = f"{why}; no further encoder ({problem.strerror})"
                 return
             self.changes.append(f"{why}: goes on in {new.name}")
+            if a_fault:
+                self._faults.append(self.changes[-1])
             self._parts = [*self._parts, new]
         for frame in left:
             new.put_frame(frame)
 
     def _make(self, missed: int) -> VideoSink:
-        number = len(self._parts) + 1 if hasattr(self, "_parts") else 1
+        self._number += 1
         return VideoSink(
             self._folder,
-            self.name if number == 1 else f"{self.name}.{number}",
+            self.name if self._number == 1 else f"{self.name}.{self._number}",
             block=self._block,
             preset=self._preset,
             keep_open=self._keep_open,

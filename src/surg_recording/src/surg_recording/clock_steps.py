@@ -11,6 +11,9 @@ import threading
 import time
 from collections.abc import Callable
 
+CLOCK_STEP = "clock_step"
+"""Topic of the event of a step; its text ends with the size: ``… -20000000 ns``."""
+
 STEP_NS = 10_000_000
 """A jump of more than this is a step [ns]."""
 
@@ -25,7 +28,8 @@ class SteppedClock:
 
     Args:
         on_step: called with (step [ns], wall time after it [ns]) by the thread that reads the clock
-            first after the step, before it gets its time.
+            first after the step, before any thread gets a time behind it. It must be quick, and
+            must not read this clock.
         wall: the wall clock [ns].
         steady: a clock that nobody can set [ns].
         threshold_ns: what is a step.
@@ -55,8 +59,10 @@ class SteppedClock:
             offset, wall = self._measure()
             step = offset - self._offset
             if abs(step) >= self._threshold:
-                self._offset = offset
-                self._on_step(step, wall)
+                try:
+                    self._on_step(step, wall)
+                finally:  # last: until the step has been told, nobody else gets a time behind it
+                    self._offset = offset
         return wall
 
     def _measure(self) -> tuple[int, int]:

@@ -8,6 +8,7 @@ text that reads back to the same bits.
 
 from __future__ import annotations
 
+import itertools
 import os
 import threading
 import time
@@ -64,6 +65,8 @@ class CsvTable:
         self.path = path
         self.columns = list(columns)
         self.queue_limit = queue_limit
+        self.taken = 0
+        """Rows that were put and not refused."""
         self.rows = 0
         """Rows handed to the kernel."""
         self.dropped = 0
@@ -71,6 +74,7 @@ class CsvTable:
         self.last: Row | None = None
         """The newest row handed to the kernel."""
         self._queue: deque[Row] = deque()
+        self._numbers = itertools.count(1)  # several threads may take the next one
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
         self._fd = os.open(path, flags, 0o644)
         try:
@@ -124,6 +128,7 @@ class CsvWriter:
             table.dropped += 1
             return False
         table._queue.append(row)
+        table.taken = next(table._numbers)
         return True
 
     def flush(self, timeout_s: float) -> bool:

@@ -38,6 +38,10 @@ class ImageMotion:
     usable: npt.NDArray[np.bool_]
     """(N,) False where the change is the codec's: frame k + 1 was coded anew."""
 
+    def between(self, first: int, end: int) -> ImageMotion:
+        """That of the frames from ``first`` on and before ``end``."""
+        return ImageMotion(self.energy[first : end - 1], self.usable[first : end - 1])
+
 
 def of_frames(frames: Iterable[tuple[npt.NDArray[np.uint8], bool]]) -> ImageMotion:
     """Measure a sequence of small grey pictures.

@@ -15,8 +15,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 _HEAD = struct.Struct(">I4s")
-_MAX_BOX = 1 << 34
-_MAX_MOOF = 1 << 24
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +35,7 @@ def fragments(path: Path) -> list[Fragment]:
     with open(path, "rb") as file:
         frames: int | None = None
         for kind, start, end in _boxes(file, 0, _written(file)):
-            if kind == b"moof" and end - start < _MAX_MOOF:
+            if kind == b"moof":
                 frames = _frames(file, start, end)
             elif kind == b"mdat" and frames is not None:
                 found.append(Fragment(end, frames))
@@ -101,7 +99,7 @@ def _boxes(file: BinaryIO, start: int, stop: int) -> Iterator[tuple[bytes, int, 
             if len(long) < 8:
                 return
             (size,) = struct.unpack(">Q", long)
-        if not _HEAD.size <= size <= _MAX_BOX or start + size > stop:
+        if size < _HEAD.size or start + size > stop:
             return  # cut, or not written at all (zeros)
         yield kind, start, start + size
         start += size

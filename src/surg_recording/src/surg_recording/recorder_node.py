@@ -1,10 +1,10 @@
 """The recorder node: topics in, one episode folder out. Wiring only; ``recording`` does the work.
 
 Parameters (private): ``out`` folder of the episode, ``cell`` folder or file, ``mode`` lockstep or
-freerun, ``arms`` and ``cameras`` (lists; a camera is a topic ``/a/b/image_raw`` or its name
-``a_b``), ``topics`` (names and patterns of any others), ``run_info`` (JSON: robot, motion, task,
-operator, …), ``autostart`` (default true: record from the first message; false: wait for
-/record/record), ``min_free_bytes``, ``video_preset``.
+freerun, ``arms`` and ``cameras`` (lists; a camera is a topic of raw or compressed images, or the
+name ``a_b`` of ``/a/b/image_raw``), ``topics`` (names and patterns of any others), ``run_info``
+(JSON: robot, motion, task, operator, …), ``autostart`` (default true: record from the first
+message; false: wait for /record/record), ``min_free_bytes``, ``video_preset``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import rosgraph
 import roslib.message
 import rospy
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from sensor_msgs.msg import Image, JointState
+from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState
@@ -38,7 +38,7 @@ from surg_recording.flatten import Flat
 from surg_recording.recorder_settings import Settings
 from surg_recording.recording import Recording
 from surg_recording.recovery import recover
-from surg_recording.topic_choice import NOT_TABLES, TopicChoice
+from surg_recording.topic_choice import IMAGES, NOT_TABLES, TopicChoice
 
 COMMANDS: dict[str, type] = {
     "servo_cp": PoseStamped,
@@ -103,7 +103,7 @@ class RecorderNode:
         self._clock = SteppedClock(self._on_clock_step)
         taken = frozenset((*self._own_topics(), *settings.cameras.values()))
         self.choice = TopicChoice(list(settings.topics), taken)
-        self._classes: dict[tuple[str, str], type | None] = {}
+        self._classes: dict[tuple[str, str], Any] = {}
         self._status = rospy.Publisher("/record/status", String, queue_size=10, latch=True)
         self._recording = rospy.Publisher("/record/recording", Bool, queue_size=10, latch=True)
         _recover(settings.out.parent, settings.out.name)
@@ -264,7 +264,7 @@ class RecorderNode:
                 kind,
                 functools.partial(call, *arguments),
                 queue_size=None,
-                buff_size=1 << 20 if kind is Image else 1 << 16,
+                buff_size=1 << 20 if call == self._on_image else 1 << 16,
                 tcp_nodelay=True,
             )
 
@@ -282,7 +282,7 @@ class RecorderNode:
             on(f"/assistant/{name}", JointState, self._on_assistant, name)
         on("/sim/status", String, self._on_sim_status)
         for camera, topic in self.settings.cameras.items():
-            on(topic, Image, self._on_image, camera)
+            on(topic, rospy.AnyMsg, self._on_image, camera)
         on(CLOCK_TOPIC, ClockSync, self._on_clock_sync)
         on("/record/record", Bool, self._on_record)
         on("/record/tag", String, self._on_tag)
@@ -382,11 +382,27 @@ class RecorderNode:
         if news:
             self._event("/sim/status", _sender(message), message.data)
 
-    def _on_image(self, camera: str, message: Image) -> None:
+    def _on_image(self, camera: str, message: Any) -> None:
+        """A picture still in its wire form: raw or compressed is its sender's choice."""
         recording = self.recording
-        topic = self.settings.cameras[camera]
-        if recording is not None and not self._repeated(topic, message, _key(message)):
-            recording.image(camera, message, self._clock.now_ns())
+        if recording is None:
+            return
+        received, topic = self._clock.now_ns(), self.settings.cameras[camera]
+        found, why = self._installed(message)
+        if found is not None and found._type not in IMAGES:
+            why = f"its type is {found._type}; images are {' and '.join(IMAGES)}"
+        if why is not None:
+            recording.warn(f"{topic}: not recorded as a camera: {why}")
+            return
+        try:
+            image = found().deserialize(message._buff)
+        except Exception as problem:  # genpy raises whatever the bytes make it stumble over
+            recording.warn(
+                f"{topic}: a message that is no {found._type} ({type(problem).__name__})"
+            )
+            return
+        if not self._repeated(topic, message, _key(image)):
+            recording.image(camera, image, received)
 
     def _on_any(self, topic: str, message: Any) -> None:
         """A message of a topic that has no table of its own kind, still in its wire form."""
@@ -394,10 +410,12 @@ class RecorderNode:
         if recording is None or self._repeated(topic, message, message._buff):
             return
         received = self._clock.now_ns()
-        header = message._connection_header
-        kind, md5 = str(header.get("type", "")), str(header.get("md5sum", ""))
-        found = self._message_class(topic, kind, md5)
-        if found is None:
+        kind = str(message._connection_header.get("type", ""))
+        found, why = self._installed(message)
+        why = NOT_TABLES.get(kind, why)
+        if why is not None:
+            if self.choice.refuse(topic, why):
+                rospy.logwarn("recorder: %s is not recorded: %s", topic, why)
             return
         try:
             flat = Flat(found().deserialize(message._buff))
@@ -406,19 +424,18 @@ class RecorderNode:
             return
         recording.topic(topic, kind, flat, _sender(message), received)
 
-    def _message_class(self, topic: str, kind: str, md5: str) -> Any:
-        """The installed class of a type; None, and said why, where there is none that fits."""
+    def _installed(self, message: Any) -> tuple[Any, str | None]:
+        """The installed class of a message in its wire form; None, and why there is none."""
+        header = message._connection_header
+        kind, md5 = str(header.get("type", "")), str(header.get("md5sum", ""))
         if (kind, md5) not in self._classes:
             self._classes[kind, md5] = roslib.message.get_message_class(kind)
         found = self._classes[kind, md5]
-        why = NOT_TABLES.get(kind)
         if found is None:
-            why = f"its type {kind} is not installed here"
-        elif why is None and found._md5sum != md5:
-            why = f"its sender has another definition of {kind} than this machine"
-        if why is not None and self.choice.refuse(topic, why):
-            rospy.logwarn("recorder: %s is not recorded: %s", topic, why)
-        return found if why is None else None
+            return None, f"its type {kind} is not installed here"
+        if found._md5sum != md5:
+            return None, f"its sender has another definition of {kind} than this machine"
+        return found, None
 
     def _on_tag(self, message: String) -> None:
         recording, source = self.recording, _sender(message)
@@ -442,9 +459,11 @@ class RecorderNode:
             rospy.logwarn("recorder: %s", problem)
 
     def _on_clock_step(self, step_ns: int, wall_ns: int) -> None:
-        rospy.logwarn("recorder: the clock was set by %+.3f s", step_ns * 1e-9)
+        # Every callback waits for this: the log, which may be slow, is written by another thread.
         if self.recording is not None:
             self.recording.clock_stepped(step_ns, wall_ns)
+        said = ("recorder: the clock was set by %+.3f s", step_ns * 1e-9)
+        threading.Thread(target=rospy.logwarn, args=said, daemon=True).start()
 
     def _episode_now(self, wall_ns: int) -> int:
         """Now on the clock of the episode's stamps [ns]."""

@@ -49,7 +49,8 @@ class Settings:
             raise ValueError("parameter ~arms is empty: at least one arm, e.g. [PSM1]")
         cameras = [camera(name) for name in names(get("~cameras", []), "~cameras")]
         if len(dict(cameras)) != len(cameras):
-            raise ValueError(f"parameter ~cameras names a camera twice: {[n for n, _ in cameras]}")
+            said = ", ".join(f"{name} ({topic})" for name, topic in cameras)
+            raise ValueError(f"parameter ~cameras names a camera twice: {said}")
         cell = get("~cell", "")
         return cls(
             out=Path(out).resolve(),
@@ -82,7 +83,8 @@ def names(value: Any, parameter: str) -> list[str]:
 def camera(given: str) -> tuple[str, str]:
     """Name and topic of a camera from either."""
     if given.startswith("/"):
-        return given.removesuffix("/image_raw").strip("/").replace("/", "_"), given
+        short = given.removesuffix("/compressed").removesuffix("/image_raw")
+        return short.strip("/").replace("/", "_"), given
     head, _, tail = given.rpartition("_")
     return given, f"/{head}/{tail}/image_raw" if head else f"/{given}/image_raw"
 

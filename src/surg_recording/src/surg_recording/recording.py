@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_recording import columns, rows
+from surg_recording import columns, compressed_image, rows
 from surg_recording.annotations import Annotations, Tag
 from surg_recording.camera_sink import CameraSink
-from surg_recording.clock_steps import FUTURE_NS
+from surg_recording.clock_steps import CLOCK_STEP, FUTURE_NS
 from surg_recording.csv_sink import CsvTable, CsvWriter
 from surg_recording.episode import TOPICS
 from surg_recording.episode_writer import MIN_FREE_BYTES, EpisodeWriter
@@ -227,14 +227,17 @@ class Recording:
 
     def clock_stepped(self, step_ns: int, wall_ns: int) -> None:
         """Mark a step of the wall clock: an event, and a new segment of the episode."""
-        tables = {name: table.rows + table.backlog for name, table in dict(self._tables).items()}
+        tables = {name: table.taken for name, table in dict(self._tables).items()}
         frames = {name: video.received for name, video in dict(self._videos).items()}
         self._segments.append(
             {"begin_ns": wall_ns, "step_ns": step_ns, "rows": tables, "frames": frames}
         )
         self.warn(f"the clock was set by {step_ns * 1e-9:+.3f} s: stamps on either side differ")
         text = f"the wall clock stepped by {step_ns} ns"
-        self.event("clock_step", "", text, wall_ns, wall_ns)
+        self.event(CLOCK_STEP, "", text, wall_ns, wall_ns)
+        if step_ns < 0 and not self._lockstep:
+            for video in dict(self._videos).values():
+                video.expect_earlier_stamps()
 
     def watch_cameras(self, now: float, wall_ns: int) -> None:
         """Look for cameras that have fallen silent or have come back (free-run only).
@@ -278,7 +281,10 @@ class Recording:
         self._put(self._tables.get("events"), (stamp_ns, receive_ns, topic, source, text))
 
     def image(self, camera: str, message: Any, receive_ns: int) -> None:
-        """Record a sensor_msgs/Image. Blocks in lock-step when the encoder is behind."""
+        """Record a sensor_msgs/Image or CompressedImage.
+
+        Blocks in lock-step when the encoder is behind.
+        """
         video = self._videos.get(camera)
         if video is None:  # its encoder did not start
             self._orphans[camera] = self._orphans.get(camera, 0) + 1
@@ -286,17 +292,7 @@ class Recording:
         stamp_ns = rows.nanoseconds(message.header.stamp)
         self._look_ahead(camera, stamp_ns, receive_ns)
         self._heard[camera] = time.monotonic()
-        video.put(
-            Frame(
-                message.data,
-                message.width,
-                message.height,
-                message.step,
-                message.encoding,
-                stamp_ns,
-                receive_ns,
-            )
-        )
+        video.put(_frame(message, stamp_ns, receive_ns))
 
     def written_tick(self) -> int:
         """Newest tick whose cycles (of every arm) and ground truths are with the kernel."""
@@ -372,7 +368,11 @@ class Recording:
             if f"cycle_{arm}" not in self._tables:
                 problems.append(f"{arm}: no cycle was received")
         drops = self._drops()
-        problems += [f"{name}: {count} dropped" for name, count in drops.items() if count]
+        for name, count in drops.items():
+            if count:
+                skipped = self._videos[name].last_skip if name in self._videos else None
+                why = f" (the last that could not be recorded: {skipped})" if skipped else ""
+                problems.append(f"{name}: {count} dropped{why}")
         for name, count in self._future.items():
             self.warn(f"{name}: {count} stamps more than {FUTURE_NS * 1e-6:g} ms in the future")
         self._annotations.end(end_stamp_ns)
@@ -459,3 +459,16 @@ class Recording:
                     self._problems.append(f"{name}: {problem.strerror}")
                     return None
             return self._tables[name]
+
+
+def _frame(message: Any, stamp_ns: int, receive_ns: int) -> Frame:
+    """A sensor_msgs/Image, or the JPEG or PNG picture of a CompressedImage (which has a format)."""
+    data, said = message.data, getattr(message, "format", None)
+    if said is None:
+        size = message.width, message.height, message.step
+        return Frame(data, *size, message.encoding, stamp_ns, receive_ns)
+    try:
+        coded = compressed_image.look(data, said)
+    except ValueError as problem:
+        return Frame(data, 0, 0, 0, said, stamp_ns, receive_ns, str(problem))
+    return Frame(data, coded.width, coded.height, 0, coded.encoding, stamp_ns, receive_ns)

@@ -17,6 +17,7 @@ from typing import Any
 
 from surg_recording import finishing
 from surg_recording.annotations import Annotations, parse_tag
+from surg_recording.clock_steps import CLOCK_STEP
 from surg_recording.episode import FORMAT, MANIFEST, PARTIAL, read_table
 from surg_recording.episode_writer import LOCK, RESERVE, sync_folder
 from surg_recording.errors import EpisodeError
@@ -108,8 +109,12 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
 
 
 def _said(folder: Path) -> dict[str, Any]:
-    """Stages, tags and verdict again from the events, where they were written at once."""
+    """Stages, tags, verdict and clock steps from the events, where they were written at once.
+
+    Which rows had come before a step is not known any more: its entry does not say.
+    """
     found, last = Annotations(), 0
+    steps: list[dict[str, int]] = []
     try:
         events = read_table(folder / "events.csv")
         for index in range(len(events)):
@@ -119,10 +124,14 @@ def _said(folder: Path) -> dict[str, Any]:
                 stamp, by = int(events["stamp_ns"][index]), str(events["source"][index])
                 last = stamp
                 found.add(said, stamp, by)
-    except (EpisodeError, ValueError):
+            elif events["topic"][index] == CLOCK_STEP:
+                step = int(str(events["text"][index]).split()[-2])
+                steps.append({"begin_ns": last, "step_ns": step})
+    except (EpisodeError, ValueError, IndexError):
         return {}
     found.end(last)
-    return {"stages": found.stages, "tags": found.tags, "result": found.result}
+    said_so = {"stages": found.stages, "tags": found.tags, "result": found.result}
+    return {**said_so, "segments": steps}
 
 
 def _manifest(folder: Path) -> dict[str, Any]:

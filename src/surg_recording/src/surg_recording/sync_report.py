@@ -7,6 +7,9 @@ Three questions, each answered ``pass``, ``fail`` or ``cannot_tell`` with reason
   stamps lie in the past when they are received?
 * *video lag*: does a video show what the kinematics say, at the time they say it?
 
+Where the clock was set meanwhile (free-run), the first answer is ``fail``; the other two are of the
+longest stretch between its steps, whose own verdict stands under ``segment``.
+
 On the command line: ``python -m surg_recording.sync_report EPISODE…``.
 """
 
@@ -17,15 +20,16 @@ import contextlib
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import clock_sync, image_motion, video_lag
+from surg_recording import clock_segments, clock_sync, image_motion, video_lag
 from surg_recording import episode as episodes
+from surg_recording.clock_segments import Segment
 from surg_recording.episode import MANIFEST, Episode, Table
 from surg_recording.errors import EpisodeError
 from surg_recording.finishing import clean_json, write_json
@@ -64,16 +68,18 @@ def make(episode: Episode, progress: Progress | None = None) -> dict[str, Any]:
         What ``sync.json`` holds; docs/clock_sync.md lists the keys. A part that cannot be read is
         named under ``reasons`` and makes the verdict ``cannot_tell``; it never raises for that.
     """
-    clock = _clock(episode)
-    streams = _streams(episode)
-    skew = _skew(streams, wall_clock=episode.manifest.get("mode") == "freerun")
-    lags = _lags(episode, progress)
-    parts = [(clock["verdict"], clock["reasons"]), (skew["verdict"], skew["reasons"])]
-    parts += [(lag["verdict"], [f"{name}: {lag['reason']}"]) for name, lag in lags.items()]
-    verdict = _worst([found for found, _ in parts])
+    segment, stepped = _steps(episode.manifest)
+    unset = _clock(episode)
+    clock = unset
+    if stepped:
+        others = unset["reasons"] if unset["verdict"] != PASS else []
+        clock = _clock_failed(unset, *stepped, *others)
+    skew = _skew(_streams(episode, segment), wall_clock=episode.manifest.get("mode") == "freerun")
+    lags = _lags(episode, segment, progress)
+    rest = [(skew["verdict"], skew["reasons"])]
+    rest += [(lag["verdict"], [f"{name}: {lag['reason']}"]) for name, lag in lags.items()]
     result = {
-        "verdict": verdict,
-        "reasons": [reason for found, said in parts if found != PASS for reason in said],
+        **_together([(clock["verdict"], clock["reasons"]), *rest]),
         "offset_s": clock["offset_s"],
         "path_delay_s": clock["path_delay_s"],
         "grandmaster": clock["grandmaster"],
@@ -88,7 +94,34 @@ def make(episode: Episode, progress: Progress | None = None) -> dict[str, Any]:
             "future_s": FUTURE_BOUND,
         },
     }
+    if segment is not None:
+        alone = _together([(unset["verdict"], unset["reasons"]), *rest])
+        result["segment"] = {"said": segment.words, "seconds": segment.seconds, **alone}
     return dict(clean_json(result))
+
+
+def _together(parts: Sequence[tuple[str, list[str]]]) -> dict[str, Any]:
+    """The worst of several verdicts, and the reasons of all that did not pass."""
+    verdict = _worst([found for found, _ in parts])
+    return {
+        "verdict": verdict,
+        "reasons": [reason for found, said in parts if found != PASS for reason in said],
+    }
+
+
+def _steps(manifest: Mapping[str, Any]) -> tuple[Segment | None, list[str]]:
+    """The longest stretch between the steps of the clock, and the steps in words."""
+    if manifest.get("mode") == "lockstep":
+        return None, []
+    said = [
+        f"the wall clock was set by {step.get('step_ns', 0) * 1e-9:+.3f} s while it was recorded"
+        for step in manifest.get("segments") or []
+        if isinstance(step, dict)
+    ]
+    try:
+        return clock_segments.longest(manifest), said
+    except EpisodeError as problem:
+        return None, [*said, str(problem)]
 
 
 def write(folder: Path | str, progress: Progress | None = None) -> dict[str, Any]:
@@ -152,7 +185,7 @@ def machines(manifest: Any) -> int:
 
 
 def _clock(episode: Episode) -> dict[str, Any]:
-    """Whether the machines' clocks agreed."""
+    """Whether the machines' clocks agreed, but for steps of the recorder's own."""
     result: dict[str, Any] = {
         "verdict": PASS,
         "reasons": [],
@@ -166,17 +199,10 @@ def _clock(episode: Episode) -> dict[str, Any]:
     }
     if episode.manifest.get("mode") == "lockstep":
         return {**result, "reasons": ["lock-step: all stamps are the simulator's ticks"]}
-    steps = [s for s in episode.manifest.get("segments") or [] if isinstance(s, dict)]
-    stepped = [
-        f"the wall clock was set by {s.get('step_ns', 0) * 1e-9:+.3f} s while it was recorded"
-        for s in steps
-    ]
     several = result["machines"] > 1
     if CLOCK_TABLE not in episode.tables:
         if several:
-            stepped.append("two machines, but no clock was monitored")
-        if stepped:
-            return _clock_failed(result, *stepped)
+            return _clock_failed(result, "two machines, but no clock was monitored")
         return {**result, "reasons": ["one machine, one clock"]}
     try:
         table = episode.table(CLOCK_TABLE)
@@ -195,7 +221,7 @@ def _clock(episode: Episode) -> dict[str, Any]:
         result["offset_median_s"] = float(np.median(offset))
     if np.any(np.isfinite(delay)):
         result["path_delay_s"] = float(np.nanmedian(delay))
-    faults = [*stepped, *_clock_faults(table, several)]
+    faults = _clock_faults(table, several)
     if several and not np.any(followers):
         faults.append(
             "two machines, but only the master's clock was monitored: run the monitor on the other"
@@ -257,17 +283,22 @@ class _Stream:
     of any kind, which may have stamps of their own."""
 
 
-def _streams(episode: Episode) -> list[_Stream]:
-    """The stamps of all tables and sidecars."""
+def _streams(episode: Episode, segment: Segment | None) -> list[_Stream]:
+    """The stamps of all tables and sidecars, or of those within a segment."""
     wanted = ("stamp_ns", "receive_ns")
-    entries = {**episode.manifest["tables"], **episode.manifest["videos"]}
+    tables, videos = episode.manifest["tables"], episode.manifest["videos"]
+    entries = {**tables, **(videos if segment is None else dict.fromkeys(episode.cameras))}
     found = []
     for name, entry in entries.items():
         if name in _APART:
             continue
         kinds = entry.get("kinds") if isinstance(entry, dict) else None
         try:
-            table = episodes.read_table(episode.folder / f"{name}.csv", kinds, wanted)
+            if segment is not None and name not in tables:
+                table = segment.video(episode, name).frames
+            else:
+                table = episodes.read_table(episode.folder / f"{name}.csv", kinds, wanted)
+                table = table if segment is None else segment.table(table, name)
         except EpisodeError as problem:
             found.append(_Stream(name, _NONE, _NONE, str(problem)))
             continue
@@ -349,15 +380,17 @@ def _levels(values: npt.NDArray[np.float64]) -> dict[str, float]:
 # --- video against kinematics -------------------------------------------------------------------
 
 
-def _lags(episode: Episode, progress: Progress | None) -> dict[str, dict[str, Any]]:
+def _lags(
+    episode: Episode, segment: Segment | None, progress: Progress | None
+) -> dict[str, dict[str, Any]]:
     """The lag of every camera."""
     if not episode.cameras:
         return {}
-    origin, paths, problems = _paths(episode)
+    origin, paths, problems = _paths(episode, segment)
     result = {}
     for camera in episode.cameras:
         try:
-            video = episode.video(camera)
+            video = episode.video(camera) if segment is None else segment.video(episode, camera)
             count = len(video.frames)
 
             def told(done: int, name: str = camera, count: int = count) -> None:
@@ -365,6 +398,9 @@ def _lags(episode: Episode, progress: Progress | None) -> dict[str, dict[str, An
                     progress(f"{name}: frame {done} of {count}")
 
             motion = image_motion.of_video(video.path, told)
+            if segment is not None:
+                first = int(video.frames["frame"][0])
+                motion = motion.between(first, first + count)
             stamps = (video.frames["stamp_ns"] - origin) * 1e-9
             estimate = video_lag.estimate(stamps, motion, paths)
         except EpisodeError as problem:
@@ -375,15 +411,22 @@ def _lags(episode: Episode, progress: Progress | None) -> dict[str, dict[str, An
     return result
 
 
-def _paths(episode: Episode) -> tuple[int, dict[str, video_lag.TipPath], list[str]]:
+def _paths(
+    episode: Episode, segment: Segment | None
+) -> tuple[int, dict[str, video_lag.TipPath], list[str]]:
     """Origin of time [ns], the tips' paths by arm, and what could not be read."""
     paths, problems, origin = {}, [], 0
+
+    def within(table: Table, name: str) -> Table:
+        return table if segment is None else segment.table(table, name)
+
     for arm in episode.arms:
         try:
             table = episodes.read_table(
                 episode.folder / f"cycle_{arm}.csv",
-                wanted=("stamp_ns", "p_tip_x", "p_tip_y", "p_tip_z"),
+                wanted=("stamp_ns", "receive_ns", "p_tip_x", "p_tip_y", "p_tip_z"),
             )
+            table = within(table, f"cycle_{arm}")
             tip = table.vector("p_tip")
         except EpisodeError as problem:
             problems.append(str(problem))
@@ -394,7 +437,7 @@ def _paths(episode: Episode) -> tuple[int, dict[str, video_lag.TipPath], list[st
             paths[arm] = path
     if ASSISTANT_TABLE in episode.tables:
         with contextlib.suppress(EpisodeError):  # it only helps
-            table = episode.table(ASSISTANT_TABLE)
+            table = within(episode.table(ASSISTANT_TABLE), ASSISTANT_TABLE)
             yaw, pitch, insertion = (table[name] for name in ("yaw", "pitch", "insertion"))
             tip = spherical(yaw, pitch, insertion)
             path = _tip_path(table["stamp_ns"] - origin, tip)

@@ -11,11 +11,10 @@ import fnmatch
 from collections.abc import Mapping
 from typing import Any
 
-NOT_TABLES = {
-    "sensor_msgs/Image": "an image topic: name it in ~cameras",
-    "sensor_msgs/CompressedImage": "compressed images are not recorded; name the raw topic in"
-    " ~cameras",
-}
+IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
+"""Types of a camera's topic."""
+
+NOT_TABLES = dict.fromkeys(IMAGES, "an image topic: name it in ~cameras")
 """Types that no table can hold, with what to do."""
 
 _WILD = frozenset("*?[")

@@ -1,12 +1,12 @@
 """The encoder of one camera: a process of its own that reads frames from standard input.
 
-Started by ``video_sink.VideoSink``; needs PyAV and numpy only. The files are made with the first
-frame. It ends when its input ends, also when the recorder was killed, and then leaves a finished
-file. It answers on standard output, one line each: ``ready`` at the start, ``frame N``,
-``skip REASON`` for a frame it could not take, ``error REASON`` before it gives up, ``end`` after a
-clean finish.
+Started by ``video_sink.VideoSink``; needs PyAV and numpy, and OpenCV for compressed pictures. The
+files are made with the first frame. It ends when its input ends, also when the recorder was killed,
+and then leaves a finished file. It answers on standard output, one line each: ``ready`` at the
+start, ``frame N``, ``skip REASON`` for a frame it could not take, ``error REASON`` before it gives
+up, ``end`` after a clean finish.
 
-Input: per frame ``HEADER`` and then the image rows as they came in the message.
+Input: per frame ``HEADER`` and then the image as it came in the message: rows, or JPEG or PNG.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ import av
 import numpy as np
 import numpy.typing as npt
 
+Image = npt.NDArray[np.uint8]
+
 HEADER = struct.Struct("<qqqIIIIQ")
 """stamp_ns, receive_ns, frames dropped before this one, width, height, bytes per row, encoding
 (index into ``ENCODINGS``), number of bytes that follow."""
@@ -36,8 +38,10 @@ ENCODINGS: dict[str, tuple[str, int]] = {
     "rgba8": ("rgba", 4),
     "bgra8": ("bgra", 4),
     "yuv422_yuy2": ("yuyv422", 2),
+    "jpeg": ("bgr24", 0),
+    "png": ("bgr24", 0),
 }
-"""ROS image encoding → PyAV pixel format and bytes per pixel."""
+"""ROS image encoding → PyAV pixel format and bytes per pixel; 0: a compressed picture."""
 
 _FORMATS = list(ENCODINGS.values())
 
@@ -74,7 +78,7 @@ class Encoder:
 
     def add(
         self,
-        image: npt.NDArray[np.uint8],
+        image: Image,
         pixels: str,
         stamp_ns: int,
         receive_ns: int,
@@ -115,6 +119,10 @@ class Encoder:
         self._missing = 0
         self._container.mux(packets)
         return None
+
+    def miss(self, dropped: int) -> None:
+        """Count an image that could not be decoded, and those that were lost before it."""
+        self._missing += dropped + 1
 
     def close(self) -> None:
         """Flush the encoder and finish the files."""
@@ -166,10 +174,44 @@ def run(source: BinaryIO, encoder: Encoder) -> None:
         if data is None:
             return
         pixels, channels = _FORMATS[code]
-        image = np.frombuffer(data, np.uint8).reshape(height, step)[:, : width * channels]
-        image = image.reshape(height, width, channels) if channels > 1 else image
+        try:
+            image = rows_of(data, width, height, step, channels) if channels else decoded(data)
+            if image.shape[:2] != (height, width):
+                raise ValueError(f"{image.shape[1]}x{image.shape[0]} pixels came out")
+        except ValueError as problem:
+            encoder.miss(dropped)
+            _say(f"skip a compressed picture of {width}x{height} pixels: {problem}")
+            continue
         skipped = encoder.add(image, pixels, stamp, received, dropped)
         _say(f"skip {skipped}" if skipped else f"frame {encoder.frames}")
+
+
+def rows_of(data: bytes, width: int, height: int, step: int, channels: int) -> Image:
+    """A raw image, (height, width) or (height, width, channels), of rows of ``step`` bytes."""
+    image = np.frombuffer(data, np.uint8).reshape(height, step)[:, : width * channels]
+    return image.reshape(height, width, channels) if channels > 1 else image
+
+
+def decoded(data: bytes) -> Image:
+    """A compressed picture, (height, width, 3) BGR, as the camera saw it: not turned by its tags.
+
+    Raises:
+        ValueError: It cannot be decoded, or there is nothing to decode it with.
+    """
+    try:
+        import cv2
+    except ImportError:
+        raise ValueError("OpenCV is not installed (apt: python3-opencv)") from None
+    cv2.setNumThreads(1)
+    try:
+        image = cv2.imdecode(
+            np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+        )
+    except cv2.error as problem:
+        raise ValueError(f"it cannot be decoded ({problem.err})") from None
+    if image is None:
+        raise ValueError("it cannot be decoded")
+    return np.asarray(image)
 
 
 def main(arguments: list[str]) -> int:

@@ -34,7 +34,7 @@ _LARGE_PIPE = 1 << 20
 
 
 class Frame(NamedTuple):
-    """One image as it came in a sensor_msgs/Image, and when [ns]."""
+    """One image as it came in a sensor_msgs/Image or CompressedImage (step 0), and when [ns]."""
 
     data: bytes
     width: int
@@ -43,6 +43,8 @@ class Frame(NamedTuple):
     encoding: str
     stamp_ns: int
     receive_ns: int
+    problem: str | None = None
+    """Why it cannot be recorded, where that has been seen before."""
 
 
 class VideoSink:
@@ -294,10 +296,14 @@ class VideoSink:
 
 def unusable(frame: Frame) -> str | None:
     """Why an image cannot be encoded, or None."""
+    if frame.problem is not None:
+        return frame.problem
     if frame.encoding not in video_encoder.ENCODINGS:
         return f"encoding {frame.encoding!r}; allowed: {', '.join(video_encoder.ENCODINGS)}"
     width, height, step, size = frame.width, frame.height, frame.step, len(frame.data)
     channels = video_encoder.ENCODINGS[frame.encoding][1]
+    if not channels and min(width, height) >= 2:
+        return None
     if width < 2 or height < 2 or step < width * channels or size != step * height:
         return (
             f"image of {width}x{height} pixels, {step} bytes per row and {size} bytes"

@@ -16,10 +16,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_sim.drawing import OUTSIDE
+
 if TYPE_CHECKING:
     import surg_core
 
 Array = NDArray[np.float64]
+
+_URDF_VISUAL = 1  # group that MuJoCo gives to what a URDF calls visual
 
 TICK = 0.002
 """Duration of one tick [s]."""
@@ -159,6 +163,8 @@ def add_arm(
             f"{arm.urdf_path}: joints {sorted(missing)} of the robot YAML are not in the URDF; "
             f"it has {[joint.name for joint in robot.joints]}"
         )
+    for geom in robot.geoms:  # the instrument's are seen from inside, too
+        geom.group = OUTSIDE if geom.group == _URDF_VISUAL else geom.group
     pose = spec.worldbody.add_frame(
         pos=arm.X_WB[:3, 3].tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
     )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
+from surg_teleop import camera_file
 
 Array = NDArray[np.float64]
 
@@ -57,26 +58,7 @@ def held_camera(cell: surg_core.Cell) -> HeldCamera | None:
 def _mounted(cell: surg_core.Cell, arm: surg_core.Arm, frame: str) -> Array:
     file = cell.folder / "calibration" / f"camera_{arm.name}.yaml"
     if file.is_file():
-        return _measured(surg_core.read_document(file), str(file))
+        return camera_file.parse(surg_core.read_document(file).values, str(file)).R_FV
     mount = arm.instrument.mount_link
     X_FV = surg_core.fixed_transform(arm.instrument_urdf, mount, frame)
     return np.asarray(X_FV)[:3, :3]
-
-
-def _measured(document: surg_core.Document, file: str) -> Array:
-    values = document.values
-    rotation = values.get("quaternion")
-    if values.get("format") != "surg_camera/1":
-        raise surg_core.ConfigError(
-            f"{file}: format: {values.get('format')!r}; allowed: surg_camera/1"
-        )
-    try:
-        q = np.asarray(rotation, dtype=np.float64)
-        if abs(float(np.linalg.norm(q)) - 1.0) > 1e-6:
-            raise ValueError("is not of unit length")
-        return surg_core.quaternion_xyzw_to_matrix(q)
-    except (TypeError, ValueError) as error:
-        raise surg_core.ConfigError(
-            f"{file}: quaternion: {rotation!r} {error}; allowed: x, y, z, w of the left camera in "
-            "the flange, of unit length"
-        ) from error

@@ -26,7 +26,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
 from surg_core import ConfigError
-from surg_msgs.msg import Cycle, Ready
+from surg_msgs.msg import Ready
 from surg_teleop.arm import Commands
 from surg_teleop.camera import HeldCamera, held_camera
 from surg_teleop.fit import Workspace
@@ -35,12 +35,12 @@ from surg_teleop.frames.judge import Lens, Verdict, judge, not_seen
 from surg_teleop.frames.moves import REST, WORDS
 from surg_teleop.frames.sight import NotSeen, Picture, Place, find_places
 from surg_teleop.peers import publishers, subscribers
-from surg_teleop.ports_node import ArmPort, arm_view, wait_for_all
+from surg_teleop.ports_node import ArmPort, RawCycle, arm_view, wait_for_all
 
 CONNECT_TIMEOUT = 180.0
 """[s] wall clock: longest wait for controllers and pictures."""
 PERIOD_TICKS = 5
-"""A command is sent at every fifth cycle: 100 Hz."""
+"""Every fifth cycle is looked at and answered: 100 Hz."""
 FLUSH = 0.3
 """[s] After the last command, so that it leaves the socket."""
 EYES = ("left", "right")
@@ -142,37 +142,41 @@ class CheckNode:
         self.eyes = Eyes(eyes)
         self._lock = threading.Lock()
         self._port = ArmPort(task.arm)  # no claim: it would outlive the check
-        self._cycles: dict[str, Cycle] = {}
+        self._cycles: dict[str, RawCycle] = {}
         self._tick, self._said = 0, REST
         self._ready = rospy.Publisher(
             "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
         )
         self._inputs = [
             rospy.Subscriber(
-                f"/{name}/cycle", Cycle, self._on_cycle, name, queue_size=None, tcp_nodelay=True
+                f"/{name}/cycle", RawCycle, self._on_cycle, name, queue_size=None, tcp_nodelay=True
             )
             for name in (task.arm, task.camera.arm)
         ]
 
-    def _on_cycle(self, cycle: Cycle, name: str) -> None:
+    def _on_cycle(self, cycle: RawCycle, name: str) -> None:
         with self._lock:
             self._cycles[name] = cycle
             if self.finished.is_set() or len(self._cycles) < 2:
                 return
             own, scope = (self._cycles[n] for n in (self.task.arm, self.task.camera.arm))
+            tick = own.tick()
+            if tick <= self._tick:
+                return
             if self.task.lockstep:
-                if own.tick == scope.tick > self._tick:
-                    self._tick = own.tick
+                if tick == scope.tick():
+                    self._tick = tick
                     self._act(own, scope)
-                    self._say_ready(self._tick + 1)
-            elif name == self.task.arm and own.tick > self._tick:
-                self._tick = own.tick
+                    self._say_ready(tick + 1)
+            elif name == self.task.arm:
+                self._tick = tick
                 self._act(own, scope)
 
-    def _act(self, own: Cycle, scope: Cycle) -> None:
-        """One cycle; with the lock held."""
-        if self.check.done:
+    def _act(self, raw: RawCycle, raw_scope: RawCycle) -> None:
+        """One cycle, of which every fifth is read; with the lock held."""
+        if self.check.done or self._tick % PERIOD_TICKS:
             return
+        own, scope = raw.read(), raw_scope.read()
         if self.eyes.problem:
             self._send(self.check.stop(self.eyes.problem))
         else:
@@ -181,8 +185,6 @@ class CheckNode:
             R_WV = self.task.camera.view(q) if known else None
             view = arm_view(own, np.asarray(self.task.cell.arms[self.task.arm].X_WB)[:3, :3])
             commands = self.check.tick(view, R_WV, self.eyes.newest)
-            if self._tick % PERIOD_TICKS and not self.check.done:
-                commands.servo_cp = None
             self._send(commands)
         self._tell()
         if self.check.done and not self.task.lockstep:

@@ -2,6 +2,7 @@
 
 Publishes, as far as the leader has it: ``/<name>/joy`` (sensor_msgs/Joy: on every change, and again
 at the layout's autorepeat), ``/<name>/measured_cp`` and ``/<name>/measured_cv`` in the view frame,
+``/<name>/spherical/measured_js`` for one that turns the shaft about the trocar,
 ``/<name>/gripper/measured_js``, ``/<name>/operating_state``, ``/<name>/error``, and its buttons as
 ``/footpedals/clutch``, ``camera``, ``operator_present``. A device that has gone is silence: nothing
 is repeated but its state, and a clutch pedal that fails to pressed.
@@ -27,6 +28,7 @@ from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
 from surg_core import matrix_to_quaternion_xyzw
+from surg_teleop.crtk_node import JOINTS
 from surg_teleop.inputs.leader import InputLeader
 from surg_teleop.leader import HandlePose, HandRate, Leader, LeaderError, LeaderSample, load, names
 from surg_teleop.leaders.keyboard import HELP, Keyboard
@@ -35,7 +37,9 @@ ALLOWED = ("leader", "settings", "rate", "pedals")
 RATES = (20.0, 500.0)
 """[Hz] Slower than 10 Hz would read as silence."""
 STATE_EVERY = 0.1
-"""[s] operating_state and pedals at least that often."""
+"""[s] operating_state at least that often."""
+PEDALS_EVERY = 0.05
+"""[s] Pedals at least that often: who hears them notices when they end (seat.PEDAL_SILENCE)."""
 GRIPPER_OPEN = 1.0
 """[rad] What a jaw that is fully open says on gripper/measured_js; closed is 0."""
 PEDALS = {"clutch": "clutch", "camera": "camera", "present": "operator_present"}
@@ -60,6 +64,7 @@ class LeaderNode:
             for topic, kind, latch in (
                 ("measured_cp", PoseStamped, False),
                 ("measured_cv", TwistStamped, False),
+                ("spherical/measured_js", JointState, False),
                 ("gripper/measured_js", JointState, False),
                 ("joy", Joy, False),
                 ("operating_state", OperatingState, True),
@@ -96,7 +101,9 @@ class LeaderNode:
     def _say_sample(self, sample: LeaderSample, stamp: rospy.Time) -> None:
         if sample.pose is not None:
             self._out["measured_cp"].publish(pose_message(sample.pose, stamp))
-        if sample.rate is not None:
+        if sample.rate is not None and sample.rate.spherical is not None:
+            self._out["spherical/measured_js"].publish(spherical_message(sample.rate, stamp))
+        elif sample.rate is not None:
             self._out["measured_cv"].publish(rate_message(sample.rate, stamp))
         if sample.grip is not None:
             joint = JointState(name=["gripper"], position=[GRIPPER_OPEN * sample.grip])
@@ -115,7 +122,7 @@ class LeaderNode:
         if not self._says_pedals:
             return
         pressed = tuple(sorted(buttons & PEDALS.keys()))
-        if not self._due("pedals", pressed, now, STATE_EVERY):
+        if not self._due("pedals", pressed, now, PEDALS_EVERY):
             return
         has = set(pressed)
         if isinstance(self._leader, InputLeader):
@@ -175,6 +182,14 @@ def rate_message(rate: HandRate, stamp: rospy.Time) -> TwistStamped:
     return message
 
 
+def spherical_message(rate: HandRate, stamp: rospy.Time) -> JointState:
+    """A hand's rates about the trocar: yaw, pitch [rad/s], insertion [m/s], roll [rad/s]."""
+    assert rate.spherical is not None
+    message = JointState(name=list(JOINTS), velocity=[*rate.spherical.tolist(), rate.roll])
+    message.header.stamp = stamp
+    return message
+
+
 def read_parameters(parameters: Mapping[str, object]) -> tuple[Leader, float, bool]:
     """The leader, its rate [Hz], and whether its buttons are pedals.
 
@@ -196,12 +211,6 @@ def read_parameters(parameters: Mapping[str, object]) -> tuple[Leader, float, bo
     if not isinstance(pedals, bool):
         raise LeaderError(f"'{pedals}'", "~pedals", "allowed: true or false")
     leader = load(str(parameters.get("leader", "gamepad")), settings)
-    if isinstance(leader, InputLeader) and leader.layout.spherical:
-        raise LeaderError(
-            "spherical rates have no topic",
-            leader.layout.file,
-            "name this leader to the teleoperation node itself, or use a layout in the view frame",
-        )
     return leader, float(rate), pedals
 
 

@@ -119,6 +119,11 @@ class RawCycle(Cycle):  # type: ignore[misc]
         (tick,) = struct.unpack_from("<Q", self.data, 16 + frame)
         return int(tick)
 
+    def stamp(self) -> float:
+        """Its stamp, on the clock of the robot's link [s]."""
+        seconds, nanoseconds = struct.unpack_from("<II", self.data, 4)
+        return float(seconds) + 1e-9 * float(nanoseconds)
+
     def read(self) -> Cycle:
         """The whole message."""
         return Cycle().deserialize(self.data)

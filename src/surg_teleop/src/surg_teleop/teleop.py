@@ -225,7 +225,7 @@ class Teleop:
     # What the operator does.
 
     def _feel(self, now: float, sample: LeaderSample | None) -> None:
-        """Edges of the buttons, within an unbroken run of samples only.
+        """Edges of the buttons, within an unbroken run of good samples only.
 
         What changed during a silence, or with a device plugged in again, is no act of the operator.
         """
@@ -233,6 +233,9 @@ class Teleop:
             self._buttons = None
             return
         self._heard = sample.stamp
+        if sample.problem:
+            self._buttons = None
+            return
         before, self._buttons = self._buttons, sample.buttons
         if before is None:
             return
@@ -304,6 +307,8 @@ class Teleop:
         name = self.settings.leader
         again = "then press the clutch or enable"
         if sample is None or not _fresh(now, sample.stamp):
+            if sample is not None and sample.problem:
+                return _Obstacle(f"{name}: {sample.problem}")
             return _Obstacle(f"{name} is silent: is it connected and switched on? {again}")
         if not self._finite(sample):
             return _Obstacle(
@@ -417,6 +422,9 @@ class Teleop:
         if not obeys and (self._obeyed or now - self._engaged > GRACE):
             why = f" ({arm.reason})" if arm.reason else f" (see {name}/warning)"
             self._let_go(now, f"{name} does not obey{why}", commands)
+            return
+        if not self._obeyed:  # until then a step would be a beginning away from the set-point
+            commands.servo_cp = target.command(now)
             return
         if not (behind := float(np.linalg.norm(target.wanted - arm.p_set))) <= BEHIND:
             self._let_go(now, f"{name} is {1e3 * behind:.0f} mm behind the hand", commands)

@@ -7,8 +7,8 @@ hand with the prefix ``second_``, whose arm may be ``assistant``, with ``~assist
 z, w of its trocar frame in the world); ``~view`` (x, y, z, w of the view in the world, for an
 endoscope that no arm holds); ``~picture`` (/endoscope/left/image_raw; empty: not watched);
 ``~lockstep`` (false), and with it ``~enabled`` (false: somebody must enable) and ``~duration`` [s]
-(done after it). Exit code 1: a connection is
-missing; 2: a file or parameter that must not be used.
+(done after it). Exit code 1: a connection is missing, or the end hung; 2: a file or parameter that
+must not be used.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from surg_msgs.msg import Cycle, Ready
 from surg_teleop.arm import PERIOD_NS, SECOND, ArmView
 from surg_teleop.camera import HeldCamera
 from surg_teleop.crtk_node import CrtkTopics
+from surg_teleop.lateness import Arrivals
 from surg_teleop.leader import LeaderError
 from surg_teleop.leaders.crtk import CrtkLeader
 from surg_teleop.peers import publishers, subscribers
@@ -45,14 +46,18 @@ from surg_teleop.seat import Pedals
 from surg_teleop.system import ASSISTANT, Hand, System, read_system
 from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
 
-PERIOD = 0.004
-"""[s] A leader that is asked (and not heard) is asked that often."""
+ASKED_PERIOD = 0.004
+"""[s] A leader that must be asked is asked that often."""
+HEARD_PERIOD = 0.010
+"""[s] Leaders that speak begin a tick at once; in their pauses time passes that often."""
 AGAIN = 1.0
 """[s] The same warning is said no more often."""
 REPORT = 0.5
 """[s] ``~status`` is said at least that often."""
 CONNECT_TIMEOUT = 30.0
 """[s] wall clock, lock-step: longest wait for everybody."""
+END = 2.0
+"""[s] from being told to end until the process is gone, whatever hangs."""
 PEDALS = {"clutch": "clutch", "camera": "camera", "operator_present": "present", "rate": "rate"}
 
 
@@ -72,6 +77,7 @@ class TeleopNode:
         """Set where the node shall end."""
         self._pedals = Pedals()
         self._cycles: dict[str, tuple[float, RawCycle]] = {}
+        self._arrivals = {arm: Arrivals() for arm in system.heard}
         self._tick, self._recording, self._status = 0, False, ""
         self._reported = -math.inf
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
@@ -135,26 +141,31 @@ class TeleopNode:
 
     def _on_cycle(self, message: RawCycle, arm: str) -> None:
         with self._lock:
-            self._cycles[arm] = (time.monotonic(), message)
+            # A cycle that a network held up is as old as it is, not as new as it came.
+            received = self._arrivals[arm].of(message.stamp(), time.monotonic())
+            self._cycles[arm] = (received, message)
             if self._system.lockstep:
                 self._advance()
 
     def _on_pedal(self, message: Joy, which: tuple[str, str]) -> None:
         with self._lock:
             # Two senders on one topic are two feet: neither lifts the other's.
-            source = f"{which[0]} {message._connection_header['callerid']}"
-            self._pedals.press(source, which[1], bool(message.buttons) and message.buttons[0] == 1)
-        self._wake.set()
+            source = f"{message._connection_header['callerid']} ({which[0]})"
+            down = bool(message.buttons) and message.buttons[0] == 1
+            news = self._pedals.press(source, which[1], down, time.monotonic())
+        if news:
+            self._wake.set()
 
     def _on_enable(self, message: Bool) -> None:
         with self._lock:
             for hand in self._system.hands:
-                hand.seat.enable() if message.data else hand.seat.disable()
+                self._switch(hand, bool(message.data))
         self._wake.set()
 
     def _on_state_command(self, message: StringStamped, one: Teleop) -> None:
         with self._lock:
             if message.string == "enable":
+                self._pedals.forget(time.monotonic())
                 one.enable()
             elif message.string == "disable":
                 one.disable()
@@ -200,9 +211,11 @@ class TeleopNode:
     # Ticks.
 
     def run(self) -> None:
-        """Free-run: a tick whenever a leader speaks, and every PERIOD, until ``finished``."""
+        """Free-run: a tick whenever a leader speaks, and every period, until ``finished``."""
+        heard = all(isinstance(hand.leader, CrtkLeader) for hand in self._system.hands)
+        period = HEARD_PERIOD if heard else ASKED_PERIOD
         while not self.finished.is_set() and not rospy.is_shutdown():
-            self._wake.wait(PERIOD)
+            self._wake.wait(period)
             self._wake.clear()
             with self._lock:
                 self._act(time.monotonic())
@@ -280,19 +293,26 @@ class TeleopNode:
     def _move(
         self, hand: Hand, now: float, views: dict[str, ArmView], camera: CameraView | None
     ) -> None:
-        sample = self._pedals.merge(hand.read(now))
+        sample = self._pedals.merge(hand.read(now), time.monotonic())
         pressed = hand.pressed(sample)
         if "record" in pressed:
             self._record.publish(Bool(not self._recording))
         if "enable" in pressed:
-            off = hand.seat.instrument.state is State.DISABLED
-            hand.seat.enable() if off else hand.seat.disable()
+            self._switch(hand, hand.seat.instrument.state is State.DISABLED)
         for arm, output in hand.seat.tick(now, sample, views, camera).items():
             commands = output.commands
             if arm == ASSISTANT and self._system.assistant is not None:
                 commands = self._system.assistant.obey(commands)
             self._ports[arm].send(commands)
             self._say(hand, arm, output)
+
+    def _switch(self, hand: Hand, on: bool) -> None:
+        """The operator takes or leaves the seat."""
+        if on:
+            self._pedals.forget(time.monotonic())
+            hand.seat.enable()
+        else:
+            hand.seat.disable()
 
     # What people read.
 
@@ -412,9 +432,14 @@ def main() -> int:
         print(f"teleop: {error}", file=sys.stderr)
         return 2
     node = TeleopNode(system)
+
+    def end(*_: Any) -> None:
+        node.finished.set()
+        _end_within(END)
+
     # rospy's own handler would close the topics before the arms have been told to stop.
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: node.finished.set())
+        signal.signal(number, end)
     try:
         if system.lockstep:
             node.connect()
@@ -426,6 +451,25 @@ def main() -> int:
         print(f"teleop: {error}", file=sys.stderr)
         return 1
     finally:
+        _end_within(END)
         node.stop()
         rospy.signal_shutdown("teleop: done")
     return 0
+
+
+def _end_within(seconds: float) -> None:
+    """No device, and no connection whose other end reads nothing more, keeps this process."""
+
+    def give_up() -> None:
+        print(
+            f"teleop: something hangs {seconds:g} s after the end was asked for (a device, or a "
+            "connection): ended without waiting for it; what was not told to stop, its controller "
+            "stops by itself (F03)",
+            file=sys.stderr,
+            flush=True,
+        )
+        os._exit(1)
+
+    timer = threading.Timer(seconds, give_up)
+    timer.daemon = True
+    timer.start()

@@ -11,6 +11,8 @@ from surg_policy_client.wire import VERSION, Message
 
 HELLO_S = 0.25
 """Between two HELLOs, until a server answers."""
+LEAST_PING_S = 0.01
+"""Between two PINGs, whatever a server asks for."""
 LOST_S = 1.0
 """Without a word of the server: it is gone, or has another session now."""
 
@@ -48,7 +50,7 @@ class Conversation:
         self.busy = ""
         self._hello = {"versions": [VERSION, VERSION], **hello}
         self._ping_s = 0.05
-        self._next = float("-inf")
+        self._next = self._earliest = float("-inf")
         self._heard = 0.0
         self._pings = 0
 
@@ -59,6 +61,11 @@ class Conversation:
         if self.state is State.LIVE:
             return min(self._next, self._heard + LOST_S)
         return self._next
+
+    def reached(self) -> None:
+        """Somebody can hear now: a greeting need not wait for its turn."""
+        if self.state is State.GREETING:
+            self._next = self._earliest
 
     def tick(self, now: float) -> list[Message]:
         """Messages that are due.
@@ -95,9 +102,8 @@ class Conversation:
             return None  # a message to an earlier session, or no message of a server
         self._heard = now
         if message.kind == "BYE":
-            self._start_again()
             # A server that ends is not greeted at once: its successor needs its place.
-            self._next = now + HELLO_S
+            self._start_again(now + HELLO_S)
         return None if message.kind == "PONG" else message
 
     def _welcomed(self, message: Message, now: float) -> Message | None:
@@ -113,7 +119,8 @@ class Conversation:
             self._fail(SpecMismatch(self._differs("\n".join(wrong))))
             return None
         self.state, self.session, self.welcome = State.LIVE, message.head["session"], message.head
-        self._ping_s, self._heard, self._next, self.busy = message.head["ping_s"], now, now, ""
+        self._ping_s = max(message.head["ping_s"], LEAST_PING_S)
+        self._heard, self._next, self.busy = now, now, ""
         return message
 
     def _error(self, code: str, text: str, message: Message) -> Message | None:
@@ -132,10 +139,10 @@ class Conversation:
             self._fail(Refused(code, f"the server at {self.address} refused: {text}"))
         return None
 
-    def _start_again(self) -> None:
+    def _start_again(self, earliest: float = float("-inf")) -> None:
         self.state, self.session = State.GREETING, None
         self.generation += 1
-        self._next = float("-inf")
+        self._next = self._earliest = earliest
 
     def _fail(self, failure: PolicyClientError) -> None:
         self.state, self.failure = State.FAILED, failure

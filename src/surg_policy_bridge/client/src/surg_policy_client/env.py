@@ -44,10 +44,12 @@ class RemoteEnv:
         self._stepped = False
         self._acks: dict[str, Any] = {}
         self._said = ""
-        if not self._link.wait_for_welcome(timeout_s):
-            error = self._link.no_server(timeout_s)
+        try:
+            if not self._link.wait_for_welcome(timeout_s):
+                raise self._link.no_server(timeout_s)
+        except BaseException:
             self._link.close()
-            raise error
+            raise
 
     def reset(self) -> tuple[Observation, dict[str, Any]]:
         """First observation of an episode, and info.

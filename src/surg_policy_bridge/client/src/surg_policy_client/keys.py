@@ -72,7 +72,8 @@ def make(folder: Folder, policy: str = POLICY) -> list[Path]:
         The files made.
 
     Raises:
-        BadKeys: When the policy's keys are there already, or the name is no name.
+        BadKeys: When the policy's keys are there already, the server's only by half, or the name
+            is no name.
     """
     root = Path(folder)
     if not _NAME.fullmatch(policy) or policy == SERVER:
@@ -83,10 +84,13 @@ def make(folder: Folder, policy: str = POLICY) -> list[Path]:
             f"{mine} has keys already, and nothing is overwritten: "
             "choose another name, or move that folder away"
         )
+    halves = [(server / name).exists() for name in ("server.key", "server.key_secret")]
+    if any(halves) and not all(halves):
+        raise BadKeys(f"{server} has one half of the server's keys only: move it away")
     made = []
     for place in (root, server, server / "clients", mine):
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if (server / "server.key_secret").exists():
+    if all(halves):
         server_public = _read(server / "server.key")["public-key"]
     else:
         server_public, secret = zmq.curve_keypair()
@@ -148,7 +152,10 @@ def _write(path: Path, public: bytes, secret: bytes | None = None) -> Path:
     if secret is not None:
         text += '    secret-key = "' + secret.decode("ascii") + '"\n'
     mode = 0o600 if secret is not None else 0o644
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    try:
+        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    except FileExistsError:
+        raise BadKeys(f"{path} is there already, and nothing is overwritten") from None
     with os.fdopen(handle, "w", encoding="ascii") as stream:
         stream.write(text)
     path.chmod(mode)  # whatever the umask is

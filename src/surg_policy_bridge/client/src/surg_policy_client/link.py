@@ -23,6 +23,8 @@ from surg_policy_client.spec import Spec
 from surg_policy_client.wire import MAX_PART, Message, WireError, decode, encode, receive
 
 _LINGER_MS = 200
+_RENEW_S = 1.0
+"""After a handshake that failed: the server may be another one by then."""
 _HINTS = {
     "": "nobody listens there. Start a server (./surg run TASK --policy ADDRESS), or look at the "
     "address, and at the firewall between the machines.",
@@ -72,12 +74,19 @@ class Link:
         self._news = threading.Condition()
         self._sending = threading.Lock()
         self._hint = ""
+        self._renew = math.inf
         self._stop = False
+        self._closed = False
+        self._broken: Exception | None = None
         self.skipped = 0
         """Observations that a newer one replaced before the policy was ready."""
         self.dropped = 0
         """Messages that could not be sent, and frames that were no messages."""
-        self._first: Any = self._socket()  # here, so that a bad address fails here
+        try:
+            self._first: Any = self._socket()  # here, so that a bad address fails here
+        except ValueError:
+            self._context.term()
+            raise
         self._outbox = self._context.socket(zmq.PAIR)
         self._outbox.bind("inproc://out")
         self._thread = threading.Thread(target=self._run, name="surg-policy-link", daemon=True)
@@ -139,27 +148,34 @@ class Link:
     def send(self, message: Message) -> None:
         """Hand a message to the connection; it is dropped (and counted) while there is none."""
         parts = encode(message)
-        with self._sending:
-            if not self._stop:
-                self._outbox.send_multipart(parts, copy=False)
+        self._hand_over(parts)
 
     def close(self, reason: str = "the policy ended") -> None:
         """Say goodbye and end the thread."""
-        if self._stop:
+        if self._closed:
             return
         session = self.session
         if session is not None:
             self.send(Message("BYE", {"session": session, "reason": reason[:1024]}))
-        with self._sending:
-            self._stop = True
-            self._outbox.send(b"")
+        self._hand_over([b""])
+        self._closed = True
         self._thread.join()
         self._outbox.close(0)
         self._context.term()
 
+    def _hand_over(self, parts: list[Any]) -> None:
+        """To the thread; dropped where it has ended, for nobody would ever take it."""
+        with self._sending:
+            try:
+                if not self._closed:
+                    self._outbox.send_multipart(parts, zmq.NOBLOCK, copy=False)
+            except zmq.Again:
+                self.dropped += 1
+
     def _raise_failure(self) -> None:
-        if self._talk.failure is not None:
-            raise self._talk.failure
+        failure = self._talk.failure or self._broken
+        if failure is not None:
+            raise failure
 
     # --- the thread -------------------------------------------------------------------------------
 
@@ -169,6 +185,8 @@ class Link:
         try:
             while self._one_connection(out):
                 pass
+        except Exception as error:  # whoever waits for news has to hear of it
+            self._broken = error
         finally:
             out.close(0)
             with self._news:
@@ -178,16 +196,17 @@ class Link:
     def _one_connection(self, out: Any) -> bool:
         """One socket's life; returns whether another shall follow."""
         talk, generation = self._talk, self._talk.generation
+        self._renew = math.inf
         wire, self._first = self._first or self._socket(), None
-        watch = wire.get_monitor_socket()
+        watch = wire.get_monitor_socket()  # the same as in _socket
         poller = zmq.Poller()
         for each in (wire, out, watch):
             poller.register(each, zmq.POLLIN)
         try:
-            while talk.generation == generation:
+            while talk.generation == generation and time.monotonic() < self._renew:
                 for message in talk.tick(time.monotonic()):
                     self._put(wire, encode(message))
-                wait = talk.due() - time.monotonic()
+                wait = min(talk.due(), self._renew) - time.monotonic()
                 wait_ms = None if math.isinf(wait) else max(0, math.ceil(1e3 * wait))
                 ready = dict(poller.poll(wait_ms))
                 if wire in ready:
@@ -217,9 +236,13 @@ class Link:
             wire.curve_publickey = self._keys.public
             wire.curve_secretkey = self._keys.secret
             wire.curve_serverkey = self._keys.server
+        # Before the first attempt: after a handshake that failed ZeroMQ may not try again.
+        watch = wire.get_monitor_socket()
         try:
             wire.connect(self.address)
         except zmq.ZMQError as error:
+            wire.disable_monitor()
+            watch.close(0)
             wire.close(0)
             raise ValueError(
                 f"{self.address!r} is no address ({error}); "
@@ -265,10 +288,15 @@ class Link:
             self._hint = self._hint or "connected"
         elif kind == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._hint = "connected"
+            self._talk.reached()
+        elif kind == zmq.EVENT_CLOSED and self._hint == "connected":
+            self._hint = ""  # an attempt that reached nobody; what a handshake told stays true
         elif kind == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             self._hint = "denied"
+            self._renew = time.monotonic() + _RENEW_S
         elif kind in (
             zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL,
             zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL,
         ):
             self._hint = "protocol"
+            self._renew = time.monotonic() + _RENEW_S

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_recording import columns, episode
+from surg_recording import clock_segments, columns, episode, sync_report
+from surg_recording.clock_segments import Segment
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.episode import Episode
@@ -79,6 +80,8 @@ class Candidate:
     instruction: str
     about: dict[str, Any]
     """What the dataset's page says about it: task, operator, setting, seed, dates, software."""
+    segment: Segment | None = None
+    """What is exported of a recording whose clock was set; None: all of it."""
 
 
 def look(folder: Path, options: ExportOptions) -> Candidate:
@@ -94,12 +97,9 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
             f"{folder}: the recording is {manifest.get('outcome')}: {manifest.get('reason')};"
             " --allow-incomplete exports what is there"
         )
-    if manifest.get("segments"):
-        raise EpisodeError(
-            f"{folder}: the clock was set {len(manifest['segments'])} times while it was recorded"
-            " (key 'segments' of the manifest): stamps on either side cannot be compared"
-        )
-    _check_sync(recorded, options)
+    segment = _segment(recorded)
+    sync = _sync(recorded, segment)
+    _check_sync(recorded, sync, options)
     layout = layout_of(recorded, options)
     run = _mapping(manifest.get("run"))
     return Candidate(
@@ -118,8 +118,9 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
             "clock": manifest.get("clock"),
             "software": _mapping(manifest.get("versions")).get("software"),
             "simulated": bool(manifest.get("sim")),
-            "sync": _sync(recorded),
+            "sync": sync,
         },
+        segment=segment,
     )
 
 
@@ -152,7 +153,8 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
             raise EpisodeError(
                 f"{folder}: no camera {camera!r}; there are {', '.join(own) or 'none'}"
             )
-        if any(_mapping(video).get("part_of") == camera for video in videos.values()):
+        further = any(_mapping(video).get("part_of") == camera for video in videos.values())
+        if further and _segment(recorded) is None:
             raise EpisodeError(
                 f"{folder}: {camera} has more than one video (its size changed, or its encoder was"
                 " killed); --cameras names those to take"
@@ -201,19 +203,43 @@ def kind_of(manifest: Mapping[str, Any]) -> str:
     return FAILURE if judged and judged[0] is False else SUCCESS
 
 
-def _sync(recorded: Episode) -> dict[str, Any] | None:
-    """The recording's sync report, if there is one that can be read."""
+def _sync(recorded: Episode, segment: Segment | None) -> dict[str, Any] | None:
+    """The recording's sync report, if there is one that can be read.
+
+    Of a recording whose clock was set, and which fails as a whole for that, it is the report on the
+    stretch that is exported.
+    """
     try:
         found = json.loads((recorded.folder / SYNC_REPORT).read_text("utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as problem:
         raise EpisodeError(f"{recorded.folder / SYNC_REPORT}: not valid JSON ({problem})") from None
-    return found if isinstance(found, dict) else None
+    if not isinstance(found, dict):
+        return None
+    part = found.get("segment") if segment is not None else None
+    return part if isinstance(part, dict) else found
 
 
-def _check_sync(recorded: Episode, options: ExportOptions) -> None:
-    report = _sync(recorded)
+def _segment(recorded: Episode) -> Segment | None:
+    """The stretch that is exported of a recording whose clock was set.
+
+    Raises:
+        EpisodeError: There is none whose stamps can be compared.
+    """
+    try:
+        segment = clock_segments.longest(recorded.manifest)
+    except EpisodeError as problem:
+        raise EpisodeError(f"{recorded.folder}: {problem}") from None
+    if segment is not None and sync_report.machines(recorded.manifest) > 1:
+        raise EpisodeError(
+            f"{recorded.folder}: {segment.words}; but two machines took part, and it is not known"
+            " which of their clocks was set"
+        )
+    return segment
+
+
+def _check_sync(recorded: Episode, report: dict[str, Any] | None, options: ExportOptions) -> None:
     if report and report.get("verdict") == "fail" and not options.allow_unsynchronised:
         raise EpisodeError(
             f"{recorded.folder}: its sync report ({SYNC_REPORT}) says 'fail': pictures and motion"

@@ -67,6 +67,7 @@ def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: E
     names += ["task_state.csv"] if layout.labelled else []
     for camera in layout.cameras:
         names += [f"{camera}.mp4", f"{camera}.csv"]
+        names += sorted(p.name for p in folder.glob(f"{camera}.[0-9]*") if p.suffix != ".tmp")
     files = {}
     for name in names:
         path = folder / name

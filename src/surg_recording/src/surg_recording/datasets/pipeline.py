@@ -187,6 +187,7 @@ def dry_run(
             continue
         report.recordings += 1
         report.frames += sampled.grid.frames
+        report.warnings += _stretch(str(candidate.folder), sampled.notes)
         kinds[candidate.kind] = kinds.get(candidate.kind, 0) + 1
         report.facts.setdefault("features", {f.name: list(f.shape) for f in sampled.features})
     report.facts["kinds"] = kinds
@@ -333,6 +334,8 @@ def _assemble(
         report.recordings, report.frames = found.recordings, found.frames
         report.errors += found.errors
         report.warnings += found.warnings
+        for part in dataset.parts:
+            report.warnings += _stretch(part.source, part.notes)
         report.facts.update(found.facts)
         if found.recordings != len(dataset.parts) or found.frames != dataset.frames:
             report.errors.append(
@@ -387,6 +390,11 @@ def write_manifest(exporter: Exporter, dataset: Dataset, out: Path, report: Repo
         "files": files,
     }
     (out / MANIFEST).write_text(json.dumps(stated, indent=1, default=str) + "\n", "utf-8")
+
+
+def _stretch(source: str, notes: Mapping[str, Any]) -> list[str]:
+    """What is said of a recording of which a stretch is exported only."""
+    return [f"{source}: {notes['segment']} is exported"] if "segment" in notes else []
 
 
 def _locator(exporter: Exporter) -> str:

@@ -12,37 +12,64 @@ from typing import Any
 import numpy as np
 
 from surg_recording import columns, episode, video_file
+from surg_recording.clock_segments import GUARD_NS, Segment
 from surg_recording.episode import Episode, Table
 from surg_recording.errors import EpisodeError
 
 
-def checked_table(recorded: Episode, name: str) -> Table:
+def checked_table(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
     """A table that is as the recorder left it: as many rows and the stamps of the manifest.
 
+    Args:
+        recorded: The recording.
+        name: Of the table.
+        segment: Only its rows; None: all.
+
     Raises:
-        EpisodeError: torn, edited or missing.
+        EpisodeError: torn, edited or missing; no row in the segment.
     """
     table = recorded.table(name)
     entry = recorded.manifest["tables"][name]
     path = recorded.folder / f"{name}.csv"
     _as_recorded(path, entry, entry.get("rows"), table)
-    return table
+    if segment is None:
+        _forward(path, table)
+        return table
+    kept = segment.table(table, name)
+    _of_the_segment(path, kept, segment)
+    _forward(path, kept, int(np.argmax(segment.rows(name, table["receive_ns"]))))
+    return kept
 
 
-def checked_video(recorded: Episode, camera: str) -> episode.Video:
+def checked_video(recorded: Episode, camera: str, segment: Segment | None = None) -> episode.Video:
     """A video whose frames and times are those of its sidecar.
+
+    Args:
+        recorded: The recording.
+        camera: Name of the camera.
+        segment: Only its frames: of a recording whose clock was set; None: all.
 
     Raises:
         EpisodeError: a file is missing, shorter than the other, or their times differ.
     """
-    video = recorded.video(camera)
+    if segment is None:
+        return _whole_video(recorded, recorded.video(camera))
+    part = segment.video(recorded, camera)
+    _whole_video(recorded, recorded.video(part.name))
+    _of_the_segment(part.path.with_suffix(".csv"), part.frames, segment)
+    return part
+
+
+def _whole_video(recorded: Episode, video: episode.Video) -> episode.Video:
+    """Compare a video with its sidecar, line by line."""
     sidecar = video.path.with_suffix(".csv")
     frames = video.frames
     missing = [name for name in columns.VIDEO if name not in frames]
     if missing:
         raise EpisodeError(f"{sidecar}: no column {', '.join(missing)}")
-    entry = recorded.manifest["videos"][camera]
+    entry = recorded.manifest["videos"][video.name]
     _as_recorded(sidecar, entry, entry.get("frames"), frames)
+    _forward(sidecar, frames)
     times = np.array(video_file.presentation_times(video.path), dtype=np.int64)
     if len(times) != len(frames):
         raise EpisodeError(
@@ -73,13 +100,6 @@ def _as_recorded(path: Path, entry: Any, rows: Any, table: Table) -> None:
     if not len(table):
         raise EpisodeError(f"{path}: holds no row")
     stamps = table["stamp_ns"]
-    back = np.flatnonzero(np.diff(stamps) < 0)
-    if len(back):
-        row = int(back[0]) + 1
-        raise EpisodeError(
-            f"{path}, line {row + 2}: stamp_ns {stamps[row]} is earlier than {stamps[row - 1]} in"
-            " the line before; the clock was set back, or the file edited"
-        )
     for key, row in (("first_stamp_ns", 0), ("last_stamp_ns", -1)):
         if entry.get(key) is not None and entry[key] != int(stamps[row]):
             raise EpisodeError(
@@ -88,14 +108,40 @@ def _as_recorded(path: Path, entry: Any, rows: Any, table: Table) -> None:
             )
 
 
-def checked_cycle(recorded: Episode, name: str) -> Table:
+def _forward(path: Path, table: Table, first: int = 0) -> None:
+    """Refuse stamps that go back; ``first`` is the place of the first row in the file."""
+    stamps = table["stamp_ns"]
+    back = np.flatnonzero(np.diff(stamps) < 0)
+    if len(back):
+        row = int(back[0]) + 1
+        raise EpisodeError(
+            f"{path}, line {first + row + 2}: stamp_ns {stamps[row]} is earlier than"
+            f" {stamps[row - 1]} in the line before; the clock was set back, or the file edited"
+        )
+
+
+def _of_the_segment(path: Path, table: Table, segment: Segment) -> None:
+    """Refuse a stretch without rows, and stamps that may be of another side of a step."""
+    if not len(table):
+        raise EpisodeError(f"{path}: holds no row in it; {segment.words}")
+    stamps = table["stamp_ns"]
+    apart = np.abs(table["receive_ns"] - stamps)
+    apart[stamps == 0] = 0  # not said
+    if apart.max() > GUARD_NS:
+        raise EpisodeError(
+            f"{path}: stamps are up to {apart.max() * 1e-9:.3f} s from their reception, so that it"
+            f" cannot be told on which side of a step they are; {segment.words}"
+        )
+
+
+def checked_cycle(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
     """An arm's control cycles with strictly later stamps, all measured values finite.
 
     Raises:
         EpisodeError: torn, edited or missing, or a value that is no number.
     """
     path = recorded.folder / f"cycle_{name}.csv"
-    cycle = checked_table(recorded, f"cycle_{name}")
+    cycle = checked_table(recorded, f"cycle_{name}", segment)
     # A cycle without a new joint state repeats its stamp: the last one knows most.
     cycle = cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
     joints = columns.joint_count(cycle.columns)

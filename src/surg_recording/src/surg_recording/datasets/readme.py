@@ -7,6 +7,7 @@ what nobody said is called "not stated", never made up.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from surg_recording.datasets import schema
@@ -222,4 +223,7 @@ def _notes(dataset: Dataset) -> list[str]:
             f"- {camera}: {repeated} pictures shown twice, {skipped} left out, the oldest"
             f" {oldest * 1000:.1f} ms old"
         )
+    for part in dataset.parts:
+        if "segment" in part.notes:
+            rows.append(f"- {Path(part.source).name}: {part.notes['segment']}, is in the dataset")
     return rows

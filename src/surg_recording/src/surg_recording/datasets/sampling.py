@@ -99,16 +99,24 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
         EpisodeError: something is missing, torn, edited, too old or too short; says what and where.
     """
     recorded = episode.read(candidate.folder)
-    layout = candidate.layout
-    cycles = {name: checked_cycle(recorded, name) for name in layout.arms}
+    layout, segment = candidate.layout, candidate.segment
+    cycles = {name: checked_cycle(recorded, name, segment) for name in layout.arms}
     arms = [_arm(recorded, name, cycles[name]) for name in layout.commanded]
-    videos = {camera: checked_video(recorded, camera) for camera in layout.cameras}
-    task = checked_table(recorded, "task_state") if layout.labelled else None
-    truth = [checked_table(recorded, f"ground_truth_{a}") for a in layout.arms if layout.truth]
+    videos = {camera: checked_video(recorded, camera, segment) for camera in layout.cameras}
+    for (camera, video), size in zip(videos.items(), layout.sizes, strict=True):
+        if segment is not None and pictures.size_of(video.path) != size:
+            raise EpisodeError(
+                f"{video.path}: another size than {camera} has before; {segment.words}"
+            )
+    task = checked_table(recorded, "task_state", segment) if layout.labelled else None
+    true = [f"ground_truth_{arm}" for arm in layout.arms if layout.truth]
+    truth = [checked_table(recorded, name, segment) for name in true]
     others = [*cycles.values(), *([task] if task else []), *truth]
     grid = _grid(candidate, arms, videos, others, options)
 
     made = Columns(grid, options)
+    if segment is not None:
+        made.notes["segment"] = segment.words
     _observe(made, candidate, arms, cycles)
     _act(made, arms)
     shown = _show(made, candidate, videos)
@@ -321,7 +329,7 @@ def _show(
         steps = np.diff(index)
         made.notes[f"repeated_{camera}"] = int(np.sum(steps == 0))
         made.notes[f"skipped_{camera}"] = int(np.sum(np.maximum(steps - 1, 0)))
-        shown[name] = Pictures(video, index)
+        shown[name] = Pictures(video, video.frames["frame"][index])
     return shown
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from surg_teleop.console import words
-from surg_teleop.console.robot import Arm, Robot
+from surg_teleop.console.robot import Arm, Follower, Robot
 from surg_teleop.console.session import Phase, Session
 
 STALE = 1.0
@@ -19,7 +19,6 @@ _HEADLINES = {
     Phase.FREE: "No one has control",
     Phase.READY: "Ready",
     Phase.STARTING: "Waking the arm",
-    Phase.DRIVING: "Following",
     Phase.HELD: "Held",
 }
 
@@ -44,6 +43,7 @@ def report(
         "holder": session.holder,
         "pages": session.pages,
         "arms": [_arm(arm, now) for arm in robot.arms],
+        "helpers": [_helper(hand) for hand in robot.helpers],
         "gauges": {
             "rcm": _finite(gauges.rcm),
             "rcm_peak": _finite(gauges.rcm_peak),
@@ -72,6 +72,8 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
     """The one thing that the operator must know now."""
     arm = robot.arms[0] if robot.arms else None
     if session.phase is Phase.DRIVING:
+        if session.scoping:
+            return robot.scope.reason or words.scoping(robot.scope.arm, session.clutched)
         if robot.follower.reason:
             return robot.follower.reason
         if session.clutched:
@@ -99,11 +101,24 @@ def _headline(session: Session, robot: Robot) -> str:
     fault = any(arm.state == "FAULT" for arm in robot.arms)
     if fault:
         return "Fault"
-    if session.phase is Phase.DRIVING and not robot.follower.following:
-        return "Waiting" if not session.clutched else "Clutched"
-    if session.phase is Phase.DRIVING and session.clutched:
+    if session.phase is not Phase.DRIVING:
+        return _HEADLINES[session.phase]
+    if session.clutched:
         return "Clutched"
-    return _HEADLINES[session.phase]
+    if session.scoping and not robot.scope.state:
+        return "Clutched"
+    if session.scoping:
+        return "Endoscope" if robot.scope.following else "Waiting"
+    return "Following" if robot.follower.following else "Waiting"
+
+
+def _helper(hand: Follower) -> dict[str, Any]:
+    """A second hand: its arm has no line of its own where no controller stands behind it."""
+    return {
+        "name": f"{hand.arm} ({hand.leader})",
+        "state": hand.state,
+        "sentence": hand.reason,
+    }
 
 
 def _policy_headline(session: Session, robot: Robot) -> str:

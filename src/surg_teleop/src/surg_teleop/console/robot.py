@@ -36,19 +36,23 @@ class Arm:
 
 @dataclass(frozen=True)
 class Follower:
-    """The teleoperation node.
+    """What the teleoperation node says of one hand on one arm.
 
     Attributes:
         state: DISABLED, WAITING, FOLLOWING, CLUTCHED, FAULT; empty: it does not speak.
         mapping: "position" or "rate".
         reason: Why the tip does not follow, or what holds it, in words.
         scale: Of motion.
+        leader: The hand.
+        arm: The arm.
     """
 
     state: str = ""
     mapping: str = "position"
     reason: str = ""
     scale: float | None = None
+    leader: str = ""
+    arm: str = ""
 
     @property
     def following(self) -> bool:
@@ -83,7 +87,9 @@ class Robot:
 
     Attributes:
         arms: The driven arm first, then what must be ready beside it.
-        follower: The teleoperation node.
+        follower: The operator's hand on the driven arm.
+        scope: The same hand on the endoscope's arm, where one holds it.
+        helpers: Other hands on other arms.
         gauges: Of the driven arm.
         record: The newest `/record/status`.
         sim: The newest `/sim/status`; empty on a real system.
@@ -92,6 +98,8 @@ class Robot:
 
     arms: tuple[Arm, ...] = ()
     follower: Follower = Follower()
+    scope: Follower = Follower()
+    helpers: tuple[Follower, ...] = ()
     gauges: Gauges = Gauges()
     record: Mapping[str, Any] = field(default_factory=dict)
     sim: Mapping[str, Any] = field(default_factory=dict)

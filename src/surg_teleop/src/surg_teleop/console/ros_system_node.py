@@ -41,6 +41,8 @@ from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
 
 FRESH = 1.0
 """[s] for which a figure is shown."""
+REPEAT = 0.05
+"""[s] What is held down is said again that often: the teleoperation notices when it is not."""
 FOLLOWER_FRESH = 2.0
 """[s] for which the teleoperation's status is believed; it says it every 0.5 s."""
 
@@ -61,7 +63,8 @@ class RosSystem:
         self._lock = threading.Lock()
         self._arms = {name: Arm(name) for name in arms}
         self._because: dict[str, tuple[str, str]] = {}
-        self._follower, self._follower_heard = Follower(), -1e9
+        self._hands: tuple[Follower, ...] = (Follower(),)
+        self._follower_heard = -1e9
         self._record: dict[str, Any] = {}
         self._sim: dict[str, Any] = {}
         self._policy: dict[str, Any] = {}
@@ -70,6 +73,8 @@ class RosSystem:
         self._peak = 0.0
         self._episodes = None if episodes is None else Episodes(episodes)
         self._leader = leader
+        self._held: dict[str, bool] = {}
+        self._repeated = -1e9
         self._out = _publishers(arms, leader)
         self._subscribers = self._subscribe(arms, teleop)
 
@@ -138,16 +143,14 @@ class RosSystem:
     def _on_teleop(self, message: String) -> None:
         status = _object(message.data)
         hands = status.get("hands")
-        hand = hands[0] if isinstance(hands, list) and hands and isinstance(hands[0], dict) else {}
-        scale = hand.get("scale")
+        said = hands if isinstance(hands, list) else []
+        found = [_follower(hand) for hand in said if isinstance(hand, dict)]
+        first = found[0] if found else Follower()
+        if not first.reason:
+            first = replace(first, reason=str(status.get("picture") or ""))
         with self._lock:
             self._follower_heard = time.monotonic()
-            self._follower = Follower(
-                str(hand.get("state", "")),
-                str(hand.get("mapping", "position")),
-                str(hand.get("message") or status.get("picture") or ""),
-                float(scale) if isinstance(scale, int | float) else None,
-            )
+            self._hands = (first, *found[1:])
 
     def _on_json(self, message: String, name: str) -> None:
         with self._lock:
@@ -165,9 +168,13 @@ class RosSystem:
                 what: data for what, (heard, data) in self._newest.items() if now - heard < FRESH
             }
             alive = now - self._follower_heard < FOLLOWER_FRESH
+            first, *others = self._hands if alive else (Follower(),)
+            own = [hand for hand in others if hand.leader == first.leader]
             return Robot(
                 tuple(map(self._with_reason, self._arms.values())),
-                self._follower if alive else Follower(),
+                first,
+                own[0] if own else Follower(),
+                tuple(hand for hand in others if hand.leader != first.leader),
                 Gauges(
                     rcm=_last_double(newest.get("rcm")),
                     rcm_peak=self._peak if "rcm" in newest else None,
@@ -205,13 +212,13 @@ class RosSystem:
         if isinstance(order, Move):
             self._move(order.sample)
         elif isinstance(order, Present):
-            out["/console/operator_present"].publish(_joy(order.on))
+            self._hold("/console/operator_present", order.on)
         elif isinstance(order, Follow):
             out["/console/teleop/enable"].publish(order.on)
         elif isinstance(order, Clutch):
-            out["/console/clutch"].publish(_joy(order.on))
+            self._hold("/console/clutch", order.on)
         elif isinstance(order, Camera):
-            out["/console/camera"].publish(_joy(order.on))
+            self._hold("/console/camera", order.on)
         elif isinstance(order, OtherMapping):
             out["/console/rate"].publish(_joy(True))
             rospy.Timer(
@@ -229,6 +236,18 @@ class RosSystem:
             message = StringStamped(string=order.word)
             message.header.stamp = rospy.Time.now()
             out[f"/{order.arm}/state_command"].publish(message)
+
+    def _hold(self, topic: str, on: bool) -> None:
+        self._held[topic] = on
+        self._out[topic].publish(_joy(on))
+
+    def live(self) -> None:
+        """See `server.System`."""
+        now = time.monotonic()
+        if now - self._repeated >= REPEAT:
+            self._repeated = now
+            for topic, on in self._held.items():
+                self._out[topic].publish(_joy(on))
 
     def _move(self, sample: Input) -> None:
         stamp = rospy.Time(*divmod(time.time_ns(), 10**9))
@@ -271,6 +290,19 @@ def _publishers(arms: tuple[str, ...], leader: str) -> dict[str, rospy.Publisher
     for arm in arms:
         found[f"/{arm}/state_command"] = publisher(f"/{arm}/state_command", StringStamped)
     return found
+
+
+def _follower(hand: dict[str, Any]) -> Follower:
+    """One entry of `hands` in the teleoperation's status."""
+    scale = hand.get("scale")
+    return Follower(
+        state=str(hand.get("state", "")),
+        mapping=str(hand.get("mapping", "position")),
+        reason=str(hand.get("message") or ""),
+        scale=float(scale) if isinstance(scale, int | float) else None,
+        leader=str(hand.get("leader", "")),
+        arm=str(hand.get("arm", "")),
+    )
 
 
 def half_turn(angle: float) -> tuple[float, float]:

@@ -92,6 +92,9 @@ class System(Protocol):
     def obey(self, orders: list[Order]) -> None:
         """Send orders out; must not block."""
 
+    def live(self) -> None:
+        """Called all the time: what is held down is said again, so that an end is noticed."""
+
     def entries(self) -> list[Entry]:
         """The recorded episodes; may read files."""
 
@@ -245,6 +248,7 @@ class Server:
         while True:
             self.session.tick(self._system.robot(), self._clock())
             self._flush()
+            self._system.live()
             for viewer in self._viewers:
                 if viewer.watched and viewer.lane.wants_key(self._clock()):
                     self._pictures.key(*viewer.watched)

@@ -31,6 +31,7 @@ from surg_teleop.console.orders import (
 )
 from surg_teleop.console.protocol import Input
 from surg_teleop.console.robot import Robot
+from surg_teleop.lateness import Lateness
 
 SILENCE = 0.1
 """[s] without an input after which the arm holds; a page sends one every 20 ms."""
@@ -49,8 +50,6 @@ LATCHED = ("FAULT", "DISABLED", "")
 MAY_MAP = ("WAITING", "CLUTCHED")
 """States of the teleoperation node: the hand is on the arm; only Enable leads out (empty: the node
 is silent); the mapping may be changed."""
-WINDOW = 10.0
-"""[s] over which the quickest message is looked for: clocks drift."""
 
 
 class Phase(enum.Enum):
@@ -61,35 +60,6 @@ class Phase(enum.Enum):
     STARTING = "starting"
     DRIVING = "driving"
     HELD = "held"
-
-
-class Lateness:
-    """How much longer than the quickest message each one was under way.
-
-    The two clocks are steady but have nothing in common: the smallest difference between receipt
-    and sending, over the last one to two windows, stands for a delay of zero.
-    """
-
-    def __init__(self) -> None:
-        self._best = self._previous = math.inf
-        self._until = -math.inf
-
-    def add(self, sent: float, received: float) -> float:
-        """Take a message in.
-
-        Args:
-            sent: On the sender's clock [s].
-            received: On ours [s].
-
-        Returns:
-            Its delay above that of the quickest [s].
-        """
-        if received > self._until:
-            self._previous, self._best = self._best, math.inf
-            self._until = received + WINDOW
-        difference = received - sent
-        self._best = min(self._best, difference)
-        return difference - min(self._best, self._previous)
 
 
 @dataclass
@@ -144,6 +114,11 @@ class Session:
     def clutched(self) -> bool:
         """Whether the operator holds the clutch."""
         return self._clutch and self.phase is Phase.DRIVING
+
+    @property
+    def scoping(self) -> bool:
+        """Whether the operator holds the endoscope instead of the instrument."""
+        return self._camera and self.phase is Phase.DRIVING
 
     def take_orders(self) -> list[Order]:
         """What is to be sent now, in this order; handed out once."""

@@ -48,6 +48,15 @@ def stopped(who: str) -> str:
     return f"Stop was pressed{by}: the arm is paused; press Enable to go on"
 
 
+def scoping(arm: str, clutched: bool) -> str:
+    """What the hand does while it holds the endoscope; no arm: it stands by itself."""
+    if not arm:
+        return "No arm of this cell holds the endoscope, so Camera only clutches: the tip stays."
+    if clutched:
+        return "The clutch is held: your hand moves, the endoscope stays."
+    return f"Your hand moves the endoscope ({arm}); the instrument stays where it is."
+
+
 def let_go(robot: Robot) -> str:
     """Why driving ended although the operator went on."""
     follower = robot.follower

@@ -24,6 +24,8 @@ ANGLE = np.radians(20.0)
 """From which angle between hand and picture on a registration is wrong: less is not felt."""
 SIZES = (0.6, 1.6)
 """Allowed lengths of what is seen, as shares of what was told."""
+MATCHED = 0.8
+"""[px] How well the difference of two disparities is known: far away it says little of depth."""
 LEAST = 3.0
 """[px] Less than this between the two sides of an axis across the view is no motion."""
 
@@ -124,7 +126,7 @@ def judge(places: Mapping[Step, Place], lens: Lens, side: float = SIDE) -> Verdi
             "tissue, is the picture delayed or frozen, or does the endoscope move along?"
         )
     if two_eyes:
-        return _judge_pair(seen, rest)
+        return _judge_pair(seen, rest, lens, side)
     return _judge_flat(seen)
 
 
@@ -155,10 +157,10 @@ def _triangulate(place: Place, lens: Lens) -> Array:
     return np.array([across[0], across[1], z])
 
 
-def _judge_pair(seen: tuple[Seen, ...], rest: Place) -> Verdict:
+def _judge_pair(seen: tuple[Seen, ...], rest: Place, lens: Lens, side: float) -> Verdict:
     assert rest.disparity is not None
     S = np.column_stack([s.metres for s in seen])
-    U, sizes, Vt = np.linalg.svd(S)
+    U, _, Vt = np.linalg.svd(S)
     R = U @ Vt
     upright = abs(rest.disparity[1]) > abs(rest.disparity[0])
     swapped = not upright and rest.disparity[0] < 0.0
@@ -173,7 +175,11 @@ def _judge_pair(seen: tuple[Seen, ...], rest: Place) -> Verdict:
                 "exchanged for the viewer. Swap the two cameras' cables, devices or topics"
             )
             return Verdict(Outcome.FAIL, Cause.EYES_SWAPPED, text, seen, angle)
-        if sizes.min() < SIZES[0] or sizes.max() > SIZES[1]:
+        sizes = np.linalg.norm(S, axis=0)
+        # Of depth, the disparity changes by d^2 / (f b) per metre.
+        change = _signed(rest) ** 2 * 2.0 * side / (lens.f * lens.baseline)
+        slack = np.array([0.0, 0.0, MATCHED / change])
+        if (sizes < SIZES[0] - slack).any() or (sizes > SIZES[1] + slack).any():
             return _wrong_size(seen, sizes, angle)
         text = f"hand and picture agree within {np.degrees(angle):.0f} degrees"
         return Verdict(Outcome.PASS, Cause.NONE, text, seen, angle)

@@ -28,6 +28,8 @@ PATCH = 0.075
 """Radius of what is followed, as a share of the picture's height."""
 NEAR = 6.0
 """[px] How far the other eye's picture may differ from the disparity at rest."""
+FINE = 0.25
+"""[px] Step of the search along the line of the disparity."""
 LEAST = 80
 """[px] Fewer changed pixels are no instrument."""
 ALIKE = 0.6
@@ -106,7 +108,9 @@ def find_places(
         if other is not None:
             # The other eye sees the same moment: the same light, the same size, the same angle.
             there = _moved(patch, picture, shift)
-            apart, _ = _find(there, other[step], across, NEAR, "in the right picture")
+            # No motion changes the direction of the disparity. Across it nothing is looked for:
+            # along a plain shaft everything looks alike, and the patch would slide.
+            apart, _ = _find(there, other[step], across, NEAR, on_line=True)
             disparity = -apart
         found[step] = Place(patch.tip + shift, disparity, likeness)
     return found
@@ -192,7 +196,12 @@ def _moved(patch: Patch, picture: Smooth, shift: Array) -> Patch:
 
 
 def _find(
-    patch: Patch, picture: Smooth, guess: Array, reach: float, where: str = "in the right picture"
+    patch: Patch,
+    picture: Smooth,
+    guess: Array,
+    reach: float,
+    where: str = "in the right picture",
+    on_line: bool = False,
 ) -> tuple[Array, float]:
     """Where a patch is in a picture.
 
@@ -202,6 +211,7 @@ def _find(
         guess: (2,) shift from its place at which the search is centred [px].
         reach: How far from there to look [px].
         where: For the error.
+        on_line: Look only on the line of the guess, longer or shorter.
 
     Returns:
         Its shift (2,) [px] and the correlation there.
@@ -219,15 +229,42 @@ def _find(
         raise NotSeen(f"the tip leaves the picture {where}; bring it to the middle and try again")
     window = picture[first[1] : last[1], first[0] : last[0]]
     score = _correlate(patch, window)
+    if on_line and np.hypot(*guess) > 1.0:
+        shift, best = _on_line(score, guess, guess - (first - patch.corner), reach)
+        if best < ALIKE:
+            raise _not_recognised(where, best)
+        return shift, best
     row, column = divmod(int(np.argmax(score)), score.shape[1])
     best = float(score[row, column])
     if best < ALIKE:
-        raise NotSeen(
-            f"the tip was not recognised {where} (correlation {best:.2f}, needed {ALIKE}): is "
-            "something in front of it, or does the picture stutter?"
-        )
+        raise _not_recognised(where, best)
     shift = first - patch.corner + np.array([column, row]) + _summit(score, row, column)
     return np.asarray(shift, dtype=np.float64), best
+
+
+def _on_line(score: Array, guess: Array, at: Array, reach: float) -> tuple[Array, float]:
+    """The best shift on the line of the guess.
+
+    Args:
+        score: Correlation at whole shifts, (rows, columns).
+        guess: (2,) shift x, y [px].
+        at: (2,) where in ``score`` it lies, column, row.
+        reach: How far along the line [px].
+    """
+    along = guess / np.hypot(*guess)
+    t = np.arange(-reach, reach + FINE, FINE)
+    columns, rows = at[:, None] + along[:, None] * t
+    line = ndimage.map_coordinates(score, [rows, columns], order=3, mode="constant", cval=-1.0)
+    best = int(np.argmax(line))
+    further = FINE * _summit(line[None], 0, best)[0]
+    return guess + (t[best] + further) * along, float(line[best])
+
+
+def _not_recognised(where: str, best: float) -> NotSeen:
+    return NotSeen(
+        f"the tip was not recognised {where} (correlation {best:.2f}, needed {ALIKE}): is "
+        "something in front of it, or does the picture stutter?"
+    )
 
 
 def _correlate(patch: Patch, window: Smooth) -> Array:

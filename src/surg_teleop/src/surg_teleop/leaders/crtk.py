@@ -1,7 +1,9 @@
 """Any CRTK leader on topics: what it says is put in here as it comes, and read as one sample.
 
-Pure; the teleoperation node subscribes (``measured_cp``, ``measured_cv``, ``gripper/measured_js``,
-``operating_state``). So a browser, a gamepad or a haptic device may be a process of its own.
+Pure; the teleoperation node subscribes (``measured_cp``, ``measured_cv``,
+``spherical/measured_js``, ``gripper/measured_js``, ``operating_state``). So a browser, a gamepad or
+a haptic device may be a process of its own. Times are those at which a message would have come, had
+no network held it up (:class:`~surg_teleop.lateness.Arrivals`): an old pose is old.
 """
 
 from __future__ import annotations
@@ -53,13 +55,14 @@ class CrtkLeader:
         self._pose: tuple[float, HandlePose] | None = None
         self._rate: tuple[float, HandRate] | None = None
         self._grip: float | None = None
+        self._late: tuple[float, float] | None = None
         self._state = "ENABLED"  # a leader without operating_state is taken as it is
 
     def on_pose(self, now: float, p: Array, q: Array, valid: bool = True) -> None:
         """``measured_cp``.
 
         Args:
-            now: Receipt on the steady clock [s].
+            now: When it came, on the steady clock [s].
             p: (3,) in the leader's own axes [m].
             q: (4,) orientation x, y, z, w.
             valid: False for CRTK's "not valid" (stamp 0): the pose counts as silence.
@@ -76,13 +79,29 @@ class CrtkLeader:
         """``measured_cv``: wanted velocity of the tip.
 
         Args:
-            now: Receipt on the steady clock [s].
+            now: When it came, on the steady clock [s].
             v: (3,) [m/s], in the leader's own axes.
             w: (3,) [rad/s]; its part along the view's z is the roll.
             valid: As for :meth:`on_pose`.
         """
         if valid:
             self._rate = now, HandRate(self._R_VL @ v, float((self._R_VL @ w)[2]))
+
+    def on_spherical(self, now: float, rates: Array, valid: bool = True) -> None:
+        """``spherical/measured_js``: wanted rates about the trocar.
+
+        Args:
+            now: When it came, on the steady clock [s].
+            rates: (4,) of yaw, pitch [rad/s], insertion [m/s] and roll [rad/s]; they have no axes
+                to be turned.
+            valid: As for :meth:`on_pose`.
+        """
+        if valid:
+            self._rate = now, HandRate(np.zeros(3), float(rates[3]), np.array(rates[:3]))
+
+    def on_late(self, now: float, by: float) -> None:
+        """A message was held up on its way by so many seconds; received now."""
+        self._late = now, by
 
     def on_grip(self, position: float) -> None:
         """``gripper/measured_js`` [rad]."""
@@ -102,6 +121,11 @@ class CrtkLeader:
             return None
         stamp = max(part[0] for part in parts)
         problem = ""
+        if self._late is not None and now - self._late[0] <= FRESH:
+            problem = (
+                f"its messages come {self._late[1]:.1f} s late: look at the network and at its "
+                "clock, then press the clutch or enable"
+            )
         if self._state != "ENABLED":
             problem = f"is {self._state}: enable it, then press the clutch or enable"
         return LeaderSample(

@@ -21,7 +21,6 @@ const KEYS = [
   [["Enter"], "enable"],
   [["Esc"], "stop"],
   [["V"], "record"],
-  [["P"], "policy"],
   [["Drag"], "mouse; with Shift: deeper, roll"],
 ];
 

@@ -106,7 +106,7 @@ export class View {
     write(element("sentence"), status.picture_problem || (mine ? status.sentence : watching));
     for (const name in this.gauges) this.gauges[name].show(status.gauges[name]);
     this.controls(status, mine);
-    this.arms(status.arms);
+    this.arms(status.arms, status.helpers);
     write(element("task"), status.task);
     element("task").hidden = !status.task;
     const trip = link.roundTripMs;
@@ -143,19 +143,28 @@ export class View {
     record.title = status.record.problem;
   }
 
-  arms(arms) {
+  arms(arms, helpers) {
     const list = element("arms");
-    while (list.children.length > arms.length) list.lastChild.remove();
+    while (list.children.length > arms.length + helpers.length) list.lastChild.remove();
+    const row = (i) => list.children[i] ?? list.appendChild(armRow());
     arms.forEach((arm, i) => {
-      const row = list.children[i] ?? list.appendChild(armRow());
-      write(row.querySelector("b"), arm.name);
-      const word = row.querySelector(".word");
-      write(word, `${arm.state || "no word"}${arm.homed ? "" : ", not homed"}`);
       const tones = { ENABLED: "good", PAUSED: "warn", FAULT: "bad", SILENT: "bad" };
-      mark(word, "tone", tones[arm.state] ?? "");
+      const word = `${arm.state || "no word"}${arm.homed ? "" : ", not homed"}`;
       const calm = arm.state === "ENABLED" && arm.homed;
-      write(row.querySelector("p"), calm ? "" : arm.sentence);
+      this.arm(row(i), arm.name, word, tones[arm.state], calm ? "" : arm.sentence);
     });
+    helpers.forEach((hand, i) => {
+      const tones = { FOLLOWING: "good", CLUTCHED: "warn", WAITING: "warn", FAULT: "bad" };
+      this.arm(row(arms.length + i), hand.name, hand.state, tones[hand.state], hand.sentence);
+    });
+  }
+
+  arm(row, name, state, tone, sentence) {
+    write(row.querySelector("b"), name);
+    const word = row.querySelector(".word");
+    write(word, state);
+    mark(word, "tone", tone ?? "");
+    write(row.querySelector("p"), sentence);
   }
 
   episodes(entries) {

@@ -1,0 +1,111 @@
+// Which cycle a command answers, by the stamp that it carries back.
+#include <gtest/gtest.h>
+
+#include <cstdio>
+#include <random>
+#include <vector>
+
+#include "surg_control/echoes.hpp"
+
+namespace surg_control {
+namespace {
+
+using surg::Motion;
+
+constexpr std::uint64_t kWall = 1'700'000'000'000'000'000;  // stamps of a link in free-run
+
+/// Cycles with uneven stamps, as a link on a wall clock has them.
+class Cycles {
+ public:
+  explicit Cycles(unsigned seed) : random_(seed) {}
+
+  std::uint64_t next(Motion motion) {
+    stamp_ += kTickNs - 100'000 + random_() % 200'000;
+    echoes.remember(stamp_, motion);
+    return stamp_;
+  }
+
+  std::uint64_t repeat(int n, Motion motion) {
+    std::uint64_t last = 0;
+    for (int k = 0; k < n; ++k) last = next(motion);
+    return last;
+  }
+
+  Echoes echoes;
+
+ private:
+  std::minstd_rand random_;
+  std::uint64_t stamp_ = kWall;
+};
+
+TEST(Echoes, WhatAnswersACycleFromBeforeTheStopIsLate) {
+  Cycles cycles(1);
+  const std::uint64_t streamed = cycles.repeat(100, Motion::kServoCp);
+  EXPECT_FALSE(cycles.echoes.late(streamed));  // the stream has not ended
+  const std::uint64_t stopped = cycles.next(Motion::kNone);
+  EXPECT_TRUE(cycles.echoes.late(streamed));
+  EXPECT_TRUE(cycles.echoes.late(streamed + kTickNs));  // meant for the next cycle
+  EXPECT_FALSE(cycles.echoes.late(stopped));            // this one says that the arm has stopped
+  EXPECT_FALSE(cycles.echoes.late(stopped + kTickNs));
+}
+
+TEST(Echoes, AStampOfAnotherClockDecidesNothing) {  // F09
+  Cycles cycles(2);
+  cycles.repeat(100, Motion::kServoCp);
+  cycles.next(Motion::kNone);
+  EXPECT_FALSE(cycles.echoes.late(0));
+  EXPECT_FALSE(cycles.echoes.late(kWall + 50'000'003));         // between two cycles
+  EXPECT_FALSE(cycles.echoes.late(kWall - 3'600'000'000'000));  // an hour slow
+  EXPECT_FALSE(cycles.echoes.late(kWall + 3'600'000'000'000));  // an hour fast
+  Cycles silent(3);
+  for (int k = 0; k < 5; ++k) silent.echoes.remember(0, Motion::kServoCp);  // no joint state yet
+  silent.echoes.remember(0, Motion::kNone);
+  EXPECT_FALSE(silent.echoes.late(0));
+  EXPECT_FALSE(silent.echoes.late(kTickNs));
+}
+
+TEST(Echoes, AStreamThatAnotherMotionReplacesHasNotBeenStopped) {
+  Cycles cycles(4);
+  const std::uint64_t streamed = cycles.repeat(10, Motion::kServoCp);
+  cycles.repeat(10, Motion::kMoveCp);
+  EXPECT_FALSE(cycles.echoes.late(streamed));
+  cycles.next(Motion::kNone);  // the end of a move is no end of a stream
+  EXPECT_FALSE(cycles.echoes.late(streamed));
+}
+
+TEST(Echoes, IsForgottenAfterFourSeconds) {
+  Cycles cycles(5);
+  const std::uint64_t streamed = cycles.repeat(10, Motion::kServoJp);
+  cycles.repeat(static_cast<int>(Echoes::kCycles) - 1, Motion::kNone);
+  EXPECT_TRUE(cycles.echoes.late(streamed));
+  cycles.next(Motion::kNone);
+  EXPECT_FALSE(cycles.echoes.late(streamed));
+}
+
+/// Random stretches of streaming and rest, against a plain list of everything.
+TEST(Echoes, AgreesWithAListOfAllCycles) {
+  int asked = 0, late = 0;
+  for (unsigned seed = 0; seed < 200; ++seed) {
+    Cycles cycles(seed);
+    std::minstd_rand random(seed + 1000);
+    std::vector<std::uint64_t> stamps;
+    std::size_t ended = 0;
+    bool streams = false;
+    for (int k = 0; k < 400; ++k) {
+      if (random() % 20 == 0) {
+        if (streams) ended = stamps.size();
+        streams = !streams;
+      }
+      stamps.push_back(cycles.next(streams ? Motion::kServoCp : Motion::kNone));
+      const std::size_t answers = random() % stamps.size();
+      EXPECT_EQ(cycles.echoes.late(stamps[answers]), answers < ended);
+      late += answers < ended;
+      ++asked;
+    }
+  }
+  EXPECT_GT(late, asked / 4);
+  std::printf("%d stamps looked up, %d of them late\n", asked, late);
+}
+
+}  // namespace
+}  // namespace surg_control

@@ -1,0 +1,137 @@
+"""The operator's nodes: teleoperation, and the console with its page. Parameters only."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from surg_cli import cells
+from surg_cli.system import ENDOSCOPE, Node, Plan
+from surg_cli.terminal import Problem
+
+BROWSER = "browser"
+"""The console as a leader, and the namespace of its topics."""
+ASSISTANT = "assistant"
+"""The instrument of a task that has no controller (docs/tasks.md)."""
+TELEOP, CONSOLE = "/teleop", "/console"
+WEB_PORT = 8090
+
+
+def teleoperation(
+    plan: Plan, leader: str, page: bool, scale: float | None = None, second: str = ""
+) -> Node:
+    """The node that maps hands to arms.
+
+    Args:
+        plan: The system that it drives.
+        leader: What the first hand holds, ``browser`` for the console's page.
+        page: Whether a console says that the operator is there; without it nothing then moves.
+        scale: Tip metres per metre of that hand; None: the node's own.
+        second: What a second hand holds, which moves the assistant's instrument; empty: nobody.
+
+    Raises:
+        Problem: The cell has nothing to drive, or the task has no assistant.
+    """
+    loaded = cells.load(plan.cell)
+    params: dict[str, object] = {
+        "cell": str(plan.cell),
+        "arm": driven_arm(plan),
+        **_leader(leader),
+        "picture": f"/{ENDOSCOPE}/left/image_raw" if plan.cameras else "",
+        "need_present": page,
+    }
+    if scale is not None:
+        params["scale"] = scale
+    if all(arm.instrument.camera is None for arm in loaded.arms.values()):
+        params["view"] = _standing_view(loaded)
+    if second:
+        given = {f"second_{key}": value for key, value in _leader(second).items()}
+        frame = _assistant_frame(plan, loaded)
+        params.update(given, second_arm=ASSISTANT, assistant_frame=frame)
+    return Node(TELEOP, "surg_teleop", "teleop_node.py", params)
+
+
+def console(plan: Plan, leads: bool, web: Mapping[str, object]) -> Node:
+    """The node that serves the operator's page.
+
+    Args:
+        plan: The system that it shows.
+        leads: Whether the page is the hand. If not, it shows, enables, stops and records.
+        web: Who may open the page.
+
+    Raises:
+        Problem: The cell has nothing to drive.
+    """
+    params: dict[str, object] = {
+        "cell": str(plan.cell),
+        "arm": driven_arm(plan),
+        "arms": list(plan.arms),
+        "leader": BROWSER if leads else "",
+        "views": list(plan.cameras),
+        **({"episodes": str(plan.out / "episode")} if plan.record else {}),
+        **web,
+    }
+    return Node(CONSOLE, "surg_teleop", "console_node.py", params)
+
+
+def driven_arm(plan: Plan) -> str:
+    """The first arm of the cell that holds an instrument.
+
+    Raises:
+        Problem: There is none.
+    """
+    arms = cells.load(plan.cell).arms.values()
+    driven = next((str(arm.name) for arm in arms if arm.instrument.camera is None), None)
+    if driven is None:
+        raise Problem(f"{plan.cell}: no arm of this cell holds an instrument to drive", 2)
+    return driven
+
+
+def _leader(leader: str) -> dict[str, object]:
+    if leader == BROWSER:
+        return {"leader": "crtk", "settings": {"name": BROWSER}}
+    return {"leader": str(Path(leader).absolute()) if leader.endswith(".py") else leader}
+
+
+def _assistant_frame(plan: Plan, loaded: Any) -> list[float]:
+    """Orientation x, y, z, w in the world of the assistant's trocar frame."""
+    from scipy.spatial.transform import Rotation
+
+    world = _world(loaded, plan.task)
+    assistant = None if world.task is None else world.task.assistant
+    if assistant is None:
+        what = f"task {plan.task}" if plan.task else "a phantom without a task"
+        raise Problem(
+            f"--second-leader: {what} has no assistant's instrument for a second hand to hold; "
+            "bgr has one",
+            2,
+        )
+    return _numbers(Rotation.from_matrix(assistant.X_WRcm[:3, :3]).as_quat())
+
+
+def _standing_view(loaded: Any) -> list[float]:
+    """Orientation x, y, z, w in the world of the phantom's camera that no arm holds."""
+    import mujoco
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    from surg_sim.endoscope import LEFT
+
+    world = _world(loaded)
+    mujoco.mj_forward(world.model, world.data)
+    # A MuJoCo camera looks along -z with y up.
+    R_WV = world.data.camera(LEFT).xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
+    return _numbers(Rotation.from_matrix(R_WV).as_quat())
+
+
+def _world(loaded: Any, task: str = "") -> Any:
+    """What moves in the phantom, without its looks: 50 ms."""
+    from surg_sim import tasks
+    from surg_sim.world import World
+
+    return World(loaded, 0, task=tasks.load(task) if task else None)
+
+
+def _numbers(values: Any) -> list[float]:
+    return [float(value) for value in values]
