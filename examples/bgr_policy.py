@@ -29,16 +29,16 @@ LAGS = (0, 4, 8, 16)
 """Steps back at which the slow features are looked at: when something happened is seen by this."""
 WEIGHTS = "SURG_BGR_WEIGHTS"
 """Environment variable with the file of the weights, where the command line does not say it."""
-EVERY = 1
-"""Steps from one chunk to the next, chosen with tuning seeds."""
 ROBOT = "PSM1"
 NODES = 36
 """Of the bowel."""
 SET = slice(5, 9)
 """Set-point of tip and roll in `observation.state`."""
 PLACES, DISTANCE, HERE = slice(0, 9), 9, slice(-3, None)
-"""Of the features: vectors from the set-point to the asked node, the assistant, a node that lies
-still; the distance of the first; the set-point."""
+"""Of the features: vectors from the last command to the asked node, the assistant, a node that lies
+still; the distance of the first; the last command."""
+REACH = 0.02
+"""A command that is farther from the set-point cannot be what the arm follows [m]."""
 
 
 class Columns:
@@ -60,7 +60,7 @@ class Columns:
             name: self._find(TASK, task, [name])[0]
             for name in ("target", "held", "assistant_held", "assistant_jaw", "tension", "visible")
         }
-        for name in ("tip", "force", "assistant_tip"):
+        for name in ("tip", "assistant_tip"):
             self.task[name] = self._find(TASK, task, [f"{name}_{i}" for i in range(3)])
         flat = [f"nodes_{i}_{k}" for i in range(NODES) for k in range(3)]
         self.task["nodes"] = self._find(TASK, task, flat)
@@ -73,56 +73,62 @@ class Columns:
         return np.array([list(names).index(name) for name in wanted])
 
 
-def features(columns: Columns, state: np.ndarray, task: np.ndarray, X_RW: np.ndarray) -> np.ndarray:
+def features(
+    columns: Columns, state: np.ndarray, task: np.ndarray, last: np.ndarray, X_RW: np.ndarray
+) -> np.ndarray:
     """What the network sees at each of T successive steps of one episode.
 
-    Everything in the rcm frame, as the actions are: vectors from the set-point to places instead
+    Everything in the rcm frame, as the actions are: vectors from the last command to places instead
     of places, the holds as numbers, and how the slow things were a little earlier (`LAGS`; before
-    the first step: as at the first step). The set-point's past is not among it: a network that
-    sees it learns to go on as before.
+    the first step: as at the first step). The origin is the last command and not the set-point: the
+    set-point goes ahead of a stream that moves, and who answers "stay there" makes it drift.
 
     Args:
         columns: Where what is.
         state: (T, 9) `observation.state`.
         task: (T, 148) `privileged.task_state`.
+        last: (T, 4) tip and roll of the last command; at first, the set-point.
         X_RW: (4, 4) the world in the rcm frame, see `world_in_rcm`.
 
     Returns:
-        (T, F), of which `PLACES` are vectors from the set-point, `DISTANCE` is the length of the
-        first and `HERE` the set-point itself.
+        (T, F), of which `PLACES` are vectors from the last command, `DISTANCE` is the length of the
+        first and `HERE` the last command itself.
     """
     s = state[:, columns.state]
     z = {name: task[:, index] for name, index in columns.task.items()}
     nodes = z["nodes"].reshape(len(task), NODES, 3)
-    row, last = np.arange(len(task)), NODES - 1
-    i = np.clip(np.rint(z["target"]).astype(int), 1, last - 1)
-    p_set = s[:, SET][:, :3]
+    row = np.arange(len(task))
+    i = np.clip(np.rint(z["target"]).astype(int), 1, NODES - 2)
+    here = last[:, :3]
 
     def to(p_W: np.ndarray) -> np.ndarray:
-        return p_W @ X_RW[:3, :3].T + X_RW[:3, 3] - p_set
+        return p_W @ X_RW[:3, :3].T + X_RW[:3, 3] - here
 
     along = (nodes[row, i + 1] - nodes[row, i - 1]) @ X_RW[:3, :3].T
-    beside = nodes[row, np.minimum(i + BESIDE, last)]
+    beside = nodes[row, np.minimum(i + BESIDE, NODES - 1)]
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
     target, helper = to(nodes[row, i]), to(z["assistant_tip"])
     held, assistant_held = (z[name] >= 0 for name in ("held", "assistant_held"))
     pointing = np.linalg.norm(helper - target, axis=1)
+    # What is held goes along: how it lies in the jaws is no place to go to.
+    target[held], along[held], pointing[held] = 0.0, 0.0, 0.0
     now = [
         target,
         helper,
         to(beside),
         np.linalg.norm(target, axis=1),
-        along / np.linalg.norm(along, axis=1, keepdims=True),
-        s[:, :3] - p_set,
+        along,
+        s[:, :3] - here,
+        s[:, SET][:, :3] - here,
         s[:, [3, 4, 8]],
-        np.where(held, z["held"] - z["target"], 0.0),
-        z["force"] @ X_RW[:3, :3].T,
+        last[:, 3],
         z["assistant_jaw"],
         z["tension"],
         z["visible"],
     ]
     slow = np.column_stack([held, assistant_held, pointing])
     past = [slow[np.maximum(row - lag, 0)] for lag in LAGS]
-    return np.column_stack([*now, *past, p_set])
+    return np.column_stack([*now, *past, here])
 
 
 def world_in_rcm(p_R: np.ndarray, p_W: np.ndarray) -> np.ndarray:
@@ -169,7 +175,6 @@ class Policy:
     format = FORMAT
     wants = (STATE, TASK)
     network_type: Any = Network
-    every = EVERY
 
     def __init__(
         self,
@@ -183,8 +188,7 @@ class Policy:
         self.names = {key: list(value) for key, value in names.items()}
         self.about = dict(about)
         self._checked = False
-        if TASK in self.wants:
-            self._columns = Columns(self.names[STATE], self.names[TASK])
+        self._columns = Columns(self.names[STATE], self.names[TASK])
         self.reset()
 
     # --- weights on disk ----------------------------------------------------------------------
@@ -239,15 +243,15 @@ class Policy:
     def reset(self, instruction: str = "", seed: int | None = None) -> None:
         """Forget the last episode. Nothing here is random, and there is one task."""
         del instruction, seed
-        self._seen = 0
-        self._past: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=max(LAGS) + 1)
+        self._said: np.ndarray | None = None
+        self._past: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=max(LAGS) + 1)
 
-    def predict(self, inputs: np.ndarray, state: np.ndarray) -> np.ndarray:
+    def predict(self, inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Chunks for features.
 
         Args:
             inputs: (T, F) of `features`.
-            state: (T, 9) `observation.state`: actions are learned relative to its set-point.
+            last: (T, 4) tip and roll of the last command, which actions are learned relative to.
 
         Returns:
             (T, K, 5) tip [m], roll [rad], jaw [rad]; absolute.
@@ -256,7 +260,7 @@ class Policy:
         x = (inputs - scales["input_mean"]) / scales["input_std"]
         y = self.network(x.astype(np.float32)).astype(np.float64)
         y = (y * scales["output_std"] + scales["output_mean"]).reshape(len(x), self.chunk, 5)
-        y[:, :, :4] += state[:, self._columns.state[SET]][:, None, :]
+        y[:, :, :4] += last[:, None, :]
         y[:, :, 4] = np.clip(y[:, :, 4], *scales["jaw_range"])
         return y
 
@@ -281,21 +285,23 @@ class Policy:
             self._checked = True
         return getattr(observation, "arrays", observation)
 
-    def act(self, observation: Any) -> np.ndarray | None:
-        """The next actions from an observation (`surg_policy_client.Observation`).
+    def act(self, observation: Any) -> np.ndarray:
+        """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`).
 
-        Returns:
-            (K, 5); None: the chunk before goes on.
+        Asked at every step: the first action of the chunk is what is executed.
         """
         arrays = self.see(observation)
         state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
-        self._past.append((state, task))
-        self._seen += 1
-        if (self._seen - 1) % self.every:
-            return None
-        states, tasks = (np.array([pair[i] for pair in self._past]) for i in (0, 1))
-        inputs = features(self._columns, states, tasks, self.scales["X_RW"])[-1:]
-        return self.predict(inputs, states[-1:])[0]
+        held = state[self._columns.state][SET]
+        last = held if self._said is None else self._said
+        if np.linalg.norm(last[:3] - held[:3]) > REACH:  # it was not taken
+            last = held
+        self._past.append((state, task, last))
+        parts = [np.array([step[i] for step in self._past]) for i in range(3)]
+        inputs = features(self._columns, *parts, self.scales["X_RW"])[-1:]
+        chunk = self.predict(inputs, last[None])[0]
+        self._said = chunk[0, :4]
+        return chunk
 
 
 def serve(kind: type[Policy], about: str, words: Sequence[str] | None = None) -> int:

@@ -42,7 +42,6 @@ OPEN, NEAR = 0.6, 0.03
 """Jaws that are less open [rad] so near to the asked node [m] are about to hold it."""
 THERE = 0.0015
 """Jaws may close when they are so near to where they were to close [m]."""
-KINDS = {False: "multilayer perceptron", True: "convolutional network"}
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Options:
     noise: float = 0.02
     """Added to normalised inputs,"""
     noise_place: float = 0.3
-    """and to the set-point: what is learned shall not depend on the place."""
+    """and to the last command: what is learned shall not depend on the place."""
     push: float = 0.004
     """Spread of what every second sample of a free arm is moved aside by, per axis [m],"""
     back: float = 0.25
@@ -147,11 +146,12 @@ class Samples:
         """The steps of episodes, one after another."""
         parts = []
         for episode in episodes:
-            inputs = features(columns, episode.state, episode.task, X_RW)
+            last = last_commands(episode, columns.state[SET])
+            inputs = features(columns, episode.state, episode.task, last, X_RW)
             held = episode.task[:, columns.task["held"]] >= 0
             jaw = episode.state[:, columns.state[4]]
             free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))
-            parts.append((inputs, targets_of(episode, columns.state[SET], chunk), free, jaw))
+            parts.append((inputs, targets_of(episode, last, chunk), free, jaw))
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
@@ -179,20 +179,30 @@ class Samples:
         return x, y
 
 
-def targets_of(episode: Episode, held: Any, chunk: int) -> Array:
-    """What is to be predicted at each step, (T, chunk, 5).
-
-    Relative to the set-point, but for the jaw. Behind the end the last action stays.
+def last_commands(episode: Episode, held: Any) -> Array:
+    """Tip and roll of the command in force at each step, (T, 4); at first, the set-point.
 
     Args:
         episode: Of the dataset.
         held: Columns of the state with the set-point of tip and roll.
+    """
+    return np.vstack([episode.state[:1, held], episode.action[:-1, :4]])
+
+
+def targets_of(episode: Episode, last: Array, chunk: int) -> Array:
+    """What is to be predicted at each step, (T, chunk, 5).
+
+    Relative to the last command, but for the jaw. Behind the end the last action stays.
+
+    Args:
+        episode: Of the dataset.
+        last: (T, 4) of `last_commands`.
         chunk: Actions ahead.
     """
     row = np.arange(len(episode.state))
     ahead = np.minimum(row[:, None] + np.arange(chunk), len(row) - 1)
     targets = episode.action[ahead]
-    targets[:, :, :4] -= episode.state[:, held][:, None, :]
+    targets[:, :, :4] -= last[:, None, :]
     return targets
 
 
@@ -357,7 +367,6 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, help="of the training (default 0)")
     parser.add_argument("--steps", type=int, help="of the optimiser")
     parser.add_argument("--chunk", type=int, help="actions predicted at once")
-    parser.add_argument("--images", action="store_true", help="the policy that looks at pictures")
     parser.add_argument("--json", action="store_true", help="progress as JSON lines")
     options = parser.parse_args(words)
     started = time.monotonic()
@@ -372,12 +381,7 @@ def main(words: Sequence[str] | None = None) -> int:
     }
     try:
         dataset = read(options.dataset)
-        if options.images:
-            import train_bgr_images as images
-
-            policy = images.train(dataset, options.dataset, images.ImageOptions(**given), show)
-        else:
-            policy = train(dataset, Options(**given), show)
+        policy = train(dataset, Options(**given), show)
     except ValueError as error:
         print(f"train_bgr: {error}", file=sys.stderr)
         return 2
@@ -386,7 +390,7 @@ def main(words: Sequence[str] | None = None) -> int:
     about = policy.about
     losses = ", ".join(f"{split} {value:.4f}" for split, value in about["loss"].items())
     words = (
-        f"chunks of {policy.chunk}, {KINDS[options.images]}, {about['parameters']} parameters, "
+        f"chunks of {policy.chunk}, multilayer perceptron, {about['parameters']} parameters, "
         f"{about['frames']} frames, loss {losses}"
     )
     told = {**about, "words": words, "weights": policy.hash, "s": time.monotonic() - started}

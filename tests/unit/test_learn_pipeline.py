@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers.bgr_synthetic import bgr_policy, train_bgr
+from surg_cli import episode as cli_episode
 from surg_cli import paths
+from surg_cli import rollouts as cli_rollouts
 from surg_recording import datasets, episode, unsafe
 from surg_sim import cells, demonstrations, rollouts
 from surg_sim.env import SurgEnv
@@ -119,3 +123,30 @@ def test_what_is_recorded_is_not_played_again(
         assert [plan.done(seed) for seed in SEEDS] == [True, False]
     finally:
         torn.rename(plan.folder(SEEDS[1]))
+
+
+def test_a_roll_out_is_told_from_what_its_process_left(recorded: Path, tmp_path: Path) -> None:
+    """Verdict, deviations, smoothness, the server's counts, unsafe commands of the recording."""
+    status = {
+        "rejected": 0,
+        "clipped": 1,
+        "late": 2,
+        "obs_age_ms": {"p50": 50.0, "p99": 50.0},
+        "round_trip_ms": {"p50": 0.7, "p99": 3.0},
+    }
+    ended = cli_episode.Ended(False, "time limit", "grasp", 3.5, True, 2.0, status)
+    shutil.copytree(recorded / str(SEEDS[0]), tmp_path / "episode")
+    file = tmp_path / cli_episode.OUTCOME
+    file.write_text(json.dumps(dataclasses.asdict(ended)), "utf-8")
+    found = cli_rollouts._describe(SEEDS[0], "phantom", tmp_path, "")
+    rollout = json.loads(json.dumps(found["rollout"]))
+    assert (rollout["success"], rollout["reason"], rollout["played"]) == (False, "time limit", True)
+    assert {name: rollout[name] for name in status} == status
+    assert rollout["unsafe"]["commands"] == 0 and rollout["unsafe"]["cycles"] > 3000
+    assert 0.0 < rollout["rcm_mean_mm"] < rollout["rcm_max_mm"] < 0.3
+    assert rollout["sparc"] < 0.0 and rollout["ldlj"] < 0.0
+    # A process that left nothing: not played, never a success, and nothing is called safe.
+    lost = cli_rollouts._describe(7, "phantom", tmp_path / "nothing", "the graph did not come up")
+    assert not lost["rollout"]["played"] and not lost["rollout"]["success"]
+    assert "the graph did not come up" in lost["rollout"]["reason"]
+    assert lost["rollout"]["unsafe"] is None

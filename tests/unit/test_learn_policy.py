@@ -104,19 +104,33 @@ def test_acting_step_by_step_is_what_was_trained(policy: bgr_policy.Policy) -> N
     """Memory included: chunks from observations one by one are those of the whole episode."""
     shown = made.episode(99)
     columns = bgr_policy.Columns(made.STATE, made.TASK)
-    inputs = bgr_policy.features(columns, shown.state, shown.task, policy.scales["X_RW"])
-    whole = policy.predict(inputs, shown.state)
+    # What was said last is what it said itself: the whole episode, with that.
+    said = []
     for _ in range(2):  # the second time after a reset
         policy.reset("", None)
+        last = shown.state[0, bgr_policy.SET]
+        said.clear()
         for step in range(len(shown.state)):
+            if np.linalg.norm(last[:3] - shown.state[step, 5:8]) > bgr_policy.REACH:
+                last = shown.state[step, bgr_policy.SET]
+            said.append(last)
             observation = {
                 bgr_policy.STATE: shown.state[step],
                 bgr_policy.TASK: shown.task[step],
             }
             chunk = policy.act(observation)
             assert chunk.shape == (8, 5) and chunk.dtype == np.float64
+            inputs = bgr_policy.features(
+                columns,
+                shown.state[: step + 1],
+                shown.task[: step + 1],
+                np.array(said),
+                policy.scales["X_RW"],
+            )
+            whole = policy.predict(inputs, np.array(said))
             # One row and many are summed in another order by the BLAS: float32.
-            np.testing.assert_allclose(chunk, whole[step], atol=2e-6)
+            np.testing.assert_allclose(chunk, whole[-1], atol=1e-5)
+            last = chunk[0, :4]
 
 
 def test_numpy_alone_gives_what_the_trainer_had(policy: bgr_policy.Policy, tmp_path: Path) -> None:
@@ -124,14 +138,15 @@ def test_numpy_alone_gives_what_the_trainer_had(policy: bgr_policy.Policy, tmp_p
     file = tmp_path / "weights.npz"
     policy.save(file)
     shown = made.episode(5)
-    np.savez(tmp_path / "episode.npz", state=shown.state, task=shown.task)
+    last = train_bgr.last_commands(shown, bgr_policy.SET)
+    np.savez(tmp_path / "episode.npz", state=shown.state, task=shown.task, last=last)
     program = (
         "import sys, numpy as np, bgr_policy as b\n"
         f"p = b.Policy.load(__import__('pathlib').Path({str(file)!r}))\n"
         f"e = np.load({str(tmp_path / 'episode.npz')!r})\n"
         "c = b.Columns(p.names[b.STATE], p.names[b.TASK])\n"
-        "x = b.features(c, e['state'], e['task'], p.scales['X_RW'])\n"
-        f"np.save({str(tmp_path / 'out.npy')!r}, p.predict(x, e['state']))\n"
+        "x = b.features(c, e['state'], e['task'], e['last'], p.scales['X_RW'])\n"
+        f"np.save({str(tmp_path / 'out.npy')!r}, p.predict(x, e['last']))\n"
         "assert not {'torch', 'surg_core', 'surg_sim', 'pyarrow'} & set(sys.modules)\n"
         "print(p.hash)"
     )
@@ -145,9 +160,9 @@ def test_numpy_alone_gives_what_the_trainer_had(policy: bgr_policy.Policy, tmp_p
     )
     assert done.stdout.strip() == policy.hash
     columns = bgr_policy.Columns(made.STATE, made.TASK)
-    inputs = bgr_policy.features(columns, shown.state, shown.task, policy.scales["X_RW"])
+    inputs = bgr_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"])
     np.testing.assert_allclose(
-        np.load(tmp_path / "out.npy"), policy.predict(inputs, shown.state), rtol=0, atol=1e-6
+        np.load(tmp_path / "out.npy"), policy.predict(inputs, last), rtol=0, atol=1e-6
     )
 
 
@@ -180,11 +195,14 @@ def test_the_place_of_a_number_is_found_by_its_name(policy: bgr_policy.Policy) -
     rng = np.random.default_rng(1)
     order = rng.permutation(len(made.TASK))
     shown = made.episode(7)
+    last = train_bgr.last_commands(shown, bgr_policy.SET)
     columns = bgr_policy.Columns(made.STATE, made.TASK)
     shuffled = bgr_policy.Columns(made.STATE, [made.TASK[i] for i in order])
     np.testing.assert_array_equal(
-        bgr_policy.features(columns, shown.state, shown.task, policy.scales["X_RW"]),
-        bgr_policy.features(shuffled, shown.state, shown.task[:, order], policy.scales["X_RW"]),
+        bgr_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"]),
+        bgr_policy.features(
+            shuffled, shown.state, shown.task[:, order], last, policy.scales["X_RW"]
+        ),
     )
     with pytest.raises(ValueError, match="assistant_held"):
         bgr_policy.Columns(made.STATE, [name for name in made.TASK if name != "assistant_held"])

@@ -20,8 +20,8 @@ from surg_cli.terminal import Problem, Progress, say, table, warn
 
 TRAINERS = {"bgr": "train_bgr.py"}
 """Tasks that can be learned, and what trains; in examples/."""
-POLICIES = {("bgr", False): "bgr_policy.py", ("bgr", True): "bgr_image_policy.py"}
-"""What serves, without and with pictures; in examples/."""
+POLICIES = {"bgr": "bgr_policy.py"}
+"""What serves; in examples/."""
 EPISODES = 80
 HOPED = 0.85
 """Share of the roll-outs that are to succeed: the paper's 17 of 20."""
@@ -42,7 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or a cell with two arms")
     add("--seed", type=int, default=0, metavar="S", help="of the training (default 0)")
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
-    add("--cameras", action="store_true", help="the policy that looks at pictures")
     add(
         "--episodes",
         type=int,
@@ -69,12 +68,6 @@ class Wanted:
     seed: int
     episodes: int
     rollouts: int
-    cameras: bool
-
-    @property
-    def views(self) -> tuple[str, ...]:
-        """Of the endoscope, that are recorded and served."""
-        return ("left",) if self.cameras else ()
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -88,7 +81,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     again = f"./surg {_line(command, wanted)} --out {_shown(out)}"
     ledger = Ledger(out / "stages.json", again)
     train = paths.ROOT / "examples" / TRAINERS[wanted.task]
-    serve = paths.ROOT / "examples" / POLICIES[wanted.task, wanted.cameras]
+    serve = paths.ROOT / "examples" / POLICIES[wanted.task]
     say(
         f"learn: {wanted.task}, {wanted.setting}, {wanted.episodes} demonstrations, "
         f"{wanted.rollouts} roll-outs -> {out}"
@@ -109,7 +102,6 @@ def main(options: argparse.Namespace, command: str) -> int:
         wanted.setting,
         serve,
         out / "weights.npz",
-        wanted.views,
         bool(trained["privileged"]),
     )
     entries = ledger.stage(
@@ -169,7 +161,6 @@ def _check(options: argparse.Namespace) -> Wanted:
         options.seed,
         options.episodes,
         options.rollouts,
-        bool(options.cameras),
     )
 
 
@@ -205,8 +196,8 @@ def _line(command: str, wanted: Wanted) -> str:
     """The command line that asks for the same."""
     first = f"learn {wanted.task}" if command == "learn" else f"{command} --full"
     given = asdict(wanted)
-    words = [f"--{name} {given[name]}" for name in given if name not in ("task", "cameras")]
-    return " ".join([first, *words, *(["--cameras"] if wanted.cameras else [])])
+    words = [f"--{name} {given[name]}" for name in given if name != "task"]
+    return " ".join([first, *words])
 
 
 def _shown(path: Path) -> Path:
@@ -228,7 +219,7 @@ def _show(wanted: Wanted, cell: Path, out: Path) -> dict[str, Any]:
     from surg_sim import demonstrations, seeds
 
     plan = demonstrations.Plan(
-        out / "demonstrations", cell, wanted.task, wanted.setting, wanted.views, shake=SHAKE
+        out / "demonstrations", cell, wanted.task, wanted.setting, shake=SHAKE
     )
     chosen = seeds.training_seeds(wanted.episodes)
     before = sum(plan.done(seed) for seed in chosen)
@@ -276,7 +267,6 @@ def _train(program: Path, wanted: Wanted, out: Path) -> dict[str, Any]:
     """Train in a process of its own, so that it is the same program that a person starts."""
     argv = [sys.executable, str(program), str(out / "dataset"), "--json"]
     argv += ["--out", str(out / "weights.npz"), "--seed", str(wanted.seed)]
-    argv += ["--images"] if wanted.cameras else []
     with Progress("training") as progress:
         last = follow(
             argv, out / "logs" / "training.log", lambda n: progress.update(n["part"], n["note"])

@@ -33,7 +33,6 @@ class Player:
         setting: Physical setting.
         script: Client of the policy.
         weights: Its weights.
-        views: Of the endoscope, rendered, recorded and served.
         privileged: Whether the simulator's truth is served.
     """
 
@@ -43,14 +42,13 @@ class Player:
     setting: str
     script: Path
     weights: Path
-    views: tuple[str, ...]
     privileged: bool
 
     def __post_init__(self) -> None:
         player = policy.read(str(self.script), None, self.privileged)
         self._condition = Condition(self.setting, "ours")
         self._plan = run.make_plan(
-            self.task, self.cell, self.loaded, [self._condition], 0, self.views, Path(), player
+            self.task, self.cell, self.loaded, [self._condition], 0, (), Path(), player
         )
 
     @property

@@ -191,7 +191,11 @@ class RecordedSession(Session):
         R_BR = np.asarray(self.controllers[arm].X_BR)[:3, :3]
         known = self._orientations.get(arm)
         if known is None or known[0] != R_BR.tobytes():
-            known = (R_BR.tobytes(), list(matrix_to_quaternion_xyzw(R_BR).tolist()))
+            q = np.array(matrix_to_quaternion_xyzw(R_BR))
+            # The sign that Eigen gives it, and so the controller node.
+            if np.trace(R_BR) <= 0.0 and q[int(np.argmax(np.diag(R_BR)))] < 0.0:
+                q = -q
+            known = (R_BR.tobytes(), list(q.tolist()))
             self._orientations[arm] = known
         return known[1]
 
