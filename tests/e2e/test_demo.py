@@ -159,7 +159,7 @@ def test_the_papers_law_and_no_feedback_drift(tmp_path: Path) -> None:
 
 def test_one_seed_one_hash_whatever_the_scheduler_does(tmp_path: Path) -> None:
     # A tick takes about a millisecond: delays of its size already shuffle everybody's messages.
-    seconds, jitter_ms = (2.0, "20") if FULL else (1.0, "1")
+    seconds, jitter_ms = 2.0, "20" if FULL else "1"
     plain = demo(tmp_path / "plain", "--duration", seconds)
     shaken = demo(
         tmp_path / "shaken", "--duration", seconds, env={"SURG_TEST_JITTER_MS": jitter_ms}

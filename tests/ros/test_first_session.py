@@ -1,7 +1,4 @@
-"""docs/first_session.md, done line by line with the simulator.
-
-In the short run simulated time passes as quickly as it can; in the full one nothing is added.
-"""
+"""docs/first_session.md, done line by line with the simulator."""
 
 from __future__ import annotations
 
@@ -31,7 +28,6 @@ pytestmark = pytest.mark.ros
 
 PAGE = paths.ROOT / "docs" / "first_session.md"
 START_S = 60.0
-FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 
 
 def lines_of(page: Path) -> list[tuple[str, str]]:
@@ -102,7 +98,7 @@ class Session:
         log = self.folder / f"up{self.starts}.log"
         with log.open("wb") as stream:
             self.up = subprocess.Popen(
-                surg.argv(*words, "--port", self.port, *([] if FULL else ["--lock-step"])),
+                surg.argv(*words, "--port", self.port),
                 cwd=self.folder,
                 env=surg.environment(),
                 stdout=stream,
