@@ -30,6 +30,8 @@ from surg_cli.watch import Watch
 
 DEFAULT_PORT = 11311
 START_TIMEOUT_S = 60.0
+SPOKEN_TICKS = 100
+"""Of the simulator in real time: by then every controller has heard its link."""
 RECORDED = (
     ("--record-topics", "TOPIC", "record these too: names or patterns, such as '/PSM1/measured_*'"),
     ("--record-cameras", "TOPIC", "record these image topics too, raw or compressed"),
@@ -207,7 +209,7 @@ def _stay(watch: Watch, supervisor: processes.Supervisor, entry: running.System)
 def _await_arms(
     plan: Plan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
 ) -> None:
-    """Wait until every arm has published its state and its robot_description.
+    """Wait until every arm has published its state and its robot_description, and heard its link.
 
     Raises:
         Problem: When a node ends meanwhile, or after a minute.
@@ -217,6 +219,8 @@ def _await_arms(
     while True:
         states = watch.states
         missing = [arm for arm in plan.arms if arm not in states]
+        if not plan.lockstep and watch.sim.get("tick", 0) < SPOKEN_TICKS:
+            missing.append("the simulator")  # "enable" would be refused
         described = all(
             master.call(uri, "hasParam", f"/{arm}/robot_description") for arm in plan.arms
         )
