@@ -313,7 +313,7 @@ def _deploy(player: rollouts.Player, wanted: Wanted, folder: Path) -> list[dict[
     """The policy in the graph, over the wire, on seeds that nothing was chosen with."""
     from surg_sim import seeds
 
-    found = []
+    found: list[dict[str, Any]] = []
     with Progress("roll-outs") as progress:
         for n, seed in enumerate(seeds.test_seeds(wanted.rollouts)):
             good = sum(e["rollout"]["success"] for e in found)
