@@ -26,10 +26,8 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
-import datetime
 import json
 import os
-import platform
 import signal
 import subprocess
 import sys
@@ -40,6 +38,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from machine import this_machine
 
 from surg_cli import master, paths, processes, running
 from surg_cli.terminal import Progress, say, table
@@ -281,13 +280,7 @@ def main() -> int:
         ]
     show(runs)
     if options.json:
-        machine = {
-            "processor": platform.processor() or platform.machine(),
-            "cores": len(os.sched_getaffinity(0)),
-            "load_before": load,
-            "load_after": os.getloadavg()[0],
-            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        }
+        machine = this_machine(load)
         result = {"format": "surg_bench_console/1", "machine": machine, "runs": runs}
         options.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     return 0

@@ -15,10 +15,8 @@ demonstration blindly. `--json FILE` writes (counts of successes and Wilson's 95
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import os
-import platform
 import shutil
 import sys
 import tempfile
@@ -32,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from machine import this_machine
 
 from surg_cli import paths
 from surg_cli.terminal import Progress, say, table
@@ -247,13 +246,7 @@ def main() -> int:
         "policies": entries,
         "seeds": [judged.start, judged.stop],
         "wall_s": round(time.monotonic() - started, 1),
-        "machine": {
-            "processor": platform.processor() or platform.machine(),
-            "cores": os.cpu_count(),
-            "load_before": before,
-            "load_after": os.getloadavg()[0],
-            "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        },
+        "machine": this_machine(before),
     }
     if options.json is not None:
         options.json.write_text(json.dumps(result, indent=1) + "\n", "utf-8")

@@ -15,10 +15,8 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import os
-import platform
 import subprocess
 import sys
 import tempfile
@@ -29,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent / "recording"))
 
 import page
 import side_by_side
+from machine import this_machine
 
 from surg_cli import paths
 from surg_cli.terminal import Problem, Progress, say, table
@@ -103,13 +102,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(dir=paths.RUNS, prefix="bench_") as folder:
         for part in parts:
             found[part] = in_process(part, options.seconds, Path(folder))
-    found["machine"] = {
-        "processor": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "load_before": before,
-        "load_after": os.getloadavg()[0],
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-    }
+    found["machine"] = this_machine(before)
     for heading, rows in page.tables(found):
         say(f"{heading}\n{table(rows)}")
     if options.json:

@@ -17,16 +17,16 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import os
-import platform
 import statistics
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+from machine import this_machine
 
 from surg_cli.terminal import Progress, say, table
 from surg_sim import cells, seeds
@@ -112,13 +112,7 @@ def main() -> int:
             progress.update(i / len(steps))
             found.update(step())
     found["step_us"] = parts()
-    found["machine"] = {
-        "processor": platform.processor() or platform.machine(),
-        "cores": os.cpu_count(),
-        "load_before": before,
-        "load_after": os.getloadavg()[0],
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-    }
+    found["machine"] = this_machine(before)
     rows = [[name, f"{value:.2f}"] for name, value in found.items() if isinstance(value, float)]
     rows += [[f"tick: {name} [us]", f"{value:.0f}"] for name, value in found["step_us"].items()]
     say(table(rows))

@@ -7,7 +7,7 @@ has not let go counts as a stop, with what teleoperation and controller say abou
 writes:
 
     format          "surg_bench_soak/1"
-    machine         {cores, load_before, load_after, date}
+    machine         {processor, cores, load_before, load_after, date}
     seconds         of teleoperation
     stops           [{at_s, state, arm_state, said}]: nobody asked for them
     clutches        that the hand asked for
@@ -20,7 +20,6 @@ writes:
 from __future__ import annotations
 
 import argparse
-import datetime
 import json
 import math
 import os
@@ -31,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from machine import this_machine
 
 from surg_cli import master, paths, system
 from surg_cli.processes import Supervisor
@@ -234,12 +234,7 @@ def main() -> int:
     options = parser.parse_args()
     load = os.getloadavg()[0]
     found = measure(options.minutes)
-    machine = {
-        "cores": len(os.sched_getaffinity(0)),
-        "load_before": load,
-        "load_after": os.getloadavg()[0],
-        "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-    }
+    machine = this_machine(load)
     result = {"format": "surg_bench_soak/1", "machine": machine, **found}
     rows = [["stops", "clutches", "following", "path", "pivot mean, max", "missing ticks"]]
     error = found["rcm_error_mm"]

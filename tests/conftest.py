@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import random
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from helpers.ros import RosGraph, close_own_topics, forget_dead_nodes, private_master
+from surg_cli import __main__ as cli
 from surg_cli import master
 from surg_cli.processes import Supervisor
 
@@ -32,6 +33,17 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def full() -> bool:
     """Whether the long counts are asked for (SURG_TEST_FULL=1)."""
     return FULL
+
+
+@pytest.fixture
+def surg(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """Runs a command in this process, as `./surg` would when everything is set up."""
+
+    def run(*words: object) -> int:
+        monkeypatch.setenv(cli.READY, "1")
+        return cli.run([str(word) for word in words])
+
+    return run
 
 
 @pytest.fixture

@@ -9,23 +9,11 @@ from typing import Any
 
 import pytest
 
-from surg_cli import __main__ as cli
 from surg_cli import record, running
 from surg_cli.terminal import Problem
 from surg_recording import episode
 from surg_recording.episode_writer import EpisodeWriter
 from surg_recording.recorder_settings import Settings, names
-
-
-@pytest.fixture
-def surg(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    """Runs a command in this process."""
-
-    def run(*words: object) -> int:
-        monkeypatch.setenv(cli.READY, "1")
-        return cli.run([str(word) for word in words])
-
-    return run
 
 
 def test_recover_finds_what_lies_below_a_folder(

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from helpers.policy_server import ACTION, STATE, PolicyServer, spec
-from surg_cli import __main__ as cli
 from surg_cli import keys, paths
 from surg_cli.terminal import Problem
 from surg_policy_client import Observation
@@ -179,15 +178,6 @@ def test_the_code_on_a_page_is_python_3_8_and_uses_what_there_is(page: str) -> N
 
 
 # --- ./surg keys ----------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def surg(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
-    def run(*words: object) -> int:
-        monkeypatch.setenv(cli.READY, "1")
-        return cli.run([str(word) for word in words])
-
-    return run
 
 
 def test_surg_keys_makes_them_once(

@@ -5,29 +5,18 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from helpers import recording_synthetic as synthetic
+from helpers.camera_recording import start, until
 from helpers.recording_results import note
 from surg_recording import camera_sink, episode, video_file
 from surg_recording.recording import Recording
 
 PERIOD_NS = 50_000_000
-
-
-def start(folder: Path, mode: str = "freerun") -> Recording:
-    return Recording(folder, mode=mode, arms=[], cameras=["cam"], manifest={}, min_free_bytes=0)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def numbers(recorded: episode.Episode) -> list[int]:

@@ -7,7 +7,6 @@ import os
 import signal
 import time
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,10 +17,10 @@ from PIL import Image
 
 from helpers import picture_identity
 from helpers import recording_synthetic as synthetic
+from helpers.camera_recording import start, until
 from helpers.picture_identity import HEIGHT, WIDTH, Identity
 from surg_recording import compressed_image, episode, video_file
 from surg_recording.compressed_image import Coded
-from surg_recording.recording import Recording
 
 PERIOD_NS = 50_000_000
 KINDS = ("jpeg", "png")
@@ -42,17 +41,6 @@ def message(
 
 def shown(number: int, size: tuple[int, int] = (WIDTH, HEIGHT)) -> np.ndarray:
     return picture_identity.draw(Identity(1, 0, number), *size)
-
-
-def start(folder: Path, mode: str = "freerun") -> Recording:
-    return Recording(folder, mode=mode, arms=[], cameras=["cam"], manifest={}, min_free_bytes=0)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def numbers(recorded: episode.Episode) -> list[int]:

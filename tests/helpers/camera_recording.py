@@ -1,0 +1,22 @@
+"""A recording of one camera and nothing else, and waiting for what its encoder does."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from surg_recording.recording import Recording
+
+
+def start(folder: Path, mode: str = "freerun") -> Recording:
+    """Begin it; the camera is called "cam"."""
+    return Recording(folder, mode=mode, arms=[], cameras=["cam"], manifest={}, min_free_bytes=0)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    """Wait for a condition, 20 s at most."""
+    deadline = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
