@@ -214,10 +214,10 @@ def test_f26_a_stranger_is_not_obeyed_and_may_stop_the_arm(
 class System:
     """Simulator and controller in free-run, and a hand that moves the tip to and fro."""
 
-    def __init__(self, graph: RosGraph) -> None:
+    def __init__(self, graph: RosGraph, **environment: str) -> None:
         self.graph = graph
         shared = {"cell": CELL, "mode": "freerun"}
-        graph.node("surg_sim", "bridge_node.py", "/sim", {**shared, "inject": True})
+        graph.node("surg_sim", "bridge_node.py", "/sim", {**shared, "inject": True}, environment)
         self.cycles: list[Cycle] = []
         self.truths: list[tuple[int, float, float]] = []  # tick, tip speed, deviation
         self.texts: list[str] = []
@@ -368,6 +368,26 @@ def test_f27_f10_a_frozen_controller(system: System, reactions: Reactions, full:
     reactions.add(
         "F10", "controller frozen by SIGSTOP", "simulated tip at rest", still, limit, "ms"
     )
+
+
+def test_f10_a_simulator_that_is_always_behind(
+    ros_graph: RosGraph, rospy_node: str, reactions: Reactions, full: bool
+) -> None:
+    """It ticks without a pause and holds its lock meanwhile: it still obeys the newest command."""
+    starved = System(ros_graph, SURG_TEST_JITTER_MS="5")
+    try:
+        starved.in_motion()
+        ticks, cycles = len(starved.truths), len(starved.cycles)
+        time.sleep(30 if full else 5)
+        truths, cycle = starved.truths[ticks:], starved.cycles[-1]
+    finally:
+        starved.close()
+    ran = (truths[-1][0] - truths[0][0]) / (len(starved.cycles) - cycles)
+    away = [1e3 * max(d for _, _, d in truths)]
+    print(f"{len(truths)} ticks at {ran:.2f} of real time, {cycle.state} {cycle.reason!r}")
+    assert ran < 0.9, "it was never behind"
+    assert cycle.state == Cycle.ENABLED, cycle.reason
+    reactions.add("F10", "simulator always behind", "true deviation", away, 0.5, "mm")
 
 
 def test_f28_a_killed_controller(system: System, reactions: Reactions, full: bool) -> None:
