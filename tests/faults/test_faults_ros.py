@@ -22,6 +22,7 @@ import rospy
 from geometry_msgs.msg import TwistStamped, WrenchStamped
 from std_msgs.msg import String
 
+import surg_core
 from crtk_msgs.msg import StringStamped
 from helpers.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
 from helpers.reactions import Reactions
@@ -260,6 +261,11 @@ class System:
             message.twist.linear.x = 0.03 * sign
             self._stream.publish(message)
 
+    def quiet(self) -> None:
+        """DISABLED, wherever the arm is."""
+        self._word.publish(StringStamped(string="disable"))
+        self.graph.wait_for(lambda: self.cycles[-1].state == Cycle.DISABLED, ANSWER_S, "DISABLED")
+
     def in_motion(self) -> None:
         """Enable where needed and wait until the arm moves."""
         asked = 0.0
@@ -388,6 +394,30 @@ def test_f10_a_simulator_that_is_always_behind(
     assert ran < 0.9, "it was never behind"
     assert cycle.state == Cycle.ENABLED, cycle.reason
     reactions.add("F10", "simulator always behind", "true deviation", away, 0.5, "mm")
+
+
+def test_f23_an_arm_is_led_home_by_hand(system: System) -> None:
+    """Not while its controller moves it; and the controller takes it up again."""
+    by_hand = rospy.Publisher("/sim/by_hand", String, queue_size=10)
+    system.graph.wait_for(lambda: by_hand.get_num_connections() > 0, ANSWER_S, "/sim")
+    home = np.asarray(surg_core.load_cell(str(CELL)).arms["PSM1"].robot.home)
+
+    def off() -> float:
+        return float(np.abs(np.subtract(system.cycles[-1].q, home)).max())
+
+    system.in_motion()
+    by_hand.publish("PSM1")
+    by_hand.publish("nobody")
+    system.in_motion()
+    system.quiet()
+    time.sleep(0.3)
+    moved = off()
+    assert moved > 0.01, "it is at home already"
+    by_hand.publish("PSM1")
+    system.graph.wait_for(lambda: off() < 1e-3, 20.0, "the arm at home")
+    assert system.cycles[-1].state == Cycle.DISABLED
+    print(f"led home from {moved:.3f} rad; {off():.5f} rad are left")
+    system.in_motion()
 
 
 def test_f28_a_killed_controller(system: System, reactions: Reactions, full: bool) -> None:

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 from urllib.parse import urlparse
 
@@ -36,6 +36,7 @@ from surg_msgs.msg import (
 )
 from surg_sim import conditions, faults, tasks, wire
 from surg_sim.arm import ArmCommand
+from surg_sim.by_hand import ByHand
 from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.newest import Newest
@@ -169,6 +170,8 @@ class Bridge:
             self._tracker = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         if settings.inject:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
+        self._hands: dict[str, ByHand] = {}
+        rospy.Subscriber("/sim/by_hand", String, self._on_by_hand)
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
         self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
         # After the task's: who is connected here can know whether there is a task.
@@ -244,6 +247,18 @@ class Bridge:
                 rospy.logerr(f"/sim/inject: {error}")
             self._publish_status()
 
+    def _on_by_hand(self, message: String) -> None:
+        """Somebody leads an arm home by hand."""
+        name = message.data
+        if self.lockstep or name not in self._world.arms:
+            rospy.logwarn(
+                f"/sim/by_hand: '{name}' is not led by hand; allowed is one of "
+                f"{', '.join(self._world.arms)}, in real time (~mode freerun)"
+            )
+            return
+        rospy.loginfo(f"{name} is led home by hand")
+        self._hands[name] = ByHand(self._world.cell.arms[name].robot.home)
+
     # --- what goes out ----------------------------------------------------------------------
 
     def _advance(self) -> None:
@@ -274,7 +289,7 @@ class Bridge:
     def _step(self) -> bool:
         """Execute the present tick; returns whether the task's episode ends with it."""
         arrived = {arm.name: arm.take_commands() for arm in self._arms}
-        commands = self._injector.commands(arrived)
+        commands = self._led(self._injector.commands(arrived))
         if self._task is None:
             self._world.step(commands)
             return False
@@ -283,6 +298,17 @@ class Bridge:
         over = self._task.verdict.done and (self.lockstep or not self._settings.endless)
         self._world.step(commands, self._task.take(tick))
         return over or self._task.distrust()
+
+    def _led(self, commands: Mapping[str, ArmCommand]) -> Mapping[str, ArmCommand]:
+        """With the pushes of hands on arms that their controllers leave alone."""
+        for name, hand in tuple(self._hands.items()):
+            led = hand.lead(self._world.state(name).q, commands.get(name, ArmCommand()))
+            if led is None:
+                del self._hands[name]
+                rospy.loginfo(f"{name}: the hand has let go")
+            else:
+                commands = {**commands, name: led}
+        return commands
 
     def _end(self) -> None:
         """The last tick has been executed; with the lock held."""
