@@ -42,9 +42,10 @@ import page
 import scene
 import streams
 from machine import processor
+from publish import publish
 
 from surg_cli import paths
-from surg_cli.terminal import Problem, Progress, say, table, warn
+from surg_cli.terminal import Problem, Progress, say, warn
 
 SOURCE = Path(__file__).parent / "control"
 BUILD = paths.BUILD / "bench_control"
@@ -257,13 +258,10 @@ def main() -> None:
     except Problem as problem:
         warn(f"bench: {problem}")
         sys.exit(problem.code)
-    for heading, rows in page.tables(result):
-        say(f"\n{heading}\n{table(rows)}")
-    if options.json:
-        options.json.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        say(f"\nwritten: {options.json}")
+    publish(result, page, options)
     if options.page:
-        page.write(result)
+        page.draw(result, page.PICTURE)
+        say(f"written: {page.PICTURE}")
 
 
 if __name__ == "__main__":

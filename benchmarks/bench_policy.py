@@ -32,9 +32,10 @@ sys.path.insert(0, str(Path(__file__).parent / "policy"))
 
 import page
 from machine import processor
+from publish import publish
 
 from surg_cli import logged, paths
-from surg_cli.terminal import Problem, Progress, say, table, warn
+from surg_cli.terminal import Problem, Progress, warn
 from surg_policy_client import keys
 
 SOURCE = Path(__file__).parent / "policy"
@@ -237,13 +238,7 @@ def main() -> None:
     except Problem as problem:
         warn(f"bench: {problem}")
         sys.exit(problem.code)
-    for heading, rows in page.tables(result):
-        say(f"\n{heading}\n{table(rows)}")
-    if options.json:
-        paths.write_text(options.json, json.dumps(result, indent=1) + "\n")
-        say(f"\nwritten: {options.json}")
-    if options.page:
-        page.write(result)
+    publish(result, page, options)
 
 
 if __name__ == "__main__":

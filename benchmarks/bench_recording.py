@@ -28,9 +28,10 @@ sys.path.insert(0, str(Path(__file__).parent / "recording"))
 import page
 import side_by_side
 from machine import this_machine
+from publish import publish
 
 from surg_cli import paths
-from surg_cli.terminal import Problem, Progress, say, table
+from surg_cli.terminal import Problem, Progress
 
 TASK, ROBOT, CAMERAS = "bgr", "ur5e", "stereo"
 
@@ -103,12 +104,7 @@ def main() -> int:
         for part in parts:
             found[part] = in_process(part, options.seconds, Path(folder))
     found["machine"] = this_machine(before)
-    for heading, rows in page.tables(found):
-        say(f"{heading}\n{table(rows)}")
-    if options.json:
-        options.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    if options.page:
-        page.write(found)
+    publish(found, page, options)
     return 0
 
 

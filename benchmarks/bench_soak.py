@@ -30,10 +30,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from hand_system import hand_system
 from machine import this_machine
 
-from surg_cli import master, paths, system
-from surg_cli.processes import Supervisor
 from surg_cli.terminal import Progress, say, table
 
 RATE = 100.0
@@ -179,29 +178,9 @@ def measure(minutes: float) -> dict[str, Any]:
     import rospy
     from std_msgs.msg import Bool
 
-    cell = paths.ROOT / "cells/sim_ur5e"
     with tempfile.TemporaryDirectory(prefix="surg_bench_soak_") as folder:
         out = Path(folder) / "run"
-        env = {**os.environ, "ROS_HOSTNAME": "localhost", "ROS_LOG_DIR": folder}
-        with Supervisor(env, Path(folder)) as supervisor:
-            master.start(supervisor, master.free_port())
-            os.environ.update(supervisor.env)
-            plan = system.Plan(
-                cell=cell, arms=("PSM1",), lockstep=False, cameras=("left",), out=out
-            )
-            params = {
-                "cell": str(cell),
-                "leader": "crtk",
-                "settings": {"name": "hand"},
-                "scale": 1.0,
-                "view": [0.0, 0.0, 0.0, 1.0],
-                "picture": "/endoscope/left/image_raw",
-            }
-            for node in system.nodes(plan):
-                system.start(supervisor, node)
-            system.start(
-                supervisor, system.Node("/teleop", "surg_teleop", "teleop_node.py", params)
-            )
+        with hand_system(Path(folder), out, cameras=("left",)):
             rospy.init_node("bench_soak", disable_signals=True)
             surgeon = Surgeon()
             deadline = time.monotonic() + START_S

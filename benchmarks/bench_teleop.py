@@ -16,9 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-
-from surg_cli import master, paths, system
-from surg_cli.processes import Supervisor
+from hand_system import hand_system
 
 STEP = 1e-6
 """[m] between two poses."""
@@ -88,51 +86,29 @@ def measure(seconds: float, rate: float) -> dict[str, object]:
     import rospy
 
     poses = int(seconds * rate)
-    cell = paths.ROOT / "cells/sim_ur5e"
-    with tempfile.TemporaryDirectory() as folder:
-        env = {**os.environ, "ROS_HOSTNAME": "localhost", "ROS_LOG_DIR": folder}
-        with Supervisor(env, Path(folder)) as supervisor:
-            master.start(supervisor, master.free_port())
-            os.environ.update(supervisor.env)
-            plan = system.Plan(
-                cell=cell,
-                arms=("PSM1",),
-                lockstep=False,
-                cameras=(),
-                out=Path(folder),
-                record=False,
-            )
-            params = {
-                "cell": str(cell),
-                "leader": "crtk",
-                "settings": {"name": "hand"},
-                "scale": 1.0,
-                "view": [0.0, 0.0, 0.0, 1.0],
-                "picture": "",
-            }
-            teleop = system.Node("/teleop", "surg_teleop", "teleop_node.py", params)
-            for node in system.nodes(plan):
-                system.start(supervisor, node)
-            child = system.start(supervisor, teleop)
-            rospy.init_node("bench_teleop", disable_signals=True)
-            chain = Chain(poses)
-            deadline = time.monotonic() + 60.0
-            while chain.state != "FOLLOWING":
-                if time.monotonic() > deadline:
-                    raise SystemExit(f"nothing follows: {teleop.name} says {chain.state!r}")
-                chain.enable.publish(True)
-                for _ in range(int(rate)):
-                    chain.publish(0)
-                    time.sleep(1.0 / rate)
-            chain.measuring = True
-            cpu, began = _cpu(child.process.pid), time.monotonic()
-            for index in range(1, poses):
-                chain.publish(index)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        hand_system(Path(folder), Path(folder), record=False) as teleop,
+    ):
+        rospy.init_node("bench_teleop", disable_signals=True)
+        chain = Chain(poses)
+        deadline = time.monotonic() + 60.0
+        while chain.state != "FOLLOWING":
+            if time.monotonic() > deadline:
+                raise SystemExit(f"nothing follows: {teleop.name} says {chain.state!r}")
+            chain.enable.publish(True)
+            for _ in range(int(rate)):
+                chain.publish(0)
                 time.sleep(1.0 / rate)
-            cpu = (_cpu(child.process.pid) - cpu) / (time.monotonic() - began)
-            time.sleep(0.2)
-            chain.measuring = False
-            rospy.signal_shutdown("measured")
+        chain.measuring = True
+        cpu, began = _cpu(teleop.process.pid), time.monotonic()
+        for index in range(1, poses):
+            chain.publish(index)
+            time.sleep(1.0 / rate)
+        cpu = (_cpu(teleop.process.pid) - cpu) / (time.monotonic() - began)
+        time.sleep(0.2)
+        chain.measuring = False
+        rospy.signal_shutdown("measured")
     return {
         "poses": poses - 1,
         "rate_hz": rate,

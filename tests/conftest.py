@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from helpers.claims import Claims
 from helpers.ros import RosGraph, close_own_topics, forget_dead_nodes, private_master
 from surg_cli import __main__ as cli
 from surg_cli import master
@@ -16,6 +17,13 @@ from surg_cli.processes import Supervisor
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 ON_REQUEST = ("oracle", "vm", "mutants")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Share the tests with other pytests where `./surg test` has started several."""
+    if claims := os.environ.pop("SURG_TEST_CLAIMS", ""):
+        first = os.environ.pop("SURG_TEST_WORKER") == "0"
+        config.pluginmanager.register(Claims(Path(claims), first, Path(__file__).parent), "claims")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli import paths
-from surg_cli.generated import write_part
-from surg_cli.terminal import say
 
 PAGE = paths.ROOT / "docs" / "benchmark_control.md"
 PICTURE = paths.ROOT / "docs" / "pictures" / "benchmark_control.png"
@@ -154,17 +152,14 @@ def tables(result: dict[str, Any]) -> list[tuple[str, Rows]]:
     ]
 
 
-def write(result: dict[str, Any]) -> None:
-    """Replace the generated part of the page, and the picture; the reading round it stays."""
+def head(result: dict[str, Any]) -> str:
+    """What the generated part begins with."""
     machine = result["machine"]
-    head = (
+    return (
         f"Measured {machine['date']} on {machine['cores']} cores of {machine['processor']}, "
         f"{machine['compiler']}; load {machine['load_before'][0]} before, "
         f"{machine['load_after'][0]} after; {machine['cycles']} cycles per law."
     )
-    write_part(PAGE, BEGIN, END, head, tables(result))
-    draw(result, PICTURE)
-    say(f"written: {PAGE}, {PICTURE}")
 
 
 def bars(axes: Any, names: list[str], values: list[float]) -> None:

@@ -51,13 +51,13 @@ class GateArm:
         self.since += TICK
         self.held += TICK
         self._obey_state(commands.state)
-        if commands.hold and self.state is ArmState.ENABLED:
+        if commands.hold and self.state == ArmState.ENABLED:
             self.goal, self.held = None, 0.0
         if commands.servo_cp is not None:
             self._stream(commands.servo_cp.p, self._absolute(commands.servo_cp.q))
-        if commands.claim and self.state is ArmState.ENABLED and self.holder in ("", US):
+        if commands.claim and self.state == ArmState.ENABLED and self.holder in ("", US):
             self.holder = US
-        if commands.jaw is not None and self.state is ArmState.ENABLED and self.holder in ("", US):
+        if commands.jaw is not None and self.state == ArmState.ENABLED and self.holder in ("", US):
             self.jaw = commands.jaw
         if self.goal is not None and self.since > TIMEOUT + TICK / 2:
             self.goal, self.reason = None, "stale"
@@ -84,7 +84,7 @@ class GateArm:
         return near + math.remainder(asked - near, math.tau)
 
     def _stream(self, p: np.ndarray, roll: float) -> None:
-        if self.state is not ArmState.ENABLED:
+        if self.state != ArmState.ENABLED:
             self.refusals.append("not_enabled")
             return
         if self.holder not in ("", US):
@@ -108,7 +108,7 @@ class GateArm:
         self.goal, self.goal_roll, self.since, self.holder = p, roll, 0.0, US
 
     def _move(self) -> None:
-        if self.goal is None or self.stuck or self.state is not ArmState.ENABLED:
+        if self.goal is None or self.stuck or self.state != ArmState.ENABLED:
             return
         left = self.goal - self.p
         length = float(np.linalg.norm(left))

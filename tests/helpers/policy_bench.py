@@ -75,7 +75,7 @@ class FakeArm:
                 view = replace(view, homed=True)
             elif command.state in ("enable", "resume"):
                 view = replace(view, state=ArmState.ENABLED, reason="")
-            elif command.state == "pause" and view.state is ArmState.ENABLED:
+            elif command.state == "pause" and view.state == ArmState.ENABLED:
                 view = replace(view, state=ArmState.PAUSED, reason="operator", holder="")
         if command.claim and view.holder in ("", sender):
             view = replace(view, holder=sender)

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 import rospy
-from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Bool, String
+from std_msgs.msg import String
 
+from helpers.moving_hand import MovingHand
 from helpers.policy_results import note
 from helpers.policy_rig import CELL, PolicyRig
 from helpers.ros import RosGraph
@@ -23,44 +21,17 @@ pytestmark = [pytest.mark.ros, pytest.mark.full]
 VIEW = [0.907, 0.0, 0.0, 0.421]  # any: an endoscope that nobody holds
 
 
-class Hand:
-    """A CRTK leader: a thread that publishes 100 poses a second."""
+class Hand(MovingHand):
+    """The operator's, which knows whether the arm follows."""
 
     def __init__(self) -> None:
-        self.p, self.v = np.zeros(3), np.zeros(3)
+        super().__init__()
         self.state = ""
-        self._stop = threading.Event()
-        self._pose = rospy.Publisher("/hand/measured_cp", PoseStamped, queue_size=1)
-        self._grip = rospy.Publisher("/hand/gripper/measured_js", JointState, queue_size=1)
-        self.enable = rospy.Publisher("/console/teleop/enable", Bool, queue_size=1)
-        self._ear = rospy.Subscriber("/teleop/status", String, self._on_status)
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
+        self.inputs.append(rospy.Subscriber("/teleop/status", String, self._on_status))
 
     def _on_status(self, message: String) -> None:
         (hand,) = json.loads(message.data)["hands"]
         self.state = hand["state"]
-
-    def _run(self) -> None:
-        last = time.monotonic()
-        while not self._stop.wait(0.01):
-            now = time.monotonic()
-            self.p, last = self.p + self.v * (now - last), now
-            pose = PoseStamped()
-            pose.header.stamp = rospy.Time.now()
-            pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = self.p
-            pose.pose.orientation.w = 1.0
-            self._pose.publish(pose)
-            grip = JointState(name=["gripper"], position=[0.0])
-            grip.header.stamp = pose.header.stamp
-            self._grip.publish(grip)
-
-    def close(self) -> None:
-        """Leave."""
-        self._stop.set()
-        self._thread.join()
-        for end in (self._pose, self._grip, self.enable, self._ear):
-            end.unregister()
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 
 import surg_core
 from helpers import contract
+from helpers.moving_hand import MovingHand
 from helpers.ros import RosGraph
 from surg_cli import master, paths, system
 from surg_cli.processes import Child
@@ -27,37 +27,29 @@ PICTURE = "/test/image_raw"
 STANDING_VIEW = [0.907, 0.0, 0.0, 0.421]  # any: an endoscope that nobody holds
 
 
-class CrtkHand:
-    """A CRTK leader as a lab would have it: a thread that publishes 100 poses a second."""
+class CrtkHand(MovingHand):
+    """One that has pedals and hears what everybody says."""
 
     def __init__(self, teleop: Child) -> None:
         import rospy
-        from geometry_msgs.msg import PoseStamped
-        from sensor_msgs.msg import JointState, Joy
-        from std_msgs.msg import Bool, Float64, String
+        from sensor_msgs.msg import Joy
+        from std_msgs.msg import Float64, String
 
         from surg_msgs.msg import Cycle
 
+        super().__init__()
         self.teleop, self.cell = teleop, surg_core.load_cell(TWO_ARMS)
-        self.p, self.v = np.zeros(3), np.zeros(3)
-        self.speaks = threading.Event()
-        self.speaks.set()
         self.cycles: dict[str, Cycle] = {}
         self.states: dict[str, str] = {}
         self.warnings: list[str] = []
         self.status: dict[str, object] = {}
-        self._stop = threading.Event()
-        self._pose = rospy.Publisher("/hand/measured_cp", PoseStamped, queue_size=1)
-        self._grip = rospy.Publisher("/hand/gripper/measured_js", JointState, queue_size=1)
-        self.enable = rospy.Publisher("/console/teleop/enable", Bool, queue_size=1)
         self.scale = rospy.Publisher("/console/teleop/set_scale", Float64, queue_size=1)
         self.pedals = {
             name: rospy.Publisher(f"/console/{name}", Joy, queue_size=1)
             for name in ("clutch", "camera")
         }
-        self._inputs = []
         for arm in ("PSM1", "ECM"):
-            self._inputs += [
+            self.inputs += [
                 rospy.Subscriber(
                     f"/{arm}/cycle",
                     Cycle,
@@ -72,41 +64,21 @@ class CrtkHand:
                     arm,
                 ),
             ]
-        self._inputs += [
+        self.inputs += [
             rospy.Subscriber("/teleop/warning", String, lambda m: self.warnings.append(m.data)),
             rospy.Subscriber("/teleop/status", String, self._on_status),
         ]
-        self._thread = threading.Thread(target=self._run)
-        self._thread.start()
 
     def _on_status(self, message: object) -> None:
         self.status = json.loads(message.data)
 
-    def _run(self) -> None:
-        import rospy
-        from geometry_msgs.msg import PoseStamped
-        from sensor_msgs.msg import JointState
-
-        last = time.monotonic()
-        while not self._stop.wait(0.01):
-            now = time.monotonic()
-            self.p, last = self.p + self.v * (now - last), now
-            if not self.speaks.is_set():
-                continue
-            pose = PoseStamped()
-            pose.header.stamp = rospy.Time.now()
-            pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = self.p
-            pose.pose.orientation.w = 1.0
-            self._pose.publish(pose)
-            grip = JointState(name=["gripper"], position=[0.0])
-            grip.header.stamp = pose.header.stamp
-            self._grip.publish(grip)
+    def outputs(self) -> list[object]:
+        return [*super().outputs(), self.scale, *self.pedals.values()]
 
     def connected(self) -> bool:
         """Whether everybody speaks and is heard."""
-        heard = (self._pose, self._grip, self.enable, self.scale, *self.pedals.values())
         said = len(self.cycles) == 2 and len(self.states) == 2 and bool(self.status)
-        return said and all(end.get_num_connections() for end in heard)
+        return said and all(end.get_num_connections() for end in self.outputs())
 
     def press(self, pedal: str, down: bool) -> None:
         from sensor_msgs.msg import Joy
@@ -146,14 +118,6 @@ class CrtkHand:
         before = np.array(self.cycles[arm].p_set)
         time.sleep(seconds)
         return bool(np.linalg.norm(np.array(self.cycles[arm].p_set) - before) < 1e-5)
-
-    def close(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        for end in (*self._inputs, self._pose, self._grip, self.enable, self.scale):
-            end.unregister()
-        for pedal in self.pedals.values():
-            pedal.unregister()
 
 
 def start(graph: RosGraph, cell: Path, arms: tuple[str, ...], lockstep: bool) -> None:

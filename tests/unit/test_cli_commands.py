@@ -17,10 +17,10 @@ from surg_cli import (
     master,
     paths,
     processes,
+    pytest_workers,
     roles,
     running,
     system,
-    testing,
     up,
 )
 from surg_cli.processes import Supervisor
@@ -202,9 +202,14 @@ def test_running_systems_forget_the_dead(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_counts_in_pytests_closing_line() -> None:
     line = "==== 1 failed, 20 passed, 3 skipped, 2 errors in 1.23s ===="
-    assert testing.parse_counts(line) == {"failed": 1, "passed": 20, "skipped": 3, "errors": 2}
+    assert pytest_workers.parse_counts(line) == {
+        "failed": 1,
+        "passed": 20,
+        "skipped": 3,
+        "errors": 2,
+    }
     tail = f"SKIPPED [2] tests/e2e/test_vm_devices.py:40: missing: no kernel. Type:\n  do\n{line}"
-    assert testing.parse_counts(tail) == {**testing.parse_counts(line), "missing": 2}
+    assert pytest_workers.parse_counts(tail) == {**pytest_workers.parse_counts(line), "missing": 2}
 
 
 def test_tables_line_up() -> None:

@@ -224,7 +224,7 @@ def test_f04_silence_flushes_holds_and_needs_a_new_session() -> None:
     assert bench.server.state.value == "IDLE" and "150 ms" in bench.server.reason
     assert len(bench.server._queue) == 0 and bench.execute() is None
     assert bench.arm.told[-2:] == ["hold", "pause"]
-    assert bench.arm.view.state is ArmState.PAUSED and bench.arm.view.holder == ""
+    assert bench.arm.view.state == ArmState.PAUSED and bench.arm.view.holder == ""
     bench.say("PING", session=bench.session, n=2)
     assert bench.errors[-1][1] == "session"
 
@@ -237,7 +237,7 @@ def test_f04_a_run_without_an_operator_goes_on_with_a_new_session() -> None:
     assert bench.server.state.value == "RUNNING"
     bench.now += SILENCE + 1
     bench.tick()
-    assert bench.arm.view.state is ArmState.PAUSED
+    assert bench.arm.view.state == ArmState.PAUSED
     bench.hello(b"b")
     for _ in range(5):
         bench.tick()
@@ -267,7 +267,7 @@ def test_f05_without_a_step_for_two_seconds_the_arm_is_paused(bench: Bench) -> N
     assert paused - empty == 2 * SECOND + PERIOD, "the first grid time after more than 2 s"
     assert "no action" in bench.server.reason and bench.server.counters.empty == 42
     bench.tick()
-    assert bench.arm.view.state is ArmState.PAUSED
+    assert bench.arm.view.state == ArmState.PAUSED
 
 
 def test_f05_without_an_observation_the_source_is_named(bench: Bench) -> None:
@@ -311,7 +311,7 @@ def test_three_refusals_in_a_row_pause_and_are_told(bench: Bench) -> None:
     assert [j.rule for j in bench.server.judged if not j.passed] == [e["rule"] for e in told]
     assert bench.of("EPISODE")[-1].head["event"] == "paused"
     bench.tick()
-    assert bench.arm.view.state is ArmState.PAUSED
+    assert bench.arm.view.state == ArmState.PAUSED
 
 
 @pytest.mark.parametrize("rows", [np.zeros((1, 4)), np.zeros((3, 10)), np.zeros((1, 1))])
@@ -395,7 +395,7 @@ def test_an_episode_ends_with_its_verdict(bench: Bench) -> None:
     bench.tick()
     end = bench.of("EPISODE")[-1].head
     assert (end["event"], end["success"], end["instruction"]) == ("end", True, "do it")
-    assert bench.server.state.value == "READY" and bench.arm.view.state is ArmState.PAUSED
+    assert bench.server.state.value == "READY" and bench.arm.view.state == ArmState.PAUSED
     assert bench.server.enable(True, bench.now) == ""
     for _ in range(3):
         bench.tick()
@@ -417,5 +417,5 @@ def test_the_end_of_the_server_is_said(bench: Bench) -> None:
     bench.server.end("the model server has ended")
     bench.tick()
     assert bench.of("BYE")[-1].head["reason"] == "the model server has ended"
-    assert bench.arm.view.state is ArmState.PAUSED
+    assert bench.arm.view.state == ArmState.PAUSED
     np.testing.assert_allclose(bench.arm.view.p_set, HOME + np.array([1e-3, 0, 0]))

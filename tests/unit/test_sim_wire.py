@@ -160,7 +160,6 @@ def test_task_state_round_trip() -> None:
         assert (message.tick, message.phase, message.reward) == (tick, "retract", 0.25)
         assert (message.done, message.success, message.reason) == outcome
         assert message.header.stamp.to_nsec() == STAMP_NS
-        assert wire.unpack_tick(data) == tick
         back = wire.task_state(message.names, message.values)
         assert list(back) == list(state)
         for name, value in state.items():
@@ -199,12 +198,3 @@ def test_wrench() -> None:
     frame = wire.text("PSM1_base")
     data = wire.pack_wrench(STAMP_NS, 9, frame, np.array([1.5, -2.0, 0.25]))
     assert data == serialised(message)
-
-
-def test_the_tick_of_a_cycle_is_read_without_the_rest() -> None:
-    from surg_msgs.msg import Cycle
-
-    for frame in ("", "PSM1_base", "a frame"):
-        cycle = Cycle(tick=2**33 + 5, reason="held")
-        cycle.header.frame_id = frame
-        assert wire.unpack_tick(serialised(cycle)) == 2**33 + 5

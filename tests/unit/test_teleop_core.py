@@ -83,7 +83,7 @@ def test_a_paused_arm_is_resumed_by_enable_and_by_nothing_else() -> None:
     bench.tick(5)
     bench.hand.buttons = set()
     assert bench.tick(4000).state is State.WAITING
-    assert bench.arm.state is ArmState.PAUSED
+    assert bench.arm.state == ArmState.PAUSED
     bench.teleop.enable()
     assert bench.tick(400).state is State.FOLLOWING
 
@@ -184,9 +184,9 @@ def test_f03_a_leader_that_left_pauses_the_arm() -> None:
     bench = Bench().engaged()
     bench.hand.speaks = False
     bench.tick(round(ABANDONED / TICK))
-    assert bench.arm.state is ArmState.ENABLED
+    assert bench.arm.state == ArmState.ENABLED
     bench.tick(5)
-    assert bench.arm.state is ArmState.PAUSED
+    assert bench.arm.state == ArmState.PAUSED
     assert bench.arm.holder == ""  # free for a policy: F30
     assert [o.commands.state for o in bench.log if o.commands.state] == ["pause"]
 
@@ -453,6 +453,6 @@ def test_disable_pauses_the_arm_and_frees_it() -> None:
     bench.teleop.disable()
     out = bench.tick()
     assert (out.state, out.commands.hold, out.commands.state) == (State.DISABLED, True, "pause")
-    assert bench.arm.state is ArmState.PAUSED
+    assert bench.arm.state == ArmState.PAUSED
     bench.tick(100, np.array([1e-3, 0.0, 0.0]))
     assert all(o.commands == o.commands.__class__(o.commands.stamp_ns) for o in bench.log[-100:])

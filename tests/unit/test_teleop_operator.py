@@ -213,7 +213,7 @@ def test_an_arm_that_does_not_arrive_is_given_up() -> None:
 @pytest.mark.parametrize("during", [Stage.HOME, Stage.MOVE, Stage.SETTLE, Stage.PLAY, Stage.HOLD])
 @pytest.mark.parametrize("state", [ArmState.FAULT, ArmState.PAUSED, ArmState.DISABLED])
 def test_an_arm_that_stops_is_given_up_with_its_reason(during: Stage, state: ArmState) -> None:
-    if state is ArmState.DISABLED and during is Stage.HOME:
+    if state == ArmState.DISABLED and during is Stage.HOME:
         pytest.skip("that is where it starts")
     op, arm = operator(), FakeArm(deaf_to=frozenset({"home"} if during is Stage.HOME else ()))
     for _ in range(30_000):

@@ -130,11 +130,11 @@ def test_storms_on_the_real_controller(kind: Kind) -> None:
             out = teleop.tick(now, hand.sample(now), view, CameraView(np.eye(3)))
             commands = out.commands
             commands.state = stranger if k % 25 == 0 and stranger else commands.state
-            if view.state is ArmState.ENABLED:  # else it was paused with a command on its way
+            if view.state == ArmState.ENABLED:  # else it was paused with a command on its way
                 assert view.refused == refused, f"seed {seed}, tick {k}: {view.reason}"
             refused = view.refused
             # Entering ENABLED puts the set-point on the measured pose: that is no motion.
-            if view.state is ArmState.ENABLED is before:
+            if view.state == ArmState.ENABLED == before:
                 p.append(view.p_set)
             else:
                 p.clear()

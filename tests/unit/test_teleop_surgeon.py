@@ -116,7 +116,7 @@ def run(file: Path, seconds: float) -> Chain:
             times.append(t)
             goals.append(view.p_set)
             tips.append(view.p_tip)
-    assert view.state is ArmState.ENABLED
+    assert view.state == ArmState.ENABLED
     spline = motion.spline()
     offset = start - motion.p[0]
     goal, tip, t = np.array(goals), np.array(tips), np.array(times)

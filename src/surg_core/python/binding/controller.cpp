@@ -11,7 +11,7 @@ namespace surg::python {
 namespace {
 
 void bind_state(py::module_& m) {
-  py::enum_<State>(m, "State", "CRTK operating state.")
+  py::enum_<State>(m, "State", "CRTK operating state; compare with ==, not with is.")
       .value("DISABLED", State::kDisabled)
       .value("ENABLED", State::kEnabled)
       .value("PAUSED", State::kPaused)

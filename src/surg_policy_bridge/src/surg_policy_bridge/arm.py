@@ -6,12 +6,13 @@ integer nanoseconds of the caller's clock.
 
 from __future__ import annotations
 
-import enum
 import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from surg_core import State as ArmState
 
 Array = NDArray[np.float64]
 
@@ -29,15 +30,6 @@ ACTION_UNITS = ("m", "m", "m", "rad", "rad")
 ARM_STATE = ("tip_x", "tip_y", "tip_z", "roll", "jaw", "set_x", "set_y", "set_z", "roll_set")
 """Of each arm in ``observation.state``: measured tip, roll, jaw; set-point of tip and roll."""
 ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
-
-
-class ArmState(enum.IntEnum):
-    """CRTK operating state, numbered as in surg_msgs/Cycle."""
-
-    DISABLED = 0
-    ENABLED = 1
-    PAUSED = 2
-    FAULT = 3
 
 
 @dataclass(frozen=True)

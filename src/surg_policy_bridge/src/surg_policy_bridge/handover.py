@@ -49,7 +49,7 @@ class Handover:
             if view is None:
                 return f"{name} is silent: is its controller running?"
             why = f" ({view.reason})" if view.reason else ""
-            if view.state is ArmState.FAULT:
+            if view.state == ArmState.FAULT:
                 return f"{name} is in FAULT{why}: enable it when the cause is gone"
             if view.holder not in ("", self._node):
                 return f"{name} is held by {view.holder}: end that, or pause {name}, and try again"
@@ -105,8 +105,8 @@ class Handover:
             return ArmCommand()
         if not view.homed:
             word = "home"
-        elif view.state is not ArmState.ENABLED:
-            word = "resume" if view.state is ArmState.PAUSED else "enable"
+        elif view.state != ArmState.ENABLED:
+            word = "resume" if view.state == ArmState.PAUSED else "enable"
         else:
             word = "claim"
         before, at = self._asked.get(name, ("", 0))
@@ -119,18 +119,18 @@ class Handover:
         return ArmCommand(state=word, claim=word != "home")
 
     def _ready(self, view: ArmView) -> bool:
-        return view.homed and view.state is ArmState.ENABLED and view.holder == self._node
+        return view.homed and view.state == ArmState.ENABLED and view.holder == self._node
 
     def _ours(self, view: ArmView) -> bool:
         """Whether pausing it takes nothing from another sender."""
-        return view.state is ArmState.ENABLED and view.holder in ("", self._node)
+        return view.state == ArmState.ENABLED and view.holder in ("", self._node)
 
     def _unready(self, views: Mapping[str, ArmView]) -> str:
         for name in self._arms:
             view = views[name]
             if not self._ready(view):
                 why = f" ({view.reason})" if view.reason else ""
-                if not view.homed or view.state is not ArmState.ENABLED:
+                if not view.homed or view.state != ArmState.ENABLED:
                     return f"{name} is {view.state.name if view.homed else 'not homed'}{why}"
                 return f"{name} is not held by {self._node}"
         return ""

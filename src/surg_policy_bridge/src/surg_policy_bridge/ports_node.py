@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from typing import Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix, tip_quaternion
 from surg_msgs.msg import Cycle, TaskState
 from surg_policy_bridge.arm import SECOND, ArmCommand, ArmState, ArmView
+from surg_recording.raw_message import RawMessage
 
 COMMANDS = {
     "state_command": StringStamped,
@@ -25,25 +25,7 @@ COMMANDS = {
 }
 
 
-class _Raw:
-    """Keeps a message's bytes until somebody looks: most of 500 a second nobody does."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def deserialize(self, data: bytes) -> Any:
-        """Keep the bytes; rospy calls this."""
-        self.data = data
-        return self
-
-    def tick(self) -> int:
-        """The tick, which stands right behind the header."""
-        (frame,) = struct.unpack_from("<I", self.data, 12)
-        (tick,) = struct.unpack_from("<Q", self.data, 16 + frame)
-        return int(tick)
-
-
-class RawCycle(_Raw, Cycle):  # type: ignore[misc]
+class RawCycle(RawMessage, Cycle):  # type: ignore[misc]
     """A Cycle that keeps its bytes."""
 
     def view(self) -> ArmView:
@@ -51,7 +33,7 @@ class RawCycle(_Raw, Cycle):  # type: ignore[misc]
         return view_of(Cycle().deserialize(self.data))
 
 
-class RawTaskState(_Raw, TaskState):  # type: ignore[misc]
+class RawTaskState(RawMessage, TaskState):  # type: ignore[misc]
     """A TaskState that keeps its bytes."""
 
     def read(self) -> TaskState:

@@ -20,6 +20,7 @@ from typing import Any
 import rospy
 
 from surg_msgs.msg import Cycle, Ready, TaskState
+from surg_recording.raw_message import RawMessage
 from surg_sim import wire
 from surg_sim.ports_node import Output
 from surg_sim.tasks import GRID
@@ -31,26 +32,12 @@ CONNECT_TIMEOUT = 60.0
 """[s] wall clock: longest wait for everybody to connect."""
 
 
-class _RawCycle(Cycle):  # type: ignore[misc]
+class _RawCycle(RawMessage, Cycle):  # type: ignore[misc]
     """A Cycle that keeps its bytes."""
 
-    def __init__(self) -> None:
-        self.data = b""
 
-    def deserialize(self, data: bytes) -> _RawCycle:
-        self.data = data
-        return self
-
-
-class _RawTaskState(TaskState):  # type: ignore[misc]
+class _RawTaskState(RawMessage, TaskState):  # type: ignore[misc]
     """A TaskState that keeps its bytes."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def deserialize(self, data: bytes) -> _RawTaskState:
-        self.data = data
-        return self
 
 
 @dataclass(frozen=True)
@@ -163,14 +150,14 @@ class Participant:
 
     def _on_cycle(self, message: _RawCycle, arm: str) -> None:
         with self._lock:
-            tick = wire.unpack_tick(message.data)
+            tick = message.tick()
             if tick > self._cycles[arm][0]:
                 self._cycles[arm] = (tick, message.data)
                 self._advance()
 
     def _on_state(self, message: _RawTaskState) -> None:
         with self._lock:
-            tick = wire.unpack_tick(message.data)
+            tick = message.tick()
             # One off the grid ends the episode. It may overtake a cycle: a controller's answer can
             # lead to it before that controller's cycle has come. Nobody here acts on it.
             if tick > self._state[0] and tick % GRID == 0:

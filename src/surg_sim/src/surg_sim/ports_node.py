@@ -14,29 +14,15 @@ import rospy
 from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import JointState
 
+from surg_recording.raw_message import RawMessage
 
-class RawJointState(JointState):  # type: ignore[misc]
+
+class RawJointState(RawMessage, JointState):  # type: ignore[misc]
     """A JointState that keeps its bytes; ``wire`` reads what the bridge needs of them."""
 
-    def __init__(self) -> None:
-        self.data = b""
 
-    def deserialize(self, data: bytes) -> RawJointState:
-        """Keep the bytes; rospy calls this."""
-        self.data = data
-        return self
-
-
-class RawTwist(TwistStamped):  # type: ignore[misc]
+class RawTwist(RawMessage, TwistStamped):  # type: ignore[misc]
     """A TwistStamped that keeps its bytes."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def deserialize(self, data: bytes) -> RawTwist:
-        """Keep the bytes; rospy calls this."""
-        self.data = data
-        return self
 
 
 class Output:

@@ -15,6 +15,7 @@ from sensor_msgs.msg import JointState
 from surg_msgs.msg import TaskState
 from surg_sim import wire
 from surg_sim.assistant import AssistantCommand
+from surg_sim.echoes import Echoes
 from surg_sim.ports_node import Output, RawJointState
 from surg_sim.session import FORCE_TICKS
 from surg_sim.stability import trouble
@@ -31,7 +32,8 @@ class AssistantTopics:
     """The assistant's instrument: what it measures, and the commands that wait for their tick.
 
     In lock-step a participant's command carries the stamp of the tick it is for: it may come before
-    the tick in front of it is executed. Anybody else's is obeyed at once.
+    the tick in front of it is executed. Anybody else's is obeyed at once; in free-run what is late,
+    because a network held it up, is not.
     """
 
     def __init__(self, bridge: Bridge) -> None:
@@ -41,6 +43,7 @@ class AssistantTopics:
         self._state = Output("/assistant/measured_js", JointState, bridge.lockstep)
         self._jaw = Output("/assistant/jaw/measured_js", JointState, bridge.lockstep)
         self._layout = wire.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
+        self._echoes = Echoes()
 
         def listen(topic: str, what: str, size: int) -> Any:
             def callback(message: Any) -> None:
@@ -48,8 +51,12 @@ class AssistantTopics:
                 try:
                     stamp_ns, position, _ = wire.unpack_joint_state(message.data)
                     if len(position) != size or not np.isfinite(position).all():
-                        raise struct.error(f"{position}, allowed: {size} finite numbers")
-                except struct.error as error:
+                        raise ValueError(f"{position}, allowed: {size} finite numbers")
+                    if not bridge.lockstep and self._echoes.late(stamp_ns):
+                        raise ValueError(
+                            "late: it answers a state of more than 0.1 s ago; not obeyed"
+                        )
+                except (struct.error, ValueError) as error:
                     rospy.logwarn_throttle(1.0, f"/assistant/{topic} from {sender}: {error}")
                     position, stamp_ns = None, 0
                 bridge.on_assistant(self, sender, stamp_ns, what, position)
@@ -77,6 +84,7 @@ class AssistantTopics:
 
     def publish(self, tick: int, stamp_ns: int, joints: Any, jaw: float) -> None:
         """What the instrument measures."""
+        self._echoes.remember(stamp_ns)
         if self._state.connections:
             self._state.send(self._layout.pack(tick, stamp_ns, joints, np.zeros(0)))
         if self._jaw.connections:

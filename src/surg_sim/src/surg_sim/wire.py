@@ -212,17 +212,6 @@ def pack_wrench(stamp_ns: int, seq: int, frame: bytes, force: Array) -> bytes:
     return header(seq, stamp_ns, frame) + struct.pack("<6d", *force, 0.0, 0.0, 0.0)
 
 
-def unpack_tick(data: bytes) -> int:
-    """The tick of a message that has it right behind its header (Cycle, TaskState).
-
-    Raises:
-        struct.error: The data are too short.
-    """
-    _, offset = unpack_header(data)
-    (tick,) = struct.unpack_from("<Q", data, offset)
-    return int(tick)
-
-
 def unpack_header(data: bytes) -> tuple[int, int]:
     """Stamp [ns] and offset behind the header.
 

@@ -5,12 +5,13 @@ Values only: no ROS, no clock. Poses are in the arm's rcm frame R (docs/conventi
 
 from __future__ import annotations
 
-import enum
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from surg_core import State as ArmState
 
 Array = NDArray[np.float64]
 
@@ -18,15 +19,6 @@ SECOND = 1_000_000_000
 """Nanoseconds."""
 PERIOD_NS = 2_000_000
 """Control period: a command answers a cycle and is meant for the next one."""
-
-
-class ArmState(enum.IntEnum):
-    """CRTK operating state, numbered as in surg_msgs/Cycle."""
-
-    DISABLED = 0
-    ENABLED = 1
-    PAUSED = 2
-    FAULT = 3
 
 
 @dataclass(frozen=True)

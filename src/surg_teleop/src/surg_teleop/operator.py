@@ -138,11 +138,11 @@ class Operator:
     def _usable(self, feedback: ArmView) -> bool:
         """Gives up where the arm has stopped for a reason; nothing here resumes it."""
         why = f": {feedback.reason}" if feedback.reason else ""
-        if feedback.state is ArmState.FAULT:
+        if feedback.state == ArmState.FAULT:
             self._fail(f"the arm is in FAULT{why} (while: {self.stage.value})")
-        elif feedback.state is ArmState.PAUSED:
+        elif feedback.state == ArmState.PAUSED:
             self._fail(f"the arm is PAUSED{why} (while: {self.stage.value}); send 'resume' first")
-        elif feedback.state is ArmState.DISABLED and self.stage not in (Stage.HOME, Stage.ENABLE):
+        elif feedback.state == ArmState.DISABLED and self.stage not in (Stage.HOME, Stage.ENABLE):
             self._fail(f"the arm was disabled{why} (while: {self.stage.value})")
         return not self.done
 
@@ -164,7 +164,7 @@ class Operator:
             self._ask("home", feedback, commands)
 
     def _enable(self, feedback: ArmView, commands: Commands) -> None:
-        if feedback.state is ArmState.ENABLED:
+        if feedback.state == ArmState.ENABLED:
             self._enter(Stage.MOVE, feedback)
             self._move(feedback, commands)
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 import time
 from collections.abc import Callable, Sequence
 
@@ -15,6 +14,7 @@ from std_msgs.msg import Empty
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix
 from surg_msgs.msg import Cycle
+from surg_recording.raw_message import RawMessage
 from surg_teleop.arm import SECOND, ArmState, ArmView, Commands, Pose
 
 COMMANDS = {
@@ -102,27 +102,8 @@ class ArmPort:
         self.sent += 1
 
 
-class RawCycle(Cycle):  # type: ignore[misc]
-    """A Cycle that keeps its bytes until somebody looks: most of 500 a second nobody does."""
-
-    def __init__(self) -> None:
-        self.data = b""
-
-    def deserialize(self, data: bytes) -> RawCycle:
-        """Keeps the bytes."""
-        self.data = data
-        return self
-
-    def tick(self) -> int:
-        """Its tick: what stands behind the header."""
-        (frame,) = struct.unpack_from("<I", self.data, 12)
-        (tick,) = struct.unpack_from("<Q", self.data, 16 + frame)
-        return int(tick)
-
-    def stamp(self) -> float:
-        """Its stamp, on the clock of the robot's link [s]."""
-        seconds, nanoseconds = struct.unpack_from("<II", self.data, 4)
-        return float(seconds) + 1e-9 * float(nanoseconds)
+class RawCycle(RawMessage, Cycle):  # type: ignore[misc]
+    """A Cycle that keeps its bytes."""
 
     def read(self) -> Cycle:
         """The whole message."""

@@ -264,7 +264,7 @@ class Teleop:
             return
         self._leave(now, State.DISABLED, "", commands)
         self._asked = self._enabling = -math.inf
-        if arm is not None and arm.holder == self.settings.node and arm.state is ArmState.ENABLED:
+        if arm is not None and arm.holder == self.settings.node and arm.state == ArmState.ENABLED:
             commands.state = "pause"
 
     # What stands in the way.
@@ -293,10 +293,10 @@ class Teleop:
         if arm is None or not _fresh(now, arm.received):
             return _Obstacle(f"{name} is silent: is its controller running?")
         why = f" ({arm.reason})" if arm.reason else ""
-        if arm.state is ArmState.FAULT:
+        if arm.state == ArmState.FAULT:
             cure = "press enable when the cause is gone"
             return _Obstacle(f"{name} is in FAULT{why}; {cure}", fault=not self._wants_enabled(now))
-        if not arm.homed or arm.state is not ArmState.ENABLED:
+        if not arm.homed or arm.state != ArmState.ENABLED:
             what = f"{arm.state.name}{why}" if arm.homed else "not homed"
             return _Obstacle(f"{name} is {what}; press enable")
         if arm.holder not in ("", settings.node):
@@ -366,7 +366,7 @@ class Teleop:
         self._leave(now, State.FAULT if obstacle.fault else State.WAITING, obstacle.text, commands)
         if arm is None or self.state is State.FAULT or not _fresh(now, arm.received):
             return
-        ours = arm.holder == self.settings.node and arm.state is ArmState.ENABLED
+        ours = arm.holder == self.settings.node and arm.state == ArmState.ENABLED
         if ours and now - self._heard > ABANDONED + 1e-9 and commands.state is None:
             self._ask(now, "pause", commands)
             self._enabling = -math.inf

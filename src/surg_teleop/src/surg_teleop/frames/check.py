@@ -155,7 +155,7 @@ class FramesCheck:
         """Home and enable the arm where that is wanted; whether it is still under way."""
         if not self.enable or self.stage is not Stage.WAIT:
             return False
-        if arm.homed and arm.state is ArmState.ENABLED:
+        if arm.homed and arm.state == ArmState.ENABLED:
             return arm.busy
         if arm.state not in (ArmState.DISABLED, ArmState.ENABLED):
             return False
@@ -167,7 +167,7 @@ class FramesCheck:
     def _problem(self, arm: ArmView, R_WV: Array | None) -> str:
         """Why the check must end, or may not begin; empty: nothing."""
         why = f" ({arm.reason})" if arm.reason else ""
-        if arm.state is not ArmState.ENABLED:
+        if arm.state != ArmState.ENABLED:
             return (
                 f"{self.arm} is {arm.state.name}{why}: enable it first, with "
                 f"'rostopic pub -1 /{self.arm}/state_command crtk_msgs/StringStamped \"string: "

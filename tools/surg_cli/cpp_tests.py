@@ -1,0 +1,198 @@
+"""The C++ tests: the core by CMake alone, what crosses threads, the control node."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from surg_cli import environment, paths, workspace
+from surg_cli.terminal import Problem, Progress, say, warn
+
+CORE = paths.ROOT / "src" / "surg_core"
+RACE = paths.ROOT / "src" / "surg_control" / "tests" / "race"
+CORE_BUILD = paths.STATE / "core_tests"
+RACE_BUILD = paths.STATE / "race_tests"
+SANITIZED_BUILD = paths.STATE / "core_sanitized"
+CONTROL_TEST = "surg_control_test"
+
+
+def run(env: Mapping[str, str]) -> tuple[int, int]:
+    """Build and run all of them.
+
+    Args:
+        env: The nodes' environment; SURG_TEST_FULL in it raises the counts, SURG_RESULTS_DIR
+            takes the tables of measured figures.
+
+    Returns:
+        Numbers of passed and failed tests.
+
+    Raises:
+        Problem: When something does not build.
+    """
+    plain = environment.clean()
+    plain.update({k: v for k, v in env.items() if k.startswith(("SURG_TEST", "SURG_RESULTS"))})
+    plain.pop("LD_LIBRARY_PATH", None)  # a sourced workspace would lend its own libsurg_core.so
+    counts = [core_tests(plain), sanitized_tests(plain), control_tests(env)]
+    return sum(passed for passed, _ in counts), sum(failed for _, failed in counts)
+
+
+def core_tests(env: Mapping[str, str]) -> tuple[int, int]:
+    """Build surg_core by CMake alone, as on a machine without ROS, and run its tests.
+
+    Args:
+        env: Their environment, with no workspace in it.
+
+    Returns:
+        Numbers of passed and failed tests.
+
+    Raises:
+        Problem: When it does not build.
+    """
+    cmake("C++ tests: build", CORE, CORE_BUILD, core_options(), [], env)
+    # Long counts measure times as well: then one program after the other.
+    jobs = 1 if "SURG_TEST_FULL" in env else workspace.jobs()
+    return gtests(
+        ["ctest", "--test-dir", str(CORE_BUILD), "-V", f"-j{jobs}"], "core_tests_run", env
+    )
+
+
+def control_tests(env: Mapping[str, str]) -> tuple[int, int]:
+    """Build the control node's tests in the workspace, where its libraries are, and run them.
+
+    Args:
+        env: The nodes' environment; no test asks for a ROS master.
+
+    Returns:
+        Numbers of passed and failed tests.
+
+    Raises:
+        Problem: When they do not build.
+    """
+    build("control tests: build", CONTROL_TEST, [compilation(paths.BUILD, CONTROL_TEST)], env)
+    program = paths.DEVEL / "lib" / "surg_control" / CONTROL_TEST
+    return gtests([str(program)], f"{CONTROL_TEST}_run", env)
+
+
+def sanitized_tests(env: Mapping[str, str]) -> tuple[int, int]:
+    """Run what crosses threads under ThreadSanitizer, and with long counts the fuzz of the core.
+
+    The fuzz goes under AddressSanitizer and UndefinedBehaviorSanitizer; its build alone takes a
+    minute or two, so the short run has it without them.
+
+    Args:
+        env: Their environment; SURG_TEST_FULL in it asks for the long counts.
+
+    Returns:
+        Numbers of programs that were content, and that were not.
+    """
+    core = [f"-DSURG_CORE_BUILD={CORE_BUILD}"]
+    cmake("thread sanitizer: build", RACE, RACE_BUILD, core, [], env)
+    programs = [RACE_BUILD / "race_handover"]
+    if "SURG_TEST_FULL" in env:
+        options = [*core_options(), "-DSURG_CORE_SANITIZE=address,undefined"]
+        cmake("address sanitizer: build", CORE, SANITIZED_BUILD, options, ["fuzz_controller"], env)
+        programs.append(SANITIZED_BUILD / "fuzz_controller")
+    env = {name: value for name, value in env.items() if name != "SURG_RESULTS_DIR"}
+    failed = 0
+    for program in programs:
+        log = paths.STATE / "logs" / f"{program.name}.log"
+        with log.open("w") as stream:
+            done = subprocess.run([program], env=env, stdout=stream, stderr=subprocess.STDOUT)
+        if done.returncode != 0:
+            failed += 1
+            warn(f"surg: {program.name} failed: {log}")
+    return len(programs) - failed, failed
+
+
+def core_options() -> list[str]:
+    """CMake options of a stand-alone build of surg_core with its tests."""
+    return [
+        "-DCMAKE_BUILD_TYPE=Release",
+        "-DBUILD_TESTING=ON",
+        f"-DPython3_EXECUTABLE={paths.SYSTEM_PYTHON}",
+        f"-DPYTHON_EXECUTABLE={paths.SYSTEM_PYTHON}",
+    ]
+
+
+def cmake(
+    title: str,
+    source: Path,
+    folder: Path,
+    options: Sequence[str],
+    targets: Sequence[str],
+    env: Mapping[str, str],
+) -> None:
+    """Configure and build a stand-alone CMake project.
+
+    Args:
+        title: Shown while it builds.
+        source: Folder with its CMakeLists.txt.
+        folder: Its build folder, which also names the log.
+        options: For the configuration.
+        targets: What to build; everything when empty.
+        env: The compilers' environment.
+
+    Raises:
+        Problem: When it does not build.
+    """
+    configuration = ["cmake", "-S", str(source), "-B", str(folder), *options]
+    build(title, folder.name, [configuration, compilation(folder, *targets)], env)
+
+
+def compilation(folder: Path, *targets: str) -> list[str]:
+    """The command line that builds targets of a configured folder; without targets, all."""
+    chosen = ["--target", *targets] if targets else []
+    return ["cmake", "--build", str(folder), f"-j{workspace.jobs()}", *chosen]
+
+
+def build(title: str, name: str, commands: Sequence[Sequence[str]], env: Mapping[str, str]) -> None:
+    """Run the commands of a build.
+
+    Args:
+        title: Shown while it builds.
+        name: Of the log.
+        commands: One after the other.
+        env: The compilers' environment.
+
+    Raises:
+        Problem: When one of them fails.
+    """
+    log = paths.STATE / "logs" / f"{name}.log"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with Progress(title), log.open("w") as stream:
+        for argv in commands:
+            done = subprocess.run(argv, env=env, stdout=stream, stderr=subprocess.STDOUT)
+            if done.returncode != 0:
+                lines = log.read_text(errors="replace").splitlines()
+                raise Problem(workspace.failure_text(lines, log))
+
+
+def gtests(argv: Sequence[str], name: str, env: Mapping[str, str]) -> tuple[int, int]:
+    """Run gtest programs; what they print is shown where one fails.
+
+    Args:
+        argv: A program, or what runs several and shows their output.
+        name: Of the log.
+        env: Their environment.
+
+    Returns:
+        Numbers of passed and failed tests. What ends otherwise than gtest does counts as failed.
+
+    Raises:
+        Problem: When there was no test.
+    """
+    done = subprocess.run(
+        argv, env=env, capture_output=True, text=True, errors="replace", check=False
+    )
+    text = done.stdout + done.stderr
+    (paths.STATE / "logs" / f"{name}.log").write_text(text)
+    passed = sum(int(n) for n in re.findall(r"\[  PASSED  \] (\d+) test", text))
+    failed = sum(int(n) for n in re.findall(r"\[  FAILED  \] (\d+) test", text))
+    if done.returncode != 0:
+        failed = max(failed, 1)
+        say(text[-6000:])
+    if passed + failed == 0:
+        raise Problem(f"no C++ tests: {' '.join(argv)} ran none (log: {name}.log)")
+    return passed, failed
