@@ -77,7 +77,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   outlets_ =
       std::make_unique<Outlets>(node_, setup_, model_, facts, health_, sources_, *announcer_);
   services_ = std::make_unique<KinematicsServices>(node_, arm_, setup_.limits);
-  robot_ = std::make_unique<RobotCommand>(node_, setup_, twist, options_.lockstep ? kUnbounded : 1);
+  robot_ = std::make_unique<RobotCommand>(node_, setup_, twist, options_.lockstep);
   if (options_.lockstep) {
     undeclared_ = node_.advertise<std_msgs::String>("/sim/undeclared", 10, true);
   }

@@ -6,10 +6,17 @@
 #include "surg_control/messages.hpp"
 
 namespace surg_control {
+namespace {
 
-RobotCommand::RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist,
-                           std::uint32_t queue)
-    : twist_(twist) {
+constexpr std::uint64_t kJawlessCycles = 5;  // 100 Hz: nothing moves, but its link hears of us
+
+}  // namespace
+
+RobotCommand::RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist, bool lockstep)
+    : twist_(twist),
+      tool_cycles_(
+          lockstep || setup.instrument.jaw_min < setup.instrument.jaw_max ? 1 : kJawlessCycles) {
+  const std::uint32_t queue = lockstep ? 0 : 1;
   const std::string prefix = "/" + setup.arm.name + "/";
   robot_ = twist ? node.advertise<geometry_msgs::TwistStamped>(prefix + "robot/servo_cv", queue)
                  : node.advertise<sensor_msgs::JointState>(prefix + "robot/servo_jv", queue);
@@ -33,6 +40,7 @@ void RobotCommand::send(const CycleRecord& record) {
     joint_command_.velocity.assign(qd.data(), qd.data() + qd.size());
     robot_.publish(joint_command_);
   }
+  if (record.tick % tool_cycles_ != 0) return;
   if (!std::isfinite(record.out.jaw_set)) return;  // F31: an unknown jaw is not told to move
   tool_command_.header.stamp = stamp;
   tool_command_.position.assign(1, record.out.jaw_set);

@@ -1,6 +1,7 @@
 // Which cycle a command answers, by the stamp that it carries back.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstdio>
 #include <random>
 #include <vector>
@@ -105,6 +106,57 @@ TEST(Echoes, AgreesWithAListOfAllCycles) {
   }
   EXPECT_GT(late, asked / 4);
   std::printf("%d stamps looked up, %d of them late\n", asked, late);
+}
+
+/// A clock that is set and a link that falls silent leave stamps in no order: every one of the last
+/// four seconds is asked for, and the ticks beside it, against a walk through all of them.
+TEST(Echoes, AgreesWithAWalkWhereTheClockIsSet) {
+  int asked = 0, late = 0, steps = 0;
+  for (unsigned seed = 0; seed < 40; ++seed) {
+    Echoes echoes;
+    std::minstd_rand random(seed);
+    std::vector<std::uint64_t> stamps;
+    std::size_t ended = 0;
+    bool streams = false;
+    std::uint64_t clock = kWall;
+    for (int k = 0; k < 5000; ++k) {
+      clock += kTickNs;
+      if (random() % 700 == 0) {
+        clock += kTickNs * (random() % 2000);
+        clock -= kTickNs * (random() % 2000);
+        ++steps;
+      }
+      if (random() % 300 == 0) {
+        if (streams) ended = stamps.size();
+        streams = !streams;
+      }
+      const std::uint64_t stamp = random() % 400 == 0 ? 0 : clock;
+      stamps.push_back(stamp);
+      echoes.remember(stamp, streams ? Motion::kServoCp : Motion::kNone);
+      if (k % 250 != 249) continue;
+      const std::size_t oldest = stamps.size() - std::min(stamps.size(), Echoes::kCycles);
+      const auto walk = [&](std::uint64_t answers) {
+        for (std::size_t i = oldest; i < ended; ++i) {
+          const std::uint64_t own = stamps[i];
+          if (own != 0 && (answers == own || answers == own + kTickNs)) return true;
+        }
+        return false;
+      };
+      for (std::size_t i = oldest; i < stamps.size(); i += 1 + random() % 60) {
+        for (const std::uint64_t beside : {-kTickNs, std::uint64_t{0}, kTickNs, 2 * kTickNs}) {
+          const std::uint64_t answers = stamps[i] + beside;
+          const bool expected = answers != 0 && walk(answers);
+          ASSERT_EQ(echoes.late(answers), expected) << "seed " << seed << ", cycle " << k;
+          late += expected;
+          ++asked;
+        }
+      }
+    }
+  }
+  EXPECT_GT(late, asked / 10);
+  EXPECT_GT(asked - late, asked / 10);
+  std::printf("%d stamps looked up, %d of them late; the clock was set %d times\n", asked, late,
+              steps);
 }
 
 }  // namespace

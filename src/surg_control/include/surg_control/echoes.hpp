@@ -13,7 +13,8 @@
 
 namespace surg_control {
 
-/// Remembers the stamps of the last four seconds of cycles. Allocates nothing.
+/// Remembers the stamps of the last four seconds of cycles. Allocates nothing; a look-up is a
+/// search by halves, for it stands in the control cycle, once for every command.
 class Echoes {
  public:
   /// Longer than any role keeps what the other machine has not acknowledged (3 s).
@@ -27,9 +28,13 @@ class Echoes {
   bool late(std::uint64_t stamp_ns) const;
 
  private:
+  /// Whether a cycle from before the last end of a stream had this stamp (not 0).
+  bool stopped_with(std::uint64_t own) const;
+
   std::array<std::uint64_t, kCycles> stamps_{};
-  std::size_t count_ = 0;  // of cycles so far; the newest is at (count_ - 1) % kCycles
-  std::size_t ended_ = 0;  // the cycle in which a stream was last obeyed no more; 0: none yet
+  std::size_t count_ = 0;      // of cycles so far; the newest is at (count_ - 1) % kCycles
+  std::size_t ended_ = 0;      // the cycle in which a stream was last obeyed no more; 0: none yet
+  std::size_t ascending_ = 0;  // from this cycle on no stamp is smaller than the one before
   bool streaming_ = false;
 };
 

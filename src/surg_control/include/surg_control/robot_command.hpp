@@ -10,13 +10,13 @@
 
 namespace surg_control {
 
-/// robot/servo_jv or robot/servo_cv, and tool/servo_jp. Keeps its messages, so that a cycle
-/// allocates nothing of ours.
+/// robot/servo_jv or robot/servo_cv, and tool/servo_jp; in free-run an instrument without a jaw is
+/// told in every fifth cycle only. Keeps its messages, so that a cycle allocates nothing of ours.
 class RobotCommand {
  public:
-  /// 'twist': flange twists instead of joint velocities; 'queue': of each publisher, 0 for
-  /// unbounded.
-  RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist, std::uint32_t queue);
+  /// 'twist': flange twists instead of joint velocities; 'lockstep': every tick is answered, and
+  /// queues have no end.
+  RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist, bool lockstep);
 
   void send(const CycleRecord& record);
   /// Zero velocity with the stamp of 'last', the jaw as it was; nothing before there was a state.
@@ -24,6 +24,7 @@ class RobotCommand {
 
  private:
   bool twist_;
+  std::uint64_t tool_cycles_;  // between two messages to the tool
   ros::Publisher robot_, tool_;
   sensor_msgs::JointState joint_command_, tool_command_;
   geometry_msgs::TwistStamped twist_command_;

@@ -298,6 +298,7 @@ class Assistant:
         self.jaw_target = self._jaw_goal = self._jaw_range[0]
         self.fault = ""
         """What was wrong with the last command that was refused; empty: nothing."""
+        self._resting = False
         self._data.qpos[self._qpos] = self._servo_joints(self.home)
         self._data.qpos[self._jaw_qpos] = self.jaw_target
         self._drive()
@@ -309,6 +310,7 @@ class Assistant:
         """
         if command is None:
             return
+        self._resting = False
         if command.joints is not None:
             joints = np.asarray(command.joints, dtype=np.float64)
             if joints.shape != (4,) or not np.isfinite(joints).all():
@@ -324,6 +326,9 @@ class Assistant:
 
     def advance(self) -> None:
         """Move the servos' targets one tick on; called before the physics of that tick."""
+        if self._resting:
+            return
+        before = self.target.tobytes(), self._velocity.tobytes(), self.jaw_target
         for i, place in enumerate(self.target.tolist()):
             speed, goal = float(self._velocity[i]), float(self._goal[i])
             speed = towards(place, speed, goal, float(VELOCITY[i]), float(ACCELERATION[i]))
@@ -332,6 +337,9 @@ class Assistant:
         step_jaw = JAW_VELOCITY * TICK
         self.jaw_target += min(max(self._jaw_goal - self.jaw_target, -step_jaw), step_jaw)
         self._drive()
+        # What one tick has not moved, the next one does not move either, until a command comes.
+        after = self.target.tobytes(), self._velocity.tobytes(), self.jaw_target
+        self._resting = before == after
 
     def _drive(self) -> None:
         self._data.ctrl[self._ctrl] = self._servo_joints(self.target)

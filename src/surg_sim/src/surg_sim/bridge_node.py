@@ -47,6 +47,8 @@ from surg_sim.world import TICK_NS, World
 
 SNAPSHOT_TICKS = 25
 """A snapshot every 25th tick: 20 Hz."""
+_JAWLESS_TICKS = 5
+"""In free-run the link of an instrument without a jaw speaks every 5th tick: 100 Hz."""
 _STATUS_PERIOD = 0.2  # [s] wall
 _LATE = 0.05  # [s] free-run gives up catching up when it is later than this
 
@@ -69,6 +71,8 @@ class _ArmTopics:
         self.state = Output(f"{root}/robot/measured_js", JointState, patient)
         self.status = Output(f"{root}/robot/status", LinkStatus, patient)
         self.tool = Output(f"{root}/tool/measured_js", JointState, patient)
+        jaw = arm.instrument.jaw_min < arm.instrument.jaw_max
+        self.tool_ticks = 1 if bridge.lockstep or jaw else _JAWLESS_TICKS
 
         def listen(topic: str, kind: type, take: Callable[[_ArmTopics, bytes], None]) -> Any:
             def callback(message: Any) -> None:
@@ -342,7 +346,7 @@ class Bridge:
     def _publish_links(self, arm: _ArmTopics, tick: int, stamp_ns: int) -> None:
         """Jaw, status and tracker of one arm."""
         injector, link = self._injector, self._world.link(arm.name)
-        jaw = injector.jaw(arm.name)
+        jaw = injector.jaw(arm.name) if tick % arm.tool_ticks == 0 else None
         if jaw is not None:
             arm.tool.send(_JAW.pack(tick, stamp_ns, _one(jaw[0]), _one(jaw[1])))
         if arm.status.connections and injector.speaks(arm.name):

@@ -138,7 +138,7 @@ class TaskTopics:
         patient = bridge.lockstep
         self._free = not patient  # in free-run an end is news once, also where the phantom goes on
         self._forces = [
-            _ForceSensor(name, "trocar", lambda arm: world.truth(arm).trocar_force, patient)
+            _ForceSensor(name, "trocar", lambda arm: world.trocar(arm).force, patient)
             for name in world.arms
         ] + [
             _ForceSensor(name, "tool", world.tip_force, patient)

@@ -283,7 +283,10 @@ class Bowel:
 
     def advance(self) -> None:
         """Move what carries the bowel one tick on; called before the physics of that tick."""
+        still = self.bed.p_B
         self.bed.advance()
+        if self.bed.p_B is still:
+            return
         motion = np.append(self.bed.p_B, self.bed.v_B)
         if np.array_equal(motion, self._motion):
             return

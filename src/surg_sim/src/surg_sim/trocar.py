@@ -184,6 +184,7 @@ class Trocar:
         The scene's kinematics must be up to date with the arm at its home posture.
         """
         self.point.reset()
+        self._placed: tuple[Array, Array] | None = None
         self._model.qpos_spring[self._qpos] = 0.0
         self._data.qfrc_applied[self._dofs] = 0.0
         sleeve, wall = (self._data.site_xpos[i] for i in self._sites)
@@ -195,9 +196,13 @@ class Trocar:
         A spring and damper between wall and moving hole: m a = -k (x - x0) - c (v - v0). MuJoCo's
         joint knows k (x - springref) and c v; c v0 is applied.
         """
-        self.point.advance()
-        self._model.qpos_spring[self._qpos] = self.point.p_B - self._p_BRcm
-        self._data.qfrc_applied[self._dofs] = self._damping * self.point.v_B
+        point = self.point
+        point.advance()
+        if self._placed is not None and self._placed[0] is point.p_B:
+            return  # at rest
+        self._placed = point.p_B, point.v_B
+        self._model.qpos_spring[self._qpos] = point.p_B - self._p_BRcm
+        self._data.qfrc_applied[self._dofs] = self._damping * point.v_B
 
     @property
     def undisturbed(self) -> Array:

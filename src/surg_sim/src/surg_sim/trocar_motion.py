@@ -58,6 +58,7 @@ class MovingPoint:
     def reset(self) -> None:
         """Back to the start, at rest, at tick 1."""
         self._centre = self._start
+        self._still: Array | None = None
         self._motion: Sinusoid | None = None
         self._began = self.tick = 1
         self.p_B = self._start
@@ -68,18 +69,22 @@ class MovingPoint:
     def move(self, motion: Sinusoid | None) -> None:
         """Begin a motion from where the hole is now; None: stay here."""
         self._centre, self._motion, self._began = self.p_B, motion, self.tick
+        self._still = None
 
     def jump(self, offset: Array) -> None:
         """Displace it at once [m], base frame, (3,): seen from the next tick on."""
         self._centre = self._centre + np.asarray(offset, dtype=np.float64)
+        self._still = None
 
     def advance(self) -> None:
-        """One tick on."""
+        """One tick on. At rest, ``p_B`` and ``v_B`` stay the objects that they are."""
         self.tick += 1
-        offset, self.v_B = np.zeros(3), np.zeros(3)
         if self._motion is not None:
             offset, self.v_B = self._motion.at((self.tick - self._began) * TICK)
-        self.p_B = self._centre + offset
+            self.p_B = self._centre + offset
+        elif self._still is None:
+            self.p_B = self._still = self._centre + np.zeros(3)
+            self.v_B = np.zeros(3)
         self._seen.append((self.tick, self.p_B, self.v_B))
 
     def observed(self, stale: int) -> tuple[int, Array, Array]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
@@ -17,8 +16,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ArmTruth:
+class ArmTruth(NamedTuple):
     """One arm at one tick; every vector in the arm's base frame, (3,), SI.
 
     Attributes:
@@ -71,11 +69,14 @@ class TruthReader:
         self._R_BW = np.array(arm.X_WB[:3, :3].T, dtype=np.float64)
         self._p_WB = np.array(arm.X_WB[:3, 3], dtype=np.float64)
         self._velocity = np.empty(6)
+        # The scene's own numbers: what is in the state's arrays now, whenever it is read.
+        self._p_WTip = data.xpos[self._tip]
+        self._s_W = data.xmat[self._tip].reshape(3, 3)[:, 2]
 
     def read(self, jaw: float) -> ArmTruth:
         """The truth now, with the jaw angle that the instrument drive reports [rad]."""
-        tip = self._R_BW @ (self._data.xpos[self._tip] - self._p_WB)
-        axis = self._R_BW @ self._data.xmat[self._tip].reshape(3, 3)[:, 2]
+        tip = self._R_BW @ (self._p_WTip - self._p_WB)
+        axis = self._R_BW @ self._s_W
         mujoco.mj_objectVelocity(
             self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, self._tip, self._velocity, 0
         )

@@ -183,7 +183,7 @@ class World:
         member = self._members[arm]
         q, step = member.link.q, self._condition.encoder if self._condition else 0.0
         if step > 0.0:
-            q = np.round(q / step) * step
+            q = np.rint(q / step) * step
         return ArmState(q, member.link.qd, member.jaw.angle, member.jaw.velocity)
 
     def truth(self, arm: str) -> ArmTruth:

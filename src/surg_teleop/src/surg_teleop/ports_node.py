@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable, Sequence
 
@@ -110,6 +111,14 @@ class RawCycle(RawMessage, Cycle):  # type: ignore[misc]
         return Cycle().deserialize(self.data)
 
 
+@functools.lru_cache(maxsize=8)
+def _rotation(q: tuple[float, float, float, float]) -> np.ndarray:
+    """Rotation matrix, read-only: an arm's rcm frame is where it was, unless it is tracked."""
+    R = quaternion_xyzw_to_matrix(np.array(q))
+    R.setflags(write=False)
+    return R
+
+
 def arm_view(cycle: Cycle, R_WB: np.ndarray | None = None, received: float = 0.0) -> ArmView:
     """What a sender looks at in a cycle message.
 
@@ -118,7 +127,7 @@ def arm_view(cycle: Cycle, R_WB: np.ndarray | None = None, received: float = 0.0
         R_WB: (3, 3) the arm's base in the world of the cell; None: it is not asked for.
         received: When it came, on the steady clock [s].
     """
-    R_BR = quaternion_xyzw_to_matrix(np.array(cycle.q_br))
+    R_BR = _rotation(tuple(cycle.q_br))
     p_BRcm = np.array(cycle.p_rcm)
     return ArmView(
         stamp_ns=cycle.header.stamp.to_nsec(),

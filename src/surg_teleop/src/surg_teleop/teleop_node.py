@@ -78,7 +78,8 @@ class TeleopNode:
         self._pedals = Pedals()
         self._cycles: dict[str, tuple[float, RawCycle]] = {}
         self._arrivals = {arm: Arrivals() for arm in system.heard}
-        self._tick, self._recording, self._status = 0, False, ""
+        self._tick, self._recording = 0, False
+        self._status: dict[str, object] = {}
         self._reported = -math.inf
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
         self._picture = PictureWatch(system.picture)
@@ -348,28 +349,26 @@ class TeleopNode:
 
     def _tell(self, now: float) -> None:
         picture = self._picture.problem(time.monotonic()) if not self._system.lockstep else ""
-        status = json.dumps(
-            {
-                "hands": [
-                    {
-                        "leader": hand.leader.name,
-                        "arm": arm,
-                        "state": one.state.value,
-                        "mapping": one.kind.value,
-                        "scale": one.scale,
-                        "message": self._said.get((arm, "message"), ""),
-                    }
-                    for hand in self._system.hands
-                    for arm, one in hand.seat.arms.items()
-                ],
-                "picture": picture,
-            }
-        )
-        if picture and '"picture": ""' in self._status:
+        status = {
+            "hands": [
+                {
+                    "leader": hand.leader.name,
+                    "arm": arm,
+                    "state": one.state.value,
+                    "mapping": one.kind.value,
+                    "scale": one.scale,
+                    "message": self._said.get((arm, "message"), ""),
+                }
+                for hand in self._system.hands
+                for arm, one in hand.seat.arms.items()
+            ],
+            "picture": picture,
+        }
+        if picture and self._status.get("picture") == "":
             self._warn(picture)
         if status != self._status or now - self._reported >= REPORT:
             self._status, self._reported = status, now
-            self._report.publish(status)
+            self._report.publish(json.dumps(status))
 
     # Lock-step connections.
 

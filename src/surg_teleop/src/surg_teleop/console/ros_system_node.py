@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import rospy
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState, Joy
 from std_msgs.msg import Bool, Float64, String
 
@@ -179,9 +179,9 @@ class RosSystem:
                 Gauges(
                     rcm=_last_double(newest.get("rcm")),
                     rcm_peak=self._peak if "rcm" in newest else None,
-                    depth=_depth(newest.get("joints")),
-                    trocar=_force(newest.get("trocar")),
-                    tip=_force(newest.get("tip")),
+                    depth=depth(newest.get("joints")),
+                    trocar=force(newest.get("trocar")),
+                    tip=force(newest.get("tip")),
                 ),
                 self._record,
                 self._sim,
@@ -335,20 +335,31 @@ def _last_double(data: bytes | None) -> float | None:
     return float(struct.unpack_from("<d", data, len(data) - 8)[0])
 
 
-def _depth(data: bytes | None) -> float | None:
-    """Third of the four virtual joints [m]."""
+def depth(data: bytes | None) -> float | None:
+    """Third of the four virtual joints in a sensor_msgs/JointState [m]; None: it says none."""
     if data is None:
         return None
-    joints = JointState()
-    joints.deserialize(data)
-    return float(joints.position[2]) if len(joints.position) == 4 else None
+    try:  # header with its frame, names, positions; each with its length in front
+        (frame,) = struct.unpack_from("<I", data, 12)
+        (names,) = struct.unpack_from("<I", data, 16 + frame)
+        at = 20 + frame
+        for _ in range(names):
+            (length,) = struct.unpack_from("<I", data, at)
+            at += 4 + length
+        (count,) = struct.unpack_from("<I", data, at)
+        found = struct.unpack_from("<4d", data, at + 4)[2] if count == 4 else None
+    except struct.error:
+        return None
+    return found
 
 
-def _force(data: bytes | None) -> float | None:
-    """Length of a force [N]."""
+def force(data: bytes | None) -> float | None:
+    """Length of the force in a geometry_msgs/WrenchStamped [N]; None: it says none."""
     if data is None:
         return None
-    wrench = WrenchStamped()
-    wrench.deserialize(data)
-    f = wrench.wrench.force
-    return float((f.x**2 + f.y**2 + f.z**2) ** 0.5)
+    try:  # header with its frame, then the force
+        (frame,) = struct.unpack_from("<I", data, 12)
+        x, y, z = struct.unpack_from("<3d", data, 16 + frame)
+    except struct.error:
+        return None
+    return float((x**2 + y**2 + z**2) ** 0.5)

@@ -2,11 +2,12 @@
 
 import { Hand } from "./hand.js";
 import { Link, clock, socketUrl, token, wallUs } from "./link.js";
-import { View } from "./view.js";
+import { View, mark, write } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
 const OLD_PICTURE_MS = 150; // three of the endoscope's periods
-const SHOW_MS = 100; // figures for people; states are shown at once
+const SHOW_MS = 100; // figures for people, all together; states are shown at once
+const AGE_EVERY = 3; // times that figures are shown
 const KEPT_PICTURES = 16384; // what is known of each: a quarter of an hour, for a measurement
 const TOAST_MS = 5000;
 
@@ -30,7 +31,7 @@ let view = null;
 let status = null;
 let sequence = 0;
 let lastSample = clock();
-let shownAt = 0;
+let shown = 0;
 let lastHand = null;
 const picture = { exposedUs: 0, drawn: [] };
 
@@ -59,11 +60,17 @@ function heed(message) {
     element("scale-value").textContent = message.scale.toFixed(2);
   }
   view.note(message);
-  const news = message.phase !== before?.phase || message.headline !== before?.headline;
-  if (!news && clock() - shownAt < SHOW_MS / 1000 - 0.01) return;
-  shownAt = clock();
-  view.show(message, link);
+  if (message.phase !== before?.phase || message.headline !== before?.headline) show();
 }
+
+/** Every change of the page costs the browser a whole frame, however small it is. */
+function show() {
+  if (status && view) view.show(status, link);
+  if (lastHand) showHand(lastHand);
+  if (shown % AGE_EVERY === 0) showAge();
+  shown += 1;
+}
+setInterval(show, SHOW_MS);
 
 function lost(why) {
   status = null;
@@ -114,8 +121,6 @@ setInterval(() => {
   lastHand = sample;
 }, INPUT_MS);
 
-setInterval(() => lastHand && showHand(lastHand), SHOW_MS);
-
 function showHand(sample) {
   const driving = status?.phase === "driving";
   for (const name of ["clutch", "camera"]) {
@@ -126,10 +131,10 @@ function showHand(sample) {
   }
   const ours = sample.hand === "position" ? "Drag in the picture." : hand.padName || "Keyboard";
   const device = view?.leads === false ? "Another device moves the arm." : ours;
-  if (element("device").textContent !== device) element("device").textContent = device;
+  write(element("device"), device);
   const grip = sample.grip;
   element("jaw").firstElementChild.style.width = grip === null ? "0" : `${grip * 100}%`;
-  element("jaw-value").textContent = grip === null ? "–" : `${Math.round(grip * 100)} %`;
+  write(element("jaw-value"), grip === null ? "–" : `${Math.round(grip * 100)} %`);
 }
 
 // The tab is hidden or goes: the arm holds at once, not only when silence is noticed.
@@ -205,15 +210,15 @@ for (const button of element("eyes").children) {
   });
 }
 
-setInterval(() => {
+function showAge() {
   const age = (wallUs() + link.offsetUs - picture.exposedUs) / 1000;
   const recent = picture.drawn.slice(-100).filter((each) => each.drawnUs > wallUs() - 2e6);
   const node = element("age");
   if (!picture.exposedUs) return;
   const middle = recent.map((each) => each.ageMs).sort((a, b) => a - b)[recent.length >> 1];
   const old = !recent.length || age > OLD_PICTURE_MS + (middle ?? 0);
-  node.textContent = old ? `picture ${(age / 1000).toFixed(1)} s old` : `picture ${middle.toFixed(0)} ms old`;
-  node.dataset.tone = old ? "bad" : "";
+  write(node, old ? `picture ${(age / 1000).toFixed(1)} s old` : `picture ${middle.toFixed(0)} ms old`);
+  mark(node, "tone", old ? "bad" : "");
   const codec = picture.drawn.at(-1).codec === "h264" ? "H.264" : "JPEG";
-  element("rate").textContent = `${Math.round(recent.length / 2)} fps, ${codec}`;
-}, 250);
+  write(element("rate"), `${Math.round(recent.length / 2)} fps, ${codec}`);
+}

@@ -5,12 +5,12 @@ const TREND_STEP_S = 0.25; // between two points: each is the largest value in b
 
 const element = (id) => document.getElementById(id);
 
-/** Write a text only where it changes: twenty times a second must cost nothing. */
-function write(node, text) {
+/** Write a text only where it changes: ten times a second must cost nothing. */
+export function write(node, text) {
   if (node.textContent !== text) node.textContent = text;
 }
 
-function mark(node, name, value) {
+export function mark(node, name, value) {
   if (node.dataset[name] !== value) node.dataset[name] = value;
 }
 
@@ -27,6 +27,8 @@ class Gauge {
   }
 
   show(value) {
+    if (value === this.shown) return;
+    this.shown = value;
     const known = value !== null && value !== undefined;
     write(this.value, known ? (value * this.unit).toFixed(this.digits) : "–");
     this.bar.style.width = known ? `${Math.max(0, Math.min(1, value / this.full)) * 100}%` : "0";
@@ -51,6 +53,14 @@ class Trend {
     this.points.push([seconds, this.peak]);
     this.peak = 0;
     while (this.points[0][0] < seconds - TREND_S) this.points.shift();
+    this.stale = true;
+  }
+
+  /** Draw what has been added, if anything has. */
+  draw() {
+    if (!this.stale) return;
+    this.stale = false;
+    const seconds = this.points.at(-1)[0];
     const { context } = this;
     const { width, height } = this.canvas;
     const largest = Math.max(...this.points.map((point) => point[1]));
@@ -105,6 +115,7 @@ export class View {
     const watching = status.holder ? `${status.holder} has control. Stop works from here too.` : status.sentence;
     write(element("sentence"), status.picture_problem || (mine ? status.sentence : watching));
     for (const name in this.gauges) this.gauges[name].show(status.gauges[name]);
+    this.trend.draw();
     this.controls(status, mine);
     this.arms(status.arms, status.helpers);
     write(element("task"), status.task);
