@@ -10,6 +10,7 @@ seed give the same weights. It reads `observation.state`, `action` and the left 
 from __future__ import annotations
 
 import itertools
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -68,8 +69,9 @@ class Options:
     maps: tuple[int, ...] = (32, 32, 32)
     """Of each convolution."""
     hidden: tuple[int, ...] = (256, 256)
-    steps: int = 4000
-    """Of the optimiser."""
+    steps: int = 0
+    """Of the optimiser; 0: so many that every sample comes ``passes`` times."""
+    passes: int = 18
     batch: int = 64
     rate: float = 1e-3
     """Of learning, at first; falls to nothing along half a cosine."""
@@ -321,6 +323,7 @@ def train(
         y = (targets.reshape(len(x), -1) - scales["output_mean"]) / scales["output_std"]
         return x.astype(np.float32), y.astype(np.float32)
 
+    steps = options.steps or options.passes * math.ceil(len(known.numbers) / options.batch)
     rng = np.random.default_rng(options.seed)
     shapes = shapes_of(options)
     flat, layers = flat_layers(shapes)
@@ -331,17 +334,17 @@ def train(
     slope, grads = flat_layers(shapes)
     steps_ahead = np.array([*range(options.chunk), *options.ahead]) + 1
     left = np.exp(-steps_ahead / (options.back * dataset.about["fps"]))
-    for step in range(options.steps):
+    for step in range(steps):
         rows = rng.integers(0, len(known.numbers), options.batch)
         push = options.push * rng.standard_normal((options.batch, 3))
         push[::2] = 0.0
         x, y = normal(*known.pushed(rows, push, left))
         x += options.noise * rng.standard_normal(x.shape, np.float32)
         loss = gradient_of(network, grads, known.pictures(rows), x, y)
-        adam.step(slope, options.rate * 0.5 * (1 + np.cos(np.pi * step / options.steps)))
+        adam.step(slope, options.rate * 0.5 * (1 + np.cos(np.pi * step / steps)))
         if step % 50 == 0:
-            note = f"step {step} of {options.steps}, loss {loss:.4f}"
-            progress(0.2 + 0.8 * step / options.steps, note)
+            note = f"step {step} of {steps}, loss {loss:.4f}"
+            progress(0.2 + 0.8 * step / steps, note)
     about = {
         "options": asdict(options),
         "dataset": dataset.about,
