@@ -53,24 +53,36 @@ class Columns:
     """
 
     def __init__(self, state: Sequence[str], task: Sequence[str]) -> None:
-        wanted = [f"{ROBOT}/{n}" for n in ("tip_x", "tip_y", "tip_z", "roll", "jaw")]
-        wanted += [f"{ROBOT}/{n}" for n in ("set_x", "set_y", "set_z", "roll_set")]
-        self.state = self._find(STATE, state, wanted)
+        self.state = state_columns(state)
         self.task = {
-            name: self._find(TASK, task, [name])[0]
+            name: _find(TASK, task, [name])[0]
             for name in ("target", "held", "assistant_held", "assistant_jaw", "tension", "visible")
         }
         for name in ("tip", "assistant_tip"):
-            self.task[name] = self._find(TASK, task, [f"{name}_{i}" for i in range(3)])
+            self.task[name] = _find(TASK, task, [f"{name}_{i}" for i in range(3)])
         flat = [f"nodes_{i}_{k}" for i in range(NODES) for k in range(3)]
-        self.task["nodes"] = self._find(TASK, task, flat)
+        self.task["nodes"] = _find(TASK, task, flat)
 
-    @staticmethod
-    def _find(key: str, names: Sequence[str], wanted: Sequence[str]) -> Any:
-        missing = [name for name in wanted if name not in names]
-        if missing:
-            raise ValueError(f"{key} has no {', '.join(missing)}; it has {', '.join(names)[:200]}")
-        return np.array([list(names).index(name) for name in wanted])
+
+def state_columns(names: Sequence[str]) -> np.ndarray:
+    """Where tip, roll, jaw and the set-point (`SET`) of the robot are, (9,).
+
+    Args:
+        names: Of the numbers of `observation.state`.
+
+    Raises:
+        ValueError: One is not there.
+    """
+    wanted = [f"{ROBOT}/{n}" for n in ("tip_x", "tip_y", "tip_z", "roll", "jaw")]
+    wanted += [f"{ROBOT}/{n}" for n in ("set_x", "set_y", "set_z", "roll_set")]
+    return _find(STATE, names, wanted)
+
+
+def _find(key: str, names: Sequence[str], wanted: Sequence[str]) -> np.ndarray:
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise ValueError(f"{key} has no {', '.join(missing)}; it has {', '.join(names)[:200]}")
+    return np.array([list(names).index(name) for name in wanted])
 
 
 def features(
@@ -188,8 +200,16 @@ class Policy:
         self.names = {key: list(value) for key, value in names.items()}
         self.about = dict(about)
         self._checked = False
-        self._columns = Columns(self.names[STATE], self.names[TASK])
+        self._columns = self._find_columns()
         self.reset()
+
+    def _find_columns(self) -> Any:
+        """Where what is in the observations.
+
+        Raises:
+            ValueError: A number that is needed is not there.
+        """
+        return Columns(self.names[STATE], self.names[TASK])
 
     # --- weights on disk ----------------------------------------------------------------------
 
@@ -244,7 +264,7 @@ class Policy:
         """Forget the last episode. Nothing here is random, and there is one task."""
         del instruction, seed
         self._said: np.ndarray | None = None
-        self._past: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=max(LAGS) + 1)
+        self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=max(LAGS) + 1)
 
     def predict(self, inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Chunks for features.
@@ -258,11 +278,25 @@ class Policy:
         """
         scales = self.scales
         x = (inputs - scales["input_mean"]) / scales["input_std"]
-        y = self.network(x.astype(np.float32)).astype(np.float64)
-        y = (y * scales["output_std"] + scales["output_mean"]).reshape(len(x), self.chunk, 5)
+        return self.actions(self.network(x.astype(np.float32)), last)
+
+    def actions(self, outputs: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """What the network's outputs (T, n_out) mean: see `predict`."""
+        scales = self.scales
+        y = outputs.astype(np.float64) * scales["output_std"] + scales["output_mean"]
+        y = y.reshape(len(y), -1, 5)[:, : self.chunk]
         y[:, :, :4] += last[:, None, :]
         y[:, :, 4] = np.clip(y[:, :, 4], *scales["jaw_range"])
         return y
+
+    def last_command(self, held: np.ndarray) -> np.ndarray:
+        """Tip and roll of the command in force, (4,).
+
+        Args:
+            held: The set-point, (4,): in its place where nothing was said, or was not taken.
+        """
+        said = self._said
+        return held if said is None or np.linalg.norm(said[:3] - held[:3]) > REACH else said
 
     def see(self, observation: Any) -> Mapping[str, np.ndarray]:
         """The arrays of an observation, whose numbers are those of the training.
@@ -292,10 +326,7 @@ class Policy:
         """
         arrays = self.see(observation)
         state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
-        held = state[self._columns.state][SET]
-        last = held if self._said is None else self._said
-        if np.linalg.norm(last[:3] - held[:3]) > REACH:  # it was not taken
-            last = held
+        last = self.last_command(state[self._columns.state][SET])
         self._past.append((state, task, last))
         parts = [np.array([step[i] for step in self._past]) for i in range(3)]
         inputs = features(self._columns, *parts, self.scales["X_RW"])[-1:]

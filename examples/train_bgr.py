@@ -9,12 +9,9 @@ it and on `val`.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -34,9 +31,20 @@ from bgr_policy import (
     features,
     world_in_rcm,
 )
-
-Array = np.ndarray
-
+from bgr_training import (
+    Adam,
+    Array,
+    Progress,
+    command_line,
+    facts,
+    flat_layers,
+    flat_names,
+    gradient_of,
+    last_commands,
+    split_episodes,
+    table,
+    targets_of,
+)
 
 OPEN, NEAR = 0.6, 0.03
 """Jaws that are less open [rad] so near to the asked node [m] are about to hold it."""
@@ -93,35 +101,14 @@ def read(folder: Path) -> Dataset:
     Raises:
         ValueError: It is none, or lacks a feature that is needed.
     """
-    import pyarrow.parquet
-
-    try:
-        info = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{folder}: no LeRobot dataset (meta/info.json: {error})") from None
     needed = (STATE, TASK, ACTION)
-    missing = [name for name in needed if name not in info["features"]]
-    if missing:
-        raise ValueError(
-            f"{folder}: the dataset has no {', '.join(missing)}; export it without --drop"
-        )
-    names = {name: _flat(info["features"][name]["names"]) for name in needed}
+    info = facts(folder, needed)
+    names = {name: flat_names(info["features"][name]["names"]) for name in needed}
     episodes: dict[str, list[Episode]] = {}
-    for split, ends in info["splits"].items():
-        first, last = (int(number) for number in ends.split(":"))
-        for index in range(first, last):
-            file = folder / info["data_path"].format(
-                episode_chunk=index // info["chunks_size"], episode_index=index
-            )
-            table = pyarrow.parquet.read_table(file, columns=list(needed))
-            columns = [np.stack(table[name].to_numpy()).astype(np.float64) for name in needed]
-            episodes.setdefault(split, []).append(Episode(*columns))
+    for split, index in split_episodes(info):
+        columns = table(folder, info, index, needed)
+        episodes.setdefault(split, []).append(Episode(*columns))
     return Dataset(episodes, names, {"fps": info["fps"], "robot": info["robot_type"]})
-
-
-def _flat(names: Any) -> list[str]:
-    """The format allows a list, or a dictionary with one."""
-    return list(next(iter(names.values()))) if isinstance(names, dict) else list(names)
 
 
 @dataclass
@@ -179,110 +166,10 @@ class Samples:
         return x, y
 
 
-def last_commands(episode: Episode, held: Any) -> Array:
-    """Tip and roll of the command in force at each step, (T, 4); at first, the set-point.
-
-    Args:
-        episode: Of the dataset.
-        held: Columns of the state with the set-point of tip and roll.
-    """
-    return np.vstack([episode.state[:1, held], episode.action[:-1, :4]])
-
-
-def targets_of(episode: Episode, last: Array, chunk: int) -> Array:
-    """What is to be predicted at each step, (T, chunk, 5).
-
-    Relative to the last command, but for the jaw. Behind the end the last action stays.
-
-    Args:
-        episode: Of the dataset.
-        last: (T, 4) of `last_commands`.
-        chunk: Actions ahead.
-    """
-    row = np.arange(len(episode.state))
-    ahead = np.minimum(row[:, None] + np.arange(chunk), len(row) - 1)
-    targets = episode.action[ahead]
-    targets[:, :, :4] -= last[:, None, :]
-    return targets
-
-
-class Adam:
-    """The optimiser of Kingma and Ba (2015) with decoupled weight decay, on one flat vector.
-
-    Args:
-        parameters: (n,) float32; changed in place.
-        decay: Of weights, times the rate.
-    """
-
-    def __init__(self, parameters: Array, decay: float) -> None:
-        self._p, self._decay, self._t = parameters, decay, 0
-        self._m, self._v = np.zeros_like(parameters), np.zeros_like(parameters)
-        self._buffer = np.empty_like(parameters)
-
-    def step(self, gradient: Array, rate: float) -> None:
-        """Go one step down."""
-        self._t += 1
-        b1, b2, buffer = 0.9, 0.999, self._buffer
-        self._m *= b1
-        self._m += np.multiply(gradient, 1 - b1, out=buffer)
-        np.multiply(gradient, gradient, out=buffer)
-        buffer *= 1 - b2
-        self._v *= b2
-        self._v += buffer
-        np.divide(self._v, 1 - b2**self._t, out=buffer)
-        np.sqrt(buffer, out=buffer)
-        buffer += 1e-8
-        np.divide(self._m, buffer, out=buffer)
-        buffer *= rate / (1 - b1**self._t)
-        self._p *= 1 - rate * self._decay
-        self._p -= buffer
-
-
-def huber(error: Array) -> tuple[float, Array]:
-    """Mean Huber loss (linear from 0.5 on) of errors, and its slope by each of them."""
-    bounded = np.clip(error, -0.5, 0.5)
-    loss = float(np.mean(bounded * (error - 0.5 * bounded)))
-    return loss, bounded / error.dtype.type(error.size)
-
-
-def gradient_of(
-    network: Network, grads: Sequence[tuple[Array, Array]], x: Array, target: Array
-) -> float:
-    """Mean Huber loss of a batch; its gradient is written into ``grads``.
-
-    Args:
-        network: Its layers are read.
-        grads: Of each layer, weight and bias; written.
-        x: (B, n_in), normalised.
-        target: (B, n_out), normalised.
-    """
-    kept = [x]
-    for weight, bias in network.layers[:-1]:
-        kept.append(np.maximum(kept[-1] @ weight + bias, 0.0))
-    weight, bias = network.layers[-1]
-    loss, back = huber(kept[-1] @ weight + bias - target)
-    for i in range(len(network.layers) - 1, -1, -1):
-        np.matmul(kept[i].T, back, out=grads[i][0])
-        np.sum(back, axis=0, out=grads[i][1])
-        if i:
-            back = (back @ network.layers[i][0].T) * (kept[i] > 0)
-    return loss
-
-
-def flat_layers(shapes: Sequence[tuple[int, int]]) -> tuple[Array, list[tuple[Array, Array]]]:
-    """One vector of zeros, and layers (n_in, n_out) with their biases as views into it."""
-    flat, layers, at = np.zeros(sum((a + 1) * b for a, b in shapes), np.float32), [], 0
-    for a, b in shapes:
-        weight = flat[at : at + a * b].reshape(a, b)
-        layers.append((weight, flat[at + a * b : at + (a + 1) * b]))
-        at += (a + 1) * b
-    return flat, layers
-
-
 def train(
     dataset: Dataset,
     options: Options,
-    progress: Callable[[float, str], None] = lambda part, note: None,
+    progress: Progress = lambda part, note: None,
 ) -> Policy:
     """Train on the split ``train``.
 
@@ -361,41 +248,11 @@ def _loss(network: Network, x: Array, y: Array) -> float:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point: 0 done, 2 for a dataset that cannot be used."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("dataset", type=Path, help="folder that ./surg export wrote")
-    parser.add_argument("--out", type=Path, required=True, help="weights (.npz)")
-    parser.add_argument("--seed", type=int, help="of the training (default 0)")
-    parser.add_argument("--steps", type=int, help="of the optimiser")
-    parser.add_argument("--chunk", type=int, help="actions predicted at once")
-    parser.add_argument("--json", action="store_true", help="progress as JSON lines")
-    options = parser.parse_args(words)
-    started = time.monotonic()
 
-    def show(part: float, note: str) -> None:
-        print(json.dumps({"part": part, "note": note}) if options.json else note, flush=True)
+    def make(folder: Path, given: dict[str, Any], show: Progress) -> Policy:
+        return train(read(folder), Options(**given), show)
 
-    given = {
-        n: getattr(options, n)
-        for n in ("seed", "steps", "chunk")
-        if getattr(options, n) is not None
-    }
-    try:
-        dataset = read(options.dataset)
-        policy = train(dataset, Options(**given), show)
-    except ValueError as error:
-        print(f"train_bgr: {error}", file=sys.stderr)
-        return 2
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    policy.save(options.out)
-    about = policy.about
-    losses = ", ".join(f"{split} {value:.4f}" for split, value in about["loss"].items())
-    words = (
-        f"chunks of {policy.chunk}, multilayer perceptron, {about['parameters']} parameters, "
-        f"{about['frames']} frames, loss {losses}"
-    )
-    told = {**about, "words": words, "weights": policy.hash, "s": time.monotonic() - started}
-    print(json.dumps(told) if options.json else f"{words}; weights {policy.hash[:16]}", flush=True)
-    return 0
+    return command_line("train_bgr", (__doc__ or "").split("\n")[0], make, words)
 
 
 if __name__ == "__main__":

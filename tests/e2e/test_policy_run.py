@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -16,28 +17,34 @@ from helpers.surg import surg
 from surg_cli import paths, run
 from surg_cli.terminal import Problem
 from surg_policy_bridge.arm import ARM_STATE
+from surg_sim.render import NoOpenGL, choose_backend
 
 TASK = paths.ROOT / "tests" / "helpers" / "nudge_task.py"
 POLICY = paths.ROOT / "tests" / "helpers" / "nudge_policy.py"
+LOOKING = paths.ROOT / "tests" / "helpers" / "witness_policy.py"
+WITNESS = "SURG_TEST_WITNESS"
+"""Where the looking one writes."""
 SEED = 10_004
 """The task is solved where the policy leads the arms: back to where they were."""
 
 
-def in_one_process() -> tuple[str, int]:
-    """State hash and number of actions of the same actions in an environment."""
+def in_one_process(images: tuple[str, ...] = ()) -> tuple[str, int, list[int]]:
+    """State hash, number of actions and checksums of the pictures of the same in an environment."""
     from surg_sim.env import SurgEnv
 
-    env = SurgEnv(str(TASK))
+    env = SurgEnv(str(TASK), images=images, width=640, height=480, seed_look=SEED)
     seen, _ = env.reset(seed=SEED)
     names = [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE]
     state = seen["state"][[env.state_names.index(name) for name in names]]
-    start, n, done = begin(state.astype(np.float32)), 0, False
+    start, n, done, shown = begin(state.astype(np.float32)), 0, False, []
     while not done:
         n += 1
-        _, _, terminated, truncated, info = env.step(row(start, n))
+        shown += [zlib.crc32(picture) for picture in seen.get("images", {}).values()]
+        seen, _, terminated, truncated, info = env.step(row(start, n))
         done = terminated or truncated
     assert info["success"], info
-    return env.session.hash, n
+    env.close()
+    return env.session.hash, n, shown
 
 
 @pytest.mark.ros
@@ -48,7 +55,7 @@ def test_a_roll_out_is_what_an_environment_computes(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     (entry,) = summary["episodes"]
-    wanted, steps = in_one_process()
+    wanted, steps, _ = in_one_process()
     assert entry["deterministic"] and entry["state_hash"] == wanted
     policy = entry["policy"]
     assert policy["policy"] == "Nudge" and policy["accepted"] in (steps, steps - 1)
@@ -61,6 +68,36 @@ def test_a_roll_out_is_what_an_environment_computes(tmp_path: Path) -> None:
     assert int(rows[0]["step"]) == 4 and int(rows[0]["stamp_ns"]) % 50_000_000 == 2_000_000
     note(9, len(rows), f"the same state hash, {wanted[:12]}…")
     print(f"round trip {policy['round_trip_ms']}")
+
+
+@pytest.mark.ros
+def test_every_observation_holds_the_picture_of_its_own_tick(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """To the last bit those that an environment renders, none early, late or left out."""
+    try:
+        choose_backend()
+    except NoOpenGL as error:
+        pytest.skip(str(error))
+    account, out = tmp_path / "account.txt", tmp_path / "run"
+    monkeypatch.setenv(WITNESS, str(account))
+    words = ("--policy", LOOKING, "--cameras", "left", "--seed", SEED, "--out", out)
+    done = surg("run", TASK, *words)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (entry,) = json.loads((out / "summary.json").read_text("utf-8"))["episodes"]
+    wanted, steps, shown = in_one_process(("left",))
+    assert entry["deterministic"] and entry["state_hash"] == wanted
+    policy = entry["policy"]
+    counts = ("rejected", "late", "stale", "empty", "waited", "strangers")
+    assert {name: policy[name] for name in counts} == dict.fromkeys(counts, 0)
+    assert policy["sessions"] == 1
+    seen = np.array([line.split() for line in account.read_text().splitlines()], dtype=np.int64)
+    np.testing.assert_array_equal(seen[:, 0], seen[0, 0] + np.arange(len(seen)))
+    np.testing.assert_array_equal(seen[:, 1], seen[:, 0] * 50_000_000)
+    print(f"{len(seen)} pictures, {len(set(seen[:, 2]))} different, round trip "
+          f"{policy['round_trip_ms']}")  # fmt: skip
+    assert len(set(seen[:, 2])) > len(seen) / 2
+    assert seen[:, 2].tolist() == shown[: len(seen)] and steps - len(seen) in (0, 1)
 
 
 @pytest.mark.parametrize(

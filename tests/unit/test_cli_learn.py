@@ -37,13 +37,17 @@ class FakePlayer:
     title, robot = "Bowel grasping and retraction", "ur5e"
     played: list[int] = []  # noqa: RUF012: of all players
 
+    made: list[tuple[Any, ...]] = []  # noqa: RUF012: of all
+    success = True
+
     def __init__(self, *arguments: Any) -> None:
-        self.arguments = arguments
+        FakePlayer.made.append(arguments)
 
     def play(self, seed: int, folder: Path, show: Any) -> dict[str, Any]:
         show(1.0, "grasp")
         FakePlayer.played.append(seed)
-        return {"rollout": rollout(seed), "episode": entry(seed)}
+        found = rollout(seed) | {"success": FakePlayer.success}
+        return {"rollout": found, "episode": entry(seed)}
 
 
 @pytest.fixture
@@ -65,7 +69,9 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(learn, "_train", fake("train", TRAINED))
     monkeypatch.setattr(learn, "_measure", fake("measure", [entry(1)]))
     monkeypatch.setattr(rollouts, "Player", FakePlayer)
+    monkeypatch.setattr(FakePlayer, "success", True)
     FakePlayer.played.clear()
+    FakePlayer.made.clear()
     return found
 
 
@@ -114,6 +120,48 @@ def test_a_stage_that_breaks_is_named_with_the_line_to_go_on(
     monkeypatch.setattr(learn, "_train", good)
     assert learn.main(options(*words), "learn") == 0
     assert done == ["show", "measure", "export", "train"]
+
+
+@pytest.mark.parametrize("full", [False, True])
+def test_cameras_make_a_policy_that_looks(
+    full: bool,
+    tmp_path: Path,
+    done: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Other programs, pictures at both ends, no truth; its figure is said, whatever it is."""
+    seen = TRAINED | {"observation": ["observation.state", "pictures"], "privileged": []}
+    trainers: list[str] = []
+    monkeypatch.setattr(learn, "_train", lambda program, *_: trainers.append(program.name) or seen)
+    monkeypatch.setattr(FakePlayer, "success", False)
+    out = tmp_path / "run"
+    words = ("--cameras", "--episodes", "8", "--rollouts", "2", "--out", str(out))
+    parsed = options(*(("--full",) if full else ("bgr",)), *words, full=full)
+    main: Any = (demo if full else learn).main
+    assert main(parsed, "demo" if full else "learn") == 0
+    (player,) = FakePlayer.made
+    assert [player[4].name, *player[6:]] == ["bgr_image_policy.py", False, ("left",)]
+    assert trainers == ["train_bgr_images.py"]
+    assert learn.Wanted("bgr", "phantom", "ur5e", 0, 8, 2, True).demonstrations["cameras"]
+    said = capsys.readouterr().out
+    assert "0 of 2" in said and "no: it looks at observation.state, pictures" in said
+    summary = json.loads((out / "summary.json").read_text("utf-8"))
+    assert summary["ok"] and summary["privileged"] == []
+    # The folder of a run that looks is no folder of one that does not.
+    with pytest.raises(Problem, match="--cameras True"):
+        learn.main(options("bgr", *words[1:]), "learn")
+
+
+def test_what_goes_on_with_cameras_says_so(
+    tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_memory(*arguments: Any) -> Any:
+        raise Problem("out of memory")
+
+    monkeypatch.setattr(learn, "_export", no_memory)
+    with pytest.raises(Problem, match=r"--episodes 60 --rollouts 20 --cameras --out"):
+        learn.main(options("bgr", "--cameras", "--out", str(tmp_path / "run")), "learn")
 
 
 def test_demo_full_is_learn(tmp_path: Path, done: list[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
 import shutil
@@ -123,6 +124,29 @@ def test_what_is_recorded_is_not_played_again(
         assert [plan.done(seed) for seed in SEEDS] == [True, False]
     finally:
         torn.rename(plan.folder(SEEDS[1]))
+
+
+def test_with_pictures_each_episode_has_the_look_of_its_seed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a graph; without pictures one scene serves them all."""
+    looks: list[int] = []
+
+    class Fake:
+        def __init__(self, cell: Path, task: str, setting: str, seed: int, *how: object) -> None:
+            looks.append(seed)
+
+        reset = close = record = lambda *arguments, **words: None
+
+    monkeypatch.setattr(demonstrations, "RecordedSession", Fake)
+    monkeypatch.setattr(demonstrations, "_sessions", {})
+    for cameras, wanted in (((), [5]), (("left",), [5, 6, 7])):
+        looks.clear()
+        plan = demonstrations.Plan(tmp_path, tmp_path, SHORT, cameras=cameras)
+        for seed in (5, 6, 7):
+            with contextlib.suppress(AttributeError):  # of a task that is not there
+                demonstrations._play_one(plan, seed, False)
+        assert looks == wanted
 
 
 def test_a_roll_out_is_told_from_what_its_process_left(recorded: Path, tmp_path: Path) -> None:

@@ -68,7 +68,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     _check_mixture(options, command)
     if options.full:
         options.task = "bgr"
-        options.episodes = learn.EPISODES if options.episodes is None else options.episodes
+        options.cameras = options.cameras != "none"
         return learn.main(options, command)
     if options.task is not None:
         options.episodes = 1 if options.episodes is None else options.episodes
@@ -116,7 +116,7 @@ def _check_mixture(options: argparse.Namespace, command: str) -> None:
     of_task, shared = {"setting", "episodes", "cameras"}, {"task", "robot", "law", "seed", "out"}
     given = {name for name, value in vars(options).items() if value != parser.get_default(name)}
     if options.full:
-        allowed = {"full", "setting", "episodes", "rollouts", "robot", "seed", "out"}
+        allowed = {"full", "setting", "episodes", "rollouts", "cameras", "robot", "seed", "out"}
         wrong, where = given - allowed, "without --full"
     elif "rollouts" in given:
         wrong, where = {"rollouts"}, "with --full"

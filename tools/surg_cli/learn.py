@@ -18,13 +18,48 @@ from surg_cli import cells, paths, rollouts, run
 from surg_cli.stages import Ledger
 from surg_cli.terminal import Problem, Progress, say, table, warn
 
-TRAINERS = {"bgr": "train_bgr.py"}
-"""Tasks that can be learned, and what trains; in examples/."""
-POLICIES = {"bgr": "bgr_policy.py"}
-"""What serves; in examples/."""
-EPISODES = 80
-HOPED = 0.85
-"""Share of the roll-outs that are to succeed: the paper's 17 of 20."""
+
+@dataclass(frozen=True)
+class Recipe:
+    """What learns a task; files in examples/.
+
+    Attributes:
+        train: Trains.
+        serve: The policy's client.
+        parts: What these two import.
+        cameras: Views of the endoscope that are recorded and served.
+        episodes: Demonstrations, where nothing else is asked for.
+        hoped: Share of the roll-outs that are to succeed.
+    """
+
+    train: str
+    serve: str
+    parts: tuple[str, ...]
+    cameras: tuple[str, ...] = ()
+    episodes: int = 80
+    hoped: float = 0.85
+    """The paper's 17 of 20."""
+
+    @property
+    def made_of(self) -> list[str]:
+        """Digests of all its files."""
+        files = (self.train, self.serve, *self.parts)
+        return [paths.file_digest(paths.ROOT / "examples" / name) for name in files]
+
+
+RECIPES = {"bgr": Recipe("train_bgr.py", "bgr_policy.py", ("bgr_training.py",))}
+"""By task: from the simulator's truth."""
+LOOKING = {
+    "bgr": Recipe(
+        "train_bgr_images.py",
+        "bgr_image_policy.py",
+        ("bgr_training.py", "bgr_policy.py"),
+        cameras=("left",),
+        episodes=60,
+        hoped=0.0,  # its figure is stated, whatever it is
+    )
+}
+"""By task: from pictures, with ``--cameras``."""
 SHAKE = 0.003
 """Spread of the pushes in every second demonstration [m], see surg_sim.experts.shaken."""
 COMPARED = 20
@@ -37,17 +72,22 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "With the --out of a run that was cut off, it goes on where it ended. docs/learning.md"
     )
     add = parser.add_argument
-    add("task", metavar="TASK", help=", ".join(TRAINERS))
+    add("task", metavar="TASK", help=", ".join(RECIPES))
     add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
     add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or a cell with two arms")
     add("--seed", type=int, default=0, metavar="S", help="of the training (default 0)")
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
+    default, looking = RECIPES["bgr"].episodes, LOOKING["bgr"].episodes
     add(
         "--episodes",
         type=int,
-        default=EPISODES,
         metavar="N",
-        help=f"demonstrations (default {EPISODES})",
+        help=f"demonstrations (default {default}, with --cameras {looking})",
+    )
+    add(
+        "--cameras",
+        action="store_true",
+        help="a policy that looks through the endoscope, at nothing that a robot cannot measure",
     )
     add_options(parser)
 
@@ -68,6 +108,19 @@ class Wanted:
     seed: int
     episodes: int
     rollouts: int
+    cameras: bool = False
+
+    @property
+    def recipe(self) -> Recipe:
+        """What learns it."""
+        return (LOOKING if self.cameras else RECIPES)[self.task]
+
+    @property
+    def demonstrations(self) -> dict[str, Any]:
+        """What the demonstrations depend on."""
+        looks = {"cameras": self.recipe.cameras} if self.cameras else {}
+        fixed = {"rollouts": 0, "seed": 0, "shake": SHAKE}
+        return {**{k: v for k, v in asdict(self).items() if k != "cameras"}, **fixed, **looks}
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -80,19 +133,19 @@ def main(options: argparse.Namespace, command: str) -> int:
     loaded = cells.load(cell)
     again = f"./surg {_line(command, wanted)} --out {_shown(out)}"
     ledger = Ledger(out / "stages.json", again)
-    train = paths.ROOT / "examples" / TRAINERS[wanted.task]
-    serve = paths.ROOT / "examples" / POLICIES[wanted.task]
+    recipe = wanted.recipe
+    train, serve = (paths.ROOT / "examples" / name for name in (recipe.train, recipe.serve))
+    looking = ", from pictures" if wanted.cameras else ""
     say(
-        f"learn: {wanted.task}, {wanted.setting}, {wanted.episodes} demonstrations, "
+        f"learn: {wanted.task}{looking}, {wanted.setting}, {wanted.episodes} demonstrations, "
         f"{wanted.rollouts} roll-outs -> {out}"
     )
-    of_demos = asdict(wanted) | {"rollouts": 0, "seed": 0, "shake": SHAKE}
-    demos = ledger.stage("demonstrations", of_demos, lambda: _show(wanted, cell, out))
+    demos = ledger.stage("demonstrations", wanted.demonstrations, lambda: _show(wanted, cell, out))
     shown = ledger.stage("smoothness", {}, lambda: _measure(wanted, out))
     ledger.stage("dataset", {}, lambda: _export(out))
     trained = ledger.stage(
         "training",
-        {"seed": wanted.seed, "by": [paths.file_digest(file) for file in (train, serve)]},
+        {"seed": wanted.seed, "by": recipe.made_of},
         lambda: _train(train, wanted, out),
     )
     player = rollouts.Player(
@@ -103,6 +156,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         serve,
         out / "weights.npz",
         bool(trained["privileged"]),
+        recipe.cameras,
     )
     entries = ledger.stage(
         "rollouts",
@@ -123,7 +177,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         "stages_s": ledger.seconds,
         "versions": provenance.versions(),
     }
-    hoped = round(HOPED * wanted.rollouts)
+    hoped = round(recipe.hoped * wanted.rollouts)
     summary = learning.summarise([e["rollout"] for e in entries], shown, info, hoped)
     learning_report.write(summary, [e["episode"] for e in entries], shown, out)
     _print_summary(summary)
@@ -143,11 +197,13 @@ def _check(options: argparse.Namespace) -> Wanted:
     """
     from surg_sim import seeds
 
-    if options.task not in TRAINERS:
-        known = ", ".join(TRAINERS)
+    if options.task not in RECIPES:
+        known = ", ".join(RECIPES)
         raise Problem(f"learn {options.task}: there is a trainer for {known} only", 2)
-    for name, whole in (("episodes", seeds.TRAINING), ("rollouts", seeds.TEST)):
-        value = getattr(options, name)
+    recipe = (LOOKING if options.cameras else RECIPES)[options.task]
+    episodes = recipe.episodes if options.episodes is None else options.episodes
+    numbers = (("episodes", episodes, seeds.TRAINING), ("rollouts", options.rollouts, seeds.TEST))
+    for name, value, whole in numbers:
         if not 1 <= value <= len(whole):
             raise Problem(f"--{name} {value}: 1 to {len(whole)} are allowed", 2)
     if not 0 <= options.seed < 2**31:
@@ -159,8 +215,9 @@ def _check(options: argparse.Namespace) -> Wanted:
         options.setting,
         options.robot,
         options.seed,
-        options.episodes,
+        episodes,
         options.rollouts,
+        bool(options.cameras),
     )
 
 
@@ -176,6 +233,7 @@ def _folder(wanted: Path | None, what: Wanted) -> Path:
         except ValueError as error:
             raise Problem(f"--out {wanted}: wanted.json is not valid JSON ({error})", 2) from error
         now = asdict(what)
+        before = {"cameras": False, **before}
         # More roll-outs, or another training on the same demonstrations, is no other run.
         fixed = [name for name in now if name not in ("rollouts", "seed")]
         other = [f"--{n} {before.get(n)}" for n in fixed if before.get(n) != now[n]]
@@ -196,8 +254,8 @@ def _line(command: str, wanted: Wanted) -> str:
     """The command line that asks for the same."""
     first = f"learn {wanted.task}" if command == "learn" else f"{command} --full"
     given = asdict(wanted)
-    words = [f"--{name} {given[name]}" for name in given if name != "task"]
-    return " ".join([first, *words])
+    words = [f"--{name} {given[name]}" for name in given if name not in ("task", "cameras")]
+    return " ".join([first, *words, *(["--cameras"] if wanted.cameras else [])])
 
 
 def _shown(path: Path) -> Path:
@@ -219,7 +277,12 @@ def _show(wanted: Wanted, cell: Path, out: Path) -> dict[str, Any]:
     from surg_sim import demonstrations, seeds
 
     plan = demonstrations.Plan(
-        out / "demonstrations", cell, wanted.task, wanted.setting, shake=SHAKE
+        out / "demonstrations",
+        cell,
+        wanted.task,
+        wanted.setting,
+        wanted.recipe.cameras,
+        shake=SHAKE,
     )
     chosen = seeds.training_seeds(wanted.episodes)
     before = sum(plan.done(seed) for seed in chosen)
@@ -377,8 +440,9 @@ def _print_summary(summary: dict[str, Any]) -> None:
         ],
         ["stages [s]", ", ".join(f"{k} {v:.0f}" for k, v in summary["stages_s"].items())],
     ]
-    if summary["privileged"]:
-        rows.append(["privileged", f"the policy looks at {', '.join(summary['privileged'])}"])
+    privileged = ", ".join(summary["privileged"])
+    looks = "no: it looks at " + ", ".join(summary["observation"])
+    rows.append(["privileged", f"the policy looks at {privileged}" if privileged else looks])
     say(table(rows))
     for e in summary["rollouts"]:
         if not e["success"]:

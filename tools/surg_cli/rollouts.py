@@ -34,6 +34,7 @@ class Player:
         script: Client of the policy.
         weights: Its weights.
         privileged: Whether the simulator's truth is served.
+        cameras: Views of the endoscope that are served, and recorded.
     """
 
     task: str
@@ -43,12 +44,20 @@ class Player:
     script: Path
     weights: Path
     privileged: bool
+    cameras: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         player = policy.read(str(self.script), None, self.privileged)
         self._condition = Condition(self.setting, "ours")
         self._plan = run.make_plan(
-            self.task, self.cell, self.loaded, [self._condition], 0, (), Path(), player
+            self.task,
+            self.cell,
+            self.loaded,
+            [self._condition],
+            0,
+            self.cameras,
+            Path(),
+            player,
         )
 
     @property

@@ -18,6 +18,7 @@ import threading
 import time
 import xmlrpc.client
 import zlib
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,8 @@ from surg_recording.recorder_settings import camera as camera_topic
 FRESH = SECOND // 4
 """[ns] Free-run: an arm that has said nothing for longer is silent. (Its controller has a watchdog
 of its own for the link behind it; an observation is as old as the cycle in it.)"""
+PATIENCE = 8 * SECOND
+"""[ns] Lock-step: longest wait for a picture of the tick; the simulator gives up after 10 s."""
 REPORT = SECOND // 2
 """[ns] The status is published at least that often."""
 ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
@@ -391,15 +394,17 @@ class ModelServerNode:
             return
         tick, self._due = self._due, None
         at, number = tick * TICK, tick // GRID
+        # In every state: what is served, and so when a policy begins, shall not depend on the time
+        # that a picture takes.
+        self._await(at, [cell_spec.image_key(camera) for camera in self._settings.cameras])
         views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
         commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle(at, views))
-        deadline = time.monotonic_ns() + round(self._settings.answer_timeout * SECOND)
         if self._server.state is State.RUNNING:
-            seen = self._complete(views, number, deadline)
+            seen = self._complete(views, number)
             if seen is not None:
                 self._server.observe(seen, at, time.monotonic_ns())
                 self._answer()
-            self._await_answer(deadline)
+            self._await_answer()
             for arm, target in self._server.execute(number + 1, at).items():
                 commands[arm] = ArmCommand(servo=target)
         self._send(commands, views)
@@ -407,18 +412,29 @@ class ModelServerNode:
         self._answer()
         self._say_ready(tick + 1)
 
-    def _complete(
-        self, views: dict[str, ArmView], number: int, deadline: int
-    ) -> Observation | None:
-        """The observation of a tick; pictures of it may still be on their way."""
+    def _complete(self, views: dict[str, ArmView], number: int) -> Observation | None:
+        """The observation of a tick; parts of it may still be on their way."""
         stamp_ns, wanted = self._put_state(views), self._server.wanted
-        while stamp_ns is not None and self._observer.missing(stamp_ns, wanted):
-            if time.monotonic_ns() > deadline or self.finished.is_set():
-                return None
-            self._breathe()
-        return None if stamp_ns is None else self._observer.take(number, stamp_ns, wanted)
+        if stamp_ns is None:
+            self._server.observe_nothing("an arm does not know its jaw")
+            return None
+        self._await(stamp_ns, wanted)
+        if missing := self._observer.missing(stamp_ns, wanted):
+            self._server.observe_nothing(missing)
+            return None
+        return self._observer.take(number, stamp_ns, wanted)
 
-    def _await_answer(self, deadline: int) -> None:
+    def _await(self, stamp_ns: int, keys: Sequence[str]) -> None:
+        """Wait for what is observed under keys, of one stamp; a policy's pings are answered."""
+        deadline = time.monotonic_ns() + PATIENCE
+        while self._observer.missing(stamp_ns, keys):
+            if time.monotonic_ns() > deadline or self.finished.is_set():
+                return
+            self._breathe()
+            self._listen()
+
+    def _await_answer(self) -> None:
+        deadline = time.monotonic_ns() + round(self._settings.answer_timeout * SECOND)
         while self._server.unanswered:
             if time.monotonic_ns() > deadline or self.finished.is_set():
                 self._server.counters.waited += 1

@@ -120,7 +120,12 @@ _sessions: dict[Plan, RecordedSession] = {}
 
 
 def _play_one(plan: Plan, seed: int, shaken: bool) -> Demonstration:
-    """In a process of the pool, which compiles the scene once."""
+    """In a process of the pool, which compiles the scene once.
+
+    With pictures, once for each episode: the seed draws the look of the tissue, as in a graph.
+    """
+    if plan.cameras and plan in _sessions:
+        _sessions.pop(plan).close()
     if plan not in _sessions:
         _sessions[plan] = RecordedSession(
             plan.cell, plan.task, plan.setting, seed, plan.cameras, plan.size

@@ -109,6 +109,8 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self.render_mode, self._images = render_mode, tuple(images)
         self._size = (width, height)
         self._eyes: dict[str, Any] = {}
+        self._qpos = self.session.world.data.qpos.copy()
+        """What pictures show: the state that is observed."""
         self.arms = self.session.task.commanded
         """Arms that the action commands, in its order."""
         self._frames = {
@@ -231,6 +233,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         commands, assistant = merge([wishes, *self._said])
         reward, self._worst = 0.0, dict.fromkeys(self.session.world.arms, 0.0)
         for i in range(GRID):
+            self._qpos = self.session.world.data.qpos.copy()  # a tick ends in the next one's state
             tick = self.session.tick(commands if i == 0 else None, assistant if i == 0 else None)
             reward += tick.verdict.reward
             for arm, out in tick.outputs.items():
@@ -294,7 +297,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
                 hidden=[OUTSIDE],
                 skins=session.task.skins,
             )
-        return self._eyes[name].render(self.session.world.data.qpos)
+        return self._eyes[name].render(self._qpos)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """The left camera's picture in mode ``rgb_array``."""

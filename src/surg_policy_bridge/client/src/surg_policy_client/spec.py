@@ -20,6 +20,11 @@ MAX_SIDE = 1 << 16
 MAX_NAMES = 1024
 MAX_TEXT = 256
 MAX_FEATURES = 64
+HOW = {
+    "observation.images.": "pictures are served with ./surg run TASK --cameras, or ~cameras",
+    "privileged.": "simulator truth is served with ./surg run TASK --privileged, or ~privileged",
+}
+"""What to do for observations that a server leaves out unless it is asked for them."""
 
 
 class SpecError(ValueError):
@@ -175,7 +180,8 @@ class Spec:
         for key in self.observation:
             if key not in served.observation:
                 there = ", ".join(served.observation) or "none"
-                found.append(f"observation {key}: the policy wants it, the server has {there}")
+                how = next((f" ({HOW[kind]})" for kind in HOW if key.startswith(kind)), "")
+                found.append(f"observation {key}: the policy wants it, the server has {there}{how}")
         return found
 
     def _pairs(self, served: Spec) -> list[tuple[str, Any, Any]]:

@@ -1,0 +1,278 @@
+"""What the trainers of the learned policies share: files of a dataset, perceptron, optimiser.
+
+Used by `train_bgr.py` and `train_bgr_images.py`; plain numpy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from bgr_policy import Network, Policy
+
+Array = np.ndarray
+Progress = Callable[[float, str], None]
+"""Told how much is done, 0 to 1, and words."""
+
+
+# --- a LeRobot dataset (v2.1) ---------------------------------------------------------------------
+
+
+def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
+    """What a dataset says of itself (`meta/info.json`).
+
+    Args:
+        folder: Of the dataset.
+        needed: Features that must be there.
+
+    Raises:
+        ValueError: It is none, or lacks one.
+    """
+    try:
+        info: dict[str, Any] = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{folder}: no LeRobot dataset (meta/info.json: {error})") from None
+    missing = [name for name in needed if name not in info["features"]]
+    if missing:
+        raise ValueError(
+            f"{folder}: the dataset has no {', '.join(missing)}; export it without --drop"
+        )
+    return info
+
+
+def split_episodes(info: dict[str, Any]) -> Iterator[tuple[str, int]]:
+    """Split and number of every episode."""
+    for split, ends in info["splits"].items():
+        first, last = (int(number) for number in ends.split(":"))
+        for index in range(first, last):
+            yield split, index
+
+
+def file_of(folder: Path, info: dict[str, Any], path: str, index: int, **more: str) -> Path:
+    """A file of an episode.
+
+    Args:
+        folder: Of the dataset.
+        info: Of `facts`.
+        path: Key of its pattern, such as ``data_path``.
+        index: Of the episode.
+        **more: What else the pattern names.
+    """
+    chunk = index // info["chunks_size"]
+    name: str = info[path].format(episode_chunk=chunk, episode_index=index, **more)
+    return folder / name
+
+
+def table(folder: Path, info: dict[str, Any], index: int, names: Sequence[str]) -> list[Array]:
+    """Numbers of an episode by feature, each (T, n)."""
+    import pyarrow.parquet
+
+    file = file_of(folder, info, "data_path", index)
+    found = pyarrow.parquet.read_table(file, columns=list(names))
+    return [np.stack(found[name].to_numpy()).astype(np.float64) for name in names]
+
+
+def flat_names(names: Any) -> list[str]:
+    """Names of a feature's numbers: the format allows a list, or a dictionary with one."""
+    return list(next(iter(names.values()))) if isinstance(names, dict) else list(names)
+
+
+# --- what is learned ------------------------------------------------------------------------------
+
+
+class Steps(Protocol):
+    """An episode of T steps, as far as actions go."""
+
+    state: Array
+    action: Array
+
+
+def last_commands(episode: Steps, held: Any) -> Array:
+    """Tip and roll of the command in force at each step, (T, 4); at first, the set-point.
+
+    Args:
+        episode: Of the dataset.
+        held: Columns of the state with the set-point of tip and roll.
+    """
+    return np.vstack([episode.state[:1, held], episode.action[:-1, :4]])
+
+
+def targets_of(episode: Steps, last: Array, chunk: int) -> Array:
+    """What is to be predicted at each step, (T, chunk, 5).
+
+    Relative to the last command, but for the jaw. Behind the end the last action stays.
+
+    Args:
+        episode: Of the dataset.
+        last: (T, 4) of `last_commands`.
+        chunk: Actions ahead.
+    """
+    row = np.arange(len(episode.state))
+    ahead = np.minimum(row[:, None] + np.arange(chunk), len(row) - 1)
+    targets = episode.action[ahead]
+    targets[:, :, :4] -= last[:, None, :]
+    return targets
+
+
+# --- how it is learned ----------------------------------------------------------------------------
+
+
+class Adam:
+    """The optimiser of Kingma and Ba (2015) with decoupled weight decay, on one flat vector.
+
+    Args:
+        parameters: (n,) float32; changed in place.
+        decay: Of weights, times the rate.
+    """
+
+    def __init__(self, parameters: Array, decay: float) -> None:
+        self._p, self._decay, self._t = parameters, decay, 0
+        self._m, self._v = np.zeros_like(parameters), np.zeros_like(parameters)
+        self._buffer = np.empty_like(parameters)
+
+    def step(self, gradient: Array, rate: float) -> None:
+        """Go one step down."""
+        self._t += 1
+        b1, b2, buffer = 0.9, 0.999, self._buffer
+        self._m *= b1
+        self._m += np.multiply(gradient, 1 - b1, out=buffer)
+        np.multiply(gradient, gradient, out=buffer)
+        buffer *= 1 - b2
+        self._v *= b2
+        self._v += buffer
+        np.divide(self._v, 1 - b2**self._t, out=buffer)
+        np.sqrt(buffer, out=buffer)
+        buffer += 1e-8
+        np.divide(self._m, buffer, out=buffer)
+        buffer *= rate / (1 - b1**self._t)
+        self._p *= 1 - rate * self._decay
+        self._p -= buffer
+
+
+def huber(error: Array) -> tuple[float, Array]:
+    """Mean Huber loss (linear from 0.5 on) of errors, and its slope by each of them."""
+    bounded = np.clip(error, -0.5, 0.5)
+    loss = float(np.mean(bounded * (error - 0.5 * bounded)))
+    return loss, bounded / error.dtype.type(error.size)
+
+
+def gradient_of(
+    network: Network, grads: Sequence[tuple[Array, Array]], x: Array, target: Array
+) -> float:
+    """Mean Huber loss of a batch; its gradient is written into ``grads``.
+
+    Args:
+        network: Its layers are read.
+        grads: Of each layer, weight and bias; written.
+        x: (B, n_in), normalised.
+        target: (B, n_out), normalised.
+    """
+    kept = activations(network, x)
+    loss, back = huber(kept.pop() - target)
+    propagate(network, grads, kept, back)
+    return loss
+
+
+def activations(network: Network, x: Array) -> list[Array]:
+    """Inputs of every layer, and the outputs."""
+    kept = [x]
+    for weight, bias in network.layers[:-1]:
+        kept.append(np.maximum(kept[-1] @ weight + bias, 0.0))
+    weight, bias = network.layers[-1]
+    return [*kept, kept[-1] @ weight + bias]
+
+
+def propagate(
+    network: Network, grads: Sequence[tuple[Array, Array]], kept: Sequence[Array], back: Array
+) -> Array:
+    """Write the gradient of all layers.
+
+    Args:
+        network: Its layers are read.
+        grads: Of each layer, weight and bias; written.
+        kept: Inputs of each layer.
+        back: Slope of the loss by the outputs.
+
+    Returns:
+        Slope by the first layer's outputs, before its ReLU.
+    """
+    for i in range(len(network.layers) - 1, -1, -1):
+        np.matmul(kept[i].T, back, out=grads[i][0])
+        np.sum(back, axis=0, out=grads[i][1])
+        if i:
+            back = (back @ network.layers[i][0].T) * (kept[i] > 0)
+    return back
+
+
+def flat_layers(shapes: Sequence[tuple[int, int]]) -> tuple[Array, list[tuple[Array, Array]]]:
+    """One vector of zeros, and layers (n_in, n_out) with their biases as views into it."""
+    flat, layers, at = np.zeros(sum((a + 1) * b for a, b in shapes), np.float32), [], 0
+    for a, b in shapes:
+        weight = flat[at : at + a * b].reshape(a, b)
+        layers.append((weight, flat[at + a * b : at + (a + 1) * b]))
+        at += (a + 1) * b
+    return flat, layers
+
+
+# --- the command line -----------------------------------------------------------------------------
+
+
+def command_line(
+    name: str,
+    help_text: str,
+    make: Callable[[Path, dict[str, Any], Progress], Policy],
+    words: Sequence[str] | None,
+) -> int:
+    """The command line of a trainer.
+
+    Args:
+        name: Of the program.
+        help_text: One line.
+        make: Trains, from the dataset's folder, the options that were given, and whom to tell how
+            far it is.
+        words: Of the command line.
+
+    Returns:
+        Exit status: 0 done, 2 for a dataset that cannot be used.
+    """
+    parser = argparse.ArgumentParser(prog=name, description=help_text)
+    parser.add_argument("dataset", type=Path, help="folder that ./surg export wrote")
+    parser.add_argument("--out", type=Path, required=True, help="weights (.npz)")
+    parser.add_argument("--seed", type=int, help="of the training (default 0)")
+    parser.add_argument("--steps", type=int, help="of the optimiser")
+    parser.add_argument("--chunk", type=int, help="actions predicted at once")
+    parser.add_argument("--json", action="store_true", help="progress as JSON lines")
+    options = parser.parse_args(words)
+    started = time.monotonic()
+
+    def show(part: float, note: str) -> None:
+        print(json.dumps({"part": part, "note": note}) if options.json else note, flush=True)
+
+    given = {
+        n: getattr(options, n)
+        for n in ("seed", "steps", "chunk")
+        if getattr(options, n) is not None
+    }
+    try:
+        policy = make(options.dataset, given, show)
+    except ValueError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 2
+    options.out.parent.mkdir(parents=True, exist_ok=True)
+    policy.save(options.out)
+    known = policy.about
+    losses = ", ".join(f"{split} {value:.4f}" for split, value in known["loss"].items())
+    kind = known.get("network", "multilayer perceptron")
+    words = (
+        f"chunks of {policy.chunk}, {kind}, {known['parameters']} parameters, "
+        f"{known['frames']} frames, loss {losses}"
+    )
+    told = {**known, "words": words, "weights": policy.hash, "s": time.monotonic() - started}
+    print(json.dumps(told) if options.json else f"{words}; weights {policy.hash[:16]}", flush=True)
+    return 0
