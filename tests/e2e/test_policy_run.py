@@ -17,6 +17,8 @@ from surg_cli import paths, run
 from surg_cli.terminal import Problem
 from surg_policy_bridge.arm import ARM_STATE
 
+pytestmark = pytest.mark.untimed
+
 TASK = paths.ROOT / "tests" / "helpers" / "nudge_task.py"
 POLICY = paths.ROOT / "tests" / "helpers" / "nudge_policy.py"
 SEED = 10_004
