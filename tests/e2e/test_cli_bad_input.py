@@ -10,7 +10,7 @@ import pytest
 from helpers.surg import surg
 from surg_cli import paths
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 ROBOTS = paths.ROOT / "src" / "surg_description" / "robots"
 

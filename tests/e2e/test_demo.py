@@ -20,7 +20,7 @@ from helpers.surg import surg
 from helpers.third_arm import write_third_arm
 from surg_cli.paths import ROOT
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 SECONDS = None if FULL else 5.0
 DEMO_TIMEOUT_S = 900

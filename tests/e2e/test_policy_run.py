@@ -19,6 +19,8 @@ from surg_cli.terminal import Problem
 from surg_policy_bridge.arm import ARM_STATE
 from surg_sim.render import NoOpenGL, choose_backend
 
+pytestmark = pytest.mark.untimed
+
 TASK = paths.ROOT / "tests" / "helpers" / "nudge_task.py"
 POLICY = paths.ROOT / "tests" / "helpers" / "nudge_policy.py"
 LOOKING = paths.ROOT / "tests" / "helpers" / "witness_policy.py"

@@ -15,7 +15,7 @@ from surg_cli.paths import ROOT
 from surg_recording import episode as episodes
 from surg_sim.stability import trouble
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 NUDGE = ROOT / "tests" / "helpers" / "nudge_task.py"
 

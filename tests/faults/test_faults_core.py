@@ -20,6 +20,8 @@ from surg_core import Reason, State, StateCommand
 from surg_sim.faults import Wire
 from surg_sim.injector import Channel
 
+pytestmark = pytest.mark.untimed
+
 STILL = 100
 """Cycles within which a stop from working speed is at rest."""
 ROUNDING = 1.0 + 1e-9

@@ -18,6 +18,8 @@ from surg_sim.faults import Fault, Freeze, ToolLost, TrocarJump, Wire
 from surg_sim.injector import Injector
 from surg_sim.world import World
 
+pytestmark = pytest.mark.untimed
+
 TICK = 0.002
 WARM_UP = 150
 

@@ -1,8 +1,8 @@
 """Several pytests share one list of tests: a file is run by the one that claims it first.
 
-What drives graphs, most of them in real time, is run by the first of them alone: two graphs at
-once would take each other's cores. It begins with those and then goes through the other files from
-behind, the others go through them from the front, and they meet. Each has a ROS master of its own.
+What drives graphs in real time is run by the first of them alone: two such at once would take each
+other's cores. It begins with those and then goes through the other files from behind; the others go
+through them from the front, and they meet. Each has a ROS master of its own.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 LIVE = ("ros", "e2e", "faults")
-"""Folders of tests that drive graphs."""
+"""Folders of tests that drive graphs, in real time where a file's mark does not say `untimed`."""
 
 
 class Claims:
@@ -21,7 +21,7 @@ class Claims:
 
     Args:
         folder: Shared by all of them: holds a file for every file that one has claimed.
-        first: Whether this is the one that drives the graphs.
+        first: Whether this is the one for what runs in real time.
         tests: The folder of all tests.
     """
 
@@ -35,8 +35,8 @@ class Claims:
         files: dict[Path, list[pytest.Item]] = {}
         for item in items:
             files.setdefault(item.path, []).append(item)
-        live = [path for path in files if self._is_live(path)]
-        rest = [path for path in files if not self._is_live(path)]
+        live = [path for path in files if self._is_live(path, files[path])]
+        rest = [path for path in files if path not in live]
         order = [*live, *reversed(rest)] if self._first else rest
         items[:] = [item for path in order for item in files[path]]
 
@@ -45,8 +45,9 @@ class Claims:
         """Run a test only where its file is claimed."""
         return None if self._is_mine(item.path) else True
 
-    def _is_live(self, path: Path) -> bool:
-        return path.relative_to(self._tests).parts[0] in LIVE
+    def _is_live(self, path: Path, tests: list[pytest.Item]) -> bool:
+        timed = any(test.get_closest_marker("untimed") is None for test in tests)
+        return timed and path.relative_to(self._tests).parts[0] in LIVE
 
     def _is_mine(self, path: Path) -> bool:
         """Whether this one has the file; the first who asks gets it."""

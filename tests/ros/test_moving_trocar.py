@@ -20,7 +20,7 @@ from helpers.ros import RosGraph
 from surg_cli import paths
 from surg_msgs.msg import Cycle, GroundTruth
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 CELL = paths.ROOT / "cells" / "sim_ur5e"
 STALE = 0.020

@@ -24,7 +24,7 @@ from surg_sim.episode import EpisodeReport, run_episode
 from surg_sim.recorded import RecordedSession
 from surg_sim.session import Session
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
 HELPERS = paths.ROOT / "tests" / "helpers"
 SHORT = str(HELPERS / "short_bgr.py")

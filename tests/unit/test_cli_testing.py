@@ -52,6 +52,8 @@ def noted(request):
 TEST = """
 import pytest
 
+pytestmark = [pytest.mark.{mark}]
+
 
 @pytest.mark.parametrize("number", range({each}))
 def test_it(number, made):
@@ -65,7 +67,8 @@ def tree(root: Path) -> None:
         folder = root / ("ros" if i % 3 == 0 else "unit")
         folder.mkdir(parents=True, exist_ok=True)
         wrong = 2 if i % 2 else -1
-        (folder / f"test_{i:02d}.py").write_text(TEST.format(each=EACH, wrong=wrong))
+        mark = "untimed" if i == 9 else "timed"
+        (folder / f"test_{i:02d}.py").write_text(TEST.format(each=EACH, wrong=wrong, mark=mark))
     (root / "conftest.py").write_text(CONFTEST + NOTED)
 
 
@@ -89,8 +92,9 @@ def test_they_share_and_are_counted_together(
     for worker, name in ran:
         by_file.setdefault(name.split("::")[0], set()).add(worker)
     assert all(len(workers) == 1 for workers in by_file.values())
-    live = {worker for worker, name in ran if "ros/" in name}
+    live = {worker for worker, name in ran if "ros/" in name and "09" not in name}
     assert live == {"0"}
+    assert not any(worker == "0" for worker, name in ran if "ros/test_09" in name)
     assert len({worker for worker, _ in ran}) > 1, "nobody helped the first"
     # A module's fixture ends once, with its last test.
     ended = (tmp_path / "ended").read_text().splitlines()

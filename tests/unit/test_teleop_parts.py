@@ -26,7 +26,7 @@ from surg_teleop.picture import PictureWatch
 from surg_teleop.seat import PEDAL_SILENCE, Pedals, Seat
 from surg_teleop.system import read_system
 from surg_teleop.teleop import CameraView, State, Teleop
-from surg_teleop.virtual_arm import VirtualArm
+from surg_teleop.virtual_arm import VirtualArm, tip
 
 TWO_ARMS = paths.ROOT / "cells/sim_two_arms"
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
@@ -585,6 +585,22 @@ def test_a_virtual_arm_is_the_simulators_assistant() -> None:
         assert arm.obey(Commands(hold=True)).servo_jp == pytest.approx(joints)
     arm.joints(2.0, 0, np.full(4, np.nan))
     assert arm.view().received == 1.0
+
+
+def test_a_virtual_arm_that_was_silent_is_where_it_is() -> None:
+    """Its set-point is the target again only from the next command on."""
+    home, there = np.array([0.0, 0.0, 0.09, 0.0]), np.array([0.05, 0.0, 0.1, 0.0])
+    arm = VirtualArm("/teleop", np.eye(3))
+    arm.joints(1.0, 0, home)
+    arm.jaw(0.2)
+    arm.obey(Commands(servo_cp=tip_pose(np.array([0.0, 0.0, 0.1]), 0.0), jaw=0.5))
+    for now, silent in ((1.0999, False), (1.1998, False), (1.3, True)):
+        arm.joints(now, 0, there)
+        view = arm.view()
+        assert view.p_set == pytest.approx(tip(there) if silent else [0.0, 0.0, 0.1])
+        assert np.isnan(view.jaw_set) if silent else view.jaw_set == 0.5
+    arm.jaw(0.3)
+    assert arm.view().jaw_set == 0.3
 
 
 # --- parameters

@@ -2,7 +2,8 @@
 
 It says where its joints are and takes joints to go to; there is no state and no gate. So what a
 controller would do for a hand is done here as far as a sender can: it counts as ENABLED while it
-speaks, and its set-point is the last target that it was given.
+speaks, and its set-point is the last target that it was given. After a silence it is where it is:
+what was sent meanwhile may have come late, and then it was refused.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_teleop.arm import ArmState, ArmView, Commands, virtual_joints
+from surg_teleop.teleop import SILENCE
 
 Array = NDArray[np.float64]
 
@@ -45,6 +47,8 @@ class VirtualArm:
     def joints(self, now: float, stamp_ns: int, joints: Array) -> None:
         """``measured_js``: yaw, pitch [rad], insertion [m], roll [rad], received now [s]."""
         if joints.shape == (4,) and np.isfinite(joints).all():
+            if now - self._received > SILENCE:
+                self._target, self._jaw = None, math.nan
             self._joints, self._received, self._stamp_ns = joints, now, stamp_ns
 
     def jaw(self, angle: float) -> None:
