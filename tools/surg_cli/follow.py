@@ -11,6 +11,8 @@ from surg_cli.watch import Watch
 
 START_TIMEOUT_S = 60.0
 STALL_TIMEOUT_S = 30.0
+FIRST_TICK_TIMEOUT_S = 75.0
+"""The simulator waits for everybody, and after 60 s gives up itself and names who is missing."""
 RECORDER_TIMEOUT_S = 120.0
 FAULT_GRACE_S = 1.0
 
@@ -43,9 +45,10 @@ def failure(
     if fault_at is not None and time.monotonic() - fault_at > FAULT_GRACE_S:
         arm = watch.faulted[0]
         return [f"{arm} went into FAULT: {watch.last_error(arm) or 'it gave no reason'}"]
-    if watch.stalled_s > STALL_TIMEOUT_S:
-        tick = sim.get("tick", "none")
-        return [f"the simulator has stood still for {STALL_TIMEOUT_S:.0f} s at tick {tick}"]
+    tick = sim.get("tick", "none")
+    limit = FIRST_TICK_TIMEOUT_S if tick == 1 else STALL_TIMEOUT_S
+    if watch.stalled_s > limit:
+        return [f"the simulator has stood still for {limit:.0f} s at tick {tick}"]
     return []
 
 

@@ -160,12 +160,13 @@ def make_renderer(settings: EndoscopeSettings) -> Renderer:
 
 def main() -> int:
     """Entry point; returns the exit code (0 done, 1 no OpenGL, 2 broken configuration)."""
-    os.nice(10)  # a picture may come late, a control cycle may not
     rospy.init_node("endoscope")
     try:
         settings = EndoscopeSettings.read(
             lambda name, default: rospy.get_param(f"~{name}", default)
         )
+        if settings.mode != "lockstep":
+            os.nice(10)  # a picture may come late, a control cycle may not; in lock-step all wait
         renderer = make_renderer(settings)
     except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
