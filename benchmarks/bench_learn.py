@@ -1,8 +1,9 @@
 """Does the learned policy of bgr hold up: other training seeds, fewer demonstrations, no policy.
 
 In process (`surg_sim.rollouts`), on test seeds: 80 demonstrations with each of three training
-seeds, 10 demonstrations, an arm that holds, one that moves at random, and one that replays a
-demonstration blindly. `--json FILE` writes (counts of successes and Wilson's 95 % interval):
+seeds, 10, 4 and 2 demonstrations, an arm that holds, one that moves at random, and one that
+replays a demonstration blindly. `--json FILE` writes (counts of successes and Wilson's 95 %
+interval):
 
     format         "surg_bench_learn/1"
     machine        {processor, cores, load_before, load_after, date}
@@ -189,16 +190,21 @@ def candidates(root: Path, options: argparse.Namespace, progress: Progress) -> l
     demonstrations.play(plan, chosen, options.jobs, tell)
     progress.update(0.4, "data sets")
     whole = export([shown], root / "dataset")
-    few = export([plan.folder(seed) for seed in chosen[: options.few]], root / "dataset_few")
+    few = {
+        n: export([plan.folder(seed) for seed in chosen[:n]], root / f"dataset_{n}")
+        for n in options.few
+    }
     found = []
     for n in range(options.seeds):
-        progress.update(0.5, f"training {n + 1} of {options.seeds + 1}")
+        progress.update(0.5, f"training {n + 1} of {options.seeds + len(few)}")
         facts = train(whole, root / f"weights_{n}.npz", n)
         make = partial(learned, root / f"weights_{n}.npz")
         found.append(Candidate(f"{total} demonstrations, training seed {n}", make, facts))
-    facts = train(few, root / "weights_few.npz", 0)
-    make = partial(learned, root / "weights_few.npz")
-    found.append(Candidate(f"{options.few} demonstrations", make, facts))
+    for n, dataset in few.items():
+        progress.update(0.55, f"training with {n} demonstrations")
+        facts = train(dataset, root / f"weights_of_{n}.npz", 0)
+        make = partial(learned, root / f"weights_of_{n}.npz")
+        found.append(Candidate(f"{n} demonstrations", make, facts))
     found.append(Candidate("holds", Hold))
     found.append(Candidate("moves at random", Random))
     found.append(Candidate("replays a demonstration", partial(replayed, whole)))
@@ -210,7 +216,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="bench learn", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", type=Path, metavar="FILE")
     parser.add_argument("--episodes", type=int, default=80, help="demonstrations")
-    parser.add_argument("--few", type=int, default=10, help="demonstrations of the smaller set")
+    parser.add_argument(
+        "--few", type=int, nargs="*", default=[10, 4, 2], help="demonstrations of smaller sets"
+    )
     parser.add_argument("--seeds", type=int, default=3, help="training seeds")
     parser.add_argument("--rollouts", type=int, default=20, help="of each policy")
     parser.add_argument("--tuning", action="store_true", help="tuning seeds instead of test seeds")
