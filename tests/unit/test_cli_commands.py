@@ -81,6 +81,17 @@ def test_options_reach_the_controller(tmp_path: Path) -> None:
     assert params["mode"] == "freerun"
 
 
+def test_a_scene_that_is_drawn_has_more_time_to_start(tmp_path: Path) -> None:
+    """In lock-step the simulator waits for the endoscope, longer than whoever watches it."""
+
+    def limit(cameras: tuple[str, ...], lockstep: bool) -> object:
+        made = system.nodes(plan(tmp_path, cameras=cameras, lockstep=lockstep))
+        return made[0].params.get("connect_timeout")
+
+    assert limit(("left",), True) == system.CAMERA_START_S < follow.FIRST_TICK_TIMEOUT_S
+    assert limit((), True) is None and limit(("left",), False) is None
+
+
 def test_rosrun_lines_name_node_and_params(tmp_path: Path) -> None:
     line = system.nodes(plan(tmp_path))[0].rosrun_line()
     assert line.startswith("rosrun surg_sim bridge_node.py __name:=sim __ns:=/ ")

@@ -11,8 +11,8 @@ from surg_cli.watch import Watch
 
 START_TIMEOUT_S = 60.0
 STALL_TIMEOUT_S = 30.0
-FIRST_TICK_TIMEOUT_S = 75.0
-"""The simulator waits for everybody, and after 60 s gives up itself and names who is missing."""
+FIRST_TICK_TIMEOUT_S = system.CAMERA_START_S + 15.0
+"""The simulator waits for everybody, gives up itself before that, and names who is missing."""
 RECORDER_TIMEOUT_S = 120.0
 FAULT_GRACE_S = 1.0
 

@@ -21,6 +21,9 @@ OPERATOR = "operator"
 RECORDER = "recorder"
 ENDOSCOPE = "endoscope"
 POLICY = "policy"
+CAMERA_START_S = 180.0
+"""[s] Lock-step: longest wait for everybody where a camera is drawn, which on a machine that has
+other work takes its time to compile the scene."""
 POLICY_TOPICS = ("/policy/action", "/policy/rejected", "/policy/status")
 
 
@@ -177,6 +180,7 @@ def nodes(plan: Plan) -> list[Node]:
         "participants": plan.participants,
         "observers": plan.observers,
         **({"view": True} if plan.view else {}),
+        **({"connect_timeout": CAMERA_START_S} if plan.cameras and plan.lockstep else {}),
     }
     found = [Node("/sim", "surg_sim", "bridge_node.py", params)]
     if plan.cameras:
