@@ -21,6 +21,9 @@ from surg_sim.settings import EndoscopeSettings, SettingsError
 from surg_sim.world import World
 
 PARTICIPANT = "endoscope"
+NICE = {"lockstep": 10, "freerun": 3}
+"""Of the thread that draws: a picture may come late, a control cycle may not. In real time somebody
+looks at it, and every turn that it has to wait for makes it older."""
 FRAMES = {"left": endoscope.LEFT, "right": endoscope.RIGHT}
 """Optical frame of each view."""
 
@@ -160,12 +163,12 @@ def make_renderer(settings: EndoscopeSettings) -> Renderer:
 
 def main() -> int:
     """Entry point; returns the exit code (0 done, 1 no OpenGL, 2 broken configuration)."""
-    os.nice(10)  # a picture may come late, a control cycle may not
     rospy.init_node("endoscope")
     try:
         settings = EndoscopeSettings.read(
             lambda name, default: rospy.get_param(f"~{name}", default)
         )
+        os.nice(NICE[settings.mode])
         renderer = make_renderer(settings)
     except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
