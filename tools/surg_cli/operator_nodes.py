@@ -49,7 +49,7 @@ def teleoperation(
         given = {f"second_{key}": value for key, value in _leader(second).items()}
         frame = _assistant_frame(plan, loaded)
         params.update(given, second_arm=ASSISTANT, assistant_frame=frame)
-    return Node(TELEOP, "surg_teleop", "teleop_node.py", params)
+    return Node(TELEOP, "surg_teleop", "teleop_node.py", params, prompt=True)
 
 
 def console(plan: Plan, leads: bool, web: Mapping[str, object]) -> Node:
@@ -72,7 +72,7 @@ def console(plan: Plan, leads: bool, web: Mapping[str, object]) -> Node:
         **({"episodes": str(plan.out / "episode")} if plan.record else {}),
         **web,
     }
-    return Node(CONSOLE, "surg_teleop", "console_node.py", params)
+    return Node(CONSOLE, "surg_teleop", "console_node.py", params, prompt=True)
 
 
 def driven_arm(plan: Plan) -> str:

@@ -6,6 +6,7 @@ also a `rosrun` line (`Node.rosrun_line`): there are no launch files.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shlex
@@ -13,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from surg_cli import master, paths
+from surg_cli import master, paths, turns
 from surg_cli.processes import Child, Supervisor
 from surg_cli.terminal import Problem
 
@@ -148,6 +149,7 @@ class Node:
         params: Private parameters.
         arguments: Words behind the executable.
         essential: Whether its end ends the system.
+        prompt: Whether it must answer soon: it gets short turns on the processor.
     """
 
     name: str
@@ -156,6 +158,7 @@ class Node:
     params: dict[str, object] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     essential: bool = True
+    prompt: bool = False
 
     def words(self) -> list[str]:
         """Name and namespace in the form ROS nodes take on their command line."""
@@ -182,7 +185,8 @@ def nodes(plan: Plan) -> list[Node]:
         **({"view": True} if plan.view else {}),
         **({"connect_timeout": CAMERA_START_S} if plan.cameras and plan.lockstep else {}),
     }
-    found = [Node("/sim", "surg_sim", "bridge_node.py", params)]
+    prompt = not plan.lockstep  # where time waits, nobody is in a hurry
+    found = [Node("/sim", "surg_sim", "bridge_node.py", params, prompt=prompt)]
     if plan.cameras:
         params = {**plan.scene, "views": list(plan.cameras)}
         found.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))
@@ -205,6 +209,7 @@ def nodes(plan: Plan) -> list[Node]:
                 "nodelet",
                 params,
                 ("standalone", "surg_control/RcmNodelet"),
+                prompt=prompt,
             )
         )
     if plan.record:
@@ -298,7 +303,8 @@ def start(supervisor: Supervisor, node: Node) -> Child:
     for key, value in node.params.items():
         master.call(uri, "setParam", f"{node.name}/{key}", value)
     argv = [str(executable(node.package, node.executable)), *node.arguments, *node.words()]
-    return supervisor.start(node.name, argv, essential=node.essential)
+    with turns.short() if node.prompt else contextlib.nullcontext():
+        return supervisor.start(node.name, argv, essential=node.essential)
 
 
 def executable(package: str, name: str) -> Path:

@@ -21,6 +21,10 @@ from surg_sim.settings import EndoscopeSettings, SettingsError
 from surg_sim.world import World
 
 PARTICIPANT = "endoscope"
+NICE = {"lockstep": 0, "freerun": 3}
+"""Of the thread that draws: a picture may come late, a control cycle may not. But in real time
+somebody looks at it, and every turn that it has to wait for makes it older; in lock-step all wait
+for it."""
 FRAMES = {"left": endoscope.LEFT, "right": endoscope.RIGHT}
 """Optical frame of each view."""
 
@@ -165,8 +169,7 @@ def main() -> int:
         settings = EndoscopeSettings.read(
             lambda name, default: rospy.get_param(f"~{name}", default)
         )
-        if settings.mode != "lockstep":
-            os.nice(10)  # a picture may come late, a control cycle may not; in lock-step all wait
+        os.nice(NICE[settings.mode])
         renderer = make_renderer(settings)
     except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)

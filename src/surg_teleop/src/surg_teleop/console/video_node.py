@@ -134,7 +134,7 @@ def _write_all(fd: int, data: bytes) -> None:
 
 def main() -> int:
     """Run the encoder; returns the exit code."""
-    os.nice(5)  # a picture may come late, an input may not
+    os.nice(3)  # a picture may come late, an input may not
     out = os.dup(1)
     os.dup2(2, 1)  # whatever prints: the pipe is for packets
     name, views = sys.argv[1], tuple(sys.argv[2].split(","))
