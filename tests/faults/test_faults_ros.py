@@ -22,6 +22,7 @@ import rospy
 from geometry_msgs.msg import TwistStamped, WrenchStamped
 from std_msgs.msg import String
 
+import surg_core
 from crtk_msgs.msg import StringStamped
 from helpers.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
 from helpers.reactions import Reactions
@@ -214,10 +215,10 @@ def test_f26_a_stranger_is_not_obeyed_and_may_stop_the_arm(
 class System:
     """Simulator and controller in free-run, and a hand that moves the tip to and fro."""
 
-    def __init__(self, graph: RosGraph) -> None:
+    def __init__(self, graph: RosGraph, **environment: str) -> None:
         self.graph = graph
         shared = {"cell": CELL, "mode": "freerun"}
-        graph.node("surg_sim", "bridge_node.py", "/sim", {**shared, "inject": True})
+        graph.node("surg_sim", "bridge_node.py", "/sim", {**shared, "inject": True}, environment)
         self.cycles: list[Cycle] = []
         self.truths: list[tuple[int, float, float]] = []  # tick, tip speed, deviation
         self.texts: list[str] = []
@@ -259,6 +260,11 @@ class System:
             message = TwistStamped()
             message.twist.linear.x = 0.03 * sign
             self._stream.publish(message)
+
+    def quiet(self) -> None:
+        """DISABLED, wherever the arm is."""
+        self._word.publish(StringStamped(string="disable"))
+        self.graph.wait_for(lambda: self.cycles[-1].state == Cycle.DISABLED, ANSWER_S, "DISABLED")
 
     def in_motion(self) -> None:
         """Enable where needed and wait until the arm moves."""
@@ -368,6 +374,50 @@ def test_f27_f10_a_frozen_controller(system: System, reactions: Reactions, full:
     reactions.add(
         "F10", "controller frozen by SIGSTOP", "simulated tip at rest", still, limit, "ms"
     )
+
+
+def test_f10_a_simulator_that_is_always_behind(
+    ros_graph: RosGraph, rospy_node: str, reactions: Reactions, full: bool
+) -> None:
+    """It ticks without a pause and holds its lock meanwhile: it still obeys the newest command."""
+    starved = System(ros_graph, SURG_TEST_JITTER_MS="5")
+    try:
+        starved.in_motion()
+        ticks, cycles = len(starved.truths), len(starved.cycles)
+        time.sleep(30 if full else 5)
+        truths, cycle = starved.truths[ticks:], starved.cycles[-1]
+    finally:
+        starved.close()
+    ran = (truths[-1][0] - truths[0][0]) / (len(starved.cycles) - cycles)
+    away = [1e3 * max(d for _, _, d in truths)]
+    print(f"{len(truths)} ticks at {ran:.2f} of real time, {cycle.state} {cycle.reason!r}")
+    assert ran < 0.9, "it was never behind"
+    assert cycle.state == Cycle.ENABLED, cycle.reason
+    reactions.add("F10", "simulator always behind", "true deviation", away, 0.5, "mm")
+
+
+def test_f23_an_arm_is_led_home_by_hand(system: System) -> None:
+    """Not while its controller moves it; and the controller takes it up again."""
+    by_hand = rospy.Publisher("/sim/by_hand", String, queue_size=10)
+    system.graph.wait_for(lambda: by_hand.get_num_connections() > 0, ANSWER_S, "/sim")
+    home = np.asarray(surg_core.load_cell(str(CELL)).arms["PSM1"].robot.home)
+
+    def off() -> float:
+        return float(np.abs(np.subtract(system.cycles[-1].q, home)).max())
+
+    system.in_motion()
+    by_hand.publish("PSM1")
+    by_hand.publish("nobody")
+    system.in_motion()
+    system.quiet()
+    time.sleep(0.3)
+    moved = off()
+    assert moved > 0.01, "it is at home already"
+    by_hand.publish("PSM1")
+    system.graph.wait_for(lambda: off() < 1e-3, 20.0, "the arm at home")
+    assert system.cycles[-1].state == Cycle.DISABLED
+    print(f"led home from {moved:.3f} rad; {off():.5f} rad are left")
+    system.in_motion()
 
 
 def test_f28_a_killed_controller(system: System, reactions: Reactions, full: bool) -> None:

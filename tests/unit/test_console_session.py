@@ -17,6 +17,7 @@ from surg_teleop.console.orders import (
     OtherMapping,
     Policy,
     Present,
+    PutBack,
     Record,
     SetScale,
     StateCommand,
@@ -169,6 +170,23 @@ def test_a_closed_page_holds_at_once_and_frees_control(bench: Bench) -> None:
     bench.flush()
     assert bench.held()
     assert bench.session.holder == ""
+
+
+# --- an arm that is off its trocar ------------------------------------------------------------
+
+
+def test_a_simulated_arm_in_fault_is_put_back_and_stays_disabled(bench: Bench) -> None:
+    bench.drive()
+    torn = replace(bench.robot, arms=(replace(bench.robot.arms[0], state="FAULT"),))
+    assert bench.session.put_back("a", torn) == words.NOTHING_ASTRAY, "a real arm is not ours"
+    simulated = replace(torn, sim={"task": None})
+    assert report(bench.session, simulated, {}, bench.now)["astray"] == ["PSM1"]
+    assert bench.session.put_back("nobody", simulated) == words.NO_CONTROL
+    bench.session.take_orders()
+    assert bench.session.put_back("a", simulated) == ""
+    assert bench.session.take_orders() == [Present(False), Follow(False), PutBack("PSM1")]
+    assert bench.session.phase is Phase.HELD and bench.session.reason == words.PUT_BACK
+    assert bench.session.put_back("a", replace(simulated, arms=bench.robot.arms))
 
 
 # --- a policy on the same arm -----------------------------------------------------------------

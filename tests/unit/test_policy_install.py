@@ -1,6 +1,7 @@
 """The client on a machine of its own: its grammar, installation and first words, without ROS."""
 
 import ast
+import json
 import os
 import shutil
 import subprocess
@@ -10,7 +11,9 @@ from pathlib import Path
 import pytest
 
 from helpers import pythons
+from helpers.nudge_task import LUCKY
 from helpers.policy_server import PolicyServer
+from helpers.surg import surg
 from surg_cli import paths
 
 CLIENT = paths.ROOT / "src" / "surg_policy_bridge" / "client"
@@ -87,6 +90,35 @@ def talk(python: Path, folder: Path) -> str:
     return said
 
 
+def hold(python: Path, folder: Path) -> int:
+    """Let it hold the arms for an episode of the running system; the steps that were accepted."""
+    address = f"ipc://{folder}/server"
+    task, out = paths.ROOT / "tests" / "helpers" / "nudge_task.py", folder / "run"
+    words = ("run", task, "--policy", address, "--seed", LUCKY, "--out", out)
+    env = {k: v for k, v in os.environ.items() if k in ("HOME", "PATH", "LANG", "TMPDIR")}
+    client = subprocess.Popen(
+        [str(python), "-I", "-m", "surg_policy_client.policies.hold", "--server", address],
+        cwd=folder,
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    try:
+        done = surg(*words)
+    finally:
+        client.terminate()
+        said, _ = client.communicate(timeout=20.0)
+    summary = out / "summary.json"
+    assert summary.exists(), done.stdout + done.stderr + said
+    (entry,) = json.loads(summary.read_text("utf-8"))["episodes"]
+    assert not entry["success"], "nothing moved"
+    policy = entry["policy"]
+    assert policy["policy"] == "Hold" and policy["rejected"] == 0, policy
+    assert policy["accepted"] > 50, (policy, said)
+    return int(policy["accepted"])
+
+
 def copied(folder: Path) -> Path:
     """The client as on a machine that got nothing else."""
     ignore = shutil.ignore_patterns("__pycache__", "*.egg-info", "build")
@@ -127,3 +159,4 @@ def test_it_installs_into_a_clean_python(version: str, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     print(version, talk(venv / "bin" / "python", tmp_path).splitlines()[-1])
+    print(version, f"{hold(venv / 'bin' / 'python', tmp_path)} steps accepted by the model server")

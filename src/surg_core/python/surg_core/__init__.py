@@ -3,6 +3,12 @@
 The C++ core (``surg_core._core``) and the pure-Python file readers under one name. No ROS.
 """
 
+import pkgutil
+
+# In a workspace the compiled half lies in the devel space, and whoever inherits the path of a
+# process that has imported us (a spawned child) finds this folder first.
+__path__ = pkgutil.extend_path(__path__, __name__)
+
 from surg_core._core import (
     MAX_COMMANDS,
     MAX_JOINTS,

@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 from urllib.parse import urlparse
 
@@ -36,8 +36,10 @@ from surg_msgs.msg import (
 )
 from surg_sim import conditions, faults, tasks, wire
 from surg_sim.arm import ArmCommand
+from surg_sim.by_hand import ByHand
 from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
+from surg_sim.newest import Newest
 from surg_sim.ports_node import Output, RawJointState, RawTwist
 from surg_sim.settings import BridgeSettings, SettingsError
 from surg_sim.task_topics_node import AssistantTopics, TaskTopics
@@ -51,6 +53,10 @@ _STATUS_PERIOD = 0.2  # [s] wall
 _LATE = 0.05  # [s] free-run gives up catching up when it is later than this
 
 
+_Arrived = tuple[int, Any, Any]
+"""A command: stamp [ns], joint velocities or jaw, twist; what it does not have is None."""
+
+
 class _ArmTopics:
     """Topics of one arm, and the commands that wait for their tick."""
 
@@ -59,10 +65,8 @@ class _ArmTopics:
         self.name: str = arm.name
         self.command = arm.robot.command.name.lower()
         self.layout = wire.JointStateLayout(list(arm.robot.joint_names))
-        self.velocity: Any = None
-        self.twist: Any = None
-        self.jaw: float | None = None
         self.last_command_ns = 0
+        self.arrived: dict[str, Newest[_Arrived]] = {"robot": Newest(), "tool": Newest()}
         root = f"/{arm.name}"
         self.state = Output(f"{root}/robot/measured_js", JointState, patient)
         self.status = Output(f"{root}/robot/status", LinkStatus, patient)
@@ -95,9 +99,13 @@ class _ArmTopics:
 
     def take_commands(self) -> tuple[int, ArmCommand]:
         """What has arrived since the last tick, with the stamp of the robot command [ns]."""
-        command = ArmCommand(self.velocity, self.twist, self.jaw)
-        self.velocity = self.twist = self.jaw = None
-        return self.last_command_ns, command
+        velocity = twist = None
+        robot, tool = self.arrived["robot"].take(), self.arrived["tool"].take()
+        if robot is not None:
+            self.last_command_ns, velocity, twist = robot
+            self.command = "joint_velocity" if twist is None else "cartesian_velocity"
+        jaw = None if tool is None else tool[1]
+        return self.last_command_ns, ArmCommand(velocity, twist, jaw)
 
     def unconnected(self) -> list[str]:
         """Sentences about who is not there yet."""
@@ -166,6 +174,8 @@ class Bridge:
             self._tracker = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         if settings.inject:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
+        self._hands: dict[str, ByHand] = {}
+        rospy.Subscriber("/sim/by_hand", String, self._on_by_hand)
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
         self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
         # After the task's: who is connected here can know whether there is a task.
@@ -176,49 +186,45 @@ class Bridge:
     def on_velocity(self, arm: _ArmTopics, data: bytes) -> None:
         """``robot/servo_jv``."""
         stamp_ns, _, velocity = wire.unpack_joint_state(data)
-        with self._lock:
-            if self._admit(arm, "robot", stamp_ns):
-                arm.velocity, arm.twist, arm.command = velocity, None, "joint_velocity"
-                arm.last_command_ns = stamp_ns
-                self._advance()
+        self._take(arm, "robot", (stamp_ns, velocity, None))
 
     def on_twist(self, arm: _ArmTopics, data: bytes) -> None:
         """``robot/servo_cv``."""
         stamp_ns, twist = wire.unpack_twist(data)
-        with self._lock:
-            if self._admit(arm, "robot", stamp_ns):
-                arm.velocity, arm.twist, arm.command = None, twist, "cartesian_velocity"
-                arm.last_command_ns = stamp_ns
-                self._advance()
+        self._take(arm, "robot", (stamp_ns, None, twist))
 
     def on_jaw(self, arm: _ArmTopics, data: bytes) -> None:
         """``tool/servo_jp``."""
         stamp_ns, position, _ = wire.unpack_joint_state(data)
-        with self._lock:
-            if self._admit(arm, "tool", stamp_ns):
-                arm.jaw = float(position[0]) if len(position) else None
-                self._advance()
+        self._take(arm, "tool", (stamp_ns, float(position[0]) if len(position) else None, None))
 
-    def _admit(self, arm: _ArmTopics, link: str, stamp_ns: int) -> bool:
+    def _take(self, arm: _ArmTopics, link: str, arrived: _Arrived) -> None:
         """In lock-step only the first answer to the present tick counts."""
         if not self.lockstep:
-            return True
-        tick, rest = divmod(stamp_ns, TICK_NS)
-        return rest == 0 and self._book.answer(arm.name, link, tick)
+            arm.arrived[link].put(arrived)  # without the lock: newest.py says why
+            return
+        tick, rest = divmod(arrived[0], TICK_NS)
+        with self._lock:
+            if rest == 0 and self._book.answer(arm.name, link, tick):
+                arm.arrived[link].put(arrived)
+                self._advance()
 
     def on_assistant(
         self, assistant: AssistantTopics, sender: str, stamp_ns: int, what: str, value: Any
     ) -> None:
         """``/assistant/servo_jp``, ``/assistant/jaw/servo_jp``; None: unusable."""
+        if not self.lockstep:
+            if value is not None:
+                assistant.keep(0, sender, what, value)
+            return
         with self._lock:
-            declared = self.lockstep and self._book.declared(sender)
-            if self.lockstep and not declared:
+            declared = self._book.declared(sender)
+            if not declared:
                 self._deterministic = False
             if value is not None:
                 assistant.keep(stamp_ns // TICK_NS if declared else 0, sender, what, value)
             self._book.received(sender)
-            if self.lockstep:
-                self._advance()
+            self._advance()
 
     def _on_ready(self, message: Ready) -> None:
         with self._lock:
@@ -244,6 +250,18 @@ class Bridge:
             except faults.FaultError as error:
                 rospy.logerr(f"/sim/inject: {error}")
             self._publish_status()
+
+    def _on_by_hand(self, message: String) -> None:
+        """Somebody leads an arm home by hand."""
+        name = message.data
+        if self.lockstep or name not in self._world.arms:
+            rospy.logwarn(
+                f"/sim/by_hand: '{name}' is not led by hand; allowed is one of "
+                f"{', '.join(self._world.arms)}, in real time (~mode freerun)"
+            )
+            return
+        rospy.loginfo(f"{name} is led home by hand")
+        self._hands[name] = ByHand(self._world.cell.arms[name].robot.home)
 
     # --- what goes out ----------------------------------------------------------------------
 
@@ -275,7 +293,7 @@ class Bridge:
     def _step(self) -> bool:
         """Execute the present tick; returns whether the task's episode ends with it."""
         arrived = {arm.name: arm.take_commands() for arm in self._arms}
-        commands = self._injector.commands(arrived)
+        commands = self._led(self._injector.commands(arrived))
         if self._task is None:
             self._world.step(commands)
             return False
@@ -284,6 +302,17 @@ class Bridge:
         over = self._task.verdict.done and (self.lockstep or not self._settings.endless)
         self._world.step(commands, self._task.take(tick))
         return over or self._task.distrust()
+
+    def _led(self, commands: Mapping[str, ArmCommand]) -> Mapping[str, ArmCommand]:
+        """With the pushes of hands on arms that their controllers leave alone."""
+        for name, hand in tuple(self._hands.items()):
+            led = hand.lead(self._world.state(name).q, commands.get(name, ArmCommand()))
+            if led is None:
+                del self._hands[name]
+                rospy.loginfo(f"{name}: the hand has let go")
+            else:
+                commands = {**commands, name: led}
+        return commands
 
     def _end(self) -> None:
         """The last tick has been executed; with the lock held."""
@@ -439,6 +468,8 @@ class Bridge:
                 deadline -= left
                 self._start_ns -= int(left * wire.NS)
             with self._lock:
+                if self._jitter:
+                    time.sleep(random.uniform(0.0, self._jitter))
                 if self._step():
                     self._end()
                     return

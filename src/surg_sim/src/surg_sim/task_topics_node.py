@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,8 @@ class AssistantTopics:
 
     def __init__(self, bridge: Bridge) -> None:
         self._bridge = bridge
-        self._waiting: list[tuple[int, str, str, Any]] = []  # tick, sender, what, value
+        # Tick, sender, what, value; in free-run put in without a lock (newest.py says why).
+        self._waiting: deque[tuple[int, str, str, Any]] = deque()
         self._state = Output("/assistant/measured_js", JointState, bridge.lockstep)
         self._jaw = Output("/assistant/jaw/measured_js", JointState, bridge.lockstep)
         self._layout = wire.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
@@ -64,10 +66,11 @@ class AssistantTopics:
 
     def take(self, tick: int) -> AssistantCommand | None:
         """What is for this tick: of each kind the newest, whatever the order of arrival was."""
-        due = sorted((w for w in self._waiting if w[0] <= tick), key=lambda w: w[:2])
+        here = [self._waiting.popleft() for _ in range(len(self._waiting))]
+        self._waiting.extend(w for w in here if w[0] > tick)
+        due = sorted((w for w in here if w[0] <= tick), key=lambda w: w[:2])
         if not due:
             return None
-        self._waiting = [w for w in self._waiting if w[0] > tick]
         newest = {what: value for _, _, what, value in due}
         jaw = newest.get("jaw")
         return AssistantCommand(newest.get("joints"), None if jaw is None else float(jaw[0]))

@@ -69,6 +69,13 @@ class Policy:
 
 
 @dataclass(frozen=True)
+class PutBack:
+    """A simulated arm that is off its trocar is led home by hand: `/sim/by_hand`."""
+
+    arm: str
+
+
+@dataclass(frozen=True)
 class StateCommand:
     """A word on an arm's `state_command`."""
 
@@ -86,5 +93,6 @@ Order = (
     | SetScale
     | Record
     | Policy
+    | PutBack
     | StateCommand
 )

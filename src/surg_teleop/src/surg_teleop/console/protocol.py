@@ -132,7 +132,7 @@ class Shown:
 
 Said = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown
 
-PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy")
+PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy", "put_back")
 HIDDEN = ("hidden", "closed", "gamepad", "pointer")
 
 

@@ -60,6 +60,7 @@ def report(
             "problem": str(robot.record.get("problem") or ""),
         },
         "task": words.task_sentence(robot),
+        "astray": list(robot.astray),
         "policy": {
             "state": str(robot.policy.get("state", "")),
             "on": robot.policy.get("state") in words.POLICY_ACTIVE,

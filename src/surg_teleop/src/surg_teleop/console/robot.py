@@ -104,3 +104,8 @@ class Robot:
     record: Mapping[str, Any] = field(default_factory=dict)
     sim: Mapping[str, Any] = field(default_factory=dict)
     policy: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def astray(self) -> tuple[str, ...]:
+        """Simulated arms in FAULT: nobody stands beside them who could put them back."""
+        return tuple(a.name for a in self.arms if self.sim and a.state == "FAULT")

@@ -32,6 +32,7 @@ from surg_teleop.console.orders import (
     OtherMapping,
     Policy,
     Present,
+    PutBack,
     Record,
     SetScale,
     StateCommand,
@@ -230,6 +231,8 @@ class RosSystem:
             out["/console/teleop/set_scale"].publish(order.value)
         elif isinstance(order, Record):
             out["/record/record"].publish(order.on)
+        elif isinstance(order, PutBack):
+            out["/sim/by_hand"].publish(order.arm)
         elif isinstance(order, Policy):
             out["/policy/enable"].publish(order.on)
         elif isinstance(order, StateCommand):
@@ -278,6 +281,7 @@ def _publishers(arms: tuple[str, ...], leader: str) -> dict[str, rospy.Publisher
     found = {
         "/record/record": publisher("/record/record", Bool),
         "/policy/enable": publisher("/policy/enable", Bool),
+        "/sim/by_hand": publisher("/sim/by_hand", String),
         "/console/teleop/enable": publisher("/console/teleop/enable", Bool),
         "/console/teleop/set_scale": publisher("/console/teleop/set_scale", Float64),
     }

@@ -403,6 +403,8 @@ class Server:
             return session.take(name, now)
         if said.button == "enable":
             return session.enable(name, robot, now)
+        if said.button == "put_back":
+            return session.put_back(name, robot)
         if said.button == "policy":
             return session.policy(name, robot, now)
         return session.record(name, said.button == "record")

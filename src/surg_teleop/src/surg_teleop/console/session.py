@@ -25,6 +25,7 @@ from surg_teleop.console.orders import (
     OtherMapping,
     Policy,
     Present,
+    PutBack,
     Record,
     SetScale,
     StateCommand,
@@ -215,6 +216,20 @@ class Session:
             return words.NO_POLICY
         self._hold(words.POLICY_ASKED)
         self.phase, self._promised = Phase.READY, now
+        return ""
+
+    def put_back(self, name: str, robot: Robot) -> str:
+        """Simulated arms in FAULT shall be led home; it takes Enable to move them again.
+
+        Returns:
+            Why it is refused; empty: they are on their way.
+        """
+        if self.holder != name:
+            return words.NO_CONTROL
+        if not robot.astray:
+            return words.NOTHING_ASTRAY
+        self._hold(words.PUT_BACK)
+        self._orders += [PutBack(arm) for arm in robot.astray]
         return ""
 
     def stop(self, robot: Robot, who: str = "") -> None:

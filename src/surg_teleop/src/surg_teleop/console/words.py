@@ -18,6 +18,8 @@ FROZEN_PICTURE = (
 )
 NO_ARM = "no arm has spoken yet: see that the controllers run (./surg status)"
 NO_FOLLOWER = "the teleoperation node does not speak: see that it runs (./surg status)"
+NOTHING_ASTRAY = "no simulated arm is in FAULT: nothing is to be put back"
+PUT_BACK = "the arm is led home by hand; press Enable once it rests"
 NO_POLICY = "no policy is connected: start one, it connects by itself (docs/policies.md)"
 POLICY_ASKED = "the arm goes to the policy"
 POLICY_ENDED = "the policy gives the arm up; press Enable to have it yourself"

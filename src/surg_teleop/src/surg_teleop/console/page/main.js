@@ -150,6 +150,7 @@ for (const id of ["enable", "stop", "record", "policy"]) {
   element(id).addEventListener("click", () => press(id));
 }
 element("veil-enable").addEventListener("click", () => press("enable"));
+element("put-back").addEventListener("click", () => link.press("put_back"));
 element("take").addEventListener("click", () => link.press("take"));
 for (const name of ["clutch", "camera"]) {
   element(name).addEventListener("click", () => { hand.latched[name] = !hand.latched[name]; });

@@ -141,6 +141,7 @@ export class View {
       write(element("veil-headline"), status.headline);
       write(element("veil-sentence"), status.sentence);
     }
+    element("put-back").hidden = !status.astray.length;
     element("state").hidden = veiled;
     const policy = element("policy");
     policy.hidden = !status.policy.state;
