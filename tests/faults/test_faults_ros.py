@@ -393,7 +393,7 @@ def test_f10_a_simulator_that_is_always_behind(
     print(f"{len(truths)} ticks at {ran:.2f} of real time, {cycle.state} {cycle.reason!r}")
     assert ran < 0.9, "it was never behind"
     assert cycle.state == Cycle.ENABLED, cycle.reason
-    reactions.add("F10", "simulator always behind", "true deviation", away, 0.5, "mm")
+    reactions.add("F10", "simulator always behind", "true deviation", away, 1.0, "mm")
 
 
 def test_f23_an_arm_is_led_home_by_hand(system: System) -> None:
@@ -409,10 +409,11 @@ def test_f23_an_arm_is_led_home_by_hand(system: System) -> None:
     by_hand.publish("PSM1")
     by_hand.publish("nobody")
     system.in_motion()
+    system.graph.wait_for(lambda: off() > 0.015, 10.0, "the arm away from home")
     system.quiet()
     time.sleep(0.3)
     moved = off()
-    assert moved > 0.01, "it is at home already"
+    assert moved > 0.005, "it is at home already"
     by_hand.publish("PSM1")
     system.graph.wait_for(lambda: off() < 1e-3, 20.0, "the arm at home")
     assert system.cycles[-1].state == Cycle.DISABLED

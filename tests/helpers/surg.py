@@ -23,7 +23,10 @@ def argv(*words: object) -> list[str]:
 
 
 def surg(
-    *words: object, timeout_s: float = 300.0, extra: dict[str, str] | None = None
+    *words: object,
+    timeout_s: float = 300.0,
+    extra: dict[str, str] | None = None,
+    cwd: Path = paths.ROOT,
 ) -> subprocess.CompletedProcess[str]:
     """Run a command to its end.
 
@@ -31,6 +34,7 @@ def surg(
         *words: Behind `./surg`.
         timeout_s: Longest time it may take.
         extra: Environment variables on top of `environment()`.
+        cwd: Where it is called.
 
     Returns:
         The ended process with its output.
@@ -38,7 +42,7 @@ def surg(
     return subprocess.run(
         argv(*words),
         env={**environment(), **(extra or {})},
-        cwd=paths.ROOT,
+        cwd=cwd,
         capture_output=True,
         text=True,
         timeout=timeout_s,
