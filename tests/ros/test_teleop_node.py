@@ -87,7 +87,9 @@ class CrtkHand(MovingHand):
 
     def engaged(self, arm: str) -> bool:
         """Whether the arm follows. A starved machine may have let go: the operator acts again."""
-        if self.states[arm] in ("WAITING", "FAULT"):
+        state = self.states[arm]
+        let_go = state == "CLUTCHED" and bool(self.warnings) and "let go" in self.warnings[-1]
+        if let_go or state in ("WAITING", "FAULT"):
             self.enable.publish(True)
             time.sleep(0.3)
         return self.states[arm] == "FOLLOWING"
