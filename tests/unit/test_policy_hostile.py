@@ -50,7 +50,8 @@ def test_f17_a_storm_of_bad_frames_and_a_good_one(full: bool) -> None:
     bench.start()
     x, bad, good = 0.0, 0, 0
     grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for _ in range(1000 if full else 30):
+    for k in range(1000 if full else 30):
+        step = 2e-4 if k // 50 % 2 == 0 else -2e-4  # to and fro, inside the workspace
         bench.ping()
         bench.tick()
         bench.observe()
@@ -66,8 +67,8 @@ def test_f17_a_storm_of_bad_frames_and_a_good_one(full: bool) -> None:
             bad += 1
             bench.now += 2 * MS // 10
         bench.server.outbox.clear()
-        x += 2e-4
-        bench.act([bench.here(2e-4)])
+        x += step
+        bench.act([bench.here(step)])
         done = bench.execute()
         assert done is not None and abs(done.p[0] - x) < 1e-12
         good += 1

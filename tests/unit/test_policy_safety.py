@@ -182,7 +182,7 @@ def test_the_expert_is_never_refused(full: bool) -> None:
     from surg_sim.env import SurgEnv
 
     judged, most = 0, 10_000 if full else 30
-    for task in ("bgr", "pick-and-place") if full else ("bgr",):
+    for task in ("bgr", "pick_and_place") if full else ("bgr",):
         env = SurgEnv(task)
         for seed in range(10_000, 10_005) if full else (10_000,):
             env.reset(seed=seed)
