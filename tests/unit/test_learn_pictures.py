@@ -6,8 +6,6 @@ On made-up pictures: what it does in the phantom stands in docs/learning.md.
 from __future__ import annotations
 
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +14,7 @@ import pytest
 from helpers import bgr_pictures as made
 from helpers.bgr_pictures import bgr_image_policy, train_bgr_images
 from helpers.bgr_synthetic import STATE, bgr_policy
-from surg_cli import paths
+from helpers.example_program import said_alone
 from surg_policy_client.spec import Spec
 
 FEW = train_bgr_images.Options(
@@ -233,15 +231,7 @@ def test_numpy_alone_gives_what_the_trainer_had(
         "assert not {'torch', 'surg_core', 'surg_sim', 'pyarrow', 'av'} & set(sys.modules)\n"
         "print(p.hash)"
     )
-    done = subprocess.run(
-        [sys.executable, "-s", "-c", program],
-        cwd=paths.ROOT / "examples",
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PATH": "/usr/bin:/bin"},
-    )
-    assert done.stdout.strip() == policy.hash
+    assert said_alone(program) == policy.hash
     policy.reset()
     here = [
         policy.act({bgr_policy.STATE: state, bgr_image_policy.PICTURE: view})

@@ -6,8 +6,6 @@ On made-up data: what it does in the phantom stands in docs/learning.md.
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import pytest
 
 from helpers import bgr_synthetic as made
 from helpers.bgr_synthetic import bgr_policy, train_bgr
-from surg_cli import paths
+from helpers.example_program import said_alone
 
 FEW = train_bgr.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
 
@@ -150,15 +148,7 @@ def test_numpy_alone_gives_what_the_trainer_had(policy: bgr_policy.Policy, tmp_p
         "assert not {'torch', 'surg_core', 'surg_sim', 'pyarrow'} & set(sys.modules)\n"
         "print(p.hash)"
     )
-    done = subprocess.run(
-        [sys.executable, "-s", "-c", program],
-        cwd=paths.ROOT / "examples",
-        capture_output=True,
-        text=True,
-        check=True,
-        env={"PATH": "/usr/bin:/bin"},
-    )
-    assert done.stdout.strip() == policy.hash
+    assert said_alone(program) == policy.hash
     columns = bgr_policy.Columns(made.STATE, made.TASK)
     inputs = bgr_policy.features(columns, shown.state, shown.task, last, policy.scales["X_RW"])
     np.testing.assert_allclose(

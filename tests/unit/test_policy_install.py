@@ -64,18 +64,22 @@ def test_it_needs_numpy_pyzmq_and_msgpack_alone() -> None:
             assert not strange, f"{path}:{node.lineno}: {strange}"
 
 
+def started(python: Path, folder: Path, *words: str) -> subprocess.Popen[str]:
+    """A program of a Python of its own, in an environment that knows nothing of ours."""
+    return subprocess.Popen(
+        [str(python), "-I", *words],
+        cwd=folder,
+        env={k: v for k, v in os.environ.items() if k in ("HOME", "PATH", "LANG", "TMPDIR")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
 def talk(python: Path, folder: Path) -> str:
     """Let a Python of its own connect to a server and answer three observations."""
-    env = {k: v for k, v in os.environ.items() if k in ("HOME", "PATH", "LANG", "TMPDIR")}
     with PolicyServer() as server:
-        program = subprocess.Popen(
-            [str(python), "-I", "-c", TALK, server.address],
-            cwd=folder,
-            env=env,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+        program = started(python, folder, "-c", TALK, server.address)
         try:
             server.wait("PING", 30.0)
             for step in range(3):
@@ -95,15 +99,7 @@ def hold(python: Path, folder: Path) -> int:
     address = f"ipc://{folder}/server"
     task, out = paths.ROOT / "tests" / "helpers" / "nudge_task.py", folder / "run"
     words = ("run", task, "--policy", address, "--seed", LUCKY, "--out", out)
-    env = {k: v for k, v in os.environ.items() if k in ("HOME", "PATH", "LANG", "TMPDIR")}
-    client = subprocess.Popen(
-        [str(python), "-I", "-m", "surg_policy_client.policies.hold", "--server", address],
-        cwd=folder,
-        env=env,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
+    client = started(python, folder, "-m", "surg_policy_client.policies.hold", "--server", address)
     try:
         done = surg(*words)
     finally:
