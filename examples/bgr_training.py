@@ -10,8 +10,9 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from bgr_policy import Network, Policy
@@ -19,9 +20,20 @@ from bgr_policy import Network, Policy
 Array = np.ndarray
 Progress = Callable[[float, str], None]
 """Told how much is done, 0 to 1, and words."""
+E = TypeVar("E")
+"""One recording, as a trainer keeps it."""
 
 
 # --- a LeRobot dataset (v2.1) ---------------------------------------------------------------------
+
+
+@dataclass
+class Dataset(Generic[E]):
+    """Episodes by split, and the names of their numbers."""
+
+    episodes: dict[str, list[E]]
+    names: dict[str, list[str]]
+    about: dict[str, Any]
 
 
 def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:

@@ -34,6 +34,7 @@ from bgr_policy import (
 from bgr_training import (
     Adam,
     Array,
+    Dataset,
     Progress,
     command_line,
     facts,
@@ -86,16 +87,7 @@ class Episode:
     action: Array
 
 
-@dataclass
-class Dataset:
-    """Episodes by split, and the names of their numbers."""
-
-    episodes: dict[str, list[Episode]]
-    names: dict[str, list[str]]
-    about: dict[str, Any]
-
-
-def read(folder: Path) -> Dataset:
+def read(folder: Path) -> Dataset[Episode]:
     """Read the tables of a dataset.
 
     Raises:
@@ -167,7 +159,7 @@ class Samples:
 
 
 def train(
-    dataset: Dataset,
+    dataset: Dataset[Episode],
     options: Options,
     progress: Progress = lambda part, note: None,
 ) -> Policy:

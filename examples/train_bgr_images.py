@@ -39,6 +39,7 @@ from bgr_policy import ACTION, SET, STATE, state_columns
 from bgr_training import (
     Adam,
     Array,
+    Dataset,
     Progress,
     activations,
     command_line,
@@ -96,16 +97,7 @@ class Episode:
     """(T, SIDE, SIDE, 3), uint8, of `small`."""
 
 
-@dataclass
-class Dataset:
-    """Episodes by split, and the names of their numbers."""
-
-    episodes: dict[str, list[Episode]]
-    names: dict[str, list[str]]
-    about: dict[str, Any]
-
-
-def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset:
+def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[Episode]:
     """Read the tables and the videos of a dataset.
 
     Raises:
@@ -294,7 +286,7 @@ def slope_of_patches(back: Array, weight: Array, shape: tuple[int, int, int]) ->
 
 
 def train(
-    dataset: Dataset, options: Options, progress: Progress = lambda part, note: None
+    dataset: Dataset[Episode], options: Options, progress: Progress = lambda part, note: None
 ) -> ImagePolicy:
     """Train on the split ``train``.
 
