@@ -40,7 +40,7 @@ from surg_sim.by_hand import ByHand
 from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.newest import Newest
-from surg_sim.ports_node import Output, RawJointState, RawTwist
+from surg_sim.ports_node import Output, RawJointState, RawTwist, listeners, speakers
 from surg_sim.settings import BridgeSettings, SettingsError
 from surg_sim.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.world import TICK_NS, World
@@ -107,20 +107,28 @@ class _ArmTopics:
         jaw = None if tool is None else tool[1]
         return self.last_command_ns, ArmCommand(velocity, twist, jaw)
 
+    @property
+    def controllers(self) -> set[str]:
+        """The node that answers: a command to the robot and one to the tool in each tick."""
+        robot = set().union(*(speakers(subscriber) for subscriber in self.inputs))
+        return robot & speakers(self.tool_input)
+
     def unconnected(self) -> list[str]:
-        """Sentences about who is not there yet."""
+        """Sentences about what the controller is not connected to yet."""
         root = f"/{self.name}"
         missing = []
-        if not self.state.connections:
-            missing.append(f"nobody subscribes {root}/robot/measured_js (the controller)")
-        if not self.tool.connections:
-            missing.append(f"nobody subscribes {root}/tool/measured_js (the controller)")
-        if not any(subscriber.get_num_connections() for subscriber in self.inputs):
+        if not any(speakers(subscriber) for subscriber in self.inputs):
             missing.append(f"nobody publishes {root}/robot/servo_jv or servo_cv (the controller)")
-        if not self.tool_input.get_num_connections():
+        if not speakers(self.tool_input):
             missing.append(f"nobody publishes {root}/tool/servo_jp (the controller)")
-        if self.track is not None and not self.track.connections:
-            missing.append(f"nobody subscribes {root}/rcm/track (the controller, with ~track_rcm)")
+        controllers = self.controllers
+        outputs = {"robot/measured_js": self.state, "tool/measured_js": self.tool}
+        if self.track is not None:
+            outputs["rcm/track"] = self.track
+        for topic, output in outputs.items():
+            if not output.listeners & controllers:
+                hint = ", with ~track_rcm" if output is self.track else ""
+                missing.append(f"the controller does not subscribe {root}/{topic}{hint}")
         return missing
 
 
@@ -417,18 +425,23 @@ class Bridge:
 
     def _unconnected(self) -> list[str]:
         missing = [sentence for arm in self._arms for sentence in arm.unconnected()]
-        missing += [] if self._task is None else self._task.unconnected()
-        expected = len(self._settings.participants) + len(self._settings.observers)
-        here = self._ready.get_num_connections() - (self._tracker is not None)  # itself
-        if here < expected:
-            names = [*self._settings.participants, *self._settings.observers]
-            missing.append(f"{here} of {expected} ({', '.join(names)}) publish /sim/ready")
-        if self._tracker is not None and self._tracker.get_num_connections() < 2:  # one is itself
-            missing.append("nobody but the simulator subscribes /sim/ready (the controller)")
-        if "recorder" in self._settings.observers and not self._truth.connections:
-            missing.append("nobody subscribes /sim/ground_truth/state (the recorder)")
-        if "endoscope" in self._settings.observers and not self._snapshot.get_num_connections():
-            missing.append("nobody subscribes /sim/snapshot (the endoscope)")
+        controllers = {arm.name: arm.controllers for arm in self._arms}
+        missing += [] if self._task is None else self._task.unconnected(controllers)
+        ready = speakers(self._ready) - {rospy.get_name()}
+        names = [*self._settings.participants, *self._settings.observers]
+        if len(ready) < len(names):
+            missing.append(f"{len(ready)} of {len(names)} ({', '.join(names)}) publish /sim/ready")
+        if self._tracker is not None:
+            heard = listeners(self._tracker)
+            missing += [
+                f"the controller of {name} does not subscribe /sim/ready"
+                for name, nodes in controllers.items()
+                if not heard & nodes
+            ]
+        if "recorder" in self._settings.observers and not self._truth.listeners & ready:
+            missing.append("the recorder does not subscribe /sim/ground_truth/state")
+        if "endoscope" in self._settings.observers and not listeners(self._snapshot) & ready:
+            missing.append("the endoscope does not subscribe /sim/snapshot")
         return missing
 
     def _watch_lockstep(self) -> None:

@@ -25,6 +25,21 @@ class RawTwist(RawMessage, TwistStamped):  # type: ignore[misc]
     """A TwistStamped that keeps its bytes."""
 
 
+def listeners(publisher: Any) -> set[str]:
+    """Names of the nodes that a publisher reaches.
+
+    Who waits for a certain node must ask for it by name: a tool that looks at a topic is a
+    connection too, and a node can be connected twice (its registration and an update by the master
+    may race).
+    """
+    return {connection.endpoint_id for connection in list(publisher.impl.connections)}
+
+
+def speakers(subscriber: Any) -> set[str]:
+    """Names of the nodes that a subscriber hears."""
+    return {connection.callerid_pub for connection in list(subscriber.impl.connections)}
+
+
 class Output:
     """A publisher of ready-made bytes, sent by the calling thread.
 
@@ -52,6 +67,11 @@ class Output:
     def connections(self) -> int:
         """How many subscribers are connected."""
         return int(self.publisher.get_num_connections())
+
+    @property
+    def listeners(self) -> set[str]:
+        """Names of the nodes that subscribe."""
+        return listeners(self.publisher)
 
     def send(self, data: bytes) -> None:
         """Send a message."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -102,19 +102,19 @@ class _ForceSensor:
     """
 
     def __init__(self, arm: str, place: str, read: Callable[[str], Any], patient: bool) -> None:
-        self._arm, self._frame, self._read = arm, wire.text(f"{arm}_base"), read
+        self.arm, self._frame, self._read = arm, wire.text(f"{arm}_base"), read
         self._output = Output(f"/{arm}/{place}/measured_cf", WrenchStamped, patient)
         self.topic = f"/{arm}/{place}/measured_cf"
 
     @property
-    def connections(self) -> int:
-        """Number of subscribers."""
-        return self._output.connections
+    def listeners(self) -> set[str]:
+        """Names of the nodes that subscribe."""
+        return self._output.listeners
 
     def publish(self, tick: int, stamp_ns: int) -> None:
         """The force in the state that is there."""
         if self._output.connections:
-            force = self._read(self._arm)
+            force = self._read(self.arm)
             self._output.send(wire.pack_wrench(stamp_ns, tick, self._frame, force))
 
 
@@ -185,12 +185,16 @@ class TaskTopics:
         for sensor in self._forces:
             sensor.publish(tick, stamp_ns)
 
-    def unconnected(self) -> list[str]:
-        """Sentences about who does not listen to the force sensors yet."""
+    def unconnected(self, controllers: Mapping[str, set[str]]) -> list[str]:
+        """Sentences about the force sensors that a controller does not listen to yet.
+
+        Args:
+            controllers: Names of the nodes that answer for an arm, by arm.
+        """
         return [
-            f"nobody subscribes {sensor.topic} (the controller)"
+            f"the controller does not subscribe {sensor.topic}"
             for sensor in self._forces
-            if not sensor.connections
+            if not sensor.listeners & controllers[sensor.arm]
         ]
 
     def status(self) -> dict[str, object]:
