@@ -9,11 +9,12 @@ key and type, and a buffer's length against its shape, before anything is alloca
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Callable, Mapping, Optional, Sequence, Union
+from typing import Any, Callable, Mapping, Optional, Sequence
 
 import msgpack
 import numpy as np
 
+from surg_policy_client.header import MAX_LIST, Buffer, read_map
 from surg_policy_client.spec import DTYPES, MAX_NDIM, Spec, SpecError
 
 MAGIC = b"SPB1"
@@ -40,11 +41,9 @@ MAX_HEADER = 1 << 20
 MAX_PART = 8 << 20
 """Bytes of a frame; both sides give it to ZeroMQ as MAXMSGSIZE, so that larger ones never come."""
 MAX_PARTS = 8
-MAX_ROWS = 1024
+MAX_ROWS = MAX_LIST
 """Of a chunk. One without any says: nothing new, what was sent before goes on."""
 MAX_KEY = 128
-
-Buffer = Union[bytes, memoryview]
 
 
 class WireError(ValueError):
@@ -292,33 +291,13 @@ def receive(socket: Any, flags: int = 0) -> list[Any]:
 
 
 def _unpacked(data: memoryview) -> dict[str, Any]:
-    """The header's map. Limits first: msgpack would set aside what a length claims."""
+    """The header's map."""
     try:
-        head = msgpack.unpackb(
-            data,
-            raw=False,
-            strict_map_key=True,
-            object_pairs_hook=_without_twins,
-            max_str_len=1 << 16,
-            max_bin_len=0,
-            max_ext_len=0,
-            max_array_len=MAX_ROWS,
-            max_map_len=256,
-        )
-    # Of msgpack: ValueError and its kinds (also for bad UTF-8), and RecursionError of its Python
-    # version; whatever else it may raise for a stranger's bytes must not end a server either.
+        return read_map(data)
+    # Of msgpack: ValueError and its kinds, also for bad UTF-8; whatever else it may raise for a
+    # stranger's bytes must not end a server either.
     except Exception as error:
         raise WireError("header", f"no msgpack map: {type(error).__name__} {error}"[:300]) from None
-    if type(head) is not dict:
-        raise WireError("header", f"a map, not {type(head).__name__}")
-    return head
-
-
-def _without_twins(pairs: list[tuple[Any, Any]]) -> dict[Any, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
-        raise ValueError("a key stands twice")
-    return found
 
 
 def _check_arrays(kind: str, described: Any, buffers: Sequence[Any]) -> None:
