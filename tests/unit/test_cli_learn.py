@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -39,6 +40,7 @@ class FakePlayer:
 
     made: list[tuple[Any, ...]] = []  # noqa: RUF012: of all
     success = True
+    broken: set[int] = set()  # noqa: RUF012: seeds of roll-outs that do not come to their end
 
     def __init__(self, *arguments: Any) -> None:
         FakePlayer.made.append(arguments)
@@ -46,7 +48,8 @@ class FakePlayer:
     def play(self, seed: int, folder: Path, show: Any) -> dict[str, Any]:
         show(1.0, "grasp")
         FakePlayer.played.append(seed)
-        found = rollout(seed) | {"success": FakePlayer.success}
+        ended = seed not in FakePlayer.broken
+        found = rollout(seed) | {"success": FakePlayer.success and ended, "played": ended}
         return {"rollout": found, "episode": entry(seed)}
 
 
@@ -70,6 +73,7 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(learn, "_measure", fake("measure", [entry(1)]))
     monkeypatch.setattr(rollouts, "Player", FakePlayer)
     monkeypatch.setattr(FakePlayer, "success", True)
+    FakePlayer.broken.clear()
     FakePlayer.played.clear()
     FakePlayer.made.clear()
     return found
@@ -99,6 +103,45 @@ def test_all_stages_once_and_what_is_left(
     # Another training: the demonstrations are those that are there.
     assert learn.main(options(*words, "--seed", "1"), "learn") == 0
     assert done[4:] == ["train"]
+
+
+def test_a_roll_out_that_did_not_come_to_its_end_is_played_again(
+    tmp_path: Path, done: list[str]
+) -> None:
+    out = tmp_path / "run"
+    words = ("bgr", "--episodes", "8", "--rollouts", "3", "--out", str(out))
+    FakePlayer.broken.add(20_001)
+    assert learn.main(options(*words), "learn") == 1
+    assert not json.loads((out / "summary.json").read_text("utf-8"))["ok"]
+    FakePlayer.broken.clear()
+    assert learn.main(options(*words), "learn") == 0
+    assert FakePlayer.played == [20_000, 20_001, 20_002] * 2
+    assert learn.main(options(*words), "learn") == 0 and len(FakePlayer.played) == 6
+
+
+def test_what_is_kept_of_a_roll_out_came_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The player asks what is there: a node that died is no result."""
+    monkeypatch.setenv(rollouts.WEIGHTS, "")  # set by the player
+    plan = SimpleNamespace(run_info={"title": "t", "robot": "ur5e"})
+    monkeypatch.setattr(rollouts.policy, "read", lambda *_: None)
+    monkeypatch.setattr(rollouts.run, "make_plan", lambda *_: plan)
+    monkeypatch.setattr(rollouts.run, "of_episode", lambda *_: plan)
+    monkeypatch.setattr(rollouts.episode, "write_plan", lambda _: None)
+    monkeypatch.setattr(rollouts.run, "run_process", lambda *_: "")
+    ends = iter((False, True))
+    tried: list[bool] = []
+
+    def describe(seed: int, *_: Any) -> dict[str, Any]:
+        tried.append(next(ends))
+        return {"rollout": rollout(seed) | {"played": tried[-1]}, "episode": entry(seed)}
+
+    monkeypatch.setattr(rollouts, "_describe", describe)
+    player = rollouts.Player("bgr", Path(), None, "phantom", Path("p.py"), Path("w.npz"), False)
+    for _ in range(3):
+        last = player.play(20_000, tmp_path / "20000", lambda *_: None)
+    assert tried == [False, True] and last["rollout"]["played"]
 
 
 def test_a_stage_that_breaks_is_named_with_the_line_to_go_on(

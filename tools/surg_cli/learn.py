@@ -162,6 +162,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         "rollouts",
         {"rollouts": wanted.rollouts, "weights": trained["weights"]},
         lambda: _deploy(player, wanted, out / "rollouts" / trained["weights"][:12]),
+        whole=lambda entries: all(e["rollout"]["played"] for e in entries),
     )
     info = {
         **{key: asdict(wanted)[key] for key in ("task", "setting")},

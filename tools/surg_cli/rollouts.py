@@ -90,7 +90,9 @@ class Player:
         os.environ[WEIGHTS] = str(self.weights.absolute())
         said = run.run_process(folder, show)
         result = _describe(seed, self.setting, folder, said)
-        paths.write_text(file, json.dumps(result, indent=1) + "\n")
+        # One that did not come to its end is played again when the work is resumed.
+        if result["rollout"]["played"]:
+            paths.write_text(file, json.dumps(result, indent=1) + "\n")
         return result
 
 

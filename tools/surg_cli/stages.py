@@ -52,13 +52,20 @@ class Ledger:
         """Wall time of each stage, attempts that were cut off included [s]."""
         return {name: round(entry["s"], 2) for name, entry in self._stages.items()}
 
-    def stage(self, name: str, made_of: Any, work: Callable[[], Any]) -> Any:
+    def stage(
+        self,
+        name: str,
+        made_of: Any,
+        work: Callable[[], Any],
+        whole: Callable[[Any], bool] = lambda _: True,
+    ) -> Any:
         """Do a stage, unless it is done.
 
         Args:
             name: Of the stage.
             made_of: What its result depends on beside the stages before it; anything JSON.
             work: Does it; returns what JSON can hold. Must be able to go on after it was cut off.
+            whole: Whether a result is all that was wanted; else the stage goes on next time.
 
         Returns:
             The result, of now or of then.
@@ -76,7 +83,7 @@ class Ledger:
         started, result, done = time.monotonic(), None, False
         try:
             result = work()
-            done = True
+            done = whole(result)
         except Problem as problem:
             raise Problem(
                 f"stage '{name}': {problem}\nWhat is done is kept. Go on with: {self._again}",
