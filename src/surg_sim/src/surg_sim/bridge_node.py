@@ -42,11 +42,12 @@ from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.newest import Newest
 from surg_sim.ports_node import Output, RawJointState, RawTwist
 from surg_sim.settings import BridgeSettings, SettingsError
+from surg_sim.shutter import Shutter
 from surg_sim.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.world import TICK_NS, World
 
-SNAPSHOT_TICKS = 25
-"""A snapshot every 25th tick: 20 Hz."""
+RENDERER = "endoscope"
+"""Who says on /sim/ready what it has drawn."""
 _JAWLESS_TICKS = 5
 """In free-run the link of an instrument without a jaw speaks every 5th tick: 100 Hz."""
 _STATUS_PERIOD = 0.2  # [s] wall
@@ -161,6 +162,7 @@ class Bridge:
         self._stamp_ns = 0  # of the state that is out
         self._overruns = 0
         self._clock = Output("/clock", Clock, self.lockstep)
+        self._shutter = Shutter(waits=not self.lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
         )
@@ -227,11 +229,14 @@ class Bridge:
             self._advance()
 
     def _on_ready(self, message: Ready) -> None:
+        if message.participant == RENDERER:
+            self._shutter.drawn(message.tick)
+        if not self.lockstep:
+            return  # nobody is waited for, and the lock is the tick's own: newest.py says why
         with self._lock:
             sent = dict(zip(message.arms, message.sent, strict=False)).get("assistant", 0)
             self._book.ready(message.participant, message.tick, message.done, sent)
-            if self.lockstep:
-                self._advance()
+            self._advance()
 
     def _on_undeclared(self, message: String) -> None:
         if self._deterministic:
@@ -331,7 +336,7 @@ class Bridge:
         if self._truth.connections:
             truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
             self._truth.send(wire.pack_ground_truth(stamp_ns, tick, truths))
-        if tick % SNAPSHOT_TICKS == 0:
+        if self._shutter.opens(tick):
             snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
             snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, wire.NS))
             self._snapshot.publish(snapshot)
