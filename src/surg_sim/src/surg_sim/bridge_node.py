@@ -40,6 +40,7 @@ from surg_sim.by_hand import ByHand
 from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.newest import Newest
+from surg_sim.polled_node import Polled
 from surg_sim.ports_node import Output, RawJointState, RawTwist
 from surg_sim.settings import BridgeSettings, SettingsError
 from surg_sim.shutter import Shutter
@@ -76,11 +77,17 @@ class _ArmTopics:
         self.tool_ticks = 1 if bridge.lockstep or jaw else _JAWLESS_TICKS
 
         def listen(topic: str, kind: type, take: Callable[[_ArmTopics, bytes], None]) -> Any:
-            def callback(message: Any) -> None:
+            def hear(data: bytes) -> None:
                 try:
-                    take(self, message.data)
+                    take(self, data)
                 except struct.error as error:
                     rospy.logwarn_throttle(1.0, f"{root}/{topic}: unreadable message: {error}")
+
+            if not bridge.lockstep:
+                return Polled(f"{root}/{topic}", kind, hear)
+
+            def callback(message: Any) -> None:
+                hear(message.data)
 
             return rospy.Subscriber(f"{root}/{topic}", kind, callback, tcp_nodelay=True)
 
@@ -97,9 +104,13 @@ class _ArmTopics:
             listen("robot/servo_cv", RawTwist, bridge.on_twist),
         ]
         self.tool_input = listen("tool/servo_jp", RawJointState, bridge.on_jaw)
+        everyone = (*self.inputs, self.tool_input)
+        self._polled = [each for each in everyone if isinstance(each, Polled)]
 
     def take_commands(self) -> tuple[int, ArmCommand]:
         """What has arrived since the last tick, with the stamp of the robot command [ns]."""
+        for polled in self._polled:
+            polled.poll()
         velocity = twist = None
         robot, tool = self.arrived["robot"].take(), self.arrived["tool"].take()
         if robot is not None:
@@ -107,6 +118,11 @@ class _ArmTopics:
             self.command = "joint_velocity" if twist is None else "cartesian_velocity"
         jaw = None if tool is None else tool[1]
         return self.last_command_ns, ArmCommand(velocity, twist, jaw)
+
+    def release(self) -> None:
+        """No tick will follow: no sender of commands waits for one."""
+        for polled in self._polled:
+            polled.release()
 
     def unconnected(self) -> list[str]:
         """Sentences about who is not there yet."""
@@ -477,6 +493,8 @@ class Bridge:
                     time.sleep(random.uniform(0.0, self._jitter))
                 if self._step():
                     self._end()
+                    for arm in self._arms:
+                        arm.release()
                     return
                 self._publish_state(self._start_ns + self._world.tick * TICK_NS)
 

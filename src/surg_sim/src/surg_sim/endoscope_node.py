@@ -21,7 +21,7 @@ from surg_sim.settings import EndoscopeSettings, SettingsError
 from surg_sim.world import World
 
 PARTICIPANT = "endoscope"
-NICE = {"lockstep": 0, "freerun": 0}
+NICE = {"lockstep": 0, "freerun": 3}
 """Of the thread that draws: a picture may come late, a control cycle may not. But in real time
 somebody looks at it, and every turn that it has to wait for makes it older; in lock-step all wait
 for it."""
