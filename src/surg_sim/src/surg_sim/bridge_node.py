@@ -34,13 +34,13 @@ from surg_msgs.msg import (
     Ready,
     SimSnapshot,
 )
+from surg_recording.polled_node import Polled
 from surg_sim import conditions, faults, tasks, wire
 from surg_sim.arm import ArmCommand
 from surg_sim.by_hand import ByHand
 from surg_sim.injector import Injector, tool_errors
 from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.newest import Newest
-from surg_sim.polled_node import Polled
 from surg_sim.ports_node import Output, RawJointState, RawTwist
 from surg_sim.settings import BridgeSettings, SettingsError
 from surg_sim.shutter import Shutter
@@ -76,6 +76,9 @@ class _ArmTopics:
         jaw = arm.instrument.jaw_min < arm.instrument.jaw_max
         self.tool_ticks = 1 if bridge.lockstep or jaw else _JAWLESS_TICKS
 
+        # In free-run the tick fetches the commands itself.
+        self._polled: list[tuple[Polled, Callable[[bytes], None]]] = []
+
         def listen(topic: str, kind: type, take: Callable[[_ArmTopics, bytes], None]) -> Any:
             def hear(data: bytes) -> None:
                 try:
@@ -84,7 +87,9 @@ class _ArmTopics:
                     rospy.logwarn_throttle(1.0, f"{root}/{topic}: unreadable message: {error}")
 
             if not bridge.lockstep:
-                return Polled(f"{root}/{topic}", kind, hear)
+                polled = Polled(f"{root}/{topic}", kind)
+                self._polled.append((polled, hear))
+                return polled
 
             def callback(message: Any) -> None:
                 hear(message.data)
@@ -104,13 +109,12 @@ class _ArmTopics:
             listen("robot/servo_cv", RawTwist, bridge.on_twist),
         ]
         self.tool_input = listen("tool/servo_jp", RawJointState, bridge.on_jaw)
-        everyone = (*self.inputs, self.tool_input)
-        self._polled = [each for each in everyone if isinstance(each, Polled)]
 
     def take_commands(self) -> tuple[int, ArmCommand]:
         """What has arrived since the last tick, with the stamp of the robot command [ns]."""
-        for polled in self._polled:
-            polled.poll()
+        for polled, hear in self._polled:
+            for data in polled.fetch():
+                hear(data)
         velocity = twist = None
         robot, tool = self.arrived["robot"].take(), self.arrived["tool"].take()
         if robot is not None:
@@ -121,7 +125,7 @@ class _ArmTopics:
 
     def release(self) -> None:
         """No tick will follow: no sender of commands waits for one."""
-        for polled in self._polled:
+        for polled, _ in self._polled:
             polled.release()
 
     def unconnected(self) -> list[str]:

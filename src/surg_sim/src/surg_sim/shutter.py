@@ -1,8 +1,8 @@
 """When the camera is exposed: the ticks whose state is drawn.
 
-In lock-step every 25th tick: nothing is left out, whoever draws. In free-run a picture that is begun
-late is an old picture. So, 20 times a second at most, the state is handed out when the renderer is
-ready to draw it, instead of waiting for it in a queue while it ages.
+In lock-step every 25th tick: nothing is left out, whoever draws. In free-run a picture that is
+begun late is an old picture. So, 20 times a second at most, the state is handed out when the
+renderer is ready to draw it, instead of waiting for it in a queue while it ages.
 """
 
 from __future__ import annotations

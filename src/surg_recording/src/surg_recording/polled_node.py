@@ -1,9 +1,11 @@
 """A subscriber whose messages are fetched by the thread that wants them, when it wants them.
 
-rospy gives every connection a thread. In a loop of 500 Hz each of them wakes up for every message and
-takes the interpreter from the thread that ticks: half as much work again as the messages are worth. Here
-rospy connects, checks and, in the end, closes the connection; in between its thread sleeps, and the
-loop looks into the socket itself.
+rospy gives every connection a thread. At 500 Hz each of them wakes up for every message and takes
+the interpreter from the thread that works, which costs more than reading the message. Here rospy
+connects, checks and, in the end, closes the connection; in between its thread sleeps, and whoever
+wants the messages looks into the socket.
+
+Mind that a message waits in the socket until it is fetched: when it came is not known.
 """
 
 from __future__ import annotations
@@ -102,11 +104,9 @@ class Polled:
     Args:
         topic: Its name.
         kind: Its message class.
-        take: Called by ``poll`` with the bytes of a message.
     """
 
-    def __init__(self, topic: str, kind: type, take: Callable[[bytes], None]) -> None:
-        self._take = take
+    def __init__(self, topic: str, kind: type) -> None:
         self._lent: tuple[_Lent, ...] = ()
         self._over = False
         self._change = threading.Lock()
@@ -117,16 +117,14 @@ class Polled:
         """How many publishers are connected."""
         return int(self.subscriber.get_num_connections())
 
-    def poll(self) -> None:
-        """Hand over what has come since the last time, each sender's messages in order."""
-        for lent in self._lent:
-            for message in lent.fetch():
-                self._take(message)
+    def fetch(self) -> list[bytes]:
+        """The messages that have come since the last time, each sender's in order."""
+        return [message for lent in self._lent for message in lent.fetch()]
 
     def release(self) -> None:
-        """Nobody will poll any more: what comes is received and forgotten, so that no sender waits.
+        """Nobody will fetch any more: what comes is forgotten, so that no sender waits.
 
-        Called by the thread that has polled.
+        Called by the thread that has fetched.
         """
         with self._change:
             self._over = True

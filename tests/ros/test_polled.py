@@ -1,4 +1,4 @@
-"""A subscriber that the tick reads by itself: nothing lost, nothing doubled, nobody held up."""
+"""A subscriber read by the thread that wants its messages: nothing lost, doubled or held up."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def framed(message: bytes) -> bytes:
 
 
 def test_messages_come_out_of_any_pieces() -> None:
-    from surg_sim.polled_node import Frames
+    from surg_recording.polled_node import Frames
 
     pieces_seen = 0
     for seed in range(200):
@@ -42,7 +42,7 @@ def test_messages_come_out_of_any_pieces() -> None:
 
 
 def test_a_length_that_cannot_be_is_no_message() -> None:
-    from surg_sim.polled_node import MOST, Frames
+    from surg_recording.polled_node import MOST, Frames
 
     assert Frames().add(framed(bytes(MOST)))
     with pytest.raises(ValueError, match="a message of"):
@@ -63,26 +63,19 @@ class Link:
         import rospy
         from sensor_msgs.msg import JointState
 
-        from surg_sim.polled_node import Polled
+        from surg_recording.polled_node import Polled
         from surg_sim.ports_node import RawJointState
 
         self.graph, self.kind = graph, JointState
         self.topic = f"/polled_{next(_names)}"
         self.heard: list[float] = []
-        self.threads: set[int] = set()
-        self.polled = Polled(self.topic, RawJointState, self._take)
+        self.polled = Polled(self.topic, RawJointState)
         self.make = lambda: rospy.Publisher(self.topic, JointState, queue_size=None)
         self.publisher = self.make()
         self.wait(lambda: self.polled.get_num_connections() == 1 and self._subscribed())
 
     def _subscribed(self) -> bool:
         return bool(self.publisher.get_num_connections() == 1)
-
-    def _take(self, data: bytes) -> None:
-        from surg_sim import wire
-
-        self.threads.add(threading.get_ident())
-        self.heard.append(float(wire.unpack_joint_state(data)[1][0]))
 
     def wait(self, condition: Callable[[], bool], what: str = "the link") -> None:
         self.graph.wait_for(condition, 10.0, what)
@@ -91,7 +84,9 @@ class Link:
         self.publisher.publish(self.kind(position=[value], effort=[0.0] * padding))
 
     def hears(self, count: int) -> bool:
-        self.polled.poll()
+        from surg_sim import wire
+
+        self.heard += [float(wire.unpack_joint_state(data)[1][0]) for data in self.polled.fetch()]
         return len(self.heard) >= count
 
     def close(self) -> None:
@@ -104,9 +99,8 @@ def test_every_message_comes_once_in_order_and_only_when_it_is_asked_for(link: L
         link.say(k, padding=k % 37)
     assert link.heard == []
     link.wait(lambda: link.hears(300))
-    link.polled.poll()
+    assert link.polled.fetch() == []
     assert link.heard == list(range(300))
-    assert link.threads == {threading.get_ident()}, "on the thread that asks"
 
 
 def test_a_sender_that_goes_is_forgotten_and_the_next_is_heard(link: Link) -> None:
@@ -138,8 +132,7 @@ def test_nobody_waits_for_a_tick_that_never_comes(link: Link) -> None:
 
     threading.Thread(target=flood, daemon=True).start()
     assert sent.wait(20.0)
-    link.polled.poll()
-    assert link.heard == [1]
+    assert link.polled.fetch() == []
 
 
 def test_a_sender_of_nonsense_is_cut_off(link: Link) -> None:
