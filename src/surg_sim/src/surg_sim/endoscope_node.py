@@ -21,10 +21,6 @@ from surg_sim.settings import EndoscopeSettings, SettingsError
 from surg_sim.world import World
 
 PARTICIPANT = "endoscope"
-NICE = {"lockstep": 0, "freerun": 3}
-"""Of the thread that draws: a picture may come late, a control cycle may not. But in real time
-somebody looks at it, and every turn that it has to wait for makes it older; in lock-step all wait
-for it."""
 FRAMES = {"left": endoscope.LEFT, "right": endoscope.RIGHT}
 """Optical frame of each view."""
 
@@ -173,7 +169,6 @@ def main() -> int:
         settings = EndoscopeSettings.read(
             lambda name, default: rospy.get_param(f"~{name}", default)
         )
-        os.nice(NICE[settings.mode])
         renderer = make_renderer(settings)
     except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
