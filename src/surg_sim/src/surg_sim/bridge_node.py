@@ -34,6 +34,7 @@ from surg_msgs.msg import (
     Ready,
     SimSnapshot,
 )
+from surg_recording.polled_node import Polled
 from surg_sim import conditions, faults, tasks, wire
 from surg_sim.arm import ArmCommand
 from surg_sim.by_hand import ByHand
@@ -42,11 +43,12 @@ from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.newest import Newest
 from surg_sim.ports_node import Output, RawJointState, RawTwist, listeners, speakers
 from surg_sim.settings import BridgeSettings, SettingsError
+from surg_sim.shutter import Shutter
 from surg_sim.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.world import TICK_NS, World
 
-SNAPSHOT_TICKS = 25
-"""A snapshot every 25th tick: 20 Hz."""
+RENDERER = "endoscope"
+"""Who says on /sim/ready what it has drawn."""
 _JAWLESS_TICKS = 5
 """In free-run the link of an instrument without a jaw speaks every 5th tick: 100 Hz."""
 _STATUS_PERIOD = 0.2  # [s] wall
@@ -74,12 +76,23 @@ class _ArmTopics:
         jaw = arm.instrument.jaw_min < arm.instrument.jaw_max
         self.tool_ticks = 1 if bridge.lockstep or jaw else _JAWLESS_TICKS
 
+        # In free-run the tick fetches the commands itself.
+        self._polled: list[tuple[Polled, Callable[[bytes], None]]] = []
+
         def listen(topic: str, kind: type, take: Callable[[_ArmTopics, bytes], None]) -> Any:
-            def callback(message: Any) -> None:
+            def hear(data: bytes) -> None:
                 try:
-                    take(self, message.data)
+                    take(self, data)
                 except struct.error as error:
                     rospy.logwarn_throttle(1.0, f"{root}/{topic}: unreadable message: {error}")
+
+            if not bridge.lockstep:
+                polled = Polled(f"{root}/{topic}", kind)
+                self._polled.append((polled, hear))
+                return polled
+
+            def callback(message: Any) -> None:
+                hear(message.data)
 
             return rospy.Subscriber(f"{root}/{topic}", kind, callback, tcp_nodelay=True)
 
@@ -99,6 +112,9 @@ class _ArmTopics:
 
     def take_commands(self) -> tuple[int, ArmCommand]:
         """What has arrived since the last tick, with the stamp of the robot command [ns]."""
+        for polled, hear in self._polled:
+            for data in polled.fetch():
+                hear(data)
         velocity = twist = None
         robot, tool = self.arrived["robot"].take(), self.arrived["tool"].take()
         if robot is not None:
@@ -112,6 +128,11 @@ class _ArmTopics:
         """The node that answers: a command to the robot and one to the tool in each tick."""
         robot = set().union(*(speakers(subscriber) for subscriber in self.inputs))
         return robot & speakers(self.tool_input)
+
+    def release(self) -> None:
+        """No tick will follow: no sender of commands waits for one."""
+        for polled, _ in self._polled:
+            polled.release()
 
     def unconnected(self) -> list[str]:
         """Sentences about what the controller is not connected to yet."""
@@ -169,6 +190,7 @@ class Bridge:
         self._stamp_ns = 0  # of the state that is out
         self._overruns = 0
         self._clock = Output("/clock", Clock, self.lockstep)
+        self._shutter = Shutter(waits=not self.lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
         )
@@ -235,11 +257,14 @@ class Bridge:
             self._advance()
 
     def _on_ready(self, message: Ready) -> None:
+        if message.participant == RENDERER:
+            self._shutter.drawn(message.tick)
+        if not self.lockstep:
+            return  # nobody is waited for, and the lock is the tick's own: newest.py says why
         with self._lock:
             sent = dict(zip(message.arms, message.sent, strict=False)).get("assistant", 0)
             self._book.ready(message.participant, message.tick, message.done, sent)
-            if self.lockstep:
-                self._advance()
+            self._advance()
 
     def _on_undeclared(self, message: String) -> None:
         if self._deterministic:
@@ -339,7 +364,7 @@ class Bridge:
         if self._truth.connections:
             truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
             self._truth.send(wire.pack_ground_truth(stamp_ns, tick, truths))
-        if tick % SNAPSHOT_TICKS == 0:
+        if self._shutter.opens(tick):
             snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
             snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, wire.NS))
             self._snapshot.publish(snapshot)
@@ -485,6 +510,8 @@ class Bridge:
                     time.sleep(random.uniform(0.0, self._jitter))
                 if self._step():
                     self._end()
+                    for arm in self._arms:
+                        arm.release()
                     return
                 self._publish_state(self._start_ns + self._world.tick * TICK_NS)
 

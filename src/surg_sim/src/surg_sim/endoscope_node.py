@@ -21,10 +21,6 @@ from surg_sim.settings import EndoscopeSettings, SettingsError
 from surg_sim.world import World
 
 PARTICIPANT = "endoscope"
-NICE = {"lockstep": 0, "freerun": 3}
-"""Of the thread that draws: a picture may come late, a control cycle may not. But in real time
-somebody looks at it, and every turn that it has to wait for makes it older; in lock-step all wait
-for it."""
 FRAMES = {"left": endoscope.LEFT, "right": endoscope.RIGHT}
 """Optical frame of each view."""
 
@@ -92,7 +88,7 @@ class Endoscope:
     """
 
     def __init__(self, renderer: Renderer, keep_all: bool) -> None:
-        self._renderer = renderer
+        self._renderer, self._keep_all = renderer, keep_all
         self._waiting: deque[SimSnapshot] = deque(maxlen=None if keep_all else 1)
         self._arrived = threading.Condition()
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1000 if keep_all else 0.0
@@ -134,9 +130,13 @@ class Endoscope:
             pictures = (self._renderer.render(qpos),)
         if self._jitter:
             time.sleep(random.uniform(0.0, self._jitter))
+        drawn = Ready(tick=snapshot.tick, participant=PARTICIPANT)
+        if not self._keep_all:  # the next exposure is made while this picture is sent
+            self._ready.publish(drawn)
         for view, picture in zip(self._views, pictures, strict=True):
             view.show(picture, snapshot.header.stamp)
-        self._ready.publish(Ready(tick=snapshot.tick, participant=PARTICIPANT))
+        if self._keep_all:
+            self._ready.publish(drawn)
 
 
 def make_renderer(settings: EndoscopeSettings) -> Renderer:
@@ -169,7 +169,6 @@ def main() -> int:
         settings = EndoscopeSettings.read(
             lambda name, default: rospy.get_param(f"~{name}", default)
         )
-        os.nice(NICE[settings.mode])
         renderer = make_renderer(settings)
     except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)

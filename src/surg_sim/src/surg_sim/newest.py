@@ -1,6 +1,7 @@
-"""What came last, handed from a thread that receives to the one that ticks, without a lock.
+"""What came last, put by whoever receives and taken by the tick, without a lock.
 
-In free-run a simulator that is behind ticks without a pause and holds its lock nearly all the time.
+In lock-step a thread of the connection receives, in free-run the tick itself (`polled_node`). In
+free-run a simulator that is behind ticks without a pause and holds its lock nearly all the time.
 A receiver that wanted the same lock would get it now and then, messages would queue in front of it,
 and the arm would obey commands that are half a second old.
 """

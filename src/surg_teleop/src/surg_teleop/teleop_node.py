@@ -18,6 +18,7 @@ import math
 import os
 import random
 import signal
+import struct
 import sys
 import threading
 import time
@@ -33,6 +34,7 @@ from std_msgs.msg import Bool, Float64, String
 from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_msgs.msg import Cycle, Ready
+from surg_recording.polled_node import Polled
 from surg_teleop.arm import PERIOD_NS, SECOND, ArmView
 from surg_teleop.camera import HeldCamera
 from surg_teleop.crtk_node import CrtkTopics
@@ -95,9 +97,15 @@ class TeleopNode:
         self._ready = rospy.Publisher(
             "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
         )
-        self._inputs = [
-            _listen(f"/{arm}/cycle", RawCycle, self._on_cycle, arm) for arm in system.heard
-        ]
+        # In free-run hands are moved less often than arms speak: each reads the newest cycle then.
+        self._polled: dict[str, Polled] = {}
+        self._inputs = []
+        if system.lockstep:
+            self._inputs = [
+                _listen(f"/{arm}/cycle", RawCycle, self._on_cycle, arm) for arm in system.heard
+            ]
+        else:
+            self._polled = {arm: Polled(f"/{arm}/cycle", RawCycle) for arm in system.heard}
         for hand in system.hands:
             self._wire_hand(hand)
             if isinstance(hand.leader, CrtkLeader):
@@ -142,11 +150,13 @@ class TeleopNode:
 
     def _on_cycle(self, message: RawCycle, arm: str) -> None:
         with self._lock:
-            # A cycle that a network held up is as old as it is, not as new as it came.
-            received = self._arrivals[arm].of(message.stamp(), time.monotonic())
-            self._cycles[arm] = (received, message)
-            if self._system.lockstep:
-                self._advance()
+            self._keep_cycle(message, arm)
+            self._advance()
+
+    def _keep_cycle(self, message: RawCycle, arm: str) -> None:
+        # A cycle that a network held up is as old as it is, not as new as it came.
+        received = self._arrivals[arm].of(message.stamp(), time.monotonic())
+        self._cycles[arm] = (received, message)
 
     def _on_pedal(self, message: Joy, which: tuple[str, str]) -> None:
         with self._lock:
@@ -266,6 +276,12 @@ class TeleopNode:
 
     def _act(self, now: float) -> None:
         system = self._system
+        for arm, polled in self._polled.items():
+            if messages := polled.fetch():
+                try:
+                    self._keep_cycle(RawCycle().deserialize(messages[-1]), arm)
+                except struct.error as error:
+                    rospy.logwarn_throttle(1.0, f"/{arm}/cycle: unreadable message: {error}")
         cycles = {name: (received, raw.read()) for name, (received, raw) in self._cycles.items()}
         views = {
             name: arm_view(cycle, system.bases[name], received)

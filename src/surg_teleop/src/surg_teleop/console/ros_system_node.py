@@ -1,6 +1,6 @@
 """The robot's side of the console on ROS topics: what it hears, and orders as messages.
 
-Fast topics are taken in as bytes and read only when somebody wants to know: a figure for people at
+Fast topics are fetched as bytes, and read, only when somebody wants to know: a figure for people at
 20 Hz must not cost the processor what a control loop costs.
 """
 
@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState, Joy
 from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
+from surg_recording.polled_node import Polled
 from surg_teleop.console import words
 from surg_teleop.console.episodes import Entry, Episodes
 from surg_teleop.console.orders import (
@@ -44,6 +45,13 @@ FRESH = 1.0
 """[s] for which a figure is shown."""
 REPEAT = 0.05
 """[s] What is held down is said again that often: the teleoperation notices when it is not."""
+FAST = {
+    "rcm": "rcm/error",
+    "joints": "measured_js",
+    "trocar": "trocar/measured_cf",
+    "tip": "tool/measured_cf",
+}
+"""Topics of the driven arm with a figure in each message."""
 FOLLOWER_FRESH = 2.0
 """[s] for which the teleoperation's status is believed; it says it every 0.5 s."""
 
@@ -77,6 +85,9 @@ class RosSystem:
         self._held: dict[str, bool] = {}
         self._repeated = -1e9
         self._out = _publishers(arms, leader)
+        self._fast = {
+            what: Polled(f"/{arms[0]}/{topic}", rospy.AnyMsg) for what, topic in FAST.items()
+        }
         self._subscribers = self._subscribe(arms, teleop)
 
     # --- what it hears ------------------------------------------------------------------------
@@ -86,12 +97,7 @@ class RosSystem:
             keys = {"queue_size": 10, "tcp_nodelay": True}
             return rospy.Subscriber(topic, kind, lambda message: call(message, *about), **keys)
 
-        driven = arms[0]
         found = [
-            on(f"/{driven}/rcm/error", rospy.AnyMsg, self._on_deviation),
-            on(f"/{driven}/measured_js", rospy.AnyMsg, self._on_bytes, "joints"),
-            on(f"/{driven}/trocar/measured_cf", rospy.AnyMsg, self._on_bytes, "trocar"),
-            on(f"/{driven}/tool/measured_cf", rospy.AnyMsg, self._on_bytes, "tip"),
             on(f"/{teleop}/status", String, self._on_teleop),
             on("/record/status", String, self._on_json, "_record"),
             on("/sim/status", String, self._on_json, "_sim"),
@@ -104,17 +110,15 @@ class RosSystem:
             found.append(on(f"/{arm}/warning", String, self._on_warning, arm))
         return found
 
-    def _on_bytes(self, message: rospy.AnyMsg, what: str) -> None:
-        with self._lock:
-            self._newest[what] = (time.monotonic(), message._buff)
-
-    def _on_deviation(self, message: rospy.AnyMsg) -> None:
-        # surg_msgs/ScalarStamped ends with its number.
-        (value,) = struct.unpack_from("<d", message._buff, len(message._buff) - 8)
-        with self._lock:
-            self._newest["rcm"] = (time.monotonic(), message._buff)
-            if value > self._peak:
-                self._peak = value
+    def _hear_fast(self, now: float) -> None:
+        """What has come on the fast topics since the last time; with the lock held."""
+        for what, polled in self._fast.items():
+            messages = polled.fetch()
+            if messages:
+                self._newest[what] = (now, messages[-1])
+            if what == "rcm":
+                values = (_last_double(data) for data in messages)
+                self._peak = max([self._peak, *(value for value in values if value is not None)])
 
     def _on_state(self, message: OperatingState, arm: str) -> None:
         with self._lock:
@@ -165,6 +169,7 @@ class RosSystem:
         """See `server.System`."""
         now = time.monotonic()
         with self._lock:
+            self._hear_fast(now)
             newest = {
                 what: data for what, (heard, data) in self._newest.items() if now - heard < FRESH
             }
@@ -330,7 +335,8 @@ def _object(text: str) -> dict[str, Any]:
 
 
 def _last_double(data: bytes | None) -> float | None:
-    if data is None:
+    """A surg_msgs/ScalarStamped ends with its number."""
+    if data is None or len(data) < 8:
         return None
     return float(struct.unpack_from("<d", data, len(data) - 8)[0])
 

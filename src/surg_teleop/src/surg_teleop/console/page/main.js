@@ -2,12 +2,12 @@
 
 import { Hand } from "./hand.js";
 import { Link, clock, socketUrl, token, wallUs } from "./link.js";
-import { View, mark, write } from "./view.js";
+import { View, mark, set, sink, write } from "./view.js";
 
 const INPUT_MS = 20; // the console holds the arm after 100 ms without one
 const OLD_PICTURE_MS = 150; // three of the endoscope's periods
-const SHOW_MS = 100; // figures for people, all together; states are shown at once
-const AGE_EVERY = 3; // times that figures are shown
+const SHOW_MS = 200; // figures for people, all together; states are shown at once
+const AGE_EVERY = 2; // times that figures are shown
 const KEPT_PICTURES = 16384; // what is known of each: a quarter of an hour, for a measurement
 const TOAST_MS = 5000;
 
@@ -56,8 +56,8 @@ function heed(message) {
   status = message;
   if (before?.phase === "driving" && message.phase !== "driving") hand.rest();
   if (message.scale !== null && document.activeElement !== element("scale")) {
-    element("scale").value = message.scale;
-    element("scale-value").textContent = message.scale.toFixed(2);
+    set(element("scale"), "value", String(message.scale));
+    write(element("scale-value"), message.scale.toFixed(2));
   }
   view.note(message);
   if (message.phase !== before?.phase || message.headline !== before?.headline) show();
@@ -124,16 +124,16 @@ setInterval(() => {
 function showHand(sample) {
   const driving = status?.phase === "driving";
   for (const name of ["clutch", "camera"]) {
-    element(name).setAttribute("aria-pressed", String(driving && sample[name]));
+    sink(element(name), driving && sample[name]);
   }
   for (const button of element("hands").children) {
-    button.setAttribute("aria-pressed", String(button.dataset.hand === sample.hand));
+    sink(button, button.dataset.hand === sample.hand);
   }
   const ours = sample.hand === "position" ? "Drag in the picture." : hand.padName || "Keyboard";
   const device = view?.leads === false ? "Another device moves the arm." : ours;
   write(element("device"), device);
   const grip = sample.grip;
-  element("jaw").firstElementChild.style.width = grip === null ? "0" : `${grip * 100}%`;
+  set(element("jaw").firstElementChild.style, "width", grip === null ? "0px" : `${grip * 100}%`);
   write(element("jaw-value"), grip === null ? "–" : `${Math.round(grip * 100)} %`);
 }
 

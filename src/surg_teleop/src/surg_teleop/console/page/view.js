@@ -5,13 +5,24 @@ const TREND_STEP_S = 0.25; // between two points: each is the largest value in b
 
 const element = (id) => document.getElementById(id);
 
-/** Write a text only where it changes: ten times a second must cost nothing. */
+// What stays as it is must not be written again: the browser would draw a whole frame for it, and the
+// picture would wait for that.
+
+export function set(node, name, value) {
+  if (node[name] !== value) node[name] = value;
+}
+
 export function write(node, text) {
-  if (node.textContent !== text) node.textContent = text;
+  set(node, "textContent", text);
 }
 
 export function mark(node, name, value) {
-  if (node.dataset[name] !== value) node.dataset[name] = value;
+  set(node.dataset, name, value);
+}
+
+/** Show a button as pressed or not. */
+export function sink(button, on) {
+  if (button.getAttribute("aria-pressed") !== String(on)) button.setAttribute("aria-pressed", String(on));
 }
 
 /** One figure with its bar. */
@@ -98,11 +109,14 @@ export class View {
     this.trend = new Trend("trend", limits.rcm_error_warn / 20);
     this.page = facts.page;
     this.leads = facts.leads;
+    this.largest = null; // deviation since it was shown last
   }
 
   /** Every report: a peak must not be missed. */
   note(status) {
-    this.trend.add(performance.now() / 1000, status.gauges.rcm_peak ?? status.gauges.rcm);
+    const deviation = status.gauges.rcm_peak ?? status.gauges.rcm;
+    this.trend.add(performance.now() / 1000, deviation);
+    this.largest = deviation === null ? null : Math.max(this.largest ?? 0, deviation);
   }
 
   /** @param status what the console said; `link` the socket. */
@@ -114,12 +128,14 @@ export class View {
     write(element("headline"), mine ? status.headline : "Watching");
     const watching = status.holder ? `${status.holder} has control. Stop works from here too.` : status.sentence;
     write(element("sentence"), status.picture_problem || (mine ? status.sentence : watching));
-    for (const name in this.gauges) this.gauges[name].show(status.gauges[name]);
+    const values = { ...status.gauges, rcm: this.largest };
+    for (const name in this.gauges) this.gauges[name].show(values[name]);
+    this.largest = status.gauges.rcm;
     this.trend.draw();
     this.controls(status, mine);
     this.arms(status.arms, status.helpers);
     write(element("task"), status.task);
-    element("task").hidden = !status.task;
+    set(element("task"), "hidden", !status.task);
     const trip = link.roundTripMs;
     write(element("link"), trip === null ? "connected" : `connected, ${trip.toFixed(0)} ms`);
     mark(element("link"), "tone", "good");
@@ -129,30 +145,34 @@ export class View {
     const control = element("control");
     write(control, mine ? "You have control" : status.holder ? `${status.holder} has control` : "No one has control");
     mark(control, "tone", mine ? "good" : "");
-    element("take").hidden = mine;
+    set(element("take"), "hidden", mine);
     const driving = status.phase === "driving";
-    for (const id of ["enable", "clutch", "camera", "record", "scale"]) element(id).disabled = !mine;
-    element("enable").disabled ||= driving || status.phase === "starting";
-    element("clutch").disabled ||= !driving;
-    element("camera").disabled ||= !driving;
+    const able = {
+      enable: !driving && status.phase !== "starting",
+      clutch: driving,
+      camera: driving,
+      record: true,
+      scale: true,
+      policy: status.policy.state !== "IDLE",
+    };
+    for (const id in able) set(element(id), "disabled", !mine || !able[id]);
     const veiled = mine && (status.phase === "held" || status.headline === "Fault");
-    element("veil").hidden = !veiled;
+    set(element("veil"), "hidden", !veiled);
     if (veiled) {
       write(element("veil-headline"), status.headline);
       write(element("veil-sentence"), status.sentence);
     }
-    element("put-back").hidden = !status.astray.length;
-    element("state").hidden = veiled;
+    set(element("put-back"), "hidden", !status.astray.length);
+    set(element("state"), "hidden", veiled);
     const policy = element("policy");
-    policy.hidden = !status.policy.state;
-    policy.disabled = !mine || status.policy.state === "IDLE";
-    policy.setAttribute("aria-pressed", String(status.policy.on));
-    policy.title = status.policy.sentence;
+    set(policy, "hidden", !status.policy.state);
+    sink(policy, status.policy.on);
+    set(policy, "title", status.policy.sentence);
     const record = element("record");
-    record.setAttribute("aria-pressed", String(status.record.on));
+    sink(record, status.record.on);
     const word = status.record.finishing ? "Finishing …" : status.record.on ? "Stop recording" : "Record";
     write(record.querySelector("span"), word);
-    record.title = status.record.problem;
+    set(record, "title", status.record.problem);
   }
 
   arms(arms, helpers) {

@@ -1,0 +1,145 @@
+"""A subscriber read by the thread that wants its messages: nothing lost, doubled or held up."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+import threading
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from helpers.ros import RosGraph
+
+pytestmark = [pytest.mark.ros, pytest.mark.filterwarnings("ignore:The publisher should be")]
+
+_names = itertools.count()
+
+
+def framed(message: bytes) -> bytes:
+    return struct.pack("<I", len(message)) + message
+
+
+def test_messages_come_out_of_any_pieces() -> None:
+    from surg_recording.polled_node import Frames
+
+    pieces_seen = 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        messages = [rng.bytes(int(n)) for n in rng.integers(0, 300, 20)]
+        stream = b"".join(map(framed, messages))
+        cuts = sorted(rng.integers(0, len(stream), rng.integers(0, 60)).tolist())
+        pieces = [stream[a:b] for a, b in itertools.pairwise([0, *cuts, len(stream)])]
+        head = int(rng.integers(0, len(pieces)))
+        frames = Frames(b"")
+        found = [m for piece in pieces[:head] for m in frames.add(piece)]
+        later = Frames(frames.rest)  # as another reader would go on
+        found += [m for piece in pieces[head:] for m in later.add(piece)]
+        assert found == messages and later.rest == b""
+        pieces_seen += len(pieces)
+    print(f"{pieces_seen} pieces")
+
+
+def test_a_length_that_cannot_be_is_no_message() -> None:
+    from surg_recording.polled_node import MOST, Frames
+
+    assert Frames().add(framed(bytes(MOST)))
+    with pytest.raises(ValueError, match="a message of"):
+        Frames().add(struct.pack("<I", MOST + 1))
+
+
+@pytest.fixture
+def link(rospy_node: str, ros_graph: RosGraph) -> Iterator[Link]:
+    made = Link(ros_graph)
+    yield made
+    made.close()
+
+
+class Link:
+    """One polled topic and a publisher that waits for a slow subscriber."""
+
+    def __init__(self, graph: RosGraph) -> None:
+        import rospy
+        from sensor_msgs.msg import JointState
+
+        from surg_recording.polled_node import Polled
+        from surg_sim.ports_node import RawJointState
+
+        self.graph, self.kind = graph, JointState
+        self.topic = f"/polled_{next(_names)}"
+        self.heard: list[float] = []
+        self.polled = Polled(self.topic, RawJointState)
+        self.make = lambda: rospy.Publisher(self.topic, JointState, queue_size=None)
+        self.publisher = self.make()
+        self.wait(lambda: self.polled.get_num_connections() == 1 and self._subscribed())
+
+    def _subscribed(self) -> bool:
+        return bool(self.publisher.get_num_connections() == 1)
+
+    def wait(self, condition: Callable[[], bool], what: str = "the link") -> None:
+        self.graph.wait_for(condition, 10.0, what)
+
+    def say(self, value: float, padding: int = 0) -> None:
+        self.publisher.publish(self.kind(position=[value], effort=[0.0] * padding))
+
+    def hears(self, count: int) -> bool:
+        from surg_sim import wire
+
+        self.heard += [float(wire.unpack_joint_state(data)[1][0]) for data in self.polled.fetch()]
+        return len(self.heard) >= count
+
+    def close(self) -> None:
+        self.publisher.unregister()
+        self.polled.subscriber.unregister()
+
+
+def test_every_message_comes_once_in_order_and_only_when_it_is_asked_for(link: Link) -> None:
+    for k in range(300):
+        link.say(k, padding=k % 37)
+    assert link.heard == []
+    link.wait(lambda: link.hears(300))
+    assert link.polled.fetch() == []
+    assert link.heard == list(range(300))
+
+
+def test_a_sender_that_goes_is_forgotten_and_the_next_is_heard(link: Link) -> None:
+    link.say(1)
+    link.wait(lambda: link.hears(1))
+    link.publisher.unregister()
+    link.publisher = link.make()
+
+    def heard_again() -> bool:
+        link.say(2)
+        return link.hears(2)
+
+    link.wait(heard_again, "the second sender")
+    link.wait(lambda: link.polled.get_num_connections() == 1, "one connection")
+    assert set(link.heard) == {1, 2}
+
+
+def test_nobody_waits_for_a_tick_that_never_comes(link: Link) -> None:
+    """Free-run has ended: a sender that waits for its subscriber is not held up."""
+    link.say(1)
+    link.wait(lambda: link.hears(1))
+    link.polled.release()
+    sent = threading.Event()
+
+    def flood() -> None:
+        for k in range(400):
+            link.say(k, padding=5000)  # 16 MB: more than sockets hold
+        sent.set()
+
+    threading.Thread(target=flood, daemon=True).start()
+    assert sent.wait(20.0)
+    assert link.polled.fetch() == []
+
+
+def test_a_sender_of_nonsense_is_cut_off(link: Link) -> None:
+    link.say(1)
+    link.wait(lambda: link.hears(1))
+    (connection,) = link.publisher.impl.connections
+    connection = getattr(connection, "_connection", connection)
+    connection.socket.sendall(b"\xff" * 64)
+    link.wait(lambda: link.hears(1) and link.polled.get_num_connections() == 0, "the end")
+    assert link.heard == [1]
