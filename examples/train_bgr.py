@@ -75,6 +75,8 @@ class Options:
     """Spread of what every second sample of a free arm is moved aside by, per axis [m],"""
     back: float = 0.25
     """and time constant of its way back [s]."""
+    behind: int = 2
+    """Steps by which what is seen may be behind what was said, 0 to this: in real time it is."""
     seed: int = 0
 
 
@@ -121,16 +123,36 @@ class Samples:
     jaw: Array
 
     @classmethod
-    def of(cls, episodes: Sequence[Episode], columns: Columns, X_RW: Array, chunk: int) -> Samples:
-        """The steps of episodes, one after another."""
+    def of(
+        cls,
+        episodes: Sequence[Episode],
+        columns: Columns,
+        X_RW: Array,
+        chunk: int,
+        behind: int = 0,
+    ) -> Samples:
+        """The steps of episodes, one after another.
+
+        Args:
+            episodes: Of the dataset.
+            columns: Where what is in the observations.
+            X_RW: (4, 4) the world in the rcm frame.
+            chunk: Actions ahead.
+            behind: Each step is there with its own observation and with each of as many before it;
+                what was said last and what is to be said are those of the step itself.
+        """
         parts = []
         for episode in episodes:
             last = last_commands(episode, columns.state[SET])
-            inputs = features(columns, episode.state, episode.task, last, X_RW)
-            held = episode.task[:, columns.task["held"]] >= 0
-            jaw = episode.state[:, columns.state[4]]
-            free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))
-            parts.append((inputs, targets_of(episode, last, chunk), free, jaw))
+            targets = targets_of(episode, last, chunk)
+            for steps in range(behind + 1):
+                row = np.maximum(np.arange(len(last)) - steps, 0)
+                state, task = episode.state[row], episode.task[row]
+                inputs = features(columns, state, task, last, X_RW)
+                held = task[:, columns.task["held"]] >= 0
+                jaw = state[:, columns.state[4]]
+                free = ~held & ((jaw > OPEN) | (inputs[:, DISTANCE] > NEAR))
+                parts.append((inputs, targets, free, jaw))
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
@@ -176,7 +198,7 @@ def train(
     tips_W = [episode.task[:, columns.task["tip"]] for episode in shown]
     X_RW = world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
     parts = {
-        split: Samples.of(episodes, columns, X_RW, options.chunk)
+        split: Samples.of(episodes, columns, X_RW, options.chunk, options.behind)
         for split, episodes in dataset.episodes.items()
     }
     known = parts["train"]
@@ -224,7 +246,7 @@ def train(
         "options": asdict(options),
         "dataset": dataset.about,
         "episodes": {split: len(found) for split, found in dataset.episodes.items()},
-        "frames": len(known.inputs),
+        "frames": sum(len(episode.state) for episode in shown),
         "parameters": int(flat.size),
         "loss": losses,
         "observation": [STATE, TASK],

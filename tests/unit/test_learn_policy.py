@@ -64,6 +64,26 @@ def test_the_gradient_is_that_of_the_loss() -> None:
     print(f"{flat.size} parameters")
 
 
+def test_what_is_seen_may_be_behind_what_was_said() -> None:
+    """In real time a step is done some time after the observation that it answers."""
+    columns = bgr_policy.Columns(made.STATE, made.TASK)
+    (shown,) = made.dataset(train=1).episodes["train"]
+    n, S = len(shown.state), columns.state
+    known = train_bgr.Samples.of([shown], columns, np.eye(4), 8, behind=2)
+    last = train_bgr.last_commands(shown, S[bgr_policy.SET])
+    for steps in range(3):
+        part = slice(steps * n, (steps + 1) * n)
+        seen = shown.state[np.maximum(np.arange(n) - steps, 0)]
+        np.testing.assert_array_equal(known.inputs[part, bgr_policy.HERE], last[:, :3])
+        np.testing.assert_array_equal(known.targets[part], known.targets[:n])
+        np.testing.assert_array_equal(known.jaw[part], seen[:, S[4]])
+        behind = known.inputs[part, 13:16]
+        np.testing.assert_allclose(behind, seen[:, S[:3]] - last[:, :3], atol=1e-15)
+    alone = train_bgr.Samples.of([shown], columns, np.eye(4), 8)
+    np.testing.assert_array_equal(alone.inputs, known.inputs[:n])
+    assert len(known.inputs) == 3 * n
+
+
 def test_an_arm_that_is_moved_aside_comes_back_and_closes_no_jaw_before() -> None:
     columns = bgr_policy.Columns(made.STATE, made.TASK)
     shown = made.dataset().episodes["train"]

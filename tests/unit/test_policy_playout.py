@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 import surg_core
-from helpers.policy_bench import ARM, HOME, Bench, cell
+from helpers.policy_bench import ARM, HOME, MS, Bench, cell
 from helpers.policy_results import note
 from surg_core import Motion, MotionCommand
 from surg_policy_bridge.arm import PERIOD, SECOND, TICK, ArmCommand, Target
+from surg_policy_bridge.counters import Counters
 from surg_policy_bridge.free_run import FreeRun
 from surg_policy_bridge.playout import SEND, Piece
 
@@ -134,42 +136,160 @@ def test_a_stream_of_steps_overshoots_and_the_way_between_them_does_not() -> Non
 # --- the grid of real time ------------------------------------------------------------------------
 
 
-def test_steps_are_played_a_period_later_at_125_hz() -> None:
-    bench = Bench()
-    bench.hello()
-    bench.tick()
-    assert bench.server.enable(True, bench.now) == ""
-    free = FreeRun([ARM], bench.now)
-    sent: list[tuple[int, Target]] = []
-    begin, x = bench.now, 0.0
-    answers: list[tuple[int, dict[str, int]]] = []
-    while bench.now - begin < SECOND:
+class RealTime:
+    """A policy that answers every observation after the same time, and what is sent to its arm.
+
+    Args:
+        row: Where the arm shall be at a grid time, (5,), by its number from the policy's begin.
+        rows: Steps per answer.
+        delay: Of the answers [ns].
+    """
+
+    def __init__(self, row: Callable[[int], np.ndarray], rows: int, delay: int) -> None:
+        self.bench, self._row, self._rows, self._delay = Bench(), row, rows, delay
+        self.bench.hello()
+        self.bench.tick()
+        assert self.bench.server.enable(True, self.bench.now) == ""
+        self.begin = self.bench.now
+        self._free = FreeRun([ARM], self.begin)
+        self._answers: list[tuple[int, dict[str, int]]] = []
+        self.first: int | None = None
+        """Grid time of the first observation."""
+        self.sent: dict[int, Target] = {}
+        """By the time [ns] since the begin."""
+
+    @property
+    def counters(self) -> Counters:
+        """Of the server."""
+        return self.bench.server.counters
+
+    def play(self, seconds: float, delay: int | None = None) -> None:
+        """Let time pass; the answers of this time may take longer or shorter."""
+        self._delay = self._delay if delay is None else delay
+        end = self.bench.now + round(seconds * SECOND)
+        while self.bench.now < end:
+            self._tick()
+            self.bench.now += TICK
+
+    def _tick(self) -> None:
+        bench = self.bench
         bench.tick()
-        step = free.observe(bench.now)
+        step = self._free.observe(bench.now)
         if step is not None:
             bench.ping()
-            bench.step = step
-            seen = len(bench.of("OBS"))
+            bench.step, before = step, len(bench.of("OBS"))
             bench.observe()
-            if len(bench.of("OBS")) > seen:
-                answers.append((bench.now + 30_000_000, dict(bench.of("OBS")[-1].head)))
-        if answers and bench.now >= answers[0][0]:
-            head = answers.pop(0)[1]
-            x += 1e-3
-            rows = [np.array([x, 0, HOME[2], 0.0, 0.3])]
-            bench.act(rows, first=head["step"] + 1, seq=head["seq"], stamp_ns=head["stamp_ns"])
-        for target in free.play(bench.server, {ARM: bench.arm.view}, bench.now).values():
-            sent.append((bench.now, target))
+            for seen in bench.of("OBS")[before:]:
+                self.first = step if self.first is None else self.first
+                self._answers.append((bench.now + self._delay, dict(seen.head)))
+        while self._answers and bench.now >= self._answers[0][0]:
+            assert self.first is not None
+            head = self._answers.pop(0)[1]
+            first = head["step"] + 1
+            rows = [self._row(first + i - self.first) for i in range(self._rows)]
+            bench.act(rows, first=first, seq=head["seq"], stamp_ns=head["stamp_ns"])
+        for target in self._free.play(bench.server, {ARM: bench.arm.view}, bench.now).values():
+            self.sent[bench.now - self.begin] = target
             bench.arm.obey(ArmCommand(servo=target))
-        bench.now += TICK
-    assert bench.server.state.value == "RUNNING", bench.server.reason
-    assert bench.server.counters.late == 0 and bench.server.counters.accepted >= 18
-    assert bench.server.counters.empty <= 1
-    times, xs = np.array([t for t, _ in sent]), np.array([t.p[0] for _, t in sent])
-    assert (np.diff(times)[1:] >= SEND).all() and len(sent) >= 110, len(sent)
-    np.testing.assert_allclose(np.diff(xs[20:]), 1e-3 * SEND / PERIOD, rtol=1e-6)
-    ages = bench.server.counters.obs_age.values
-    assert set(ages) == {PERIOD}
+
+    def at_grid(self, behind: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        """What was sent at grid times (every fourth: 125 Hz), and the rows of them, both (n, 5).
+
+        From the end of the second step on: the first one may have been a period late.
+
+        Args:
+            behind: Or of so many grid times before.
+        """
+        assert self.first is not None
+        begin = min(self.sent) // PERIOD + 2
+        steps = [time // PERIOD for time in self.sent if time % PERIOD == 0]
+        steps = [step for step in steps if step >= begin]
+        there = np.array([self.sent[step * PERIOD].row for step in steps])
+        return there, np.array([self._row(step - behind - self.first) for step in steps])
+
+
+def curve(n: int) -> np.ndarray:
+    """A motion of tip, roll and jaw at up to 50 mm/s, from rest."""
+    s = 1.0 - math.cos(0.12 * max(n, 0))
+    return np.array([*(HOME + np.array([0.02, -0.01, 0.005]) * s), 0.3 * s, 0.3 + 0.1 * s])
+
+
+@pytest.mark.parametrize(("rows", "ms"), [(2, 20), (16, 4), (16, 20), (16, 48), (16, 60), (16, 90)])
+def test_a_chunk_is_where_it_says_at_every_grid_time(rows: int, ms: int) -> None:
+    """However long the answers take: that is what the steps behind the first are for."""
+    run = RealTime(curve, rows, ms * MS)
+    run.play(4.0)
+    there, wanted = run.at_grid()
+    late = int(ms > 50)  # the first step of every answer
+    np.testing.assert_allclose(there, wanted, rtol=0, atol=1e-12)
+    assert len(there) >= 18 and run.counters.empty <= 2 + late
+    answers = len(run.bench.of("ACK"))
+    assert run.counters.late == late * answers and not run.counters.rejected
+    assert set(run.counters.obs_age.values) <= {PERIOD * (1 + late), PERIOD * 2}
+    times = np.array(list(run.sent))
+    assert (np.diff(times)[1:] <= 2 * SEND).all(), "without a gap"
+
+
+@pytest.mark.parametrize("ms", [4, 20, 48])
+def test_single_steps_are_played_a_period_later(ms: int) -> None:
+    run = RealTime(curve, 1, ms * MS)
+    run.play(2.0)
+    there, wanted = run.at_grid(behind=1)
+    np.testing.assert_allclose(there, wanted, rtol=0, atol=1e-12)
+    assert run.counters.late == 0 and run.counters.empty <= 2 and len(there) >= 9
+    assert set(run.counters.obs_age.values) == {PERIOD}
+
+
+def test_single_steps_that_take_longer_than_a_period_are_late() -> None:
+    run = RealTime(curve, 1, 60 * MS)
+    run.play(1.0)
+    assert not run.sent and run.counters.accepted == 0
+    assert run.counters.late == len(run.bench.of("ACK")) > 15
+
+
+def test_a_slow_answer_now_and_then_does_not_show() -> None:
+    """The chunk of before is played until it comes."""
+    rng = np.random.default_rng(8)
+    run = RealTime(curve, 16, 20 * MS)
+    for _ in range(30):
+        run.play(0.1, delay=int(rng.choice([8, 20, 70, 130])) * MS)
+    there, wanted = run.at_grid()
+    np.testing.assert_allclose(there, wanted, rtol=0, atol=1e-12)
+    assert run.counters.late > 10 and run.counters.empty <= 4
+    speeds = np.diff([t.p[0] for t in run.sent.values()]) / np.diff(list(run.sent)) * SECOND
+    assert np.abs(speeds).max() < 0.07
+
+
+def test_a_stream_begins_with_its_first_step() -> None:
+    """1.8 mm a step: the second step alone would be no begin (2 mm)."""
+    run = RealTime(lambda n: np.array([1.8e-3 * n, 0, HOME[2], 0.0, 0.3]), 16, 20 * MS)
+    run.play(0.6)
+    assert run.counters.accepted >= 9 and not run.counters.rejected
+    there, wanted = run.at_grid()
+    np.testing.assert_allclose(there, wanted, rtol=0, atol=1e-12)
+
+
+def lead(way: str) -> float:
+    """How far ahead of row n the set-point is at grid time n, in the middle of a motion [s]."""
+    arm, rows = Follower(), minimum_jerk(0.06, 1.5)
+    steps = [Target(HOME, 0.0, 0.3), *targets(rows)]  # at grid time n: step n
+    pieces, middle = chained(steps, known=True), 15
+    for n in range(middle):
+        for tick in range(PERIOD // TICK):
+            if way == "lock-step":
+                target = steps[n + 1] if tick == 0 else None
+            else:
+                target = pieces[n].at(tick * TICK / PERIOD) if tick * TICK % SEND == 0 else None
+            x = arm.step(target)
+    speed = (rows[middle] - rows[middle - 2]) * SECOND / (2 * PERIOD)
+    return float((x - steps[middle].p[0]) / speed)
+
+
+def test_lock_step_is_ahead_of_its_rows_by_a_period_and_real_time_is_not() -> None:
+    """A step of lock-step is sent as where to be now, a period before its grid time."""
+    found = {way: 1e3 * lead(way) for way in ("lock-step", "real time")}
+    print(", ".join(f"{way} {ms:.1f} ms" for way, ms in found.items()))
+    assert 40 < found["lock-step"] < 65 and abs(found["real time"]) < 15
 
 
 def test_nothing_is_played_once_the_policy_is_stopped() -> None:

@@ -2,7 +2,8 @@
 
 A chunk of actions replaces what was queued from its first step on, spliced by what has been
 executed and not by any guess of a delay: a step whose time is over when it comes is dropped and
-counted as late.
+counted as late. A step that is being executed already is not changed any more; a newer word on it
+is dropped, too, but it is not late.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ class ChunkQueue:
         self._steps: dict[int, Step] = {}
         self.next = 0
         """The first step that is still to be executed."""
+        self._open = 0
+        """The first step whose time is not over; at most `next`."""
 
     def __len__(self) -> int:
         """How many steps are waiting."""
@@ -65,19 +68,26 @@ class ChunkQueue:
         Returns:
             How many of its steps came too late.
         """
-        late = min(max(self.next - first, 0), len(rows))
-        if late == len(rows):
+        late = min(max(self._open - first, 0), len(rows))
+        begun = min(max(self.next - first, 0), len(rows))
+        if begun == len(rows):
             return late  # it says nothing of what is to come
-        begin = first + late
+        begin = first + begun
         self._steps = {n: step for n, step in self._steps.items() if n < begin}
-        for number, row in enumerate(rows[late:], begin):
+        for number, row in enumerate(rows[begun:], begin):
             if number < self.next + LONGEST:
                 self._steps[number] = Step(number, np.array(row, dtype=np.float64), seq, seen)
         return late
 
-    def take(self, number: int) -> Step | None:
-        """The step of this number; it and all before it are over now."""
+    def take(self, number: int, past: int | None = None) -> Step | None:
+        """The step of this number, which is executed now; those before it are not any more.
+
+        Args:
+            number: Of the step.
+            past: The time of the steps up to this one is over; default: of this step itself.
+        """
         self.next = max(self.next, number + 1)
+        self._open = max(self._open, (number if past is None else past) + 1)
         step = self._steps.get(number)
         self._steps = {n: each for n, each in self._steps.items() if n >= self.next}
         return step

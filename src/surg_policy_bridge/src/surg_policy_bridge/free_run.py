@@ -1,8 +1,9 @@
 """The grid of real time: when to observe, when a step is due, and what to send in between.
 
-A step is played out one period after the observation that it answers first was taken, so an answer
-within a period is in time whether it brings one step or fifty. Then the way to the next step is
-sent at 125 Hz (`playout`).
+Step n says where the arms shall be at grid time n, so the way to it is played from grid time n - 1
+on, at 125 Hz (`playout`). That takes a step more than the answer to the newest observation can have
+brought by then. Where it has not come, the step before it is played in its place, a period late:
+so an answer within a period is in time whether it brings one step or fifty.
 """
 
 from __future__ import annotations
@@ -53,7 +54,6 @@ class FreeRun:
         """What to send now, by arm; empty: nothing."""
         step = self.step(now)
         if step > self._step:
-            # The way to step n is played from grid time n on, where n - 1 has just been reached.
             self._step = step
             self._begin(server, views, step, now)
         if server.state is not State.RUNNING:
@@ -67,11 +67,15 @@ class FreeRun:
     def _begin(self, server: ModelServer, views: dict[str, ArmView], step: int, now: int) -> None:
         if self._pieces:
             self._last = (now, self._pieces)
-        targets = server.execute(step, now)
+        # Where the arms rest, a stream begins with the first step there is: the one after it may lie
+        # farther away than a first step is allowed to.
+        order = (step + 1, step) if self._pieces else (step, step + 1)
+        number = next((n for n in order if server.coming(n) is not None), step)
+        targets = server.execute(number, now, past=step)
         if not targets:
             self._pieces = {}
             return
-        beyond = server.coming(step + 1)
+        beyond = server.coming(number + 1)
         self._begun = now
         self._pieces = {
             name: self._piece(

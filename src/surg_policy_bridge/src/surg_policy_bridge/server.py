@@ -277,22 +277,23 @@ class ModelServer:
             self.state is State.RUNNING and session is not None and session.answered < session.seq
         )
 
-    def execute(self, number: int, at: int) -> dict[str, Target]:
+    def execute(self, number: int, at: int, past: int | None = None) -> dict[str, Target]:
         """The step that brings the arms to where they shall be at a grid time.
 
         Args:
             number: Of the grid time.
-            at: When it is sent [ns].
+            at: When it is sent, or begins to be played [ns].
+            past: What comes from now on of the steps up to this one is late; default: ``number``.
 
         Returns:
             What to send, by arm; empty: nothing.
         """
         self._at = at
         if self.state is not State.RUNNING or self.session is None:
-            self._queue.next = max(self._queue.next, number + 1)
+            self._queue.take(number, past)
             return {}
         self._drop_stale(at)
-        step = self._queue.take(number)
+        step = self._queue.take(number, past)
         if step is None:
             self.counters.empty += 1
             self._empty.lasts(at)
