@@ -7,7 +7,6 @@ from typing import Protocol
 
 import av
 import numpy as np
-from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
@@ -58,13 +57,11 @@ class H264:
             "colorprim=smpte170m:transfer=smpte170m:colormatrix=smpte170m",
         }
         self._context = context
-        self._reformatter = VideoReformatter()
         self._last = -1
 
     def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
         """See `Codec`."""
-        # A reformatter of its own for every frame would take half as long again.
-        picture = self._reformatter.reformat(frame, format="yuv420p")
+        picture = frame.reformat(format="yuv420p")
         self._last = max(stamp_us, self._last + 1)
         picture.pts, picture.time_base = self._last, _MICROSECONDS
         picture.pict_type = "I" if key else "NONE"
@@ -88,11 +85,10 @@ class Jpeg:
         context.time_base, context.thread_count = _MICROSECONDS, 1
         context.options = {"flags": "+qscale", "global_quality": str(self.QUALITY * _LAMBDA)}
         self._context = context
-        self._reformatter = VideoReformatter()
 
     def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
         """See `Codec`; every picture is a key picture."""
-        picture = self._reformatter.reformat(frame, format="yuvj420p")
+        picture = frame.reformat(format="yuvj420p")
         picture.pts, picture.time_base = stamp_us, _MICROSECONDS
         return b"".join(bytes(packet) for packet in self._context.encode(picture))
 
