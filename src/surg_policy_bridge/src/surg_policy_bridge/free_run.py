@@ -67,8 +67,8 @@ class FreeRun:
     def _begin(self, server: ModelServer, views: dict[str, ArmView], step: int, now: int) -> None:
         if self._pieces:
             self._last = (now, self._pieces)
-        # Where the arms rest, a stream begins with the first step there is: the one after it may lie
-        # farther away than a first step is allowed to.
+        # Where the arms rest, a stream begins with the first step there is: the one after it may
+        # lie farther away than a first step is allowed to.
         order = (step + 1, step) if self._pieces else (step, step + 1)
         number = next((n for n in order if server.coming(n) is not None), step)
         targets = server.execute(number, now, past=step)
