@@ -68,6 +68,8 @@ class Synthetic:
     displacement: tuple[float, float, float] = (0.0, 0.12e-3, 0.0)
     compute_us: float = 8.0
     mode: str = "lockstep"
+    repeats: int = 1
+    """Cycles that show one state, as those behind a starved link do."""
     truth: bool = True
     frames: int = 0
     joints: int = 6
@@ -91,12 +93,13 @@ def shaft(tip: np.ndarray, offset: float) -> np.ndarray:
 
 def cycle(what: Synthetic, tick: int, command: int) -> SimpleNamespace:
     """A message-like surg_msgs/Cycle."""
-    t = tick * TICK_NS * 1e-9
+    shown = tick - tick % what.repeats
+    t = shown * TICK_NS * 1e-9
     tip_R = what.executed(t)
     s_B = R_BR @ shaft(tip_R, what.kinematic_offset)
     tip = P_RCM + R_BR @ tip_R
     fault = what.fault_at is not None and t >= what.fault_at
-    ns = tick * TICK_NS
+    ns = shown * TICK_NS
     v = np.full(what.joints, 0.1)
     return SimpleNamespace(
         header=header(ns),

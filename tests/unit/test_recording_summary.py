@@ -258,6 +258,14 @@ def test_a_failed_run_says_why_and_ends_with_1(
     assert "did not meet its limits" in (tmp_path / "report.html").read_text()
 
 
+def test_states_that_a_starved_link_showed_more_than_once_are_drawn(tmp_path: Path) -> None:
+    """Most steps in time are 0 then; the figures are of the others."""
+    what = Synthetic(seconds=3.0, mode="freerun", repeats=3)
+    synthetic.record(tmp_path / "episode", what)
+    report.main([str(tmp_path)])
+    assert (tmp_path / "figures" / "speed.png").is_file()
+
+
 def test_no_episode_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert report.main([str(tmp_path)]) == 2
     assert "no such folder" in capsys.readouterr().err

@@ -186,7 +186,7 @@ def speed(subject: Subject) -> Figure:
     """Tip speed of input and executed motion, at loop rate and at the metrics' rate."""
     run, figure = subject.run, blank(3.6)
     axes = figure.subplots()
-    fs = round(1.0 / float(np.median(np.diff(run.t))), 6)
+    fs = run.fs
     smoothness = subject.summary["smoothness"]
     preset = metrics.PRESETS[smoothness["preset"]]
     executed = metrics.uniform(run.t_executed, run.executed, fs)

@@ -108,6 +108,12 @@ class Run:
     tracking_measured: metrics.Tracking | None
 
     @property
+    def fs(self) -> float:
+        """Rate of the loop [Hz]. A link that was starved in free-run shows a state more than once."""
+        steps = np.diff(self.t)
+        return round(1.0 / float(np.median(steps[steps > 0])), 6)
+
+    @property
     def t_executed(self) -> Array:
         """Times of ``executed``."""
         return self.t_truth if self.truth is not None else self.t
@@ -299,8 +305,7 @@ _MEASURED = (
 
 def _measure(run: Run, lockstep: bool) -> dict[str, Any]:
     rate = (len(run.t) - 1) / run.t[-1] if run.t[-1] > 0 else math.nan
-    steps = np.diff(run.t)  # a link that was starved in free-run shows a state more than once
-    fs = round(1.0 / float(np.median(steps[steps > 0])), 6)
+    fs = run.fs
     _, path_in = metrics.uniform(run.t, metrics.interpolate(run.t, run.t_input, run.input), fs)
     _, path_out = metrics.uniform(run.t_executed, run.executed, fs)
     cycle = run.cycle
