@@ -96,9 +96,7 @@ class PolicyRig:
     def _simulator(self, graph: RosGraph) -> None:
         plan = system.Plan(self.cell, ("PSM1",), False, (), graph.folder, record=False)
         for node in system.nodes(plan):
-            graph.node(
-                node.package, node.executable, node.name, node.params, arguments=node.arguments
-            )
+            system.start(graph.supervisor, node)  # as `./surg up` does
 
     def _connected(self) -> bool:
         mouths = (self.enable, self.teleop, self.state_command)
