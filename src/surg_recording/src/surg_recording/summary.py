@@ -109,7 +109,7 @@ class Run:
 
     @property
     def fs(self) -> float:
-        """Rate of the loop [Hz]. A link that was starved in free-run shows a state more than once."""
+        """Rate of the loop [Hz], whose link may show a state more than once when starved."""
         steps = np.diff(self.t)
         return round(1.0 / float(np.median(steps[steps > 0])), 6)
 
