@@ -44,6 +44,7 @@ class Hand:
     spherical: np.ndarray | None = None
     grip: float | None = 0.0
     buttons: set[str] = field(default_factory=set)
+    offers: frozenset[Kind] = frozenset(Kind)
     speaks: bool = True
     broken: bool = False
     problem: str = ""
@@ -63,8 +64,12 @@ class Hand:
             p = np.full(3, np.nan) if self.broken else self.p
             self.said = LeaderSample(
                 stamp=now,
-                pose=HandlePose(p, self.R),
-                rate=HandRate(self.v, self.roll_rate, self.spherical),
+                pose=HandlePose(p, self.R) if Kind.POSITION in self.offers else None,
+                rate=(
+                    HandRate(self.v, self.roll_rate, self.spherical)
+                    if Kind.RATE in self.offers
+                    else None
+                ),
                 grip=self.grip,
                 buttons=frozenset(self.buttons),
                 problem=self.problem,

@@ -409,6 +409,25 @@ def test_the_mapping_changes_while_clutched_only() -> None:
     assert bench.teleop.kind is Kind.RATE
 
 
+@pytest.mark.parametrize("only", Kind)
+@pytest.mark.parametrize("began", Kind)
+def test_a_hand_with_one_mapping_keeps_it(only: Kind, began: Kind) -> None:
+    """The button may be a pedal beside another hand; it only ever brings the one that there is."""
+    bench = Bench(teleop=Teleop(settings(kind=began)))
+    bench.hand.offers = frozenset({only})
+    bench.hand.buttons = {"clutch"}
+    bench.teleop.enable()
+    bench.tick()
+    for _ in range(2):
+        bench.hand.buttons = {"clutch", "rate"}
+        bench.tick()
+        assert bench.teleop.kind is only
+        bench.hand.buttons = {"clutch"}
+        bench.tick()
+    bench.hand.buttons = set()
+    assert bench.tick(100).state is State.FOLLOWING
+
+
 def test_presence_is_needed_where_it_is_asked_for() -> None:
     bench = Bench(teleop=Teleop(settings(need_present=True)))
     bench.teleop.enable()

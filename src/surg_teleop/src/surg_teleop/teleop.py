@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from surg_teleop.arm import PERIOD_NS, ArmState, ArmView, Commands, Jaw
 from surg_teleop.fit import Workspace
 from surg_teleop.jaw import JawGhost
-from surg_teleop.leader import LeaderSample
+from surg_teleop.leader import HandlePose, HandRate, LeaderSample
 from surg_teleop.target import HandJumpError, StepLimits, Target
 
 Array = NDArray[np.float64]
@@ -57,6 +57,10 @@ class Kind(enum.Enum):
 
     POSITION = "position"
     RATE = "rate"
+
+    def of(self, sample: LeaderSample) -> HandlePose | HandRate | None:
+        """What a sample says of the hand for this mapping; None: its leader does not offer it."""
+        return sample.pose if self is Kind.POSITION else sample.rate
 
 
 @dataclass(frozen=True)
@@ -246,7 +250,10 @@ class Teleop:
         if "clutch" in sample.buttons:
             self._asked = -math.inf
         if "rate" in sample.buttons - before and self.state in (State.CLUTCHED, State.WAITING):
-            self.kind = Kind.RATE if self.kind is Kind.POSITION else Kind.POSITION
+            other = Kind.RATE if self.kind is Kind.POSITION else Kind.POSITION
+            # A pedal is pressed for every hand: one that has only the mapping in force keeps it.
+            if other.of(sample) is not None or self.kind.of(sample) is None:
+                self.kind = other
 
     def _finite(self, sample: LeaderSample) -> bool:
         """Whether a sample may be calculated with; a sample is looked at once."""
@@ -318,7 +325,7 @@ class Teleop:
             )
         if sample.problem:
             return _Obstacle(f"{name}: {sample.problem}")
-        if (sample.pose if self.kind is Kind.POSITION else sample.rate) is None:
+        if self.kind.of(sample) is None:
             return _Obstacle(
                 f"{name} has no {self.kind.value}: choose the other mapping (button 'rate')"
             )
