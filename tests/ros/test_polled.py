@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import itertools
+import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -47,6 +50,21 @@ def test_a_length_that_cannot_be_is_no_message() -> None:
     assert Frames().add(framed(bytes(MOST)))
     with pytest.raises(ValueError, match="a message of"):
         Frames().add(struct.pack("<I", MOST + 1))
+
+
+def test_nonsense_that_comes_with_the_handshake_ends_the_connection_and_nothing_else() -> None:
+    from surg_recording.polled_node import _Lent
+
+    buffer, closed = io.BytesIO(), []
+    buffer.write(framed(b"first") + b"\xff" * 8)
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        connection = SimpleNamespace(
+            read_buff=buffer, socket=ours, name="topic", close=lambda: closed.append(True)
+        )
+        lent = _Lent(connection)
+        lent.fetch()
+        assert closed and lent.ended.is_set() and lent.fetch() == []
 
 
 @pytest.fixture

@@ -62,9 +62,8 @@ class _Lent:
 
     def __init__(self, connection: Any) -> None:
         self.connection = connection
-        self.frames = Frames()
-        # What has come with rospy's handshake.
-        self._begun: bytes = connection.read_buff.getvalue()[: connection.read_buff.tell()]
+        # What has come with rospy's handshake is the beginning.
+        self.frames = Frames(connection.read_buff.getvalue()[: connection.read_buff.tell()])
         connection.read_buff.seek(0)
         connection.read_buff.truncate(0)
         self.ended = threading.Event()
@@ -74,9 +73,9 @@ class _Lent:
         link: socket.socket | None = self.connection.socket
         if self.ended.is_set() or link is None:
             return []
-        begun, self._begun = self._begun, b""
-        found: list[bytes] = self.frames.add(begun) if begun else []
+        found: list[bytes] = []
         try:
+            found += self.frames.add(b"")
             while data := link.recv(_CHUNK, socket.MSG_DONTWAIT):
                 found += self.frames.add(data)
                 if len(data) < _CHUNK:
@@ -95,7 +94,7 @@ class _Lent:
         """In the connection's own thread: rospy goes on where reading has ended."""
         buffer = self.connection.read_buff
         if buffer is not None:
-            buffer.write(self._begun + self.frames.rest)
+            buffer.write(self.frames.rest)
 
 
 class Polled:
