@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import json
-import socket
-import struct
 import time
-import xmlrpc.client
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import pytest
 
 from helpers.ros import RosGraph
-from surg_cli import master, paths, processes
+from surg_cli import graph_probe, master, paths, processes
 
 pytestmark = pytest.mark.ros
 
@@ -170,18 +166,6 @@ def test_abort_names_who_is_missing(ros_graph: RosGraph, rospy_node: str) -> Non
     assert "PSM1" in controller.status["aborted"]
 
 
-def stranger(uri: str, topic: str) -> socket.socket:
-    """A connection to a topic of the simulator that stays open, as of a tool that looks at it."""
-    with xmlrpc.client.ServerProxy(master.call(uri, "lookupNode", "/sim")) as node:
-        answer: Any = node.requestTopic("/stranger", topic, [["TCPROS"]])
-    words = ["callerid=/stranger", f"topic={topic}", "md5sum=*", "type=*"]
-    header = b"".join(struct.pack("<I", len(w)) + w.encode() for w in words)
-    link = socket.create_connection(tuple(answer[2][1:3]), timeout=5.0)
-    link.sendall(struct.pack("<I", len(header)) + header)
-    assert link.recv(4), "the simulator hangs up"
-    return link
-
-
 def test_a_stranger_is_not_taken_for_the_controller(ros_graph: RosGraph, rospy_node: str) -> None:
     """Who only looks at a topic must not start the run: the controller would miss its beginning."""
     controller = Controller(0.0, 50)
@@ -189,7 +173,9 @@ def test_a_stranger_is_not_taken_for_the_controller(ros_graph: RosGraph, rospy_n
     jaws.unregister()
     with running(ros_graph, controller, connect_timeout=6.0) as child:
         ros_graph.wait_for(lambda: bool(controller.status), 20.0, "the simulator")
-        with stranger(ros_graph.uri, "/PSM1/tool/measured_js"):
+        node = master.call(ros_graph.uri, "lookupNode", "/sim")
+        stranger, _ = graph_probe.connect(node, "/PSM1/tool/measured_js")
+        with stranger:
             ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the bridge to give up")
         log = child.log_tail(20)
     assert child.exit_code == 1 and not controller.stamps

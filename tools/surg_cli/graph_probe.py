@@ -66,29 +66,54 @@ def observe(uri: str) -> list[Seen]:
         place = urlparse(master.call(uri, "lookupService", service))
         assert place.hostname is not None and place.port is not None
         asked = {"service": service, "md5sum": "*", "probe": "1"}
-        words = _handshake(place.hostname, place.port, asked)
+        link, words = _greet(place.hostname, place.port, asked)
+        link.close()
         seen += [Seen(service, node, "service", words["type"], words["md5sum"]) for node in nodes]
     return sorted(seen, key=lambda s: (s.name, s.node, s.direction))
 
 
 def _publisher_words(node_uri: str, topic: str) -> dict[str, str]:
+    link, words = connect(node_uri, topic)
+    link.close()
+    return words
+
+
+def connect(node_uri: str, topic: str) -> tuple[socket.socket, dict[str, str]]:
+    """Connect to a topic as a subscriber of any type.
+
+    Args:
+        node_uri: Of the publisher.
+        topic: Resolved name.
+
+    Returns:
+        The connection, on which the messages will come, and what the publisher says of itself.
+
+    Raises:
+        OSError: The node does not answer, or refuses.
+    """
     with xmlrpc.client.ServerProxy(node_uri) as node:
         answer: Any = node.requestTopic(CALLER, topic, [["TCPROS"]])
     code, text, where = answer
     if code != 1:
         raise OSError(f"{node_uri} refuses {topic}: {text}")
-    asked = {"topic": topic, "md5sum": "*", "type": "*"}
-    return _handshake(where[1], where[2], asked)
+    return _greet(where[1], where[2], {"topic": topic, "md5sum": "*", "type": "*"})
 
 
-def _handshake(host: str, port: int, words: dict[str, str]) -> dict[str, str]:
-    """Send one connection header, return the other side's."""
+def _greet(host: str, port: int, words: dict[str, str]) -> tuple[socket.socket, dict[str, str]]:
+    """Connect and send one connection header; the connection and the other side's header."""
     fields = [f"{key}={value}".encode() for key, value in {"callerid": CALLER, **words}.items()]
     header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
-    with socket.create_connection((host, port), timeout=_PATIENCE) as link:
+    link = socket.create_connection((host, port), timeout=_PATIENCE)
+    try:
         link.sendall(struct.pack("<I", len(header)) + header)
         (length,) = struct.unpack("<I", _read(link, 4))
-        data = _read(link, length)
+        return link, _words(_read(link, length))
+    except BaseException:
+        link.close()
+        raise
+
+
+def _words(data: bytes) -> dict[str, str]:
     answer, at = {}, 0
     while at < len(data):
         (size,) = struct.unpack_from("<I", data, at)

@@ -43,12 +43,10 @@ from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.newest import Newest
 from surg_sim.ports_node import Output, RawJointState, RawTwist, listeners, speakers
 from surg_sim.settings import BridgeSettings, SettingsError
-from surg_sim.shutter import Shutter
+from surg_sim.shutter import RENDERER, Shutter
 from surg_sim.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.world import TICK_NS, World
 
-RENDERER = "endoscope"
-"""Who says on /sim/ready what it has drawn."""
 _JAWLESS_TICKS = 5
 """In free-run the link of an instrument without a jaw speaks every 5th tick: 100 Hz."""
 _STATUS_PERIOD = 0.2  # [s] wall

@@ -18,9 +18,9 @@ from surg_msgs.msg import Ready, SimSnapshot
 from surg_sim import conditions, endoscope, scene, tasks
 from surg_sim.render import Intrinsics, NoOpenGL, Picture, Renderer, StereoRenderer, show_only
 from surg_sim.settings import EndoscopeSettings, SettingsError
+from surg_sim.shutter import RENDERER
 from surg_sim.world import World
 
-PARTICIPANT = "endoscope"
 FRAMES = {"left": endoscope.LEFT, "right": endoscope.RIGHT}
 """Optical frame of each view."""
 
@@ -130,7 +130,7 @@ class Endoscope:
             pictures = (self._renderer.render(qpos),)
         if self._jitter:
             time.sleep(random.uniform(0.0, self._jitter))
-        drawn = Ready(tick=snapshot.tick, participant=PARTICIPANT)
+        drawn = Ready(tick=snapshot.tick, participant=RENDERER)
         if not self._keep_all:  # the next exposure is made while this picture is sent
             self._ready.publish(drawn)
         for view, picture in zip(self._views, pictures, strict=True):

@@ -7,6 +7,8 @@ renderer is ready to draw it, instead of waiting for it in a queue while it ages
 
 from __future__ import annotations
 
+RENDERER = "endoscope"
+"""Who says on /sim/ready what it has drawn."""
 PERIOD = 25
 """Ticks between two exposures, at least: 20 Hz."""
 PATIENCE = 250
