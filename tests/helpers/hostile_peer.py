@@ -38,6 +38,8 @@ def messages(rng: random.Random) -> list[list[bytes]]:
 
 def main(address: str, count: int) -> None:
     """Flood with so many messages, a raw connection with every tenth and two huge frames."""
+    # A stranger has a machine of his own: here he only gets what nobody else wants.
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     rng = random.Random(7)
     context = zmq.Context()
     peers = []

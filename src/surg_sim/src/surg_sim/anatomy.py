@@ -112,7 +112,7 @@ def bowel_loop(centre: Array, radius: float, rng: np.random.Generator) -> Mesh:
         + 0.02 * np.sin(2 * np.pi * 13.0 * s + phase[2])
     )
     start = (float(rng.random()), float(rng.random()))
-    return tube(centre, radius * swell, segments=24, texture_start=start)
+    return tube(centre, radius * swell, segments=20, texture_start=start)
 
 
 def surface(
@@ -137,8 +137,8 @@ def disc(
     half_length: float,
     half_width: float,
     texture_size: float,
-    rings: int = 36,
-    segments: int = 64,
+    rings: int = 26,
+    segments: int = 48,
 ) -> Mesh:
     """The surface z = height(x, y) over an ellipse about the origin, seen from above.
 

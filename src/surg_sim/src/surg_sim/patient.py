@@ -94,7 +94,7 @@ def add_patient(spec: mujoco.MjSpec, site: Site, rng: np.random.Generator) -> No
         if name == "near" and any(spec.body(thing) is not None for thing in _AT_WORK):
             continue
         share = 0.94 - 1.15 * radius / dome.half_length
-        course = anatomy.smooth_curve(np.array(knots), 70) - [0.0, middle, 0.0]
+        course = anatomy.smooth_curve(np.array(knots), 50) - [0.0, middle, 0.0]
         loop = anatomy.bowel_loop(dome.inside(course, share), radius, rng)
         add_mesh(spec, patient, f"loop_{name}", loop, "bowel")
 

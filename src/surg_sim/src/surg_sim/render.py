@@ -58,8 +58,8 @@ def context(
     Args:
         backend: ``egl`` or ``osmesa``.
         model: What will be drawn.
-        width: Of the largest picture [px].
-        height: Of the largest picture [px].
+        width: Of the pictures [px].
+        height: Of the pictures [px].
     """
     os.environ["PYOPENGL_PLATFORM"] = backend
     # Mesa's renderer without a graphics card: two threads draw these scenes no sooner than one, and
@@ -71,7 +71,15 @@ def context(
         from mujoco.osmesa import GLContext  # type: ignore[assignment]
     gl = GLContext(width, height)
     gl.make_current()
-    return gl, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    # MuJoCo draws into a buffer of the size that the model names. Without a GPU it is 7 % faster in
+    # one of the picture's own size.
+    largest = model.vis.global_
+    named = largest.offwidth, largest.offheight
+    largest.offwidth, largest.offheight = width, height
+    try:
+        return gl, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+    finally:
+        largest.offwidth, largest.offheight = named
 
 
 def probe(backend: str) -> str:
@@ -195,8 +203,13 @@ class Renderer:
             )
         self._model, self._data = model, mujoco.MjData(model)
         self._skins = tuple(skins)
+        self._round = _Vignette(width, height) if vignette else None
+        self._shape = (height, width, 3)
+        # What the vignette hides at both sides is not drawn: a sixth of a picture of 4 : 3.
+        self._left = 0 if self._round is None else self._round.left
+        seen = width - 2 * self._left
         self.backend = choose_backend()
-        self._gl, self._mjr = context(self.backend, model, width, height)
+        self._gl, self._mjr = context(self.backend, model, seen, height)
         self._sharpen()
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._mjr)
         self._scene = mujoco.MjvScene(model, maxgeom=2000)
@@ -206,11 +219,6 @@ class Renderer:
         for group in hidden:
             self._option.geomgroup[group] = 0
         self._camera = _fixed(model, camera)
-        self._round = _Vignette(width, height) if vignette else None
-        self._shape = (height, width, 3)
-        # What the vignette hides at both sides is not drawn: a sixth of a picture of 4 : 3.
-        self._left = 0 if self._round is None else self._round.left
-        seen = width - 2 * self._left
         self._rect = mujoco.MjrRect(0, 0, seen, height)
         self._upside_down = np.empty((height, seen, 3), dtype=np.uint8)
         self.intrinsics = Intrinsics.from_fovy(

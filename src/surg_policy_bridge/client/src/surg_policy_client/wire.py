@@ -13,6 +13,7 @@ from typing import Any, Callable, Mapping, Optional, Sequence
 
 import msgpack
 import numpy as np
+import zmq
 
 from surg_policy_client.header import MAX_LIST, Buffer, read_map
 from surg_policy_client.spec import DTYPES, MAX_NDIM, Spec, SpecError
@@ -281,12 +282,12 @@ def receive(socket: Any, flags: int = 0) -> list[Any]:
         flags: As of its ``recv``, such as ``zmq.NOBLOCK``.
     """
     parts = [socket.recv(flags, copy=False)]
-    while parts[-1].more:
-        more = socket.recv(copy=False)
-        if len(parts) > MAX_PARTS + 1:
-            parts[-1] = more
-        else:
-            parts.append(more)
+    while parts[-1].more and len(parts) < MAX_PARTS + 2:
+        parts.append(socket.recv(copy=False))
+    left = parts[-1].more
+    while left:  # without an object for each it takes half the time
+        socket.recv()
+        left = socket.getsockopt(zmq.RCVMORE)
     return parts
 
 
