@@ -15,6 +15,7 @@ the page how old each picture was when its pixels had been drawn. `--json FILE` 
         real_time       simulated by wall time over the run; 1 is real time
         overruns        of the simulator
         driving         part of the time in which the tip followed
+        headlines       what the page said over its picture, each by how often it was seen
         faults          every FAULT of the run by arm, in its own words
         f10             how many of them were F10, FAULT(link): the robot link fell silent
         cpu             CPU seconds per second of each node, Chromium, and all together
@@ -36,6 +37,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -53,6 +55,8 @@ from helpers.chromium import Chromium, Tab, missing, until
 CIRCLE = ("KeyD", "KeyS", "KeyA", "KeyW")
 STEP_S = 0.6
 """[s] in each direction."""
+ACTS = {"Held": "Enter", "Waiting": "Space"}
+"""What an operator presses who reads that."""
 TICK_HZ = 500
 
 
@@ -168,14 +172,15 @@ async def drive(tab: Tab) -> None:
 
 async def circle(
     tab: Tab, seconds: float, progress: Progress
-) -> tuple[float, list[dict[str, Any]]]:
-    """Keys in turn; the part of the time in which the tip followed, and the pictures drawn."""
+) -> tuple[Counter[str], list[dict[str, Any]]]:
+    """Keys in turn; what the page said meanwhile, and the pictures drawn."""
     await tab.key("Space", True)  # under the clutch the hand changes from mouse to keys
     await asyncio.sleep(0.3)
     await tab.tap("KeyD")
     await asyncio.sleep(0.5)
     await tab.key("Space", False)
-    began, looks, following = time.monotonic(), 0, 0
+    await asyncio.sleep(0.3)  # nobody engages with a key held down
+    began, headlines = time.monotonic(), Counter[str]()
     step, drawn = 0, []
     newest = await tab.run("surgConsole.picture.drawn.at(-1).drawnUs")
     while (gone := time.monotonic() - began) < seconds:
@@ -184,16 +189,17 @@ async def circle(
         await tab.key(code, True)
         await asyncio.sleep(STEP_S)
         await tab.key(code, False)
-        step, looks = step + 1, looks + 1
+        step += 1
         headline = await tab.run("surgConsole.status()?.headline ?? ''")
-        following += headline == "Following"
-        if headline == "Held":
-            await tab.tap("Enter")
+        headlines[headline] += 1
+        if headline in ACTS:
+            await tab.tap(ACTS[headline])
+            await asyncio.sleep(0.3)
         # The page keeps its last pictures only: they are fetched as they come.
         fresh = f"surgConsole.picture.drawn.filter(each => each.drawnUs > {newest})"
         drawn += await tab.run(fresh)
         newest = drawn[-1]["drawnUs"] if drawn else newest
-    return following / looks, drawn
+    return headlines, drawn
 
 
 async def measure(
@@ -213,7 +219,7 @@ async def measure(
         before = cpu_seconds(entry, browser.process.pid)
         started = time.monotonic()
         with Progress(f"{layout}, {seconds:.0f} s") as progress:
-            part, drawn = await circle(tab, seconds, progress)
+            headlines, drawn = await circle(tab, seconds, progress)
         wall = time.monotonic() - started
         after = cpu_seconds(entry, browser.process.pid)
         listener.stop()
@@ -245,7 +251,8 @@ async def measure(
         },
         "real_time": listener.factor(),
         "overruns": listener.overruns,
-        "driving": part,
+        "driving": headlines["Following"] / headlines.total(),
+        "headlines": dict(headlines),
         "faults": listener.faults,
         "f10": sum("FAULT(link)" in text for said in listener.faults.values() for text in said),
         "cpu": {**used, "all": sum(used.values())},
@@ -273,6 +280,8 @@ def show(runs: list[dict[str, Any]]) -> None:
     for run in runs:
         parts = ", ".join(f"{name} {value:.1f} ms" for name, value in run["parts_ms"].items())
         say(f"  {run['layout']}: {parts}")
+        said = ", ".join(f"'{text}' {count}" for text, count in run["headlines"].items())
+        say(f"  {run['layout']}: the page said {said}")
         for text in (text for said in run["faults"].values() for text in said):
             say(f"    {text}")
 
