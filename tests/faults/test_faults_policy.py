@@ -11,6 +11,7 @@ import os
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -111,9 +112,12 @@ def test_f05_f08_f17_f18_f30_policies_in_one_running_system(
 
 
 def _judge(rig: PolicyRig) -> None:
-    """No step was refused, and the set-point never jumped."""
-    # A starved machine may break a stream off: then its next step is too far away, and refused.
-    assert {each.rule for each in rig.rejected} <= {"start"}, rig.rejected
+    """No step was refused but for its delay, and the set-point never jumped."""
+    # A starved machine may break a stream off, or play one step late: then its next step is too far
+    # away, or asks for too much at once, and is refused.
+    refused = Counter(each.rule for each in rig.rejected)
+    print(f"steps refused, by rule: {dict(refused)}")
+    assert set(refused) <= {"start", "acceleration"}, rig.rejected
     step = rig.largest_step()
     print(f"largest step of the set-point in one cycle: {1e6 * step:.0f} um")
     # 50 mm/s are 0.1 mm in a cycle; who catches up after a stall goes at 0.25 m/s in each axis.
@@ -144,9 +148,8 @@ def _flood(rig: PolicyRig, full: bool) -> None:
     In full: calm and flooded stretches of 15 s in turns, and the control's periods compared.
     """
     pid = rig.server.process.pid
-    # What is asked is what the server makes of it, not who gets the processor of one machine.
     count = str(10**6 if full else FLOOD)
-    script = ["nice", "-n", "15", sys.executable, "-s", str(HOSTILE), rig.address, count]
+    script = [sys.executable, "-s", str(HOSTILE), rig.address, count]
     periods: dict[str, list[int]] = {"calm": [], "flooded": []}
     sent = {"messages": 0, "raw": 0, "huge": 0}
     accepted, before, growth = 0, resident(pid), 0

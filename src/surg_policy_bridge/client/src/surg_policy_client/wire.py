@@ -271,7 +271,7 @@ def decode(parts: Sequence[Any]) -> Message:
     return Message(kind, head, arrays)
 
 
-def receive(socket: Any, flags: int = 0) -> list[Any]:
+def receive(socket: Any, flags: int = 0, give_way: Callable[[], None] = lambda: None) -> list[Any]:
     """Frames of the next message of a ZeroMQ socket (a ROUTER's first is the peer's identity).
 
     Never keeps more than `MAX_PARTS` + 1: of a message with more, the rest is read and let go, and
@@ -280,14 +280,18 @@ def receive(socket: Any, flags: int = 0) -> list[Any]:
     Args:
         socket: A pyzmq socket.
         flags: As of its ``recv``, such as ``zmq.NOBLOCK``.
+        give_way: Called now and then while the rest is let go.
     """
     parts = [socket.recv(flags, copy=False)]
     while parts[-1].more and len(parts) < MAX_PARTS + 2:
         parts.append(socket.recv(copy=False))
-    left = parts[-1].more
+    left, let_go = parts[-1].more, 0
     while left:  # without an object for each it takes half the time
         socket.recv()
         left = socket.getsockopt(zmq.RCVMORE)
+        let_go += 1
+        if let_go % 256 == 0:
+            give_way()
     return parts
 
 
