@@ -34,7 +34,7 @@ import page
 from machine import processor
 from publish import publish
 
-from surg_cli import logged, paths
+from surg_cli import environment, logged, paths
 from surg_cli.terminal import Problem, Progress, warn
 from surg_policy_client import keys
 
@@ -231,6 +231,8 @@ def main() -> None:
     add("--offline", action="store_true", help="fetch nothing; use openpi-client if it is there")
     add("--page", action="store_true", help="rewrite docs/benchmark_policy.md")
     options = parser.parse_args()
+    for name in environment.KEEPS_MEMORY:  # who uses a wire has the C library's own settings
+        os.environ.pop(name, None)
     try:
         if not (1 <= options.rounds <= 100_000 and 1 <= options.blocks <= 10_000):
             raise Problem("--rounds is 1 to 100000 and --blocks 1 to 10000", 2)
