@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from surg_teleop.console import access, protocol, wire
-from surg_teleop.console.codec import CodecError, image_of
+from surg_teleop.console.codec import CodecError, frame_of, image_of
 from surg_teleop.console.episodes import Episodes
 from surg_teleop.console.gallery import Pairer, Shot, Stream, parse_line
 from surg_teleop.console.lane import KEY_PERIOD, STALLED, UNDER_WAY, Lane
@@ -214,6 +214,17 @@ def test_each_picture_comes_out_at_once_and_looks_as_it_did(codec: str, layout: 
         wanted = np.hstack([shot(count, 0).pixels] * (2 if layout == "stereo" else 1))
         error = np.abs(frames[count].astype(int) - wanted.astype(int))
         assert error.mean() < 8.0, error.mean()
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "mono8"])
+def test_colours_stay_what_they_are(encoding: str) -> None:
+    red_then_blue = np.zeros((32, 64, 3), np.uint8)
+    red_then_blue[:, :32, 0] = red_then_blue[:, 32:, 2] = 220
+    seen = {"rgb8": red_then_blue, "bgr8": red_then_blue[..., ::-1], "mono8": red_then_blue[..., 0]}
+    frame = frame_of((np.ascontiguousarray(seen[encoding]),) * 2, encoding)
+    wanted = red_then_blue if encoding != "mono8" else red_then_blue[..., :1].repeat(3, axis=2)
+    error = np.abs(frame.to_ndarray(format="rgb24").astype(int) - np.hstack([wanted] * 2))
+    assert error.max() < 12, error.max()
 
 
 def test_a_key_picture_is_decodable_by_itself() -> None:

@@ -219,7 +219,7 @@ class Renderer:
         self._option = mujoco.MjvOption()
         for group in hidden:
             self._option.geomgroup[group] = 0
-            if group == OUTSIDE:  # nor its sky: a tenth of the work, for nothing that is seen
+            if group == OUTSIDE:  # nor its sky: 7 % of the work, for nothing that is seen
                 self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
         self._camera = _fixed(model, camera)
         self._rect = mujoco.MjrRect(0, 0, seen, height)
