@@ -115,6 +115,8 @@ class Pair:
         argv = [str(way.python), str(SOURCE / f"{way.program}.py")]
         rest = [address, way.keys] if way.keys else [address]
         env = {**os.environ, "OMP_NUM_THREADS": "1"}
+        for name in environment.KEEPS_MEMORY:  # who uses a wire has the C library's own settings
+            env.pop(name, None)
         if way.python != Path(sys.executable):
             env.pop("PYTHONPATH", None)  # Debian's packages are not for another environment
         self._policy = subprocess.Popen([*argv, "policy", *rest], env=env)
@@ -231,8 +233,6 @@ def main() -> None:
     add("--offline", action="store_true", help="fetch nothing; use openpi-client if it is there")
     add("--page", action="store_true", help="rewrite docs/benchmark_policy.md")
     options = parser.parse_args()
-    for name in environment.KEEPS_MEMORY:  # who uses a wire has the C library's own settings
-        os.environ.pop(name, None)
     try:
         if not (1 <= options.rounds <= 100_000 and 1 <= options.blocks <= 10_000):
             raise Problem("--rounds is 1 to 100000 and --blocks 1 to 10000", 2)

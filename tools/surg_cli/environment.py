@@ -16,7 +16,7 @@ FOREIGN_PYTHON = ("PYTHONHOME", "PYTHONPATH", "CONDA_PREFIX", "CONDA_DEFAULT_ENV
 FOREIGN_ROS = ("ROS_PACKAGE_PATH", "CMAKE_PREFIX_PATH", "ROS_ROOT", "ROS_DISTRO", "PKG_CONFIG_PATH")
 # Whoever takes a picture from a socket asks the C library for a megabyte at a time. Left alone it
 # gives each back to the kernel at once, and a node with two cameras then waits for 10,000 fresh
-# pages a second: 5 % of a core.
+# pages a second: 3 % of a core.
 KEEPS_MEMORY = {
     "MALLOC_MMAP_THRESHOLD_": str(16 << 20),
     "MALLOC_TRIM_THRESHOLD_": str(32 << 20),
