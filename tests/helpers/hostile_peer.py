@@ -21,12 +21,14 @@ def messages(rng: random.Random) -> list[list[bytes]]:
     """A message of every bad kind."""
     act = {"session": 1, "seq": 1, "stamp_ns": 0, "step0": 0}
     lie = {**act, "arrays": [{"key": "chunk", "dtype": "f8", "shape": [1 << 30, 1 << 30]}]}
+    void = {**act, "arrays": [{"key": "chunk", "dtype": "f8", "shape": [0, *[1 << 23] * 3]}]}
     return [
         [rng.randbytes(rng.randint(0, 400))],
         [b"SPB1"],
         [b"SPB1\x04" + rng.randbytes(100)],
         [b"SPB1\x04" + msgpack.packb(act)],
         [b"SPB1\x04" + msgpack.packb(lie), b"x" * 8],
+        [b"SPB1\x04" + msgpack.packb(void), b""],
         [b"SPB1\x01\x81\xa4deep" + b"\x91" * 100_000],
         [b"SPB1\x04" + b"\xdf\xff\xff\xff\xff" * 20],
         [b"SPB1\x06" + msgpack.packb({"session": 7, "n": 1})],

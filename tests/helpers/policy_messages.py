@@ -146,6 +146,7 @@ def value(rng: random.Random) -> Any:
             *(float("nan"), float("inf"), -0.0, 1e308, "", "x" * 70000, b"bytes", b"\xff" * 10),
             *([], [[[[[[]]]]]], [1] * 2000, [2**40, 2**40], [-1], [0.5], {}, {"x": {"x": {}}}),
             *("f4", "O", "<f4", ">f8", "u1", [1, 2, 3], [1, 1, 1, 1, 1], "chunk", "SPB1"),
+            [0, *[2**23] * 3],
             msgpack.ExtType(rng.randrange(127), b"x"),
             msgpack.Timestamp(0, 0),
         )

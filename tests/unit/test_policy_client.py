@@ -26,7 +26,7 @@ from surg_policy_client import (
     serve,
 )
 from surg_policy_client.link import Link
-from surg_policy_client.wire import Message
+from surg_policy_client.wire import Message, decode
 
 STATE = "observation.state"
 
@@ -251,6 +251,18 @@ def test_a_lost_server_is_found_again(how: str, tmp_path: Path) -> None:
     assert (served.sessions, served.episodes, served.successes) == (2, 1, 1)
     assert len(policy.resets) == 2
     assert [o.step for o in policy.seen] == [3, 4]
+
+
+def test_what_the_codec_overlooks_ends_no_connection(monkeypatch: pytest.MonkeyPatch) -> None:
+    def overlooks(parts: Any) -> Message:
+        if bytes(parts[0].buffer) == b"odd":
+            raise ValueError("an oversight")
+        return decode(parts)
+
+    monkeypatch.setattr("surg_policy_client.link.decode", overlooks)
+    with PolicyServer() as server, serving(Policy(), server) as client:
+        server.send([server._peer, b"odd"])
+        assert server.ask(1).kind == "ACT" and client.error is None
 
 
 def test_the_hint_follows_the_connection() -> None:

@@ -7,6 +7,7 @@ import resource
 
 import msgpack
 import numpy as np
+import pytest
 
 from helpers.policy_bench import MS, Bench
 from helpers.policy_results import note
@@ -101,6 +102,19 @@ def test_f17_what_the_policy_in_session_sends_is_told_and_moves_nothing() -> Non
             bench._hear()
             bench.execute()
         assert not [t for _, t in bench.sent if np.abs(t.p - [0, 0, 0.12]).max() > 2.1e-3]
+
+
+def test_f17_what_the_codec_overlooks_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    def overlooks(parts: object) -> Message:
+        raise ValueError("an oversight")
+
+    bench = Bench()
+    bench.start()
+    with monkeypatch.context() as patch:
+        patch.setattr(wire, "decode", overlooks)
+        bench.server.receive(b"stranger", [b"odd"], bench.now)
+    assert bench.server.counters.malformed == {"other": 1}
+    assert bench.period([bench.here(1e-3)]) is not None
 
 
 def test_f17_numbers_that_are_none_count_as_refusals() -> None:

@@ -131,6 +131,7 @@ def obs(arrays: Any, *buffers: bytes) -> list[bytes]:
     return [policy_messages.pack(3, head), *buffers]
 
 
+VAST = [0, 2**23, 2**23, 2**23]
 ONE = {"key": "a", "dtype": "u1", "shape": [1]}
 TWINS = wire.MAGIC + b"\x06\x82" + msgpack.packb("n") + b"\x01" + msgpack.packb("n") + b"\x02"
 REFUSED: dict[str, tuple[str, list[bytes]]] = {
@@ -187,6 +188,7 @@ REFUSED: dict[str, tuple[str, list[bytes]]] = {
     "a side beyond the limit": ("shape", act(shape=[2, 2**62])),
     "a negative side": ("shape", act(shape=[-2, -5])),
     "sides that overflow to the length": ("shape", act(shape=[2**33, 2**33])),
+    "a side of 0 beside sides beyond memory": ("size", obs([{**ONE, "shape": VAST}], b"")),
     "a side that is true": ("shape", act(shape=[True, 10])),
     "a shape that is no list": ("shape", act(shape="25")),
     "five dimensions": ("shape", obs([{**ONE, "shape": [1] * 5}], b"x")),

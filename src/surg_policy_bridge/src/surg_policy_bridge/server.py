@@ -422,6 +422,9 @@ class ModelServer:
         except WireError as error:
             self._malformed(peer, error)
             return
+        except Exception as error:  # whatever the codec may have overlooked ends no server
+            self._malformed(peer, WireError("other", f"{type(error).__name__} {error}"[:300]))
+            return
         if message.kind == "HELLO":
             self._hello(peer, message.head, now)
             return

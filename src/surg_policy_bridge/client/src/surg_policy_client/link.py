@@ -20,7 +20,7 @@ from surg_policy_client.conversation import Conversation, State
 from surg_policy_client.errors import NoServer
 from surg_policy_client.keys import ClientKeys, Folder, client_keys
 from surg_policy_client.spec import Spec
-from surg_policy_client.wire import MAX_PART, Message, WireError, decode, encode, receive
+from surg_policy_client.wire import MAX_PART, Message, decode, encode, receive
 
 _LINGER_MS = 200
 _RENEW_S = 1.0
@@ -265,7 +265,7 @@ class Link:
                 return
             try:
                 message = decode(parts)
-            except WireError:
+            except Exception:  # WireError, or what the codec may have overlooked
                 self.dropped += 1
                 continue
             with self._news:

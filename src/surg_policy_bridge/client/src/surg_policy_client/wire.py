@@ -327,14 +327,15 @@ def _check_arrays(kind: str, described: Any, buffers: Sequence[Any]) -> None:
             or any(type(side) is not int or not 0 <= side <= MAX_PART for side in shape)
         ):
             raise WireError("shape", f"{key}: at most {MAX_NDIM} sides of 0 to {MAX_PART}")
-        size = np.dtype(DTYPES[dtype]).itemsize
+        # A side of 0 leaves no bytes to count, but numpy multiplies the others all the same.
+        size = room = np.dtype(DTYPES[dtype]).itemsize
         for side in shape:
-            size *= side
+            size, room = size * side, room * max(side, 1)
         length = memoryview(buffer).nbytes
         if size != length:
             raise WireError("length", f"{key}: {dtype} {shape} is {size} bytes, {length} came")
-        if length > MAX_PART:
-            raise WireError("size", f"{key}: {length} bytes; at most {MAX_PART}")
+        if room > MAX_PART:
+            raise WireError("size", f"{key}: {dtype} {shape}: {room} bytes; at most {MAX_PART}")
     if kind == "ACT":
         good = [each["key"] for each in described] == ["chunk"]
         good = good and described[0]["dtype"] in ("f4", "f8") and len(described[0]["shape"]) == 2
