@@ -13,6 +13,8 @@ from helpers.policy_results import note
 from surg_policy_bridge.arm import PERIOD, SECOND, ArmState, ArmView, Target
 from surg_policy_bridge.observer import CameraWatch, Observer
 from surg_policy_bridge.safety import CLIPPABLE, RULES, ArmSafety, SafetyController
+from surg_policy_bridge.timers import PRESENCE, Presence
+from surg_teleop.seat import PEDAL_SILENCE
 
 DT = PERIOD / SECOND
 # The shipped UR5e (docs/safety.md), written here a second time on purpose: an oracle.
@@ -203,6 +205,19 @@ def test_the_expert_is_never_refused(full: bool) -> None:
         env.close()
     note(1, judged, "none")
     assert judged >= 30
+
+
+def test_a_dead_man_counts_while_its_source_says_so_again() -> None:
+    assert PRESENCE == PEDAL_SILENCE * SECOND, "the teleoperation's"
+    presence = Presence()
+    assert not presence.there(0)
+    presence.press("/footpedals", True, 0)
+    presence.press("/console", False, 0)
+    assert presence.there(PRESENCE), "one source does not lift another's foot"
+    assert not presence.there(PRESENCE + 1), "its node was killed with the pedal down"
+    presence.press("/footpedals", True, SECOND)
+    presence.press("/footpedals", False, SECOND)
+    assert not presence.there(SECOND)
 
 
 # --- pictures -------------------------------------------------------------------------------------

@@ -47,7 +47,7 @@ from surg_policy_bridge.router_node import Router
 from surg_policy_bridge.safety import ArmLimits, SafetyController
 from surg_policy_bridge.server import ModelServer, ServerSettings, State
 from surg_policy_bridge.settings import Settings, SettingsError
-from surg_policy_bridge.timers import CAMERA_PERIODS
+from surg_policy_bridge.timers import CAMERA_PERIODS, Presence
 from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
 from surg_recording.recorder_settings import camera as camera_topic
@@ -116,7 +116,7 @@ class ModelServerNode:
         self._over = False
         self._operator = ""
         self._homed = False
-        self._present = not settings.need_present
+        self._presence = Presence()
         self._refused = ""
         self._reported = -REPORT
         self._said: tuple[object, ...] = ()
@@ -155,7 +155,7 @@ class ModelServerNode:
         listen("/teleop/status", String, self._on_teleop)
         if settings.need_present:
             for source in ("/console", "/footpedals"):
-                listen(f"{source}/operator_present", Joy, self._on_present)
+                listen(f"{source}/operator_present", Joy, self._on_present, source)
         return found
 
     def _on_cycle(self, message: RawCycle, arm: str) -> None:
@@ -229,9 +229,10 @@ class ModelServerNode:
             self._operator = words[0] if words else ""
             self._rouse()
 
-    def _on_present(self, message: Joy) -> None:
+    def _on_present(self, message: Joy, source: str) -> None:
         with self._lock:
-            self._present = bool(message.buttons) and message.buttons[0] == 1
+            down = bool(message.buttons) and message.buttons[0] == 1
+            self._presence.press(source, down, time.monotonic_ns())
             self._rouse()
 
     def _rouse(self) -> None:
@@ -256,7 +257,7 @@ class ModelServerNode:
         """Why no policy may run now."""
         if self._operator:
             return self._operator
-        if not self._present:
+        if self._settings.need_present and not self._presence.there(time.monotonic_ns()):
             return "nobody is at the controls (operator_present)"
         if self._settings.lockstep:
             return ""  # a picture is waited for

@@ -36,7 +36,8 @@ class Settings:
         camera_rate: Pictures per second [1/s].
         clip: Rules that clip a step instead of refusing it.
         autostart: Every new session is enabled at once.
-        need_present: Run only while somebody is at the controls (/console/operator_present).
+        need_present: Run only while somebody is at the controls (operator_present of the console or
+            the foot pedals, repeated 20 times a second).
         answer_timeout: Lock-step: longest wall-clock wait for an answer [s].
     """
 

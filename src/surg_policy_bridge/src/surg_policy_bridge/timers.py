@@ -16,6 +16,9 @@ REJECTS = 3
 """Rejected steps in a row that pause the arms."""
 CAMERA_PERIODS = 3
 """Periods of a camera that may pass without a new picture (F08)."""
+PRESENCE = SECOND // 4
+"""[ns] A dead-man is repeated 20 times a second; one that has not been for longer is let go. The
+teleoperation's limit, too (surg_teleop.seat.PEDAL_SILENCE)."""
 
 
 @dataclass
@@ -42,3 +45,21 @@ class Patience:
     def exceeded(self, now: int) -> bool:
         """Whether it has lasted for longer than the limit."""
         return self.since is not None and now - self.since > self.limit
+
+
+class Presence:
+    """Is anybody at the controls? One source that is pressed, and says so again, is enough."""
+
+    def __init__(self) -> None:
+        self._down: dict[str, int] = {}
+
+    def press(self, source: str, down: bool, now: int) -> None:
+        """A source says whether it is pressed; it speaks for itself alone."""
+        if down:
+            self._down[source] = now
+        else:
+            self._down.pop(source, None)
+
+    def there(self, now: int) -> bool:
+        """Whether somebody is: the word of a source that has died does not last."""
+        return any(now - at <= PRESENCE for at in self._down.values())
