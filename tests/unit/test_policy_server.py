@@ -248,6 +248,37 @@ def test_f04_a_run_without_an_operator_goes_on_with_a_new_session() -> None:
     assert events == ["begin", "paused", "resumed"] and bench.server.episode == 1
 
 
+@pytest.mark.parametrize("against", ["operator", "fault", "holder"])
+def test_f30_a_start_by_itself_waits_for_no_person(against: str) -> None:
+    bench = Bench(autostart=True)
+    free = bench.arm.view
+    bench.obstacle = "the operator wants PSM1" if against == "operator" else ""
+    if against == "fault":
+        bench.arm.view = replace(free, state=ArmState.FAULT)
+    elif against == "holder":
+        bench.arm.view = replace(free, holder="/teleop")
+    bench.hello()
+    bench.tick()
+    assert ARM in bench.server.reason
+    bench.obstacle, bench.arm.view = "", free
+    for _ in range(5):
+        bench.tick()
+    assert bench.server.state.value == "READY" and not bench.arm.told
+    assert bench.server.enable(True, bench.now) == ""
+
+
+def test_a_start_by_itself_waits_for_arms_and_cameras() -> None:
+    bench = Bench(autostart=True)
+    bench.hello()
+    bench.server.tick({}, bench.now, bench.now)
+    assert "silent" in bench.server.reason
+    bench.server.tick({ARM: bench.arm.view}, bench.now, bench.now, "", "a picture is 151 ms old")
+    assert "picture" in bench.server.reason and not bench.arm.told
+    for _ in range(5):
+        bench.tick()
+    assert bench.server.state.value == "RUNNING"
+
+
 def test_f05_a_step_is_executed_only_while_its_observation_is_young(bench: Bench) -> None:
     bench.start()
     bench.period(np.array([bench.here(1e-4 * i) for i in range(1, 60)]))

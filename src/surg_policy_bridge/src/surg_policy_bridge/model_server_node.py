@@ -253,14 +253,16 @@ class ModelServerNode:
         self._server.serve(spec, time.monotonic_ns())
         self._rouse()
 
-    def _obstacle(self, now: int, views: dict[str, ArmView]) -> str:
-        """Why no policy may run now."""
+    def _obstacle(self) -> str:
+        """Why nobody wants a policy to run now."""
         if self._operator:
             return self._operator
         if self._settings.need_present and not self._presence.there(time.monotonic_ns()):
             return "nobody is at the controls (operator_present)"
-        if self._settings.lockstep:
-            return ""  # a picture is waited for
+        return ""
+
+    def _blind(self, now: int, views: dict[str, ArmView]) -> str:
+        """Which camera no policy may look at now; in lock-step its picture is waited for."""
         place = None
         if self._drawn and views:
             place = np.concatenate([view.p_tip for view in views.values()])
@@ -324,7 +326,7 @@ class ModelServerNode:
     def _beat(self, now: int) -> None:
         """Free-run: look, observe, send."""
         views = {arm: raw.view() for arm, (at, raw) in self._cycles.items() if now - at <= FRESH}
-        commands = self._server.tick(views, now, now, self._obstacle(now, views))
+        commands = self._server.tick(views, now, now, self._obstacle(), self._blind(now, views))
         step = self._free.observe(now)
         if step is not None:
             stamp_ns, wanted = self._put_state(views), self._server.wanted
@@ -399,7 +401,7 @@ class ModelServerNode:
         # that a picture takes.
         self._await(at, [cell_spec.image_key(camera) for camera in self._settings.cameras])
         views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
-        commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle(at, views))
+        commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle())
         if self._server.state is State.RUNNING:
             seen = self._complete(views, number)
             if seen is not None:

@@ -204,7 +204,12 @@ class ModelServer:
         self._forget("the server has ended")
 
     def tick(
-        self, views: Mapping[str, ArmView], at: int, now: int, obstacle: str = ""
+        self,
+        views: Mapping[str, ArmView],
+        at: int,
+        now: int,
+        obstacle: str = "",
+        blind: str = "",
     ) -> dict[str, ArmCommand]:
         """Look at the arms and at the timers; as often as there is anything new.
 
@@ -212,22 +217,27 @@ class ModelServer:
             views: Newest cycle of every arm that has spoken lately.
             at: Time of the execution [ns].
             now: Steady clock [ns].
-            obstacle: Why no policy may run now: an operator wants the arms, a camera is blind;
-                empty: one may. Taking it away starts nothing.
+            obstacle: Why somebody wants no policy to run now: an operator's hand is on an arm, or
+                nobody is at the controls; empty: one may. Taking it away starts nothing.
+            blind: Which camera shows nothing new; empty: none. It stops a policy, too, but a start
+                waits for it, as for an arm that has not spoken yet.
 
         Returns:
             What the arms have to be told besides the steps, by name.
         """
-        self._views, self._at, self._obstacle = views, at, obstacle
-        if obstacle and self.state in (State.WAKING, State.RUNNING):
-            self._stop(State.PAUSED, obstacle)
+        self._views, self._at, self._obstacle = views, at, obstacle or blind
+        if self._obstacle and self.state in (State.WAKING, State.RUNNING):
+            self._stop(State.PAUSED, self._obstacle)
         session = self.session
         if session is not None and session.silence.exceeded(now):
             silent = 1e-6 * self._settings.silence
             self._lose(f"the policy has been silent for more than {silent:.0f} ms")
         if self._start and self.session is not None:
             refused = self.enable(True, at)
-            self._start, self.reason = bool(refused), refused or self.reason
+            self.reason = refused or self.reason
+            # What is still to come is waited for; what a person has or has to see to is not.
+            coming = bool(blind) or any(arm not in views for arm in self._settings.arms)
+            self._start = bool(refused) and not obstacle and coming
         if trouble := self._handover.look(views, at):
             self._stop(State.PAUSED, trouble)
         elif self.state is State.WAKING and self._handover.phase is Phase.HELD:
