@@ -102,6 +102,16 @@ def test_every_observation_holds_the_picture_of_its_own_tick(
     assert seen[:, 2].tolist() == shown[: len(seen)] and steps - len(seen) in (0, 1)
 
 
+@pytest.mark.ros
+@pytest.mark.parametrize("more", [[], ["--privileged"]])  # refused at once, and once it is served
+def test_an_episode_without_its_policy_ends(tmp_path: Path, more: list[str]) -> None:
+    out = tmp_path / "run"
+    done = surg("run", TASK, "--policy", LOOKING, *more, "--seed", SEED, "--out", out)
+    told = done.stdout + done.stderr
+    assert done.returncode == 1 and "before it had" in told and "endoscope.left" in told
+    assert "time limit" not in told
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

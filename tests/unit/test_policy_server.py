@@ -53,6 +53,19 @@ def test_a_hello_before_the_specification_is_answered_with_it() -> None:
     assert len(bench.of("WELCOME")) == 1
 
 
+@pytest.mark.parametrize("early", [False, True])
+def test_who_was_refused_does_not_count_as_waiting(early: bool) -> None:
+    bench = Bench()
+    bench.server._spec = None if early else spec()
+    bench.hello(wants=replace(spec(), task="suturing").to_map())
+    assert bench.server.report()["waiting"] is early
+    bench.server.serve(spec(), bench.now)
+    bench._hear()
+    assert bench.errors[-1][1] == "spec" and bench.server.report()["waiting"] is False
+    bench.hello(b"b")
+    assert bench.server.report()["waiting"] is True
+
+
 @pytest.mark.parametrize("versions", [[2, 3], [9, 9]])
 def test_another_version_is_refused_naming_both(bench: Bench, versions: list[int]) -> None:
     bench.hello(versions=versions)

@@ -121,6 +121,8 @@ def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended
             fault = f"{arm} went into FAULT: {watch.last_error(arm) or 'it gave no reason'}"
             break
         broken = follow.failure(watch, supervisor, None)
+        if plan.policy is not None:
+            broken += policy.absent(supervisor, watch)
         if broken:
             break
     sim = watch.sim

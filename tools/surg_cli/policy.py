@@ -97,6 +97,17 @@ def _check(client: Child, deadline: float) -> None:
         )
 
 
+def absent(supervisor: Supervisor, watch: Watch) -> list[str]:
+    """Why nobody will play: the script has ended without ever a session; empty: somebody may."""
+    if watch.policy.get("sessions"):
+        return []
+    return [
+        f"no policy has played: the script ended ({child.exit_code}) before it had a session"
+        for child in supervisor.children
+        if child.name == CLIENT and child.exit_code is not None
+    ]
+
+
 def complaints(supervisor: Supervisor, watch: Watch) -> list[str]:
     """Why a policy may have failed, in sentences."""
     found = []

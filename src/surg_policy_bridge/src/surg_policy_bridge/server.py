@@ -121,7 +121,7 @@ class ModelServer:
         state: What the policy does to the arms.
         reason: Why it is not RUNNING; empty while it is.
         session: The policy that is connected; None: there is none.
-        waiting: Somebody has said HELLO and waits for the specification.
+        waiting: A policy has come, in session or for the specification; not one that was refused.
         counters: What was counted.
         outbox: Frames to send, with the peer; the caller empties it.
         judged: Steps for the topics; the caller empties it.
@@ -161,8 +161,8 @@ class ModelServer:
         """From now on this is observed and commanded; a HELLO that came before is answered now."""
         self._spec = spec
         if self._early is not None:
-            self._hello(*self._early, now)
-            self._early = None
+            early, self._early, self.waiting = self._early, None, False
+            self._hello(*early, now)
 
     def enable(self, on: bool, at: int) -> str:
         """Somebody wants the policy to run, or to stop.
@@ -483,9 +483,8 @@ class ModelServer:
             return
         if session is not None:
             self._lose("the policy fell silent")
-        self.waiting = True
         if self._spec is None:
-            self._early = peer, head
+            self._early, self.waiting = (peer, head), True
             return
         if refused := refusal(head, VERSIONS, self._spec):
             self._error(peer, *refused)
@@ -498,7 +497,7 @@ class ModelServer:
             spec=spec_for(head, self._spec),
             silence=Patience(self._settings.silence, now),
         )
-        self.session = made
+        self.session, self.waiting = made, True
         self.counters.sessions += 1
         self._told = _Told()
         if self.state is State.IDLE:
