@@ -223,6 +223,22 @@ def test_answers_out_of_order_and_to_nothing_are_not_obeyed(bench: Bench) -> Non
     assert done is not None and done.p[0] == pytest.approx(1e-3)
 
 
+def test_an_answer_to_what_was_seen_before_a_pause_is_not_obeyed(bench: Bench) -> None:
+    bench.start()
+    bench.observe()  # and the policy thinks
+    bench.server.enable(False, bench.now)
+    bench.tick()
+    bench.server.enable(True, bench.now)
+    for _ in range(3):
+        bench.tick()
+    assert bench.server.state.value == "RUNNING"
+    bench.say("RESET", session=bench.session)
+    assert not bench.errors, "nothing has moved"
+    bench.act([bench.here(1e-3)] * 5)
+    assert bench.server.counters.stale == 5 and bench.server.coming(1) is None
+    assert bench.period([bench.here(1e-3)]) is not None
+
+
 # --- timers ---------------------------------------------------------------------------------------
 
 

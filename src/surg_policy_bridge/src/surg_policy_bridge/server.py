@@ -378,8 +378,10 @@ class ModelServer:
     # --- states -----------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """The arms are here."""
+        """The arms are here; what was seen before that is answered too late."""
         self.state, self.reason = State.RUNNING, ""
+        if self.session is not None:
+            self.session.answered = self.session.seq
         self._queue.flush()
         self._safety.forget()
         self._in_a_row = 0
@@ -519,7 +521,7 @@ class ModelServer:
 
     def _reset(self, session: Session) -> None:
         """A new episode is begun by who runs the system; one that has not moved is as good."""
-        if self.state is State.RUNNING and session.answered == 0:
+        if self.state is State.RUNNING and not session.acted:
             return
         self._error(
             session.peer,
@@ -538,7 +540,7 @@ class ModelServer:
         elif seq <= session.answered or self.state is not State.RUNNING:
             self._count_stale(len(rows))
         else:
-            session.answered = seq
+            session.answered, session.acted = seq, True
             self.counters.round_trip.add(now - sent.sent)
             if self._at - sent.seen > self._settings.max_obs_age:
                 self._count_stale(len(rows))

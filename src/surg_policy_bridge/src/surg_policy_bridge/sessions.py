@@ -92,7 +92,8 @@ class Session:
         silence: Since when nothing has been heard.
         sent: Observations that it may answer, by sequence number.
         seq: Of the newest observation.
-        answered: Of the newest observation that it has answered.
+        answered: Of the newest observation that it has answered, or may no longer answer.
+        acted: It has answered one.
     """
 
     number: int
@@ -104,6 +105,7 @@ class Session:
     sent: OrderedDict[int, Sent] = field(default_factory=OrderedDict)
     seq: int = 0
     answered: int = 0
+    acted: bool = False
 
     def heard(self, now: int) -> None:
         """A message of it has come."""
