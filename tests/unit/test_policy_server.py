@@ -434,6 +434,25 @@ def test_an_arm_that_is_lost_stops_the_policy(bench: Bench, change: str) -> None
         assert len(bench.arm.told) == told, "what another holds is left to it"
 
 
+@pytest.mark.parametrize("end", ["enable", "operator", "bye"])
+def test_an_arm_that_is_about_to_wake_is_not_left_alone(bench: Bench, end: str) -> None:
+    bench.arm.view = replace(bench.arm.view, homed=True, state=ArmState.PAUSED)
+    bench.hello()
+    bench.tick()
+    bench.server.enable(True, bench.now)
+    before = {ARM: bench.arm.view}  # the arm obeys, and shows it a cycle later
+    bench.tick()
+    assert bench.arm.view.holder == "/policy" and bench.server.state.value == "WAKING"
+    if end == "enable":
+        bench.server.enable(False, bench.now)
+    elif end == "bye":
+        bench.say("BYE", session=bench.session, reason="")
+    obstacle = "the operator wants PSM1" if end == "operator" else ""
+    for command in bench.server.tick(before, bench.now, bench.now, obstacle).values():
+        bench.arm.obey(command)
+    assert bench.arm.view.state == ArmState.PAUSED and bench.arm.view.holder == ""
+
+
 def test_waking_that_shows_no_effect_is_said_again_and_given_up(bench: Bench) -> None:
     bench.hello()
     bench.tick()

@@ -61,12 +61,12 @@ class Handover:
         self._parting = {}
 
     def leave(self, views: Mapping[str, ArmView]) -> None:
-        """The policy lets go: what is ours comes to rest and is PAUSED."""
+        """The policy lets go: what is ours, or is about to be, comes to rest and is PAUSED."""
         if self.phase is not Phase.AWAY:
             self._parting = {
                 name: ArmCommand(state="pause", hold=True)
                 for name in self._arms
-                if name not in views or self._ours(views[name])
+                if name not in views or self._ours(views[name]) or self._woken(views[name], name)
             }
         self.phase, self._asked = Phase.AWAY, {}
 
@@ -124,6 +124,12 @@ class Handover:
     def _ours(self, view: ArmView) -> bool:
         """Whether pausing it takes nothing from another sender."""
         return view.state == ArmState.ENABLED and view.holder in ("", self._node)
+
+    def _woken(self, view: ArmView, name: str) -> bool:
+        """Whether it has been told to wake, and may do so in its next cycle."""
+        word, _ = self._asked.get(name, ("home", 0))
+        waking = self.phase is Phase.WAKING and word != "home"
+        return waking and view.holder in ("", self._node)
 
     def _unready(self, views: Mapping[str, ArmView]) -> str:
         for name in self._arms:
