@@ -12,6 +12,7 @@ import surg_core
 from surg_cli import paths
 from surg_policy_bridge import binding, cell_spec
 from surg_policy_bridge.settings import Settings, SettingsError
+from surg_policy_client.wire import MAX_PARTS, Message, encode
 from surg_recording.datasets import schema
 
 GOOD: dict[str, Any] = {"cell": "cells/sim_ur5e"}
@@ -42,12 +43,31 @@ def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() 
         ("bind", "tcp://0.0.0.0:5555", "./surg keys"),
         ("bind", "tcp://localhost", "such as"),
         ("keys", 5, "~keys"),
+        ("task", "x" * 257, "at most 256"),
+        ("instruction", "x" * 1025, "at most 1024"),
+        ("cameras", list("abcdefg"), "at most 6"),
     ],
 )
 def test_what_must_not_be_used_is_said(name: str, value: Any, said: str) -> None:
     with pytest.raises(SettingsError, match=f"(?s).*{said}") as error:
         Settings.read(reader({**GOOD, name: value}))
     assert f"~{name}" in str(error.value)
+
+
+def test_what_is_served_fits_onto_the_wire() -> None:
+    most = {"task": "x" * 256, "instruction": "x" * 1024, "cameras": list("abcdef")}
+    settings = Settings.read(reader({**GOOD, **most}))
+    sizes = dict.fromkeys(settings.cameras, (3, 4))
+    cell = surg_core.load_cell(paths.ROOT / "cells" / "sim_ur5e")
+    spec = cell_spec.make(cell, settings.arms, settings.task, sizes, None)
+    arrays = {key: np.zeros(f.shape or (), f.dtype) for key, f in spec.observation.items()}
+    numbers = {"session": 1, "seq": 1, "stamp_ns": 0, "episode": 0, "step": 0}
+    head = {**numbers, "instruction": settings.instruction}
+    assert len(encode(Message("OBS", head, arrays))) == MAX_PARTS
+    with pytest.raises(SettingsError, match="at most 5"):
+        Settings.read(reader({**GOOD, **most, "privileged": True}))
+    assert cell_spec.too_large(1080, 1920) == ""
+    assert "at most 8388608" in cell_spec.too_large(2160, 3840)
 
 
 def test_ground_truth_is_of_a_simulator_only() -> None:

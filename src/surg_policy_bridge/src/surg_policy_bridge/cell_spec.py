@@ -16,6 +16,7 @@ from surg_policy_bridge.arm import (
 )
 from surg_policy_bridge.observer import IMAGE, STATE, TASK_STATE
 from surg_policy_client.spec import ActionSpec, Feature, Spec
+from surg_policy_client.wire import MAX_PART
 from surg_recording import columns
 
 
@@ -29,6 +30,14 @@ def task_numbers(names: Sequence[str]) -> list[str]:
     """Names of the numbers of a surg_msgs/TaskState, as in a dataset."""
     found = columns.task(names)[len(columns.TASK) :]
     return [name.removeprefix(columns.TASK_PREFIX) for name in found]
+
+
+def too_large(height: int, width: int) -> str:
+    """Why a picture of so many pixels cannot be served; empty: it can."""
+    size = 3 * height * width
+    if size <= MAX_PART:
+        return ""
+    return f"a picture of {width} x {height} pixels has {size} bytes: at most {MAX_PART} are served"
 
 
 def make(

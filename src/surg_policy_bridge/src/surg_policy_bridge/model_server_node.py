@@ -194,6 +194,9 @@ class ModelServerNode:
                 5.0, f"{camera}: encoding {message.encoding}: rgb8 or bgr8 is needed"
             )
             return
+        if problem := cell_spec.too_large(message.height, message.width):
+            rospy.logwarn_throttle(5.0, f"{camera}: {problem}")
+            return
         pixels = np.frombuffer(message.data, np.uint8)
         picture = pixels.reshape(message.height, message.width, 3)[:, :, order]
         stamp_ns, fingerprint = message.header.stamp.to_nsec(), zlib.crc32(message.data)

@@ -8,6 +8,8 @@ from typing import Any
 
 from surg_policy_bridge import binding
 from surg_policy_bridge.safety import CLIPPABLE, CLIPPED
+from surg_policy_client.spec import MAX_TEXT
+from surg_policy_client.wire import MAX_PARTS, MAX_SENTENCE
 
 MODES = ("lockstep", "freerun")
 ADDRESS = "tcp://127.0.0.1:5555"
@@ -82,16 +84,23 @@ class Settings:
             bind = binding.check(_word("bind", get("bind", ADDRESS)), bool(keys))
         except binding.BindError as error:
             raise SettingsError(f"parameter ~bind: {error}") from error
+        privileged = _flag("privileged", get("privileged", False))
+        cameras = _texts("cameras", get("cameras", []))
+        most = MAX_PARTS - 2 - privileged  # beside the header and the arms' state
+        if len(cameras) > most:
+            raise SettingsError(
+                f"parameter ~cameras names {len(cameras)}: at most {most} are served"
+            )
         return cls(
             bind=bind,
             keys=keys,
             cell=cell,
             arms=_texts("arms", get("arms", ["PSM1"])) or ("PSM1",),
             mode=mode,
-            task=_word("task", get("task", "")),
-            instruction=_word("instruction", get("instruction", "")),
-            privileged=_flag("privileged", get("privileged", False)),
-            cameras=_texts("cameras", get("cameras", [])),
+            task=_word("task", get("task", ""), MAX_TEXT),
+            instruction=_word("instruction", get("instruction", ""), MAX_SENTENCE),
+            privileged=privileged,
+            cameras=cameras,
             camera_rate=_real("camera_rate", get("camera_rate", 20.0), 1.0, 240.0),
             clip=clip,
             autostart=_flag("autostart", get("autostart", False)),
@@ -122,9 +131,11 @@ class Settings:
             )
 
 
-def _word(name: str, value: Any) -> str:
+def _word(name: str, value: Any, most: int | None = None) -> str:
     if not isinstance(value, str):
         raise SettingsError(f"parameter ~{name} is {value!r}: give a text")
+    if most is not None and len(value) > most:
+        raise SettingsError(f"parameter ~{name} has {len(value)} characters: at most {most}")
     return value
 
 

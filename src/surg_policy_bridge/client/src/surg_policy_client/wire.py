@@ -45,6 +45,8 @@ MAX_PARTS = 8
 MAX_ROWS = MAX_LIST
 """Of a chunk. One without any says: nothing new, what was sent before goes on."""
 MAX_KEY = 128
+MAX_SENTENCE = 1024
+"""Characters of an instruction, or of a reason."""
 
 
 class WireError(ValueError):
@@ -137,7 +139,7 @@ _SESSION = _integer(1, 2**64 - 1)
 _COUNT = _integer(0, 2**31 - 1)
 _STEP = _integer(-(2**62), 2**62)
 _STAMP = _integer(0, 2**63 - 1)
-_REJECTION: dict[str, Check] = {"step": _STEP, "rule": _text(64), "text": _text(1024)}
+_REJECTION: dict[str, Check] = {"step": _STEP, "rule": _text(64), "text": _text(MAX_SENTENCE)}
 _FIELDS: dict[str, dict[str, Check]] = {
     "HELLO": {
         "versions": _versions,
@@ -160,7 +162,7 @@ _FIELDS: dict[str, dict[str, Check]] = {
         "stamp_ns": _STAMP,
         "episode": _COUNT,
         "step": _STEP,
-        "instruction": _text(1024),
+        "instruction": _text(MAX_SENTENCE),
     },
     "ACT": {"session": _SESSION, "seq": _COUNT, "stamp_ns": _STAMP, "step0": _STEP},
     "ACK": {
@@ -180,11 +182,11 @@ _FIELDS: dict[str, dict[str, Check]] = {
         "session": _SESSION,
         "episode": _COUNT,
         "event": _one_of(*EVENTS),
-        "instruction": _text(1024),
+        "instruction": _text(MAX_SENTENCE),
         "success": _verdict,
-        "reason": _text(1024),
+        "reason": _text(MAX_SENTENCE),
     },
-    "BYE": {"session": _SESSION, "reason": _text(1024)},
+    "BYE": {"session": _SESSION, "reason": _text(MAX_SENTENCE)},
     "ERR": {"code": _text(64), "text": _text(65536)},
 }
 _NAMES = {number: name for name, number in KINDS.items()}
