@@ -11,7 +11,7 @@ import pytest
 from helpers.policy_bench import ARM, HOME, Bench, arm_limits, cell
 from helpers.policy_results import note
 from surg_policy_bridge.arm import PERIOD, SECOND, ArmState, ArmView, Target
-from surg_policy_bridge.observer import CameraWatch, Observer
+from surg_policy_bridge.observer import CameraWatch, Observer, apart
 from surg_policy_bridge.safety import CLIPPABLE, RULES, ArmSafety, SafetyController
 from surg_policy_bridge.timers import PRESENCE, Presence
 from surg_teleop.seat import PEDAL_SILENCE
@@ -292,6 +292,11 @@ def test_observations_belong_together() -> None:
     loose.put("a", 9 * PERIOD, np.full(1, 5.0))
     seen = loose.take(2, 9 * PERIOD)
     assert seen is not None and seen.arrays["a"] == 0.0, "one that was overtaken is dropped"
+
+
+def test_states_of_two_arms_belong_together() -> None:
+    assert apart({"PSM1": 0}) == "" == apart({"PSM1": 3 * PERIOD, "PSM2": 0})
+    assert "PSM2 is 200 ms behind" in apart({"PSM1": 4 * PERIOD, "PSM2": 0})
 
 
 def test_the_cell_agrees_with_the_oracle() -> None:

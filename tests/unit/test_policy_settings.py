@@ -43,8 +43,8 @@ def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() 
         ("bind", "tcp://0.0.0.0:5555", "./surg keys"),
         ("bind", "tcp://localhost", "such as"),
         ("keys", 5, "~keys"),
-        ("task", "x" * 257, "at most 256"),
-        ("instruction", "x" * 1025, "at most 1024"),
+        pytest.param("task", "x" * 257, "at most 256", id="task"),
+        pytest.param("instruction", "x" * 1025, "at most 1024", id="instruction"),
         ("cameras", list("abcdefg"), "at most 6"),
     ],
 )

@@ -41,6 +41,7 @@ from surg_policy_bridge.observer import (
     CameraWatch,
     Observation,
     Observer,
+    apart,
 )
 from surg_policy_bridge.ports_node import ArmPort, RawCycle, RawTaskState
 from surg_policy_bridge.router_node import Router
@@ -281,16 +282,18 @@ class ModelServerNode:
         """Time of the execution [ns]."""
         return self._tick * TICK if self._settings.lockstep else time.monotonic_ns()
 
-    def _put_state(self, views: dict[str, ArmView]) -> int | None:
-        """Observe the arms; the stamp of the youngest, None while one is missing."""
+    def _put_state(self, views: dict[str, ArmView]) -> tuple[int | None, str]:
+        """Observe the arms; the stamp of the youngest, or None and why not."""
         if len(views) < len(self._ports):
-            return None
+            return None, "an arm is silent"
+        if why := apart({arm: view.stamp_ns for arm, view in views.items()}):
+            return None, why
         numbers = np.array([n for arm in self._ports for n in views[arm].numbers()], dtype="<f4")
         if not np.isfinite(numbers).all():
-            return None
+            return None, "an arm does not know its jaw"
         stamp_ns = max(view.stamp_ns for view in views.values())
         self._observer.put(STATE, stamp_ns, numbers)
-        return stamp_ns
+        return stamp_ns, ""
 
     # --- real time --------------------------------------------------------------------------------
 
@@ -332,16 +335,15 @@ class ModelServerNode:
         commands = self._server.tick(views, now, now, self._obstacle(), self._blind(now, views))
         step = self._free.observe(now)
         if step is not None:
-            stamp_ns, wanted = self._put_state(views), self._server.wanted
+            (stamp_ns, why), wanted = self._put_state(views), self._server.wanted
             seen = None if stamp_ns is None else self._observer.take(step, stamp_ns, wanted)
             if seen is not None:
                 # As old as the oldest cycle or picture in it.
                 oldest = min(at for at, _ in self._cycles.values()) - seen.behind
                 self._server.observe(seen, oldest, now)
             else:
-                late = "an arm is silent, or does not know its jaw"
-                why = late if stamp_ns is None else self._observer.missing(stamp_ns, wanted)
-                self._server.observe_nothing(why)
+                missing = "" if stamp_ns is None else self._observer.missing(stamp_ns, wanted)
+                self._server.observe_nothing(why or missing)
         for arm, target in self._free.play(self._server, views, now).items():
             commands[arm] = ArmCommand(servo=target)
         self._send(commands, views)
@@ -420,9 +422,9 @@ class ModelServerNode:
 
     def _complete(self, views: dict[str, ArmView], number: int) -> Observation | None:
         """The observation of a tick; parts of it may still be on their way."""
-        stamp_ns, wanted = self._put_state(views), self._server.wanted
+        (stamp_ns, why), wanted = self._put_state(views), self._server.wanted
         if stamp_ns is None:
-            self._server.observe_nothing("an arm does not know its jaw")
+            self._server.observe_nothing(why)
             return None
         self._await(stamp_ns, wanted)
         if missing := self._observer.missing(stamp_ns, wanted):

@@ -105,6 +105,19 @@ class CameraWatch:
         return float(np.abs(place - self._place).max()) <= STILL
 
 
+def apart(stamps: Mapping[str, int]) -> str:
+    """Which arm's state is too old to be one observation with the others'; empty: none.
+
+    Args:
+        stamps: Of every arm's state [ns], by name.
+    """
+    last = min(stamps, key=lambda arm: stamps[arm])
+    behind = max(stamps.values()) - stamps[last]
+    if behind <= TOLERANCE:
+        return ""
+    return f"the state of {last} is {1e3 * behind / SECOND:.0f} ms behind the other arms'"
+
+
 class Observer:
     """The newest value of every source, by the key that it is observed as.
 
