@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import functools
+import threading
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import zmq
 from numpy.typing import NDArray
 
 import surg_core
 from surg_cli import paths
 from surg_policy_bridge import cell_spec
-from surg_policy_bridge.arm import PERIOD, ArmCommand, ArmState, ArmView, Target
+from surg_policy_bridge.arm import PERIOD, SECOND, ArmCommand, ArmState, ArmView, Target
 from surg_policy_bridge.observer import STATE, Observation
 from surg_policy_bridge.safety import CLIPPED, ArmLimits, SafetyController
-from surg_policy_bridge.server import ModelServer, ServerSettings
+from surg_policy_bridge.server import ModelServer, ServerSettings, State
 from surg_policy_client import wire
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
@@ -228,3 +231,53 @@ class Bench:
         moved[: len(offset)] = offset
         view = self.arm.view
         return np.array([*view.p_set, view.roll_set, view.jaw_set]) + moved
+
+
+class WiredBench(Bench):
+    """The same server behind a socket, in lock-step with a policy that comes over the wire.
+
+    Attributes:
+        lock: Held while the server works.
+        address: Of the socket.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        patient = {"silence": 60 * SECOND, "max_obs_age": 60 * SECOND, "empty": 60 * SECOND}
+        super().__init__(**{**patient, **settings})
+        self._context = zmq.Context()
+        self._router = self._context.socket(zmq.ROUTER)
+        port = self._router.bind_to_random_port("tcp://127.0.0.1")
+        self.address = f"tcp://127.0.0.1:{port}"
+        self.lock, self._stop = threading.Lock(), False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> WiredBench:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop = True
+        self._thread.join()
+        self._router.close(0)
+        self._context.term()
+
+    def _run(self) -> None:
+        ran = False
+        while not self._stop:
+            with self.lock:
+                self.now = time.monotonic_ns()
+                while self._router.poll(0):
+                    peer, *parts = self._router.recv_multipart()
+                    self.server.receive(peer, parts, self.now)
+                self.tick()
+                begins = ran != (ran := self.server.state is State.RUNNING)
+                if ran and (begins or not self.server.unanswered):
+                    self.execute()
+                    self.step += 1
+                    self.observe()
+            time.sleep(0.002)
+
+    def _hear(self) -> None:
+        for peer, parts in self.server.outbox:
+            self._router.send_multipart([peer, *parts])
+        self.server.outbox.clear()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.policy_bench import WiredBench
 from helpers.policy_server import PolicyServer, spec
 from surg_policy_client import (
     BadAction,
@@ -418,10 +419,42 @@ def test_an_environment_that_is_refused_says_so() -> None:
             server.wait("RESET")
             server.say(Message("ERR", {"code": "refused", "text": "the operator starts episodes"}))
 
+        server.wait("PING")
+        server.observe(0)
+        env.reset()
+        threading.Timer(0.1, lambda: server.observe(1)).start()
+        env.step(np.zeros(5))
         threading.Thread(target=refuse, daemon=True).start()
         with pytest.raises(Refused, match="the operator starts episodes") as caught:
             env.reset()
         assert caught.value.code == "refused"
+
+
+def test_an_environment_waits_for_the_episodes_that_the_model_server_begins() -> None:
+    """As under `./surg run`: welcomed before the arm is there; the next one begins by itself."""
+
+    def begin() -> None:
+        with server.lock:
+            assert server.server.enable(True, server.now) == ""
+
+    def end() -> None:
+        with server.lock:
+            server.server.episode_over(True, "done")
+        threading.Timer(0.7, begin).start()
+
+    with WiredBench() as server, RemoteEnv(server.address, timeout_s=10.0) as env:
+        threading.Timer(0.7, begin).start()
+        for episode in (1, 2):
+            observation, info = env.reset()
+            assert (observation.episode, info["success"]) == (episode, None)
+            _, _, terminated, _, _ = env.step(observation.held_action())
+            assert not terminated
+            with pytest.raises(Refused, match="begun on the server's side"):
+                env.reset()  # in the middle of one, which goes on
+            threading.Timer(0.1, end).start()
+            while not terminated:
+                observation, _, terminated, _, info = env.step(observation.held_action())
+            assert info["success"] is True
 
 
 def test_an_environment_without_episodes_gives_up_in_time() -> None:

@@ -41,7 +41,7 @@ class RemoteEnv:
         self.spec = Spec()
         self._last: Observation | None = None
         self._over: Message | None = None
-        self._stepped = False
+        self._acted: tuple[int, int] | None = None
         self._acks: dict[str, Any] = {}
         self._said = ""
         try:
@@ -54,17 +54,23 @@ class RemoteEnv:
     def reset(self) -> tuple[Observation, dict[str, Any]]:
         """First observation of an episode, and info.
 
-        An episode that has begun and was not acted in is taken; else the server is asked for a new
-        one.
+        An episode that was not acted in is taken, or waited for. After one that was, the server is
+        asked for a new one; where it begins its episodes itself, as under `./surg run`, the next is
+        waited for.
 
         Raises:
-            Refused: When the server begins none; NoServer: when it says nothing.
+            Refused: When the episode is not over, and the server does not end it for this: it can
+                go on; NoServer: when none begins in time.
         """
-        if self._stepped or self._over is not None:
+        before = self._last, self._over, self._acted
+        going_on = self._acted if self._over is None else None
+        if self._acted is not None:
             self._ask()
-        if self._last is None and self._wait(0.5) is None:
-            self._ask()
-        observation = self._last or self._wait(self._timeout)
+        try:
+            observation = self._last or self._wait(self._timeout, going_on)
+        except Refused:
+            self._last, self._over, self._acted = before
+            raise
         if observation is None:
             raise self._silence("began no episode")
         return observation, self._info()
@@ -81,7 +87,7 @@ class RemoteEnv:
         if self._last is None or self._over is not None:
             raise RuntimeError("no episode: call reset() first")
         self._link.send(as_message(action, self._last))
-        self._stepped = True
+        self._acted = self._last.session, self._last.episode
         before, self._last = self._last, None
         observation = self._wait(self._timeout)
         if observation is None and self._over is None:
@@ -105,11 +111,16 @@ class RemoteEnv:
             session = self._link.session
         if session is None:
             raise self._link.no_server(self._timeout)
-        self._last, self._over, self._stepped = None, None, False
+        self._last, self._over, self._acted = None, None, None
         self._link.send(Message("RESET", {"session": session}))
 
-    def _wait(self, timeout_s: float) -> Observation | None:
-        """The next observation; None when the episode ended, or after the time."""
+    def _wait(self, timeout_s: float, former: tuple[int, int] | None = None) -> Observation | None:
+        """The next observation; None when the episode ended, or after the time.
+
+        Args:
+            timeout_s: Longest wait [s].
+            former: Session and episode that shall be over: what still comes of them is passed by.
+        """
         until = time.monotonic() + timeout_s
         while (left := until - time.monotonic()) > 0:
             message = self._link.next(left)
@@ -118,16 +129,21 @@ class RemoteEnv:
             if message.kind == "WELCOME":
                 self.spec = Spec.from_map(message.head["spec"])
             elif message.kind == "OBS":
-                self._last = Observation.of(message, self.spec)
-                return self._last
+                seen = Observation.of(message, self.spec)
+                if (seen.session, seen.episode) != former:
+                    self._last = seen
+                    return seen
             elif message.kind == "ACK":
                 self._acks = message.head
             elif message.kind == "ERR":
-                raise Refused(message.head["code"], message.head["text"])
+                code, text = message.head["code"], message.head["text"]
+                if code != "reset" or (former is not None and former[0] == self._link.session):
+                    raise Refused(code, text)
+                self._said = f"It says: {text}. "  # no reason not to wait for the next one
             elif message.kind == "EPISODE":
                 event, reason = message.head["event"], message.head["reason"]
                 self._said = f"the episode was {event}: {reason}. " if event == "paused" else ""
-                if event == "end" and self._stepped:
+                if event == "end" and self._acted is not None:
                     self._over = message
                     return None
         return None
