@@ -37,6 +37,7 @@ class FakePlayer:
 
     title, robot = "Bowel grasping and retraction", "ur5e"
     played: list[int] = []  # noqa: RUF012: of all players
+    folders: list[Path] = []  # noqa: RUF012: of all roll-outs
 
     made: list[tuple[Any, ...]] = []  # noqa: RUF012: of all
     success = True
@@ -48,6 +49,7 @@ class FakePlayer:
     def play(self, seed: int, folder: Path, show: Any) -> dict[str, Any]:
         show(1.0, "grasp")
         FakePlayer.played.append(seed)
+        FakePlayer.folders.append(folder)
         ended = seed not in FakePlayer.broken
         found = rollout(seed) | {"success": FakePlayer.success and ended, "played": ended}
         return {"rollout": found, "episode": entry(seed)}
@@ -75,6 +77,7 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(FakePlayer, "success", True)
     FakePlayer.broken.clear()
     FakePlayer.played.clear()
+    FakePlayer.folders.clear()
     FakePlayer.made.clear()
     return found
 
@@ -103,6 +106,24 @@ def test_all_stages_once_and_what_is_left(
     # Another training: the demonstrations are those that are there.
     assert learn.main(options(*words, "--seed", "1"), "learn") == 0
     assert done[4:] == ["train"]
+
+
+def test_roll_outs_of_another_program_with_the_same_weights_lie_elsewhere(
+    tmp_path: Path, done: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Training again gives the same weights; what the older program played is not to be found."""
+    words = ("bgr", "--episodes", "8", "--rollouts", "1", "--out", str(tmp_path / "run"))
+    for client in ("before", "after", "before"):
+        monkeypatch.setattr(learn.Recipe, "made_of", [client])
+        assert learn.main(options(*words), "learn") == 0
+    before, after, again = FakePlayer.folders
+    assert before == again != after
+
+
+@pytest.mark.parametrize(("played", "least"), [(1, 1), (3, 3), (20, 17), (50, 43), (1000, 850)])
+def test_at_least_the_share_that_was_said_succeeds(played: int, least: int) -> None:
+    assert learn.RECIPES["bgr"].least(played) == least
+    assert learn.LOOKING["bgr"].least(played) == 0
 
 
 def test_a_roll_out_that_did_not_come_to_its_end_is_played_again(

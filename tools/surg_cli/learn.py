@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
+import math
 import os
 import subprocess
 import sys
@@ -45,6 +47,14 @@ class Recipe:
         """Digests of all its files."""
         files = (self.train, self.serve, *self.parts)
         return [paths.file_digest(paths.ROOT / "examples" / name) for name in files]
+
+    def folder(self, weights: str) -> str:
+        """Name for the roll-outs of these weights, played by these programs and no others."""
+        return hashlib.sha256(" ".join((weights, *self.made_of)).encode()).hexdigest()[:12]
+
+    def least(self, rollouts: int) -> int:
+        """How many of so many roll-outs have to succeed."""
+        return math.ceil(self.hoped * rollouts - 1e-9)  # a float product can be a hair above
 
 
 RECIPES = {"bgr": Recipe("train_bgr.py", "bgr_policy.py", ("bgr_training.py",))}
@@ -161,7 +171,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     entries = ledger.stage(
         "rollouts",
         {"rollouts": wanted.rollouts, "weights": trained["weights"]},
-        lambda: _deploy(player, wanted, out / "rollouts" / trained["weights"][:12]),
+        lambda: _deploy(player, wanted, out / "rollouts" / recipe.folder(trained["weights"])),
         whole=lambda entries: all(e["rollout"]["played"] for e in entries),
     )
     info = {
@@ -178,8 +188,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         "stages_s": ledger.seconds,
         "versions": provenance.versions(),
     }
-    hoped = round(recipe.hoped * wanted.rollouts)
-    summary = learning.summarise([e["rollout"] for e in entries], shown, info, hoped)
+    least = recipe.least(wanted.rollouts)
+    summary = learning.summarise([e["rollout"] for e in entries], shown, info, least)
     learning_report.write(summary, [e["episode"] for e in entries], shown, out)
     _print_summary(summary)
     say(str(out / "report.html"))
