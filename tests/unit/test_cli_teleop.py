@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import surg_core
-from surg_cli import paths, teleop
+from surg_cli import master, paths, teleop
 from surg_cli.terminal import Problem
 from surg_sim import tasks
 from surg_sim.assistant import AssistantCommand, forward
 from surg_sim.world import World
+from surg_teleop.console.console_node import Settings
 from surg_teleop.leader import HandRate, LeaderSample
 from surg_teleop.system import read_system
 from surg_teleop.teleop import CameraView
@@ -51,6 +53,20 @@ def test_one_arm_has_no_task_and_a_camera_that_stands() -> None:
     R_WV = Rotation.from_quat(view).as_matrix()
     # It looks down into the patient with its picture upright: y down, z away and down.
     assert R_WV[2, 2] < -0.3 and R_WV[2, 1] < -0.3 and abs(R_WV[2, 0]) < 1e-6
+
+
+def test_the_token_is_for_the_terminal_only(tmp_path: Path) -> None:
+    """What a node prints is in a log that others may read."""
+    token = tmp_path / "token"
+    token.write_text("0123456789abcdef\n")
+    token.chmod(0o600)
+    port = str(master.free_port())
+    params, fragment = teleop._web(options("--token-file", str(token), "--web-port", port))
+    assert fragment == "#token=0123456789abcdef"
+    assert (
+        params["token_file"] == str(token)
+        and "0123" not in Settings({"cell": str(paths.CELLS / "sim_ur5e"), **params}).access.url
+    )
 
 
 def test_a_second_hand_holds_the_assistants_instrument() -> None:

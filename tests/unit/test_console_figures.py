@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -29,7 +30,9 @@ def test_they_are_what_the_messages_say() -> None:
         joints.header.frame_id = wrench.header.frame_id = "PSM1_base"[: int(rng.integers(0, 10))]
         expected = joints.position[2] if len(joints.position) == 4 else None
         assert depth(data(joints)) == expected
-        assert force(data(wrench)) == float((f.x**2 + f.y**2 + f.z**2) ** 0.5)
+        assert force(data(wrench)) == math.hypot(f.x, f.y, f.z)
+    wrench.wrench.force.z = 1e300
+    assert force(data(wrench)) == 1e300, "one that cannot be is a number too"
 
 
 def test_what_is_no_such_message_says_nothing() -> None:

@@ -56,6 +56,7 @@ def test_an_input_is_read_as_it_was_written() -> None:
         ('{"say": "scale", "value": true}', "value: True; allowed: a number"),
         ('{"say": "scale", "value": NaN}', "NaN is no number"),
         ('{"say": "scale", "value": 1e999}', "value: inf"),
+        pytest.param('{"say": "scale", "value": 1' + "0" * 400 + "}", "value: 1000", id="no float"),
         ('{"say": "watch", "layout": "left", "codec": "vp8"}', "codec: 'vp8'"),
         ('{"say": "hello", "token": "' + "x" * 300 + '"}', "token"),
         ('{"say": "hello", "tokens": ""}', "unknown key 'tokens'"),
@@ -139,14 +140,15 @@ def test_off_loopback_needs_tls_and_token(bind: str, tmp_path: Path) -> None:
             access.rules(bind, 8090, ("robot",), **how)
         assert missing in str(caught.value)
     rules = access.rules(bind, 8090, ("robot",), pem, pem, token)
-    assert rules.url == f"https://robot:8090/#token={token}"
+    assert rules.url == "https://robot:8090/", "it stands in the console's log"
+    assert rules.fragment == f"#token={token}"
     assert rules.host_allowed("robot:8090")
     assert not rules.host_allowed("localhost:8090")
     assert rules.origin_allowed("https://robot:8090")
     assert not rules.origin_allowed("http://robot:8090")
     assert rules.token_allowed(token)
     assert not rules.token_allowed("") and not rules.token_allowed(token + "0")
-    assert not rules.token_allowed("ä" * 16)
+    assert not rules.token_allowed("ä" * 16) and not rules.token_allowed("\ud800")
 
 
 @pytest.mark.parametrize(

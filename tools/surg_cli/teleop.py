@@ -76,7 +76,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Check, start or attach, say the address, wait."""
     attached = next((s for s in running.systems() if s.port == options.port), None)
     place = None if attached is None else _place(attached, options)
-    web = _web(options)
+    web, fragment = _web(options)
     plan = _plan(options) if attached is None else _plan_of(attached)
     logs = paths.SYSTEMS / f"{options.port}_teleop_logs"
     nodes = _operator_nodes(options, plan, web, [] if attached is None else _there(attached))
@@ -88,10 +88,10 @@ def main(options: argparse.Namespace, command: str) -> int:
         with processes.Supervisor(env, logs) as supervisor:
             if attached is not None:
                 supervisor.env["ROS_MASTER_URI"] = attached.master_uri
-                return _keep(plan, supervisor, nodes, None, place)
+                return _keep(plan, supervisor, nodes, fragment, None, place)
             master.start(supervisor, options.port)
             with running.announced(command, options.port, plan.cell, logs) as entry:
-                return _keep(plan, supervisor, [*_phantom(plan), *nodes], entry)
+                return _keep(plan, supervisor, [*_phantom(plan), *nodes], fragment, entry)
     finally:
         with processes.signals_ignored():
             processes.end_orphans()
@@ -154,8 +154,12 @@ def _operator_nodes(
     ]
 
 
-def _web(options: argparse.Namespace) -> dict[str, object]:
-    """The console's parameters about who may connect, checked before anything starts."""
+def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
+    """The console's parameters about who may connect, checked before anything starts.
+
+    Returns:
+        The parameters, and what belongs behind the page's address for people only: the token.
+    """
     from surg_teleop.console import access
 
     try:
@@ -173,12 +177,13 @@ def _web(options: argparse.Namespace) -> dict[str, object]:
     if master.port_in_use(rules.port) and access.is_loopback(rules.bind):
         raise Problem(f"port {rules.port} is in use on this machine: choose another: --web-port")
     files = {"cert": options.cert, "key": options.key, "token_file": options.token_file}
-    return {
+    params = {
         "bind": options.bind,
         "port": options.web_port,
         "host_names": list(options.host_name),
         **{name: str(file.absolute()) for name, file in files.items() if file is not None},
     }
+    return params, rules.fragment
 
 
 def _plan(options: argparse.Namespace) -> Plan:
@@ -260,6 +265,7 @@ def _keep(
     plan: Plan,
     supervisor: processes.Supervisor,
     nodes: list[Node],
+    fragment: str,
     entry: running.System | None,
     place: roles.Link | None = None,
 ) -> int:
@@ -275,7 +281,7 @@ def _keep(
             entry.save()
         if place is not None:
             network.refuse_foreign_ports(supervisor.children, place.address)
-        say(f"Open {address} in a browser (Chromium, Chrome, Edge, Firefox, Safari).")
+        say(f"Open {address}{fragment} in a browser (Chromium, Chrome, Edge, Firefox, Safari).")
         if plan.record:
             say(f"Episodes: {plan.out}.")
         say(f"Logs: {supervisor.logs}. Ctrl-C ends everything started here.")

@@ -48,9 +48,13 @@ class Access:
 
     @property
     def url(self) -> str:
-        """What a person opens; the token stays in the browser, behind #."""
-        fragment = f"#token={self.token}" if self.token else ""
-        return f"{self.scheme}://{self.name}:{self.port}/{fragment}"
+        """Where the page is, without the token: this may stand in a log."""
+        return f"{self.scheme}://{self.name}:{self.port}/"
+
+    @property
+    def fragment(self) -> str:
+        """What a person opens has this behind `url`; the token stays in the browser, behind #."""
+        return f"#token={self.token}" if self.token else ""
 
     def host_allowed(self, host: str | None) -> bool:
         """Whether the header Host names this console."""
@@ -65,7 +69,8 @@ class Access:
 
     def token_allowed(self, token: str) -> bool:
         """Whether a page has named the token, compared in constant time."""
-        return hmac.compare_digest(token.encode(), self.token.encode())
+        said = token.encode("utf-8", "surrogatepass")  # JSON can name half a character
+        return hmac.compare_digest(said, self.token.encode())
 
 
 def is_loopback(bind: str) -> bool:

@@ -368,4 +368,4 @@ def force(data: bytes | None) -> float | None:
         x, y, z = struct.unpack_from("<3d", data, 16 + frame)
     except struct.error:
         return None
-    return float((x**2 + y**2 + z**2) ** 0.5)
+    return math.hypot(x, y, z)
