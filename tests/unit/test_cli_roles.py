@@ -79,11 +79,10 @@ def test_a_cell_that_does_not_say_so_opens_nothing(
         assert word in str(caught.value)
 
 
-def refusal(has: bool, text: str) -> str:
+def refusal(has: bool, text: str, **interfaces: str) -> str:
+    known = {"wlan0": "10.0.0.5", **interfaces}
     with pytest.raises(Problem) as caught:
-        roles.check_address(
-            "192.168.77.1", Role.ROBOT, has, ["10.0.0.5 (wlan0)"], roles.routes(HEADER + text)
-        )
+        roles.check_address("192.168.77.1", Role.ROBOT, has, known, roles.routes(HEADER + text))
     assert caught.value.code == 2
     return str(caught.value)
 
@@ -112,7 +111,15 @@ def test_an_address_of_another_machine_is_refused_with_what_there_is() -> None:
 
 def test_an_isolated_address_beside_another_network_is_taken() -> None:
     table = roles.routes(HEADER + ELSEWHERE + ISOLATED)
-    roles.check_address("192.168.77.1", Role.ROBOT, True, [], table)
+    roles.check_address("192.168.77.1", Role.ROBOT, True, {}, table)
+
+
+def test_an_address_without_a_network_is_looked_up_by_its_interface() -> None:
+    """With the mask /32 no route tells of it; virtual machines are given such addresses."""
+    assert "eth1 also leads" in refusal(True, ROUTER, eth1="192.168.77.1")
+    assert "no interface" in refusal(True, ELSEWHERE)
+    table = roles.routes(HEADER + ELSEWHERE)
+    roles.check_address("192.168.77.1", Role.ROBOT, True, {"eth1": "192.168.77.1"}, table)
 
 
 def plan_of(cameras: tuple[str, ...] = ("left",)) -> Plan:
@@ -198,7 +205,7 @@ def test_an_open_port_of_this_process_is_seen() -> None:
 def test_own_addresses() -> None:
     assert network.has("127.0.0.1")
     assert not network.has("192.0.2.77")
-    assert not any(text.startswith("127.") for text in network.addresses())
+    assert not any(text.startswith("127.") for text in network.addresses().values())
 
 
 @pytest.mark.skipif(not network.GUARD.is_file(), reason="the workspace is not built")

@@ -40,16 +40,16 @@ def has(address: str) -> bool:
     return True
 
 
-def addresses() -> list[str]:
-    """First IPv4 address of every interface but the loopback, with the interface's name."""
-    found = []
+def addresses() -> dict[str, str]:
+    """First IPv4 address of every interface but the loopback, by the interface's name."""
+    found = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
             with contextlib.suppress(OSError):
                 request = struct.pack("256s", name.encode()[:15])
                 answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, request)
-                found.append(f"{socket.inet_ntoa(answer[20:24])} ({name})")
-    return [text for text in found if not text.startswith("127.")]
+                found[name] = socket.inet_ntoa(answer[20:24])
+    return {name: text for name, text in found.items() if not text.startswith("127.")}
 
 
 def refuse_foreign_ports(children: Iterable[processes.Child], own: str) -> None:

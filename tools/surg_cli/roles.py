@@ -11,7 +11,7 @@ from __future__ import annotations
 import enum
 import socket
 import struct
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -125,7 +125,7 @@ def link_of(config: Any, role: Role, port: int) -> Link:
 
 
 def check_address(
-    address: str, role: Role, has: bool, interfaces: Iterable[str], table: Sequence[Route]
+    address: str, role: Role, has: bool, interfaces: Mapping[str, str], table: Sequence[Route]
 ) -> None:
     """Refuse an address that is not this machine's, or that leads elsewhere.
 
@@ -133,21 +133,31 @@ def check_address(
         address: The role's.
         role: This machine's.
         has: Whether this machine has it.
-        interfaces: Addresses that it has, for the message.
+        interfaces: First address of each of its interfaces, by the interface's name.
         table: Its routes.
 
     Raises:
         Problem: With the cure.
     """
     if not has:
+        known = ", ".join(f"{first} ({name})" for name, first in interfaces.items())
         raise Problem(
             f"--role {role}: this machine does not have machines.{role} = {address}; it has "
-            f"{', '.join(interfaces) or 'no address'}. Start the role on its own machine, or "
+            f"{known or 'no address'}. Start the role on its own machine, or "
             "correct cell.yaml, or plug the cable in and give the interface that address",
             2,
         )
     own = _number(address)
+    # Both ways: a second address is in no list, and one with the mask /32 in no route.
     ours = {r.interface for r in table if r.network[1] and own & r.network[1] == r.network[0]}
+    ours |= {name for name, first in interfaces.items() if first == address}
+    if not ours:
+        raise Problem(
+            f"--role {role}: no interface of this machine is known to have {address}, so nobody "
+            "can tell where it leads. Give the robot's interface that address with the mask of "
+            f"its network (ip addr add {address}/24 dev INTERFACE)",
+            2,
+        )
     for route in table:
         if route.interface in ours and route.gateway:
             gateway = socket.inet_ntoa(struct.pack("!I", route.gateway))
