@@ -179,6 +179,25 @@ def test_only_the_newest_observation_waits() -> None:
         assert client.end().skipped == 8
 
 
+def test_only_the_newest_observation_waits_also_between_acknowledgements() -> None:
+    counts = {"accepted": 1, "clipped": 0, "late": 0, "stale": 0, "rejected": [], "queue": 0}
+    with PolicyServer() as server:
+        link = Link(server.address)
+        try:
+            server.wait("PING")
+            for step in range(3):
+                server.observe(step)
+                server.say(Message("ACK", {"session": server.session, "seq": step, **counts}))
+            until = time.monotonic() + 5.0
+            while link.skipped < 2 and time.monotonic() < until:
+                time.sleep(0.01)
+            found = list(iter(lambda: link.next(0.2), None))
+        finally:
+            link.close()
+        assert [m.kind for m in found] == ["WELCOME", "ACK", "ACK", "OBS", "ACK"]
+        assert found[3].head["step"] == 2 and link.skipped == 2
+
+
 def test_acknowledgements_are_counted_and_refusals_said_once() -> None:
     policy = Policy()
     with PolicyServer() as server:

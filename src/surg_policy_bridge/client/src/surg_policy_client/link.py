@@ -275,10 +275,11 @@ class Link:
                 self._news.notify_all()
 
     def _keep(self, message: Message) -> None:
-        waiting = self._inbox[-1] if self._inbox else None
-        if message.kind == "OBS" and waiting is not None and waiting.kind == "OBS":
-            self._inbox.pop()
-            self.skipped += 1
+        if message.kind == "OBS":
+            older = next((n for n, each in enumerate(self._inbox) if each.kind == "OBS"), None)
+            if older is not None:
+                del self._inbox[older]
+                self.skipped += 1
         self._inbox.append(message)
 
     def _note(self, event: dict[str, Any]) -> None:
