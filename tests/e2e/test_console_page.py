@@ -176,6 +176,43 @@ def test_the_page_drives_an_arm_by_keys_gamepad_and_mouse() -> None:
     run(test())
 
 
+async def lose_the_focus(made: Console, tab: Tab) -> None:
+    """As by a dialog or Alt+Tab: the page is still seen, but keys that go up are not heard."""
+    before = len(made.system.orders)
+    await tab.run("dispatchEvent(new Event('blur')); 0")
+    await until(lambda: _is(made.session.phase is Phase.HELD), "the hold", 20.0)
+    assert "the mouse or the keyboard was lost" in made.session.reason
+    orders = [order for _, order in made.system.orders[before:]]
+    assert Clutch(False) not in orders and Camera(False) not in orders
+
+
+def test_a_lost_focus_holds_the_arm_and_engages_nothing() -> None:
+    async def test() -> None:
+        async with opened() as (made, _, tab):
+            for code in ("Space", "KeyC"):
+                await drive(made, tab)
+                await tab.key(code, True)
+                await moved(made, tab, code, lambda s: s.clutch or s.camera)
+                await lose_the_focus(made, tab)
+                await tab.key(code, False)
+            await drive(made, tab)
+            await tab.mouse("mousePressed", 400, 400, button="left", clickCount=1)
+            await tab.mouse("mouseMoved", 420, 400, button="left", buttons=1)
+            before = (await moved(made, tab, "the drag", lambda s: s.p[0] > 0.005)).sample.p
+            await lose_the_focus(made, tab)
+            await drive(made, tab)
+            await tab.mouse("mouseMoved", 500, 400, button="left", buttons=1)
+            await asyncio.sleep(0.3)
+            assert made.system.last(Move)[1].sample.p[0] < before[0] + 0.006
+            await drive(made, tab)  # with no hand on anything the focus may go
+            await tab.mouse("mouseReleased", 500, 400, button="left", clickCount=1)
+            await tab.run("dispatchEvent(new Event('blur')); 0")
+            await asyncio.sleep(0.3)
+            assert "was lost" not in made.session.reason
+
+    run(test())
+
+
 def test_the_picture_is_the_one_that_was_sent_and_a_lost_console_is_named() -> None:
     """The moving bar is seen where it was drawn, in its colours, by either codec."""
 

@@ -29,7 +29,7 @@ HIDDEN = {
     "hidden": "the tab was hidden: the arm holds; press Enable to go on",
     "closed": CLOSED,
     "gamepad": "the gamepad was unplugged: the arm holds; plug it in and press Enable",
-    "pointer": "the mouse was lost: the arm holds; press Enable to go on",
+    "pointer": "the mouse or the keyboard was lost: the arm holds; press Enable to go on",
 }
 
 

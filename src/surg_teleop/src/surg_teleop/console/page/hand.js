@@ -31,7 +31,8 @@ export class Hand {
   /**
    * @param view the element over which the mouse moves the tip
    * @param press called with "enable", "stop", "record" or "hand"
-   * @param lost called with "gamepad" when a gamepad that was in use is gone
+   * @param lost called with "gamepad" when a gamepad that was in use is gone, with "pointer" when
+   *   mouse or keyboard are while a hand was on them
    */
   constructor(view, press, lost) {
     this.view = view;
@@ -48,13 +49,14 @@ export class Hand {
     this.padDown = new Set();
     this.padId = null;
     this.padName = "";
+    this.pointer = null; // that drags
     this.listen();
   }
 
   listen() {
     addEventListener("keydown", (event) => this.keyDown(event));
     addEventListener("keyup", (event) => this.keys.delete(event.code));
-    addEventListener("blur", () => this.keys.clear());
+    addEventListener("blur", () => this.loseFocus());
     addEventListener("gamepaddisconnected", ({ gamepad }) => {
       if (gamepad.index === this.padId) this.loseGamepad();
     });
@@ -91,7 +93,17 @@ export class Hand {
   pointerDown(event) {
     if (event.target.closest("button")) return;
     if (!this.use("position")) return;
-    this.view.setPointerCapture(event.pointerId);
+    this.pointer = event.pointerId;
+    this.view.setPointerCapture(this.pointer);
+  }
+
+  /** Keys that are let go elsewhere are never heard of: a clutch that opens so must not engage. */
+  loseFocus() {
+    const drags = this.pointer !== null && this.view.hasPointerCapture(this.pointer);
+    const acts = [...this.keys].some((code) => code in MOTION_KEYS || code in HELD_KEYS);
+    if (drags || acts) this.lost("pointer");
+    if (drags) this.view.releasePointerCapture(this.pointer);
+    this.keys.clear();
   }
 
   pointerMove(event) {
