@@ -88,6 +88,32 @@ def test_a_paused_arm_is_resumed_by_enable_and_by_nothing_else() -> None:
     assert bench.tick(400).state is State.FOLLOWING
 
 
+@pytest.mark.parametrize("state", [ArmState.PAUSED, ArmState.FAULT])
+def test_enable_makes_the_arm_ready_once(state: ArmState) -> None:
+    """Who pauses it afterwards, and a fault, is obeyed, though nothing has engaged yet."""
+    bench = Bench(arm=GateArm(state=ArmState.PAUSED))
+    bench.hand.buttons = {"clutch"}  # as an endoscope's hand nearly always is
+    bench.teleop.enable()
+    assert bench.tick(150).state is State.CLUTCHED
+    bench.arm.leave(state, "operator")
+    bench.tick(2000)
+    assert bench.arm.state == state
+    assert bench.log[-1].state is (State.FAULT if state == ArmState.FAULT else State.WAITING)
+    assert [o.commands.state for o in bench.log if o.commands.state] == ["resume"]
+
+
+def test_enable_right_after_disable_makes_the_arm_ready() -> None:
+    """The arm has not been told to pause yet, and still says ENABLED."""
+    bench = Bench().engaged()
+    bench.teleop.disable()
+    bench.tick()
+    bench.arm.state = ArmState.ENABLED
+    bench.teleop.enable()
+    bench.tick(40)
+    bench.arm.leave(ArmState.PAUSED, "operator")
+    assert bench.tick(400).state is State.FOLLOWING
+
+
 def test_the_first_command_of_an_engagement_is_the_set_point() -> None:
     bench = Bench(arm=GateArm(p=np.array([0.02, -0.03, 0.1]), roll=1.3, jaw=0.4))
     bench.engaged()

@@ -216,6 +216,7 @@ class Teleop:
         self._feel(now, sample)
         if self._switch is not None:
             self._obey_switch(now, arm, commands)
+        self._see_ready(arm)
         if self.state is not State.DISABLED:
             obstacle = self._obstacle(now, sample, arm, camera, late)
             if obstacle is not None or sample is None or arm is None or camera is None:
@@ -273,6 +274,15 @@ class Teleop:
         self._asked = self._enabling = -math.inf
         if arm is not None and arm.holder == self.settings.node and arm.state == ArmState.ENABLED:
             commands.state = "pause"
+
+    def _see_ready(self, arm: ArmView | None) -> None:
+        """Enable has done its work: who pauses the arm from here on, and a fault, is obeyed.
+
+        What the arm says sooner may be of before the act.
+        """
+        ready = arm is not None and arm.homed and arm.state == ArmState.ENABLED
+        if ready and arm is not None and arm.received - self._enabling > SILENCE:
+            self._enabling = -math.inf
 
     # What stands in the way.
 
