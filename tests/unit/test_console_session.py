@@ -216,7 +216,7 @@ def test_f30_the_policy_gets_the_arm_when_the_hand_is_off_it(bench: Bench) -> No
 
 
 def test_f30_a_promise_to_a_policy_ends_with_anything_else_the_operator_does() -> None:
-    for act in ("enable", "stop", "late"):
+    for act in ("enable", "stop", "late", "leave", "release", "hide", "take-over"):
         bench = Bench()
         bench.drive()
         assert bench.session.policy("a", with_policy(bench, "READY"), bench.now) == ""
@@ -225,6 +225,17 @@ def test_f30_a_promise_to_a_policy_ends_with_anything_else_the_operator_does() -
             bench.session.enable("a", bench.robot, bench.now)
         elif act == "stop":
             bench.session.stop(bench.robot)
+        elif act == "leave":
+            bench.session.leave("a", bench.now)
+        elif act == "release":
+            bench.session.release("a")
+        elif act == "hide":
+            bench.session.hide("a", "hidden")
+            assert bench.session.reason == words.HIDDEN["hidden"]
+        elif act == "take-over":
+            bench.now += GONE + 0.01
+            bench.session.join("b", bench.now)
+            assert bench.session.take("b", bench.now) == ""
         else:
             bench.follower = replace(bench.follower, state="WAITING")
             bench.now += START_TIMEOUT + 0.01

@@ -255,7 +255,8 @@ class Session:
         """
         page = self._pages[name]
         page.visible = why in ("gamepad", "pointer")
-        if page is self._holder and self.phase in (Phase.STARTING, Phase.DRIVING):
+        active = self.phase in (Phase.STARTING, Phase.DRIVING) or self._promised > -math.inf
+        if page is self._holder and active:
             self._hold(words.HIDDEN[why])
 
     def scale(self, name: str, value: float) -> str:
@@ -360,3 +361,4 @@ class Session:
         if self.phase in (Phase.STARTING, Phase.DRIVING):
             self._hold(why)
         self._holder, self.phase, self.reason = None, Phase.FREE, why
+        self._promised = -math.inf  # a policy gets no arm from somebody who is not there
