@@ -123,6 +123,25 @@ def test_the_first_command_of_an_engagement_is_the_set_point() -> None:
     assert first.commands.jaw is None
 
 
+def test_the_jaw_is_the_hands_from_its_first_touch_on() -> None:
+    """Keys and sticks have no grip before; the touch itself opens nothing."""
+    bench = Bench(arm=GateArm(jaw=0.4))
+    bench.hand.grip = None
+    bench.engaged().tick(100)
+    bench.hand.grip = 1.0
+    bench.tick(100)
+    assert all(out.commands.jaw is None for out in bench.log)
+    for grip in np.linspace(1.0, 0.2, 200):
+        bench.hand.grip = float(grip)
+        bench.tick()
+    bench.tick(200)
+    assert bench.arm.jaw == pytest.approx(0.14)
+    for grip in (None, 1.0):  # touched anew: it is a new grip
+        bench.hand.grip = grip
+        bench.tick(50)
+    assert bench.arm.jaw == pytest.approx(0.14)
+
+
 def test_hand_and_tip_move_alike_in_the_picture() -> None:
     bench = Bench().engaged()
     bench.arm.R_WR = Rotation.from_rotvec([0.4, -1.2, 0.5]).as_matrix()

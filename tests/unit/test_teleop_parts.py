@@ -106,7 +106,7 @@ def test_a_crtk_leader_is_what_its_topics_say() -> None:
     one = np.array([0.0, 0.0, 0.0, 1.0])
     assert leader.read(0.0) is None
     leader.on_pose(1.0, np.array([0.1, 0.2, 0.3]), one)
-    leader.on_grip(0.4)
+    leader.on_grip(1.0, 0.4)
     sample = leader.read(5.0)
     assert sample.stamp == 1.0  # an old pose stays old
     assert sample.pose.p_VH == pytest.approx([0.1, -0.2, -0.3])
@@ -122,6 +122,22 @@ def test_a_crtk_leader_is_what_its_topics_say() -> None:
     assert sample.rate.roll == pytest.approx(-0.2)
     leader.on_state("PAUSED")
     assert leader.read(8.0).problem == "is PAUSED: enable it, then press the clutch or enable"
+
+
+def test_a_grip_ends_with_a_silence_of_its_hand_and_not_before() -> None:
+    """Behind one name another may sit by then; a device may say its grip only when it changes."""
+    leader = CrtkLeader()
+    one = np.array([0.0, 0.0, 0.0, 1.0])
+    leader.on_pose(0.0, np.zeros(3), one)
+    leader.on_grip(0.0, 0.2)
+    for tick in range(1, 101):
+        leader.on_pose(0.02 * tick, np.zeros(3), one)
+    assert leader.read(2.0).grip == pytest.approx(0.2)
+    leader.on_rate(2.5, np.zeros(3), np.zeros(3))
+    assert leader.read(2.5).grip is None
+    leader.on_grip(3.0, 0.3)  # topics overtake each other
+    leader.on_pose(3.001, np.zeros(3), one)
+    assert leader.read(3.001).grip == pytest.approx(0.3)
 
 
 # --- jaw

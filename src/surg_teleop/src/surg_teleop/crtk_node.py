@@ -95,7 +95,7 @@ class CrtkTopics:
     def _on_grip(self, message: JointState) -> None:
         if message.position:
             with self._lock:
-                self._leader.on_grip(message.position[0])
+                self._leader.on_grip(time.monotonic(), message.position[0])
 
     def _on_state(self, message: OperatingState) -> None:
         with self._lock:

@@ -416,9 +416,6 @@ class Teleop:
         self._target = Target(settings.workspace, settings.step, arm, sample, now)
         commands.claim = True
         commands.servo_cp = self._target.command(now)
-        self._ghost = None
-        if settings.jaw is not None and sample.grip is not None and math.isfinite(arm.jaw_set):
-            self._ghost = JawGhost(settings.jaw, settings.jaw_velocity, arm.jaw_set, sample.grip)
 
     def _follow(
         self,
@@ -473,10 +470,19 @@ class Teleop:
         self._message = f"{name} is at its {target.wall} limit" if target.wall else ""
         if target.due(now):
             commands.servo_cp = target.command(now)
-        self._move_jaw(since, sample, commands)
+        self._move_jaw(since, sample, arm, commands)
 
-    def _move_jaw(self, since: float, sample: LeaderSample, commands: Commands) -> None:
-        if self._ghost is None or sample.grip is None:
+    def _move_jaw(
+        self, since: float, sample: LeaderSample, arm: ArmView, commands: Commands
+    ) -> None:
+        """The jaw is the hand's from its first grip on; many have none before they are touched."""
+        jaw, velocity = self.settings.jaw, self.settings.jaw_velocity
+        if sample.grip is None or jaw is None:
+            self._ghost = None
+            return
+        if self._ghost is None and math.isfinite(arm.jaw_set):
+            self._ghost = JawGhost(jaw, velocity, arm.jaw_set, sample.grip)
+        if self._ghost is None:
             return
         before = self._ghost.angle
         if self._ghost.tick(sample.grip, since) != before:

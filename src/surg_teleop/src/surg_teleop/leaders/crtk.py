@@ -8,6 +8,8 @@ no network held it up (:class:`~surg_teleop.lateness.Arrivals`): an old pose is 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -55,6 +57,7 @@ class CrtkLeader:
         self._pose: tuple[float, HandlePose] | None = None
         self._rate: tuple[float, HandRate] | None = None
         self._grip: float | None = None
+        self._heard = self._grip_at = -math.inf
         self._late: tuple[float, float] | None = None
         self._state = "ENABLED"  # a leader without operating_state is taken as it is
 
@@ -69,6 +72,7 @@ class CrtkLeader:
         """
         if not valid:
             return
+        self._hear(now)
         length = float(np.linalg.norm(q))
         # What is no orientation is passed on as such: the teleoperation says so and stops.
         broken = not abs(length - 1.0) < 1e-2
@@ -85,6 +89,7 @@ class CrtkLeader:
             valid: As for :meth:`on_pose`.
         """
         if valid:
+            self._hear(now)
             self._rate = now, HandRate(self._R_VL @ v, float((self._R_VL @ w)[2]))
 
     def on_spherical(self, now: float, rates: Array, valid: bool = True) -> None:
@@ -97,18 +102,34 @@ class CrtkLeader:
             valid: As for :meth:`on_pose`.
         """
         if valid:
+            self._hear(now)
             self._rate = now, HandRate(np.zeros(3), float(rates[3]), np.array(rates[:3]))
 
     def on_late(self, now: float, by: float) -> None:
         """A message was held up on its way by so many seconds; received now."""
         self._late = now, by
 
-    def on_grip(self, position: float) -> None:
-        """``gripper/measured_js`` [rad]."""
+    def on_grip(self, now: float, position: float) -> None:
+        """``gripper/measured_js``.
+
+        Args:
+            now: When it came, on the steady clock [s].
+            position: [rad].
+        """
+        self._grip_at = now
         closed, opened = self._grip_range
         self._grip = min(max((position - closed) / (opened - closed), 0.0), 1.0)
         if not np.isfinite(position):
             self._grip = float("nan")
+
+    def _hear(self, now: float) -> None:
+        """A hand that comes back after a silence may be another's: the grip before is not its own.
+
+        Without a silence the grip stays: some devices say theirs only when it changes.
+        """
+        if now - max(self._heard, self._grip_at) > FRESH:
+            self._grip = None
+        self._heard = now
 
     def on_state(self, state: str) -> None:
         """``operating_state``."""
