@@ -384,6 +384,35 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
     assert psm.refusals == ecm.refusals == []
 
 
+def test_the_button_enable_ends_only_what_the_hand_is_on() -> None:
+    """ "Press enable" can be obeyed with the device itself."""
+    hand, arm, seat = Hand(), GateArm(), Seat(Teleop(settings()))
+
+    def run(state: State, n: int = 100) -> bool:
+        for _ in range(n):
+            now = arm.tick * TICK
+            out = seat.tick(now, hand.sample(now), {"PSM1": arm.view()}, CameraView(np.eye(3)))
+            arm.step(out["PSM1"].commands)
+        assert out["PSM1"].state is state, out["PSM1"].message
+        return seat.means_on(frozenset(hand.buttons | {"enable"}))
+
+    assert run(State.DISABLED)
+    seat.enable()
+    assert not run(State.FOLLOWING)
+    hand.buttons = {"clutch"}
+    assert not run(State.CLUTCHED)
+    hand.buttons = {"camera"}  # nobody holds the endoscope: it clutches
+    assert not run(State.CLUTCHED)
+    seat.enable()
+    hand.buttons = set()
+    assert not run(State.FOLLOWING)
+    hand.move(np.array([0.5, 0.0, 0.0]))
+    assert run(State.CLUTCHED)  # let go: "press and release the clutch, or press enable"
+    for state, left in ((State.WAITING, ArmState.PAUSED), (State.FAULT, ArmState.FAULT)):
+        arm.leave(left, "force")
+        assert run(state)
+
+
 class Floor:
     """A pedal node that repeats what is down 20 times a second, before a hand on an arm."""
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from surg_teleop.arm import ArmView
 from surg_teleop.leader import LeaderSample
-from surg_teleop.teleop import CameraView, Teleop, TeleopOutput
+from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
 
 PEDAL_SILENCE = 0.25
 """[s] Buttons that are repeated (20 times a second) and have not been for longer are not there."""
@@ -47,6 +47,18 @@ class Seat:
         """The operator leaves it."""
         for one in self.arms.values():
             one.disable()
+
+    def means_on(self, buttons: frozenset[str]) -> bool:
+        """What the leader's button "enable" means now: off where the hand is on the instrument.
+
+        An instrument that has let go by itself asks for enable, and must get it.
+
+        Args:
+            buttons: All that are down.
+        """
+        state = self.instrument.state
+        held = state is State.CLUTCHED and not buttons.isdisjoint(("clutch", "camera"))
+        return not (held or state is State.FOLLOWING)
 
     def tick(
         self,

@@ -314,8 +314,8 @@ class TeleopNode:
         pressed = hand.pressed(sample)
         if "record" in pressed:
             self._record.publish(Bool(not self._recording))
-        if "enable" in pressed:
-            self._switch(hand, hand.seat.instrument.state is State.DISABLED)
+        if sample is not None and "enable" in pressed:
+            self._switch(hand, hand.seat.means_on(sample.buttons))
         for arm, output in hand.seat.tick(now, sample, views, camera).items():
             commands = output.commands
             if arm == ASSISTANT and self._system.assistant is not None:
