@@ -24,7 +24,8 @@ from surg_teleop.leaders.crtk import CrtkLeader
 from surg_teleop.leaders.motion import MotionLeader
 from surg_teleop.picture import PictureWatch
 from surg_teleop.seat import PEDAL_SILENCE, Pedals, Seat
-from surg_teleop.system import read_system
+from surg_teleop.system import REOPEN, read_system
+from surg_teleop.system import Hand as SeatedHand
 from surg_teleop.teleop import CameraView, State, Teleop
 from surg_teleop.virtual_arm import VirtualArm, tip
 
@@ -98,6 +99,32 @@ def test_a_motion_file_is_a_hand_that_rests_plays_and_rests() -> None:
     assert leader.read(3611.0) is None
     with pytest.raises(LeaderError, match=r"motion: .*cannot be read"):
         MotionLeader("/nowhere.csv").open()
+
+
+class Faulty(CrtkLeader):
+    """Somebody's own, with a mistake in it."""
+
+    def __init__(self) -> None:
+        self.name, self.opened = "faulty", 0
+
+    def open(self) -> None:
+        self.opened += 1
+
+    def read(self, now: float) -> None:
+        raise ZeroDivisionError("division by zero")
+
+    def close(self) -> None:
+        raise AttributeError("device")
+
+
+def test_a_leader_that_raises_whatever_it_likes_is_a_leader_that_is_lost() -> None:
+    """So the arm is held and paused, and the node ends as it should."""
+    leader = Faulty()
+    hand = SeatedHand(leader, Seat(Teleop(settings())))
+    for now in (0.0, 0.5 * REOPEN, 1.1 * REOPEN):
+        assert hand.read(now) is None
+        assert hand.problem == "ZeroDivisionError: division by zero"
+    assert leader.opened == 2
 
 
 def test_a_crtk_leader_is_what_its_topics_say() -> None:
@@ -385,7 +412,7 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
 
 
 def test_the_button_enable_ends_only_what_the_hand_is_on() -> None:
-    """ "Press enable" can be obeyed with the device itself."""
+    """What says "press enable" can be obeyed with the device itself."""
     hand, arm, seat = Hand(), GateArm(), Seat(Teleop(settings()))
 
     def run(state: State, n: int = 100) -> bool:

@@ -66,9 +66,12 @@ class Hand:
                 self.leader.open()
                 self.problem = ""
             return self.leader.read(now)
-        except LeaderError as error:
-            self.problem, self.retry = str(error), now + REOPEN
-            with contextlib.suppress(LeaderError):
+        except Exception as error:
+            # A leader of one's own may raise anything: what follows it must be let go all the same.
+            known = isinstance(error, LeaderError)
+            self.problem = str(error) if known else f"{type(error).__name__}: {error}"
+            self.retry = now + REOPEN
+            with contextlib.suppress(Exception):
                 self.leader.close()
             return None
 
