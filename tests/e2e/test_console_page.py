@@ -109,7 +109,12 @@ async def live(made: Console, browser: Chromium, tab: Tab) -> None:
     await moved(made, tab, "a closing jaw", lambda s: s.grip is not None and s.grip < 0.8)
     await tab.key("KeyK", False)
 
-    # A gamepad: left stick up is up in the picture (-y), triggers close and open the jaw.
+    # A gamepad: left stick up is up in the picture (-y), triggers close and open the jaw. It is
+    # the one that is touched, not one that lies beside it.
+    await tab.run(
+        "window.idle = {id: 'idle', index: 1, connected: true, mapping: 'standard',"
+        " axes: [0, 0.1, 0, 0], buttons: []}; 0"
+    )
     await tab.run("window.plug([0, -1, 0, 0], {})")
     sample = (await moved(made, tab, "the stick", lambda s: s.v[1] < -0.001)).sample
     assert sample.v[1] == pytest.approx(-0.02) and sample.v[0] == 0
@@ -209,6 +214,22 @@ def test_a_lost_focus_holds_the_arm_and_engages_nothing() -> None:
             await tab.run("dispatchEvent(new Event('blur')); 0")
             await asyncio.sleep(0.3)
             assert "was lost" not in made.session.reason
+
+    run(test())
+
+
+def test_a_lost_connection_lets_latched_buttons_go() -> None:
+    async def test() -> None:
+        async with opened() as (made, _, tab):
+            await drive(made, tab)
+            await tab.click("#camera")
+            await until(lambda: _is(Camera(True) in made.system.given(Camera)), "the camera", 20.0)
+            await tab.run("surgConsole.link.socket.close(); 0")
+            await until(lambda: _is(made.session.phase is Phase.FREE), "the end", 20.0)
+            before = len(made.system.orders)
+            await drive(made, tab)
+            await asyncio.sleep(0.3)
+            assert Camera(True) not in [order for _, order in made.system.orders[before:]]
 
     run(test())
 

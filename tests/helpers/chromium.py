@@ -37,7 +37,8 @@ FLAGS = (
 
 GAMEPAD = """
 window.pad = null;
-navigator.getGamepads = () => [window.pad];
+window.idle = null;
+navigator.getGamepads = () => [window.idle, window.pad];
 window.plug = (axes, pressed) => {
   window.pad = {
     id: "Test pad (Vendor: 1234)", index: 0, connected: true, mapping: "standard", axes,
@@ -48,7 +49,8 @@ window.plug = (axes, pressed) => {
   };
 };
 """
-"""A gamepad that is not there, for `Chromium.open`: `plug(axes, {button: value})`."""
+"""A gamepad that is not there, for `Chromium.open`: `plug(axes, {button: value})`; `idle`: another
+one, listed before it."""
 
 
 def missing() -> str:

@@ -125,12 +125,12 @@ export class Hand {
     this.goal.z += notches * METRES_PER_NOTCH;
   }
 
-  /** The gamepad that was last touched; its id and mapping are the browser's. */
+  /** The gamepad that was touched first, until it is gone; its id and mapping are the browser's. */
   gamepad() {
     const pads = [...navigator.getGamepads()].filter((pad) => pad?.connected);
     const mine = pads.find((pad) => pad.index === this.padId);
     if (this.padId !== null && !mine) this.loseGamepad();
-    return mine ?? pads[0] ?? null;
+    return mine ?? pads.find(touched) ?? pads[0] ?? null;
   }
 
   loseGamepad() {
@@ -205,6 +205,11 @@ export class Hand {
 
 function clamp(value, low, high) {
   return Math.max(low, Math.min(high, value));
+}
+
+/** Whether somebody has a hand on a gamepad. */
+function touched(pad) {
+  return pad.buttons.some((button) => button.pressed) || pad.axes.slice(0, 4).some(deadZone);
 }
 
 /** A stick's deflection with a dead zone; squared, so that small motions are fine. */

@@ -74,6 +74,7 @@ setInterval(show, SHOW_MS);
 
 function lost(why) {
   status = null;
+  hand.rest();
   document.body.dataset.phase = "free";
   document.body.dataset.headline = "Fault";
   element("veil").hidden = true;
