@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -48,24 +49,31 @@ def test_the_bundled_cell_passes_and_leaves_a_picture(tmp_path: Path) -> None:
     assert (out / "check_frames.png").stat().st_size > 10_000
 
 
-def start(graph: RosGraph, out: Path, enable: bool) -> processes.Child:
-    """The graph in lock-step and the check in it."""
+def start(
+    graph: RosGraph, out: Path, enable: bool, lockstep: bool = True
+) -> dict[str, processes.Child]:
+    """The graph and the check in it, by node."""
     plan = system.Plan(
         cell=CELL,
         arms=("PSM1", "ECM"),
-        lockstep=True,
+        lockstep=lockstep,
         cameras=(),
         out=graph.folder,
         record=False,
         extra_participants=("check_frames",),
     )
+    children = {}
     for node in system.nodes(plan):
         params = dict(node.params)
         if node.name == "/sim":
             params["connect_timeout"] = 180.0
-        graph.node(node.package, node.executable, node.name, params, arguments=node.arguments)
-    params = {"cell": str(CELL), "lockstep": True, "enable": enable, "out": str(out)}
-    return graph.node("surg_teleop", "check_frames_node.py", "/check_frames", params)
+        children[node.name] = graph.node(
+            node.package, node.executable, node.name, params, arguments=node.arguments
+        )
+    params = {"cell": str(CELL), "lockstep": lockstep, "enable": enable, "out": str(out)}
+    name = "/check_frames"
+    children[name] = graph.node("surg_teleop", "check_frames_node.py", name, params)
+    return children
 
 
 WIRINGS: dict[str, Callable[[Picture, Picture], tuple[Picture, Picture]]] = {
@@ -87,7 +95,7 @@ def test_the_wiring_is_judged_on_the_topics(
     endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS[cause])
     out = tmp_path / "verdict.json"
     try:
-        child = start(ros_graph, out, enable=True)
+        child = start(ros_graph, out, enable=True)["/check_frames"]
         ros_graph.wait_for(lambda: child.exit_code is not None, 240.0, "the verdict")
     finally:
         endoscope.close()
@@ -108,7 +116,7 @@ def test_an_arm_that_is_not_enabled_is_left_alone(
     endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS["none"])
     out = tmp_path / "verdict.json"
     try:
-        child = start(ros_graph, out, enable=False)
+        child = start(ros_graph, out, enable=False)["/check_frames"]
         ros_graph.wait_for(lambda: child.exit_code is not None, 90.0, "the refusal")
     finally:
         endoscope.close()
@@ -116,3 +124,26 @@ def test_an_arm_that_is_not_enabled_is_left_alone(
     assert child.exit_code == 1
     assert found["outcome"] == "cannot_tell"
     assert "is DISABLED: enable it first" in found["text"]
+
+
+@pytest.mark.parametrize("arm", ["PSM1", "ECM"] if FULL else ["PSM1"])
+def test_a_controller_that_dies_ends_the_check(
+    arm: str, ros_graph: RosGraph, rospy_node: str, tmp_path: Path
+) -> None:
+    import surg_core
+    from helpers.drawn_endoscope import DrawnEndoscope
+
+    endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS["none"])
+    out = tmp_path / "verdict.json"
+    try:
+        children = start(ros_graph, out, enable=True, lockstep=False)
+        child = children["/check_frames"]
+        going = "the tip must now go"
+        ros_graph.wait_for(lambda: going in child.log_tail(), 90.0, "the check")
+        children[f"/{arm}/controller"].send(signal.SIGKILL)
+        ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the end of the check")
+    finally:
+        endoscope.close()
+    assert child.exit_code == 1
+    found = json.loads(out.read_text("utf-8"))
+    assert f"{arm} is silent" in found["text"]

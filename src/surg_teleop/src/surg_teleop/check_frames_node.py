@@ -39,6 +39,8 @@ from surg_teleop.ports_node import ArmPort, RawCycle, arm_view, wait_for_all
 
 CONNECT_TIMEOUT = 180.0
 """[s] wall clock: longest wait for controllers and pictures."""
+SILENCE = 0.5
+"""[s] Free-run: an arm that has said nothing for longer is not there."""
 PERIOD_TICKS = 5
 """Every fifth cycle is looked at and answered: 100 Hz."""
 FLUSH = 0.3
@@ -143,6 +145,7 @@ class CheckNode:
         self._lock = threading.Lock()
         self._port = ArmPort(task.arm)  # no claim: it would outlive the check
         self._cycles: dict[str, RawCycle] = {}
+        self._heard: dict[str, float] = {}  # on the steady clock [s]
         self._tick, self._said = 0, REST
         self._ready = rospy.Publisher(
             "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
@@ -156,7 +159,7 @@ class CheckNode:
 
     def _on_cycle(self, cycle: RawCycle, name: str) -> None:
         with self._lock:
-            self._cycles[name] = cycle
+            self._cycles[name], self._heard[name] = cycle, time.monotonic()
             if self.finished.is_set() or len(self._cycles) < 2:
                 return
             own, scope = (self._cycles[n] for n in (self.task.arm, self.task.camera.arm))
@@ -214,6 +217,16 @@ class CheckNode:
         if done:
             self.finished.set()
 
+    def listen(self) -> None:
+        """Free-run: ends the check once an arm is silent; without its cycles nothing else would."""
+        if self.task.lockstep:
+            return
+        with self._lock:
+            oldest = min(self._heard, key=lambda name: self._heard[name])
+            if time.monotonic() - self._heard[oldest] > SILENCE and not self.finished.is_set():
+                self._send(self.check.stop(f"{oldest} is silent: is its controller running?"))
+                self.finished.set()
+
     def stop(self, reason: str) -> None:
         """Whatever is under way ends: the arm holds."""
         with self._lock:
@@ -251,6 +264,9 @@ class CheckNode:
         for topic, nodes in wanted.items():
             if not nodes <= present[topic]:
                 return f"{topic} does not reach {', '.join(sorted(nodes - present[topic]))}"
+        mute = {self.task.arm, self.task.camera.arm} - self._heard.keys()
+        if mute and not self.task.lockstep:
+            return f"{', '.join(sorted(mute))} has said nothing yet: is its controller running?"
         return ""
 
     def verdict(self) -> tuple[Verdict, dict[str, Place]]:
@@ -374,7 +390,7 @@ def main() -> int:
         node = CheckNode(task, eyes_of(task))
         node.connect()
         while not node.finished.wait(0.05) and not ended.is_set() and not rospy.is_shutdown():
-            pass
+            node.listen()
     except (OSError, TimeoutError) as error:
         print(f"check_frames: {error}", file=sys.stderr)
         return 1
