@@ -9,8 +9,9 @@ import msgpack
 import numpy as np
 import pytest
 
-from helpers.policy_bench import MS, Bench
+from helpers.policy_bench import HOME, MS, Bench
 from helpers.policy_results import note
+from surg_policy_bridge.timers import SILENCE
 from surg_policy_client import wire
 from surg_policy_client.wire import Message
 
@@ -102,6 +103,44 @@ def test_f17_what_the_policy_in_session_sends_is_told_and_moves_nothing() -> Non
             bench._hear()
             bench.execute()
         assert not [t for _, t in bench.sent if np.abs(t.p - [0, 0, 0.12]).max() > 2.1e-3]
+
+
+@pytest.mark.parametrize(("jump", "state"), [(1e-4, "RUNNING"), (0.05, "PAUSED")])
+def test_f18_a_thousand_chunks_a_second_of_the_policy_in_session(jump: float, state: str) -> None:
+    """The first answer to each observation is judged; a good policy works right after."""
+    bench = Bench()
+    bench.start()
+    for _ in range(20):
+        bench.tick()
+        bench.observe()
+        for n in range(50):
+            bench.act([bench.here((1 + n) * jump)])
+            bench.now += MS
+        bench.execute()
+        bench.step += 1
+    server, status = bench.server, bench.server.report()
+    assert status["state"] == state
+    assert ("3 rejected steps in a row" in server.reason) == (state == "PAUSED")
+    assert len(bench.sent) == (20 if state == "RUNNING" else 0)
+    moved = np.diff([HOME[0], *(target.p[0] for _, target in bench.sent)])
+    np.testing.assert_allclose(moved, jump, atol=1e-12)
+    counters = server.counters
+    assert counters.flooded > 100 and counters.stale > 500
+    assert counters.flooded + counters.stale + len(bench.sent or "abc") == 1000
+    assert status["flooded"] == counters.flooded and status["stale"] == counters.stale
+    bench.now += SILENCE + 1
+    bench.tick()
+    bench.hello(b"b")
+    bench.tick()
+    assert server.enable(True, bench.now) == ""
+    for _ in range(3):
+        bench.tick()
+    bench.observe()
+    seen = bench.of("OBS")[-1].head
+    head = {"session": bench.session, "seq": seen["seq"], "stamp_ns": seen["stamp_ns"]}
+    good = {"chunk": np.array([bench.here(1e-3)])}
+    bench.say("ACT", b"b", good, **head, step0=seen["step"] + 1)
+    assert bench.execute() is not None
 
 
 def test_f17_what_the_codec_overlooks_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
