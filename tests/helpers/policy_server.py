@@ -71,7 +71,7 @@ class PolicyServer:
         deaf: bool = False,
         session: int = 1,
     ) -> None:
-        self.spec = served or spec()
+        self.spec = self._served = served or spec()
         self.heard: list[tuple[float, Message]] = []
         self.refused: list[WireError] = []
         self.session = session
@@ -148,10 +148,11 @@ class PolicyServer:
     def welcome(self, hello: dict[str, Any]) -> Message:
         """The answer to a good HELLO."""
         wants = Spec.from_map(hello["wants"]) if hello["wants"] is not None else self.spec
+        self._served = self.spec.only(list(wants.observation))
         head = {
             "version": 1,
             "session": self.session,
-            "spec": self.spec.only(list(wants.observation)).to_map(),
+            "spec": self._served.to_map(),
             "max_obs_age_s": 0.6,
             "ping_s": 0.05,
             "silence_s": 0.15,
@@ -194,7 +195,7 @@ class PolicyServer:
         }
         arrays = {
             key: np.full(feature.shape or (), step % 256, np.dtype(feature.dtype))
-            for key, feature in self.spec.observation.items()
+            for key, feature in self._served.observation.items()
             if keys is None or key in keys
         }
         self.say(Message("OBS", head, arrays))

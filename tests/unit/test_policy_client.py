@@ -273,6 +273,17 @@ def test_a_lost_server_is_found_again(how: str, tmp_path: Path) -> None:
     assert [o.step for o in policy.seen] == [3, 4]
 
 
+def test_an_observation_against_the_servers_own_spec_reaches_no_policy() -> None:
+    policy = Policy()
+    with PolicyServer() as server:
+        client = Client(policy, server.address)
+        server.wait("PING")
+        server.observe(0, keys=[STATE])
+        with pytest.raises(SpecMismatch, match="is missing"):
+            client.end()
+    assert not policy.seen
+
+
 def test_what_the_codec_overlooks_ends_no_connection(monkeypatch: pytest.MonkeyPatch) -> None:
     def overlooks(parts: Any) -> Message:
         if bytes(parts[0].buffer) == b"odd":

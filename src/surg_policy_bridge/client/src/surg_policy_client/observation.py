@@ -7,7 +7,7 @@ from typing import Any, Mapping
 
 import numpy as np
 
-from surg_policy_client.errors import BadAction
+from surg_policy_client.errors import BadAction, SpecMismatch
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
 
@@ -42,7 +42,13 @@ class Observation:
 
     @classmethod
     def of(cls, message: Message, spec: Spec) -> Observation:
-        """Of an OBS."""
+        """Of an OBS.
+
+        Raises:
+            SpecMismatch: It is not what the server said that it serves.
+        """
+        if wrong := spec.check_observation(message.arrays):
+            raise SpecMismatch(f"an observation is not as the server's spec: {'; '.join(wrong)}")
         head = message.head
         return cls(
             message.arrays,
