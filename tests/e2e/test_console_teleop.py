@@ -17,7 +17,7 @@ import pytest
 
 from helpers import chromium
 from helpers.chromium import GAMEPAD, Chromium, Tab, until
-from helpers.console_results import note
+from helpers.console_results import keeps, note
 from helpers.surg import environment, start
 from surg_cli import master, paths
 from surg_recording import episode
@@ -324,4 +324,5 @@ def test_the_arm_rests_when_the_tab_goes(what: str, tmp_path: Path) -> None:
 
     asyncio.run(asyncio.wait_for(test(), 600.0))
     note(f"tip at rest, tab {what}", len(rests), rests, "event in the browser → tip within 0.1 mm")
-    assert sorted(rests)[len(rests) // 2] < (0.3 if what == "frozen" else 0.2) + 0.05
+    # The arm itself needs up to 50 ms more, from the order to hold to the rest.
+    keeps(f"tip at rest, tab {what}", rests, (0.3 if what == "frozen" else 0.2) + 0.05)

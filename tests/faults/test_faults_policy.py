@@ -34,8 +34,9 @@ from surg_policy_client.wire import Message
 pytestmark = pytest.mark.ros
 
 HOSTILE = Path(__file__).parents[1] / "helpers" / "hostile_peer.py"
-STANDSTILL_MS = 300 + 90
-"""The requirement, and what a shared machine may add."""
+STANDSTILL_MS = 300
+"""The requirement. Nothing is added for the machine: the receipt of the cycles, which a busy one
+delays, can only lengthen a time, and these are 130 to 210 ms."""
 FROZEN_MS = 150 + 50 + STANDSTILL_MS
 """Three periods of the camera, and the one in which it froze."""
 GROWTH = 64 << 20
@@ -186,8 +187,8 @@ def _flood(rig: PolicyRig, full: bool) -> None:
 def _kill(rig: PolicyRig, reactions: Reactions) -> None:
     """F04: from 50 mm/s to standstill."""
     pid = next(c for c in rig.graph.supervisor.children if c.name == "first").process.pid
-    os.kill(pid, signal.SIGKILL)
     moment = time.monotonic()
+    os.kill(pid, signal.SIGKILL)
     took = 1e3 * rig.standstill_after(moment)
     rig.wait_state("IDLE")
     print(f"killed: standstill after {took:.0f} ms; {rig.status['reason']}")
@@ -198,8 +199,8 @@ def _kill(rig: PolicyRig, reactions: Reactions) -> None:
 
 def _stop(rig: PolicyRig, pid: int, reactions: Reactions) -> None:
     """F05: a process that does not run neither pings nor answers."""
-    os.kill(pid, signal.SIGSTOP)
     moment = time.monotonic()
+    os.kill(pid, signal.SIGSTOP)
     took = 1e3 * rig.standstill_after(moment)
     rig.wait_state("IDLE")
     print(f"stopped: standstill after {took:.0f} ms")
@@ -212,8 +213,8 @@ def _stop(rig: PolicyRig, pid: int, reactions: Reactions) -> None:
 
 def _freeze_the_camera(rig: PolicyRig, reactions: Reactions) -> None:
     """F08: a picture that repeats itself."""
-    rig.camera.fault = "frozen"  # type: ignore[attr-defined]
     moment = time.monotonic()
+    rig.camera.fault = "frozen"  # type: ignore[attr-defined]
     took = 1e3 * rig.standstill_after(moment)
     rig.wait_state("PAUSED")
     print(f"frozen camera: standstill after {took:.0f} ms; {rig.status['reason']}")

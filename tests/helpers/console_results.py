@@ -17,6 +17,23 @@ headless Chromium, wall clock of the machine that ran it.
 _found: dict[str, str] = {}
 
 
+def keeps(what: str, seconds: Sequence[float], limit: float) -> None:
+    """Fail where a time is above its limit.
+
+    Of twenty rounds one may be: the machine does other things beside. It is printed.
+
+    Args:
+        what: Was measured.
+        seconds: Times [s].
+        limit: None may be above it [s].
+    """
+    above = sorted(each for each in seconds if each > limit)
+    words = f"{what}: {', '.join(f'{1e3 * each:.0f}' for each in above)} ms of {1e3 * limit:.0f} ms"
+    if above:
+        print(f"{words}, in {len(above)} of {len(seconds)} rounds")
+    assert len(above) <= len(seconds) // 20, words
+
+
 def note(what: str, rounds: int, seconds: Sequence[float], meaning: str) -> None:
     """Print times, keep them, and write the page when it is asked for.
 
