@@ -138,12 +138,13 @@ class Console:
         system: Its robot's side.
         camera: Its pictures.
         session: Who drives.
+        stop: Ends it when set.
     """
 
     def __init__(self, rules: access.Access, pictures: bool) -> None:
         self.url, self.port = rules.url, rules.port
         self.system, self.camera = FakeSystem(), FakeCamera()
-        self.session = Session(pictures)
+        self.session, self.stop = Session(pictures), asyncio.Event()
         self.server = Server(rules, self.session, self.system, self.camera, FACTS, LIMITS)
 
 
@@ -156,8 +157,7 @@ async def console(pictures: bool = True, **how: Any) -> AsyncIterator[Console]:
         **how: Of `access.rules`.
     """
     made = Console(access.rules("127.0.0.1", master.free_port(), **how), pictures)
-    stop = asyncio.Event()
-    serving = asyncio.create_task(made.server.serve(stop))
+    serving = asyncio.create_task(made.server.serve(made.stop))
     filming = asyncio.create_task(made.camera.run(made.server))
     try:
         while not master.port_in_use(made.port):
@@ -165,6 +165,6 @@ async def console(pictures: bool = True, **how: Any) -> AsyncIterator[Console]:
             await asyncio.sleep(0.01)
         yield made
     finally:
-        stop.set()
+        made.stop.set()
         filming.cancel()
         await serving

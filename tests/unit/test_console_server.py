@@ -16,7 +16,8 @@ import aiohttp
 import pytest
 
 from helpers.console import console
-from helpers.console_page import page, when
+from helpers.console_page import Page, page, when
+from surg_cli import master
 from surg_teleop.console import wire
 from surg_teleop.console.orders import Follow, Move, Present, Record, StateCommand
 from surg_teleop.console.server import CLOSE_HELLO, MESSAGE_BURST, MOST_MISTAKES, Allowance
@@ -278,5 +279,29 @@ def test_what_breaks_inside_ends_the_console_and_holds_the_arm() -> None:
                 await when(lambda: found.socket.closed, "the end")
                 assert made.system.last(Present)[1] == Present(False)
                 assert made.system.last(Follow)[1] == Follow(False)
+
+    run(test())
+
+
+class Stuck:
+    """A socket whose other end reads nothing more."""
+
+    async def close(self, **_: object) -> None:
+        await asyncio.Event().wait()
+
+
+def test_a_console_that_ends_enables_nothing_and_waits_for_no_stuck_page() -> None:
+    async def test() -> None:
+        async with console(pictures=False) as made, aiohttp.ClientSession() as http:
+            made.server._sockets.add(Stuck())  # type: ignore[arg-type]
+            made.stop.set()
+            await when(lambda: made.system.given(Follow), "the end")
+            root = f"localhost:{made.port}"
+            late = Page(await http.ws_connect(f"ws://{root}/control", origin=f"http://{root}"))
+            await late.say("hello", token="")
+            await late.input()
+            await late.press("enable")
+            await when(lambda: not master.port_in_use(made.port), "a free port", 5.0)
+            assert Follow(True) not in made.system.given(Follow)
 
     run(test())

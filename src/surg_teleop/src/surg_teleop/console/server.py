@@ -51,6 +51,8 @@ LIST = 1.0
 """[s] between two looks at the recorded episodes."""
 HELLO_WAIT = 3.0
 """[s] for a page's first words."""
+GOODBYE_WAIT = 1.0
+"""[s] for taking leave of all pages; one on a dead link keeps its socket for minutes."""
 MOST_PAGES = 8
 MESSAGE_RATE, MESSAGE_BURST = 200.0, 600.0
 """[1/s] messages that a page may send in the long run, and at once after a pause."""
@@ -190,7 +192,7 @@ class Server:
         self._outboxes: dict[str, _Outbox] = {}
         self._viewers: set[_Viewer] = set()
         self._sockets: set[web.WebSocketResponse] = set()
-        self._joined = 0
+        self._joined, self._ending = 0, False
         self._episodes = ""
         self._picture_problem = ""
 
@@ -215,7 +217,11 @@ class Server:
         chores = [asyncio.create_task(chore()) for chore in (self._watch, self._tell, self._list)]
         try:
             site = web.TCPSite(
-                runner, self._access.bind, self._access.port, ssl_context=_tls(self._access)
+                runner,
+                self._access.bind,
+                self._access.port,
+                shutdown_timeout=GOODBYE_WAIT,
+                ssl_context=_tls(self._access),
             )
             await site.start()
             waiting = asyncio.create_task(stop.wait())
@@ -223,12 +229,20 @@ class Server:
             for chore in done:
                 chore.result()  # a chore that broke breaks the server
         finally:
+            self._ending = True
             self._system.obey([Present(False), Follow(False)])
             for chore in chores:
                 chore.cancel()
-            for socket in list(self._sockets):
-                await socket.close(code=WSCloseCode.GOING_AWAY, message=b"the console has ended")
+            await self._say_goodbye()
             await runner.cleanup()
+
+    async def _say_goodbye(self) -> None:
+        """Close all sockets at once: a page on a dead link keeps no other one waiting."""
+        code, why = WSCloseCode.GOING_AWAY, b"the console has ended"
+        closing = [socket.close(code=code, message=why) for socket in self._sockets]
+        with contextlib.suppress(TimeoutError):
+            everyone = asyncio.gather(*closing, return_exceptions=True)
+            await asyncio.wait_for(everyone, GOODBYE_WAIT)
 
     def show(self, packet: Packet) -> None:
         """A new picture for those who watch this layout and codec."""
@@ -369,8 +383,10 @@ class Server:
                     return
 
     def _heed(self, said: Said, name: str, outbox: _Outbox, now: float) -> None:
-        """One message of a page."""
+        """One message of a page; while the console ends nobody watches any more what it orders."""
         session, why = self.session, ""
+        if self._ending and not (isinstance(said, Press) and said.button == "stop"):
+            return
         if isinstance(said, Input):
             session.receive(name, said, now)
         elif isinstance(said, Press):
