@@ -32,6 +32,8 @@ class Circle:
     def __init__(self, speed: float, rows: int) -> None:
         self._speed, self._rows = speed, rows
         self._begin: tuple[int, np.ndarray] | None = None
+        self._home: np.ndarray | None = None
+        self._bearing = 0.0  # of the circle's middle, from where it begins [rad]
 
     def reset(self, instruction: str, seed: int | None) -> None:
         """Begin anew where the arm is."""
@@ -54,6 +56,7 @@ class Circle:
                 np.linalg.norm(self._row(observation.step - first)[:3] + start[:3] - now)
             )
         if self._begin is None or astray > ASTRAY:
+            self._turn_home(now)
             self._begin = (
                 observation.step,
                 np.array([*now, state["PSM1/roll_set"], state["PSM1/jaw"]]),
@@ -63,11 +66,21 @@ class Circle:
         rows = [start + self._row(step - first) for step in steps]
         return Chunk(np.array(rows), observation.step + 1)
 
+    def _turn_home(self, now: np.ndarray) -> None:
+        """However often it begins anew, the circles stay about where the first one was."""
+        if self._home is None:
+            self._home = now
+        x, y, _ = self._home - now
+        if np.hypot(x, y) > RADIUS:
+            self._bearing = float(np.arctan2(y, x))
+
     def _row(self, n: int) -> np.ndarray:
         """How far from the beginning after n steps, (5,)."""
         t = 0.05 * n
         angle = self._speed * (t - RAMP / 2 if t > RAMP else t * t / (2 * RAMP)) / RADIUS
-        return np.array([RADIUS * (1 - np.cos(angle)), RADIUS * np.sin(angle), 0.0, 0.0, 0.0])
+        x, y = RADIUS * (1 - np.cos(angle)), RADIUS * np.sin(angle)
+        c, s = np.cos(self._bearing), np.sin(self._bearing)
+        return np.array([c * x - s * y, s * x + c * y, 0.0, 0.0, 0.0])
 
 
 def main() -> None:

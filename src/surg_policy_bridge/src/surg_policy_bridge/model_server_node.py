@@ -9,6 +9,7 @@ a parameter or file that must not be used.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import secrets
@@ -19,6 +20,7 @@ import time
 import xmlrpc.client
 import zlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -58,6 +60,11 @@ FRESH = SECOND // 4
 of its own for the link behind it; an observation is as old as the cycle in it.)"""
 PATIENCE = 8 * SECOND
 """[ns] Lock-step: longest wait for a picture of the tick; the simulator gives up after 10 s."""
+NICE = 5
+"""A message may come late, a control cycle may not: who floods the port keeps this process busy."""
+AUTOGROUP = Path("/proc/self/autogroup")
+"""Linux shares the processor among sessions, and ./surg gives every node one of its own: a node's
+niceness only counts among its own threads, that of its session counts among nodes."""
 REPORT = SECOND // 2
 """[ns] The status is published at least that often."""
 ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
@@ -519,6 +526,9 @@ def main() -> int:
         uri = rosgraph.get_master_uri()
         print(f"policy: no ROS master at {uri}; start one with './surg up CELL'", file=sys.stderr)
         return 1
+    os.nice(NICE)
+    with contextlib.suppress(OSError):
+        AUTOGROUP.write_text(str(NICE), "ascii")
     rospy.init_node("policy", disable_signals=True)
     try:
         settings = Settings.read(lambda key, default: rospy.get_param(f"~{key}", default))
