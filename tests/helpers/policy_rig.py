@@ -194,7 +194,11 @@ class PolicyRig:
         first = next(i for i, seen in enumerate(cycles) if seen.state == Cycle.ENABLED)
         points = np.array([seen.p_set for seen in cycles[first:]])
         neighbours = np.diff([seen.tick for seen in cycles[first:]]) == 1
-        return float(np.linalg.norm(np.diff(points, axis=0), axis=1)[neighbours].max())
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=1) * neighbours
+        at = first + int(steps.argmax())
+        around = [(c.tick, c.state, c.period_us, c.p_set) for c in cycles[at - 1 : at + 3]]
+        print(f"the largest step is behind the second of these cycles: {around}")
+        return float(steps.max())
 
     def close(self) -> None:
         """Leave the graph."""
