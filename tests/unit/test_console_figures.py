@@ -9,7 +9,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
-from surg_teleop.console.ros_system_node import depth, force
+from surg_teleop.console.ros_system_node import _follower, depth, force
 
 
 def data(message: JointState | WrenchStamped) -> bytes:
@@ -33,6 +33,12 @@ def test_they_are_what_the_messages_say() -> None:
         assert force(data(wrench)) == math.hypot(f.x, f.y, f.z)
     wrench.wrench.force.z = 1e300
     assert force(data(wrench)) == 1e300, "one that cannot be is a number too"
+
+
+def test_a_scale_is_a_number_or_none() -> None:
+    assert [_follower({"scale": x}).scale for x in (0.2, 1)] == [0.2, 1.0]
+    strange = (10**400, math.inf, math.nan, "0.2", None)
+    assert [_follower({"scale": x}).scale for x in strange] == [None] * 5
 
 
 def test_what_is_no_such_message_says_nothing() -> None:

@@ -442,6 +442,25 @@ def test_an_environment_steps_and_ends() -> None:
         assert observation.episode == 1
 
 
+def test_an_episode_that_is_broken_off_is_truncated_and_the_next_one_is_not_its_next_step() -> None:
+    with PolicyServer() as server, RemoteEnv(server.address, timeout_s=5.0) as env:
+        server.wait("PING")
+        server.observe(3)
+        env.reset()
+        threading.Timer(0.1, lambda: server.observe(0, 1)).start()
+        observation, _, terminated, truncated, info = env.step(np.zeros(5))
+        assert (observation.episode, observation.step) == (0, 3)
+        assert (terminated, truncated, info["success"]) == (False, True, None)
+        assert "another session or episode" in info["reason"]
+        with pytest.raises(RuntimeError, match="call reset"):
+            env.step(np.zeros(5))
+        observation, info = env.reset()
+        assert (observation.episode, observation.step, info["reason"]) == (1, 0, "")
+        threading.Timer(0.1, lambda: server.observe(1, 1)).start()
+        observation, _, _, truncated, _ = env.step(np.zeros(5))
+        assert (observation.step, truncated) == (1, False)
+
+
 def test_an_environment_that_is_refused_says_so() -> None:
     with PolicyServer() as server, RemoteEnv(server.address, timeout_s=5.0) as env:
 
@@ -470,7 +489,8 @@ def test_an_environment_waits_for_the_episodes_that_the_model_server_begins() ->
     def end() -> None:
         with server.lock:
             server.server.episode_over(True, "done")
-        threading.Timer(0.7, begin).start()
+        if episode == 1:
+            threading.Timer(0.7, begin).start()
 
     with WiredBench() as server, RemoteEnv(server.address, timeout_s=10.0) as env:
         threading.Timer(0.7, begin).start()

@@ -46,6 +46,8 @@ def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() 
         pytest.param("task", "x" * 257, "at most 256", id="task"),
         pytest.param("instruction", "x" * 1025, "at most 1024", id="instruction"),
         ("cameras", list("abcdefg"), "at most 6"),
+        ("cameras", "left,right,left", "left twice"),
+        ("arms", ["PSM1", "PSM1"], "PSM1 twice"),
     ],
 )
 def test_what_must_not_be_used_is_said(name: str, value: Any, said: str) -> None:

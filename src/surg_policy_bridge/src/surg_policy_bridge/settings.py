@@ -144,7 +144,10 @@ def _texts(name: str, value: Any) -> tuple[str, ...]:
     items = value.split(",") if isinstance(value, str) else value
     if not isinstance(items, list) or not all(isinstance(item, str) for item in items):
         raise SettingsError(f"parameter ~{name} is {value!r}: give a list of names, or 'a,b'")
-    return tuple(item.strip() for item in items if item.strip())
+    names = tuple(item.strip() for item in items if item.strip())
+    if twice := sorted({item for item in names if names.count(item) > 1}):
+        raise SettingsError(f"parameter ~{name} names {', '.join(twice)} twice: once is allowed")
+    return names
 
 
 def _flag(name: str, value: Any) -> bool:

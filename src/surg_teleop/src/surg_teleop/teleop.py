@@ -232,14 +232,14 @@ class Teleop:
     def _feel(self, now: float, sample: LeaderSample | None) -> None:
         """Edges of the buttons, within an unbroken run of good samples only.
 
-        What changed during a silence, or with a device plugged in again, is no act of the operator.
+        What changed during a silence, or with a device plugged in again, is no act of the operator;
+        and what was asked for before it came back does not make the arm follow it.
         """
-        if sample is None or not self._finite(sample) or not _fresh(now, sample.stamp):
-            self._buttons = None
-            return
-        self._heard = sample.stamp
-        if sample.problem:
-            self._buttons = None
+        silent = sample is None or not self._finite(sample) or not _fresh(now, sample.stamp)
+        if sample is not None and not silent:
+            self._heard = sample.stamp
+        if sample is None or silent or sample.problem:
+            self._buttons, self._asked = None, -math.inf
             return
         before, self._buttons = self._buttons, sample.buttons
         if before is None:
@@ -265,7 +265,8 @@ class Teleop:
     def _obey_switch(self, now: float, arm: ArmView | None, commands: Commands) -> None:
         on, self._switch = self._switch, None
         if on:
-            self._asked = self._enabling = now
+            self._enabling = now
+            self._asked = now if self._buttons is not None else -math.inf  # None: it is silent
             self._sent_state = -math.inf
             if self.state in (State.DISABLED, State.FAULT):
                 self.state = State.WAITING

@@ -13,6 +13,8 @@ from surg_policy_client.serving import ADDRESS, Wants, wanted
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
 
+BROKEN_OFF = "the server began another session or episode without the end of this one"
+
 
 class RemoteEnv:
     """A task on the other side of the wire, in the manner of Gymnasium.
@@ -42,6 +44,7 @@ class RemoteEnv:
         self._last: Observation | None = None
         self._over: Message | None = None
         self._acted: tuple[int, int] | None = None
+        self._broken_off = False
         self._acks: dict[str, Any] = {}
         self._said = ""
         try:
@@ -73,6 +76,7 @@ class RemoteEnv:
             raise
         if observation is None:
             raise self._silence("began no episode")
+        self._broken_off = False
         return observation, self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -82,9 +86,11 @@ class RemoteEnv:
             action: One row [A], rows [K, A] or a `Chunk`, from the next grid time on.
 
         Returns:
-            Observation, reward (always 0.0), terminated, truncated (always False), info.
+            Observation, reward (always 0.0), terminated, truncated, info. Truncated where the
+            server began another session or episode without the end of this one: the observation
+            is then the last of this one, and `reset` gives the first of the other.
         """
-        if self._last is None or self._over is not None:
+        if self._last is None or self._over is not None or self._broken_off:
             raise RuntimeError("no episode: call reset() first")
         self._link.send(as_message(action, self._last))
         self._acted = self._last.session, self._last.episode
@@ -92,6 +98,9 @@ class RemoteEnv:
         observation = self._wait(self._timeout)
         if observation is None and self._over is None:
             raise self._silence("sent no observation")
+        if observation is not None and (observation.session, observation.episode) != self._acted:
+            self._acted, self._broken_off = None, True  # not acted in: `reset` takes it
+            return before, 0.0, False, True, {**self._info(), "reason": BROKEN_OFF}
         self._last = observation or before
         return self._last, 0.0, self._over is not None, False, self._info()
 

@@ -308,10 +308,19 @@ def _follower(hand: dict[str, Any]) -> Follower:
         state=str(hand.get("state", "")),
         mapping=str(hand.get("mapping", "position")),
         reason=str(hand.get("message") or ""),
-        scale=float(scale) if isinstance(scale, int | float) else None,
+        scale=_number(scale),
         leader=str(hand.get("leader", "")),
         arm=str(hand.get("arm", "")),
     )
+
+
+def _number(value: object) -> float | None:
+    """A finite number; none where another node said something else, such as a huge whole number."""
+    try:
+        number = float(value) if isinstance(value, int | float) else math.nan
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None
 
 
 def half_turn(angle: float) -> tuple[float, float]:
