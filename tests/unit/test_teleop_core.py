@@ -248,6 +248,28 @@ def test_f03_buttons_that_changed_during_a_silence_are_no_act() -> None:
     assert bench.teleop.engagements == 1
 
 
+@pytest.mark.parametrize("act", ["enable", "clutch"])
+def test_f03_what_was_asked_for_before_the_hand_came_back_does_not_engage(act: str) -> None:
+    """Enabled beside a silent hand the arm gets ready, and follows after the next act only."""
+    bench = Bench().engaged()
+    if act == "clutch":
+        bench.hand.buttons = {"clutch"}
+        bench.tick(10)
+        bench.arm.leave(ArmState.PAUSED, "force")  # what keeps it from engaging at once
+        bench.hand.buttons = set()
+        bench.tick(2)
+    bench.hand.speaks = False
+    bench.tick(round(2 * SILENCE / TICK))
+    bench.teleop.enable() if act == "enable" else bench.arm.leave(ArmState.ENABLED, "")
+    bench.tick(2)
+    bench.hand.speaks = True
+    assert bench.tick(round(ASKED / TICK)).state is State.WAITING
+    assert bench.arm.state == ArmState.ENABLED
+    assert bench.teleop.engagements == 1
+    bench.teleop.enable()
+    assert bench.tick(2).state is State.FOLLOWING
+
+
 def test_f27_a_node_that_was_frozen_does_not_go_on() -> None:
     bench = Bench().engaged()
     bench.arm.tick += 1000  # two seconds in which this node did not run
