@@ -23,7 +23,7 @@ BACKLOG = 16
 AT_ONCE = 32
 """Messages that are taken before there is time for anything else."""
 GIVE_WAY = 1e-4
-"""[s]"""
+"""[s] Between the parts of a message of thousands."""
 DOMAIN = "policy"
 
 

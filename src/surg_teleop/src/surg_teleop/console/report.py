@@ -45,14 +45,14 @@ def report(
         "arms": [_arm(arm, now) for arm in robot.arms],
         "helpers": [_helper(hand) for hand in robot.helpers],
         "gauges": {
-            "rcm": _finite(gauges.rcm),
-            "rcm_peak": _finite(gauges.rcm_peak),
-            "depth": _finite(gauges.depth),
-            "trocar": _finite(gauges.trocar),
-            "tip": _finite(gauges.tip),
+            "rcm": finite(gauges.rcm),
+            "rcm_peak": finite(gauges.rcm_peak),
+            "depth": finite(gauges.depth),
+            "trocar": finite(gauges.trocar),
+            "tip": finite(gauges.tip),
         },
         "limits": dict(limits),
-        "scale": _finite(robot.follower.scale),
+        "scale": finite(robot.follower.scale),
         "teleop": robot.follower.state,
         "record": {
             "on": bool(robot.record.get("recording")),
@@ -140,6 +140,13 @@ def _arm(arm: Arm, now: float) -> dict[str, Any]:
     }
 
 
-def _finite(value: float | None) -> float | None:
-    """JSON has no NaN: what is not finite is not said."""
-    return value if value is not None and math.isfinite(value) else None
+def finite(value: object) -> float | None:
+    """A finite number; None for anything else, such as a whole number beyond all floats.
+
+    JSON has no NaN: what is not finite is not said.
+    """
+    try:
+        number = float(value) if isinstance(value, int | float) else math.nan
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None

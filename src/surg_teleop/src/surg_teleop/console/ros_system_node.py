@@ -39,6 +39,7 @@ from surg_teleop.console.orders import (
     StateCommand,
 )
 from surg_teleop.console.protocol import Input
+from surg_teleop.console.report import finite
 from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
 
 FRESH = 1.0
@@ -303,24 +304,14 @@ def _publishers(arms: tuple[str, ...], leader: str) -> dict[str, rospy.Publisher
 
 def _follower(hand: dict[str, Any]) -> Follower:
     """One entry of `hands` in the teleoperation's status."""
-    scale = hand.get("scale")
     return Follower(
         state=str(hand.get("state", "")),
         mapping=str(hand.get("mapping", "position")),
         reason=str(hand.get("message") or ""),
-        scale=_number(scale),
+        scale=finite(hand.get("scale")),
         leader=str(hand.get("leader", "")),
         arm=str(hand.get("arm", "")),
     )
-
-
-def _number(value: object) -> float | None:
-    """A finite number; none where another node said something else, such as a huge whole number."""
-    try:
-        number = float(value) if isinstance(value, int | float) else math.nan
-    except OverflowError:
-        return None
-    return number if math.isfinite(number) else None
 
 
 def half_turn(angle: float) -> tuple[float, float]:
