@@ -45,8 +45,9 @@ from typing import Any
 import numpy as np
 from machine import this_machine
 
-from surg_cli import cells, master, paths, processes, running
-from surg_cli.terminal import Progress, say, table
+from surg_cli.graph import master, processes, running
+from surg_cli.host import cells, paths
+from surg_cli.host.terminal import Progress, say, table
 
 sys.path.insert(0, str(paths.ROOT / "tests"))
 

@@ -44,8 +44,8 @@ import streams
 from machine import processor
 from publish import publish
 
-from surg_cli import paths
-from surg_cli.terminal import Problem, Progress, say, warn
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem, Progress, say, warn
 
 SOURCE = Path(__file__).parent / "control"
 BUILD = paths.BUILD / "bench_control"
@@ -246,7 +246,9 @@ def main() -> None:
         "--offline", action="store_true", help="fetch nothing; use the libraries that are there"
     )
     parser.add_argument(
-        "--page", action="store_true", help="rewrite docs/benchmark_control.md and its picture"
+        "--page",
+        action="store_true",
+        help="rewrite docs/results/benchmark_control.md and its picture",
     )
     options = parser.parse_args()
     try:

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from surg_cli import paths
+from surg_cli.host import paths
 
 
 def measure(seconds: float, *options: str) -> dict[str, Any]:

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from surg_cli import paths
-from surg_cli.terminal import Progress, say, table, warn
+from surg_cli.host import paths
+from surg_cli.host.terminal import Progress, say, table, warn
 
 sys.path.insert(0, str(paths.ROOT / "tests"))
 from helpers import datasets_synthetic

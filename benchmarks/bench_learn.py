@@ -1,6 +1,7 @@
 """Does the learned policy of bgr hold up: other training seeds, fewer demonstrations, no policy.
 
-In process (`surg_sim.rollouts`), on test seeds: 80 demonstrations with each of three training
+In process (`surg_sim.envs.policy_rollouts`), on test seeds: 80 demonstrations with each of three
+training
 seeds, 10, 4 and 2 demonstrations, 40 and 10 that were copied plainly (nobody pushed the hand, no
 sample is moved aside or shown late), an arm that holds, one that moves at random, and one that
 replays a demonstration blindly. `--json FILE` writes (counts of successes and Wilson's 95 %
@@ -36,11 +37,14 @@ from typing import Any
 import numpy as np
 from machine import this_machine
 
-from surg_cli import paths
-from surg_cli.terminal import Progress, say, table
-from surg_recording import datasets, trials
-from surg_sim import cells, demonstrations, seeds
-from surg_sim.rollouts import STATE, Rollout
+from surg_cli.host import paths
+from surg_cli.host.terminal import Progress, say, table
+from surg_recording import datasets
+from surg_recording.reports import trials
+from surg_sim.envs import demonstrations
+from surg_sim.envs.policy_rollouts import STATE, Rollout
+from surg_sim.physics import cell_files
+from surg_sim.tasks import episode_seeds
 
 sys.path.insert(0, str(paths.ROOT / "examples"))
 CELL, TASK = "sim_two_arms", "bgr"
@@ -140,8 +144,8 @@ _environments: dict[str, Any] = {}
 
 def judge(make: Callable[[], Any], seed: int) -> Rollout:
     """One roll-out; the scene is compiled once per process."""
-    from surg_sim.env import SurgEnv
-    from surg_sim.rollouts import roll_out
+    from surg_sim.envs.policy_rollouts import roll_out
+    from surg_sim.envs.surg_env import SurgEnv
 
     if TASK not in _environments:
         _environments[TASK] = SurgEnv(TASK, CELL)
@@ -193,8 +197,8 @@ def candidates(root: Path, options: argparse.Namespace, progress: Progress) -> l
     from functools import partial
 
     shown = root / "demonstrations"
-    plan = demonstrations.Plan(shown, cells.find(CELL), TASK, shake=options.shake)
-    chosen = seeds.training_seeds(options.episodes)
+    plan = demonstrations.Plan(shown, cell_files.find(CELL), TASK, shake=options.shake)
+    chosen = episode_seeds.training_seeds(options.episodes)
     total = len(chosen)
 
     def tell(n: int, newest: demonstrations.Demonstration) -> None:
@@ -258,7 +262,9 @@ def main() -> int:
     started, before = time.monotonic(), os.getloadavg()[0]
     root = options.keep or Path(tempfile.mkdtemp(prefix="bench_learn_"))
     root.mkdir(parents=True, exist_ok=True)
-    judged = (seeds.tuning_seeds if options.tuning else seeds.test_seeds)(options.rollouts)
+    judged = (episode_seeds.tuning_seeds if options.tuning else episode_seeds.test_seeds)(
+        options.rollouts
+    )
     entries = []
     try:
         with Progress("bench learn") as progress:

@@ -34,8 +34,8 @@ import page
 from machine import processor
 from publish import publish
 
-from surg_cli import environment, logged, paths
-from surg_cli.terminal import Problem, Progress, warn
+from surg_cli.host import environment, logged, paths
+from surg_cli.host.terminal import Problem, Progress, warn
 from surg_policy_client import keys
 
 SOURCE = Path(__file__).parent / "policy"
@@ -231,7 +231,7 @@ def main() -> None:
     add("--rounds", type=int, default=50, metavar="N", help="of a block (default 50)")
     add("--blocks", type=int, default=20, metavar="N", help="of each way (default 20)")
     add("--offline", action="store_true", help="fetch nothing; use openpi-client if it is there")
-    add("--page", action="store_true", help="rewrite docs/benchmark_policy.md")
+    add("--page", action="store_true", help="rewrite docs/results/benchmark_policy.md")
     options = parser.parse_args()
     try:
         if not (1 <= options.rounds <= 100_000 and 1 <= options.blocks <= 10_000):

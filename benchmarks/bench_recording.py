@@ -30,8 +30,8 @@ import side_by_side
 from machine import this_machine
 from publish import publish
 
-from surg_cli import paths
-from surg_cli.terminal import Problem, Progress
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem, Progress
 
 TASK, ROBOT, CAMERAS = "bgr", "ur5e", "stereo"
 
@@ -53,12 +53,12 @@ def in_process(part: str, seconds: float, folder: Path) -> dict[str, Any]:
 
 def lockstep(folder: Path) -> dict[str, Any]:
     """A whole episode with two views in lock-step: complete to the tick?"""
-    from surg_cli.run import real_time_factor
-    from surg_recording import episode
+    from surg_cli.commands.run import real_time_factor
+    from surg_recording.episode import episode_reader
 
     folder.mkdir(parents=True)
     factor = real_time_factor(TASK, ROBOT, 0, folder, CAMERAS)
-    recorded = episode.read(folder / "episode")
+    recorded = episode_reader.read(folder / "episode")
     tables, videos = recorded.manifest["tables"], recorded.manifest["videos"]
     ticks = int(recorded.manifest["sim"]["tick"])
     named = {n: e["rows"] for n, e in tables.items() if n.startswith(("cycle_", "ground_truth_"))}
@@ -83,7 +83,7 @@ def main() -> int:
     add("--json", type=Path, metavar="FILE")
     add("--seconds", type=float, default=20.0, help="measured in free-run (default 20)")
     add("--no-lockstep", action="store_true", help="leave the episode in lock-step out")
-    add("--page", action="store_true", help="renew docs/benchmark_recording.md")
+    add("--page", action="store_true", help="renew docs/results/benchmark_recording.md")
     add("--part", choices=("freerun", "lockstep"), help=argparse.SUPPRESS)
     add("--out", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()

@@ -28,21 +28,22 @@ from typing import Any
 
 from machine import this_machine
 
-from surg_cli.terminal import Progress, say, table
-from surg_sim import cells, seeds
-from surg_sim.episode import run_episode
-from surg_sim.session import Session
-from surg_sim.speed import stereo_speed
+from surg_cli.host.terminal import Progress, say, table
+from surg_sim.envs.cell_session import Session
+from surg_sim.envs.episode_runner import run_episode
+from surg_sim.looks.render_speed import stereo_speed
+from surg_sim.physics import cell_files
+from surg_sim.tasks import episode_seeds
 
 CELL, TASK = "sim_two_arms", "bgr"
 
 
 def in_process(episodes: int) -> dict[str, float]:
     """Episodes one after another in one compiled scene."""
-    session = Session(cells.find(CELL), TASK)
+    session = Session(cell_files.find(CELL), TASK)
     simulated = 0.0
     wall, cpu = time.perf_counter(), time.process_time()
-    for seed in seeds.test_seeds(episodes):
+    for seed in episode_seeds.test_seeds(episodes):
         simulated += run_episode(session, seed).duration
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return {
@@ -55,7 +56,7 @@ def parts(ticks: int = 1500) -> dict[str, float]:
     """Where a tick's time goes [us]."""
     import mujoco
 
-    session = Session(cells.find(CELL), TASK)
+    session = Session(cell_files.find(CELL), TASK)
     whole, physics, control = [], [], []
     for _ in range(ticks):
         start = time.perf_counter_ns()
@@ -77,7 +78,7 @@ def parts(ticks: int = 1500) -> dict[str, float]:
 
 def stereo(pairs: int) -> dict[str, float]:
     """Pairs of 640x480 of a scene that moves."""
-    world = Session(cells.find(CELL), TASK, looks=True).world
+    world = Session(cell_files.find(CELL), TASK, looks=True).world
     speed = stereo_speed(world, pairs=pairs)
     return {
         "stereo_640x480_pairs_per_s": speed.pairs_per_s,
@@ -87,10 +88,10 @@ def stereo(pairs: int) -> dict[str, float]:
 
 def through_ros() -> dict[str, float]:
     """One recorded episode with one view."""
-    from surg_cli.run import real_time_factor
+    from surg_cli.commands.run import real_time_factor
 
     with tempfile.TemporaryDirectory() as folder:
-        factor = real_time_factor(TASK, "ur5e", seeds.TEST.start, Path(folder), "left")
+        factor = real_time_factor(TASK, "ur5e", episode_seeds.TEST.start, Path(folder), "left")
     return {"real_time_factor_ros_one_view": factor}
 
 

@@ -33,7 +33,7 @@ import numpy as np
 from hand_system import hand_system
 from machine import this_machine
 
-from surg_cli.terminal import Progress, say, table
+from surg_cli.host.terminal import Progress, say, table
 
 RATE = 100.0
 """[Hz] of the leader."""
@@ -154,9 +154,9 @@ def work(surgeon: Surgeon, seconds: float) -> dict[str, Any]:
 
 def recorded(folder: Path) -> dict[str, Any]:
     """What the episode holds."""
-    from surg_recording import episode
+    from surg_recording.episode import episode_reader
 
-    found = episode.read(folder)
+    found = episode_reader.read(folder)
     cycle = found.cycle("PSM1")
     ticks = np.asarray(cycle["tick"])
     error = 1e3 * np.asarray(cycle["rcm_error"])

@@ -5,8 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from surg_cli import master, paths, system
-from surg_cli.processes import Child, Supervisor
+from surg_cli.graph import master, system
+from surg_cli.graph.processes import Child, Supervisor
+from surg_cli.host import paths
 
 CELL = paths.ROOT / "cells" / "sim_ur5e"
 

@@ -5,9 +5,9 @@ import json
 from types import ModuleType
 from typing import Any
 
-from surg_cli import paths
-from surg_cli.generated import write_part
-from surg_cli.terminal import say, table
+from surg_cli.host import paths
+from surg_cli.host.generated import write_part
+from surg_cli.host.terminal import say, table
 
 
 def publish(result: dict[str, Any], page: ModuleType, options: argparse.Namespace) -> None:

@@ -1,4 +1,4 @@
-"""A task in one file: touch a ball with the instrument's tip. docs/adding_a_task.md tells it."""
+"""A task in one file: touch a ball with the instrument's tip. See docs/guide/adding_a_task.md."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 
 import surg_core
-from surg_sim.experts.arm import ArmExpert
-from surg_sim.experts.base import Expert
-from surg_sim.scene import Site
+from surg_sim.physics.scene import Site
+from surg_sim.physics.world import World
 from surg_sim.tasks import State, Task, Verdict
-from surg_sim.world import World
+from surg_sim.tasks.scripted_arm import ArmExpert
+from surg_sim.tasks.scripted_sender import Expert
 
 RADIUS = 0.004  # [m]
 

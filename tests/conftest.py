@@ -12,8 +12,8 @@ import pytest
 from helpers.claims import Claims
 from helpers.ros import RosGraph, close_own_topics, forget_dead_nodes, private_master
 from surg_cli import __main__ as cli
-from surg_cli import master
-from surg_cli.processes import Supervisor
+from surg_cli.graph import master
+from surg_cli.graph.processes import Supervisor
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 ON_REQUEST = ("oracle", "vm", "mutants")

@@ -11,8 +11,8 @@ import tarfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_cli import logged, paths
-from surg_cli.terminal import Problem, Progress, say, warn
+from surg_cli.host import logged, paths
+from surg_cli.host.terminal import Problem, Progress, say, warn
 
 VENV = paths.ROOT / ".venv-bench"
 LOCK = paths.ROOT / "benchmarks" / "requirements.lock"

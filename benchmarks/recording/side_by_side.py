@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, environment, master, processes, run, system
-from surg_cli.terminal import Problem
-from surg_cli.watch import Watch
+from surg_cli.commands import run
+from surg_cli.graph import master, processes, system
+from surg_cli.graph.watch import Watch
+from surg_cli.host import cells, environment
+from surg_cli.host.terminal import Problem
 
 ROSBAG = Path("/usr/lib/rosbag/record")
 WARM_UP_S = 3.0
@@ -153,9 +155,9 @@ def _contents(finished: Path, bag_file: Path, plan: system.Plan) -> dict[str, An
     """How many messages of each topic both hold."""
     import rosbag
 
-    from surg_recording import episode
+    from surg_recording.episode import episode_reader
 
-    recorded = episode.read(finished)
+    recorded = episode_reader.read(finished)
     with rosbag.Bag(str(bag_file)) as bag:
         counts = {t: e.message_count for t, e in bag.get_type_and_topic_info().topics.items()}
     tables, videos = recorded.manifest["tables"], recorded.manifest["videos"]

@@ -8,9 +8,9 @@ setuptools.setup(
     description="Episode folders: recording, metrics, figures and reports",
     license="Apache-2.0",
     python_requires=">=3.11",
-    packages=["surg_recording", "surg_recording.datasets", "surg_recording.metrics"],
+    packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
-    package_data={"surg_recording": ["py.typed", "view.html", "view.css", "view.js"]},
+    package_data={"surg_recording": ["py.typed", "reports/episode_view.*"]},
     install_requires=[
         "numpy>=1.24",
         "scipy>=1.10",

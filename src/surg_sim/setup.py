@@ -3,7 +3,7 @@
 from pathlib import Path
 from shutil import copytree
 
-from setuptools import setup
+from setuptools import find_packages, setup
 from setuptools.command.build_py import build_py
 
 HERE = Path(__file__).resolve().parent
@@ -18,7 +18,7 @@ CARRIED = {
 
 
 class BuildWithData(build_py):
-    """Puts cells, robots and instruments into the package (``surg_sim.cells`` finds them)."""
+    """Puts cells, robots and instruments into the package (see ``cell_files``)."""
 
     def run(self) -> None:
         """Build, then copy."""
@@ -32,9 +32,9 @@ setup(
     version="0.1.0",
     description="MuJoCo phantom of the surgical-robotics platform: arms, trocars, tasks",
     license="Apache-2.0",
-    packages=["surg_sim", "surg_sim.tasks", "surg_sim.experts"],
+    packages=find_packages("src"),
     package_dir={"": "src"},
-    package_data={"surg_sim": ["assets/*.xml", "py.typed"]},
+    package_data={"surg_sim": ["physics/assets/*.xml", "py.typed"]},
     cmdclass={"build_py": BuildWithData},
     python_requires=">=3.11",
     install_requires=["numpy", "mujoco>=4.0,<4.1", "matplotlib", "surg_core"],

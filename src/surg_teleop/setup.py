@@ -8,17 +8,11 @@ setuptools.setup(
     description="Hands on the controls of an arm, live and recorded",
     license="Apache-2.0",
     python_requires=">=3.11",
-    packages=[
-        "surg_teleop",
-        "surg_teleop.console",
-        "surg_teleop.frames",
-        "surg_teleop.inputs",
-        "surg_teleop.leaders",
-    ],
+    packages=setuptools.find_packages("src"),
     package_dir={"": "src"},
     package_data={
-        "surg_teleop": ["py.typed", "inputs/layouts/*.yaml"],
-        "surg_teleop.console": ["page/*"],
+        "surg_teleop": ["py.typed", "leaders/evdev/layouts/*.yaml"],
+        "surg_teleop.console.web": ["page/*"],
     },
     install_requires=[
         "aiohttp>=3.8",

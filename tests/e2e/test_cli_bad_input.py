@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.surg import surg
-from surg_cli import paths
+from surg_cli.host import paths
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 

@@ -18,8 +18,16 @@ from helpers import chromium
 from helpers.chromium import GAMEPAD, Chromium, Tab, until
 from helpers.console import Console, console
 from helpers.console_results import keeps, note
-from surg_teleop.console.orders import Camera, Clutch, Follow, Move, Present, Record, SetScale
-from surg_teleop.console.session import Phase
+from surg_teleop.console.session.console_orders import (
+    Camera,
+    Clutch,
+    Follow,
+    Move,
+    Present,
+    Record,
+    SetScale,
+)
+from surg_teleop.console.session.console_session import Phase
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 

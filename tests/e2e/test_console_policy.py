@@ -11,7 +11,7 @@ import pytest
 from helpers import chromium
 from helpers.chromium import Chromium, until
 from helpers.console import Console, console
-from surg_teleop.console.orders import Follow, Policy
+from surg_teleop.console.session.console_orders import Follow, Policy
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 

@@ -19,8 +19,9 @@ from helpers import chromium
 from helpers.chromium import GAMEPAD, Chromium, Tab, until
 from helpers.console_results import keeps, note
 from helpers.surg import environment, start
-from surg_cli import master, paths
-from surg_recording import episode
+from surg_cli.graph import master
+from surg_cli.host import paths
+from surg_recording.episode import episode_reader
 
 pytestmark = [
     pytest.mark.ros,
@@ -199,7 +200,7 @@ def test_ten_targets_are_touched_and_recorded(tmp_path: Path) -> None:
             await tab.run("(window.plug([0, 0, 0, 0], {1: 1}), 0)")
             await tab.until("document.body.dataset.phase === 'held'", "the stop")
             assert browser.errors == []
-        recorded = episode.read(tmp_path / "out" / "episode")
+        recorded = episode_reader.read(tmp_path / "out" / "episode")
         assert recorded.complete, recorded.manifest["reason"]
         assert len(recorded.cycle("PSM1")) > 1000
         assert len(recorded.video("endoscope_left").frames) > 50
@@ -250,7 +251,7 @@ def test_bgr_with_two_arms_and_two_hands_from_the_page(tmp_path: Path) -> None:
             await tab.tap("KeyV")
             await tab.until("!surgConsole.status().record.on", "the recorder's end", 60.0)
             assert browser.errors == []
-        recorded = episode.read(tmp_path / "out" / "episode")
+        recorded = episode_reader.read(tmp_path / "out" / "episode")
         assert recorded.complete, recorded.manifest["reason"]
         for arm in ("PSM1", "ECM"):
             assert np.ptp(recorded.cycle(arm).vector("p_set"), axis=0).max() > 1e-3, arm

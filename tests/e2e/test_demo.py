@@ -18,7 +18,7 @@ import pytest
 from conftest import FULL
 from helpers.surg import surg
 from helpers.third_arm import write_third_arm
-from surg_cli.paths import ROOT
+from surg_cli.host.paths import ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 

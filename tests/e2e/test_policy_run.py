@@ -14,10 +14,11 @@ import pytest
 from helpers.nudge_policy import begin, row
 from helpers.policy_results import note
 from helpers.surg import surg
-from surg_cli import paths, run
-from surg_cli.terminal import Problem
-from surg_policy_bridge.arm import ARM_STATE
-from surg_sim.render import NoOpenGL, choose_backend
+from surg_cli.commands import run
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
+from surg_policy_bridge.server.policy_arm import ARM_STATE
+from surg_sim.looks.render import NoOpenGL, choose_backend
 
 pytestmark = pytest.mark.untimed
 
@@ -32,7 +33,7 @@ SEED = 10_004
 
 def in_one_process(images: tuple[str, ...] = ()) -> tuple[str, int, list[int]]:
     """State hash, number of actions and checksums of the pictures of the same in an environment."""
-    from surg_sim.env import SurgEnv
+    from surg_sim.envs.surg_env import SurgEnv
 
     env = SurgEnv(str(TASK), images=images, width=640, height=480, seed_look=SEED)
     seen, _ = env.reset(seed=SEED)

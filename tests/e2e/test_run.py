@@ -11,9 +11,9 @@ import pytest
 from helpers.nudge_task import BREAKING, LUCKY
 from helpers.surg import surg
 from helpers.two_arms import write_two_arms
-from surg_cli.paths import ROOT
-from surg_recording import episode as episodes
-from surg_sim.stability import trouble
+from surg_cli.host.paths import ROOT
+from surg_recording.episode import episode_reader as episodes
+from surg_sim.physics.stability import trouble
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 

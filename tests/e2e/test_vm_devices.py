@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from helpers import vm
-from surg_cli import paths
+from surg_cli.host import paths
 
 pytestmark = pytest.mark.vm
 

@@ -17,8 +17,8 @@ from helpers.fault_bench import STRANGER, STREAMS, Bench, command, force, shippe
 from helpers.lagging_arm import SOURCE, TICK
 from helpers.reactions import Reactions
 from surg_core import Reason, State, StateCommand
-from surg_sim.faults import Wire
-from surg_sim.injector import Channel
+from surg_sim.physics.fault_injector import Channel
+from surg_sim.physics.faults import Wire
 
 pytestmark = pytest.mark.untimed
 

@@ -23,10 +23,10 @@ from helpers.policy_results import note
 from helpers.policy_rig import CAMERA, CELL, Camera, PolicyRig
 from helpers.reactions import Reactions
 from helpers.ros import RosGraph
-from surg_cli import master, topic_contract
+from surg_cli.graph import master, topic_contract
 from surg_msgs.msg import Cycle
-from surg_policy_bridge.binding import BindError
-from surg_policy_bridge.router_node import Router
+from surg_policy_bridge.server.listen_address import BindError
+from surg_policy_bridge.server.router_node import Router
 from surg_policy_client import wire
 from surg_policy_client.keys import client_keys, make, server_keys
 from surg_policy_client.wire import Message
@@ -78,7 +78,7 @@ def replay(rig: PolicyRig, session: int) -> str:
 def test_f04_f29_a_policy_that_is_killed_and_its_successor(
     rig: PolicyRig, reactions: Reactions
 ) -> None:
-    """And, in the same system, its topics are those that docs/topics.yaml promises."""
+    """And, in the same system, its topics are those that docs/reference/topics.yaml promises."""
     rig.policy("first")
     rig.run()
     first = int(rig.status["session"])
@@ -137,7 +137,7 @@ def own_topics(rig: PolicyRig) -> set[tuple[str, str, str]]:
 
 
 def promised_topics() -> set[tuple[str, str, str]]:
-    """The same by docs/topics.yaml."""
+    """The same by docs/reference/topics.yaml."""
     entries = topic_contract.load().entries
     return {(e.name, e.type, e.direction) for e in entries if e.node == "policy"}
 

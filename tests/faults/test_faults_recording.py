@@ -19,13 +19,15 @@ from std_msgs.msg import Bool, String
 from faults.test_faults_ros import System
 from helpers.ros import RosGraph
 from helpers.set_clock import SetClock
-from surg_cli import cells, paths, run, system
-from surg_cli.processes import Child
-from surg_cli.run import Condition
+from surg_cli.commands import run
+from surg_cli.commands.run import Condition
+from surg_cli.graph import system
+from surg_cli.graph.processes import Child
+from surg_cli.host import cells, paths
 from surg_msgs.msg import Cycle
-from surg_recording import episode
-from surg_sim.episode import run_episode
-from surg_sim.session import Session
+from surg_recording.episode import episode_reader
+from surg_sim.envs.cell_session import Session
+from surg_sim.envs.episode_runner import run_episode
 
 pytestmark = pytest.mark.ros
 
@@ -145,7 +147,7 @@ def test_f09_a_clock_that_is_set_is_said_and_the_arm_goes_on(
     finally:
         arm.close()
         recorder.close()
-    recorded = episode.read(folder)
+    recorded = episode_reader.read(folder)
     assert recorded.complete, recorded.manifest["reason"]
     late = [s["begin_ns"] - at for s, at in zip(recorded.segments, set_at, strict=True)]
     print(f"{len(late)} steps, marked within {max(late) * 1e-6:.0f} ms")
@@ -201,7 +203,7 @@ def test_f12_a_disk_that_fills_up_does_not_reach_the_arm(
         arm.close()
         recorder.close()
     assert took < SAID_S
-    recorded = episode.read(disk / "episode")
+    recorded = episode_reader.read(disk / "episode")
     assert not recorded.complete
     assert "No space left" in recorded.manifest["reason"]
     assert np.all(np.diff(recorded.cycle("PSM1")["tick"]) == 1)
@@ -270,7 +272,7 @@ def test_f12_a_full_disk_changes_no_tick_of_a_run_in_lock_step(
     for arm, seen in heard.ticks.items():
         # The first ones may come before this listener is connected: nobody waits for it.
         assert seen == list(range(seen[0], ticks + 1)), arm
-    recorded = episode.read(disk / "episode")
+    recorded = episode_reader.read(disk / "episode")
     assert not recorded.complete
     assert "No space left" in recorded.manifest["reason"]
     kept = {name: len(recorded.cycle(name)) for name in plan.arms}

@@ -27,8 +27,8 @@ from crtk_msgs.msg import StringStamped
 from helpers.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
 from helpers.reactions import Reactions
 from helpers.ros import RosGraph
-from surg_cli import paths
-from surg_cli.processes import Child
+from surg_cli.graph.processes import Child
+from surg_cli.host import paths
 from surg_msgs.msg import Cycle, GroundTruth
 
 pytestmark = pytest.mark.ros

@@ -11,12 +11,12 @@ import pytest
 
 import surg_core
 from helpers.reactions import Reactions
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, Reason, State, StateCommand
-from surg_sim.arm import ArmCommand
-from surg_sim.faults import Fault, Freeze, ToolLost, TrocarJump, Wire
-from surg_sim.injector import Injector
-from surg_sim.world import World
+from surg_sim.physics.fault_injector import Injector
+from surg_sim.physics.faults import Fault, Freeze, ToolLost, TrocarJump, Wire
+from surg_sim.physics.sim_arm import ArmCommand
+from surg_sim.physics.world import World
 
 pytestmark = pytest.mark.untimed
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from surg_sim.scene import Site
+from surg_sim.physics.scene import Site
+from surg_sim.physics.world import World
 from surg_sim.tasks import State, Task, Verdict
-from surg_sim.world import World
 
 BEAD = "bead"
 RADIUS = 0.001

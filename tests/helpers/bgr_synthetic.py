@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from surg_cli import paths
+from surg_cli.host import paths
 
 sys.path.insert(0, str(paths.ROOT / "examples"))
 

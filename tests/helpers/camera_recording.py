@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from surg_recording.recording import Recording
+from surg_recording.episode.episode_recorder import Recording
 
 
 def start(folder: Path, mode: str = "freerun") -> Recording:

@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from surg_cli import master
-from surg_teleop.console import access
-from surg_teleop.console.episodes import Entry
-from surg_teleop.console.gallery import EYES, Shot, Stream
-from surg_teleop.console.orders import Follow, Order
-from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
-from surg_teleop.console.server import Server
-from surg_teleop.console.session import Session
+from surg_cli.graph import master
+from surg_teleop.console.session.console_orders import Follow, Order
+from surg_teleop.console.session.console_session import Session
+from surg_teleop.console.session.episode_list import Entry
+from surg_teleop.console.session.system_state import Arm, Follower, Gauges, Robot
+from surg_teleop.console.web import access
+from surg_teleop.console.web.picture_streams import EYES, Shot, Stream
+from surg_teleop.console.web.web_server import Server
 
 LIMITS = {
     "rcm_error_warn": 0.001,

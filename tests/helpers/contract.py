@@ -1,11 +1,11 @@
-"""The topics of one node: what docs/topics.yaml promises, and what a running graph has."""
+"""The topics of one node: what topics.yaml promises, and what a running graph has."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
 from helpers.ros import RosGraph
-from surg_cli import master, topic_contract
+from surg_cli.graph import master, topic_contract
 
 Topics = set[tuple[str, str, str]]
 """Topic, type, and `in` or `out`."""

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from helpers import recording_synthetic as base
 from helpers.picture_identity import HEIGHT, WIDTH, Identity, draw
 from helpers.recording_synthetic import TICK_NS, Synthetic
-from surg_recording.recording import Recording
+from surg_recording.episode.episode_recorder import Recording
 
 CAMERAS = ("endoscope_left", "endoscope_right")
 IMAGE_TICKS = 25

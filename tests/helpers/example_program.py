@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from surg_cli import paths
+from surg_cli.host import paths
 
 
 def said_alone(program: str) -> str:

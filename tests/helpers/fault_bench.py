@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import surg_core
 from helpers.lagging_arm import DELAY, LAG, SOURCE, TICK
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, Reason, State, StateCommand
 
 Array = NDArray[np.float64]

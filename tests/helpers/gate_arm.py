@@ -1,6 +1,7 @@
 """An arm that is nothing but a gate: what a controller accepts, written down a second time.
 
-From docs/topics.md and docs/safety.md, not from the controller's source: a stream starts within
+From docs/reference/topics.md and docs/reference/safety.md, not from the controller's source: a
+stream starts within
 the slack of the set-point, steps no further than speed times time plus slack, ends after its
 time-out, and must pause after ``hold``. It moves at most at the speed limit. Fast enough for a
 hundred thousand storms.
@@ -13,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from surg_teleop.arm import ArmState, ArmView, Commands
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands
 
 TICK = 0.002
 SPEED, SLACK, ROLL_SPEED, ROLL_SLACK = 0.25, 0.002, 2.0, math.radians(2.0)

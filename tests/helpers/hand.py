@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surg_teleop.arm import Jaw
-from surg_teleop.fit import Workspace
-from surg_teleop.leader import HandlePose, HandRate, LeaderSample
-from surg_teleop.target import StepLimits
-from surg_teleop.teleop import Kind, TeleopSettings
+from surg_teleop.follow.arm_view import Jaw
+from surg_teleop.follow.target_pose import StepLimits
+from surg_teleop.follow.teleoperation import Kind, TeleopSettings
+from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
+from surg_teleop.playback.workspace_fit import Workspace
 
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)
 STEP = StepLimits(0.25, 0.002, 2.0, math.radians(2.0), 0.1)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 
 from evdev import ecodes
 
-from surg_teleop.inputs.events import DROPPED, EV_ABS, EV_KEY, EV_REL, REPORT, Event
-from surg_teleop.inputs.host import Device, read_bytes
-from surg_teleop.inputs.state import AxisRange, Description, Snapshot
+from surg_teleop.leaders.evdev.device_host import Device, read_bytes
+from surg_teleop.leaders.evdev.device_state import AxisRange, Description, Snapshot
+from surg_teleop.leaders.evdev.input_events import DROPPED, EV_ABS, EV_KEY, EV_REL, REPORT, Event
 
 STICK = AxisRange(-32768, 32767)
 TRIGGER = AxisRange(0, 255)

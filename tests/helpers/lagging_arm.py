@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_teleop.arm import ArmState, ArmView, Commands, Jaw
-from surg_teleop.fit import Workspace
-from surg_teleop.motion import read_motion
-from surg_teleop.operator import Mode, Operator, Stage
-from surg_teleop.plan import make_plan
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, Jaw
+from surg_teleop.playback.motion_file import read_motion
+from surg_teleop.playback.motion_plan import make_plan
+from surg_teleop.playback.motion_player import Mode, Operator, Stage
+from surg_teleop.playback.workspace_fit import Workspace
 
 TICK_NS = 2_000_000
 TICK = 0.002

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli import paths
+from surg_cli.host import paths
 
 # lerobot's own pins ask for CUDA and much that reading needs not: it comes without dependencies.
 TORCH = ("torch==2.13.0", "torchvision==0.28.0", "torchcodec==0.13.0")

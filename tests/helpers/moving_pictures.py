@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.image_motion import HEIGHT, WIDTH
+from surg_recording.video.image_motion import HEIGHT, WIDTH
 
 Array = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]

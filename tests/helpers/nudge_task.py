@@ -11,7 +11,9 @@ from collections.abc import Mapping
 import numpy as np
 
 import surg_core
-from surg_sim.experts.base import (
+from surg_sim.physics.world import World
+from surg_sim.tasks import State, Task, Verdict
+from surg_sim.tasks.scripted_sender import (
     ENABLED,
     STEP,
     ArmWish,
@@ -21,8 +23,6 @@ from surg_sim.experts.base import (
     Wishes,
     tip_quaternion,
 )
-from surg_sim.tasks import State, Task, Verdict
-from surg_sim.world import World
 
 DEPTH = 0.12
 """Of the tip at home in the bundled cells [m]."""

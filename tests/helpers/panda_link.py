@@ -1,6 +1,7 @@
 """A kinematic Panda behind the link contract: `python panda_link.py __name:=panda_link`.
 
-Another robot than the simulator's, written from docs/adding_a_robot.md and docs/topics.md alone: it
+Another robot than the simulator's, written from docs/guide/adding_a_robot.md and
+docs/reference/topics.md alone: it
 takes a flange twist (`robot/servo_cv`), has an inverse kinematics of its own (damped least squares
 on Denavit-Hartenberg parameters as Franka publishes them) and a dead-man of its own: without a
 command for `DEAD_MAN` its joints come to rest. No physics. Imports nothing of the platform but its

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surg_sim.tasks.base import State, Task, Verdict
+from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
-    from surg_sim.world import World
+    from surg_sim.physics.world import World
 
 DEPTH = 0.120
 """[m] Of the tip at home."""

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_cli import paths
-from surg_sim import scene
-from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmLink
-from surg_sim.assistant import Assistant, AssistantCommand, add_assistant, forward
-from surg_sim.grasp import GRIP_DEPTH, Grasp, add_grasp
-from surg_sim.tissue import Bowel, TissueParameters, add_bowel
+from surg_cli.host import paths
+from surg_sim.physics import scene
+from surg_sim.physics.assistant_arm import Assistant, AssistantCommand, add_assistant, forward
+from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmLink
+from surg_sim.physics.tissue import Bowel, TissueParameters, add_bowel
+from surg_sim.physics.tissue_grasp import GRIP_DEPTH, Grasp, add_grasp
 
 Array = NDArray[np.float64]
 

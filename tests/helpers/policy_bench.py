@@ -14,12 +14,19 @@ import zmq
 from numpy.typing import NDArray
 
 import surg_core
-from surg_cli import paths
-from surg_policy_bridge import cell_spec
-from surg_policy_bridge.arm import PERIOD, SECOND, ArmCommand, ArmState, ArmView, Target
-from surg_policy_bridge.observer import STATE, Observation
-from surg_policy_bridge.safety import CLIPPED, ArmLimits, SafetyController
-from surg_policy_bridge.server import ModelServer, ServerSettings, State
+from surg_cli.host import paths
+from surg_policy_bridge.server import cell_spec
+from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
+from surg_policy_bridge.server.observer import STATE, Observation
+from surg_policy_bridge.server.policy_arm import (
+    PERIOD,
+    SECOND,
+    ArmCommand,
+    ArmState,
+    ArmView,
+    Target,
+)
+from surg_policy_bridge.server.safety_controller import CLIPPED, ArmLimits, SafetyController
 from surg_policy_client import wire
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message

@@ -18,8 +18,9 @@ from std_msgs.msg import Bool, String
 
 from crtk_msgs.msg import StringStamped
 from helpers.ros import RosGraph
-from surg_cli import master, paths, system
-from surg_cli.processes import Child
+from surg_cli.graph import master, system
+from surg_cli.graph.processes import Child
+from surg_cli.host import paths
 from surg_msgs.msg import Cycle, PolicyAction
 
 CELL = paths.ROOT / "cells" / "sim_ur5e"

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.tasks import bgr
+from surg_sim.tasks.bgr import bgr_task
 
 FROM = 700
 PUSH = 6.0
 """Above the soft limit of the bundled robots, below the hard one [N]."""
 
 
-class PushedBgr(bgr.Bgr):
+class PushedBgr(bgr_task.Bgr):
     """As bgr, for two seconds."""
 
     name = "pushed_bgr"
@@ -21,6 +21,6 @@ class PushedBgr(bgr.Bgr):
 
     def jaw_force(self, arm: str) -> NDArray[np.float64] | None:
         """Up, on the robot only."""
-        if arm != bgr.ROBOT:
+        if arm != bgr_task.ROBOT:
             return None
         return np.array([0.0, 0.0, PUSH if self.tick >= FROM else 0.0])

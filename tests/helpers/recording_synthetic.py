@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_recording.recording import Recording
+from surg_recording.episode.episode_recorder import Recording
 
 TICK_NS = 2_000_000
 P_RCM = np.array([0.45, -0.10, 0.20])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from surg_recording import learning
+from surg_recording.reports import learning
 
 
 def entry(

@@ -12,8 +12,9 @@ from typing import Any
 
 import yaml
 
-from surg_cli import master, paths
-from surg_cli.processes import Child, Supervisor, wait_until
+from surg_cli.graph import master
+from surg_cli.graph.processes import Child, Supervisor, wait_until
+from surg_cli.host import paths
 
 
 @dataclass

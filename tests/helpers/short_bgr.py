@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from surg_sim.tasks import bgr
+from surg_sim.tasks.bgr import bgr_task
 
 
-class ShortBgr(bgr.Bgr):
+class ShortBgr(bgr_task.Bgr):
     """As bgr, but nobody has the time."""
 
     name = "short_bgr"

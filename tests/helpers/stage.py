@@ -14,12 +14,12 @@ import pytest
 from numpy.typing import NDArray
 
 import surg_core
-from surg_cli import paths
-from surg_sim import endoscope, scene
-from surg_sim.placement import inverse
-from surg_sim.render import NoOpenGL, Picture, StereoRenderer, show_only
-from surg_sim.trocar import shaft_in_flange, wall_frame
-from surg_sim.world import World
+from surg_cli.host import paths
+from surg_sim.looks.render import NoOpenGL, Picture, StereoRenderer, show_only
+from surg_sim.physics import endoscope_rig, scene
+from surg_sim.physics.base_placement import inverse
+from surg_sim.physics.trocar import shaft_in_flange, wall_frame
+from surg_sim.physics.world import World
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ class Stage:
         except NoOpenGL as error:
             pytest.skip(str(error))
         arms = list(cell.arms.values())
-        scope = endoscope.holder(arms)
+        scope = endoscope_rig.holder(arms)
         assert scope is not None
         self.work = scene.site_of(arms).work
         self.scope, self.tool = scope.name, next(a.name for a in arms if a is not scope)

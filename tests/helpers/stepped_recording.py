@@ -11,7 +11,7 @@ from helpers import recording_synthetic as base
 from helpers.datasets_synthetic import IMAGE_TICKS
 from helpers.picture_identity import Identity
 from helpers.recording_synthetic import TICK_NS, Synthetic
-from surg_recording.recording import Recording
+from surg_recording.episode.episode_recorder import Recording
 
 START_NS = 1_732_000_000_000_000_000
 LATENCY_NS = 300_000

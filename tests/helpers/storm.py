@@ -1,6 +1,7 @@
 """A storm of events on one hand and one arm, judged tick by tick.
 
-What is asserted is written down here a second time, from docs/teleoperation.md: only FOLLOWING
+What is asserted is written down here a second time, from docs/reference/teleoperation.md: only
+FOLLOWING
 commands, an engagement begins exactly at the set-point and only after an act of the operator, no
 step is larger than the gate allows, nothing is ever refused, and the jaw opens by no more than the
 hand.
@@ -25,8 +26,8 @@ from helpers.gate_arm import (
     GateArm,
 )
 from helpers.hand import Hand, settings
-from surg_teleop.arm import ArmState
-from surg_teleop.teleop import ASKED, CameraView, Kind, State, Teleop
+from surg_teleop.follow.arm_view import ArmState
+from surg_teleop.follow.teleoperation import ASKED, CameraView, Kind, State, Teleop
 
 Event = tuple[str, float]
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from surg_cli import paths
+from surg_cli.host import paths
 
 
 def environment() -> dict[str, str]:

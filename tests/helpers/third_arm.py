@@ -3,7 +3,7 @@
 It differs from the two bundled arms wherever an arm can differ: a spherical wrist, joint axes along
 x, y and minus z instead of z everywhere, a base turned by 90 degrees on a pedestal, joint frames
 that are no DH frames, other names, joint velocities of its own, and a last joint that turns the
-other way than its flange's z. docs/adding_a_robot.md tells the story.
+other way than its flange's z. docs/guide/adding_a_robot.md tells the story.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import yaml
 
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_description.make_cell import make_cell
 
 ARMS = ("PSM1", "ECM")

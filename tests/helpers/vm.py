@@ -13,7 +13,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from surg_cli import paths
+from surg_cli.host import paths
 
 FOLDER = paths.STATE / "vm"
 # In the order in which they must be loaded; what a kernel has built in is left out.

@@ -20,16 +20,23 @@ from evdev import AbsInfo, UInput, ecodes
 
 import surg_core
 from helpers.lagging_arm import TICK, LaggingArm
-from surg_teleop.arm import Commands, Jaw
-from surg_teleop.fit import Workspace
-from surg_teleop.leader import LeaderError
-from surg_teleop.leaders.gamepad import Gamepad
-from surg_teleop.leaders.pedals import Pedals
-from surg_teleop.seat import Pedals as Feet
-from surg_teleop.seat import Seat
-from surg_teleop.system import Hand
-from surg_teleop.target import StepLimits
-from surg_teleop.teleop import CameraView, Kind, State, Teleop, TeleopOutput, TeleopSettings
+from surg_teleop.follow.arm_switch import Pedals as Feet
+from surg_teleop.follow.arm_switch import Seat
+from surg_teleop.follow.arm_view import Commands, Jaw
+from surg_teleop.follow.target_pose import StepLimits
+from surg_teleop.follow.teleop_setup import Hand
+from surg_teleop.follow.teleoperation import (
+    CameraView,
+    Kind,
+    State,
+    Teleop,
+    TeleopOutput,
+    TeleopSettings,
+)
+from surg_teleop.leaders.bundled.gamepad import Gamepad
+from surg_teleop.leaders.bundled.pedals import Pedals
+from surg_teleop.leaders.leader import LeaderError
+from surg_teleop.playback.workspace_fit import Workspace
 
 STILL = 0.0005
 """[m/s] A tip that is slower stands."""

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from helpers.layering import violations
-from surg_cli import paths
+from surg_cli.host import paths
 
 
 def test_layering_holds() -> None:
@@ -31,7 +31,7 @@ def test_a_clean_tree_passes(tmp_path: Path) -> None:
 BROKEN = {
     "one functional package imports another": (
         "surg_sim/src/surg_sim/bridge_node.py",
-        "from surg_teleop.motion import Motion\n",
+        "from surg_teleop.playback.motion_file import Motion\n",
         "surg_sim must not use surg_teleop",
     ),
     "an import inside a function": (
@@ -41,7 +41,7 @@ BROKEN = {
     ),
     "an import by name": (
         "surg_teleop/src/surg_teleop/a_node.py",
-        "import importlib\nimportlib.import_module('surg_sim.arm')\n",
+        "import importlib\nimportlib.import_module('surg_sim.physics.sim_arm')\n",
         "surg_teleop must not use surg_sim",
     ),
     "an include": (
@@ -86,8 +86,8 @@ BROKEN = {
     ),
     "a pure module imports a node": (
         "surg_sim/src/surg_sim/arm.py",
-        "from surg_sim import bridge_node\n",
-        "a core must not use ROS (surg_sim.bridge_node)",
+        "from surg_sim.nodes import bridge_node\n",
+        "a core must not use ROS (surg_sim.nodes.bridge_node)",
     ),
     "a library imports a functional package": (
         "surg_recording/src/surg_recording/report.py",

@@ -1,11 +1,11 @@
-"""docs/safety.md: every requirement is on it, and every test that it names exists."""
+"""docs/reference/safety.md: every requirement is on it, and every test that it names exists."""
 
 import re
 from pathlib import Path
 
-from surg_cli import paths
+from surg_cli.host import paths
 
-PAGE = paths.ROOT / "docs" / "safety.md"
+PAGE = paths.ROOT / "docs" / "reference" / "safety.md"
 REQUIREMENTS = [f"F{n:02}" for n in range(1, 33)]
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from helpers.layering import FUNCTIONAL
-from surg_cli import paths, provision
+from surg_cli.host import paths, provision
 
 CODE = ("src", "tools", "tests", "benchmarks", "examples")
 # module -> functions that run or build objects from what a file or a peer says

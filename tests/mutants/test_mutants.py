@@ -19,7 +19,7 @@ from time import monotonic
 import pytest
 
 from mutants.mutants import MUTANTS, Mutant
-from surg_cli import environment, paths, workspace
+from surg_cli.host import environment, paths, workspace
 
 pytestmark = pytest.mark.mutants
 

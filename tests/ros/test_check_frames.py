@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from helpers.ros import RosGraph
 from helpers.surg import surg
-from surg_cli import paths, processes, system
+from surg_cli.graph import processes, system
+from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
 

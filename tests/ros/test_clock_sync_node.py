@@ -25,9 +25,10 @@ surg_msgs = pytest.importorskip("surg_msgs.msg")
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
 
-from surg_cli import ptp  # noqa: E402
-from surg_cli.processes import Supervisor, wait_until  # noqa: E402
-from surg_recording import episode, pmc, sync_report  # noqa: E402
+from surg_cli.commands import ptp  # noqa: E402
+from surg_cli.graph.processes import Supervisor, wait_until  # noqa: E402
+from surg_recording.clock import pmc, sync_report  # noqa: E402
+from surg_recording.episode import episode_reader  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -196,7 +197,7 @@ def test_a_real_pair_is_monitored_and_recorded(
     with daemons(tmp_path / "ptp", injected) as socket:
         folder = record(ears, ros_graph, tmp_path / "episode", socket, looks=4)
     assert wait_until((folder / sync_report.FILE).exists, 60), "the recorder has it made"
-    found = sync_report.load(episode.read(folder))
+    found = sync_report.load(episode_reader.read(folder))
     assert found is not None
     clock = found["clock"]
     row = "a real ptp4l pair" + (" with an offset of 5 ms injected" if injected else "")

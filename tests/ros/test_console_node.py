@@ -17,7 +17,8 @@ import surg_core
 from helpers.console_page import page, when
 from helpers.ros import RosGraph
 from helpers.surg import surg
-from surg_cli import master, paths
+from surg_cli.graph import master
+from surg_cli.host import paths
 
 rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")
@@ -27,9 +28,9 @@ from sensor_msgs.msg import Image, JointState, Joy  # noqa: E402
 from std_msgs.msg import Bool, Float64, String  # noqa: E402
 
 from crtk_msgs.msg import OperatingState, StringStamped  # noqa: E402
-from surg_teleop.console import wire  # noqa: E402
-from surg_teleop.console.access import AccessError  # noqa: E402
-from surg_teleop.console.console_node import ParameterError, Settings  # noqa: E402
+from surg_teleop.console.ros.console_node import ParameterError, Settings  # noqa: E402
+from surg_teleop.console.web import picture_packet  # noqa: E402
+from surg_teleop.console.web.access import AccessError  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -206,9 +207,9 @@ def test_both_eyes_come_encoded_and_a_killed_encoder_comes_back(
             await socket.send_str('{"say": "hello", "token": ""}')
             await socket.send_str('{"say": "watch", "layout": "stereo", "codec": "h264"}')
             for life in range(2):
-                packet = wire.unpack((await socket.receive(30.0)).data)
+                packet = picture_packet.unpack((await socket.receive(30.0)).data)
                 while life and not packet.key:
-                    packet = wire.unpack((await socket.receive(30.0)).data)
+                    packet = picture_packet.unpack((await socket.receive(30.0)).data)
                 assert packet.key and (packet.width, packet.height) == (128, 48)
                 assert 0 <= packet.received_us - packet.exposed_us < 20_000_000
                 decoder = av.CodecContext.create("h264", "r")
@@ -225,7 +226,7 @@ def _kill_encoder(ros_graph: RosGraph) -> None:
     import os
     import signal
 
-    from surg_cli.processes import session_members
+    from surg_cli.graph.processes import session_members
 
     console = next(c for c in ros_graph.supervisor.children if c.name == "/console")
     (encoder,) = (

@@ -31,7 +31,7 @@ from helpers.control_rig import (
     tip_in_rcm,
 )
 from helpers.ros import RosGraph
-from surg_cli import master
+from surg_cli.graph import master
 from surg_msgs.msg import Cycle, LinkStatus
 
 pytestmark = pytest.mark.ros

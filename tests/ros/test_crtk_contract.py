@@ -1,7 +1,7 @@
-"""Every topic and service of the arm against docs/topics.yaml.
+"""Every topic and service of the arm against docs/reference/topics.yaml.
 
 Type, md5, rate, frame, latching, and what is said before there is something to say. And the page
-docs/topics.md: it is what the generator makes of the file and the running graph.
+docs/reference/topics.md: it is what the generator makes of the file and the running graph.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ import rospy
 import surg_core
 from helpers.crtk_client import TICK, Arm, LockstepTime, WallTime
 from helpers.ros import RosGraph
-from surg_cli import system, topics
-from surg_cli.graph_probe import Seen, observe
-from surg_cli.terminal import Problem
-from surg_cli.topic_contract import PAGE, REFERENCE, Contract, Entry, compare, load, render
+from surg_cli.commands import topics
+from surg_cli.graph import system
+from surg_cli.graph.graph_probe import Seen, observe
+from surg_cli.graph.topic_contract import PAGE, REFERENCE, Contract, Entry, compare, load, render
+from surg_cli.host.terminal import Problem
 
 pytestmark = pytest.mark.ros
 
@@ -124,7 +125,7 @@ def test_the_graph_is_the_contract_and_the_page_is_made_of_both(
     wrong, seen = differences(ros_graph, contract, lockstep=False)
     assert wrong == []
     page = render(contract, seen, ARM)
-    assert PAGE.read_text("utf-8") == page, "docs/topics.md is old: ./surg topics --write"
+    assert PAGE.read_text("utf-8") == page, "docs/reference/topics.md is old: ./surg topics --write"
     print(f"{len(contract.entries)} topics and services, {len(seen)} ends on the graph")
 
     # Rates in real time, by the stamps: a slow listener is not a slow arm.

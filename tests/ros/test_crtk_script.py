@@ -24,8 +24,8 @@ from std_msgs.msg import Bool, Empty, Float64, String
 
 from helpers.crtk_client import TICK, Arm, LockstepTime, position, shifted
 from helpers.ros import RosGraph
-from surg_cli import paths
-from surg_cli.processes import Child
+from surg_cli.graph.processes import Child
+from surg_cli.host import paths
 from surg_msgs.msg import Cycle, GroundTruth
 
 pytestmark = pytest.mark.ros

@@ -1,4 +1,4 @@
-"""docs/first_session.md, done line by line with the simulator."""
+"""docs/guide/first_session.md, done line by line with the simulator."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ import pytest
 
 import surg_core
 from helpers import surg
-from surg_cli import master, paths, processes, running
+from surg_cli.graph import master, processes, running
+from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
 
-PAGE = paths.ROOT / "docs" / "first_session.md"
+PAGE = paths.ROOT / "docs" / "guide" / "first_session.md"
 START_S = 60.0
 
 

@@ -17,7 +17,7 @@ import rospy
 
 from helpers.crtk_client import TICK, Arm, LockstepTime, position
 from helpers.ros import RosGraph
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_msgs.msg import Cycle, GroundTruth
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]

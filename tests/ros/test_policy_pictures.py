@@ -6,7 +6,8 @@ import pytest
 
 from helpers.policy_rig import PolicyRig
 from helpers.ros import RosGraph
-from surg_cli import paths, system
+from surg_cli.graph import system
+from surg_cli.host import paths
 
 CELL = paths.CELLS / "sim_two_arms"
 POLICY = paths.ROOT / "tests" / "helpers" / "looking_policy.py"

@@ -12,7 +12,8 @@ import pytest
 from helpers.policy_results import note
 from helpers.policy_rig import CELL, PolicyRig
 from helpers.ros import RosGraph
-from surg_cli import paths, system
+from surg_cli.graph import system
+from surg_cli.host import paths
 
 HELPERS = paths.ROOT / "tests" / "helpers"
 

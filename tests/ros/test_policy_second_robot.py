@@ -18,15 +18,15 @@ from helpers.dh import panda
 from helpers.policy_results import note
 from helpers.policy_rig import PolicyRig
 from helpers.ros import RosGraph
-from surg_cli import paths
-from surg_cli.processes import wait_until
+from surg_cli.graph.processes import wait_until
+from surg_cli.host import paths
 from surg_description.make_cell import make_cell
 
 DESCRIPTION = paths.ROOT / "src" / "surg_description"
 
 
 def write_cell(folder: Path) -> Path:
-    """A cell round a Panda that takes a flange twist, as docs/adding_a_robot.md says."""
+    """A cell round a Panda that takes a flange twist, as docs/guide/adding_a_robot.md says."""
     robot = yaml.safe_load((DESCRIPTION / "robots" / "panda.yaml").read_text("utf-8"))
     robot["urdf"] = str(DESCRIPTION / "urdf" / "panda.urdf")
     robot["command"] = "cartesian_velocity"

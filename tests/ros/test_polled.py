@@ -25,7 +25,7 @@ def framed(message: bytes) -> bytes:
 
 
 def test_messages_come_out_of_any_pieces() -> None:
-    from surg_recording.polled_node import Frames
+    from surg_recording.nodes.polled_node import Frames
 
     pieces_seen = 0
     for seed in range(200):
@@ -45,7 +45,7 @@ def test_messages_come_out_of_any_pieces() -> None:
 
 
 def test_a_length_that_cannot_be_is_no_message() -> None:
-    from surg_recording.polled_node import MOST, Frames
+    from surg_recording.nodes.polled_node import MOST, Frames
 
     assert Frames().add(framed(bytes(MOST)))
     with pytest.raises(ValueError, match="a message of"):
@@ -53,7 +53,7 @@ def test_a_length_that_cannot_be_is_no_message() -> None:
 
 
 def test_nonsense_that_comes_with_the_handshake_ends_the_connection_and_nothing_else() -> None:
-    from surg_recording.polled_node import _Lent
+    from surg_recording.nodes.polled_node import _Lent
 
     buffer, closed = io.BytesIO(), []
     buffer.write(framed(b"first") + b"\xff" * 8)
@@ -81,8 +81,8 @@ class Link:
         import rospy
         from sensor_msgs.msg import JointState
 
-        from surg_recording.polled_node import Polled
-        from surg_sim.ports_node import RawJointState
+        from surg_recording.nodes.polled_node import Polled
+        from surg_sim.nodes.sim_ports_node import RawJointState
 
         self.graph, self.kind = graph, JointState
         self.topic = f"/polled_{next(_names)}"
@@ -102,9 +102,11 @@ class Link:
         self.publisher.publish(self.kind(position=[value], effort=[0.0] * padding))
 
     def hears(self, count: int) -> bool:
-        from surg_sim import wire
+        from surg_sim.nodes import bridge_messages
 
-        self.heard += [float(wire.unpack_joint_state(data)[1][0]) for data in self.polled.fetch()]
+        self.heard += [
+            float(bridge_messages.unpack_joint_state(data)[1][0]) for data in self.polled.fetch()
+        ]
         return len(self.heard) >= count
 
     def close(self) -> None:

@@ -17,7 +17,7 @@ from helpers import picture_identity
 from helpers.picture_identity import HEIGHT, WIDTH, Identity
 from helpers.ros import RosGraph
 from helpers.twin_publisher import TwinPublisher
-from surg_cli import master
+from surg_cli.graph import master
 
 rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")
@@ -25,7 +25,8 @@ surg_msgs = pytest.importorskip("surg_msgs.msg")
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
 from std_msgs.msg import Bool, Int64, String  # noqa: E402
 
-from surg_recording import episode, video_file  # noqa: E402
+from surg_recording.episode import episode_reader  # noqa: E402
+from surg_recording.video import video_file  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -119,7 +120,7 @@ def test_any_image_topic_is_recorded_raw_or_compressed(
         twin.close()
     bench.record.publish(False)
     ros_graph.wait_for(lambda: bool(bench.status.get("finished")), 20, "the episode")
-    recorded = episode.read(bench.status["finished"])
+    recorded = episode_reader.read(bench.status["finished"])
     assert recorded.cameras == ["any_name", "raw", "scope"]
     for recording, camera in enumerate(("raw", "scope", "any_name")):
         video = recorded.video(camera)

@@ -23,7 +23,7 @@ from sensor_msgs.msg import Image  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
 
 from crtk_msgs.msg import OperatingState  # noqa: E402
-from surg_recording import episode  # noqa: E402
+from surg_recording.episode import episode_reader  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -168,7 +168,7 @@ def test_lockstep_episode_is_complete_to_the_tick(
     assert bench.status["problem"] is None
     assert not list(tmp_path.glob("*.partial"))
 
-    recorded = episode.read(bench.status["finished"])
+    recorded = episode_reader.read(bench.status["finished"])
     assert recorded.complete, recorded.manifest["reason"]
     assert recorded.manifest["sim"]["state_hash"] == "ff"
     assert recorded.manifest["task"] == "test"
@@ -211,7 +211,7 @@ def test_start_and_stop_by_topic_make_one_episode_each(
             bench.tick(k, image=False)
         bench.record.publish(False)
         _until(lambda: bench.recording is False, "the stop")
-        recorded = episode.read(tmp_path / name)
+        recorded = episode_reader.read(tmp_path / name)
         assert recorded.complete, recorded.manifest["reason"]
         assert list(recorded.cycle("PSM1")["tick"]) == list(range(1, 51))
 
@@ -225,7 +225,7 @@ def test_sigterm_finishes_and_kill_is_recovered(
     _until(lambda: bench.ready[-1] == 600, "Ready")
     os.kill(child.process.pid, signal.SIGTERM)
     _until(lambda: (tmp_path / "episode" / "manifest.json").exists(), "the finished episode")
-    assert episode.read(tmp_path / "episode").complete
+    assert episode_reader.read(tmp_path / "episode").complete
     _until(lambda: not bench.ready_link(), "the end of the recorder")
 
     bench.ready.clear()
@@ -239,7 +239,7 @@ def test_sigterm_finishes_and_kill_is_recovered(
 
     _start(ros_graph, tmp_path, autostart=False)
     _until(lambda: (tmp_path / "episode_2").is_dir(), "recovery")
-    recovered = episode.read(tmp_path / "episode_2")
+    recovered = episode_reader.read(tmp_path / "episode_2")
     assert not recovered.complete
     assert "killed" in recovered.manifest["reason"]
     assert list(recovered.cycle("PSM1")["tick"]) == list(range(1, 601))  # Ready said: written
@@ -290,7 +290,7 @@ def test_frames_that_are_still_under_way_are_waited_for(
         time.sleep(0.3)
         bench.send_image(k)
     _until(lambda: bench.recording is False, "the stop")
-    recorded = episode.read(tmp_path / "episode")
+    recorded = episode_reader.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
     stamps = recorded.video("endoscope_left").frames["stamp_ns"]
     assert stamps.tolist() == [k * TICK_NS for k in range(25, 501, 25)]
@@ -305,5 +305,5 @@ def test_frames_that_never_come_make_it_incomplete(
         bench.tick(k, image=k <= 250)
     bench.record.publish(False)
     _until(lambda: bench.recording is False, "the stop")
-    reason = episode.read(tmp_path / "episode").manifest["reason"]
+    reason = episode_reader.read(tmp_path / "episode").manifest["reason"]
     assert reason == "endoscope_left: ends 0.50 s before the motion"

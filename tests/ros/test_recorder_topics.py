@@ -17,8 +17,8 @@ from helpers.ros import RosGraph
 from helpers.set_clock import SetClock
 from helpers.surg import surg
 from helpers.twin_publisher import TwinPublisher
-from surg_cli import master
-from surg_cli.processes import Supervisor
+from surg_cli.graph import master
+from surg_cli.graph.processes import Supervisor
 
 rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")
@@ -27,7 +27,7 @@ from geometry_msgs.msg import PoseStamped  # noqa: E402
 from sensor_msgs.msg import Image, JointState  # noqa: E402
 from std_msgs.msg import Bool, Int64, String  # noqa: E402
 
-from surg_recording import episode  # noqa: E402
+from surg_recording.episode import episode_reader  # noqa: E402
 
 pytestmark = pytest.mark.ros
 
@@ -142,7 +142,7 @@ def test_any_topic_tags_and_facts_are_recorded(bench: Bench, tmp_path: Path) -> 
     _until(lambda: bench.status.get("stage") == "approach", "the stage in the status")
     assert set(bench.status["waiting_for"]) == {"/tool/pose", "/never", "/nobody/*"}
     bench.end()
-    recorded = episode.read(tmp_path / "episode")
+    recorded = episode_reader.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
     k = np.arange(1, 101)
     assert np.array_equal(recorded.cycle("PSM1")["tick"], k)
@@ -191,7 +191,7 @@ def test_a_second_connection_doubles_no_row(bench: Bench, tmp_path: Path) -> Non
     finally:
         for twin in twins.values():
             twin.close()
-    recorded = episode.read(tmp_path / "episode")
+    recorded = episode_reader.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
     assert sorted(recorded.cycle("PSM1")["tick"]) == list(range(1, 151))
     (table,) = recorded.topic("/counter")
@@ -222,7 +222,7 @@ def test_start_stop_and_tag_by_script(bench: Bench, tmp_path: Path) -> None:
     done = surg("record", "stop", "--failure", "dropped it", "--port", port)
     assert done.returncode == 0, done.stderr
     assert "/never: nothing was received" in done.stderr
-    recorded = episode.read(done.stdout.strip().splitlines()[-1])
+    recorded = episode_reader.read(done.stdout.strip().splitlines()[-1])
     assert (recorded.manifest["operator"], recorded.manifest["seed"]) == ("C", "7")
     assert recorded.manifest["result"]["reason"] == "dropped it"
     assert [s["name"] for s in recorded.stages] == ["cut"]
@@ -244,7 +244,7 @@ def test_f07_a_master_that_hangs_ends_no_recording(
         bench.end()
     finally:
         os.kill(running.process.pid, signal.SIGCONT)
-    recorded = episode.read(tmp_path / "episode")
+    recorded = episode_reader.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
     assert recorded.cycle("PSM1")["tick"].tolist() == list(range(1, 1001))
 
@@ -272,7 +272,7 @@ def test_f09_a_step_of_the_clock_is_marked_at_once_and_at_its_row(
     _until(lambda: bench.status.get("segments") == 11, "the last step")
     send()
     bench.end()
-    recorded = episode.read(tmp_path / "episode")
+    recorded = episode_reader.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
     late = [s["begin_ns"] - at for s, at in zip(recorded.segments, set_at, strict=True)]
     print(f"{len(late)} steps, marked within {max(late) * 1e-6:.1f} ms")
@@ -306,7 +306,7 @@ def test_f08_f09_a_stalled_camera_and_stamps_of_the_future_are_said(
     send(200_000_000)
     _until(lambda: bench.status.get("silent_cameras") == [], "the camera's return")
     bench.end()
-    recorded = episode.read(tmp_path / "episode")
+    recorded = episode_reader.read(tmp_path / "episode")
     events = list(recorded.table("events")["topic"])
     assert "camera_stall" in events and "camera_back" in events
     assert recorded.manifest["future_stamps"] == {"endoscope_left": 1}

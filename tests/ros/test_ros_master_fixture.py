@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 from helpers.ros import RosGraph
-from surg_cli import master, paths, processes
-from surg_cli.processes import Supervisor
+from surg_cli.graph import master, processes
+from surg_cli.graph.processes import Supervisor
+from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
 
@@ -39,7 +40,7 @@ def test_children_end_with_their_supervisor(
 def test_children_die_with_a_killed_parent(tmp_path: Path) -> None:
     code = (
         "import os, sys, time, pathlib\n"
-        "from surg_cli.processes import Supervisor\n"
+        "from surg_cli.graph.processes import Supervisor\n"
         "s = Supervisor(dict(os.environ), pathlib.Path(sys.argv[1]))\n"
         "print(s.start('x', ['/bin/sleep', '600']).process.pid, flush=True)\n"
         "time.sleep(600)\n"

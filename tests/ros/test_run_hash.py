@@ -16,13 +16,15 @@ import pytest
 from conftest import FULL
 from helpers.nudge_task import LUCKY
 from helpers.two_arms import write_two_arms
-from surg_cli import cells, episode, paths, run
-from surg_cli.run import Condition
-from surg_recording import episode as recorded
+from surg_cli.commands import run
+from surg_cli.commands.run import Condition
+from surg_cli.graph import task_episode
+from surg_cli.host import cells, paths
+from surg_recording.episode import episode_reader as recorded
 from surg_sim import tasks
-from surg_sim.episode import EpisodeReport, run_episode
-from surg_sim.recorded import RecordedSession
-from surg_sim.session import Session
+from surg_sim.envs.cell_session import Session
+from surg_sim.envs.episode_runner import EpisodeReport, run_episode
+from surg_sim.envs.recorded_episode import RecordedSession
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
@@ -39,15 +41,15 @@ def in_process(cell: Path, task: str, setting: str, seed: int, law: str = "ours"
 
 def through_the_graph(
     folder: Path, cell: Path, task: str, setting: str, seed: int, law: str = "ours"
-) -> tuple[episode.Ended, dict[str, object]]:
+) -> tuple[task_episode.Ended, dict[str, object]]:
     """Outcome and what the recording says of the simulator."""
     loaded = cells.load(cell)
     plan = run.make_plan(task, cell, loaded, [Condition(setting, law)], seed, (), folder)
     plan = run.of_episode(plan, Condition(setting, law), seed, folder)
-    episode.write_plan(plan)
+    task_episode.write_plan(plan)
     said = run.run_process(folder, lambda seconds, note: None)
     assert not said, said
-    ended = episode.Ended(**json.loads((folder / episode.OUTCOME).read_text("utf-8")))
+    ended = task_episode.Ended(**json.loads((folder / task_episode.OUTCOME).read_text("utf-8")))
     return ended, dict(recorded.read(folder / "episode").manifest["sim"])
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from helpers.ros import RosGraph
-from surg_cli import graph_probe, master, paths, processes
+from surg_cli.graph import graph_probe, master, processes
+from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
 
@@ -146,8 +147,8 @@ def test_the_package_steps_as_the_node_does(ros_graph: RosGraph, rospy_node: str
     import numpy as np
 
     import surg_core
-    from surg_sim.arm import ArmCommand
-    from surg_sim.world import World
+    from surg_sim.physics.sim_arm import ArmCommand
+    from surg_sim.physics.world import World
 
     world = World(surg_core.load_cell(CELL))
     for _ in range(50):
@@ -242,10 +243,10 @@ def test_faults_in_lockstep_are_one_hash_and_the_package_agrees(
 ) -> None:
     """Losses, swaps, a frozen link, a lost tool and a moving trocar: node twice, package once."""
     import surg_core
-    from surg_sim.arm import ArmCommand
-    from surg_sim.faults import parse
-    from surg_sim.injector import Injector
-    from surg_sim.world import World
+    from surg_sim.physics.fault_injector import Injector
+    from surg_sim.physics.faults import parse
+    from surg_sim.physics.sim_arm import ArmCommand
+    from surg_sim.physics.world import World
 
     faults = [
         {"fault": "wire", "topic": "robot/servo_jv", "loss": 0.2, "reorder": 0.2, "at": 5},

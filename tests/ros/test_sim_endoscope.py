@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from helpers.ros import RosGraph
-from surg_cli import paths
+from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
 
@@ -49,7 +49,7 @@ def test_every_snapshot_is_rendered_in_lockstep(ros_graph: RosGraph, rospy_node:
 
     import surg_core
     from surg_msgs.msg import SimSnapshot
-    from surg_sim.world import World
+    from surg_sim.physics.world import World
 
     world = World(surg_core.load_cell(CELL))
     listener = Listener()
@@ -113,8 +113,8 @@ def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: s
     from helpers.bead_task import BeadTask
     from helpers.beads import centre, triangulate
     from surg_msgs.msg import SimSnapshot
-    from surg_sim import endoscope, scene
-    from surg_sim.world import World
+    from surg_sim.physics import endoscope_rig, scene
+    from surg_sim.physics.world import World
 
     path = paths.ROOT / "cells" / "sim_two_arms"
     cell = surg_core.load_cell(path)
@@ -122,7 +122,7 @@ def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: s
     site = scene.site_of(list(cell.arms.values()))
     slides = [int(world.model.joint(f"bead_{letter}").qposadr[0]) for letter in "xyz"]
     arm = cell.arms["ECM"]
-    X_WC = arm.X_WB @ arm.chain.forward(arm.robot.home) @ endoscope.camera_poses(arm)[0]
+    X_WC = arm.X_WB @ arm.chain.forward(arm.robot.home) @ endoscope_rig.camera_poses(arm)[0]
     snapshots = rospy.Publisher("/sim/snapshot", SimSnapshot, queue_size=0)
     eyes = [Eye("left"), Eye("right")]
     topics = [snapshots, *eyes[0].topics, *eyes[1].topics]

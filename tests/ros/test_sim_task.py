@@ -12,11 +12,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from helpers.ros import RosGraph
-from surg_cli import paths
-from surg_cli.graph_probe import observe
-from surg_cli.topic_contract import compare, load
+from surg_cli.graph.graph_probe import observe
+from surg_cli.graph.topic_contract import compare, load
+from surg_cli.host import paths
 from surg_msgs.msg import TaskState
-from surg_sim import wire
+from surg_sim.nodes import bridge_messages
 
 pytestmark = pytest.mark.ros
 
@@ -82,7 +82,7 @@ def test_a_person_drives_the_assistant_and_the_task_ends(
     assert [m.done for m in states] == [False] * (len(states) - 1) + [True]
     assert {m.tick % 25 for m in states[:-1]} == {0}
     assert states[-1].tick == 1751
-    first, last = (wire.task_state(m.names, m.values) for m in (states[0], states[-1]))
+    first, last = (bridge_messages.task_state(m.names, m.values) for m in (states[0], states[-1]))
     assert np.shape(last["nodes"]) == (36, 3)
     assert np.allclose(last["assistant_joints"], joints[-1], atol=1e-3)
     assert not np.allclose(first["assistant_joints"], last["assistant_joints"], atol=1e-3)

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from helpers.ros import RosGraph
-from surg_cli import paths
-from surg_teleop.teleop_node import END
+from surg_cli.host import paths
+from surg_teleop.follow.teleop_node import END
 
 pytestmark = pytest.mark.ros
 

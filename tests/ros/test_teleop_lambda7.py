@@ -17,7 +17,7 @@ import pytest
 from helpers import contract, lambda7
 from helpers.lambda7 import State
 from helpers.ros import RosGraph
-from surg_cli.processes import Child
+from surg_cli.graph.processes import Child
 from surg_core import axis_angle_to_matrix, quaternion_xyzw_to_matrix
 
 pytestmark = pytest.mark.ros

@@ -22,10 +22,10 @@ import pytest
 from helpers import contract
 from helpers.input_devices import GAMEPAD, PEDALS, Machine
 from helpers.ros import RosGraph, find_executable
-from surg_cli import paths
-from surg_teleop.leader import LeaderError
-from surg_teleop.leaders.gamepad import Gamepad
-from surg_teleop.leaders.pedals import Pedals
+from surg_cli.host import paths
+from surg_teleop.leaders.bundled.gamepad import Gamepad
+from surg_teleop.leaders.bundled.pedals import Pedals
+from surg_teleop.leaders.leader import LeaderError
 
 pytestmark = pytest.mark.ros
 
@@ -56,13 +56,13 @@ def ears(ros_graph: RosGraph, rospy_node: str) -> Ears:
 
 
 def test_a_gamepad_on_topics_is_silent_when_it_has_gone(ears: Ears, rospy_node: str) -> None:
-    """Before that: its topics are those of docs/topics.yaml."""
+    """Before that: its topics are those of docs/reference/topics.yaml."""
     from geometry_msgs.msg import TwistStamped
     from sensor_msgs.msg import JointState, Joy
     from std_msgs.msg import String
 
     from crtk_msgs.msg import OperatingState
-    from surg_teleop.leader_node import LeaderNode
+    from surg_teleop.leaders.leader_node import LeaderNode
 
     machine = Machine()
     pad = machine.plug(GAMEPAD)
@@ -137,7 +137,7 @@ def test_a_gamepad_on_topics_is_silent_when_it_has_gone(ears: Ears, rospy_node: 
 def test_pedals_on_topics_fail_to_pressed(ears: Ears) -> None:
     from sensor_msgs.msg import Joy
 
-    from surg_teleop.leader_node import LeaderNode
+    from surg_teleop.leaders.leader_node import LeaderNode
 
     machine = Machine()
     feet = machine.plug(PEDALS)
@@ -273,7 +273,7 @@ def test_a_wrong_start_says_why(
     ],
 )
 def test_a_wrong_parameter_is_refused(params: dict[str, object], said: str) -> None:
-    from surg_teleop.leader_node import read_parameters
+    from surg_teleop.leaders.leader_node import read_parameters
 
     with pytest.raises(LeaderError) as caught:
         read_parameters(params)
@@ -284,9 +284,9 @@ def test_spherical_rates_have_a_topic(ears: Ears) -> None:
     """What `gamepad_spherical` says is read back by a CRTK leader as it was."""
     from sensor_msgs.msg import JointState
 
-    from surg_teleop.crtk_node import CrtkTopics
-    from surg_teleop.leader_node import LeaderNode
-    from surg_teleop.leaders.crtk import CrtkLeader
+    from surg_teleop.leaders.bundled.crtk import CrtkLeader
+    from surg_teleop.leaders.crtk_leader_node import CrtkTopics
+    from surg_teleop.leaders.leader_node import LeaderNode
 
     machine = Machine()
     pad = machine.plug(GAMEPAD)
@@ -325,7 +325,10 @@ def test_spherical_rates_have_a_topic(ears: Ears) -> None:
 
 
 OUTSIDE = (
-    (paths.ROOT / "docs/leaders.md").read_text("utf-8").split("```python\n")[1].split("```")[0]
+    (paths.ROOT / "docs/guide/leaders.md")
+    .read_text("utf-8")
+    .split("```python\n")[1]
+    .split("```")[0]
 )
 """The leader that lies in no package of ours: the page's own."""
 
@@ -354,7 +357,7 @@ def test_a_leader_from_outside_the_tree_by_its_entry_point(tmp_path: Path) -> No
     )
     code = (
         "import json\n"
-        "from surg_teleop.leader import load, names\n"
+        "from surg_teleop.leaders.leader import load, names\n"
         "leader = load('circle', {'radius': 0.03})\n"
         "p = leader.read(0.0).pose.p_VH.tolist()\n"
         "print(json.dumps([leader.name, p, 'circle' in names()]))\n"

@@ -15,9 +15,10 @@ import surg_core
 from helpers import contract
 from helpers.moving_hand import MovingHand
 from helpers.ros import RosGraph
-from surg_cli import master, paths, system
-from surg_cli.processes import Child
-from surg_teleop.camera import held_camera
+from surg_cli.graph import master, system
+from surg_cli.graph.processes import Child
+from surg_cli.host import paths
+from surg_teleop.follow.endoscope_pose import held_camera
 
 pytestmark = pytest.mark.ros
 
@@ -155,7 +156,8 @@ def hand(ros_graph: RosGraph, rospy_node: str) -> Iterator[CrtkHand]:
 def test_a_crtk_leader_drives_both_arms_in_free_run(ros_graph: RosGraph, hand: CrtkHand) -> None:
     """Enable, follow, camera pedal, another sender (F26), silence (F03), disable (F30), the end.
 
-    Before that: the topics are those of docs/topics.yaml, and a frozen picture is said (F08).
+    Before that: the topics are those of docs/reference/topics.yaml, and a frozen picture is said
+    (F08).
     """
     import rospy
     from geometry_msgs.msg import PoseStamped

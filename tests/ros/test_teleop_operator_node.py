@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from helpers.ros import RosGraph
-from surg_cli import paths
+from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
 

@@ -12,9 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.ros import RosGraph
-from surg_cli import cells, operator_nodes, paths, system
-from surg_cli.processes import Child
-from surg_sim.assistant import forward
+from surg_cli.graph import operator_nodes, system
+from surg_cli.graph.processes import Child
+from surg_cli.host import cells, paths
+from surg_sim.physics.assistant_arm import forward
 
 pytestmark = pytest.mark.ros
 

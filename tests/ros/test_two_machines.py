@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 
 from helpers.machines import Machines, two_machines
 from helpers.surg import argv, environment
-from surg_cli import network, paths, processes, roles
-from surg_cli.environment import for_nodes
+from surg_cli.graph import processes, roles
+from surg_cli.host import network, paths
+from surg_cli.host.environment import for_nodes
 
 pytestmark = pytest.mark.ros
 

@@ -7,7 +7,7 @@ from types import ModuleType
 
 import pytest
 
-from surg_cli import paths
+from surg_cli.host import paths
 
 BENCHMARKS = paths.ROOT / "benchmarks"
 

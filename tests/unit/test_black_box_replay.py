@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli import environment, paths
+from surg_cli.host import environment, paths
 
 PROGRAM = paths.ROOT / "devel" / "lib" / "surg_control" / "rcm_replay"
 

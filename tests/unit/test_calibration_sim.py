@@ -10,9 +10,9 @@ import pytest
 
 import surg_core
 from helpers.miscalibration import run, taught_at_home, tool_of, wrong_tool
-from surg_cli import paths
-from surg_sim.bench import Bench
-from surg_sim.trocar import shaft_in_flange
+from surg_cli.host import paths
+from surg_sim.physics.calibration_bench import Bench
+from surg_sim.physics.trocar import shaft_in_flange
 
 HEADER = """# Calibration: kinematic and true RCM deviation
 

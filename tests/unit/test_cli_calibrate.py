@@ -12,9 +12,9 @@ import pytest
 
 import surg_core
 from surg_cli import __main__ as cli
-from surg_cli import paths
-from surg_cli.standstill import Standstill
-from surg_cli.terminal import Problem
+from surg_cli.graph.standstill import Standstill
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
 from surg_core import calibration
 
 DATE = "2026-11-21"

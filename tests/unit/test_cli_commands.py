@@ -9,23 +9,12 @@ from pathlib import Path
 import pytest
 
 from surg_cli import __main__ as cli
-from surg_cli import (
-    cells,
-    demo,
-    episode,
-    follow,
-    master,
-    paths,
-    processes,
-    pytest_workers,
-    roles,
-    running,
-    system,
-    up,
-)
-from surg_cli.processes import Supervisor
-from surg_cli.system import Plan
-from surg_cli.terminal import Problem, table
+from surg_cli.commands import demo, up
+from surg_cli.graph import follow, master, processes, roles, running, system, task_episode
+from surg_cli.graph.processes import Supervisor
+from surg_cli.graph.system import Plan
+from surg_cli.host import cells, paths, pytest_workers
+from surg_cli.host.terminal import Problem, table
 
 
 def plan(tmp_path: Path, **changes: object) -> Plan:
@@ -43,7 +32,7 @@ def plan(tmp_path: Path, **changes: object) -> Plan:
 def test_every_command_has_a_module_and_options() -> None:
     for name, (module, _, text) in cli.COMMANDS.items():
         parser = argparse.ArgumentParser()
-        loaded = __import__(f"surg_cli.{module}", fromlist=["main"])
+        loaded = __import__(f"surg_cli.commands.{module}", fromlist=["main"])
         loaded.add_arguments(parser, name)
         assert callable(loaded.main)
         assert text
@@ -267,5 +256,5 @@ def test_a_controller_waits_for_those_who_command_its_arm(tmp_path: Path) -> Non
 
 def episode_plan(wanted: Plan) -> Plan:
     """The plan as the process of an episode reads it."""
-    episode.write_plan(wanted)
-    return episode.read_plan(wanted.out)
+    task_episode.write_plan(wanted)
+    return task_episode.read_plan(wanted.out)

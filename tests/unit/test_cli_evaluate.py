@@ -10,10 +10,12 @@ import pytest
 
 from helpers import jigsaws_synthetic
 from helpers.evaluated import DONE, episode
-from surg_cli import evaluate, paths
 from surg_cli.__main__ import COMMANDS
-from surg_cli.terminal import Problem
-from surg_recording import metrics, reference
+from surg_cli.commands import evaluate
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
+from surg_recording import metrics
+from surg_recording.metrics import reference_sets
 
 
 def run(*words: object) -> int:
@@ -35,7 +37,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_help_tells_is_what_there_is() -> None:
     assert COMMANDS["evaluate"][0] == "evaluate"
     assert list(metrics.PRESETS) == list(evaluate.PRESETS)
-    kinds = ", ".join(f"{kind}:{what}" for kind, (what, _) in reference.KINDS.items())
+    kinds = ", ".join(f"{kind}:{what}" for kind, (what, _) in reference_sets.KINDS.items())
     assert kinds == evaluate.REFERENCES
 
 

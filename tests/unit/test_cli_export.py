@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from helpers import datasets_synthetic
-from surg_cli import export
-from surg_cli.terminal import Problem
+from surg_cli.commands import export
+from surg_cli.host.terminal import Problem
 
 
 def surg_export(*words: str | Path) -> int:

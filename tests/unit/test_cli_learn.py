@@ -14,8 +14,9 @@ from typing import Any
 import pytest
 
 from helpers.rollouts_synthetic import entry, rollout
-from surg_cli import demo, learn, rollouts
-from surg_cli.terminal import Problem
+from surg_cli.commands import demo, learn
+from surg_cli.graph import rollouts
+from surg_cli.host.terminal import Problem
 
 TRAINED = {
     "weights": "c0ffee" * 8,
@@ -146,10 +147,10 @@ def test_what_is_kept_of_a_roll_out_came_to_its_end(
     """The player asks what is there: a node that died is no result."""
     monkeypatch.setenv(rollouts.WEIGHTS, "")  # set by the player
     plan = SimpleNamespace(run_info={"title": "t", "robot": "ur5e"})
-    monkeypatch.setattr(rollouts.policy, "read", lambda *_: None)
+    monkeypatch.setattr(rollouts.policy_program, "read", lambda *_: None)
     monkeypatch.setattr(rollouts.run, "make_plan", lambda *_: plan)
     monkeypatch.setattr(rollouts.run, "of_episode", lambda *_: plan)
-    monkeypatch.setattr(rollouts.episode, "write_plan", lambda _: None)
+    monkeypatch.setattr(rollouts.task_episode, "write_plan", lambda _: None)
     monkeypatch.setattr(rollouts.run, "run_process", lambda *_: "")
     ends = iter((False, True))
     tried: list[bool] = []

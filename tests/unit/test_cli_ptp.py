@@ -11,10 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli import ptp
-from surg_cli.terminal import Problem
-from surg_recording import pmc
-from surg_recording.clock_sync import ClockStatus
+from surg_cli.commands import ptp
+from surg_cli.host.terminal import Problem
+from surg_recording.clock import pmc
+from surg_recording.clock.clock_sync import ClockStatus
 
 
 @pytest.fixture

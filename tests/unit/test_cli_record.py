@@ -9,11 +9,12 @@ from typing import Any
 
 import pytest
 
-from surg_cli import record, running
-from surg_cli.terminal import Problem
-from surg_recording import episode
-from surg_recording.episode_writer import EpisodeWriter
-from surg_recording.recorder_settings import Settings, names
+from surg_cli.commands import record
+from surg_cli.graph import running
+from surg_cli.host.terminal import Problem
+from surg_recording.episode import episode_reader
+from surg_recording.episode.episode_writer import EpisodeWriter
+from surg_recording.nodes.recorder_parameters import Settings, names
 
 
 def test_recover_finds_what_lies_below_a_folder(
@@ -27,7 +28,7 @@ def test_recover_finds_what_lies_below_a_folder(
     said = capsys.readouterr().out
     for name in ("a/episode", "b/episode"):
         assert f"{tmp_path / name}: 1 rows, 0 frames; the recorder was killed" in said
-        assert len(episode.read(tmp_path / name).table("events")) == 1
+        assert len(episode_reader.read(tmp_path / name).table("events")) == 1
     assert surg("recover", tmp_path) == 0
     assert "nothing is unfinished" in capsys.readouterr().out
 

@@ -12,11 +12,12 @@ from types import SimpleNamespace
 import pytest
 
 from helpers.surg import surg
-from surg_cli import join, network, paths, roles
-from surg_cli.roles import Link, Role
-from surg_cli.system import Plan
-from surg_cli.terminal import Problem
-from surg_teleop.console.console_node import Settings
+from surg_cli.graph import join, roles
+from surg_cli.graph.roles import Link, Role
+from surg_cli.graph.system import Plan
+from surg_cli.host import network, paths
+from surg_cli.host.terminal import Problem
+from surg_teleop.console.ros.console_node import Settings
 
 MACHINES = {"robot": "192.168.77.1", "operator": "192.168.77.2"}
 HEADER = "Iface\tDestination\tGateway \tFlags\tRefCnt\tUse\tMetric\tMask\t\tMTU\tWindow\tIRTT\n"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli import environment, logged, paths, provision, workspace
-from surg_cli.terminal import Problem, Progress
+from surg_cli.host import environment, logged, paths, provision, workspace
+from surg_cli.host.terminal import Problem, Progress
 
 
 def test_package_list_ignores_comments(tmp_path: Path) -> None:

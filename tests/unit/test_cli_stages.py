@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli.stages import Ledger
-from surg_cli.terminal import Problem
+from surg_cli.host.stages import Ledger
+from surg_cli.host.terminal import Problem
 
 
 class Work:

@@ -10,15 +10,17 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import surg_core
-from surg_cli import master, paths, teleop
-from surg_cli.terminal import Problem
+from surg_cli.commands import teleop
+from surg_cli.graph import master
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
 from surg_sim import tasks
-from surg_sim.assistant import AssistantCommand, forward
-from surg_sim.world import World
-from surg_teleop.console.console_node import Settings
-from surg_teleop.leader import HandRate, LeaderSample
-from surg_teleop.system import read_system
-from surg_teleop.teleop import CameraView
+from surg_sim.physics.assistant_arm import AssistantCommand, forward
+from surg_sim.physics.world import World
+from surg_teleop.console.ros.console_node import Settings
+from surg_teleop.follow.teleop_setup import read_system
+from surg_teleop.follow.teleoperation import CameraView
+from surg_teleop.leaders.leader import HandRate, LeaderSample
 
 
 def options(*words: str) -> argparse.Namespace:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli import paths, pytest_workers
+from surg_cli.host import paths, pytest_workers
 
 FILES, EACH = 12, 4
 CONFTEST = """

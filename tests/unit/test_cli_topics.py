@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from surg_cli.graph_probe import Seen
-from surg_cli.topic_contract import PAGE, REFERENCE, SOURCE, Contract, compare, load, render
+from surg_cli.graph.graph_probe import Seen
+from surg_cli.graph.topic_contract import PAGE, REFERENCE, SOURCE, Contract, compare, load, render
 
 NODES = ("controller", "sim")
 

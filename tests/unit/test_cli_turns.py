@@ -8,9 +8,10 @@ import sys
 
 import pytest
 
-from surg_cli import paths, turns
+from surg_cli.graph import turns
+from surg_cli.host import paths
 
-ASK = "from surg_cli import turns; print(turns.turn_ns())"
+ASK = "from surg_cli.graph import turns; print(turns.turn_ns())"
 
 
 def asked() -> int:

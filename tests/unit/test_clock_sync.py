@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from surg_recording import clock_sync, columns, pmc, rows
-from surg_recording.clock_sync import ClockStatus, parse
+from surg_recording.clock import clock_sync, pmc
+from surg_recording.clock.clock_sync import ClockStatus, parse
+from surg_recording.episode import table_columns, table_rows
 
 # As linuxptp 3.1.1 of Debian 12 prints it, from a daemon with free_running in a network namespace.
 SLAVE = """sending: GET TIME_STATUS_NP
@@ -177,9 +178,9 @@ def test_a_row_says_what_is_not_known_by_an_empty_field() -> None:
         in_step=False,
         problem="no master",
     )
-    row = rows.clock_sync(message, 9)
+    row = table_rows.clock_sync(message, 9)
     assert row == (3_000_000_004, 9, "a", "LISTENING", None, None, "", 0, "no master")
-    assert len(row) == len(columns.CLOCK_SYNC)
+    assert len(row) == len(table_columns.CLOCK_SYNC)
 
 
 class TestAsking:

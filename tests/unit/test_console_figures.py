@@ -9,7 +9,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
-from surg_teleop.console.ros_system_node import _follower, depth, force
+from surg_teleop.console.ros.ros_system_node import _follower, depth, force
 
 
 def data(message: JointState | WrenchStamped) -> bytes:

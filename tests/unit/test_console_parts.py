@@ -10,11 +10,11 @@ import av
 import numpy as np
 import pytest
 
-from surg_teleop.console import access, protocol, wire
-from surg_teleop.console.codec import CodecError, frame_of, image_of
-from surg_teleop.console.episodes import Episodes
-from surg_teleop.console.gallery import Pairer, Shot, Stream, parse_line
-from surg_teleop.console.lane import KEY_PERIOD, STALLED, UNDER_WAY, Lane
+from surg_teleop.console.session.episode_list import Episodes
+from surg_teleop.console.web import access, page_protocol, picture_packet
+from surg_teleop.console.web.codec import CodecError, frame_of, image_of
+from surg_teleop.console.web.picture_queue import KEY_PERIOD, STALLED, UNDER_WAY, Lane
+from surg_teleop.console.web.picture_streams import Pairer, Shot, Stream, parse_line
 
 INPUT = {
     "say": "input",
@@ -36,8 +36,8 @@ INPUT = {
 
 
 def test_an_input_is_read_as_it_was_written() -> None:
-    said = protocol.parse(json.dumps(INPUT))
-    assert isinstance(said, protocol.Input)
+    said = page_protocol.parse(json.dumps(INPUT))
+    assert isinstance(said, page_protocol.Input)
     assert said.seq == 7 and said.picture_us == 1_795_262_692_265_404
     assert said.p == (0.1, -0.2, 0.3) and said.v == (0.01, 0.0, -0.02)
     assert said.grip == 0.25 and said.clutch and not said.camera
@@ -65,8 +65,8 @@ def test_an_input_is_read_as_it_was_written() -> None:
     ],
 )
 def test_nonsense_is_refused_with_what_is_allowed(text: str, said: str) -> None:
-    with pytest.raises(protocol.ProtocolError) as caught:
-        protocol.parse(text)
+    with pytest.raises(page_protocol.ProtocolError) as caught:
+        page_protocol.parse(text)
     assert said in str(caught.value)
 
 
@@ -83,8 +83,8 @@ def test_broken_inputs_never_get_through() -> None:
                 for good in allowed.get(key, [])
             ):
                 continue
-            with pytest.raises(protocol.ProtocolError):
-                protocol.parse(json.dumps({**INPUT, key: value}))
+            with pytest.raises(page_protocol.ProtocolError):
+                page_protocol.parse(json.dumps({**INPUT, key: value}))
             refused += 1
     print(f"{refused} broken inputs refused")
     assert refused > 100
@@ -97,10 +97,10 @@ def test_random_bytes_are_refused() -> None:
         at = rng.randrange(len(text))
         broken = text[:at] + chr(rng.randrange(32, 127)) + text[at + rng.randrange(3) :]
         try:
-            said = protocol.parse(broken)
-        except protocol.ProtocolError:
+            said = page_protocol.parse(broken)
+        except page_protocol.ProtocolError:
             continue
-        assert isinstance(said, protocol.Input)
+        assert isinstance(said, page_protocol.Input)
         assert np.isfinite([*said.p, *said.v, said.roll, said.roll_rate, said.at]).all()
 
 
@@ -189,7 +189,7 @@ def shot(count: int, stamp: int, size: tuple[int, int] = (64, 48)) -> Shot:
     return Shot(stamp, stamp + 5, pixels, "rgb8")
 
 
-def decode(codec: str, packets: list[wire.Packet]) -> list[np.ndarray]:
+def decode(codec: str, packets: list[picture_packet.Packet]) -> list[np.ndarray]:
     context = av.CodecContext.create("h264" if codec == "h264" else "mjpeg", "r")
     frames = []
     for packet in packets:
@@ -208,7 +208,7 @@ def test_each_picture_comes_out_at_once_and_looks_as_it_did(codec: str, layout: 
         packet = stream.encode(shots)
         assert packet is not None, count
         assert packet.exposed_us == 1000 * count and packet.received_us == 1000 * count + 5
-        assert wire.unpack(packet.pack()) == packet
+        assert picture_packet.unpack(packet.pack()) == packet
         packets.append(packet)
     frames = decode(codec, packets)
     assert len(frames) == 30
@@ -281,15 +281,18 @@ def test_the_encoders_orders_are_read_strictly() -> None:
 
 def test_bytes_that_are_no_picture_are_refused() -> None:
     good = Stream("left", "jpeg").encode((shot(0, 0),)).pack()
-    assert wire.size_of(good[: wire.HEADER_BYTES]) == len(good) - wire.HEADER_BYTES
+    assert (
+        picture_packet.size_of(good[: picture_packet.HEADER_BYTES])
+        == len(good) - picture_packet.HEADER_BYTES
+    )
     for broken in (b"", good[:20], b"X" + good[1:], good + b"x", good[:-1], b"SPIC" + b"\xff" * 60):
-        with pytest.raises(wire.WireError):
-            wire.unpack(broken)
+        with pytest.raises(picture_packet.WireError):
+            picture_packet.unpack(broken)
 
 
-def packets(count: int, keys: set[int]) -> list[wire.Packet]:
+def packets(count: int, keys: set[int]) -> list[picture_packet.Packet]:
     return [
-        wire.Packet("left", "h264", i in keys, (66, 192, 30), 64, 48, i, i, i, i, b"x")
+        picture_packet.Packet("left", "h264", i in keys, (66, 192, 30), 64, 48, i, i, i, i, b"x")
         for i in range(count)
     ]
 

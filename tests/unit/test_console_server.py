@@ -17,10 +17,10 @@ import pytest
 
 from helpers.console import console
 from helpers.console_page import Page, page, when
-from surg_cli import master
-from surg_teleop.console import wire
-from surg_teleop.console.orders import Follow, Move, Present, Record, StateCommand
-from surg_teleop.console.server import CLOSE_HELLO, MESSAGE_BURST, MOST_MISTAKES, Allowance
+from surg_cli.graph import master
+from surg_teleop.console.session.console_orders import Follow, Move, Present, Record, StateCommand
+from surg_teleop.console.web import picture_packet
+from surg_teleop.console.web.web_server import CLOSE_HELLO, MESSAGE_BURST, MOST_MISTAKES, Allowance
 
 TOKEN = "0123456789abcdef0123"
 
@@ -219,9 +219,9 @@ def test_pictures_come_and_the_newest_wins() -> None:
                 await socket.send_str(
                     json.dumps({"say": "watch", "layout": layout, "codec": codec})
                 )
-                packets: list[wire.Packet] = []
+                packets: list[picture_packet.Packet] = []
                 while len(packets) < 8:
-                    packet = wire.unpack((await socket.receive()).data)
+                    packet = picture_packet.unpack((await socket.receive()).data)
                     if (packet.codec, packet.layout) == (codec, layout):
                         packets.append(packet)
                     await socket.send_str(json.dumps({"say": "shown", "seq": packet.seq}))

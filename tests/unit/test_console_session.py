@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from surg_teleop.console import words
-from surg_teleop.console.orders import (
+from surg_teleop.console.session import operator_messages
+from surg_teleop.console.session.console_orders import (
     Camera,
     Clutch,
     Follow,
@@ -22,10 +22,7 @@ from surg_teleop.console.orders import (
     SetScale,
     StateCommand,
 )
-from surg_teleop.console.protocol import HIDDEN, Input
-from surg_teleop.console.report import report
-from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
-from surg_teleop.console.session import (
+from surg_teleop.console.session.console_session import (
     BLIND,
     GONE,
     LATENESS,
@@ -34,7 +31,10 @@ from surg_teleop.console.session import (
     Phase,
     Session,
 )
-from surg_teleop.lateness import Lateness
+from surg_teleop.console.session.page_status import report
+from surg_teleop.console.session.system_state import Arm, Follower, Gauges, Robot
+from surg_teleop.console.web.page_protocol import HIDDEN, Input
+from surg_teleop.follow.message_lateness import Lateness
 
 PERIOD = 0.02
 """[s] between two inputs of a page."""
@@ -152,7 +152,7 @@ def test_f03_silence_holds_at_the_first_tick_after_its_limit(bench: Bench) -> No
         bench.tick()
         assert bench.now - last < 1.0
     assert bench.now - last == pytest.approx(SILENCE + 0.001, abs=1.1e-3)
-    assert bench.session.reason == words.SILENT
+    assert bench.session.reason == operator_messages.SILENT
 
 
 @pytest.mark.parametrize("why", HIDDEN)
@@ -161,7 +161,7 @@ def test_a_page_that_gives_up_holds_at_once(bench: Bench, why: str) -> None:
     bench.session.hide("a", why)
     bench.flush()
     assert bench.held()
-    assert bench.session.reason == words.HIDDEN[why]
+    assert bench.session.reason == operator_messages.HIDDEN[why]
 
 
 def test_a_closed_page_holds_at_once_and_frees_control(bench: Bench) -> None:
@@ -178,14 +178,16 @@ def test_a_closed_page_holds_at_once_and_frees_control(bench: Bench) -> None:
 def test_a_simulated_arm_in_fault_is_put_back_and_stays_disabled(bench: Bench) -> None:
     bench.drive()
     torn = replace(bench.robot, arms=(replace(bench.robot.arms[0], state="FAULT"),))
-    assert bench.session.put_back("a", torn) == words.NOTHING_ASTRAY, "a real arm is not ours"
+    assert bench.session.put_back("a", torn) == operator_messages.NOTHING_ASTRAY, (
+        "a real arm is not ours"
+    )
     simulated = replace(torn, sim={"task": None})
     assert report(bench.session, simulated, {}, bench.now)["astray"] == ["PSM1"]
-    assert bench.session.put_back("nobody", simulated) == words.NO_CONTROL
+    assert bench.session.put_back("nobody", simulated) == operator_messages.NO_CONTROL
     bench.session.take_orders()
     assert bench.session.put_back("a", simulated) == ""
     assert bench.session.take_orders() == [Present(False), Follow(False), PutBack("PSM1")]
-    assert bench.session.phase is Phase.HELD and bench.session.reason == words.PUT_BACK
+    assert bench.session.phase is Phase.HELD and bench.session.reason == operator_messages.PUT_BACK
     assert bench.session.put_back("a", replace(simulated, arms=bench.robot.arms))
 
 
@@ -231,7 +233,7 @@ def test_f30_a_promise_to_a_policy_ends_with_anything_else_the_operator_does() -
             bench.session.release("a")
         elif act == "hide":
             bench.session.hide("a", "hidden")
-            assert bench.session.reason == words.HIDDEN["hidden"]
+            assert bench.session.reason == operator_messages.HIDDEN["hidden"]
         elif act == "take-over":
             bench.now += GONE + 0.01
             bench.session.join("b", bench.now)
@@ -254,10 +256,13 @@ def test_a_policy_is_ended_from_the_page_and_by_stop(bench: Bench) -> None:
     assert bench.flush() == [Policy(False)]
     bench.session.stop(running)
     assert Policy(False) in bench.flush()
-    assert bench.session.policy("a", with_policy(bench, "IDLE"), bench.now) == words.NO_POLICY
-    assert bench.session.policy("a", bench.robot, bench.now) == words.NO_POLICY
+    assert (
+        bench.session.policy("a", with_policy(bench, "IDLE"), bench.now)
+        == operator_messages.NO_POLICY
+    )
+    assert bench.session.policy("a", bench.robot, bench.now) == operator_messages.NO_POLICY
     bench.session.join("b", bench.now)
-    assert bench.session.policy("b", running, bench.now) == words.NO_CONTROL
+    assert bench.session.policy("b", running, bench.now) == operator_messages.NO_CONTROL
 
 
 # --- the operator again ------------------------------------------------------------------------
@@ -330,7 +335,7 @@ def test_without_a_picture_nothing_is_enabled(bench: Bench) -> None:
     bench.picture = 0
     bench.session.join("a", bench.now)
     bench.run(0.2, film=False)
-    assert bench.session.enable("a", bench.robot, bench.now) == words.NO_PICTURE
+    assert bench.session.enable("a", bench.robot, bench.now) == operator_messages.NO_PICTURE
     bench.flush()
     assert Follow(True) not in bench.orders
 
@@ -341,7 +346,7 @@ def test_f08_a_picture_that_stands_still_holds(bench: Bench) -> None:
     assert bench.session.phase is Phase.DRIVING
     bench.run(0.2, film=False)
     assert bench.held()
-    assert bench.session.reason == words.FROZEN_PICTURE
+    assert bench.session.reason == operator_messages.FROZEN_PICTURE
 
 
 def test_a_system_without_a_camera_can_be_driven() -> None:
@@ -368,9 +373,9 @@ def test_one_drives_and_the_other_watches(bench: Bench) -> None:
     assert {type(order) for order in bench.orders} == {Move}
     assert all(order.sample.v == (0, 0, 0) for order in bench.given(Move))
     assert "a has control" in bench.session.take("b", bench.now)
-    assert bench.session.enable("b", bench.robot, bench.now) == words.NO_CONTROL
-    assert bench.session.scale("b", 0.5) == words.NO_CONTROL
-    assert bench.session.record("b", True) == words.NO_CONTROL
+    assert bench.session.enable("b", bench.robot, bench.now) == operator_messages.NO_CONTROL
+    assert bench.session.scale("b", 0.5) == operator_messages.NO_CONTROL
+    assert bench.session.record("b", True) == operator_messages.NO_CONTROL
     assert bench.flush() == []
 
 
@@ -469,7 +474,7 @@ def test_a_silent_teleoperation_is_named(bench: Bench) -> None:
     bench.follower = Follower()
     bench.run(0.1)
     assert bench.held()
-    assert bench.session.reason == words.NO_FOLLOWER
+    assert bench.session.reason == operator_messages.NO_FOLLOWER
 
 
 def test_scale_and_record_are_orders(bench: Bench) -> None:
@@ -532,12 +537,12 @@ def test_random_lives_never_move_without_an_operator(full: bool) -> None:
 def test_reasons_are_read_off_what_a_controller_says() -> None:
     said = "PSM1: FAULT(link): no joint state from the robot link: check that it runs"
     why = "no joint state from the robot link: check that it runs"
-    assert words.reason_of(said, "PSM1", "FAULT") == why
-    assert words.reason_of(said, "PSM1", "PAUSED") is None
-    assert words.reason_of(said, "PSM2", "FAULT") is None
-    assert words.reason_of("PSM1: ENABLED", "PSM1", "ENABLED") == ""
-    assert words.reason_of("PSM1: homed", "PSM1", "ENABLED") is None
-    assert words.state_sentence(Arm("PSM1", "FAULT", because=why)).endswith(why)
+    assert operator_messages.reason_of(said, "PSM1", "FAULT") == why
+    assert operator_messages.reason_of(said, "PSM1", "PAUSED") is None
+    assert operator_messages.reason_of(said, "PSM2", "FAULT") is None
+    assert operator_messages.reason_of("PSM1: ENABLED", "PSM1", "ENABLED") == ""
+    assert operator_messages.reason_of("PSM1: homed", "PSM1", "ENABLED") is None
+    assert operator_messages.state_sentence(Arm("PSM1", "FAULT", because=why)).endswith(why)
 
 
 def test_the_report_is_json_in_words(bench: Bench) -> None:

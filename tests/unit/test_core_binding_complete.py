@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 
 import surg_core
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, _core
 
 CORE = paths.ROOT / "src" / "surg_core"

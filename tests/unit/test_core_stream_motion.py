@@ -15,8 +15,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from conftest import FULL
-from surg_cli.paths import ROOT
-from surg_teleop.motion import read_motion
+from surg_cli.host.paths import ROOT
+from surg_teleop.playback.motion_file import read_motion
 
 pytest.importorskip("surg_core", reason="surg_core is not built")
 

@@ -4,7 +4,7 @@ import genmsg
 import pytest
 from genmsg import gentools
 
-from surg_cli import paths
+from surg_cli.host import paths
 
 MESSAGES = {
     "CartesianImpedance": "59675c5b57c990d0b76f7f0c9954d4f3",

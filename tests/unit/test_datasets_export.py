@@ -20,7 +20,7 @@ from helpers.datasets_synthetic import CAMERAS, FRAME_NS
 from helpers.recording_synthetic import TICK_NS, Synthetic, path
 from surg_recording import datasets
 from surg_recording.datasets import ExportError, ExportOptions, Report
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 SERIAL = ExportOptions(executor="serial")
 SECONDS = 0.7
@@ -481,7 +481,7 @@ def test_what_an_encoder_gets_wrong_is_found(
     recordings: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames that are swapped, lost or doubled on the way into a video."""
-    from surg_recording.datasets import lerobot, pictures
+    from surg_recording.datasets import lerobot_tables, pictures
 
     right = pictures.encode
 
@@ -497,7 +497,7 @@ def test_what_an_encoder_gets_wrong_is_found(
         (lambda f: f[:-1], "frames were written"),
         (lambda f: [*f, f[-1]], "more than the"),
     ):
-        monkeypatch.setattr(lerobot.pictures, "encode", spoiled(order))
+        monkeypatch.setattr(lerobot_tables.pictures, "encode", spoiled(order))
         with pytest.raises(ExportError, match=said):
             export([recordings["one"]], tmp_path / "out", "lerobot")
     assert not (tmp_path / "out").exists()

@@ -20,7 +20,7 @@ from surg_recording.datasets.resample import (
     previous,
     slerp,
 )
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 GAP = 10 * SECOND
 

@@ -12,9 +12,11 @@ from helpers import dataset_readers, datasets_synthetic, picture_identity
 from helpers.datasets_synthetic import FRAME_NS
 from helpers.recording_synthetic import Synthetic
 from helpers.stepped_recording import CAMERA, START_NS, Stepped
-from surg_recording import clock_segments, datasets, episode, sync_report
+from surg_recording import datasets
+from surg_recording.clock import clock_segments, sync_report
 from surg_recording.datasets import ExportError, ExportOptions, Report
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import episode_reader
+from surg_recording.recording_errors import EpisodeError
 
 HOUR = 3600 * 10**9
 SERIAL = ExportOptions(executor="serial", splits={"train": 1.0})
@@ -68,7 +70,7 @@ def test_the_longest_stretch_is_exported_and_every_frame_is_right(
     steps, longest = STEPS[name]
     made = Stepped(SECONDS, steps)
     folder = made.record(tmp_path / "e")
-    recorded = episode.read(folder)
+    recorded = episode_reader.read(folder)
     assert recorded.complete, recorded.manifest["reason"]
     report = export(folder, tmp_path / "set")
     assert report.ok, (report.errors, report.refused)
@@ -108,7 +110,7 @@ def test_without_the_guard_it_is_noticed(tmp_path: Path, monkeypatch: pytest.Mon
 )
 def test_a_large_step_loses_no_picture(tmp_path: Path, step: int, said: str) -> None:
     folder = Stepped(3.0, ((700, step),)).record(tmp_path / "e")
-    recorded = episode.read(folder)
+    recorded = episode_reader.read(folder)
     assert recorded.complete, recorded.manifest["reason"]
     parts = recorded.parts(CAMERA)
     assert [part.name for part in parts] == [CAMERA, f"{CAMERA}.2"]

@@ -9,7 +9,7 @@ import yaml
 
 from helpers.reach import sweep
 from helpers.third_arm import write_third_arm
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_description.make_cell import home_pose, make_cell
 from surg_description.urdf_chain import UrdfError, read_chain
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from helpers import dh
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_description.urdf_chain import UrdfError, read_chain
 
 Matrix = NDArray[np.float64]

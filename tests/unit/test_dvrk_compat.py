@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surg_cli.topic_contract import load
+from surg_cli.graph.topic_contract import load
 from surg_dvrk_compat.interface import COMMANDS, FEEDBACK, Throttle, answer
 
 # What the public classes arm and psm publish and subscribe, below the arm's name.

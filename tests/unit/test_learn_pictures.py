@@ -1,6 +1,6 @@
 """The policy that looks, and its trainer: scaling, layers, gradient, same by seed, as in training.
 
-On made-up pictures: what it does in the phantom stands in docs/learning.md.
+On made-up pictures: what it does in the phantom stands in docs/guide/learning.md.
 """
 
 from __future__ import annotations

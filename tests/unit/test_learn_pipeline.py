@@ -12,15 +12,18 @@ import numpy as np
 import pytest
 
 from helpers.bgr_synthetic import bgr_policy, train_bgr
-from surg_cli import episode as cli_episode
-from surg_cli import paths
-from surg_cli import rollouts as cli_rollouts
-from surg_recording import datasets, episode, unsafe
-from surg_sim import cells, demonstrations, rollouts
-from surg_sim.env import SurgEnv
-from surg_sim.experts.arm import ArmExpert
-from surg_sim.experts.shaken import Shaken
-from surg_sim.recorded import RecordedSession
+from surg_cli.graph import rollouts as cli_rollouts
+from surg_cli.graph import task_episode as cli_episode
+from surg_cli.host import paths
+from surg_recording import datasets
+from surg_recording.episode import episode_reader
+from surg_recording.metrics import unsafe_commands
+from surg_sim.envs import demonstrations, policy_rollouts
+from surg_sim.envs.recorded_episode import RecordedSession
+from surg_sim.envs.surg_env import SurgEnv
+from surg_sim.physics import cell_files
+from surg_sim.tasks.perturbed_sender import Shaken
+from surg_sim.tasks.scripted_arm import ArmExpert
 
 SHORT = str(paths.ROOT / "tests" / "helpers" / "short_bgr.py")
 SEEDS = (10_000, 10_001)
@@ -30,7 +33,7 @@ SEEDS = (10_000, 10_001)
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two short recordings; the second one's hand is pushed about."""
     out = tmp_path_factory.mktemp("demonstrations")
-    session = RecordedSession(cells.find("sim_two_arms"), SHORT)
+    session = RecordedSession(cell_files.find("sim_two_arms"), SHORT)
     for seed, spread in zip(SEEDS, (0.0, 0.003), strict=True):
         session.reset(seed)
         experts = dict(session.task.experts(session.cell, seed))
@@ -66,17 +69,17 @@ def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:
     dataset = train_bgr.read(exported)
     shown = dataset.episodes["train"][0]
     env = SurgEnv(SHORT)
-    names = rollouts.names(env)
-    assert dataset.names[bgr_policy.STATE] == names[rollouts.STATE]
-    assert dataset.names[bgr_policy.TASK] == names[rollouts.TASK]
+    names = policy_rollouts.names(env)
+    assert dataset.names[bgr_policy.STATE] == names[policy_rollouts.STATE]
+    assert dataset.names[bgr_policy.TASK] == names[policy_rollouts.TASK]
     observation, _ = env.reset(seed=SEEDS[0])
     compared = 0
     for step in range(len(shown.state)):
-        seen = rollouts.observe(env, observation)
+        seen = policy_rollouts.observe(env, observation)
         action = env.expert_action()
         # The recording's rcm frame is the one that was measured at homing: micrometres away.
-        np.testing.assert_allclose(shown.state[step], seen[rollouts.STATE], atol=2e-5)
-        np.testing.assert_allclose(shown.task[step], seen[rollouts.TASK], atol=1e-5)
+        np.testing.assert_allclose(shown.state[step], seen[policy_rollouts.STATE], atol=2e-5)
+        np.testing.assert_allclose(shown.task[step], seen[policy_rollouts.TASK], atol=1e-5)
         if step:  # the jaw's first command comes with the second look
             np.testing.assert_allclose(shown.action[step, :4], action[:4], atol=2e-5)
         observation, _, ended, late, _ = env.step(action)
@@ -91,9 +94,11 @@ def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:
 def test_no_demonstration_is_unsafe_pushed_or_not(recorded: Path) -> None:
     paths_of = []
     for seed in SEEDS:
-        found = episode.read(recorded / str(seed))
+        found = episode_reader.read(recorded / str(seed))
         assert found.complete and found.manifest["seed"] == seed
-        assert {arm: [r for r in unsafe.examine(found, arm) if r.cycles] for arm in found.arms} == {
+        assert {
+            arm: [r for r in unsafe_commands.examine(found, arm) if r.cycles] for arm in found.arms
+        } == {
             "PSM1": [],
             "ECM": [],
         }
@@ -116,9 +121,9 @@ def test_training_reads_it_and_is_the_same_twice(exported: Path, tmp_path: Path)
 def test_what_is_recorded_is_not_played_again(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plan = demonstrations.Plan(recorded, cells.find("sim_two_arms"), SHORT)
+    plan = demonstrations.Plan(recorded, cell_files.find("sim_two_arms"), SHORT)
     assert demonstrations.play(plan, SEEDS) == []
-    torn = recorded / f"{SEEDS[1]}{episode.PARTIAL}"
+    torn = recorded / f"{SEEDS[1]}{episode_reader.PARTIAL}"
     plan.folder(SEEDS[1]).rename(torn)
     try:
         assert [plan.done(seed) for seed in SEEDS] == [True, False]

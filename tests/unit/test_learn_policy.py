@@ -1,6 +1,6 @@
 """The learned policy and its trainer: same by seed, on disk without code, at work as in training.
 
-On made-up data: what it does in the phantom stands in docs/learning.md.
+On made-up data: what it does in the phantom stands in docs/guide/learning.md.
 """
 
 from __future__ import annotations

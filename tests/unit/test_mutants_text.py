@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mutants.mutants import MUTANTS
-from surg_cli import paths
+from surg_cli.host import paths
 
 
 def test_every_mutant_finds_its_text_exactly_once() -> None:

@@ -16,7 +16,7 @@ import zmq
 
 from helpers import lerobot_venv
 from helpers.policy_server import spec
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_policy_client import BadAction, NoServer, Observation
 from surg_policy_client.adapters.gr00t import Gr00tPolicy
 from surg_policy_client.adapters.openpi import OpenPiPolicy

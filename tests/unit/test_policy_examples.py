@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from helpers.policy_server import ACTION, STATE, PolicyServer, spec
-from surg_cli import keys, paths
-from surg_cli.terminal import Problem
+from surg_cli.commands import make_keys
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
 from surg_policy_client import Observation
 from surg_policy_client.keys import server_keys
 from surg_policy_client.policies.hold import Hold
@@ -163,7 +164,7 @@ def test_a_program_without_a_server_ends_with_what_to_do() -> None:
 
 
 @pytest.mark.parametrize(
-    "page", ["docs/policy_client.md", "src/surg_policy_bridge/client/README.md"]
+    "page", ["docs/guide/policy_client.md", "src/surg_policy_bridge/client/README.md"]
 )
 def test_the_code_on_a_page_is_python_3_8_and_uses_what_there_is(page: str) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (paths.ROOT / page).read_text("utf-8"), re.DOTALL)
@@ -193,4 +194,4 @@ def test_surg_keys_makes_them_once(
     assert caught.value.code == 2
     assert surg("keys", "--out", folder, "--policy", "laboratory") == 0
     assert sorted(server_keys(folder).clients) == ["laboratory", "policy"]
-    assert keys.POLICY == "policy"
+    assert make_keys.POLICY == "policy"

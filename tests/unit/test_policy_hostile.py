@@ -11,7 +11,7 @@ import pytest
 
 from helpers.policy_bench import HOME, MS, Bench
 from helpers.policy_results import note
-from surg_policy_bridge.timers import SILENCE
+from surg_policy_bridge.server.timers import SILENCE
 from surg_policy_client import wire
 from surg_policy_client.wire import Message
 

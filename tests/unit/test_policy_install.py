@@ -14,7 +14,7 @@ from helpers import pythons
 from helpers.nudge_task import LUCKY
 from helpers.policy_server import PolicyServer
 from helpers.surg import surg
-from surg_cli import paths
+from surg_cli.host import paths
 
 CLIENT = paths.ROOT / "src" / "surg_policy_bridge" / "client"
 ALLOWED = {"msgpack", "numpy", "zmq", "surg_policy_client"}

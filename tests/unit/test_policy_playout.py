@@ -13,10 +13,10 @@ import surg_core
 from helpers.policy_bench import ARM, HOME, MS, Bench, cell
 from helpers.policy_results import note
 from surg_core import Motion, MotionCommand
-from surg_policy_bridge.arm import PERIOD, SECOND, TICK, ArmCommand, Target
-from surg_policy_bridge.counters import Counters
-from surg_policy_bridge.free_run import FreeRun
-from surg_policy_bridge.playout import SEND, Piece
+from surg_policy_bridge.server.counters import Counters
+from surg_policy_bridge.server.playout import SEND, Piece
+from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, TICK, ArmCommand, Target
+from surg_policy_bridge.server.step_clock import FreeRun
 
 
 def targets(values: np.ndarray) -> list[Target]:

@@ -10,14 +10,19 @@ import pytest
 
 from helpers.policy_bench import ARM, HOME, Bench, arm_limits, cell
 from helpers.policy_results import note
-from surg_policy_bridge.arm import PERIOD, SECOND, ArmState, ArmView, Target
-from surg_policy_bridge.observer import CameraWatch, Observer, apart
-from surg_policy_bridge.safety import CLIPPABLE, RULES, ArmSafety, SafetyController
-from surg_policy_bridge.timers import PRESENCE, Presence
-from surg_teleop.seat import PEDAL_SILENCE
+from surg_policy_bridge.server.observer import CameraWatch, Observer, apart
+from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmState, ArmView, Target
+from surg_policy_bridge.server.safety_controller import (
+    CLIPPABLE,
+    RULES,
+    ArmSafety,
+    SafetyController,
+)
+from surg_policy_bridge.server.timers import PRESENCE, Presence
+from surg_teleop.follow.arm_switch import PEDAL_SILENCE
 
 DT = PERIOD / SECOND
-# The shipped UR5e (docs/safety.md), written here a second time on purpose: an oracle.
+# The shipped UR5e (docs/reference/safety.md), written here a second time on purpose: an oracle.
 V_MAX, A_MAX, SLACK, ROLL_V, ROLL_SLACK = 0.25, 2.0, 0.002, 2.0, 0.0349
 DEPTH_MIN, DEPTH_MAX, CONE = 0.020, 0.220, 1.0472
 JAW = (0.0, 0.8)
@@ -181,7 +186,7 @@ def test_a_stream_that_ended_begins_anew() -> None:
 
 def test_the_expert_is_never_refused(full: bool) -> None:
     """Every action that the scripted senders take, as a policy's."""
-    from surg_sim.env import SurgEnv
+    from surg_sim.envs.surg_env import SurgEnv
 
     judged, most = 0, 10_000 if full else 30
     for task in ("bgr", "pick_and_place") if full else ("bgr",):

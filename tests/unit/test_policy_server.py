@@ -10,10 +10,10 @@ import pytest
 
 from helpers.policy_bench import ARM, HOME, MS, Bench, spec
 from helpers.policy_results import note
-from surg_policy_bridge.arm import PERIOD, SECOND, ArmState
-from surg_policy_bridge.chunk_queue import LONGEST, ChunkQueue
-from surg_policy_bridge.sessions import BURST, PEERS, RATE, Flow
-from surg_policy_bridge.timers import MAX_OBS_AGE, SILENCE
+from surg_policy_bridge.server.chunk_queue import LONGEST, ChunkQueue
+from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmState
+from surg_policy_bridge.server.sessions import BURST, PEERS, RATE, Flow
+from surg_policy_bridge.server.timers import MAX_OBS_AGE, SILENCE
 from surg_policy_client.spec import Spec
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import surg_core
-from surg_cli import paths
-from surg_policy_bridge import binding, cell_spec
-from surg_policy_bridge.settings import Settings, SettingsError
+from surg_cli.host import paths
+from surg_policy_bridge.server import cell_spec, listen_address
+from surg_policy_bridge.server.server_parameters import Settings, SettingsError
 from surg_policy_client.wire import MAX_PARTS, Message, encode
 from surg_recording.datasets import schema
 
@@ -99,14 +99,14 @@ def test_ground_truth_is_of_a_simulator_only() -> None:
 def test_f19_what_other_machines_reach_needs_keys(address: str, plain: bool, keyed: bool) -> None:
     for has_keys, good in ((False, plain), (True, keyed)):
         if good:
-            assert binding.check(address, has_keys) == address
+            assert listen_address.check(address, has_keys) == address
         else:
-            with pytest.raises(binding.BindError):
-                binding.check(address, has_keys)
+            with pytest.raises(listen_address.BindError):
+                listen_address.check(address, has_keys)
 
 
 def test_the_specification_is_that_of_the_environment_and_of_datasets() -> None:
-    from surg_sim.env import SurgEnv
+    from surg_sim.envs.surg_env import SurgEnv
 
     env = SurgEnv("bgr")
     cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")

@@ -13,11 +13,11 @@ import zmq
 from helpers import policy_messages
 from helpers.policy_server import spec
 from helpers.policy_wire_results import note
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_policy_client import wire
 from surg_policy_client.wire import KINDS, Message, WireError, decode, encode
 
-PAGE = paths.ROOT / "docs" / "protocol.md"
+PAGE = paths.ROOT / "docs" / "reference" / "protocol.md"
 
 
 def same(a: Message, b: Message) -> bool:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from surg_recording import episode
-from surg_recording.annotations import Annotations, parse_info, parse_tag
-from surg_recording.recording import Recording
+from surg_recording.episode import episode_reader
+from surg_recording.episode.annotations import Annotations, parse_info, parse_tag
+from surg_recording.episode.episode_recorder import Recording
 
 
 def test_stages_follow_one_another_and_end_with_the_episode(tmp_path: Path) -> None:
@@ -26,7 +26,7 @@ def test_stages_follow_one_another_and_end_with_the_episode(tmp_path: Path) -> N
     for stamp, text in said:
         recording.tag(parse_tag(text), text, "/console", stamp + 1, stamp)
     assert recording.status()["stage"] == "grasp"
-    recorded = episode.read(recording.close({}, end_stamp_ns=60))
+    recorded = episode_reader.read(recording.close({}, end_stamp_ns=60))
     assert recorded.stages == [
         {"name": "approach", "begin_ns": 10, "end_ns": 30},
         {"name": "grasp", "begin_ns": 30, "end_ns": 60},

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from surg_recording import mp4_boxes
+from surg_recording.video import mp4_boxes
 
 Module = Any
 PICTURE = b"\x65coded\x80"

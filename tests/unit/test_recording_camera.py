@@ -13,13 +13,14 @@ import pytest
 from helpers import recording_synthetic as synthetic
 from helpers.camera_recording import start, until
 from helpers.recording_results import note
-from surg_recording import camera_sink, episode, video_file
-from surg_recording.recording import Recording
+from surg_recording.episode import episode_reader
+from surg_recording.episode.episode_recorder import Recording
+from surg_recording.video import camera_sink, video_file
 
 PERIOD_NS = 50_000_000
 
 
-def numbers(recorded: episode.Episode) -> list[int]:
+def numbers(recorded: episode_reader.Episode) -> list[int]:
     """Numbers of all frames of all parts, as the sidecars and the pictures say."""
     found: list[int] = []
     for video in recorded.parts("cam"):
@@ -37,7 +38,7 @@ def test_a_camera_that_changes_its_size_goes_on_in_a_further_part(tmp_path: Path
     for k in range(1, 31):
         width, height = (96, 64) if not 11 <= k <= 20 else (64, 48)
         recording.image("cam", synthetic.image(k * PERIOD_NS, k, width, height), k)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert numbers(recorded) == list(range(1, 31)), "no frame is lost"
     assert recorded.cameras == ["cam"]
     assert [video.name for video in recorded.parts("cam")] == ["cam", "cam.2", "cam.3"]
@@ -54,7 +55,7 @@ def test_a_camera_that_never_settles_is_given_up_and_counted(
     recording = start(tmp_path / "e")
     for k in range(1, 41):
         recording.image("cam", synthetic.image(k * PERIOD_NS, k, 96 - 32 * (k % 2), 64), k)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert len(recorded.parts("cam")) == 3
     kept = numbers(recorded)
     assert kept[:3] == [1, 2, 3]
@@ -84,7 +85,7 @@ def test_f13_a_killed_encoder_costs_half_a_second_and_the_camera_goes_on(
         k += 1
         recording.image("cam", synthetic.image(k * PERIOD_NS, k), k)
         time.sleep(0.004)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     found = numbers(recorded)
     lost = sorted(set(range(1, k + 1)) - set(found))
     assert found == sorted(set(found)) and found[0] == 1 and found[-1] == k
@@ -113,7 +114,7 @@ def test_f08_a_camera_that_stalls_is_said_and_may_come_back(tmp_path: Path) -> N
     recording.image("cam", synthetic.image(11 * PERIOD_NS, 11), 11 * PERIOD_NS)
     recording.watch_cameras(time.monotonic(), 4)
     assert recording.silent_cameras == []
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     events = recorded.table("events")
     assert list(events["topic"]) == ["camera_stall", "camera_back"]
     assert recorded.warnings == ["cam: fell silent for more than 0.15 s"]
@@ -140,7 +141,7 @@ def test_more_encodings_of_ros_images_and_frozen_pictures_are_counted(tmp_path: 
             image.encoding, image.step = encoding, 96 * len(pixel)
             image.data = bytes(pixel) * (96 * 64)
             recording.image(encoding, image, k * PERIOD_NS)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert recorded.complete, recorded.manifest["reason"]
     for encoding in PIXELS:
         (picture,) = video_file.grab(recorded.video(encoding).path, [2])

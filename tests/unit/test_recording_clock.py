@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 
 from helpers import recording_synthetic as synthetic
-from surg_recording import episode
-from surg_recording.clock_steps import STEP_NS, SteppedClock
-from surg_recording.recording import Recording
+from surg_recording.clock.clock_steps import STEP_NS, SteppedClock
+from surg_recording.episode import episode_reader
+from surg_recording.episode.episode_recorder import Recording
 
 HOUR = 3_600_000_000_000
 
@@ -123,7 +123,7 @@ def test_f09_a_step_begins_a_segment_and_future_stamps_are_counted(tmp_path: Pat
         recording.cycle("PSM1", message, start - HOUR + tick * 2_000_000)
     assert recording.status()["segments"] == 2
     assert recording.status()["future_stamps"] == {"cycle_PSM1": 10}
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert recorded.complete, "nothing was lost"
     (segment,) = recorded.segments
     assert (segment["step_ns"], segment["begin_ns"]) == (-HOUR, start - HOUR)
@@ -156,7 +156,7 @@ def test_f09_rows_before_a_step_are_counted_while_others_are_written(tmp_path: P
     table._queue = Watched()
     for tick in range(2, 9):
         recording.cycle("PSM1", synthetic.cycle(what, tick, 0), tick)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert len(steps) == 7
     assert recorded.segments[-1]["rows"]["cycle_PSM1"] == 8
     assert {s["rows"]["cycle_PSM1"] for s in recorded.segments} <= set(range(2, 9))
@@ -167,4 +167,4 @@ def test_f09_stamps_of_the_simulator_are_of_no_future(tmp_path: Path) -> None:
         tmp_path / "e", mode="lockstep", arms=["PSM1"], cameras=[], manifest={}, min_free_bytes=0
     )
     recording.cycle("PSM1", synthetic.cycle(synthetic.Synthetic(), 90_000, 0), 7)
-    assert episode.read(recording.close({})).manifest["future_stamps"] == {}
+    assert episode_reader.read(recording.close({})).manifest["future_stamps"] == {}

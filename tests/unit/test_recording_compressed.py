@@ -19,8 +19,9 @@ from helpers import picture_identity
 from helpers import recording_synthetic as synthetic
 from helpers.camera_recording import start, until
 from helpers.picture_identity import HEIGHT, WIDTH, Identity
-from surg_recording import compressed_image, episode, video_file
-from surg_recording.compressed_image import Coded
+from surg_recording.episode import episode_reader
+from surg_recording.video import compressed_image, video_file
+from surg_recording.video.compressed_image import Coded
 
 PERIOD_NS = 50_000_000
 KINDS = ("jpeg", "png")
@@ -43,7 +44,7 @@ def shown(number: int, size: tuple[int, int] = (WIDTH, HEIGHT)) -> np.ndarray:
     return picture_identity.draw(Identity(1, 0, number), *size)
 
 
-def numbers(recorded: episode.Episode) -> list[int]:
+def numbers(recorded: episode_reader.Episode) -> list[int]:
     """Numbers of all frames of all parts; every picture must be the one of its stamp."""
     found: list[int] = []
     for video in recorded.parts("cam"):
@@ -130,7 +131,7 @@ def test_every_picture_is_recorded_at_its_stamp(tmp_path: Path, kind: str, mode:
     recording = start(tmp_path / "e", mode)
     for k in range(1, 31):
         recording.image("cam", message(coded(shown(k), kind), k * PERIOD_NS), k)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert recorded.complete, recorded.manifest["reason"]
     assert numbers(recorded) == list(range(1, 31))
     stream = recorded.manifest["camera_streams"]["cam"]
@@ -142,7 +143,7 @@ def test_colours_are_not_swapped(tmp_path: Path) -> None:
     red = np.zeros((48, 64, 3), np.uint8)
     red[..., 0] = 200
     recording.image("cam", message(coded(red, "jpeg"), PERIOD_NS), 1)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     (picture,) = video_file.grab(recorded.video("cam").path, [0])
     r, g, b = picture.reshape(-1, 3).mean(axis=0)
     assert r > 180 and g < 25 and b < 25
@@ -177,7 +178,7 @@ def test_what_cannot_be_decoded_is_counted_and_said_and_the_rest_goes_on(
         recording.image("cam", message(data, k * PERIOD_NS), k)
     until(lambda: recording.status()["backlog"]["frames"] == 0)
     assert recording.status()["drops"]["cam"] == 5
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert numbers(recorded) == [k for k in range(1, 21) if k not in (5, 6, 12, 13, 14)]
     dropped = recorded.video("cam").frames["dropped"]
     assert {int(row): int(dropped[row]) for row in np.flatnonzero(dropped)} == {4: 2, 9: 3}
@@ -191,7 +192,7 @@ def test_a_camera_that_only_sends_what_is_no_picture_is_said(tmp_path: Path) -> 
     recording = start(tmp_path / "e")
     for k in range(1, 6):
         recording.image("cam", message(b"\0" * 99, k * PERIOD_NS, "16UC1; compressedDepth"), k)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert recorded.cameras == []
     assert "cam: 5 dropped" in recorded.manifest["reason"]
     assert "neither JPEG nor PNG" in recorded.manifest["reason"]
@@ -205,7 +206,7 @@ def test_a_compressed_camera_that_changes_its_size_goes_on_in_a_further_part(
     for k in range(1, 21):
         size = (WIDTH, HEIGHT) if k <= 10 else (2 * WIDTH, 2 * HEIGHT)
         recording.image("cam", message(coded(shown(k, size), "jpeg"), k * PERIOD_NS), k)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert [video.name for video in recorded.parts("cam")] == ["cam", "cam.2"]
     assert numbers(recorded) == list(range(1, 21))
 
@@ -225,7 +226,7 @@ def test_f13_an_encoder_that_dies_before_its_first_picture_costs_nothing(
         recording.image("cam", sent, k)
     os.kill(recording.encoder_pids()["cam"], signal.SIGKILL)
     until(lambda: recording._videos["cam"]._part.error is not None)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert recorded.cameras == ["cam"]
     assert numbers(recorded) == list(range(1, 11))
     assert recorded.manifest["videos"]["cam"]["dropped"] == 0
@@ -244,7 +245,7 @@ def test_f13_a_killed_encoder_costs_half_a_second_of_compressed_pictures(tmp_pat
             until(lambda: recording.status()["frames"]["cam"] >= 20)
             os.kill(recording.encoder_pids()["cam"], signal.SIGKILL)
             until(lambda: recording._videos["cam"]._part.error is not None)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     found = numbers(recorded)
     lost = sorted(set(range(1, 61)) - set(found))
     print(f"{len(lost)} of 60 lost")

@@ -17,21 +17,21 @@ from hypothesis import strategies as st
 
 from helpers import recording_synthetic as synthetic
 from helpers.recording_results import note
-from surg_recording import columns, csv_sink, episode, finishing, rows
-from surg_recording.csv_sink import CsvWriter
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import csv_sink, episode_reader, finishing, table_columns, table_rows
+from surg_recording.episode.csv_sink import CsvWriter
+from surg_recording.recording_errors import EpisodeError
 
 NAMES = ["stamp_ns", "x", "text", "y"]
 
 
-def write(path: Path, lines: list[tuple]) -> episode.Table:
+def write(path: Path, lines: list[tuple]) -> episode_reader.Table:
     writer = CsvWriter()
     table = writer.table(path, NAMES)
     for line in lines:
         assert writer.put(table, line)
     writer.close()
     assert table.rows == len(lines)
-    return episode.read_table(path)
+    return episode_reader.read_table(path)
 
 
 @settings(max_examples=40, deadline=None)
@@ -68,20 +68,20 @@ def test_random_bit_patterns_survive(tmp_path: Path) -> None:
 
 def test_columns_fit_the_rows() -> None:
     what = synthetic.Synthetic(joints=7)
-    row = rows.cycle(synthetic.cycle(what, 60, 1), 5)
-    assert len(row) == len(columns.cycle(7))
+    row = table_rows.cycle(synthetic.cycle(what, 60, 1), 5)
+    assert len(row) == len(table_columns.cycle(7))
     truth = synthetic.ground_truth(what, 60)
-    row = rows.ground_truth(1, 60, truth.arms[0], 5)
-    assert len(row) == len(columns.GROUND_TRUTH)
+    row = table_rows.ground_truth(1, 60, truth.arms[0], 5)
+    assert len(row) == len(table_columns.GROUND_TRUTH)
     for spherical, topic in ((False, "servo_cp"), (True, "servo_jp")):
         message = synthetic.pose(synthetic.Synthetic(spherical=spherical), 60)
-        row = rows.command(topic, message, "/operator", 5)
-        assert len(row) == len(columns.COMMAND)
+        row = table_rows.command(topic, message, "/operator", 5)
+        assert len(row) == len(table_columns.COMMAND)
         assert row[:4] == (120_000_000, 5, topic, "/operator")
 
 
 def test_a_row_is_formatted_fast_enough() -> None:
-    row = rows.cycle(synthetic.cycle(synthetic.Synthetic(), 60, 1), 5)
+    row = table_rows.cycle(synthetic.cycle(synthetic.Synthetic(), 60, 1), 5)
     best = math.inf
     for _ in range(20):
         begun = time.perf_counter()
@@ -130,7 +130,7 @@ def test_a_table_never_overwrites(tmp_path: Path) -> None:
 _VICTIM = """
 import sys, time
 from pathlib import Path
-from surg_recording.csv_sink import CsvWriter
+from surg_recording.episode.csv_sink import CsvWriter
 writer = CsvWriter()
 table = writer.table(Path(sys.argv[1]), ["stamp_ns", "x", "text", "y"])
 begun, k = time.monotonic(), 0
@@ -159,7 +159,7 @@ def test_kill_9_loses_at_most_50_ms_of_rows(tmp_path: Path, full: bool) -> None:
             killed = time.monotonic_ns()
             os.kill(victim.pid, signal.SIGKILL)
         finishing.cut_broken_end(path)
-        table = episode.read_table(path)
+        table = episode_reader.read_table(path)
         k = np.arange(1, len(table) + 1)
         assert np.array_equal(table["x"], k / 7.0)
         worst = max(worst, (killed - int(table["stamp_ns"][-1])) * 1e-6)
@@ -172,7 +172,7 @@ def test_a_cut_line_is_removed(tmp_path: Path) -> None:
     for tail in ("", "1", "1,2.5,abc", '1,2,"a', "x" * 100_000):
         path.write_text("stamp_ns,x,text,y\n7,1.0,a,2.0\n" + tail)
         assert finishing.cut_broken_end(path) == len(tail)
-        assert episode.read_table(path)["stamp_ns"].tolist() == [7]
+        assert episode_reader.read_table(path)["stamp_ns"].tolist() == [7]
 
 
 @pytest.mark.parametrize(
@@ -190,5 +190,5 @@ def test_a_broken_table_is_named_with_line_and_column(tmp_path: Path, text: str,
     path = tmp_path / "t.csv"
     path.write_text(text)
     with pytest.raises(EpisodeError, match=said) as caught:
-        episode.read_table(path)
+        episode_reader.read_table(path)
     assert str(path) in str(caught.value)

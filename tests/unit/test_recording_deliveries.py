@@ -7,7 +7,7 @@ import random
 import pytest
 
 from helpers.recording_results import note
-from surg_recording.deliveries import WINDOW_S, Deliveries
+from surg_recording.episode.duplicate_filter import WINDOW_S, Deliveries
 
 
 def interleave(rng: random.Random, lanes: list[list[int]]) -> list[tuple[int, int]]:

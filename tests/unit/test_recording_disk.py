@@ -15,10 +15,10 @@ import pytest
 
 from helpers import recording_synthetic as synthetic
 from helpers.recording_results import note
-from surg_recording import episode
-from surg_recording.csv_sink import CsvWriter
-from surg_recording.errors import EpisodeError
-from surg_recording.recording import Recording
+from surg_recording.episode import episode_reader
+from surg_recording.episode.csv_sink import CsvWriter
+from surg_recording.episode.episode_recorder import Recording
+from surg_recording.recording_errors import EpisodeError
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_f12_a_disk_that_fills_up_ends_the_recording_cleanly(small_disk: Path) -
     result = f"longest call {longest * 1e3:.1f} ms; closed {took:.2f} s after the disk was full"
     note("disk of 6 MB", tick, result)
     assert sorted(path.name for path in small_disk.iterdir()) == ["e"], "no partial folder is left"
-    recorded = episode.read(folder)
+    recorded = episode_reader.read(folder)
     assert not recorded.complete
     assert "No space left" in recorded.manifest["reason"]
     assert recorded.manifest["run"] == {"operator": "A"}
@@ -98,7 +98,7 @@ def test_f12_a_recording_ends_before_the_last_bytes_are_gone(small_disk: Path) -
     while not recording.failed:
         assert time.monotonic() - begun < 1.0, "within a second"
         time.sleep(0.01)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert "disk full" in recorded.manifest["reason"]
     assert len(recorded.cycle("PSM1")) == 1
 

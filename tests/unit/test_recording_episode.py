@@ -17,18 +17,18 @@ import pytest
 
 from helpers import recording_synthetic as synthetic
 from helpers.recording_results import note
-from surg_recording import columns, episode, finishing, provenance
-from surg_recording.episode_writer import EpisodeWriter
-from surg_recording.errors import EpisodeError
-from surg_recording.recording import Recording
-from surg_recording.recovery import recover
+from surg_recording.episode import episode_reader, finishing, provenance, table_columns
+from surg_recording.episode.episode_recorder import Recording
+from surg_recording.episode.episode_writer import EpisodeWriter
+from surg_recording.episode.recovery import recover
+from surg_recording.recording_errors import EpisodeError
 
 
 def test_what_goes_in_comes_out(tmp_path: Path) -> None:
     what = synthetic.Synthetic(seconds=1.0, frames=20)
     folder = synthetic.record(tmp_path / "episode", what)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["episode"]
-    recorded = episode.read(folder)
+    recorded = episode_reader.read(folder)
     assert recorded.complete
     assert recorded.manifest["format"] == "surg_episode/1"
     assert recorded.arms == ["PSM1"]
@@ -43,7 +43,7 @@ def test_what_goes_in_comes_out(tmp_path: Path) -> None:
         assert cycle.vector("q_br", "xyzw")[tick - 1].tolist() == list(sent.q_br)
         assert cycle["state"][tick - 1] == sent.state
         assert truth["tip_x"][tick - 1] == synthetic.ground_truth(what, tick).arms[0].tip.x
-    assert cycle.columns == columns.cycle(6)
+    assert cycle.columns == table_columns.cycle(6)
     assert recorded.video("endoscope_left").frames["stamp_ns"][19] == 500 * synthetic.TICK_NS
     entry = recorded.manifest["tables"]["cycle_PSM1"]
     assert entry["rate_hz"] == pytest.approx(500.0)
@@ -72,7 +72,7 @@ def test_a_task_and_its_assistant_are_recorded(tmp_path: Path) -> None:
         jaw = SimpleNamespace(header=head, position=[0.4])
         recording.assistant_command("jaw/servo_jp", jaw, "/assistant_expert", 9)
     recording.cycle("PSM1", synthetic.cycle(synthetic.Synthetic(), 50, 0), 7)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert recorded.complete, recorded.manifest["reason"]
     task, said = recorded.table("task_state"), recorded.table("command_assistant")
     assert task["tick"].tolist() == [25, 50]
@@ -81,14 +81,14 @@ def test_a_task_and_its_assistant_are_recorded(tmp_path: Path) -> None:
     assert task["task.state"].tolist() == [25 / 3.0, 50 / 3.0]
     assert task["task.tip_1"][1] == 50 / 2
     assert task["task.nodes_1_2"][1] == 50 / 9
-    assert len(task.columns) == len(columns.TASK) + 10
+    assert len(task.columns) == len(table_columns.TASK) + 10
     assert said["topic"].tolist() == ["servo_jp", "jaw/servo_jp"] * 2
     assert said["roll"][2] == 50 / 7.0 and said["jaw"][3] == 0.4
 
 
 def test_a_task_state_that_fits_no_table_makes_it_incomplete(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"nodes\[\]"):
-        columns.task(["nodes[]"])
+        table_columns.task(["nodes[]"])
     recording = Recording(
         tmp_path / "episode", mode="lockstep", arms=[], cameras=[], manifest={}, min_free_bytes=0
     )
@@ -100,13 +100,13 @@ def test_a_task_state_that_fits_no_table_makes_it_incomplete(tmp_path: Path) -> 
                 success=False, reward=0.0, reason="",
             ), 7,
         )  # fmt: skip
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert not recorded.complete
     assert "another number of values" in recorded.manifest["reason"]
 
 
 def test_names_are_listed_when_one_is_wrong(tmp_path: Path) -> None:
-    recorded = episode.read(
+    recorded = episode_reader.read(
         synthetic.record(tmp_path / "episode", synthetic.Synthetic(seconds=0.1))
     )
     with pytest.raises(EpisodeError, match=r"no table 'cycle_PSM2'; there are .*cycle_PSM1"):
@@ -131,7 +131,7 @@ def test_what_is_no_episode_is_refused(tmp_path: Path, manifest: str | None, sai
     if manifest is not None:
         (tmp_path / "manifest.json").write_text(manifest)
     with pytest.raises(EpisodeError, match=said):
-        episode.read(tmp_path)
+        episode_reader.read(tmp_path)
 
 
 def test_an_unfinished_folder_is_refused_with_the_cure(tmp_path: Path) -> None:
@@ -139,9 +139,9 @@ def test_an_unfinished_folder_is_refused_with_the_cure(tmp_path: Path) -> None:
         tmp_path / "e", mode="lockstep", arms=[], cameras=[], manifest={}, min_free_bytes=0
     )
     with pytest.raises(EpisodeError, match=r"never finished.*recover"):
-        episode.read(recording.folder)
+        episode_reader.read(recording.folder)
     recording.close({})
-    assert episode.read(tmp_path / "e").complete
+    assert episode_reader.read(tmp_path / "e").complete
 
 
 def test_a_taken_name_gets_a_number(tmp_path: Path) -> None:
@@ -176,7 +176,7 @@ def test_missing_ticks_drops_and_absent_streams_make_it_incomplete(tmp_path: Pat
         recording.cycle("PSM1", synthetic.cycle(what, tick, 1), tick)
     other = synthetic.Synthetic(joints=7)
     recording.cycle("PSM1", synthetic.cycle(other, 6, 1), 6)
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert recorded.manifest["tables"]["cycle_PSM1"]["missing_ticks"] == 2
     assert recorded.manifest["tables"]["cycle_PSM1"]["gap_max_s"] == pytest.approx(0.006)
     for reason in ("cam: no image", "PSM2: no cycle", "another number of joints", "1 dropped"):
@@ -204,7 +204,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_was_there(tmp_path: Path)
     while not recording.failed and time.monotonic() < deadline:
         time.sleep(0.01)
     assert recording.failed
-    recorded = episode.read(recording.close({}))
+    recorded = episode_reader.read(recording.close({}))
     assert not recorded.complete
     assert "No space left" in recorded.manifest["reason"]
     assert list(recorded.cycle("PSM1")["tick"]) == list(range(1, 101))
@@ -214,7 +214,7 @@ _VICTIM = """
 import sys, time
 from pathlib import Path
 from helpers import recording_synthetic as synthetic
-from surg_recording.recording import Recording
+from surg_recording.episode.episode_recorder import Recording
 what = synthetic.Synthetic()
 r = Recording(Path(sys.argv[1]), mode="lockstep", arms=["PSM1"], cameras=["cam"],
               manifest={"run": {"robot": "ur5e"}}, min_free_bytes=0)
@@ -251,7 +251,7 @@ def test_a_killed_recorder_is_mended_at_the_next_start(tmp_path: Path, full: boo
         while not (done := recover(tmp_path)) and time.monotonic() < deadline:
             time.sleep(0.02)  # the encoder still finishes its file
         assert done == [folder]
-        recorded = episode.read(folder)
+        recorded = episode_reader.read(folder)
         assert not recorded.complete
         assert "killed" in recorded.manifest["reason"]
         assert recorded.manifest["run"] == {"robot": "ur5e"}
@@ -277,7 +277,7 @@ def test_recover_mends_only_the_named_episode(tmp_path: Path) -> None:
     assert [p.name for p in recover(tmp_path, "a")] == ["a"]
     os.close(held)
     assert [p.name for p in recover(tmp_path, "a")] == ["a_2"]
-    assert len(episode.read(tmp_path / "a").table("events")) == 0
+    assert len(episode_reader.read(tmp_path / "a").table("events")) == 0
     assert [p.name for p in recover(tmp_path)] == ["b"]
     assert recover(tmp_path / "nowhere") == []
 
@@ -327,7 +327,7 @@ def test_messages_need_no_ros() -> None:
     text = finishing.utc_now()
     assert text.endswith("Z") and len(text) == 20
     stamp = SimpleNamespace(secs=1_700_000_000, nsecs=999_999_999)
-    from surg_recording import rows
+    from surg_recording.episode import table_rows
 
-    assert rows.nanoseconds(stamp) == 1_700_000_000_999_999_999
-    assert not [name for name in sys.modules if name == "surg_recording.recorder_node"]
+    assert table_rows.nanoseconds(stamp) == 1_700_000_000_999_999_999
+    assert not [name for name in sys.modules if name == "surg_recording.nodes.recorder_node"]

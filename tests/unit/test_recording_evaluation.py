@@ -15,16 +15,16 @@ import pytest
 from helpers import jigsaws_synthetic
 from helpers.evaluated import DONE, episode
 from helpers.recording_synthetic import Synthetic
-from surg_recording import episode as episodes
-from surg_recording import (
+from surg_recording import metrics
+from surg_recording.episode import episode_reader as episodes
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.reports import (
     evaluation,
     evaluation_figures,
     evaluation_report,
     evaluation_tables,
-    metrics,
 )
-from surg_recording.errors import EpisodeError
-from surg_recording.evaluation import LeftOut
+from surg_recording.reports.evaluation import LeftOut
 
 FAILED = {**DONE, "success": False, "reason": "the bowel slipped <away>"}
 

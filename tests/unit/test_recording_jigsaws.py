@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from helpers import jigsaws_synthetic as made_up
-from surg_recording import jigsaws, metrics, reference
-from surg_recording.errors import ReferenceSetError
+from surg_recording import metrics
+from surg_recording.metrics import jigsaws, reference_sets
+from surg_recording.recording_errors import ReferenceSetError
 
 SKILLS = {"B001": "N", "C001": "I", "D001": "E", "E002": "E"}
 
@@ -114,11 +115,11 @@ def test_folders_that_are_no_task(tmp_path: Path) -> None:
 
 def test_a_reference_is_measured_as_the_episodes_are(tmp_path: Path) -> None:
     folder = made_up.write_task(tmp_path, SKILLS)
-    found = reference.load(f"jigsaws:{folder}")
+    found = reference_sets.load(f"jigsaws:{folder}")
     assert found.name == "JIGSAWS Knot Tying"
-    measured = [reference.measure(motion) for motion in found.motions]
+    measured = [reference_sets.measure(motion) for motion in found.motions]
     for preset in metrics.PRESETS:
-        compared = reference.summarise(found, measured, preset)
+        compared = reference_sets.summarise(found, measured, preset)
         values = [
             metrics.smoothness(t.manipulator("slave_left").p, 30.0, preset)
             for t in jigsaws.read(folder).trials
@@ -143,12 +144,12 @@ def test_a_motion_file_as_reference(tmp_path: Path) -> None:
     file = tmp_path / "knot.csv"
     file.write_text("\n".join(lines))
     (tmp_path / "broken.csv").write_text("a,b\n1,2\n")
-    alone, folder = reference.load(f"motion:{file}"), reference.load(f"motion:{tmp_path}")
+    alone, folder = reference_sets.load(f"motion:{file}"), reference_sets.load(f"motion:{tmp_path}")
     assert alone.name == "knot" and alone.warnings == ()
     assert len(folder.motions) == 1 and "t_s, x_m, y_m, z_m" in folder.warnings[0]
     assert np.allclose(alone.motions[0].p, p, atol=1e-4)
     assert alone.motions[0].fs == pytest.approx(30.0, rel=1e-4)
-    numbers = reference.measure(alone.motions[0])
+    numbers = reference_sets.measure(alone.motions[0])
     assert numbers["smoothness"]["presets"]["reference"]["sparc"] < 0
     assert numbers["idle"]["s"] == 0.0
 
@@ -170,11 +171,11 @@ def test_a_broken_motion_says_where(rows: str, said: str, tmp_path: Path) -> Non
     file = tmp_path / "motion.csv"
     file.write_text(rows)
     with pytest.raises(ReferenceSetError) as caught:
-        reference.load(f"motion:{file}")
+        reference_sets.load(f"motion:{file}")
     assert str(file) in str(caught.value) and said in str(caught.value)
 
 
 @pytest.mark.parametrize("spec", ["", "jigsaws", "jigsaws:", "Knot_Tying", "dvrk:here"])
 def test_an_unknown_kind_lists_the_known_ones(spec: str) -> None:
     with pytest.raises(ReferenceSetError, match=r"jigsaws:DIR or motion:CSV_OR_DIR is needed"):
-        reference.load(spec)
+        reference_sets.load(spec)

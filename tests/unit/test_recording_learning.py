@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from helpers.rollouts_synthetic import entry, rollout
-from surg_recording import learning, learning_report
+from surg_recording.reports import learning, learning_report
 
 INFO: dict[str, Any] = {
     "title": "Bowel grasping and retraction",

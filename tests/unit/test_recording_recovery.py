@@ -13,10 +13,12 @@ import pytest
 
 from helpers import recording_synthetic as synthetic
 from helpers.recording_results import note
-from surg_recording import clock_segments, episode, finishing, mp4_boxes, recovery, video_file
-from surg_recording.episode_writer import LOCK, EpisodeWriter
-from surg_recording.errors import EpisodeError
-from surg_recording.video_sink import VideoSink
+from surg_recording.clock import clock_segments
+from surg_recording.episode import episode_reader, finishing, recovery
+from surg_recording.episode.episode_writer import LOCK, EpisodeWriter
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import mp4_boxes, video_file
+from surg_recording.video.video_sink import VideoSink
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +64,7 @@ def test_a_video_cut_anywhere_is_mended_to_its_last_whole_fragment(
         stamps = max(0, sidecar.read_text().count("\n") - 1)
         in_file = sum(f.frames for f in ends if f.end <= size)
         kept = video_file.mend(path, sidecar)
-        side = episode.read_table(sidecar)
+        side = episode_reader.read_table(sidecar)
         assert kept == len(side) <= min(in_file, stamps)
         assert kept > min(in_file, stamps) - 5, "no more than one fragment goes with the cut"
         if kept:
@@ -102,7 +104,7 @@ def test_a_table_cut_or_zeroed_anywhere_keeps_its_whole_lines(
         size = rng.randrange(16, len(data) + 1)
         path.write_bytes(data[:size] + bytes(rng.randrange(9000)) * (number % 2))
         finishing.cut_broken_end(path)
-        table = episode.read_table(path)
+        table = episode_reader.read_table(path)
         assert len(table) == data[:size].count(b"\n") - 1
         assert table["stamp_ns"].tolist() == list(range(len(table)))
 
@@ -132,7 +134,7 @@ def test_what_is_recovered_says_so_and_keeps_what_it_was_told(tmp_path: Path, vi
     folder = unfinished(tmp_path / "e", video)
     final = recovery.recover_one(folder)
     assert final == tmp_path / "e" and not folder.exists()
-    recorded = episode.read(final)
+    recorded = episode_reader.read(final)
     assert recorded.manifest["run"] == {"operator": "A"}
     assert recorded.manifest["outcome"] == "incomplete"
     assert "killed" in recorded.manifest["reason"] and recorded.manifest["recovered"]
@@ -154,7 +156,7 @@ def test_f09_a_step_of_the_clock_is_known_after_a_kill(tmp_path: Path, video: Pa
     with open(folder / "events.csv", "w") as file:
         file.write("stamp_ns,receive_ns,topic,source,text\n")
         file.write("9,9,clock_step,,the wall clock stepped by -20000000 ns\n")
-    recorded = episode.read(recovery.recover_one(folder))
+    recorded = episode_reader.read(recovery.recover_one(folder))
     assert recorded.segments == [{"begin_ns": 9, "step_ns": -20_000_000}]
     with pytest.raises(EpisodeError, match="not known which rows lie on which side"):
         clock_segments.longest({**recorded.manifest, "mode": "freerun"})
@@ -162,16 +164,16 @@ def test_f09_a_step_of_the_clock_is_known_after_a_kill(tmp_path: Path, video: Pa
 
 def test_a_recovery_that_is_killed_can_be_repeated(tmp_path: Path, video: Path) -> None:
     folder = unfinished(tmp_path / "e", video)
-    finishing.complete(folder, {"format": episode.FORMAT}, {}, "first try")
+    finishing.complete(folder, {"format": episode_reader.FORMAT}, {}, "first try")
     assert folder.name.endswith(".partial")
-    recorded = episode.read(recovery.recover_one(folder))
+    recorded = episode_reader.read(recovery.recover_one(folder))
     assert len(recorded.cycle("PSM1")) == 39
 
 
 def test_a_manifest_that_is_gone_costs_the_facts_only(tmp_path: Path, video: Path) -> None:
     folder = unfinished(tmp_path / "e", video)
     (folder / "manifest.json").write_text('{"format": "surg_ep')
-    recorded = episode.read(recovery.recover_one(folder))
+    recorded = episode_reader.read(recovery.recover_one(folder))
     assert recorded.arms == ["PSM1"] and len(recorded.cycle("PSM1")) == 39
 
 
@@ -179,7 +181,7 @@ def test_a_hand_edited_table_and_a_missing_sidecar_are_named(tmp_path: Path, vid
     folder = unfinished(tmp_path / "e", video)
     (folder / "cam.csv").unlink()
     (folder / "events.csv").write_text("stamp_ns,receive_ns,topic,source,text\nnow,then,/x,,y\n")
-    recorded = episode.read(recovery.recover_one(folder))
+    recorded = episode_reader.read(recovery.recover_one(folder))
     assert "cam.mp4: its sidecar is missing" in recorded.manifest["reason"]
     assert "events: a line's stamp is no integer" in recorded.manifest["reason"]
     assert (recorded.folder / "cam.mp4").exists(), "nothing recorded is thrown away"

@@ -13,8 +13,9 @@ import pytest
 
 from helpers import recording_synthetic as synthetic
 from helpers.recording_synthetic import Synthetic
-from surg_recording import episode, report, summary
-from surg_recording.errors import EpisodeError, NoMotionError
+from surg_recording.episode import episode_reader
+from surg_recording.recording_errors import EpisodeError, NoMotionError
+from surg_recording.reports import run_report, run_summary
 
 KEYS = {
     *("robot", "motion", "mode", "law", "link", "duration_s", "scale", "rcm_kinematic_mm"),
@@ -26,7 +27,7 @@ KEYS = {
 
 def summarise(tmp_path: Path, what: Synthetic, **run: Any) -> dict[str, Any]:
     folder = synthetic.record(tmp_path / "episode", what, **run)
-    return summary.summarise(episode.read(folder))
+    return run_summary.summarise(episode_reader.read(folder))
 
 
 @pytest.mark.parametrize("spherical", [False, True])
@@ -145,7 +146,7 @@ def test_velocity_commands_are_compared_with_the_goal(tmp_path: Path) -> None:
     folder = synthetic.record(tmp_path / "episode", Synthetic(seconds=2.0))
     lines = (folder / "command_PSM1.csv").read_text().splitlines()
     (folder / "command_PSM1.csv").write_text(lines[0] + "\n")
-    got = summary.summarise(episode.read(folder))
+    got = run_summary.summarise(episode_reader.read(folder))
     assert got["input_source"] == "cycle.p_goal"
     assert got["tip_lag_ms"] == pytest.approx(12.4, abs=0.01)
 
@@ -155,7 +156,7 @@ def test_a_30_hz_stream_and_a_late_start_are_interpolated(tmp_path: Path) -> Non
     path = folder / "command_PSM1.csv"
     lines = path.read_text().splitlines(keepends=True)
     path.write_text("".join([lines[0], *lines[1::16]]))
-    got = summary.summarise(episode.read(folder))
+    got = run_summary.summarise(episode_reader.read(folder))
     assert got["tip_lag_ms"] == pytest.approx(12.4, abs=0.3)
     assert got["tip_error_mm"]["rms"] < 0.05
 
@@ -167,7 +168,7 @@ def test_missing_ticks_in_lockstep_are_a_reason(tmp_path: Path) -> None:
     manifest["tables"]["cycle_PSM1"]["missing_ticks"] = 3
     manifest["sim"]["aborted"] = "no answer from PSM1 for 10 s"
     (folder / "manifest.json").write_text(json.dumps(manifest))
-    got = summary.summarise(episode.read(folder))
+    got = run_summary.summarise(episode_reader.read(folder))
     assert "cycle_PSM1: 3 ticks are missing" in got["reasons"]
     assert "the simulation was aborted: no answer from PSM1 for 10 s" in got["reasons"]
 
@@ -180,17 +181,17 @@ def test_nan_anywhere_fails(tmp_path: Path) -> None:
     fields[3] = "nan"
     lines[200] = ",".join(fields)
     path.write_text("\n".join(lines) + "\n")
-    got = summary.summarise(episode.read(folder))
+    got = run_summary.summarise(episode_reader.read(folder))
     assert not got["ok"]
     assert any("true RCM deviation, max [mm]: not measured" in r for r in got["reasons"])
 
 
 def test_no_motion_at_all(tmp_path: Path) -> None:
     folder = synthetic.record(tmp_path / "episode", Synthetic(seconds=0.0))
-    recorded = episode.read(folder)
+    recorded = episode_reader.read(folder)
     with pytest.raises(NoMotionError):
-        summary.load(recorded)
-    got = report.make(tmp_path)
+        run_summary.load(recorded)
+    got = run_report.make(tmp_path)
     assert not got["ok"]
     assert "no motion" in got["reasons"][0]
     assert set(got) >= KEYS
@@ -199,9 +200,9 @@ def test_no_motion_at_all(tmp_path: Path) -> None:
 
 
 def test_the_wrong_arm_is_named(tmp_path: Path) -> None:
-    recorded = episode.read(synthetic.record(tmp_path / "episode", Synthetic(seconds=0.2)))
+    recorded = episode_reader.read(synthetic.record(tmp_path / "episode", Synthetic(seconds=0.2)))
     with pytest.raises(EpisodeError, match="no arm 'PSM3'; there are PSM1"):
-        summary.load(recorded, "PSM3")
+        run_summary.load(recorded, "PSM3")
 
 
 class _Page(html.parser.HTMLParser):
@@ -234,7 +235,7 @@ def test_the_report_is_one_file_with_every_figure(
 ) -> None:
     what = Synthetic(seconds=3.0, frames=40)
     synthetic.record(tmp_path / "episode", what, motion="<b>my & motion</b>", operator="anna")
-    code = report.main([str(tmp_path)])
+    code = run_report.main([str(tmp_path)])
     assert capsys.readouterr().out.strip() == str(tmp_path / "summary.json")
     assert code == 0
     stored = json.loads((tmp_path / "summary.json").read_text())
@@ -244,7 +245,7 @@ def test_the_report_is_one_file_with_every_figure(
     page = _Page()
     page.feed((tmp_path / "report.html").read_text())
     assert page.open == [] and page.outside == []
-    assert page.images == len(pictures) + report.STRIP_FRAMES
+    assert page.images == len(pictures) + run_report.STRIP_FRAMES
     for text in ("met every stated limit", "<b>my & motion</b>", "anna", "Definitions"):
         assert text in page.text
 
@@ -253,7 +254,7 @@ def test_a_failed_run_says_why_and_ends_with_1(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     synthetic.record(tmp_path / "episode", Synthetic(seconds=1.0, true_offset=2e-3))
-    assert report.main([str(tmp_path)]) == 1
+    assert run_report.main([str(tmp_path)]) == 1
     assert "true RCM deviation, max [mm]: 2, allowed ≤ 0.5" in capsys.readouterr().err
     assert "did not meet its limits" in (tmp_path / "report.html").read_text()
 
@@ -262,17 +263,17 @@ def test_states_that_a_starved_link_showed_more_than_once_are_drawn(tmp_path: Pa
     """Most steps in time are 0 then; the figures are of the others."""
     what = Synthetic(seconds=3.0, mode="freerun", repeats=3)
     synthetic.record(tmp_path / "episode", what)
-    report.main([str(tmp_path)])
+    run_report.main([str(tmp_path)])
     assert (tmp_path / "figures" / "speed.png").is_file()
 
 
 def test_no_episode_ends_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert report.main([str(tmp_path)]) == 2
+    assert run_report.main([str(tmp_path)]) == 2
     assert "no such folder" in capsys.readouterr().err
 
 
 def test_a_lost_video_is_said_and_the_rest_goes_on(tmp_path: Path) -> None:
     folder = synthetic.record(tmp_path / "episode", Synthetic(seconds=1.0, frames=10))
     (folder / "endoscope_left.mp4").unlink()
-    report.make(tmp_path)
+    run_report.make(tmp_path)
     assert "the file is missing" in (tmp_path / "report.html").read_text()

@@ -10,11 +10,11 @@ from typing import Any
 
 import pytest
 
-from surg_recording import episode
-from surg_recording.errors import EpisodeError
-from surg_recording.flatten import MAX_ITEMS, Flat, file_name
-from surg_recording.recording import Recording
-from surg_recording.topic_choice import TopicChoice
+from surg_recording.episode import episode_reader
+from surg_recording.episode.episode_recorder import Recording
+from surg_recording.episode.message_fields import MAX_ITEMS, Flat, file_name
+from surg_recording.episode.topic_selection import TopicChoice
+from surg_recording.recording_errors import EpisodeError
 
 
 def message(**fields: tuple[str, Any]) -> Any:
@@ -38,13 +38,13 @@ def joints(stamp_ns: int, position: list[float], names: list[str]) -> Any:
     )
 
 
-def record(tmp_path: Path, sent: list[tuple[str, str, Any]], **more: Any) -> episode.Episode:
+def record(tmp_path: Path, sent: list[tuple[str, str, Any]], **more: Any) -> episode_reader.Episode:
     recording = Recording(
         tmp_path / "e", mode="freerun", arms=[], cameras=[], manifest={}, min_free_bytes=0
     )
     for number, (topic, kind, content) in enumerate(sent):
         recording.topic(topic, kind, Flat(content), "/sender", 2 * 10**18 + number)
-    return episode.read(recording.close({}, **more))
+    return episode_reader.read(recording.close({}, **more))
 
 
 def test_every_kind_of_field_has_its_name_and_its_value() -> None:

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from matplotlib.lines import Line2D
 
-from surg_recording import trial_figures, trial_report, trials
-from surg_recording.trials import Outcome, wilson
+from surg_recording.reports import trial_figures, trial_report, trials
+from surg_recording.reports.trials import Outcome, wilson
 
 
 def entry(seed: int, **changes: Any) -> dict[str, Any]:

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from surg_recording import columns, unsafe
-from surg_recording.episode import Episode, Table
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import table_columns
+from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.metrics import unsafe_commands
+from surg_recording.recording_errors import EpisodeError
 
 N, JOINTS, TICK_NS = 600, 6, 2_000_000
 LIMITS = {
@@ -65,7 +66,7 @@ def cycles() -> dict[str, np.ndarray]:
     t = k * 0.002
     p = np.column_stack([0.02 * np.sin(t), 0.01 * t, 0.12 + 0.005 * t])
     goal = p[np.minimum(25 * (k // 25) + 25, N - 1)]
-    found: dict[str, np.ndarray] = {name: np.zeros(N) for name in columns.cycle(JOINTS)}
+    found: dict[str, np.ndarray] = {name: np.zeros(N) for name in table_columns.cycle(JOINTS)}
     found["stamp_ns"] = found["receive_ns"] = (k + 1) * TICK_NS
     found["tick"] = k + 1
     for name, value in (("state", 1), ("homed", 1), ("command", 1)):
@@ -92,13 +93,13 @@ def episode(arrays: dict[str, np.ndarray], manifest: dict[str, Any] = MANIFEST) 
     return made
 
 
-def broken(found: list[unsafe.Rule]) -> dict[str, int]:
+def broken(found: list[unsafe_commands.Rule]) -> dict[str, int]:
     return {rule.name: rule.cycles for rule in found if rule.cycles}
 
 
 def test_a_calm_motion_has_none() -> None:
-    found = unsafe.examine(episode(cycles()), "PSM1")
-    assert broken(found) == {} and unsafe.count(episode(cycles())) == 0
+    found = unsafe_commands.examine(episode(cycles()), "PSM1")
+    assert broken(found) == {} and unsafe_commands.count(episode(cycles())) == 0
     print(f"{len(found)} rules over {N} cycles")
     assert len({rule.name for rule in found}) == len(found) == 13
 
@@ -177,13 +178,13 @@ def test_a_planted_one_is_found(kind: str) -> None:
     plant, expected = PLANTED[kind]
     arrays = cycles()
     plant(arrays)
-    assert broken(unsafe.examine(episode(arrays), "PSM1")) == expected
+    assert broken(unsafe_commands.examine(episode(arrays), "PSM1")) == expected
 
 
 def test_the_first_and_the_worst_are_named() -> None:
     arrays = cycles()
     arrays["qd_command4"][[100, 101]] = [3.5, 4.0]
-    rules = {rule.name: rule for rule in unsafe.examine(episode(arrays), "PSM1")}
+    rules = {rule.name: rule for rule in unsafe_commands.examine(episode(arrays), "PSM1")}
     fast = rules["joint velocity"]
     assert dataclasses.astuple(fast) == ("joint velocity", "rad/s", 2, 4.0, 3.0, 101 * TICK_NS)
 
@@ -200,7 +201,7 @@ def test_a_tip_that_stands_where_it_must_not(rule: str, place: tuple[float, ...]
     there = P_RCM + turned(np.array([place]))[0]
     for i, axis in enumerate("xyz"):
         arrays[f"p_set_{axis}"][:] = arrays[f"p_goal_{axis}"][:] = there[i]
-    assert broken(unsafe.examine(episode(arrays), "PSM1")) == {rule: N}
+    assert broken(unsafe_commands.examine(episode(arrays), "PSM1")) == {rule: N}
 
 
 def test_a_stream_that_begins_far_from_the_set_point() -> None:
@@ -209,7 +210,7 @@ def test_a_stream_that_begins_far_from_the_set_point() -> None:
     arrays["command"][200:300] = 0
     far = move("p_goal", (0.01, 0.0, 0.0), slice(300, 600))
     far(arrays)
-    assert broken(unsafe.examine(episode(arrays), "PSM1")) == {
+    assert broken(unsafe_commands.examine(episode(arrays), "PSM1")) == {
         "step of the tip's goal, beyond what is allowed": 1
     }
 
@@ -218,7 +219,7 @@ def test_what_the_controller_says_of_itself_is_not_read() -> None:
     arrays = cycles()
     for name in ("rcm_error", "depth", "v_set_x", "scale"):
         arrays[name][:] = 1e6
-    assert unsafe.count(episode(arrays)) == 0
+    assert unsafe_commands.count(episode(arrays)) == 0
 
 
 @pytest.mark.parametrize("missing", ["arm", "limit", "joints"])
@@ -232,4 +233,4 @@ def test_limits_that_are_not_recorded_are_no_limits_that_are_met(missing: str) -
     else:
         del arm["robot"]["joints"]["velocity"]
     with pytest.raises(EpisodeError, match=r"manifest\.json"):
-        unsafe.examine(episode(cycles(), manifest), "PSM1")
+        unsafe_commands.examine(episode(cycles(), manifest), "PSM1")

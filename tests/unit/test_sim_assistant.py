@@ -7,8 +7,8 @@ import pytest
 
 from helpers.phantom import Phantom, arm_of
 from helpers.tissue_results import note
-from surg_sim import scene
-from surg_sim.assistant import (
+from surg_sim.physics import scene
+from surg_sim.physics.assistant_arm import (
     ACCELERATION,
     LOWER,
     UPPER,

@@ -9,20 +9,21 @@ import mujoco
 import numpy as np
 import pytest
 
-from surg_sim import cells, seeds
-from surg_sim.episode import EpisodeReport, run_episode
-from surg_sim.experts.base import Expert
-from surg_sim.experts.bgr import OPEN, AssistantExpert, RobotExpert
-from surg_sim.session import Session, Tick
-from surg_sim.tasks import bgr
+from surg_sim.envs.cell_session import Session, Tick
+from surg_sim.envs.episode_runner import EpisodeReport, run_episode
+from surg_sim.physics import cell_files
+from surg_sim.tasks import episode_seeds
+from surg_sim.tasks.bgr import bgr_task
+from surg_sim.tasks.bgr.bgr_expert import OPEN, AssistantExpert, RobotExpert
+from surg_sim.tasks.scripted_sender import Expert
 
-SEED = seeds.TEST[0]
+SEED = episode_seeds.TEST[0]
 
 
 @pytest.fixture(scope="module")
 def session() -> Session:
     """One compiled scene for all tests; one arm is enough and faster."""
-    return Session(cells.find("sim_ur5e"), "bgr")
+    return Session(cell_files.find("sim_ur5e"), "bgr")
 
 
 def play(
@@ -44,7 +45,7 @@ def test_the_jaws_feel_the_tissue_below_the_limits(session: Session) -> None:
     """What reaches the force guard is the tissue's force, turned into the arm's base frame."""
     felt: list[float] = []
     task = session.task
-    assert isinstance(task, bgr.Bgr)
+    assert isinstance(task, bgr_task.Bgr)
     R_WB = np.asarray(session.cell.arms["PSM1"].X_WB)[:3, :3]
 
     def watch(tick: Tick) -> None:
@@ -56,7 +57,7 @@ def test_the_jaws_feel_the_tissue_below_the_limits(session: Session) -> None:
     report = play(session, watch=watch)
     print(f"largest force on the jaws {max(felt):.2f} N")
     assert report.success, report.reason
-    assert bgr.TAUT < max(felt) < session.cell.arms["PSM1"].limits.tip_force_soft
+    assert bgr_task.TAUT < max(felt) < session.cell.arms["PSM1"].limits.tip_force_soft
 
 
 @pytest.mark.parametrize(
@@ -87,7 +88,7 @@ def test_a_force_on_the_jaws_stops_the_arm(
 
 @pytest.mark.parametrize("setting", ["in_vivo"])
 def test_the_scripted_pair_succeeds_and_keeps_the_pivot(setting: str) -> None:
-    session = Session(cells.find("sim_ur5e"), "bgr", setting)
+    session = Session(cell_files.find("sim_ur5e"), "bgr", setting)
     phases: list[str] = []
 
     def watch(tick: Tick) -> None:
@@ -98,18 +99,18 @@ def test_the_scripted_pair_succeeds_and_keeps_the_pivot(setting: str) -> None:
     arm = report.arms["PSM1"]
     print(f"{setting}: {report.duration:.1f} s, kinematic {arm.kinematic}, true {arm.true}")
     assert report.success, report.reason
-    assert tuple(phases) == bgr.PHASES
+    assert tuple(phases) == bgr_task.PHASES
     assert arm.kinematic.mean < 0.05e-3
     assert arm.kinematic.max < 0.3e-3
     # The end as the definition has it, from ground truth.
     task = session.task
-    assert isinstance(task, bgr.Bgr)
-    robot, other = task.held(bgr.ROBOT), task.held(bgr.ASSISTANT)
+    assert isinstance(task, bgr_task.Bgr)
+    robot, other = task.held(bgr_task.ROBOT), task.held(bgr_task.ASSISTANT)
     assert robot is not None and other is not None
-    assert abs(robot - task.target) <= bgr.RIGHT
-    assert abs(robot - other) >= bgr.LEAST_APART
+    assert abs(robot - task.target) <= bgr_task.RIGHT
+    assert abs(robot - other) >= bgr_task.LEAST_APART
     first, last = sorted((robot, other))
-    assert task.bowel.tensions[first:last].min() >= bgr.TAUT
+    assert task.bowel.tensions[first:last].min() >= bgr_task.TAUT
     assert task.view.sees(task.bowel.nodes[first : last + 1])
 
 
@@ -196,19 +197,21 @@ def test_unstable_physics_fails_with_the_cause_and_the_next_episode_is_clean(
     assert "not to be trusted" in report.reason
     again = play(session, limit=1.2)
     assert again.hash == clean.hash
-    fresh = play(Session(cells.find("sim_ur5e"), "bgr"), limit=1.2)
+    fresh = play(Session(cell_files.find("sim_ur5e"), "bgr"), limit=1.2)
     assert fresh.hash == clean.hash  # a new process would not see another world
 
 
 def test_another_seed_is_another_episode(session: Session) -> None:
     session.task.time_limit = 0.1  # type: ignore[misc]
-    first, second = (run_episode(session, seed, experts={}).hash for seed in seeds.test_seeds(2))
+    first, second = (
+        run_episode(session, seed, experts={}).hash for seed in episode_seeds.test_seeds(2)
+    )
     assert first != second
 
 
 def test_every_cannula_turns_with_its_shaft() -> None:
     """What a picture shows: no shaft passes beside the cannula in which it is."""
-    session = Session(cells.find("sim_two_arms"), "bgr", looks=True)
+    session = Session(cell_files.find("sim_two_arms"), "bgr", looks=True)
     model, data = session.world.model, session.world.data
     data.qpos[:] += np.random.default_rng(4).uniform(-0.05, 0.05, model.nq)
     mujoco.mj_kinematics(model, data)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import surg_core
-from surg_cli import paths
-from surg_sim import by_hand
-from surg_sim.arm import ArmCommand
-from surg_sim.by_hand import ByHand
-from surg_sim.world import World
+from surg_cli.host import paths
+from surg_sim.physics import hand_guiding
+from surg_sim.physics.hand_guiding import ByHand
+from surg_sim.physics.sim_arm import ArmCommand
+from surg_sim.physics.world import World
 
 CELL = paths.ROOT / "cells" / "sim_ur5e"
 
@@ -42,7 +42,7 @@ def test_a_torn_arm_comes_home_and_is_let_go() -> None:
             assert ticks < 5000, "it never comes home"
         print(f"{off:.1f} mm off; home after {2 * ticks} ms, {away(world):.3f} mm")
         assert off > 2.0, "it was never torn"
-        assert away(world) < 1.0 and fastest <= by_hand.SPEED + 1e-12
+        assert away(world) < 1.0 and fastest <= hand_guiding.SPEED + 1e-12
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ from dataclasses import FrozenInstanceError
 import numpy as np
 import pytest
 
-from surg_cli import paths
-from surg_sim.conditions import CONDITIONS, SOURCES, condition, table
+from surg_cli.host import paths
+from surg_sim.physics.patient_settings import CONDITIONS, SOURCES, condition, table
 
 
 def test_the_three_settings() -> None:
@@ -38,5 +38,7 @@ def test_only_the_living_breathe() -> None:
 def test_every_parameter_has_a_source_and_the_docs_print_them() -> None:
     for text in SOURCES.values():
         assert "assumed" in text or "et al." in text
-    page = (paths.ROOT / "docs" / "simulation.md").read_text("utf-8")
-    assert table() in page, "docs/simulation.md, 'Physics and settings': put conditions.table() in"
+    page = (paths.ROOT / "docs" / "reference" / "simulation.md").read_text("utf-8")
+    assert table() in page, (
+        "docs/reference/simulation.md, 'Physics and settings': put conditions.table() in"
+    )

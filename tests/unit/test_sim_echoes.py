@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from surg_sim.echoes import KEPT, LATE, TICK_NS, Echoes
+from surg_sim.nodes.command_echo import KEPT, LATE, TICK_NS, Echoes
 
 
 def stamps(rng: random.Random, count: int) -> list[int]:
@@ -56,7 +56,7 @@ def test_a_stall_is_refused_and_what_is_sent_after_it_is_obeyed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The topics' own callbacks with a bridge in free-run and in lock-step."""
-    node = pytest.importorskip("surg_sim.task_topics_node")
+    node = pytest.importorskip("surg_sim.nodes.task_topics_node")
     callbacks, warned = {}, []
     monkeypatch.setattr(node.rospy, "Subscriber", lambda t, k, c, **_: callbacks.update({t: c}))
     monkeypatch.setattr(node.rospy, "logwarn_throttle", lambda _, text: warned.append(text))
@@ -64,7 +64,7 @@ def test_a_stall_is_refused_and_what_is_sent_after_it_is_obeyed(
     monkeypatch.setattr(node, "Output", lambda *_: output)
 
     def message(tick: int, place: float) -> SimpleNamespace:
-        layout = node.wire.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
+        layout = node.bridge_messages.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
         data = layout.pack(0, tick * TICK_NS, np.full(4, place), np.zeros(0))
         return SimpleNamespace(data=data, _connection_header={"callerid": "/teleop"})
 

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from conftest import FULL
-from surg_sim import seeds
-from surg_sim.episode import run_episode
-from surg_sim.evaluate import wilson
+from surg_sim.envs.episode_runner import run_episode
+from surg_sim.envs.expert_evaluation import wilson
+from surg_sim.tasks import episode_seeds
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from surg_sim.env import ACTION, ARM_STATE, SurgEnv  # noqa: E402
+from surg_sim.envs.surg_env import ACTION, ARM_STATE, SurgEnv  # noqa: E402
 
 Policy = Callable[[SurgEnv, dict[str, Any]], Any]
 
@@ -73,7 +73,7 @@ def test_names_and_spaces_agree(pegs: SurgEnv) -> None:
 
 
 def test_an_episode_is_the_session_s_bit_for_bit(pegs: SurgEnv) -> None:
-    seed = seeds.TEST[0]
+    seed = episode_seeds.TEST[0]
     info = play(pegs, expert, seed)
     assert info["success"], info
     through_env = pegs.session.hash
@@ -108,7 +108,7 @@ def test_policies_score_as_they_should(task: str) -> None:
     policies = [(still, 0.0, 0.0), (random, 0.0, 0.0), (expert, 0.9, 1.0)]
     for policy, low, high in policies if FULL or task == "pick_and_place" else policies[::2]:
         env.action_space.seed(0)
-        good = sum(play(env, policy, seed)["success"] for seed in seeds.test_seeds(n))
+        good = sum(play(env, policy, seed)["success"] for seed in episode_seeds.test_seeds(n))
         interval = wilson(good, n)
         print(f"{task}: {policy.__name__}: {good}/{n}, 95 % interval {interval}")
         assert low <= good / n <= high
@@ -116,9 +116,9 @@ def test_policies_score_as_they_should(task: str) -> None:
 
 
 def test_environments_run_side_by_side() -> None:
-    import surg_sim.env
+    import surg_sim.envs.surg_env
 
-    surg_sim.env.register()
+    surg_sim.envs.surg_env.register()
     vector = gymnasium.make_vec("surg_sim/pick_and_place-v0", num_envs=2, vectorization_mode="sync")
     observation, _ = vector.reset(seed=[3, 4])
     assert observation["state"].shape == (2, len(ARM_STATE))

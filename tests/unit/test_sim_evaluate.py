@@ -7,10 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from surg_sim import evaluate, tasks
-from surg_sim.conditions import CONDITIONS, condition
-from surg_sim.episode import ArmReport, EpisodeReport, Spread
-from surg_sim.trocar import TrocarParameters
+from surg_sim import tasks
+from surg_sim.envs import expert_evaluation
+from surg_sim.envs.episode_runner import ArmReport, EpisodeReport, Spread
+from surg_sim.physics.patient_settings import CONDITIONS, condition
+from surg_sim.physics.trocar import TrocarParameters
 
 
 @pytest.mark.parametrize(
@@ -24,18 +25,18 @@ from surg_sim.trocar import TrocarParameters
     ],
 )
 def test_the_interval_is_wilson_s(good: int, n: int, low: float, high: float) -> None:
-    assert evaluate.wilson(good, n) == pytest.approx((low, high), abs=5e-5)
+    assert expert_evaluation.wilson(good, n) == pytest.approx((low, high), abs=5e-5)
 
 
 def test_a_hundred_of_a_hundred_and_ninety_five_say_what_they_should() -> None:
-    assert evaluate.wilson(100, 100)[0] > 0.96
-    assert evaluate.wilson(95, 100)[0] < 0.90 < evaluate.wilson(96, 100)[0]
+    assert expert_evaluation.wilson(100, 100)[0] > 0.96
+    assert expert_evaluation.wilson(95, 100)[0] < 0.90 < expert_evaluation.wilson(96, 100)[0]
 
 
 @pytest.mark.parametrize("name", CONDITIONS)
 def test_each_disturbance_alone_is_the_setting_s_own(name: str) -> None:
     setting = condition(name)
-    rows = evaluate.alone(setting)
+    rows = expert_evaluation.alone(setting)
     none = rows["nothing but the drives"]
     assert (none.tool_error, none.encoder, none.breathing.amplitude) == (None, 0.0, 0.0)
     assert none.actuators == setting.actuators
@@ -60,21 +61,21 @@ def report(seed: int, reason: str) -> EpisodeReport:
 
 def test_failures_are_listed_with_cause_and_seeds() -> None:
     done = [report(1, ""), report(2, "late"), report(5, "late"), report(7, "lost")]
-    assert evaluate.failures([("bgr", done)]) == [
+    assert expert_evaluation.failures([("bgr", done)]) == [
         "- bgr: 2 × late (seeds 2, 5)",
         "- bgr: 1 × lost (seeds 7)",
     ]
-    assert evaluate.failures([("bgr", done[:1])]) == ["None."]
+    assert expert_evaluation.failures([("bgr", done[:1])]) == ["None."]
 
 
 @pytest.mark.full
 def test_every_task_in_every_setting(tmp_path: Path) -> None:
     """Writes docs/results/phantom.md; about an hour on two cores."""
     folder = Path(os.environ.get("SURG_RESULTS_DIR", "") or tmp_path)
-    first, second = evaluate.plan(100, 10, evaluate.ROBOTS, tasks.names())
-    results = evaluate.run_all([*first, *second], jobs=2)
+    first, second = expert_evaluation.plan(100, 10, expert_evaluation.ROBOTS, tasks.names())
+    results = expert_evaluation.run_all([*first, *second], jobs=2)
     n = len(first)
-    text = evaluate.report(
+    text = expert_evaluation.report(
         list(zip(first, results[:n], strict=True)),
         list(zip(second, results[n:], strict=True)),
         "./surg test --full tests/unit/test_sim_evaluate.py",
@@ -84,7 +85,7 @@ def test_every_task_in_every_setting(tmp_path: Path) -> None:
         good = sum(report.success for report in reports)
         arms = [report.arms[tasks.load(series.task).commanded[0]] for report in reports]
         if "UR5e" in series.label:
-            assert evaluate.wilson(good, len(reports))[0] >= 0.9, series.label
+            assert expert_evaluation.wilson(good, len(reports))[0] >= 0.9, series.label
         assert max(arm.kinematic.max for arm in arms) < 1e-3, series.label
         if series.condition.name == "phantom":
             assert max(arm.kinematic.mean for arm in arms) < 0.05e-3, series.label

@@ -8,9 +8,9 @@ import pytest
 
 from helpers.phantom import OPEN, SHUT, Phantom
 from helpers.tissue_results import note
-from surg_sim.grasp import GraspParameters, add_grasp
-from surg_sim.scene import Site
-from surg_sim.tissue import TissueParameters, add_bowel
+from surg_sim.physics.scene import Site
+from surg_sim.physics.tissue import TissueParameters, add_bowel
+from surg_sim.physics.tissue_grasp import GraspParameters, add_grasp
 
 LIFT = np.array([0.0, 0.0, 1.0])
 

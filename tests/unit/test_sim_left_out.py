@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from helpers.phantom import Phantom, arm_of
-from surg_sim.arm import evenly
-from surg_sim.assistant import Assistant, AssistantCommand
-from surg_sim.stability import all_finite
-from surg_sim.trocar_motion import MovingPoint, Sinusoid
+from surg_sim.physics.assistant_arm import Assistant, AssistantCommand
+from surg_sim.physics.sim_arm import evenly
+from surg_sim.physics.stability import all_finite
+from surg_sim.physics.trocar_motion import MovingPoint, Sinusoid
 
 
 def test_all_finite_is_the_check_of_every_number() -> None:

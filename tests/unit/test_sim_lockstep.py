@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from surg_sim.lockstep import Action, Lockstep
+from surg_sim.nodes.lockstep import Action, Lockstep
 
 
 def book(**observers: int) -> Lockstep:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 
-from surg_sim.newest import Newest
+from surg_sim.nodes.latest_value import Newest
 
 
 def test_the_last_one_is_taken_once() -> None:

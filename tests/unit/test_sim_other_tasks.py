@@ -5,31 +5,33 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surg_sim import cells, seeds
-from surg_sim.episode import run_episode
-from surg_sim.experts.peg_transfer import PegTransferExpert
-from surg_sim.session import Session
-from surg_sim.tasks import endoscope_guidance, pick_and_place
-from surg_sim.view import EndoscopeView
+from surg_sim.envs.cell_session import Session
+from surg_sim.envs.episode_runner import run_episode
+from surg_sim.physics import cell_files
+from surg_sim.physics.endoscope_projection import EndoscopeView
+from surg_sim.tasks import episode_seeds
+from surg_sim.tasks.endoscope_guidance import endoscope_guidance_task
+from surg_sim.tasks.pick_and_place import pick_and_place_task
+from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
 
-SEED = seeds.TEST[0]
+SEED = episode_seeds.TEST[0]
 
 
 @pytest.fixture(scope="module")
 def pegs() -> Session:
     """A compiled peg board."""
-    return Session(cells.find("sim_ur5e"), "pick_and_place", "ex_vivo")
+    return Session(cell_files.find("sim_ur5e"), "pick_and_place", "ex_vivo")
 
 
 def test_the_ring_is_put_over_the_other_peg(pegs: Session) -> None:
-    for seed in seeds.test_seeds(2):
+    for seed in episode_seeds.test_seeds(2):
         report = run_episode(pegs, seed)
         assert report.success, report.reason
         task = pegs.task
-        assert isinstance(task, pick_and_place.PickAndPlace)
+        assert isinstance(task, pick_and_place_task.PickAndPlace)
         off = task.ring - task.goal
-        assert np.hypot(*off[:2]) < pick_and_place.ROUND_PEG
-        assert off[2] < pick_and_place.TUBE_RADIUS + pick_and_place.ON_BOARD
+        assert np.hypot(*off[:2]) < pick_and_place_task.ROUND_PEG
+        assert off[2] < pick_and_place_task.TUBE_RADIUS + pick_and_place_task.ON_BOARD
         assert report.arms["PSM1"].kinematic.max < 0.3e-3
 
 
@@ -59,13 +61,13 @@ def test_a_ring_that_is_left_where_it_was_is_a_failure(
 @pytest.fixture
 def guidance(monkeypatch: pytest.MonkeyPatch) -> Session:
     """A short episode of it."""
-    monkeypatch.setattr(endoscope_guidance, "DURATION", 5.0)
-    monkeypatch.setattr(endoscope_guidance.EndoscopeGuidance, "time_limit", 7.0)
-    return Session(cells.find("sim_two_arms"), "endoscope_guidance")
+    monkeypatch.setattr(endoscope_guidance_task, "DURATION", 5.0)
+    monkeypatch.setattr(endoscope_guidance_task.EndoscopeGuidance, "time_limit", 7.0)
+    return Session(cell_files.find("sim_two_arms"), "endoscope_guidance")
 
 
 def test_the_tip_is_kept_in_the_middle_only_by_who_guides(guidance: Session) -> None:
-    seed = seeds.TEST[1]
+    seed = episode_seeds.TEST[1]
     report = run_episode(guidance, seed)
     kept = guidance.task.state()["mean_error"]
     assert report.success, report.reason
@@ -81,9 +83,9 @@ def test_the_tip_is_kept_in_the_middle_only_by_who_guides(guidance: Session) -> 
 
 def test_a_tip_on_the_endoscopes_axis_has_no_error() -> None:
     """Between the cameras, at any distance; each picture alone sees it beside its centre."""
-    session = Session(cells.find("sim_two_arms"), "endoscope_guidance")
+    session = Session(cell_files.find("sim_two_arms"), "endoscope_guidance")
     task = session.task
-    assert isinstance(task, endoscope_guidance.EndoscopeGuidance)
+    assert isinstance(task, endoscope_guidance_task.EndoscopeGuidance)
     state = task.state()
     for distance in (0.05, 0.1, 0.15):
         task._data.xpos[task._body] = state["lens"] + distance * state["R_WLens"][:, 2]
@@ -95,9 +97,9 @@ def test_a_tip_on_the_endoscopes_axis_has_no_error() -> None:
 
 def test_a_view_projects_like_the_renderer() -> None:
     """The pinhole of the judge is that of ``render.Intrinsics``: both from the same fovy."""
-    from surg_sim.render import Intrinsics
+    from surg_sim.looks.render import Intrinsics
 
-    session = Session(cells.find("sim_two_arms"), "endoscope_guidance")
+    session = Session(cell_files.find("sim_two_arms"), "endoscope_guidance")
     view = EndoscopeView(session.world.model, session.world.data)
     X = view.pose
     point = X[:3, 3] + X[:3, :3] @ np.array([0.011, -0.007, 0.09])

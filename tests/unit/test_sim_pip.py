@@ -10,7 +10,7 @@ from pathlib import Path
 
 import surg_core
 from conftest import FULL
-from surg_cli import paths
+from surg_cli.host import paths
 
 HIDDEN = {
     "rospy", "rosgraph", "genpy", "crtk_msgs", "surg_msgs", "surg_description", "surg_teleop",
@@ -28,11 +28,13 @@ import surg_sim
 found = [m.name for m in pkgutil.walk_packages(surg_sim.__path__, "surg_sim.")]
 for name in found:
     # Environments need gymnasium, and what writes recordings surg_recording.
-    if name.endswith(("_node", ".env", ".rollouts", ".recorded", ".demonstrations")):
+    if name.endswith(
+        ("_node", ".surg_env", ".policy_rollouts", ".recorded_episode", ".demonstrations")
+    ):
         continue
     importlib.import_module(name)
 print(surg_sim.__file__, len(found))
-runpy.run_module("surg_sim.demo", run_name="__main__", alter_sys=True)
+runpy.run_module("surg_sim.envs.task_demo", run_name="__main__", alter_sys=True)
 """
 
 

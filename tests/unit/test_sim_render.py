@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import surg_core
-from surg_cli import paths
-from surg_sim import anatomy, picture, render, scene
-from surg_sim.render import Intrinsics, NoOpenGL, Renderer
-from surg_sim.world import World
+from surg_cli.host import paths
+from surg_sim.looks import anatomy, cell_picture, render
+from surg_sim.looks.render import Intrinsics, NoOpenGL, Renderer
+from surg_sim.physics import scene
+from surg_sim.physics.world import World
 
 CELLS = ("sim_ur5e", "sim_panda")
 
@@ -122,7 +123,7 @@ def test_png_has_the_pixels(tmp_path: object) -> None:
     import cv2
 
     pixels = np.random.default_rng(5).integers(0, 256, (17, 23, 3), dtype=np.uint8)
-    decoded = cv2.imdecode(np.frombuffer(picture.png(pixels), np.uint8), cv2.IMREAD_COLOR)
+    decoded = cv2.imdecode(np.frombuffer(cell_picture.png(pixels), np.uint8), cv2.IMREAD_COLOR)
     assert np.array_equal(decoded[..., ::-1], pixels)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surg_sim.shutter import PATIENCE, PERIOD, Shutter
+from surg_sim.nodes.exposure_schedule import PATIENCE, PERIOD, Shutter
 
 TICKS = 5000
 

@@ -11,13 +11,14 @@ import pytest
 import yaml
 
 import surg_core
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_description.make_cell import make_cell
-from surg_sim import cells, seeds, tasks
-from surg_sim.conditions import condition
-from surg_sim.episode import run_episode
-from surg_sim.session import Session
-from surg_sim.tasks import TaskError
+from surg_sim import tasks
+from surg_sim.envs.cell_session import Session
+from surg_sim.envs.episode_runner import run_episode
+from surg_sim.physics import cell_files
+from surg_sim.physics.patient_settings import condition
+from surg_sim.tasks import TaskError, episode_seeds
 
 EXAMPLE = paths.ROOT / "examples/touch_task.py"
 
@@ -37,13 +38,13 @@ def test_bundled_tasks_load(name: str) -> None:
 
 
 def test_unknown_setting_law_and_cell_list_what_exists() -> None:
-    cell = cells.find("sim_ur5e")
+    cell = cell_files.find("sim_ur5e")
     with pytest.raises(ValueError, match="phantom, ex_vivo, in_vivo"):
         Session(cell, "pick_and_place", "mars")
     with pytest.raises(ValueError, match="ours, velocity, paper"):
         Session(cell, "pick_and_place", law="mine")
     with pytest.raises(ValueError, match=r"sim_two_arms.*sim_ur5e"):
-        cells.find("sim_nothing")
+        cell_files.find("sim_nothing")
 
 
 def test_a_cell_that_does_not_fit_is_refused_with_the_reason() -> None:
@@ -52,7 +53,7 @@ def test_a_cell_that_does_not_fit_is_refused_with_the_reason() -> None:
         r"with grasper\. Take a cell such as cells/sim_two_arms, cells/sim_two_arms_panda$"
     )
     with pytest.raises(TaskError, match=said):
-        Session(cells.find("sim_ur5e"), "endoscope_guidance")
+        Session(cell_files.find("sim_ur5e"), "endoscope_guidance")
 
 
 def cell_of(folder: Path, arm: str, instrument: str) -> Path:
@@ -100,7 +101,7 @@ def test_the_cells_that_a_refusal_names_do_fit(name: str) -> None:
     task = tasks.load(name)
     assert task.home_cell in task.fitting_cells
     for cell in task.fitting_cells:
-        tasks.load(name).prepare(surg_core.load_cell(cells.find(cell)), condition("phantom"))
+        tasks.load(name).prepare(surg_core.load_cell(cell_files.find(cell)), condition("phantom"))
 
 
 BROKEN = {
@@ -123,13 +124,13 @@ def test_a_broken_file_is_named_with_what_is_wrong(kind: str, tmp_path: Path) ->
 
 
 def test_a_task_from_outside_the_tree_runs_by_path(tmp_path: Path) -> None:
-    """The story of docs/adding_a_task.md."""
+    """The story of docs/guide/adding_a_task.md."""
     file = tmp_path / "touch_task.py"
     shutil.copy(EXAMPLE, file)
-    session = Session(cells.find("sim_ur5e"), str(file))
-    done = [run_episode(session, seed) for seed in seeds.test_seeds(3)]
+    session = Session(cell_files.find("sim_ur5e"), str(file))
+    done = [run_episode(session, seed) for seed in episode_seeds.test_seeds(3)]
     assert [report.success for report in done] == [True] * 3
-    idle = run_episode(session, seeds.TEST.start, experts={})
+    idle = run_episode(session, episode_seeds.TEST.start, experts={})
     assert (idle.success, idle.reason) == (False, "time limit of 5 s in phase 'reach'")
 
 
@@ -152,18 +153,20 @@ def test_a_task_of_an_installed_package_is_found(
 
 
 def test_seeds_of_training_tuning_and_test_have_nothing_in_common() -> None:
-    ranges = [set(found) for found in (seeds.TRAINING, seeds.TUNING, seeds.TEST)]
+    ranges = [
+        set(found) for found in (episode_seeds.TRAINING, episode_seeds.TUNING, episode_seeds.TEST)
+    ]
     assert len(set.union(*ranges)) == sum(map(len, ranges))
-    assert list(seeds.training_seeds(1)) == [seeds.TRAINING[0]]
-    assert list(seeds.tuning_seeds(1)) == [seeds.TUNING[0]]
-    assert list(seeds.test_seeds(2)) == [seeds.TEST[0], seeds.TEST[1]]
+    assert list(episode_seeds.training_seeds(1)) == [episode_seeds.TRAINING[0]]
+    assert list(episode_seeds.tuning_seeds(1)) == [episode_seeds.TUNING[0]]
+    assert list(episode_seeds.test_seeds(2)) == [episode_seeds.TEST[0], episode_seeds.TEST[1]]
     with pytest.raises(ValueError, match="1 to 1000"):
-        seeds.test_seeds(1001)
+        episode_seeds.test_seeds(1001)
 
 
 def test_a_task_changes_nothing_that_a_recompile_would_be_needed_for() -> None:
     """Names and shapes of a task's state are the same in every episode and at every time."""
-    session = Session(cells.find("sim_ur5e"), "bgr")
+    session = Session(cell_files.find("sim_ur5e"), "bgr")
     shapes = {key: np.shape(value) for key, value in session.task.state().items()}
     sizes = (session.world.model.nq, session.world.model.nv, session.world.model.ngeom)
     for seed in (1, 2):
@@ -177,9 +180,9 @@ def test_a_task_changes_nothing_that_a_recompile_would_be_needed_for() -> None:
 
 def test_home_frame_is_what_homing_finds() -> None:
     """Senders compute the rcm frame from the cell; the controller measures it."""
-    from surg_sim.experts.base import home_frame
+    from surg_sim.tasks.scripted_sender import home_frame
 
-    session = Session(cells.find("sim_ur5e"), "pick_and_place")
+    session = Session(cell_files.find("sim_ur5e"), "pick_and_place")
     session.tick()  # homing looks at a joint state that has come
     session.tick({"PSM1": [surg_core.StateCommand.HOME]})
     arm = session.cell.arms["PSM1"]

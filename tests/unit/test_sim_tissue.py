@@ -8,11 +8,11 @@ import pytest
 
 from helpers.phantom import Phantom, arm_of
 from helpers.tissue_results import note
-from surg_sim import scene
-from surg_sim.arm import ActuatorParameters, ArmCommand, ArmLink
-from surg_sim.conditions import CONDITIONS
-from surg_sim.tissue import TissueParameters, add_bowel, rest_shape
-from surg_sim.trocar_motion import Sinusoid
+from surg_sim.physics import scene
+from surg_sim.physics.patient_settings import CONDITIONS
+from surg_sim.physics.sim_arm import ActuatorParameters, ArmCommand, ArmLink
+from surg_sim.physics.tissue import TissueParameters, add_bowel, rest_shape
+from surg_sim.physics.trocar_motion import Sinusoid
 
 LIFT = np.array([0.0, 0.0, 1.0])
 

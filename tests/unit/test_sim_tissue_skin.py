@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from helpers.phantom import Phantom, arm_of
-from surg_sim import scene
-from surg_sim.assistant import add_assistant
-from surg_sim.grasp import add_grasp
-from surg_sim.tissue import TissueParameters, add_bowel
-from surg_sim.tissue_skin import _FINE, _ROUND, BowelSkin, _carried
+from surg_sim.looks.tissue_skin import _FINE, _ROUND, BowelSkin, _carried
+from surg_sim.physics import scene
+from surg_sim.physics.assistant_arm import add_assistant
+from surg_sim.physics.tissue import TissueParameters, add_bowel
+from surg_sim.physics.tissue_grasp import add_grasp
 
 P = TissueParameters()
 

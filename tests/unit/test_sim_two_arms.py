@@ -18,21 +18,22 @@ import surg_core
 from helpers import dh
 from helpers.bead_task import BeadTask
 from helpers.beads import centre, triangulate
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, StateCommand
 from surg_description.make_cell import home_pose
-from surg_sim import endoscope, patient, placement, scene
-from surg_sim.arm import ArmCommand
-from surg_sim.placement import Files, Neighbours, Stand, reserve
-from surg_sim.render import NoOpenGL, StereoRenderer, show_only
-from surg_sim.speed import stereo_speed
-from surg_sim.trocar import wall_frame
-from surg_sim.world import World
+from surg_sim.looks import patient
+from surg_sim.looks.render import NoOpenGL, StereoRenderer, show_only
+from surg_sim.looks.render_speed import stereo_speed
+from surg_sim.physics import base_placement, endoscope_rig, scene
+from surg_sim.physics.base_placement import Files, Neighbours, Stand, reserve
+from surg_sim.physics.sim_arm import ArmCommand
+from surg_sim.physics.trocar import wall_frame
+from surg_sim.physics.world import World
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 CELLS = ("sim_two_arms", "sim_two_arms_panda")
 DESCRIPTION = paths.ROOT / "src/surg_description"
-TASKS = {"PSM1": placement.INSTRUMENT, "ECM": placement.ENDOSCOPE}
+TASKS = {"PSM1": base_placement.INSTRUMENT, "ECM": base_placement.ENDOSCOPE}
 
 
 @pytest.fixture(scope="module", params=CELLS)
@@ -141,7 +142,7 @@ def test_the_places_are_as_a_surgeon_would_have_them(cell: surg_core.Cell) -> No
     angle = math.degrees(math.acos(float(s_1 @ s_2)))
     assert 45.0 <= angle <= 90.0
     X_WC = arms[1].X_WB @ np.asarray(arms[1].chain.forward(arms[1].robot.home))
-    X_WC = X_WC @ endoscope.camera_poses(arms[1])[0]
+    X_WC = X_WC @ endoscope_rig.camera_poses(arms[1])[0]
     to_work = site.work - X_WC[:3, 3]
     assert np.linalg.norm(to_work) == pytest.approx(0.100, abs=0.0005)
     assert abs(X_WC[2, 0]) < 1e-3, "the picture is upright"
@@ -158,8 +159,8 @@ def test_the_places_are_as_a_surgeon_would_have_them(cell: surg_core.Cell) -> No
     corners += [(first.q, q) for q in second.reserve.postures]
     nearest = min(space.clearance(*pair) for pair in corners)
     print(f"{angle:.0f} degrees; {1000 * home:.0f} mm at home, {1000 * nearest:.0f} mm in corners")
-    assert home >= placement.CLEARANCE
-    assert nearest >= placement.CORNER_CLEARANCE
+    assert home >= base_placement.CLEARANCE
+    assert nearest >= base_placement.CORNER_CLEARANCE
 
 
 def test_the_wall_goes_through_both_ports(cell: surg_core.Cell) -> None:
@@ -180,7 +181,7 @@ def test_the_search_places_any_two_robots(robots: tuple[str, str], tmp_path: Pat
         Files(DESCRIPTION / f"robots/{robot}.yaml", DESCRIPTION / f"instruments/{tool}.yaml")
         for robot, tool in zip(robots, ("grasper", "endoscope"), strict=True)
     ]
-    print(placement.make_two_arm_cell(out, *files))
+    print(base_placement.make_two_arm_cell(out, *files))
     World(surg_core.load_cell(out))  # refuses what does not fit
     if robots in names:
         pattern = r"(robot|instrument): .*"
@@ -194,11 +195,11 @@ def test_the_search_places_any_two_robots(robots: tuple[str, str], tmp_path: Pat
 def test_out_of_reach_is_seen_by_the_search() -> None:
     arm = surg_core.load_cell(paths.ROOT / "cells/sim_ur5e").arms["PSM1"]
     X = np.asarray(arm.chain.forward(arm.robot.home)).copy()
-    q = placement.inverse(arm.chain, np.asarray(arm.robot.home) + 0.3, X)
+    q = base_placement.inverse(arm.chain, np.asarray(arm.robot.home) + 0.3, X)
     assert q is not None
     assert np.abs(np.asarray(arm.chain.forward(q)) - X).max() < 1e-8
     X[0, 3] += 1.0
-    assert placement.inverse(arm.chain, np.asarray(arm.robot.home), X) is None
+    assert base_placement.inverse(arm.chain, np.asarray(arm.robot.home), X) is None
 
 
 # --- under control ----------------------------------------------------------------------------
@@ -440,7 +441,7 @@ def test_skins_are_drawn_once_per_pair(seen: World) -> None:
 
 def test_a_pair_needs_two_cameras() -> None:
     model = mujoco.MjModel.from_xml_string(
-        f'<mujoco><worldbody><camera name="{endoscope.LEFT}"/></worldbody></mujoco>'
+        f'<mujoco><worldbody><camera name="{endoscope_rig.LEFT}"/></worldbody></mujoco>'
     )
     with pytest.raises(ValueError, match="one camera: a pair needs a cell with"):
         StereoRenderer(model, 640, 480)

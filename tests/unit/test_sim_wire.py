@@ -8,9 +8,9 @@ import struct
 import numpy as np
 import pytest
 
-from surg_sim import wire
-from surg_sim.settings import BridgeSettings, EndoscopeSettings, SettingsError
-from surg_sim.truth import ArmTruth
+from surg_sim.nodes import bridge_messages
+from surg_sim.nodes.sim_parameters import BridgeSettings, EndoscopeSettings, SettingsError
+from surg_sim.physics.ground_truth import ArmTruth
 
 rospy = pytest.importorskip("rospy")
 
@@ -30,14 +30,14 @@ def test_joint_state() -> None:
     for n in (1, 6, 7):
         names = [f"joint_{i}" for i in range(n)]
         position, velocity = rng.normal(size=n), rng.normal(size=n)
-        data = wire.JointStateLayout(names).pack(9, STAMP_NS, position, velocity)
+        data = bridge_messages.JointStateLayout(names).pack(9, STAMP_NS, position, velocity)
         message = JointState(name=names, position=list(position), velocity=list(velocity))
         message.header.seq = 9
-        message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+        message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
         assert data == serialised(message)
         message.header.frame_id = "base"
         message.effort = [1.0]
-        stamp_ns, p, v = wire.unpack_joint_state(serialised(message))
+        stamp_ns, p, v = bridge_messages.unpack_joint_state(serialised(message))
         assert stamp_ns == STAMP_NS
         assert np.array_equal(p, position) and np.array_equal(v, velocity)
 
@@ -49,9 +49,9 @@ def test_link_status() -> None:
         tick=2**40, command="joint_velocity", dead_man=True, lockstep=False, fault="no state"
     )
     message.header.seq = 2**40 & 0xFFFFFFFF
-    message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
     message.last_command = rospy.Time(3, 4_000_000)
-    data = wire.pack_link_status(
+    data = bridge_messages.pack_link_status(
         STAMP_NS, 2**40, "joint_velocity", 3_004_000_000, True, False, "no state"
     )
     assert data == serialised(message)
@@ -62,12 +62,14 @@ def test_point_velocity() -> None:
 
     message = PointVelocityStamped()
     message.header.seq = 12
-    message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
     message.header.frame_id = "PSM1_base"
     message.point.x, message.point.y, message.point.z = point = np.array([0.1, -0.2, 0.3])
     message.velocity.x, message.velocity.y, message.velocity.z = velocity = -0.1 * point
-    frame = wire.text("PSM1_base")
-    assert wire.pack_point_velocity(STAMP_NS, 12, frame, point, velocity) == serialised(message)
+    frame = bridge_messages.text("PSM1_base")
+    assert bridge_messages.pack_point_velocity(STAMP_NS, 12, frame, point, velocity) == serialised(
+        message
+    )
 
 
 def test_ground_truth() -> None:
@@ -81,9 +83,9 @@ def test_ground_truth() -> None:
     members = [kind(*row) for kind, row in zip(kinds, values, strict=True)]
     message = GroundTruth(tick=5, arms=[ArmTruthMessage(n, *members, 0.5) for n in ("PSM1", "A")])
     message.header.seq = 5
-    message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
     truth = ArmTruth(*values, 0.5)
-    data = wire.pack_ground_truth(STAMP_NS, 5, [("PSM1", truth), ("A", truth)])
+    data = bridge_messages.pack_ground_truth(STAMP_NS, 5, [("PSM1", truth), ("A", truth)])
     assert data == serialised(message)
 
 
@@ -94,7 +96,7 @@ def test_twist() -> None:
     message.header.frame_id = "PSM1_base"
     message.header.stamp = rospy.Time(7, 8)
     message.twist.linear.y, message.twist.angular.z = 2.0, 6.0
-    stamp_ns, twist = wire.unpack_twist(serialised(message))
+    stamp_ns, twist = bridge_messages.unpack_twist(serialised(message))
     assert stamp_ns == 7_000_000_008
     assert twist.tolist() == [0, 2, 0, 0, 0, 6]
 
@@ -104,7 +106,7 @@ def test_garbage_is_refused_with_one_kind_of_error() -> None:
     refused = 0
     for _ in range(2000):
         data = rng.integers(0, 256, rng.integers(0, 80), dtype=np.uint8).tobytes()
-        for read in (wire.unpack_joint_state, wire.unpack_twist):
+        for read in (bridge_messages.unpack_joint_state, bridge_messages.unpack_twist):
             try:
                 read(data)
             except struct.error:
@@ -152,7 +154,7 @@ def test_task_state_round_trip() -> None:
             f"name_{i}": rng.normal(size=shape) if shape else float(rng.normal())
             for i, shape in enumerate(shapes)
         }
-        layout = wire.TaskStateLayout(state)
+        layout = bridge_messages.TaskStateLayout(state)
         outcome = (bool(tick % 2), False, "lost, and \u201cgone\u201d" * (tick % 3))
         data = layout.pack(STAMP_NS, tick, state, "retract", outcome, 0.25)
         message = TaskState().deserialize(data)
@@ -160,7 +162,7 @@ def test_task_state_round_trip() -> None:
         assert (message.tick, message.phase, message.reward) == (tick, "retract", 0.25)
         assert (message.done, message.success, message.reason) == outcome
         assert message.header.stamp.to_nsec() == STAMP_NS
-        back = wire.task_state(message.names, message.values)
+        back = bridge_messages.task_state(message.names, message.values)
         assert list(back) == list(state)
         for name, value in state.items():
             assert np.shape(back[name]) == np.shape(value)
@@ -170,13 +172,13 @@ def test_task_state_round_trip() -> None:
 
 
 def test_a_task_state_keeps_its_shape() -> None:
-    layout = wire.TaskStateLayout({"p": np.zeros(3), "t": 1.0})
+    layout = bridge_messages.TaskStateLayout({"p": np.zeros(3), "t": 1.0})
     for other in ({"p": np.zeros(4), "t": 1.0}, {"p": np.zeros(3)}, {"t": np.zeros(3), "p": 1.0}):
         with pytest.raises(ValueError, match="task's state was"):
             layout.pack(0, 1, other, "", (False, False, ""), 0.0)
     for names, values in ((["p[3]"], [1.0, 2.0]), (["p[2]"], [1.0, 2.0, 3.0]), (["t"], [])):
         with pytest.raises(ValueError, match="values"):
-            wire.task_state(names, values)
+            bridge_messages.task_state(names, values)
 
 
 def test_ready() -> None:
@@ -185,7 +187,9 @@ def test_ready() -> None:
     for arms in ([], ["PSM1"], ["PSM1", "ECM", "assistant"]):
         sent = [7 * i for i, _ in enumerate(arms)]
         message = Ready(tick=2**40, participant="expert", arms=arms, sent=sent, done=True)
-        assert wire.ReadyLayout("expert", arms).pack(2**40, sent, True) == serialised(message)
+        assert bridge_messages.ReadyLayout("expert", arms).pack(2**40, sent, True) == serialised(
+            message
+        )
 
 
 def test_wrench() -> None:
@@ -193,8 +197,8 @@ def test_wrench() -> None:
 
     message = WrenchStamped()
     message.header.seq, message.header.frame_id = 9, "PSM1_base"
-    message.header.stamp = rospy.Time(*divmod(STAMP_NS, wire.NS))
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
     message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = 1.5, -2.0, 0.25
-    frame = wire.text("PSM1_base")
-    data = wire.pack_wrench(STAMP_NS, 9, frame, np.array([1.5, -2.0, 0.25]))
+    frame = bridge_messages.text("PSM1_base")
+    data = bridge_messages.pack_wrench(STAMP_NS, 9, frame, np.array([1.5, -2.0, 0.25]))
     assert data == serialised(message)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import surg_core
-from surg_cli import paths
-from surg_sim.arm import TICK, ActuatorParameters, ArmCommand
-from surg_sim.trocar import TrocarParameters, shaft_in_flange
-from surg_sim.world import World
+from surg_cli.host import paths
+from surg_sim.physics.sim_arm import TICK, ActuatorParameters, ArmCommand
+from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
+from surg_sim.physics.world import World
 
 SOFT = TrocarParameters(stiffness=0.1, friction=0.0)
 """A wall that is not felt, where only the arm is looked at."""

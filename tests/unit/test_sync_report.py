@@ -13,9 +13,10 @@ import pytest
 
 from helpers import recording_synthetic as synthetic
 from helpers.moving_pictures import Scene
-from surg_recording import columns, csv_sink, rows, sync_page, sync_report
-from surg_recording import episode as episodes
-from surg_recording.recording import Recording
+from surg_recording.clock import sync_page, sync_report
+from surg_recording.episode import csv_sink, table_columns, table_rows
+from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode.episode_recorder import Recording
 
 TICK_NS = synthetic.TICK_NS
 START_NS = 1_700_000_000_000_000_000
@@ -56,8 +57,8 @@ def record(
     truths = [(t + truth_shift_ns, t + late_ns, k) for k, t in enumerate(stamps)]
     write("ground_truth_PSM1", first, truths)
     if clocks:
-        heard = [rows.clock_sync(m, rows.nanoseconds(m.header.stamp)) for m in clocks]
-        write("clock_sync", columns.CLOCK_SYNC, heard)
+        heard = [table_rows.clock_sync(m, table_rows.nanoseconds(m.header.stamp)) for m in clocks]
+        write("clock_sync", table_columns.CLOCK_SYNC, heard)
     manifest = {
         "format": "surg_episode/1",
         "mode": mode,
@@ -311,7 +312,7 @@ def test_the_recorder_writes_what_the_monitors_say(tmp_path: Path) -> None:
     for message in every_second(3.0, port_state="LISTENING", offset=math.nan):
         recording.clock_sync(message, START_NS)
     table = episodes.read(recording.close({})).table("clock_sync")
-    assert table.columns == columns.CLOCK_SYNC
+    assert table.columns == table_columns.CLOCK_SYNC
     assert table["stamp_ns"].tolist() == [START_NS + k * SECOND for k in range(4)]
     assert np.isnan(table["offset_s"]).all()
     assert set(table["port_state"]) == {"LISTENING"}

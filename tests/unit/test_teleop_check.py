@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from helpers.gate_arm import SPEED, TICK, GateArm
-from surg_teleop.arm import ArmState, ArmView, Commands
-from surg_teleop.fit import Workspace
-from surg_teleop.frames.check import STILL_S, FramesCheck, Pair, Stage, split
-from surg_teleop.frames.moves import REST, SIDE, STEPS
-from surg_teleop.frames.moves import SPEED as SLOW
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands
+from surg_teleop.frames.frame_check import STILL_S, FramesCheck, Pair, Stage, split
+from surg_teleop.frames.probe_moves import REST, SIDE, STEPS
+from surg_teleop.frames.probe_moves import SPEED as SLOW
+from surg_teleop.playback.workspace_fit import Workspace
 
 Array = NDArray[np.float64]
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)

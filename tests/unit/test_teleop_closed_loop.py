@@ -9,9 +9,9 @@ import pytest
 
 import surg_core
 from helpers.third_arm import write_third_arm
-from surg_cli import paths
+from surg_cli.host import paths
 from surg_description.make_cell import make_cell
-from surg_teleop.operator import Mode, Stage
+from surg_teleop.playback.motion_player import Mode, Stage
 
 pytest.importorskip("surg_core", reason="surg_core is not built")
 

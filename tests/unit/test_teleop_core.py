@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from helpers.gate_arm import TICK, US, GateArm
 from helpers.hand import Hand, settings
-from surg_teleop.arm import ArmState
-from surg_teleop.teleop import (
+from surg_teleop.follow.arm_view import ArmState
+from surg_teleop.follow.teleoperation import (
     ABANDONED,
     ASKED,
     BEHIND,

@@ -12,10 +12,10 @@ import pytest
 from helpers.gate_arm import TICK, GateArm
 from helpers.hand import settings
 from helpers.input_devices import GAMEPAD, Machine, Plugged
-from surg_teleop.leaders.gamepad import Gamepad
-from surg_teleop.seat import Seat
-from surg_teleop.system import REOPEN, Hand
-from surg_teleop.teleop import CameraView, Kind, State, Teleop, TeleopOutput
+from surg_teleop.follow.arm_switch import Seat
+from surg_teleop.follow.teleop_setup import REOPEN, Hand
+from surg_teleop.follow.teleoperation import CameraView, Kind, State, Teleop, TeleopOutput
+from surg_teleop.leaders.bundled.gamepad import Gamepad
 
 FULL_SPEED = 0.04  # [m/s] of the gamepad's layout
 

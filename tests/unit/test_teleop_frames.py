@@ -19,10 +19,11 @@ from scipy.spatial.transform import Rotation
 
 import surg_core
 from helpers.stage import Stage, stage_of, turn
-from surg_cli import paths
-from surg_sim.render import Picture
-from surg_teleop.camera import HeldCamera, held_camera
-from surg_teleop.frames.judge import (
+from surg_cli.host import paths
+from surg_sim.looks.render import Picture
+from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
+from surg_teleop.frames.probe_moves import REST, SIDE, SPEED, STEPS, Step, between
+from surg_teleop.frames.registration_verdict import (
     MATCHED,
     Cause,
     Lens,
@@ -32,8 +33,7 @@ from surg_teleop.frames.judge import (
     judge,
     not_seen,
 )
-from surg_teleop.frames.moves import REST, SIDE, SPEED, STEPS, Step, between
-from surg_teleop.frames.sight import NotSeen, Place, find_places
+from surg_teleop.frames.tip_tracker import NotSeen, Place, find_places
 
 Array = NDArray[np.float64]
 Pictures = dict[Step, tuple[Picture, Picture]]

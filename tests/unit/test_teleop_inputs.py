@@ -19,7 +19,20 @@ from helpers.input_devices import (
     Plugged,
     code,
 )
-from surg_teleop.inputs.events import (
+from surg_teleop.leaders.bundled.gamepad import Gamepad
+from surg_teleop.leaders.bundled.pedals import Pedals
+from surg_teleop.leaders.bundled.spacemouse import SpaceMouse
+from surg_teleop.leaders.evdev.device_hand import MAX_STEP, WIRELESS_QUIET
+from surg_teleop.leaders.evdev.device_layout import FOLDER, MAX_FULL, bundled, read_layout
+from surg_teleop.leaders.evdev.device_leader import LOOK_FOR
+from surg_teleop.leaders.evdev.device_search import SHOWN
+from surg_teleop.leaders.evdev.device_state import (
+    BUS_BLUETOOTH,
+    RELATIVE_HOLD,
+    AxisRange,
+    without_dead_zone,
+)
+from surg_teleop.leaders.evdev.input_events import (
     DROPPED,
     EV_ABS,
     EV_KEY,
@@ -29,15 +42,7 @@ from surg_teleop.inputs.events import (
     Decoder,
     Event,
 )
-from surg_teleop.inputs.find import SHOWN
-from surg_teleop.inputs.hand import MAX_STEP, WIRELESS_QUIET
-from surg_teleop.inputs.layout import FOLDER, MAX_FULL, bundled, read_layout
-from surg_teleop.inputs.leader import LOOK_FOR
-from surg_teleop.inputs.state import BUS_BLUETOOTH, RELATIVE_HOLD, AxisRange, without_dead_zone
-from surg_teleop.leader import Leader, LeaderError, LeaderSample, load
-from surg_teleop.leaders.gamepad import Gamepad
-from surg_teleop.leaders.pedals import Pedals
-from surg_teleop.leaders.spacemouse import SpaceMouse
+from surg_teleop.leaders.leader import Leader, LeaderError, LeaderSample, load
 
 STEP = 0.002
 

@@ -6,8 +6,8 @@ import random
 import numpy as np
 import pytest
 
-from surg_teleop.leader import LeaderError, LeaderSample
-from surg_teleop.leaders.keyboard import HELP, HOLD, IDLE, KEYS, SPEEDS, Keyboard, Typing
+from surg_teleop.leaders.bundled.keyboard import HELP, HOLD, IDLE, KEYS, SPEEDS, Keyboard, Typing
+from surg_teleop.leaders.leader import LeaderError, LeaderSample
 
 TICK = 0.01
 

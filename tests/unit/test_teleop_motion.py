@@ -8,11 +8,11 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from surg_cli import paths
-from surg_teleop.errors import MotionError
-from surg_teleop.handle import twist_angle
-from surg_teleop.make_motion import DURATION, bundled_script, write_motion
-from surg_teleop.motion import JUMP_SPEED, Motion, read_motion
+from surg_cli.host import paths
+from surg_teleop.leaders.handle_roll import twist_angle
+from surg_teleop.playback.make_motion import DURATION, bundled_script, write_motion
+from surg_teleop.playback.motion_errors import MotionError
+from surg_teleop.playback.motion_file import JUMP_SPEED, Motion, read_motion
 
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from surg_cli import paths
-from surg_teleop.arm import (
+from surg_cli.host import paths
+from surg_teleop.follow.arm_view import (
     PERIOD_NS,
     SECOND,
     ArmState,
@@ -18,10 +18,10 @@ from surg_teleop.arm import (
     tip_pose,
     virtual_joints,
 )
-from surg_teleop.fit import Workspace
-from surg_teleop.motion import Motion, read_motion
-from surg_teleop.operator import HOLD, JAW_EVERY, Mode, Operator, Stage
-from surg_teleop.plan import make_plan
+from surg_teleop.playback.motion_file import Motion, read_motion
+from surg_teleop.playback.motion_plan import make_plan
+from surg_teleop.playback.motion_player import HOLD, JAW_EVERY, Mode, Operator, Stage
+from surg_teleop.playback.workspace_fit import Workspace
 
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)
 JAW = Jaw(0.0, 0.7)

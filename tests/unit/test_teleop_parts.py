@@ -11,23 +11,23 @@ from scipy.spatial.transform import Rotation
 import surg_core
 from helpers.gate_arm import TICK, GateArm
 from helpers.hand import JAW, WORKSPACE, Hand, settings
-from surg_cli import paths
-from surg_teleop import camera_file
-from surg_teleop import leader as leaders
-from surg_teleop.arm import ArmState, Commands, tip_pose, virtual_joints
-from surg_teleop.camera import held_camera
-from surg_teleop.handle import Handle
-from surg_teleop.jaw import MET, SLOW, JawGhost
-from surg_teleop.lateness import Arrivals
-from surg_teleop.leader import HandlePose, LeaderError
-from surg_teleop.leaders.crtk import CrtkLeader
-from surg_teleop.leaders.motion import MotionLeader
-from surg_teleop.picture import PictureWatch
-from surg_teleop.seat import PEDAL_SILENCE, Pedals, Seat
-from surg_teleop.system import REOPEN, read_system
-from surg_teleop.system import Hand as SeatedHand
-from surg_teleop.teleop import CameraView, State, Teleop
-from surg_teleop.virtual_arm import VirtualArm, tip
+from surg_cli.host import paths
+from surg_teleop.follow import camera_file
+from surg_teleop.follow.arm_switch import PEDAL_SILENCE, Pedals, Seat
+from surg_teleop.follow.arm_view import ArmState, Commands, tip_pose, virtual_joints
+from surg_teleop.follow.endoscope_pose import held_camera
+from surg_teleop.follow.jaw_follower import MET, SLOW, JawGhost
+from surg_teleop.follow.message_lateness import Arrivals
+from surg_teleop.follow.picture_watch import PictureWatch
+from surg_teleop.follow.servo_instrument import VirtualArm, tip
+from surg_teleop.follow.teleop_setup import REOPEN, read_system
+from surg_teleop.follow.teleop_setup import Hand as SeatedHand
+from surg_teleop.follow.teleoperation import CameraView, State, Teleop
+from surg_teleop.leaders import leader as leaders
+from surg_teleop.leaders.bundled.crtk import CrtkLeader
+from surg_teleop.leaders.bundled.motion import MotionLeader
+from surg_teleop.leaders.handle_roll import Handle
+from surg_teleop.leaders.leader import HandlePose, LeaderError
 
 TWO_ARMS = paths.ROOT / "cells/sim_two_arms"
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
@@ -52,7 +52,7 @@ def test_a_leader_from_outside_the_tree_runs_by_path(tmp_path: Path) -> None:
     file.write_text(
         '''"""A leader that sits still."""
 import numpy as np
-from surg_teleop.leader import HandlePose, LeaderSample
+from surg_teleop.leaders.leader import HandlePose, LeaderSample
 
 class Still:
     def __init__(self, depth=0.1):
@@ -265,8 +265,8 @@ def test_the_nearest_point_is_inside_and_near() -> None:
 def test_the_view_is_the_simulators_camera_wherever_the_endoscope_is() -> None:
     """MuJoCo's own kinematics is the oracle: 50 postures of the endoscope arm."""
     mujoco = pytest.importorskip("mujoco")
-    from surg_sim.view import EndoscopeView
-    from surg_sim.world import World
+    from surg_sim.physics.endoscope_projection import EndoscopeView
+    from surg_sim.physics.world import World
 
     cell = surg_core.load_cell(TWO_ARMS)
     held = held_camera(cell)
@@ -635,7 +635,7 @@ def test_f08_a_picture_that_stalls_or_freezes_is_said_within_three_periods() -> 
 
 def test_a_virtual_arm_is_the_simulators_assistant() -> None:
     """The simulator's own kinematics is the oracle for pose and joints."""
-    assistant = pytest.importorskip("surg_sim.assistant")
+    assistant = pytest.importorskip("surg_sim.physics.assistant_arm")
     arm = VirtualArm("/teleop", np.eye(3))
     assert arm.view() is None
     rng = np.random.default_rng(2)

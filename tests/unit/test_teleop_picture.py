@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from helpers.gate_arm import TICK, GateArm
 from helpers.hand import Hand, settings
 from helpers.stage import Stage, stage_of
-from surg_cli import paths
-from surg_sim.render import Picture
-from surg_teleop.camera import HeldCamera, held_camera
-from surg_teleop.frames.judge import Lens, Outcome, judge
-from surg_teleop.frames.moves import REST, SIDE, STEPS, Step
-from surg_teleop.frames.sight import Place, find_places
-from surg_teleop.teleop import CameraView, State, Teleop
+from surg_cli.host import paths
+from surg_sim.looks.render import Picture
+from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
+from surg_teleop.follow.teleoperation import CameraView, State, Teleop
+from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step
+from surg_teleop.frames.registration_verdict import Lens, Outcome, judge
+from surg_teleop.frames.tip_tracker import Place, find_places
 
 Array = NDArray[np.float64]
 

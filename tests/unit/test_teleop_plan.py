@@ -7,17 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from surg_cli import paths
-from surg_teleop.errors import MotionError
-from surg_teleop.fit import Workspace, box_centre, largest_scale
-from surg_teleop.mapping import Mapping
-from surg_teleop.motion import Motion, read_motion
-from surg_teleop.plan import (
-    CENTRE_DEPTH,
-    ConstantMotionError,
-    Plan,
-    make_plan,
-)
+from surg_cli.host import paths
+from surg_teleop.follow.hand_mapping import Mapping
+from surg_teleop.playback.motion_errors import MotionError
+from surg_teleop.playback.motion_file import Motion, read_motion
+from surg_teleop.playback.motion_plan import CENTRE_DEPTH, ConstantMotionError, Plan, make_plan
+from surg_teleop.playback.workspace_fit import Workspace, box_centre, largest_scale
 
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)

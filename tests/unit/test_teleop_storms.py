@@ -17,11 +17,11 @@ import surg_core
 from helpers.hand import Hand, settings
 from helpers.lagging_arm import SOURCE, TICK, LaggingArm
 from helpers.storm import EVENTS, Event, Storm
-from surg_cli import paths
-from surg_teleop.arm import ArmState, Commands
-from surg_teleop.fit import Workspace
-from surg_teleop.target import StepLimits
-from surg_teleop.teleop import CameraView, Kind, State, Teleop
+from surg_cli.host import paths
+from surg_teleop.follow.arm_view import ArmState, Commands
+from surg_teleop.follow.target_pose import StepLimits
+from surg_teleop.follow.teleoperation import CameraView, Kind, State, Teleop
+from surg_teleop.playback.workspace_fit import Workspace
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 STORMS = 100_000 if FULL else 150

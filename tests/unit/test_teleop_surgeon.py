@@ -16,14 +16,14 @@ import pytest
 import surg_core
 from helpers.hand import settings
 from helpers.lagging_arm import SOURCE, TICK, LaggingArm
-from surg_cli import paths
-from surg_teleop.arm import ArmState, Commands, tip_pose
-from surg_teleop.fit import Workspace, box_centre
-from surg_teleop.leaders.motion import MotionLeader
-from surg_teleop.motion import read_motion
-from surg_teleop.plan import CENTRE_DEPTH
-from surg_teleop.target import StepLimits
-from surg_teleop.teleop import CameraView, State, Teleop
+from surg_cli.host import paths
+from surg_teleop.follow.arm_view import ArmState, Commands, tip_pose
+from surg_teleop.follow.target_pose import StepLimits
+from surg_teleop.follow.teleoperation import CameraView, State, Teleop
+from surg_teleop.leaders.bundled.motion import MotionLeader
+from surg_teleop.playback.motion_file import read_motion
+from surg_teleop.playback.motion_plan import CENTRE_DEPTH
+from surg_teleop.playback.workspace_fit import Workspace, box_centre
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 GIVEN = os.environ.get("SURG_TEST_MOTION")

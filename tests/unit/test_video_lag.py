@@ -10,9 +10,9 @@ import pytest
 
 from helpers import sync_results
 from helpers.moving_pictures import Scene, tremor, wander
-from surg_recording import image_motion, video_lag
-from surg_recording.image_motion import HEIGHT, WIDTH, ImageMotion
-from surg_recording.video_lag import CANNOT_TELL, FAIL, PASS, LagEstimate, TipPath
+from surg_recording.video import image_motion, video_lag
+from surg_recording.video.image_motion import HEIGHT, WIDTH, ImageMotion
+from surg_recording.video.video_lag import CANNOT_TELL, FAIL, PASS, LagEstimate, TipPath
 
 FRAME = 0.05
 Array = npt.NDArray[np.float64]

@@ -18,9 +18,10 @@ import numpy as np
 import pytest
 
 from helpers import recording_synthetic as synthetic
-from surg_recording import episode as episodes
-from surg_recording import video_embed, view, view_data
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import episode_reader as episodes
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.reports import episode_view, episode_view_data
+from surg_recording.video import video_embed
 
 CHROMIUM = shutil.which("chromium")
 SECONDS, FRAMES = 1.6, 30
@@ -70,7 +71,7 @@ class Page(html.parser.HTMLParser):
 
 
 def data_of(folder: Path, **options: Any) -> tuple[Page, dict[str, Any]]:
-    page = Page(view.page(episodes.read(folder), **options))
+    page = Page(episode_view.page(episodes.read(folder), **options))
     return page, json.loads(page.found["data"])
 
 
@@ -78,7 +79,7 @@ def test_the_page_is_one_file_that_parses_and_needs_nothing(folder: Path) -> Non
     page, data = data_of(folder)
     assert page.open == []
     assert page.addresses == []
-    text = view.page(episodes.read(folder))
+    text = episode_view.page(episodes.read(folder))
     assert not re.search(r"https?://|@import|url\(|@[A-Z]+@", text)
     assert data["duration"] == 899 * synthetic.TICK_NS
     assert [curve["title"] for curve in data["arms"][0]["curves"]] == [
@@ -95,7 +96,9 @@ def test_the_sample_at_the_cursor_is_the_last_that_is_not_later(full: bool) -> N
     for _ in range(2000 if full else 100):
         stamps = np.cumsum(rng.integers(1, 5_000_000, rng.integers(1, 60))) - 1
         for t in [*stamps[:5], *(stamps[:5] - 1), *rng.integers(-10, int(stamps[-1]) + 10, 5)]:
-            assert view_data.at_or_before(stamps, int(t)) == bisect.bisect_right(stamps, t) - 1
+            assert (
+                episode_view_data.at_or_before(stamps, int(t)) == bisect.bisect_right(stamps, t) - 1
+            )
             checks += 1
     print(f"{checks} cursors")
 
@@ -135,8 +138,8 @@ def test_every_frame_on_the_page_is_the_recorded_one(folder: Path) -> None:
         tick = (k + 1) * 25
         assert video["stamps"][k] == (tick - 1) * synthetic.TICK_NS
         # At the frame's own stamp the cursor shows this frame, just before it the one before.
-        assert view_data.at_or_before(video["stamps"], video["stamps"][k]) == k
-        assert view_data.at_or_before(video["stamps"], video["stamps"][k] - 1) == k - 1
+        assert episode_view_data.at_or_before(video["stamps"], video["stamps"][k]) == k
+        assert episode_view_data.at_or_before(video["stamps"], video["stamps"][k] - 1) == k - 1
 
 
 def test_a_large_episode_is_thinned_out_and_keeps_its_extremes(folder: Path) -> None:
@@ -157,7 +160,7 @@ def test_no_spike_is_lost_by_thinning_out(full: bool) -> None:
         curves = [rng.normal(size=5000), np.full(5000, np.nan), rng.normal(size=5000)]
         curves[0][rng.integers(5000)] = 100.0
         curves[2][rng.integers(5000, size=50)] = np.nan
-        rows = view_data.kept_rows(curves, 300)
+        rows = episode_view_data.kept_rows(curves, 300)
         assert len(rows) <= 310
         assert (np.diff(rows) > 0).all()
         assert curves[0][rows].max() == 100.0
@@ -214,7 +217,7 @@ def test_what_is_missing_is_said_and_the_rest_is_shown(
     path.write_text(json.dumps(manifest))
     page, data = data_of(folder)
     assert page.open == []
-    assert words in view.page(episodes.read(folder))
+    assert words in episode_view.page(episodes.read(folder))
     assert bool(data["videos"]) == ("video" not in breakage)
     assert bool(data["arms"]) == ("cycles" not in breakage)
 
@@ -223,7 +226,7 @@ def test_nothing_to_show_is_said(folder: Path) -> None:
     path = folder / "manifest.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "tables": {}, "videos": {}}))
     with pytest.raises(EpisodeError, match="nothing to show"):
-        view.page(episodes.read(folder))
+        episode_view.page(episodes.read(folder))
 
 
 def test_text_of_the_recording_is_never_code(folder: Path) -> None:
@@ -235,7 +238,7 @@ def test_text_of_the_recording_is_never_code(folder: Path) -> None:
     page, data = data_of(folder)
     assert page.open == []
     assert any(evil in event["text"] for event in data["events"])
-    assert "<script>alert" not in view.page(episodes.read(folder))
+    assert "<script>alert" not in episode_view.page(episodes.read(folder))
 
 
 def test_an_event_without_a_stamp_stands_where_it_was_received(folder: Path) -> None:
@@ -258,7 +261,7 @@ def test_an_event_without_a_stamp_stands_where_it_was_received(folder: Path) -> 
 @pytest.mark.parametrize("t", [0.0479, 0.7391])
 def test_the_browser_points_at_the_same_sample(folder: Path, tmp_path: Path, t: float) -> None:
     """view.js in a real browser against the same question asked of the recording."""
-    out = view.write(episodes.read(folder), tmp_path / "view.html")
+    out = episode_view.write(episodes.read(folder), tmp_path / "view.html")
     assert CHROMIUM is not None
     profile = f"--user-data-dir={tmp_path / 'profile'}"
     argv = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", profile, "--dump-dom"]
@@ -269,8 +272,8 @@ def test_the_browser_points_at_the_same_sample(folder: Path, tmp_path: Path, t: 
     recorded = episodes.read(folder)
     stamps = recorded.cycle("PSM1")["stamp_ns"]
     now = int(stamps[0]) + round(t * 1e9)
-    tick = recorded.cycle("PSM1")["tick"][view_data.at_or_before(stamps, now)]
+    tick = recorded.cycle("PSM1")["tick"][episode_view_data.at_or_before(stamps, now)]
     assert re.search(rf"tick\s+{tick}\s", said)
-    frame = view_data.at_or_before(recorded.video("endoscope_left").frames["stamp_ns"], now)
+    frame = episode_view_data.at_or_before(recorded.video("endoscope_left").frames["stamp_ns"], now)
     expected = f"frame {frame}, stamp" if frame >= 0 else "no picture yet"
     assert expected in said

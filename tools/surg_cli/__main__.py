@@ -14,8 +14,8 @@ import signal
 import sys
 from collections.abc import Sequence
 
-from surg_cli import environment, paths, provision, workspace
-from surg_cli.terminal import Problem, say, warn
+from surg_cli.host import environment, paths, provision, workspace
+from surg_cli.host.terminal import Problem, say, warn
 
 # command -> (module, needs the workspace, one line of help)
 COMMANDS = {
@@ -34,7 +34,11 @@ COMMANDS = {
     "build": ("setup", False, "build the workspace (does setup first)"),
     "up": ("up", True, "bring a cell up and keep it until Ctrl-C"),
     "down": ("down", False, "end what `up` started"),
-    "keys": ("keys", True, "key pairs for a model server and the policies that may connect to it"),
+    "keys": (
+        "make_keys",
+        True,
+        "key pairs for a model server and its policies",
+    ),
     "calibrate": ("calibrate", True, "tool and trocar of a cell from recorded poses"),
     "record": ("record", True, "start, stop, tag a recording of a running system"),
     "recover": ("recover", True, "finish recordings that were cut off"),
@@ -48,7 +52,7 @@ COMMANDS = {
     "topics": (
         "topics",
         True,
-        "hold the running graph against docs/topics.yaml; make docs/topics.md",
+        "hold the running graph against docs/reference/topics.yaml; make docs/reference/topics.md",
     ),
 }
 READY = "SURG_READY"
@@ -118,7 +122,7 @@ def run(arguments: Sequence[str]) -> int:
             os.execve(python, [python, "-s", "-m", "surg_cli", *arguments], env)
     os.environ.pop(READY, None)
     parser = argparse.ArgumentParser(prog=f"./surg {name}", description=COMMANDS[name][2])
-    module = importlib.import_module(f"surg_cli.{module_name}")
+    module = importlib.import_module(f"surg_cli.commands.{module_name}")
     module.add_arguments(parser, name)
     return int(module.main(parser.parse_args(rest), name))
 

@@ -1,4 +1,4 @@
-// The kinematics queries: there and back, against the definition in docs/conventions.md, and words
+// The kinematics queries: there and back, against the definition in docs/reference/conventions.md, and words
 // for what has no answer.
 #include <gtest/gtest.h>
 

@@ -3,6 +3,6 @@
 
 import sys
 
-from surg_recording.clock_sync_node import main
+from surg_recording.nodes.clock_sync_node import main
 
 sys.exit(main())

@@ -3,6 +3,6 @@
 
 import sys
 
-from surg_recording.recorder_node import main
+from surg_recording.nodes.recorder_node import main
 
 sys.exit(main())

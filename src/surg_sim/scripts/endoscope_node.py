@@ -3,7 +3,7 @@
 
 import sys
 
-from surg_sim.endoscope_node import main
+from surg_sim.nodes.endoscope_node import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -3,7 +3,7 @@
 
 import sys
 
-from surg_teleop.operator_node import main
+from surg_teleop.playback.operator_node import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -3,7 +3,7 @@
 
 import sys
 
-from surg_teleop.teleop_node import main
+from surg_teleop.follow.teleop_node import main
 
 if __name__ == "__main__":
     sys.exit(main())

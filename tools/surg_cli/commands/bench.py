@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import subprocess
 
-from surg_cli import environment, paths
-from surg_cli.terminal import Problem, say
+from surg_cli.host import environment, paths
+from surg_cli.host.terminal import Problem, say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:

@@ -11,9 +11,9 @@ import re
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells
-from surg_cli.demo import tcp_port
-from surg_cli.terminal import Problem, say
+from surg_cli.commands.demo import tcp_port
+from surg_cli.host import cells
+from surg_cli.host.terminal import Problem, say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -43,7 +43,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     cell = cells.load(folder)
     arm = choose_arm(cell, options.arm)
     if options.what == "collect":
-        from surg_cli.collect import collect
+        from surg_cli.graph.collect import collect
 
         if options.to is None or options.motion is None:
             raise Problem("calibrate collect: --to FILE and --motion WHAT are needed", 2)

@@ -10,24 +10,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import (
-    cells,
-    environment,
-    frames_picture,
-    join,
-    master,
-    network,
-    paths,
-    processes,
-    roles,
-    running,
-    system,
-    terminal,
-)
-from surg_cli.demo import tcp_port
-from surg_cli.follow import death_notice
-from surg_cli.system import Node, Plan
-from surg_cli.terminal import Problem, Progress, say
+from surg_cli.commands.demo import tcp_port
+from surg_cli.graph import join, master, processes, roles, running, system
+from surg_cli.graph.follow import death_notice
+from surg_cli.graph.system import Node, Plan
+from surg_cli.host import cells, environment, frames_picture, network, paths, terminal
+from surg_cli.host.terminal import Problem, Progress, say
 
 NODE = "check_frames"
 DEFAULT_CELL = "sim_two_arms"

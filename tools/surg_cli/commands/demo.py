@@ -13,21 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli import (
-    cells,
-    environment,
-    follow,
-    learn,
-    master,
-    paths,
-    processes,
-    run,
-    running,
-    system,
-)
-from surg_cli.system import Plan
-from surg_cli.terminal import Problem, Progress, say, table, warn
-from surg_cli.watch import Watch
+from surg_cli.commands import learn, run
+from surg_cli.graph import follow, master, processes, running, system
+from surg_cli.graph.system import Plan
+from surg_cli.graph.watch import Watch
+from surg_cli.host import cells, environment, paths
+from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
 OPERATOR_TIMEOUT_S = 15.0
 # Homing, the way to the start, settling and the last hold, for the progress line only.
@@ -234,12 +225,12 @@ def make_report(out: Path, reasons: list[str]) -> dict[str, Any]:
     Raises:
         Problem: When the episode cannot be read.
     """
-    from surg_recording import report
-    from surg_recording.errors import EpisodeError
+    from surg_recording.recording_errors import EpisodeError
+    from surg_recording.reports import run_report
 
     with Progress("report"):
         try:
-            summary: dict[str, Any] = report.make(out)
+            summary: dict[str, Any] = run_report.make(out)
         except EpisodeError as error:
             raise Problem(f"no report: {error}") from error
     if reasons:
@@ -345,10 +336,10 @@ def _check_motion(options: argparse.Namespace, arm: Any) -> CheckedMotion:
     Raises:
         Problem: When it is broken or does not fit: file, line, value, what is allowed.
     """
-    from surg_teleop.errors import MotionError
-    from surg_teleop.fit import Workspace
-    from surg_teleop.motion import read_motion
-    from surg_teleop.plan import ConstantMotionError, make_plan
+    from surg_teleop.playback.motion_errors import MotionError
+    from surg_teleop.playback.motion_file import read_motion
+    from surg_teleop.playback.motion_plan import ConstantMotionError, make_plan
+    from surg_teleop.playback.workspace_fit import Workspace
 
     file = (options.motion or BUNDLED_MOTION).absolute()
     limits = arm.limits

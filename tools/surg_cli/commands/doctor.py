@@ -9,8 +9,9 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
-from surg_cli import environment, master, paths, provision, running, workspace
-from surg_cli.terminal import Problem, say
+from surg_cli.graph import master, running
+from surg_cli.host import environment, paths, provision, workspace
+from surg_cli.host.terminal import Problem, say
 
 FREE_GIB = 3.0
 # One triangle's worth of off-screen OpenGL, in a process of its own: a broken driver may crash it.

@@ -7,9 +7,9 @@ import contextlib
 import os
 import signal
 
-from surg_cli import processes, running
-from surg_cli.demo import tcp_port
-from surg_cli.terminal import Problem, say
+from surg_cli.commands.demo import tcp_port
+from surg_cli.graph import processes, running
+from surg_cli.host.terminal import Problem, say
 
 # Interrupt lets it stop its nodes in order; its children die with it when it must be killed.
 STAGES = ((signal.SIGINT, 20.0), (signal.SIGKILL, 5.0))

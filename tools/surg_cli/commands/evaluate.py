@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from surg_cli import paths
-from surg_cli.terminal import Problem, Progress, say, table, warn
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
 MAKE_SOME = "./surg run bgr --setting all --episodes 10"
 # Told by --help, which runs without the workspace; a test holds them against surg_recording's.
@@ -34,8 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Find, measure, draw; the last line printed is the path of summary.json."""
-    from surg_recording import evaluation, evaluation_report, provenance
-    from surg_recording.errors import EpisodeError, ReferenceSetError
+    from surg_recording.episode import provenance
+    from surg_recording.recording_errors import EpisodeError, ReferenceSetError
+    from surg_recording.reports import evaluation, evaluation_report
 
     if options.preset not in PRESETS:
         known = ", ".join(PRESETS)
@@ -77,8 +78,8 @@ def _find(wanted: list[Path]) -> list[Path]:
     Raises:
         Problem: There is none, with what makes some.
     """
-    from surg_recording import evaluation
-    from surg_recording.errors import EpisodeError
+    from surg_recording.recording_errors import EpisodeError
+    from surg_recording.reports import evaluation
 
     try:
         return evaluation.find(wanted or [paths.RUNS])
@@ -90,7 +91,7 @@ def _find(wanted: list[Path]) -> list[Path]:
 
 def _print_summary(summary: dict[str, Any]) -> None:
     """A line per condition with the figures a person looks for first."""
-    from surg_recording.trial_report import interval
+    from surg_recording.reports.trial_report import interval
 
     rows = [["condition", "n", "success", "RCM mean [mm]", "RCM max [mm]", "SPARC", "LDLJ"]]
     shown = ("rcm_kinematic_mean_mm", "rcm_kinematic_max_mm", "sparc", "ldlj")

@@ -8,8 +8,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from surg_cli import paths
-from surg_cli.terminal import Problem, Progress, say, table, warn
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
 FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy")
 
@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.epilog = (
         "Exit status: 0 all recordings are in the dataset, 1 some were refused or the dataset is"
-        " bad, 2 wrong input. docs/datasets.md says what comes out."
+        " bad, 2 wrong input. docs/reference/datasets.md says what comes out."
     )
     add = parser.add_argument
     add("episodes", nargs="*", type=Path, metavar="EPISODES", help="recordings, or folders of some")

@@ -16,9 +16,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, paths, rollouts, run
-from surg_cli.stages import Ledger
-from surg_cli.terminal import Problem, Progress, say, table, warn
+from surg_cli.commands import run
+from surg_cli.graph import rollouts
+from surg_cli.host import cells, paths
+from surg_cli.host.stages import Ledger
+from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ LOOKING = {
 }
 """By task: from pictures, with ``--cameras``."""
 SHAKE = 0.003
-"""Spread of the pushes in every second demonstration [m], see surg_sim.experts.shaken."""
+"""Spread of the pushes in every second demonstration [m], see surg_sim.tasks.perturbed_sender."""
 COMPARED = 20
 """Demonstrations whose smoothness stands in the report, at most."""
 
@@ -79,7 +81,8 @@ COMPARED = 20
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.epilog = (
-        "With the --out of a run that was cut off, it goes on where it ended. docs/learning.md"
+        "With the --out of a run that was cut off, it goes on where it ended."
+        " docs/guide/learning.md"
     )
     add = parser.add_argument
     add("task", metavar="TASK", help=", ".join(RECIPES))
@@ -135,7 +138,8 @@ class Wanted:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Do all stages; the last line printed is the path of summary.json."""
-    from surg_recording import learning, learning_report, provenance
+    from surg_recording.episode import provenance
+    from surg_recording.reports import learning, learning_report
 
     wanted = _check(options)
     out = _folder(options.out, wanted)
@@ -206,14 +210,17 @@ def _check(options: argparse.Namespace) -> Wanted:
     Raises:
         Problem: Says what, and what is allowed.
     """
-    from surg_sim import seeds
+    from surg_sim.tasks import episode_seeds
 
     if options.task not in RECIPES:
         known = ", ".join(RECIPES)
         raise Problem(f"learn {options.task}: there is a trainer for {known} only", 2)
     recipe = (LOOKING if options.cameras else RECIPES)[options.task]
     episodes = recipe.episodes if options.episodes is None else options.episodes
-    numbers = (("episodes", episodes, seeds.TRAINING), ("rollouts", options.rollouts, seeds.TEST))
+    numbers = (
+        ("episodes", episodes, episode_seeds.TRAINING),
+        ("rollouts", options.rollouts, episode_seeds.TEST),
+    )
     for name, value, whole in numbers:
         if not 1 <= value <= len(whole):
             raise Problem(f"--{name} {value}: 1 to {len(whole)} are allowed", 2)
@@ -283,9 +290,10 @@ def _jobs() -> int:
 
 def _show(wanted: Wanted, cell: Path, out: Path) -> dict[str, Any]:
     """Demonstrations of the scripted expert, in processes of their own, without ROS."""
-    from surg_recording import episode
-    from surg_recording.errors import EpisodeError
-    from surg_sim import demonstrations, seeds
+    from surg_recording.episode import episode_reader
+    from surg_recording.recording_errors import EpisodeError
+    from surg_sim.envs import demonstrations
+    from surg_sim.tasks import episode_seeds
 
     plan = demonstrations.Plan(
         out / "demonstrations",
@@ -295,7 +303,7 @@ def _show(wanted: Wanted, cell: Path, out: Path) -> dict[str, Any]:
         wanted.recipe.cameras,
         shake=SHAKE,
     )
-    chosen = seeds.training_seeds(wanted.episodes)
+    chosen = episode_seeds.training_seeds(wanted.episodes)
     before = sum(plan.done(seed) for seed in chosen)
     with Progress("demonstrations") as progress:
 
@@ -309,7 +317,7 @@ def _show(wanted: Wanted, cell: Path, out: Path) -> dict[str, Any]:
             raise Problem(str(problem)) from problem
     verdicts = {}
     for seed in chosen:
-        sim = episode.read(plan.folder(seed)).manifest["sim"]["task"]
+        sim = episode_reader.read(plan.folder(seed)).manifest["sim"]["task"]
         verdicts[seed] = sim["reason"]
     failed = {seed: reason for seed, reason in verdicts.items() if reason}
     for seed, reason in failed.items():
@@ -385,11 +393,11 @@ def follow(argv: list[str], log: Path, show: Callable[[Mapping[str, Any]], None]
 
 def _deploy(player: rollouts.Player, wanted: Wanted, folder: Path) -> list[dict[str, Any]]:
     """The policy in the graph, over the wire, on seeds that nothing was chosen with."""
-    from surg_sim import seeds
+    from surg_sim.tasks import episode_seeds
 
     found: list[dict[str, Any]] = []
     with Progress("roll-outs") as progress:
-        for n, seed in enumerate(seeds.test_seeds(wanted.rollouts)):
+        for n, seed in enumerate(episode_seeds.test_seeds(wanted.rollouts)):
             good = sum(e["rollout"]["success"] for e in found)
 
             def show(seconds: float, note: str, n: int = n, good: int = good) -> None:
@@ -402,10 +410,12 @@ def _deploy(player: rollouts.Player, wanted: Wanted, folder: Path) -> list[dict[
 
 def _measure(wanted: Wanted, out: Path) -> list[dict[str, Any]]:
     """The same numbers of demonstrations as of roll-outs."""
-    from surg_recording import learning
-    from surg_sim import seeds
+    from surg_recording.reports import learning
+    from surg_sim.tasks import episode_seeds
 
-    chosen = seeds.training_seeds(wanted.episodes)[0::2][:COMPARED]  # those that nobody pushed
+    chosen = episode_seeds.training_seeds(wanted.episodes)[0::2][
+        :COMPARED
+    ]  # those that nobody pushed
     folders = [out / "demonstrations" / str(seed) for seed in chosen]
     forked = get_context("fork")
     with Progress("smoothness") as progress, ProcessPoolExecutor(_jobs(), forked) as pool:
@@ -421,8 +431,8 @@ def _measure(wanted: Wanted, out: Path) -> list[dict[str, Any]]:
 
 def _print_summary(summary: dict[str, Any]) -> None:
     """Print what a person looks for first, and every failure with its cause."""
-    from surg_recording.page import number
-    from surg_recording.trial_report import interval
+    from surg_recording.reports.html_page import number
+    from surg_recording.reports.trial_report import interval
 
     smooth = summary["smoothness"]
     rows = [

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from surg_cli import paths
-from surg_cli.terminal import Problem, say
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem, say
 from surg_policy_client import BadKeys
 from surg_policy_client.keys import POLICY, make
 

@@ -15,13 +15,14 @@ import sys
 import time
 from pathlib import Path
 
-from surg_cli import paths, processes
-from surg_cli.terminal import Problem, is_interactive, say, warn
+from surg_cli.graph import processes
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem, is_interactive, say, warn
 
 # As root on a machine where nothing has been built: from the source tree.
 sys.path.append(str(paths.ROOT / "src" / "surg_recording" / "src"))
 
-from surg_recording import clock_sync, pmc
+from surg_recording.clock import clock_sync, pmc
 
 FOLDER = Path(clock_sync.SOCKET).parent
 NETWORK = Path("/sys/class/net")
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "Keep the clocks of two machines together by PTP (linuxptp, software stamps). The machine"
         " of the controllers is the master: its clock is not touched. On a slave the clock is SET"
         " to the master's: by a step at the start, then steered. Start it before you record, on"
-        " the interface of the isolated network. Ctrl-C ends it. docs/clock_sync.md says more."
+        " the interface of the isolated network. Ctrl-C ends it. More: docs/guide/clock_sync.md"
     )
     parser.add_argument("role", choices=("master", "slave"), help="who this machine is")
     parser.add_argument("--interface", metavar="IF", help="network interface, e.g. enp3s0")
@@ -99,7 +100,7 @@ def configuration(role: str, interface: str, socket: Path, free_running: bool) -
         free_running: Measure only.
     """
     lines = [
-        f"# Written by ./surg ptp {role}; docs/clock_sync.md explains it.",
+        f"# Written by ./surg ptp {role}; docs/guide/clock_sync.md explains it.",
         "[global]",
         # The kernel stamps packets: works with every network card and needs no hardware clock.
         "time_stamping           software",

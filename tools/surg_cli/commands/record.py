@@ -9,9 +9,9 @@ import threading
 import time
 from typing import Any
 
-from surg_cli import master, processes, running
-from surg_cli.demo import tcp_port
-from surg_cli.terminal import Problem, Progress, say, warn
+from surg_cli.commands.demo import tcp_port
+from surg_cli.graph import master, processes, running
+from surg_cli.host.terminal import Problem, Progress, say, warn
 
 ACTIONS = {
     "start": "begin an episode",

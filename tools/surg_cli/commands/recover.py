@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from surg_cli.terminal import Problem, Progress, say, warn
+from surg_cli.host.terminal import Problem, Progress, say, warn
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -21,17 +21,20 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Recover each; exit status 1 when one could not be."""
-    from surg_recording import episode, recovery
-    from surg_recording.errors import EpisodeError
+    from surg_recording.episode import episode_reader, recovery
+    from surg_recording.recording_errors import EpisodeError
 
     found: list[Path] = []
     for folder in options.folders:
         if not folder.is_dir():
             raise Problem(f"recover {folder}: no such folder", 2)
-        found += [folder] if folder.name.endswith(episode.PARTIAL) else _below(folder)
+        found += [folder] if folder.name.endswith(episode_reader.PARTIAL) else _below(folder)
     if not found:
         names = ", ".join(map(str, options.folders))
-        say(f"recover: nothing is unfinished in {names} (no folder ends in {episode.PARTIAL})")
+        say(
+            f"recover: nothing is unfinished in {names} "
+            f"(no folder ends in {episode_reader.PARTIAL})"
+        )
         return 0
     failed = 0
     told: list[str] = []
@@ -51,16 +54,16 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 def _below(folder: Path) -> list[Path]:
     """Unfinished recordings anywhere below a folder."""
-    from surg_recording.episode import PARTIAL
+    from surg_recording.episode.episode_reader import PARTIAL
 
     return sorted(path for path in folder.rglob(f"*{PARTIAL}") if path.is_dir())
 
 
 def _summary(folder: Path) -> str:
     """What a recovered recording holds, in a line."""
-    from surg_recording import episode
+    from surg_recording.episode import episode_reader
 
-    manifest = episode.read(folder).manifest
+    manifest = episode_reader.read(folder).manifest
     rows = sum(int(entry["rows"]) for entry in manifest["tables"].values())
     frames = sum(int(entry["frames"]) for entry in manifest["videos"].values())
     return f"{folder}: {rows} rows, {frames} frames; {manifest['reason']}"

@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells, episode, paths, policy, processes, system
-from surg_cli.system import Plan
-from surg_cli.terminal import Problem, Progress, is_interactive, say, table, warn
+from surg_cli.graph import policy_program, processes, system, task_episode
+from surg_cli.graph.system import Plan
+from surg_cli.host import cells, paths
+from surg_cli.host.terminal import Problem, Progress, is_interactive, say, table, warn
 
 LAWS = ("ours", "velocity", "paper")
 VIEWS = {"none": (), "left": ("left",), "stereo": ("left", "right")}
@@ -38,7 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         "--policy",
         metavar="P",
         help="a policy plays instead of the expert: the address at which it connects, such as "
-        "tcp://127.0.0.1:5555, or its client's .py file, which is started (docs/policies.md)",
+        "tcp://127.0.0.1:5555, or its client's .py file, which is started "
+        "(docs/reference/policies.md)",
     )
     add("--policy-keys", type=Path, metavar="DIR", help="folder of ./surg keys")
     add("--privileged", action="store_true", help="the policy may see the simulator's truth")
@@ -137,7 +139,7 @@ def _settings(text: str) -> list[str]:
     Raises:
         Problem: One does not exist; lists those that do.
     """
-    from surg_sim.conditions import CONDITIONS, condition
+    from surg_sim.physics.patient_settings import CONDITIONS, condition
 
     wanted = list(CONDITIONS) if text == "all" else text.split(",")
     for name in wanted:
@@ -167,7 +169,7 @@ def _check_numbers(options: argparse.Namespace) -> None:
 def _player(options: argparse.Namespace) -> system.Policy | None:
     """The policy that plays, if one does."""
     if options.policy is not None:
-        return policy.read(options.policy, options.policy_keys, options.privileged)
+        return policy_program.read(options.policy, options.policy_keys, options.privileged)
     for name in ("policy_keys", "privileged", "free_run"):
         if getattr(options, name):
             raise Problem(f"--{name.replace('_', '-')} goes with --policy", 2)
@@ -216,7 +218,7 @@ def make_plan(
         Problem: The task is unknown, does not fit the cell, or has nobody who plays it.
     """
     from surg_sim import tasks
-    from surg_sim.conditions import condition
+    from surg_sim.physics.patient_settings import condition
 
     if task.endswith(".py"):
         task = str(Path(task).absolute())
@@ -261,7 +263,7 @@ def _named(player: system.Policy) -> str:
 def of_episode(plan: Plan, condition: Condition, seed: int, folder: Path) -> Plan:
     """The plan of one episode of a run."""
     info = {**plan.run_info, "seed": seed, "setting": condition.setting, "law": condition.law}
-    player = None if plan.policy is None else policy.addressed(plan.policy)
+    player = None if plan.policy is None else policy_program.addressed(plan.policy)
     return replace(
         plan,
         setting=condition.setting,
@@ -283,13 +285,13 @@ def _play(plan: Plan, index: int, count: int, progress: Progress) -> dict[str, A
         where = f"episode {index + 1} of {count}, seed {plan.seed}, {plan.setting}"
         progress.update(index / count, f"{where}: {seconds:.1f} s, {note}")
 
-    episode.write_plan(plan)
+    task_episode.write_plan(plan)
     words = run_process(plan.out, show)
-    file = plan.out / episode.OUTCOME
+    file = plan.out / task_episode.OUTCOME
     if file.exists():
-        ended = episode.Ended(**json.loads(file.read_text("utf-8")))
+        ended = task_episode.Ended(**json.loads(file.read_text("utf-8")))
     else:
-        ended = episode.Ended(False, words, "", 0.0, False, None)
+        ended = task_episode.Ended(False, words, "", 0.0, False, None)
     entry = _describe(plan, ended)
     if not is_interactive():
         end = "success" if ended.success else f"failed: {ended.reason.splitlines()[0]}"
@@ -308,7 +310,7 @@ def run_process(folder: Path, show: Callable[[float, str], None]) -> str:
         What it said on ending without an outcome; empty when there is one.
     """
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
-    argv = [sys.executable, "-s", "-m", "surg_cli.episode", str(folder)]
+    argv = [sys.executable, "-s", "-m", "surg_cli.graph.task_episode", str(folder)]
     logs = folder / "logs"
     with processes.Supervisor(env, logs) as supervisor:
         child = supervisor.start("episode", argv)
@@ -325,11 +327,11 @@ def run_process(folder: Path, show: Callable[[float, str], None]) -> str:
     return "\n".join(said) or f"the episode's process ended with {child.exit_code}"
 
 
-def _describe(plan: Plan, ended: episode.Ended) -> dict[str, Any]:
+def _describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
     """The entry of an episode, its own report beside its recording."""
-    from surg_recording import episode as episodes
-    from surg_recording import report, trials
-    from surg_recording.errors import EpisodeError
+    from surg_recording.episode import episode_reader as episodes
+    from surg_recording.recording_errors import EpisodeError
+    from surg_recording.reports import run_report, trials
 
     outcome = trials.Outcome(
         ended.success, ended.reason, ended.phase, ended.duration_s, ended.played
@@ -337,7 +339,7 @@ def _describe(plan: Plan, ended: episode.Ended) -> dict[str, Any]:
     try:
         recorded = episodes.read(plan.out / "episode")
         entry = trials.describe(plan.seed, plan.setting, plan.law, outcome, recorded)
-        report.make(plan.out)
+        run_report.make(plan.out)
     except EpisodeError as error:
         outcome = replace(outcome, played=False, success=False)
         outcome = replace(outcome, reason="; ".join(filter(None, (ended.reason, str(error)))))
@@ -354,7 +356,8 @@ def _describe(plan: Plan, ended: episode.Ended) -> dict[str, Any]:
 
 def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, Any]:
     """Write summary.json, figures and report.html."""
-    from surg_recording import provenance, trial_report, trials
+    from surg_recording.episode import provenance
+    from surg_recording.reports import trial_report, trials
 
     info = {
         "task": plan.run_info["task"],
@@ -370,7 +373,7 @@ def _report(plan: Plan, entries: list[dict[str, Any]], out: Path) -> dict[str, A
 
 def _print_summary(summary: dict[str, Any]) -> None:
     """Print the figures a person looks for first, and every failure with its cause."""
-    from surg_recording.trial_report import interval
+    from surg_recording.reports.trial_report import interval
 
     rows = [["setting", "law", "success", "RCM mean [mm]", "RCM max [mm]", "true RCM max [mm]"]]
     for c in summary["conditions"]:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from surg_cli import paths, provision, workspace
-from surg_cli.terminal import say
+from surg_cli.host import paths, provision, workspace
+from surg_cli.host.terminal import say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:

@@ -6,8 +6,9 @@ import argparse
 import os
 import shlex
 
-from surg_cli import environment, paths, running
-from surg_cli.demo import tcp_port
+from surg_cli.commands.demo import tcp_port
+from surg_cli.graph import running
+from surg_cli.host import environment, paths
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:

@@ -8,9 +8,9 @@ import threading
 import time
 from collections import defaultdict
 
-from surg_cli import master, processes, running
-from surg_cli.demo import tcp_port
-from surg_cli.terminal import say, table
+from surg_cli.commands.demo import tcp_port
+from surg_cli.graph import master, processes, running
+from surg_cli.host.terminal import say, table
 
 LISTEN_S = 2.0
 

@@ -13,26 +13,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import (
-    cells,
-    environment,
-    join,
-    master,
-    network,
-    operator_nodes,
-    paths,
-    processes,
-    roles,
-    running,
-    system,
-)
-from surg_cli.demo import tcp_port
-from surg_cli.follow import death_notice
-from surg_cli.operator_nodes import BROWSER, WEB_PORT
-from surg_cli.system import Node, Plan
-from surg_cli.terminal import Problem, Progress, say
-from surg_cli.up import DEFAULT_PORT
-from surg_cli.watch import Watch
+from surg_cli.commands.demo import tcp_port
+from surg_cli.commands.up import DEFAULT_PORT
+from surg_cli.graph import join, master, operator_nodes, processes, roles, running, system
+from surg_cli.graph.follow import death_notice
+from surg_cli.graph.operator_nodes import BROWSER, WEB_PORT
+from surg_cli.graph.system import Node, Plan
+from surg_cli.graph.watch import Watch
+from surg_cli.host import cells, environment, network, paths
+from surg_cli.host.terminal import Problem, Progress, say
 
 DEFAULT_CELL = "sim_two_arms"
 TASK_OF_TWO_ARMS = "bgr"
@@ -62,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )
     add("--out", type=Path, metavar="DIR", help="folder of the episodes (runs/<UTC time>)")
     add("--port", type=tcp_port, default=DEFAULT_PORT, metavar="P", help="of the ROS master")
-    web = parser.add_argument_group("who may open the page (docs/console.md)")
+    web = parser.add_argument_group("who may open the page (docs/guide/console.md)")
     add = web.add_argument
     add("--web-port", type=tcp_port, default=WEB_PORT, metavar="P", help=f"default {WEB_PORT}")
     add("--bind", default="127.0.0.1", metavar="ADDRESS", help="default: this machine only")
@@ -160,7 +149,7 @@ def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
     Returns:
         The parameters, and what belongs behind the page's address for people only: the token.
     """
-    from surg_teleop.console import access
+    from surg_teleop.console.web import access
 
     try:
         token = access.read_token(options.token_file) if options.token_file else ""
@@ -217,7 +206,7 @@ def _plan(options: argparse.Namespace) -> Plan:
 def _check_task(loaded: Any, task: str, setting: str) -> None:
     """Refuse what the simulator would refuse, before anything starts."""
     from surg_sim import tasks
-    from surg_sim.conditions import condition
+    from surg_sim.physics.patient_settings import condition
 
     try:
         tasks.load(task).prepare(loaded, condition(setting))

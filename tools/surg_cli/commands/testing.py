@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from surg_cli import cpp_tests, environment, paths, pytest_workers
-from surg_cli.terminal import say
+from surg_cli.host import cpp_tests, environment, paths, pytest_workers
+from surg_cli.host.terminal import say
 
 TIERS = ("oracle", "vm", "mutants")
 

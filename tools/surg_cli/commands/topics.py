@@ -1,4 +1,4 @@
-"""`./surg topics`: hold a running graph against docs/topics.yaml; make docs/topics.md of both."""
+"""`./surg topics`: compare a running graph with topics.yaml; make topics.md of both."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from surg_cli import master, paths, system
-from surg_cli.graph_probe import Seen, observe
-from surg_cli.processes import Supervisor, wait_until
-from surg_cli.terminal import Problem, say, warn
-from surg_cli.topic_contract import PAGE, Contract, compare, load, render
+from surg_cli.graph import master, system
+from surg_cli.graph.graph_probe import Seen, observe
+from surg_cli.graph.processes import Supervisor, wait_until
+from surg_cli.graph.topic_contract import PAGE, Contract, compare, load, render
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem, say, warn
 
 ARM = "PSM1"
 NODES = ("sim", "controller", "dvrk_compat")
@@ -23,7 +24,7 @@ _UP_S = 30.0
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
-    parser.add_argument("--write", action="store_true", help="write docs/topics.md")
+    parser.add_argument("--write", action="store_true", help="write docs/reference/topics.md")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
@@ -39,7 +40,11 @@ def main(options: argparse.Namespace, command: str) -> int:
         say(f"wrote {PAGE.relative_to(paths.ROOT)}")
     elif not wrong:
         same = PAGE.exists() and PAGE.read_text("utf-8") == page
-        say("docs/topics.md is up to date" if same else "docs/topics.md is old: --write renews it")
+        say(
+            "docs/reference/topics.md is up to date"
+            if same
+            else "docs/reference/topics.md is old: --write renews it"
+        )
         return 0 if same else 1
     return 1 if wrong else 0
 

@@ -10,23 +10,13 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from surg_cli import (
-    cells,
-    environment,
-    join,
-    master,
-    network,
-    paths,
-    processes,
-    roles,
-    running,
-    system,
-)
-from surg_cli.demo import tcp_port
-from surg_cli.follow import death_notice
-from surg_cli.system import Plan
-from surg_cli.terminal import Problem, Progress, say
-from surg_cli.watch import Watch
+from surg_cli.commands.demo import tcp_port
+from surg_cli.graph import join, master, processes, roles, running, system
+from surg_cli.graph.follow import death_notice
+from surg_cli.graph.system import Plan
+from surg_cli.graph.watch import Watch
+from surg_cli.host import cells, environment, network, paths
+from surg_cli.host.terminal import Problem, Progress, say
 
 DEFAULT_PORT = 11311
 START_TIMEOUT_S = 60.0
@@ -47,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add(
         "--role",
         choices=[role.value for role in roles.Role],
-        help="what this machine does in a cell of several machines (docs/two_machines.md)",
+        help="what this machine does in a cell of several machines (docs/guide/two_machines.md)",
     )
     add(
         "--leader",

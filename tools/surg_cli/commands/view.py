@@ -7,7 +7,7 @@ import os
 import webbrowser
 from pathlib import Path
 
-from surg_cli.terminal import Problem, Progress, say
+from surg_cli.host.terminal import Problem, Progress, say
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -21,9 +21,10 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Write the page and open it; the last line printed is its path."""
-    from surg_recording import episode as episodes
-    from surg_recording import sync_report, view
-    from surg_recording.errors import EpisodeError
+    from surg_recording.clock import sync_report
+    from surg_recording.episode import episode_reader as episodes
+    from surg_recording.recording_errors import EpisodeError
+    from surg_recording.reports import episode_view
 
     folder = options.episode
     if not (folder / episodes.MANIFEST).exists() and (folder / "episode").is_dir():
@@ -35,7 +36,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             raise Problem(f"{out.parent}: cannot be written; --out FILE names another place", 2)
         with Progress("view") as progress:
             sync_report.ensure(recorded, lambda words: progress.update(None, words))
-            view.write(recorded, out, lambda words: progress.update(None, words))
+            episode_view.write(recorded, out, lambda words: progress.update(None, words))
     except EpisodeError as problem:
         raise Problem(str(problem), 2) from problem
     can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from surg_cli import master
-from surg_cli.standstill import Standstill
-from surg_cli.terminal import Problem, say
+from surg_cli.graph import master
+from surg_cli.graph.standstill import Standstill
+from surg_cli.host.terminal import Problem, say
 
 
 def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Namespace) -> int:

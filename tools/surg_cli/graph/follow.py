@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection
 
-from surg_cli import processes, system
-from surg_cli.terminal import Problem
-from surg_cli.watch import Watch
+from surg_cli.graph import processes, system
+from surg_cli.graph.watch import Watch
+from surg_cli.host.terminal import Problem
 
 START_TIMEOUT_S = 60.0
 STALL_TIMEOUT_S = 30.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlparse
 
-from surg_cli import master
+from surg_cli.graph import master
 
 CALLER = "/surg_cli"
 _PATIENCE = 5.0  # [s]

@@ -9,10 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli import environment, master, network, operator_nodes, processes, roles, running, system
-from surg_cli.follow import death_notice
-from surg_cli.system import Node, Plan
-from surg_cli.terminal import Problem, Progress, say
+from surg_cli.graph import master, operator_nodes, processes, roles, running, system
+from surg_cli.graph.follow import death_notice
+from surg_cli.graph.system import Node, Plan
+from surg_cli.host import environment, network
+from surg_cli.host.terminal import Problem, Progress, say
 
 LEADER = "crtk"
 """Any leader that speaks CRTK on topics."""
@@ -76,7 +77,7 @@ def clock_monitor(role: roles.Role, daemon: Path | None = None) -> list[Node]:
         role: Of this machine, for the node's name.
         daemon: Socket of the daemon of `./surg ptp`; None: where that puts it.
     """
-    from surg_recording import clock_sync
+    from surg_recording.clock import clock_sync
 
     socket = daemon or Path(clock_sync.SOCKET)
     if not socket.exists():

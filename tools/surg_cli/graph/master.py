@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_cli.processes import Child, Supervisor, wait_until
-from surg_cli.terminal import Problem
+from surg_cli.graph.processes import Child, Supervisor, wait_until
+from surg_cli.host.terminal import Problem
 
 ROSMASTER = Path("/usr/bin/rosmaster")
 START_TIMEOUT_S = 15.0

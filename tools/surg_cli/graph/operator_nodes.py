@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_cli import cells
-from surg_cli.system import ENDOSCOPE, Node, Plan
-from surg_cli.terminal import Problem
+from surg_cli.graph.system import ENDOSCOPE, Node, Plan
+from surg_cli.host import cells
+from surg_cli.host.terminal import Problem
 
 BROWSER = "browser"
 """The console as a leader, and the namespace of its topics."""
 ASSISTANT = "assistant"
-"""The instrument of a task that has no controller (docs/tasks.md)."""
+"""The instrument of a task that has no controller (docs/reference/tasks.md)."""
 TELEOP, CONSOLE = "/teleop", "/console"
 WEB_PORT = 8090
 
@@ -116,7 +116,7 @@ def _standing_view(loaded: Any) -> list[float]:
     import numpy as np
     from scipy.spatial.transform import Rotation
 
-    from surg_sim.endoscope import LEFT
+    from surg_sim.physics.endoscope_rig import LEFT
 
     world = _world(loaded)
     mujoco.mj_forward(world.model, world.data)
@@ -128,7 +128,7 @@ def _standing_view(loaded: Any) -> list[float]:
 def _world(loaded: Any, task: str = "") -> Any:
     """What moves in the phantom, without its looks: 50 ms."""
     from surg_sim import tasks
-    from surg_sim.world import World
+    from surg_sim.physics.world import World
 
     return World(loaded, 0, task=tasks.load(task) if task else None)
 

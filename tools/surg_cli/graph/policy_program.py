@@ -6,11 +6,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from surg_cli import follow, master, paths, system
-from surg_cli.processes import Child, Supervisor
-from surg_cli.system import Plan, Policy
-from surg_cli.terminal import Problem
-from surg_cli.watch import Watch
+from surg_cli.graph import follow, master, system
+from surg_cli.graph.processes import Child, Supervisor
+from surg_cli.graph.system import Plan, Policy
+from surg_cli.graph.watch import Watch
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
 
 CLIENT = "policy_client"
 CLIENT_TIMEOUT_S = 120.0
@@ -28,7 +29,7 @@ def read(given: str, keys: Path | None, privileged: bool) -> Policy:
     Raises:
         Problem: It is neither, or may not be listened at; says what would do.
     """
-    from surg_policy_bridge import binding
+    from surg_policy_bridge.server import listen_address
     from surg_policy_client.errors import BadKeys
     from surg_policy_client.keys import server_keys
 
@@ -37,8 +38,8 @@ def read(given: str, keys: Path | None, privileged: bool) -> Policy:
         if keys is not None:
             server_keys(keys)
         if "://" in given:
-            return Policy(binding.check(given, keys is not None), "", folder, privileged)
-    except (binding.BindError, BadKeys, OSError) as error:
+            return Policy(listen_address.check(given, keys is not None), "", folder, privileged)
+    except (listen_address.BindError, BadKeys, OSError) as error:
         raise Problem(f"--policy {given}: {error}", 2) from error
     script = Path(given)
     if script.suffix != ".py" or not script.is_file():

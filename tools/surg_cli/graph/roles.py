@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli.terminal import Problem
+from surg_cli.host.terminal import Problem
 
 
 class Role(enum.StrEnum):

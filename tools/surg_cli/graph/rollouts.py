@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli import episode, paths, policy, run
-from surg_cli.run import Condition
+from surg_cli.commands import run
+from surg_cli.commands.run import Condition
+from surg_cli.graph import policy_program, task_episode
+from surg_cli.host import paths
 
 RESULT = "result.json"
 WEIGHTS = "SURG_BGR_WEIGHTS"
@@ -47,7 +49,7 @@ class Player:
     cameras: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        player = policy.read(str(self.script), None, self.privileged)
+        player = policy_program.read(str(self.script), None, self.privileged)
         self._condition = Condition(self.setting, "ours")
         self._plan = run.make_plan(
             self.task,
@@ -86,7 +88,7 @@ class Player:
             return dict(json.loads(file.read_text("utf-8")))
         shutil.rmtree(folder, ignore_errors=True)
         plan = run.of_episode(self._plan, self._condition, seed, folder)
-        episode.write_plan(plan)
+        task_episode.write_plan(plan)
         os.environ[WEIGHTS] = str(self.weights.absolute())
         said = run.run_process(folder, show)
         result = _describe(seed, self.setting, folder, said)
@@ -98,15 +100,15 @@ class Player:
 
 def _describe(seed: int, setting: str, folder: Path, said: str) -> dict[str, Any]:
     """Both entries of a roll-out from what its process left."""
-    from surg_recording import episode as episodes
-    from surg_recording import learning, trials
-    from surg_recording.errors import EpisodeError
+    from surg_recording.episode import episode_reader as episodes
+    from surg_recording.recording_errors import EpisodeError
+    from surg_recording.reports import learning, trials
 
-    file = folder / episode.OUTCOME
+    file = folder / task_episode.OUTCOME
     if file.exists():
-        ended = episode.Ended(**json.loads(file.read_text("utf-8")))
+        ended = task_episode.Ended(**json.loads(file.read_text("utf-8")))
     else:
-        ended = episode.Ended(False, said, "", 0.0, False, None)
+        ended = task_episode.Ended(False, said, "", 0.0, False, None)
     reason, recorded = ended.reason, None
     try:
         recorded = episodes.read(folder / "episode")

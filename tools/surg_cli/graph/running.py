@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from surg_cli import paths, processes
+from surg_cli.graph import processes
+from surg_cli.host import paths
 
 
 @dataclass

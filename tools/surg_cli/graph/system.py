@@ -14,9 +14,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from surg_cli import master, paths, turns
-from surg_cli.processes import Child, Supervisor
-from surg_cli.terminal import Problem
+from surg_cli.graph import master, turns
+from surg_cli.graph.processes import Child, Supervisor
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
 
 OPERATOR = "operator"
 RECORDER = "recorder"

@@ -1,4 +1,4 @@
-"""One episode of a task in a graph of its own: `python -m surg_cli.episode FOLDER`.
+"""One episode of a task in a graph of its own: `python -m surg_cli.graph.task_episode FOLDER`.
 
 A process of its own, because a process can be a node of one ROS master only. It reads `plan.json`
 in its folder, starts the graph, follows it to the end and writes `outcome.json`. On standard output
@@ -16,11 +16,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli import environment, follow, master, paths, policy, processes, running, system
 from surg_cli.__main__ import interrupt_on_signals
-from surg_cli.system import Plan
-from surg_cli.terminal import Problem, warn
-from surg_cli.watch import Watch
+from surg_cli.graph import follow, master, policy_program, processes, running, system
+from surg_cli.graph.system import Plan
+from surg_cli.graph.watch import Watch
+from surg_cli.host import environment, paths
+from surg_cli.host.terminal import Problem, warn
 
 PLAN, OUTCOME = "plan.json", "outcome.json"
 WARM_UP_S = 0.5
@@ -88,7 +89,7 @@ def play(plan: Plan) -> Ended:
                 senders = [name for name in plan.senders if name != system.POLICY]
                 with Watch(plan.arms, senders=senders) as watch:
                     if plan.policy is not None:
-                        policy.connect(plan, supervisor, watch, _progress)
+                        policy_program.connect(plan, supervisor, watch, _progress)
                     watch.begin()
                     for node in [*system.nodes(plan), *system.senders(plan)]:
                         system.start(supervisor, node)
@@ -122,7 +123,7 @@ def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended
             break
         broken = follow.failure(watch, supervisor, None)
         if plan.policy is not None:
-            broken += policy.absent(supervisor, watch)
+            broken += policy_program.absent(supervisor, watch)
         if broken:
             break
     sim = watch.sim
@@ -134,7 +135,7 @@ def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended
         reason = "the simulation ended before the task did"
     gave_up = [f"{name}: {why}" for name, why in watch.gave_up.items()]
     if plan.policy is not None and not verdict.get("success"):
-        gave_up += policy.complaints(supervisor, watch)
+        gave_up += policy_program.complaints(supervisor, watch)
     return Ended(
         success=bool(verdict.get("success")) and not broken and not fault,
         reason="; ".join([*broken, *([reason] if reason else []), *gave_up]),

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Any
 
-from surg_cli.terminal import warn
+from surg_cli.host.terminal import warn
 
 
 class Watch:

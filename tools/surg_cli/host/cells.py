@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from surg_cli import paths
-from surg_cli.terminal import Problem
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
 
 BUNDLED_ROBOTS = {"ur5e": "sim_ur5e", "panda": "sim_panda"}
 INSTRUMENT = paths.ROOT / "src" / "surg_description" / "instruments" / "grasper.yaml"

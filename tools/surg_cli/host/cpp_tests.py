@@ -7,8 +7,8 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from surg_cli import environment, paths, workspace
-from surg_cli.terminal import Problem, Progress, say, warn
+from surg_cli.host import environment, paths, workspace
+from surg_cli.host.terminal import Problem, Progress, say, warn
 
 CORE = paths.ROOT / "src" / "surg_core"
 RACE = paths.ROOT / "src" / "surg_control" / "tests" / "race"

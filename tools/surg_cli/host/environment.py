@@ -7,8 +7,8 @@ import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 
-from surg_cli import paths
-from surg_cli.terminal import Problem
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
 
 # A pyenv or conda Python announces itself in these; inherited, it breaks Debian's modules.
 FOREIGN_PYTHON = ("PYTHONHOME", "PYTHONPATH", "CONDA_PREFIX", "CONDA_DEFAULT_ENV", "PYENV_VERSION")

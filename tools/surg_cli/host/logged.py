@@ -6,8 +6,8 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from surg_cli.environment import clean
-from surg_cli.terminal import Problem, Progress
+from surg_cli.host.environment import clean
+from surg_cli.host.terminal import Problem, Progress
 
 TAIL = 15  # lines of a failed program's output that are shown
 

@@ -11,8 +11,9 @@ import struct
 from collections.abc import Iterable
 from pathlib import Path
 
-from surg_cli import paths, processes, roles
-from surg_cli.terminal import Problem
+from surg_cli.graph import processes, roles
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem
 
 GUARD = paths.DEVEL / "lib" / "libsurg_net_guard.so"
 _SIOCGIFADDR = 0x8915

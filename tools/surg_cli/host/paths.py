@@ -8,9 +8,9 @@ import os
 import tempfile
 from pathlib import Path
 
-from surg_cli.terminal import Problem
+from surg_cli.host.terminal import Problem
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 VENV = ROOT / ".venv"
 VENV_PYTHON = VENV / "bin" / "python"
 SYSTEM_PYTHON = Path("/usr/bin/python3")

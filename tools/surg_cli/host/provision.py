@@ -13,8 +13,8 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from surg_cli import logged, paths
-from surg_cli.terminal import Problem, Progress, say
+from surg_cli.host import logged, paths
+from surg_cli.host.terminal import Problem, Progress, say
 
 VENV_STAMP = paths.VENV / ".surg-lock"
 APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")

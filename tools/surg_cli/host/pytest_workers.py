@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import IO
 
-from surg_cli import paths, workspace
+from surg_cli.host import paths, workspace
 
 AT_MOST = 3
 """One that drives graphs in real time, and those that take the rest."""

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from surg_cli import paths
-from surg_cli.terminal import Problem, say
+from surg_cli.host import paths
+from surg_cli.host.terminal import Problem, say
 
 FORMAT = "surg_stages/1"
 

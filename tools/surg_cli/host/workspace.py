@@ -9,8 +9,8 @@ import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from surg_cli import logged, paths
-from surg_cli.terminal import Problem, Progress, say
+from surg_cli.host import logged, paths
+from surg_cli.host.terminal import Problem, Progress, say
 
 STAMP = paths.STATE / "build.stamp"
 GIB_PER_JOB = 1.6  # one Eigen-heavy translation unit of the pybind11 binding at -O3

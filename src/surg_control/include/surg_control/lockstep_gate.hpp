@@ -1,5 +1,5 @@
 // Lock-step: holds commands until every declared participant has said "that was all for this tick",
-// then gives them out in an order that no network can change (docs/conventions.md, lock-step).
+// then gives them out in an order that no network can change (docs/reference/conventions.md, lock-step).
 // Pure.
 #pragma once
 

@@ -1,5 +1,5 @@
 // The four virtual joints (yaw, pitch, insertion, roll) and the tool pose in the rcm frame, both
-// ways (docs/conventions.md, "Virtual joints"). Pure.
+// ways (docs/reference/conventions.md, "Virtual joints"). Pure.
 #pragma once
 
 #include "surg_control/base_frame.hpp"

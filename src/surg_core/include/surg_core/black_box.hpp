@@ -1,7 +1,7 @@
 // The black box: the last two seconds of a controller, complete enough to run them again bit for
 // bit. Drive the controller through it. The loop's side copies values into memory taken at
 // construction: no allocation, lock or I/O. On FAULT it freezes; another thread then takes the
-// recording out at leisure and releases it. docs/black_box.md describes the file.
+// recording out at leisure and releases it. docs/reference/black_box.md describes the file.
 #pragma once
 
 #include <atomic>

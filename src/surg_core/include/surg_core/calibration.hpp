@@ -1,7 +1,7 @@
 // Calibration of the instrument and the trocar from recorded flange poses, in closed form: linear
 // least squares, no start value, no iteration. Each result carries the evidence for it and is
 // refused where the evidence does not carry it. What a person does with the robot for each of them
-// is told in docs/first_session.md.
+// is told in docs/guide/first_session.md.
 #pragma once
 
 #include <stdexcept>

@@ -1,4 +1,4 @@
-// The CRTK operating state with latched reasons (docs/topics.md, "State").
+// The CRTK operating state with latched reasons (docs/reference/topics.md, "State").
 #pragma once
 
 #include <cstdint>

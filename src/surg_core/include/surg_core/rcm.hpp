@@ -1,4 +1,4 @@
-// The remote-centre-of-motion law. Equation numbers refer to the paper (docs/paper.md).
+// The remote-centre-of-motion law. Equation numbers refer to the paper (docs/design/paper.md).
 #pragma once
 
 #include "surg_core/types.hpp"

@@ -162,7 +162,7 @@ def inverse_pose(X_AB: npt.ArrayLike) -> FloatArray:
 def tip_quaternion(p: npt.ArrayLike, roll: float) -> FloatArray:
     """Orientation of a tool whose tip is at p, with an absolute roll.
 
-    R = minimal rotation (z to p) * Rz(roll), see docs/conventions.md.
+    R = minimal rotation (z to p) * Rz(roll), see docs/reference/conventions.md.
 
     Args:
         p: ``(3,)`` tip in the rcm frame [m], not above the trocar.

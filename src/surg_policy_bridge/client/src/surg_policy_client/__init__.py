@@ -1,7 +1,7 @@
 """Connects a policy to the platform's model server: no ROS, Python 3.8 to 3.13.
 
 `serve` answers observations with a policy's actions; `RemoteEnv` is the same as reset and step.
-docs/policy_client.md tells the story, docs/protocol.md every byte.
+docs/guide/policy_client.md tells the story, docs/reference/protocol.md every byte.
 """
 
 # Before all else: the messages of a connection name it.

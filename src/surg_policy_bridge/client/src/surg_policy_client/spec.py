@@ -78,7 +78,7 @@ class Spec:
     Attributes:
         task: Name of the task; None: any.
         period_s: Grid period: row i of a chunk is due i periods after row 0 [s]; None: any.
-        observation: Features by key; the keys are the dataset's (docs/datasets.md).
+        observation: Features by key; the keys are the dataset's (docs/reference/datasets.md).
         action: None only in what a policy wants: any.
     """
 

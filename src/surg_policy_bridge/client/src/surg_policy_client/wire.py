@@ -1,4 +1,4 @@
-"""The messages between a policy and the model server, byte for byte (docs/protocol.md).
+"""The messages between a policy and the model server, byte for byte (docs/reference/protocol.md).
 
 A message is a header and up to seven buffers, each a frame of ZeroMQ. The header is ``SPB1``, one
 byte for the kind, and a msgpack map; a buffer is an array's bytes as they lie in memory, so that

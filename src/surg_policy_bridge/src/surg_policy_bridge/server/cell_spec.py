@@ -1,4 +1,4 @@
-"""What a cell's policy sees and commands: the specification of `surg_sim.env` and of datasets."""
+"""What a cell's policy observes and commands: the specification shared with data sets."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 import surg_core
-from surg_policy_bridge.arm import (
+from surg_policy_bridge.server.observer import IMAGE, STATE, TASK_STATE
+from surg_policy_bridge.server.policy_arm import (
     ACTION,
     ACTION_UNITS,
     ARM_STATE,
@@ -14,10 +15,9 @@ from surg_policy_bridge.arm import (
     PERIOD,
     SECOND,
 )
-from surg_policy_bridge.observer import IMAGE, STATE, TASK_STATE
 from surg_policy_client.spec import ActionSpec, Feature, Spec
 from surg_policy_client.wire import MAX_PART
-from surg_recording import columns
+from surg_recording.episode import table_columns
 
 
 def image_key(camera: str) -> str:
@@ -28,8 +28,8 @@ def image_key(camera: str) -> str:
 
 def task_numbers(names: Sequence[str]) -> list[str]:
     """Names of the numbers of a surg_msgs/TaskState, as in a dataset."""
-    found = columns.task(names)[len(columns.TASK) :]
-    return [name.removeprefix(columns.TASK_PREFIX) for name in found]
+    found = table_columns.task(names)[len(table_columns.TASK) :]
+    return [name.removeprefix(table_columns.TASK_PREFIX) for name in found]
 
 
 def too_large(height: int, width: int) -> str:

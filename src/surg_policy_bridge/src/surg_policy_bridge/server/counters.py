@@ -37,7 +37,7 @@ class Counters:
         accepted: Steps relayed to the arms.
         clipped: Of them, those that a rule has shortened.
         rejected: Steps that a rule has refused, by rule.
-        late: Steps that came when their time was over (docs/policies.md).
+        late: Steps that came when their time was over (docs/reference/policies.md).
         stale: Steps whose observation was too old when they were due, and chunks that answered an
             observation older than the newest one answered.
         empty: Grid times without a step.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping, Sequence
 
-from surg_policy_bridge.arm import SECOND, ArmCommand, ArmState, ArmView
+from surg_policy_bridge.server.policy_arm import SECOND, ArmCommand, ArmState, ArmView
 
 RETRY = SECOND // 2
 """[ns] A state command that has shown no effect is sent again after this."""

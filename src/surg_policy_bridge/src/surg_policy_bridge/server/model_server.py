@@ -20,14 +20,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_policy_bridge.arm import ACTION, PERIOD, SECOND, ArmCommand, ArmView, Target
-from surg_policy_bridge.chunk_queue import ChunkQueue, Step
-from surg_policy_bridge.counters import Counters
-from surg_policy_bridge.handover import Handover, Phase
-from surg_policy_bridge.observer import Observation
-from surg_policy_bridge.safety import SafetyController
-from surg_policy_bridge.sessions import Flow, Sent, Session, refusal, spec_for
-from surg_policy_bridge.timers import EMPTY, MAX_OBS_AGE, REJECTS, SILENCE, Patience
+from surg_policy_bridge.server.chunk_queue import ChunkQueue, Step
+from surg_policy_bridge.server.counters import Counters
+from surg_policy_bridge.server.handover import Handover, Phase
+from surg_policy_bridge.server.observer import Observation
+from surg_policy_bridge.server.policy_arm import ACTION, PERIOD, SECOND, ArmCommand, ArmView, Target
+from surg_policy_bridge.server.safety_controller import SafetyController
+from surg_policy_bridge.server.sessions import Flow, Sent, Session, refusal, spec_for
+from surg_policy_bridge.server.timers import EMPTY, MAX_OBS_AGE, REJECTS, SILENCE, Patience
 from surg_policy_client import wire
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message, WireError

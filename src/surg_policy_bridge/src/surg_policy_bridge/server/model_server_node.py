@@ -1,4 +1,4 @@
-"""The model server as a node (docs/policies.md): policies on one side, the arms on the other.
+"""The model server as a node: policies on one side, the arms on the other.
 
 Parameters: ``~bind`` (tcp://127.0.0.1:5555), ``~keys`` (folder of ./surg keys), ``~cell``,
 ``~arms`` ([PSM1]), ``~mode`` (freerun | lockstep), ``~task``, ``~instruction``, ``~privileged``
@@ -32,11 +32,10 @@ from std_msgs.msg import Bool, String
 
 import surg_core
 from surg_msgs.msg import PolicyAction, Ready
-from surg_policy_bridge import cell_spec
-from surg_policy_bridge.arm import GRID, SECOND, TICK, ArmCommand, ArmView
-from surg_policy_bridge.binding import BindError
-from surg_policy_bridge.free_run import FreeRun
-from surg_policy_bridge.observer import (
+from surg_policy_bridge.server import cell_spec
+from surg_policy_bridge.server.listen_address import BindError
+from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
+from surg_policy_bridge.server.observer import (
     STATE,
     TASK_STATE,
     TOLERANCE,
@@ -45,15 +44,16 @@ from surg_policy_bridge.observer import (
     Observer,
     apart,
 )
-from surg_policy_bridge.ports_node import ArmPort, RawCycle, RawTaskState
-from surg_policy_bridge.router_node import Router
-from surg_policy_bridge.safety import ArmLimits, SafetyController
-from surg_policy_bridge.server import ModelServer, ServerSettings, State
-from surg_policy_bridge.settings import Settings, SettingsError
-from surg_policy_bridge.timers import CAMERA_PERIODS, Presence
+from surg_policy_bridge.server.policy_arm import GRID, SECOND, TICK, ArmCommand, ArmView
+from surg_policy_bridge.server.policy_ports_node import ArmPort, RawCycle, RawTaskState
+from surg_policy_bridge.server.router_node import Router
+from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
+from surg_policy_bridge.server.server_parameters import Settings, SettingsError
+from surg_policy_bridge.server.step_clock import FreeRun
+from surg_policy_bridge.server.timers import CAMERA_PERIODS, Presence
 from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
-from surg_recording.recorder_settings import camera as camera_topic
+from surg_recording.nodes.recorder_parameters import camera as camera_topic
 
 FRESH = SECOND // 4
 """[ns] Free-run: an arm that has said nothing for longer is silent. (Its controller has a watchdog

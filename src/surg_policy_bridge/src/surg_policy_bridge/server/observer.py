@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_policy_bridge.arm import PERIOD, SECOND
-from surg_policy_bridge.timers import CAMERA_PERIODS
+from surg_policy_bridge.server.policy_arm import PERIOD, SECOND
+from surg_policy_bridge.server.timers import CAMERA_PERIODS
 
 STATE = "observation.state"
 TASK_STATE = "privileged.task_state"
 IMAGE = "observation.images."
-"""Keys as in a dataset (docs/datasets.md)."""
+"""Keys as in a dataset (docs/reference/datasets.md)."""
 STILL = 1e-3
 """[m] What a tip may move without a drawn picture having to change."""
 TOLERANCE = CAMERA_PERIODS * PERIOD

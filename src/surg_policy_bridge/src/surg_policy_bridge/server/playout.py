@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_policy_bridge.arm import Target
+from surg_policy_bridge.server.policy_arm import Target
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,7 @@
 """An arm as the model server sees it: what it says, and what is asked of it.
 
-Values only: no ROS, no clock. Vectors are in the arm's rcm frame R (docs/conventions.md); times are
+Values only: no ROS, no clock. Vectors are in the arm's rcm frame R
+(docs/reference/conventions.md); times are
 integer nanoseconds of the caller's clock.
 """
 
@@ -21,7 +22,7 @@ SECOND = 1_000_000_000
 TICK = 2_000_000
 """[ns] Control period; a command answers a cycle and is meant for the next one."""
 GRID = 25
-"""Ticks between two observations, and between two actions: 20 Hz (docs/tasks.md)."""
+"""Ticks between two observations, and between two actions: 20 Hz (docs/reference/tasks.md)."""
 PERIOD = GRID * TICK
 """[ns] Between two grid times."""
 ACTION = ("x", "y", "z", "roll", "jaw")

@@ -13,8 +13,8 @@ from std_msgs.msg import Empty
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix, tip_quaternion
 from surg_msgs.msg import Cycle, TaskState
-from surg_policy_bridge.arm import SECOND, ArmCommand, ArmState, ArmView
-from surg_recording.raw_message import RawMessage
+from surg_policy_bridge.server.policy_arm import SECOND, ArmCommand, ArmState, ArmView
+from surg_recording.nodes.raw_message import RawMessage
 
 COMMANDS = {
     "state_command": StringStamped,

@@ -13,7 +13,7 @@ from typing import Any
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
-from surg_policy_bridge import binding
+from surg_policy_bridge.server import listen_address
 from surg_policy_client import wire
 from surg_policy_client.keys import ServerKeys
 
@@ -58,7 +58,7 @@ class Router:
     """
 
     def __init__(self, address: str, keys: ServerKeys | None) -> None:
-        binding.check(address, keys is not None)
+        listen_address.check(address, keys is not None)
         self._context = zmq.Context()
         self._guard: ThreadAuthenticator | None = None
         self.socket = self._context.socket(zmq.ROUTER)
@@ -80,7 +80,7 @@ class Router:
             self.socket.bind(address)
         except zmq.ZMQError as error:
             self.close()
-            raise binding.BindError(
+            raise listen_address.BindError(
                 f"address {address!r} cannot be bound: {error.strerror.lower()}; another server "
                 "may be running there"
             ) from None

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import surg_core
-from surg_policy_bridge.arm import PERIOD, SECOND, ArmView, Target
+from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmView, Target
 
 RULES = ("not_finite", "rcm_error", "workspace", "start", "step", "acceleration", "jaw")
 """In the order in which they are asked."""

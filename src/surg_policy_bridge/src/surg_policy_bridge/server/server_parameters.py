@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from surg_policy_bridge import binding
-from surg_policy_bridge.safety import CLIPPABLE, CLIPPED
+from surg_policy_bridge.server import listen_address
+from surg_policy_bridge.server.safety_controller import CLIPPABLE, CLIPPED
 from surg_policy_client.spec import MAX_TEXT
 from surg_policy_client.wire import MAX_PARTS, MAX_SENTENCE
 
@@ -81,8 +81,8 @@ class Settings:
             raise SettingsError(f"parameter ~cell is {cell!r}: the folder of a cell")
         keys = _word("keys", get("keys", ""))
         try:
-            bind = binding.check(_word("bind", get("bind", ADDRESS)), bool(keys))
-        except binding.BindError as error:
+            bind = listen_address.check(_word("bind", get("bind", ADDRESS)), bool(keys))
+        except listen_address.BindError as error:
             raise SettingsError(f"parameter ~bind: {error}") from error
         privileged = _flag("privileged", get("privileged", False))
         cameras = _texts("cameras", get("cameras", []))

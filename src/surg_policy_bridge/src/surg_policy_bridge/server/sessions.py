@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from surg_policy_bridge.arm import SECOND
-from surg_policy_bridge.timers import SILENCE, Patience
+from surg_policy_bridge.server.policy_arm import SECOND
+from surg_policy_bridge.server.timers import SILENCE, Patience
 from surg_policy_client.spec import Spec
 
 RATE, BURST = 500, 200

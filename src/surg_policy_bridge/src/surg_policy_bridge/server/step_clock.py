@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from surg_policy_bridge.arm import ACTION, PERIOD, ArmView, Target
-from surg_policy_bridge.playout import SEND, Piece
-from surg_policy_bridge.server import ModelServer, State
+from surg_policy_bridge.server.model_server import ModelServer, State
+from surg_policy_bridge.server.playout import SEND, Piece
+from surg_policy_bridge.server.policy_arm import ACTION, PERIOD, ArmView, Target
 
 
 class FreeRun:

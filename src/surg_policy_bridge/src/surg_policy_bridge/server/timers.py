@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surg_policy_bridge.arm import SECOND
+from surg_policy_bridge.server.policy_arm import SECOND
 
 SILENCE = 150_000_000
 """[ns] A client that pings every 50 ms and has not been heard for longer is not there."""
@@ -18,7 +18,7 @@ CAMERA_PERIODS = 3
 """Periods of a camera that may pass without a new picture (F08)."""
 PRESENCE = SECOND // 4
 """[ns] A dead-man is repeated 20 times a second; one that has not been for longer is let go. The
-teleoperation's limit, too (surg_teleop.seat.PEDAL_SILENCE)."""
+teleoperation's limit, too (surg_teleop.follow.arm_switch.PEDAL_SILENCE)."""
 
 
 @dataclass

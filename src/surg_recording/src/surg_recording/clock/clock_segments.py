@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.episode import Episode, Table, Video
-from surg_recording.errors import EpisodeError
+from surg_recording.episode.episode_reader import Episode, Table, Video
+from surg_recording.recording_errors import EpisodeError
 
 GUARD_NS = 1_000_000_000
 """Left out on either side of a step [ns]."""

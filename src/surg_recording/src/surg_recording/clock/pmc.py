@@ -8,8 +8,8 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from surg_recording import clock_sync
-from surg_recording.clock_sync import ClockStatus
+from surg_recording.clock import clock_sync
+from surg_recording.clock.clock_sync import ClockStatus
 
 ANSWER = 2.0
 """An answer that takes longer than this is none [s]."""

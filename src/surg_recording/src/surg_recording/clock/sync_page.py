@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from surg_recording.page import number, text
+from surg_recording.reports.html_page import number, text
 
 _WORDS = {
     "pass": ("ok", "The streams belong to one time"),

@@ -10,7 +10,7 @@ Three questions, each answered ``pass``, ``fail`` or ``cannot_tell`` with reason
 Where the clock was set meanwhile (free-run), the first answer is ``fail``; the other two are of the
 longest stretch between its steps, whose own verdict stands under ``segment``.
 
-On the command line: ``python -m surg_recording.sync_report EPISODE…``.
+On the command line: ``python -m surg_recording.clock.sync_report EPISODE…``.
 """
 
 from __future__ import annotations
@@ -27,13 +27,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import clock_segments, clock_sync, image_motion, video_lag
-from surg_recording import episode as episodes
-from surg_recording.clock_segments import Segment
-from surg_recording.episode import MANIFEST, Episode, Table
-from surg_recording.errors import EpisodeError
-from surg_recording.finishing import clean_json, write_json
-from surg_recording.video_lag import CANNOT_TELL, FAIL, PASS
+from surg_recording.clock import clock_segments, clock_sync
+from surg_recording.clock.clock_segments import Segment
+from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode.episode_reader import MANIFEST, Episode, Table
+from surg_recording.episode.finishing import clean_json, write_json
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import image_motion, video_lag
+from surg_recording.video.video_lag import CANNOT_TELL, FAIL, PASS
 
 FILE = "sync.json"
 CLOCK_TABLE = "clock_sync"
@@ -65,7 +66,8 @@ def make(episode: Episode, progress: Progress | None = None) -> dict[str, Any]:
         progress: told in a few words what is being done.
 
     Returns:
-        What ``sync.json`` holds; docs/clock_sync.md lists the keys. A part that cannot be read is
+        What ``sync.json`` holds; docs/guide/clock_sync.md lists the keys. A part that cannot be
+        read is
         named under ``reasons`` and makes the verdict ``cannot_tell``; it never raises for that.
     """
     segment, stepped = _steps(episode.manifest)
@@ -483,7 +485,7 @@ def _worst(verdicts: Sequence[str]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; exit code 0: all pass, 1: a failure, 2: no readable episode."""
     parser = argparse.ArgumentParser(
-        prog="python -m surg_recording.sync_report",
+        prog="python -m surg_recording.clock.sync_report",
         description="Examine the synchronisation of episodes; write sync.json and mark manifests.",
     )
     parser.add_argument("episodes", nargs="+", type=Path, metavar="EPISODE")

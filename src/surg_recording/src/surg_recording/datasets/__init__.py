@@ -1,7 +1,8 @@
 """Datasets from recordings: a resampler, a feature schema, and exporters for what people train in.
 
 Plain Python; no ROS, no torch, no lerobot. ``load("lerobot").write(folders, out, ExportOptions())``
-exports; docs/datasets.md says what comes out, docs/adding_an_exporter.md how to add a format.
+exports; docs/reference/datasets.md says what comes out, docs/guide/adding_an_exporter.md how to
+add a format.
 """
 
 from surg_recording.datasets.exporter import (

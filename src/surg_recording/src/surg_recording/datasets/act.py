@@ -23,7 +23,7 @@ from surg_recording.datasets import hdf5, pictures, schema
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 _FILE = "episode.hdf5"
 _VELOCITIES = "observation.joint_velocities"

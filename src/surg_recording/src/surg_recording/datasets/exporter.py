@@ -1,7 +1,8 @@
 """What an exporter is, and how one is found: by name, by entry point, by the path of a file.
 
 An entry point in the group ``surg_recording.exporters`` names a class:
-``my_format = my_package.my_format:MyExporter``. docs/adding_an_exporter.md tells how to write one.
+``my_format = my_package.my_format:MyExporter``;
+see docs/guide/adding_an_exporter.md.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature, from_description
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 GROUP = "surg_recording.exporters"
 """Entry points of other packages."""

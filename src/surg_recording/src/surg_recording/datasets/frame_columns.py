@@ -10,7 +10,7 @@ import numpy.typing as npt
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.resample import Grid, Stamps, ages_s
 from surg_recording.datasets.schema import Feature
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 

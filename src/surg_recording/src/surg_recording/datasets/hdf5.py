@@ -14,7 +14,7 @@ from surg_recording.datasets import pictures
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 NEEDS = {"h5py": "Debian: python3-h5py; pip install 'surg_recording[hdf5]'"}
 

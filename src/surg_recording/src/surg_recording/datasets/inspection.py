@@ -12,12 +12,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_recording import clock_segments, columns, episode, sync_report
-from surg_recording.clock_segments import Segment
+from surg_recording.clock import clock_segments, sync_report
+from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.episode import Episode
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import episode_reader, table_columns
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.recording_errors import EpisodeError
 
 SUCCESS, RECOVERY, FAILURE = "success", "recovery", "failure"
 """Kinds of recordings; the last two get a split of their own."""
@@ -90,7 +91,7 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
     Raises:
         EpisodeError: it cannot be exported; says why, and what would allow it.
     """
-    recorded = episode.read(folder)
+    recorded = episode_reader.read(folder)
     manifest = recorded.manifest
     if not recorded.complete and not options.allow_incomplete:
         raise EpisodeError(
@@ -170,7 +171,9 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
         raise EpisodeError(f"{folder}: no arm was commanded: there is no action to export")
     truths = [_mapping(manifest["tables"].get(f"ground_truth_{arm}")).get("rows") for arm in arms]
     run, drop = _mapping(manifest.get("run")), options.drop
-    numbers = [name for name in task.get("columns", []) if name.startswith(columns.TASK_PREFIX)]
+    numbers = [
+        name for name in task.get("columns", []) if name.startswith(table_columns.TASK_PREFIX)
+    ]
     return Layout(
         arms=arms,
         robots=tuple(

@@ -23,7 +23,7 @@ from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.pictures import Encoding, Seen
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 NEEDS = {"pyarrow": "pip install 'surg_recording[lerobot]'"}
 

@@ -13,11 +13,11 @@ from typing import Any, ClassVar
 
 import pyarrow.parquet as pq
 
-from surg_recording.datasets import lerobot, pictures, readme, schema, statistics
+from surg_recording.datasets import lerobot_tables, pictures, readme, schema, statistics
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 VIDEO_PATH = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
@@ -28,11 +28,11 @@ class LeRobotV21(Exporter):
 
     name = "lerobot_v21"
     title = "LeRobot 2.1 (Open-H, GR00T)"
-    needs: ClassVar[Mapping[str, str]] = lerobot.NEEDS
+    needs: ClassVar[Mapping[str, str]] = lerobot_tables.NEEDS
 
     def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
         """A table and a video per camera."""
-        lerobot.write_part(sampled, folder, options)
+        lerobot_tables.write_part(sampled, folder, options)
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Number the rows, place the videos, write ``meta``."""
@@ -41,9 +41,9 @@ class LeRobotV21(Exporter):
         episodes, stats = [], []
         first = 0
         for index, part in enumerate(dataset.parts):
-            place = {"episode_chunk": index // lerobot.CHUNK, "episode_index": index}
-            table = pq.read_table(part.folder / lerobot.DATA)
-            table = lerobot.indexed(
+            place = {"episode_chunk": index // lerobot_tables.CHUNK, "episode_index": index}
+            table = pq.read_table(part.folder / lerobot_tables.DATA)
+            table = lerobot_tables.indexed(
                 table, dataset.options.fps, index, first, tasks[part.instruction]
             )
             path = out / DATA_PATH.format(**place)
@@ -52,25 +52,25 @@ class LeRobotV21(Exporter):
             for feature in videos:
                 target = out / VIDEO_PATH.format(video_key=feature.name, **place)
                 pictures.place(part.folder / f"{feature.name}.mp4", target)
-            found = lerobot.stats_of(table, lerobot.colours_of(part))
+            found = lerobot_tables.stats_of(table, lerobot_tables.colours_of(part))
             stats.append({"episode_index": index, "stats": statistics.to_json(found)})
             episodes.append(
                 {"episode_index": index, "tasks": [part.instruction], "length": part.frames}
             )
             first += part.frames
-        stated = lerobot.info(dataset, "v2.1")
+        stated = lerobot_tables.info(dataset, "v2.1")
         stated.update(
             total_videos=len(videos) * len(dataset.parts),
-            total_chunks=(len(dataset.parts) - 1) // lerobot.CHUNK + 1,
+            total_chunks=(len(dataset.parts) - 1) // lerobot_tables.CHUNK + 1,
             data_path=DATA_PATH,
             video_path=VIDEO_PATH if videos else None,
         )
         meta = out / "meta"
-        lerobot.write_json(meta / "info.json", stated)
+        lerobot_tables.write_json(meta / "info.json", stated)
         named = [{"task_index": index, "task": task} for task, index in tasks.items()]
-        lerobot.write_lines(meta / "tasks.jsonl", named)
-        lerobot.write_lines(meta / "episodes.jsonl", episodes)
-        lerobot.write_lines(meta / "episodes_stats.jsonl", stats)
+        lerobot_tables.write_lines(meta / "tasks.jsonl", named)
+        lerobot_tables.write_lines(meta / "episodes.jsonl", episodes)
+        lerobot_tables.write_lines(meta / "episodes_stats.jsonl", stats)
         (meta / "README.md").write_text(readme.page(dataset, "LeRobot 2.1"), "utf-8")
 
     def validate(self, out: Path) -> Report:
@@ -83,7 +83,7 @@ class LeRobotV21(Exporter):
         return report
 
     def _validate(self, out: Path, report: Report) -> None:
-        stated = lerobot.read_json(out / "meta" / "info.json")
+        stated = lerobot_tables.read_json(out / "meta" / "info.json")
         episodes = _lines(out / "meta" / "episodes.jsonl")
         stats = _lines(out / "meta" / "episodes_stats.jsonl")
         tasks = _lines(out / "meta" / "tasks.jsonl")
@@ -95,12 +95,12 @@ class LeRobotV21(Exporter):
         for index, entry in enumerate(episodes):
             place = {"episode_chunk": index // stated["chunks_size"], "episode_index": index}
             table = pq.read_table(out / stated["data_path"].format(**place))
-            report.errors += lerobot.check_rows(table, stated, index, report.frames)
+            report.errors += lerobot_tables.check_rows(table, stated, index, report.frames)
             if table.num_rows != entry["length"]:
                 report.errors.append(
                     f"recording {index}: {table.num_rows} rows, not {entry['length']}"
                 )
-            found = lerobot.stats_of(table, {})
+            found = lerobot_tables.stats_of(table, {})
             report.errors += statistics.differ(stats[index]["stats"], found, list(found))
             for name in videos:
                 path = out / stated["video_path"].format(video_key=name, **place)
@@ -117,10 +117,10 @@ class LeRobotV21(Exporter):
             report.frames += table.num_rows
         if report.frames != stated["total_frames"]:
             report.errors.append(f"{report.frames} rows, info.json says {stated['total_frames']}")
-        report.errors += lerobot.check_splits(stated)
+        report.errors += lerobot_tables.check_splits(stated)
         text = (out / "meta" / "README.md").read_text("utf-8")
         report.errors += readme.missing_sections(text)
-        lerobot.check_openness(stated, report)
+        lerobot_tables.check_openness(stated, report)
         report.facts.update(splits=stated["splits"], features=list(stated["features"]))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from surg_recording.datasets import lerobot, pictures, readme, schema, statistics
+from surg_recording.datasets import lerobot_tables, pictures, readme, schema, statistics
 from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
@@ -34,11 +34,11 @@ class LeRobotV30(Exporter):
 
     name = "lerobot_v30"
     title = "LeRobot 3.0 (lerobot 0.4 and later)"
-    needs: ClassVar[Mapping[str, str]] = lerobot.NEEDS
+    needs: ClassVar[Mapping[str, str]] = lerobot_tables.NEEDS
 
     def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
         """A table and a video per camera."""
-        lerobot.write_part(sampled, folder, options)
+        lerobot_tables.write_part(sampled, folder, options)
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Join tables and videos into files, write ``meta``."""
@@ -59,23 +59,25 @@ class LeRobotV30(Exporter):
             first += part.frames
         whole = []
         colours: dict[str, list[Any]] = {}
-        groups = _groups([(p.folder / lerobot.DATA).stat().st_size for p in parts], DATA_MB << 20)
+        groups = _groups(
+            [(p.folder / lerobot_tables.DATA).stat().st_size for p in parts], DATA_MB << 20
+        )
         for file, members in enumerate(groups):
             tables = []
             for index in members:
                 part, row = parts[index], rows[index]
-                table = lerobot.indexed(
-                    pq.read_table(part.folder / lerobot.DATA),
+                table = lerobot_tables.indexed(
+                    pq.read_table(part.folder / lerobot_tables.DATA),
                     fps,
                     index,
                     row["dataset_from_index"],
                     tasks[part.instruction],
                 )
-                counted = lerobot.colours_of(part)
+                counted = lerobot_tables.colours_of(part)
                 for name, entry in counted.items():
                     colours.setdefault(name, []).append(entry)
                 row.update(_place("data", file))
-                row.update(_flat(lerobot.stats_of(table, counted, quantiles=True)))
+                row.update(_flat(lerobot_tables.stats_of(table, counted, quantiles=True)))
                 tables.append(table)
             path = out / DATA_PATH.format(**_numbers(file))
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -93,16 +95,16 @@ class LeRobotV30(Exporter):
             name: (sum(h for h, _ in entries), sum(n for _, n in entries))
             for name, entries in colours.items()
         }
-        stats = lerobot.stats_of(pa.concat_tables(whole), summed, quantiles=True)
-        lerobot.write_json(out / "meta" / "stats.json", statistics.to_json(stats))
-        stated = lerobot.info(dataset, "v3.0")
+        stats = lerobot_tables.stats_of(pa.concat_tables(whole), summed, quantiles=True)
+        lerobot_tables.write_json(out / "meta" / "stats.json", statistics.to_json(stats))
+        stated = lerobot_tables.info(dataset, "v3.0")
         stated.update(
             data_files_size_in_mb=DATA_MB,
             video_files_size_in_mb=VIDEO_MB,
             data_path=DATA_PATH,
             video_path=VIDEO_PATH if schema.videos_of(dataset.features) else None,
         )
-        lerobot.write_json(out / "meta" / "info.json", stated)
+        lerobot_tables.write_json(out / "meta" / "info.json", stated)
         (out / "meta" / "README.md").write_text(readme.page(dataset, "LeRobot 3.0"), "utf-8")
 
     def _join(
@@ -110,7 +112,7 @@ class LeRobotV30(Exporter):
     ) -> None:
         """Join the videos of one camera, and say in the rows where each recording begins."""
         paths = [part.folder / f"{name}.mp4" for part in parts]
-        longest = [part.frames / fps / lerobot.LONGEST_S for part in parts]
+        longest = [part.frames / fps / lerobot_tables.LONGEST_S for part in parts]
         sizes = [path.stat().st_size / (VIDEO_MB << 20) for path in paths]
         weights = [max(pair) for pair in zip(longest, sizes, strict=True)]
         for file, members in enumerate(_groups(weights, 1.0)):
@@ -133,8 +135,8 @@ class LeRobotV30(Exporter):
         return report
 
     def _validate(self, out: Path, report: Report) -> None:
-        stated = lerobot.read_json(out / "meta" / "info.json")
-        stats = lerobot.read_json(out / "meta" / "stats.json")
+        stated = lerobot_tables.read_json(out / "meta" / "info.json")
+        stats = lerobot_tables.read_json(out / "meta" / "stats.json")
         rows = pq.read_table(out / EPISODES_PATH).to_pylist()
         videos = [k for k, f in stated["features"].items() if f["dtype"] == "video"]
         files: dict[Path, pa.Table] = {}
@@ -143,9 +145,9 @@ class LeRobotV30(Exporter):
             path = out / stated["data_path"].format(**_found(row, "data"))
             if path not in files:
                 files[path] = pq.read_table(path)
-            here = lerobot.numbers(files[path], "episode_index") == index
+            here = lerobot_tables.numbers(files[path], "episode_index") == index
             table = files[path].filter(pa.array(here))
-            report.errors += lerobot.check_rows(table, stated, index, report.frames)
+            report.errors += lerobot_tables.check_rows(table, stated, index, report.frames)
             if row["length"] != table.num_rows or row["dataset_from_index"] != report.frames:
                 report.errors.append(f"recording {index}: {table.num_rows} rows, row says {row}")
             for name in videos:
@@ -171,13 +173,13 @@ class LeRobotV30(Exporter):
                 )
         if (report.recordings, report.frames) != (stated["total_episodes"], stated["total_frames"]):
             report.errors.append("info.json and the tables disagree on recordings or frames")
-        computed = lerobot.stats_of(pa.concat_tables(files.values()), {}, quantiles=True)
+        computed = lerobot_tables.stats_of(pa.concat_tables(files.values()), {}, quantiles=True)
         report.errors += statistics.differ(stats, computed, list(computed))
         tasks = pq.read_table(out / TASKS_PATH).to_pylist()
         if [task["task_index"] for task in tasks] != list(range(stated["total_tasks"])):
             report.errors.append("tasks.parquet and info.json disagree")
-        report.errors += lerobot.check_splits(stated)
-        lerobot.check_openness(stated, report)
+        report.errors += lerobot_tables.check_splits(stated)
+        lerobot_tables.check_openness(stated, report)
         report.facts.update(splits=stated["splits"], features=list(stated["features"]))
 
 
@@ -231,7 +233,7 @@ def _groups(sizes: list[float] | list[int], limit: float) -> list[list[int]]:
 
 
 def _numbers(file: int) -> dict[str, int]:
-    return {"chunk_index": file // lerobot.CHUNK, "file_index": file % lerobot.CHUNK}
+    return {"chunk_index": file // lerobot_tables.CHUNK, "file_index": file % lerobot_tables.CHUNK}
 
 
 def _place(prefix: str, file: int) -> dict[str, int]:

@@ -24,7 +24,7 @@ from surg_recording.datasets.exporter import PART, Exporter, Part
 from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import sample
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 _UNFINISHED = ".unfinished-"
 

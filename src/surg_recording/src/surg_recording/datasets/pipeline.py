@@ -16,7 +16,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_recording import episode
 from surg_recording.datasets import executors, inspection
 from surg_recording.datasets.exporter import (
     MANIFEST,
@@ -32,7 +31,8 @@ from surg_recording.datasets.inspection import FAILURE, RECOVERY, SUCCESS, Candi
 from surg_recording.datasets.options import SPLITS, ExportOptions
 from surg_recording.datasets.parts import Job, Outcome, file_hash, input_hash, sweep
 from surg_recording.datasets.sampling import sample
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import episode_reader
+from surg_recording.recording_errors import EpisodeError
 
 FORMAT = "surg_export/1"
 UNFINISHED = ".unfinished"
@@ -149,15 +149,15 @@ def find(episodes: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
     for path in episodes:
         if not path.is_dir():
             raise ExportError(f"{path}: no such folder; name folders of recordings")
-        if (path / episode.MANIFEST).exists():
+        if (path / episode_reader.MANIFEST).exists():
             inside = [path]
         else:
-            inside = sorted(file.parent for file in path.rglob(episode.MANIFEST))
+            inside = sorted(file.parent for file in path.rglob(episode_reader.MANIFEST))
         for folder in inside:
-            if folder.name.endswith(episode.PARTIAL):
+            if folder.name.endswith(episode_reader.PARTIAL):
                 refused[str(folder)] = (
                     f"{folder}: never finished; the next recorder start mends it, or"
-                    " surg_recording.episode_writer.recover(parent folder)"
+                    " surg_recording.episode.episode_writer.recover(parent folder)"
                 )
             elif folder.resolve() not in {other.resolve() for other in found}:
                 found.append(folder)

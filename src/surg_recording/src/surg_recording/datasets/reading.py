@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from surg_recording import columns, episode, video_file
-from surg_recording.clock_segments import GUARD_NS, Segment
-from surg_recording.episode import Episode, Table
-from surg_recording.errors import EpisodeError
+from surg_recording.clock.clock_segments import GUARD_NS, Segment
+from surg_recording.episode import episode_reader, table_columns
+from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import video_file
 
 
 def checked_table(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
@@ -41,7 +42,9 @@ def checked_table(recorded: Episode, name: str, segment: Segment | None = None) 
     return kept
 
 
-def checked_video(recorded: Episode, camera: str, segment: Segment | None = None) -> episode.Video:
+def checked_video(
+    recorded: Episode, camera: str, segment: Segment | None = None
+) -> episode_reader.Video:
     """A video whose frames and times are those of its sidecar.
 
     Args:
@@ -60,11 +63,11 @@ def checked_video(recorded: Episode, camera: str, segment: Segment | None = None
     return part
 
 
-def _whole_video(recorded: Episode, video: episode.Video) -> episode.Video:
+def _whole_video(recorded: Episode, video: episode_reader.Video) -> episode_reader.Video:
     """Compare a video with its sidecar, line by line."""
     sidecar = video.path.with_suffix(".csv")
     frames = video.frames
-    missing = [name for name in columns.VIDEO if name not in frames]
+    missing = [name for name in table_columns.VIDEO if name not in frames]
     if missing:
         raise EpisodeError(f"{sidecar}: no column {', '.join(missing)}")
     entry = recorded.manifest["videos"][video.name]
@@ -75,7 +78,7 @@ def _whole_video(recorded: Episode, video: episode.Video) -> episode.Video:
         raise EpisodeError(
             f"{video.path}: {len(times)} frames can be read, its sidecar {sidecar.name} lists"
             f" {len(frames)}; one of the files was cut. Record again, or mend both with"
-            " surg_recording.video_file.mend"
+            " surg_recording.video.video_file.mend"
         )
     stamps = frames["stamp_ns"]
     wrong = np.abs(times - frames["pts"]) > 2
@@ -144,7 +147,7 @@ def checked_cycle(recorded: Episode, name: str, segment: Segment | None = None) 
     cycle = checked_table(recorded, f"cycle_{name}", segment)
     # A cycle without a new joint state repeats its stamp: the last one knows most.
     cycle = cycle.select(np.flatnonzero(np.append(np.diff(cycle["stamp_ns"]) > 0, True)))
-    joints = columns.joint_count(cycle.columns)
+    joints = table_columns.joint_count(cycle.columns)
     used = [*("p_tip_x", "p_tip_y", "p_tip_z", "s_x", "s_y", "s_z", "roll", "jaw")]
     used += [f"{prefix}{i}" for prefix in ("q", "qd") for i in range(joints)]
     for column in used:

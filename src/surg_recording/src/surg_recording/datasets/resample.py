@@ -12,7 +12,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]

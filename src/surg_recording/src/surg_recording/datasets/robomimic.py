@@ -22,7 +22,7 @@ from surg_recording.datasets.exporter import Dataset, Exporter, Report
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 FILE = "demos.hdf5"
 _PART = "demo.hdf5"

@@ -1,4 +1,4 @@
-"""Rotations of whole series, as quaternions x, y, z, w, one per row; see docs/conventions.md."""
+"""Rotations of whole series, as quaternions x, y, z, w, one per row."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def turn_back(q_AB: Array, v_A: Array) -> Array:
 def tool_quaternion(s_R: Array, roll: Array) -> Array:
     """Orientation of a tool with shaft axis ``s_R`` (N, 3) and this roll (N,), in the rcm frame.
 
-    R_RTool = minimal rotation (z → s) · rotation (z, roll), see docs/conventions.md.
+    R_RTool = minimal rotation (z → s) · rotation (z, roll), see docs/reference/conventions.md.
     """
     x, y, z = s_R.T
     # Minimal rotation: axis z × s, half the angle.

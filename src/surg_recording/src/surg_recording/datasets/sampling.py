@@ -3,7 +3,7 @@
 The grid begins with a picture: with the first at which all series have begun, the arms are homed
 and an action is known. It ends with the last time at which nothing has ended. An observation is
 what was known *at* a grid time, an action is the command in force at the *next* one: where
-set-point and jaw shall be then (as in surg_sim.env, whose names the numbers have).
+set-point and jaw shall be then (as in surg_sim.envs.surg_env, whose names the numbers have).
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ import av
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import columns, episode
 from surg_recording.datasets import pictures, schema
-from surg_recording.datasets.columns import Columns
+from surg_recording.datasets.frame_columns import Columns
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.reading import checked_cycle, checked_table, checked_video
@@ -33,8 +32,9 @@ from surg_recording.datasets.resample import (
 )
 from surg_recording.datasets.rotations import multiply, tool_quaternion, turn_back
 from surg_recording.datasets.schema import Feature
-from surg_recording.episode import Episode, Table
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import episode_reader, table_columns
+from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +50,7 @@ _NEXT = "zero-order hold at the next grid time"
 class Pictures:
     """Which recorded frame stands at each grid time."""
 
-    video: episode.Video
+    video: episode_reader.Video
     index: Stamps
     """(frames,) of the recorded video's frames."""
 
@@ -98,7 +98,7 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     Raises:
         EpisodeError: something is missing, torn, edited, too old or too short; says what and where.
     """
-    recorded = episode.read(candidate.folder)
+    recorded = episode_reader.read(candidate.folder)
     layout, segment = candidate.layout, candidate.segment
     cycles = {name: checked_cycle(recorded, name, segment) for name in layout.arms}
     arms = [_arm(recorded, name, cycles[name]) for name in layout.commanded]
@@ -184,7 +184,7 @@ def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
 def _grid(
     candidate: Candidate,
     arms: list[_Arm],
-    videos: dict[str, episode.Video],
+    videos: dict[str, episode_reader.Video],
     others: list[Table],
     options: ExportOptions,
 ) -> Grid:
@@ -301,7 +301,7 @@ def _act(made: Columns, arms: list[_Arm]) -> None:
 
 
 def _show(
-    made: Columns, candidate: Candidate, videos: dict[str, episode.Video]
+    made: Columns, candidate: Candidate, videos: dict[str, episode_reader.Video]
 ) -> dict[str, Pictures]:
     """Which picture stands at each grid time."""
     shown: dict[str, Pictures] = {}
@@ -347,7 +347,7 @@ def _label(made: Columns, task: Table) -> None:
 
 def _privileged_task(made: Columns, task: Table, numbers: tuple[str, ...]) -> None:
     row = previous(task["stamp_ns"], made.grid.times_ns, "task_state.csv")
-    names = tuple(name.removeprefix(columns.TASK_PREFIX) for name in numbers)
+    names = tuple(name.removeprefix(table_columns.TASK_PREFIX) for name in numbers)
     made.vector(
         schema.TASK_STATE,
         np.column_stack([task[name] for name in numbers])[row],

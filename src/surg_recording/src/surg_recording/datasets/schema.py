@@ -43,10 +43,10 @@ ARM_STATE = (
     *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
     *("set_x", "set_y", "set_z", "roll_set"),
 )
-"""Of each arm in ``observation.state``: the state of surg_sim.env, in its order."""
+"""Of each arm in ``observation.state``: the state of surg_sim.envs.surg_env, in its order."""
 ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
 ARM_ACTION = ("x", "y", "z", "roll", "jaw")
-"""Of each commanded arm in ``action``: the action of surg_sim.env."""
+"""Of each commanded arm in ``action``: the action of surg_sim.envs.surg_env."""
 ARM_ACTION_UNITS = ("m", "m", "m", "rad", "rad")
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 POSE_UNITS = ("m", "m", "m", "1", "1", "1", "1")

@@ -1,7 +1,8 @@
 """Reading an episode folder. Writing one is ``episode_writer``.
 
 A folder holds ``manifest.json``, CSV tables, and per camera an MP4 with a sidecar CSV. The format
-is versioned: a reader for every version that was ever written stays here (docs/recording.md).
+is versioned: a reader for every version that was ever written stays here
+(docs/reference/recording.md).
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import columns
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import table_columns
+from surg_recording.recording_errors import EpisodeError
 
 FORMAT = "surg_episode/1"
 """The version written today."""
@@ -72,7 +73,7 @@ class Table:
 
     def joints(self, prefix: str = "q") -> npt.NDArray[np.float64]:
         """Columns ``<prefix>0``, ``<prefix>1``, … as (N, joints)."""
-        count = columns.joint_count(self.columns)
+        count = table_columns.joint_count(self.columns)
         return np.stack([self[f"{prefix}{i}"] for i in range(count)], axis=1)
 
     def select(self, rows: npt.NDArray[Any] | slice) -> Table:
@@ -313,7 +314,7 @@ class _Column:
 
     def __init__(self, path: Path, name: str, kinds: Mapping[str, str] | None) -> None:
         self.name, self._path = name, path
-        self._kind: type = columns.kind(name)
+        self._kind: type = table_columns.kind(name)
         if kinds is not None:
             self._kind = _KINDS.get(kinds.get(name, ""), float)
         self._holey = kinds is not None

@@ -13,16 +13,17 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_recording import columns, compressed_image, rows
-from surg_recording.annotations import Annotations, Tag
-from surg_recording.camera_sink import CameraSink
-from surg_recording.clock_steps import CLOCK_STEP, FUTURE_NS
-from surg_recording.csv_sink import CsvTable, CsvWriter
-from surg_recording.episode import TOPICS
-from surg_recording.episode_writer import MIN_FREE_BYTES, EpisodeWriter
-from surg_recording.flatten import Flat
-from surg_recording.topic_tables import TopicTables
-from surg_recording.video_sink import Frame
+from surg_recording.clock.clock_steps import CLOCK_STEP, FUTURE_NS
+from surg_recording.episode import table_columns, table_rows
+from surg_recording.episode.annotations import Annotations, Tag
+from surg_recording.episode.csv_sink import CsvTable, CsvWriter
+from surg_recording.episode.episode_reader import TOPICS
+from surg_recording.episode.episode_writer import MIN_FREE_BYTES, EpisodeWriter
+from surg_recording.episode.message_fields import Flat
+from surg_recording.episode.topic_tables import TopicTables
+from surg_recording.video import compressed_image
+from surg_recording.video.camera_sink import CameraSink
+from surg_recording.video.video_sink import Frame
 
 TASK_STATE = "task_state"
 """Name of the table of a task's ground truth."""
@@ -102,8 +103,8 @@ class Recording:
         self._disk_full = False
         self._orphans: dict[str, int] = {}
         for arm in self.arms:
-            self._table(f"command_{arm}", columns.COMMAND)
-        self._table("events", columns.EVENTS)
+            self._table(f"command_{arm}", table_columns.COMMAND)
+        self._table("events", table_columns.EVENTS)
         self._start_encoders()
 
     @property
@@ -143,8 +144,8 @@ class Recording:
         name = f"cycle_{arm}"
         table = self._tables.get(name)
         if table is None:
-            table = self._table(name, columns.cycle(len(message.q)))
-        row = rows.cycle(message, receive_ns)
+            table = self._table(name, table_columns.cycle(len(message.q)))
+        row = table_rows.cycle(message, receive_ns)
         if table is not None and len(row) != len(table.columns):
             self._problems.append(f"{name}: a cycle with another number of joints")
             table.dropped += 1
@@ -153,16 +154,17 @@ class Recording:
 
     def ground_truth(self, message: Any, receive_ns: int) -> None:
         """Record a surg_msgs/GroundTruth, arm by arm."""
-        stamp = rows.nanoseconds(message.header.stamp)
+        stamp = table_rows.nanoseconds(message.header.stamp)
         for arm in message.arms:
             name = f"ground_truth_{arm.arm}"
-            table = self._tables.get(name) or self._table(name, columns.GROUND_TRUTH)
-            self._put(table, rows.ground_truth(stamp, message.tick, arm, receive_ns))
+            table = self._tables.get(name) or self._table(name, table_columns.GROUND_TRUTH)
+            self._put(table, table_rows.ground_truth(stamp, message.tick, arm, receive_ns))
 
     def command(self, arm: str, topic: str, message: Any, source: str, receive_ns: int) -> None:
         """Record a motion command sent to an arm."""
         self._put(
-            self._tables.get(f"command_{arm}"), rows.command(topic, message, source, receive_ns)
+            self._tables.get(f"command_{arm}"),
+            table_rows.command(topic, message, source, receive_ns),
         )
 
     def task_state(self, message: Any, receive_ns: int) -> None:
@@ -170,11 +172,11 @@ class Recording:
         table = self._tables.get(TASK_STATE)
         if table is None:
             try:
-                table = self._table(TASK_STATE, columns.task(message.names))
+                table = self._table(TASK_STATE, table_columns.task(message.names))
             except ValueError as problem:
                 self._problems.append(f"{TASK_STATE}: {problem}")
                 return
-        row = rows.task_state(message, receive_ns)
+        row = table_rows.task_state(message, receive_ns)
         if table is not None and len(row) != len(table.columns):
             self._problems.append(f"{TASK_STATE}: a state with another number of values")
             table.dropped += 1
@@ -184,14 +186,14 @@ class Recording:
     def clock_sync(self, message: Any, receive_ns: int) -> None:
         """Record a surg_msgs/ClockSync: what a machine's PTP daemon says of its clock."""
         name = "clock_sync"
-        table = self._tables.get(name) or self._table(name, columns.CLOCK_SYNC)
-        self._put(table, rows.clock_sync(message, receive_ns))
+        table = self._tables.get(name) or self._table(name, table_columns.CLOCK_SYNC)
+        self._put(table, table_rows.clock_sync(message, receive_ns))
 
     def assistant_command(self, topic: str, message: Any, source: str, receive_ns: int) -> None:
         """Record a command to the assistant's instrument: ``servo_jp`` or ``jaw/servo_jp``."""
         name = "command_assistant"
-        table = self._tables.get(name) or self._table(name, columns.COMMAND)
-        self._put(table, rows.command(topic, message, source, receive_ns))
+        table = self._tables.get(name) or self._table(name, table_columns.COMMAND)
+        self._put(table, table_rows.command(topic, message, source, receive_ns))
 
     def topic(self, topic: str, kind: str, flat: Flat, source: str, receive_ns: int) -> None:
         """Record a message of any other topic.
@@ -289,7 +291,7 @@ class Recording:
         if video is None:  # its encoder did not start
             self._orphans[camera] = self._orphans.get(camera, 0) + 1
             return
-        stamp_ns = rows.nanoseconds(message.header.stamp)
+        stamp_ns = table_rows.nanoseconds(message.header.stamp)
         self._look_ahead(camera, stamp_ns, receive_ns)
         self._heard[camera] = time.monotonic()
         video.put(_frame(message, stamp_ns, receive_ns))
@@ -420,7 +422,7 @@ class Recording:
         stages = self._annotations.stages
         return stages[-1]["name"] if stages and stages[-1]["end_ns"] is None else None
 
-    def _put(self, table: CsvTable | None, row: rows.Row) -> None:
+    def _put(self, table: CsvTable | None, row: table_rows.Row) -> None:
         if table is not None:
             self._look_ahead(table.path.stem, row[0], row[1])
             self._writer.put(table, row)

@@ -14,9 +14,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_recording.episode import FORMAT, MANIFEST, PARTIAL
-from surg_recording.errors import EpisodeError
-from surg_recording.finishing import complete, utc_now, write_json
+from surg_recording.episode.episode_reader import FORMAT, MANIFEST, PARTIAL
+from surg_recording.episode.finishing import complete, utc_now, write_json
+from surg_recording.recording_errors import EpisodeError
 
 MIN_FREE_BYTES = 2 << 30
 """A recording does not start with less free space than this [bytes]."""

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from surg_recording import video_file
-from surg_recording.episode import MANIFEST, TOPICS
+from surg_recording.episode.episode_reader import MANIFEST, TOPICS
+from surg_recording.video import video_file
 
 _CHUNK = 1 << 20
 _TICKED = ("cycle_", "ground_truth_")

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from surg_recording.rows import nanoseconds
+from surg_recording.episode.table_rows import nanoseconds
 
 MAX_ITEMS = 256
 """Items of an array that are kept; its true length stays known."""

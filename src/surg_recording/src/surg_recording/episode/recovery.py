@@ -15,12 +15,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from surg_recording import finishing
-from surg_recording.annotations import Annotations, parse_tag
-from surg_recording.clock_steps import CLOCK_STEP
-from surg_recording.episode import FORMAT, MANIFEST, PARTIAL, read_table
-from surg_recording.episode_writer import LOCK, RESERVE, sync_folder
-from surg_recording.errors import EpisodeError
+from surg_recording.clock.clock_steps import CLOCK_STEP
+from surg_recording.episode import finishing
+from surg_recording.episode.annotations import Annotations, parse_tag
+from surg_recording.episode.episode_reader import FORMAT, MANIFEST, PARTIAL, read_table
+from surg_recording.episode.episode_writer import LOCK, RESERVE, sync_folder
+from surg_recording.recording_errors import EpisodeError
 
 REASON = "the recorder was killed; recovered at the next start"
 BY_HAND = "the recorder was killed; recovered by hand"

@@ -1,6 +1,7 @@
 """Columns of the CSV tables of an episode, format version 1, and the kind of each.
 
-The tables are written by ``rows`` and read by ``episode``; docs/recording.md lists the columns with
+The tables are written by ``rows`` and read by ``episode``; docs/reference/recording.md lists the
+columns with
 unit and frame. Vectors are in the arm's base frame unless the name or that page says otherwise.
 """
 

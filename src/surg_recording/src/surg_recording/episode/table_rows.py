@@ -9,15 +9,15 @@ import json
 import math
 from typing import Any
 
-from surg_recording import columns
+from surg_recording.episode import table_columns
 
 Row = tuple[Any, ...]
 
-_CP = columns.COMMAND.index("x")
-_JP = columns.COMMAND.index("yaw")
-_CV = columns.COMMAND.index("vx")
-_JV = columns.COMMAND.index("yaw_rate")
-_JAW = columns.COMMAND.index("jaw")
+_CP = table_columns.COMMAND.index("x")
+_JP = table_columns.COMMAND.index("yaw")
+_CV = table_columns.COMMAND.index("vx")
+_JV = table_columns.COMMAND.index("yaw_rate")
+_JAW = table_columns.COMMAND.index("jaw")
 
 
 def nanoseconds(stamp: Any) -> int:
@@ -131,7 +131,7 @@ def command(topic: str, message: Any, source: str, receive_ns: int) -> Row:
         source: caller id of the sender.
         receive_ns: wall clock at reception.
     """
-    row: list[Any] = [None] * len(columns.COMMAND)
+    row: list[Any] = [None] * len(table_columns.COMMAND)
     row[:4] = nanoseconds(message.header.stamp), receive_ns, topic, source
     if topic.startswith("jaw/"):
         row[_JAW : _JAW + 1] = list(message.position[:1]) or [None]

@@ -11,8 +11,8 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from surg_recording.csv_sink import CsvTable
-from surg_recording.flatten import Flat, columns_for, file_name
+from surg_recording.episode.csv_sink import CsvTable
+from surg_recording.episode.message_fields import Flat, columns_for, file_name
 
 MAX_TABLES = 16
 """Tables of one topic; what fits none of them then is cut, and said."""

@@ -2,7 +2,7 @@
 
 Smoothness has many variants. Which one a value is, its ``SmoothnessPreset`` says; values of
 different presets are never compared. Formulas, parameters and what a figure may claim:
-docs/evaluation.md.
+docs/guide/evaluation.md.
 """
 
 from surg_recording.metrics.filters import (

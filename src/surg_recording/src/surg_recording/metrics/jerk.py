@@ -1,7 +1,7 @@
 """Log dimensionless jerk, in the two forms that figures are made of.
 
 S. Balasubramanian et al., "On the analysis of movement smoothness", J. NeuroEng. Rehabil. 12:112,
-2015, for ``ldlj``; the other form is our reading of the paper's figures (docs/evaluation.md).
+2015, for ``ldlj``; the other form is our reading of the paper's figures (docs/guide/evaluation.md).
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.errors import ReferenceSetError
+from surg_recording.recording_errors import ReferenceSetError
 
 Array = npt.NDArray[np.float64]
 

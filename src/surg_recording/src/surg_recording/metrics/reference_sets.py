@@ -16,10 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import jigsaws, metrics
-from surg_recording.errors import ReferenceSetError
-from surg_recording.intervals import spread
-from surg_recording.summary import PATH_CUTOFF_HZ
+from surg_recording import metrics
+from surg_recording.metrics import jigsaws
+from surg_recording.metrics.confidence_intervals import spread
+from surg_recording.recording_errors import ReferenceSetError
+from surg_recording.reports.run_summary import PATH_CUTOFF_HZ
 
 Array = npt.NDArray[np.float64]
 

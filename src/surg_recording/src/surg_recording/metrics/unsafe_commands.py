@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.episode import Episode, Table
-from surg_recording.errors import EpisodeError
+from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 

@@ -17,8 +17,8 @@ import rospy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from surg_msgs.msg import ClockSync
-from surg_recording import clock_sync, pmc
-from surg_recording.clock_sync import ClockStatus
+from surg_recording.clock import clock_sync, pmc
+from surg_recording.clock.clock_sync import ClockStatus
 
 TOPIC = "/clock_sync/status"
 

@@ -29,16 +29,16 @@ from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, Ready, TaskState
-from surg_recording import annotations, provenance, rows
-from surg_recording.clock_steps import SteppedClock
-from surg_recording.deliveries import Deliveries
-from surg_recording.episode import PARTIAL
-from surg_recording.errors import EpisodeError
-from surg_recording.flatten import Flat
-from surg_recording.recorder_settings import Settings
-from surg_recording.recording import Recording
-from surg_recording.recovery import recover
-from surg_recording.topic_choice import IMAGES, NOT_TABLES, TopicChoice
+from surg_recording.clock.clock_steps import SteppedClock
+from surg_recording.episode import annotations, provenance, table_rows
+from surg_recording.episode.duplicate_filter import Deliveries
+from surg_recording.episode.episode_reader import PARTIAL
+from surg_recording.episode.episode_recorder import Recording
+from surg_recording.episode.message_fields import Flat
+from surg_recording.episode.recovery import recover
+from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES, TopicChoice
+from surg_recording.nodes.recorder_parameters import Settings
+from surg_recording.recording_errors import EpisodeError
 
 COMMANDS: dict[str, type] = {
     "servo_cp": PoseStamped,
@@ -194,7 +194,7 @@ class RecorderNode:
 
         It is not waited for: the next episode can start at once.
         """
-        argv = [sys.executable, "-m", "surg_recording.sync_report", "--quiet", str(folder)]
+        argv = [sys.executable, "-m", "surg_recording.clock.sync_report", "--quiet", str(folder)]
         try:
             subprocess.Popen(
                 ["nice", "-n", "10", *argv],
@@ -357,11 +357,11 @@ class RecorderNode:
             self._event(f"/{arm}/hold", _sender(message), "")
 
     def _on_state(self, arm: str, message: OperatingState) -> None:
-        text = rows.operating_state(message)
+        text = table_rows.operating_state(message)
         again = self._repeated(f"/{arm}/operating_state", message, _key(message))
         if text != self._states.get(arm) and not again:
             self._states[arm] = text
-            stamp = rows.nanoseconds(message.header.stamp)
+            stamp = table_rows.nanoseconds(message.header.stamp)
             self._event(f"/{arm}/operating_state", _sender(message), text, stamp)
 
     def _on_text(self, topic: str, message: String) -> None:
@@ -606,7 +606,7 @@ def _sender(message: Any) -> str:
 
 def _key(message: Any) -> tuple[int, int]:
     """What tells the messages of one publisher apart."""
-    return message.header.seq, rows.nanoseconds(message.header.stamp)
+    return message.header.seq, table_rows.nanoseconds(message.header.stamp)
 
 
 def _recover(parent: Path, name: str) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from surg_recording.episode_writer import MIN_FREE_BYTES
+from surg_recording.episode.episode_writer import MIN_FREE_BYTES
 
 MODES = ("lockstep", "freerun")
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow")

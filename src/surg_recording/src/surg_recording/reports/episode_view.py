@@ -2,7 +2,7 @@
 
 ``page`` makes a single HTML file that needs no network: ``view.html``, ``view.css`` and ``view.js``
 filled with what ``view_data`` collects. On the command line:
-``python -m surg_recording.view EPISODE OUT.html``.
+``python -m surg_recording.reports.episode_view EPISODE OUT.html``.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from surg_recording import episode as episodes
-from surg_recording import sync_report, view_data
-from surg_recording.episode import Episode
-from surg_recording.errors import EpisodeError
-from surg_recording.page import document, text
-from surg_recording.view_data import MAX_ROWS, VIDEO_BUDGET, Progress
+from surg_recording.clock import sync_report
+from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.reports import episode_view_data
+from surg_recording.reports.episode_view_data import MAX_ROWS, VIDEO_BUDGET, Progress
+from surg_recording.reports.html_page import document, text
 
 
 def page(
@@ -33,13 +34,13 @@ def page(
     Raises:
         EpisodeError: there is nothing at all to show.
     """
-    viewed = view_data.collect(episode, budget, max_rows, progress)
+    viewed = episode_view_data.collect(episode, budget, max_rows, progress)
     info = episode.manifest.get("run") or {}
     what = info.get("title") or info.get("motion") or episode.manifest.get("task") or "episode"
     title = " · ".join(str(part) for part in (what, info.get("robot"), info.get("setting")) if part)
     here = Path(__file__).parent
     notes = "".join(f"<li>{text(note)}</li>" for note in viewed.missing)
-    body = (here / "view.html").read_text(encoding="utf-8")
+    body = (here / "episode_view.html").read_text(encoding="utf-8")
     for key, value in {
         "TITLE": text(title),
         "CREATED": text(episode.manifest.get("created")),
@@ -53,8 +54,8 @@ def page(
         for i, data in enumerate(viewed.videos)
     )
     said = json.dumps(viewed.data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    script = (here / "view.js").read_text(encoding="utf-8")
-    style = (here / "view.css").read_text(encoding="utf-8")
+    script = (here / "episode_view.js").read_text(encoding="utf-8")
+    style = (here / "episode_view.css").read_text(encoding="utf-8")
     return document(
         title,
         [
@@ -99,7 +100,7 @@ def write(episode: Episode, out: Path, progress: Progress | None = None) -> Path
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; exit code 2 when there is nothing to show."""
-    parser = argparse.ArgumentParser(prog="python -m surg_recording.view")
+    parser = argparse.ArgumentParser(prog="python -m surg_recording.reports.episode_view")
     parser.add_argument("episode", type=Path, metavar="EPISODE")
     parser.add_argument("out", type=Path, metavar="OUT.html")
     given = parser.parse_args(arguments)

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import episode as episodes
-from surg_recording import metrics, video_embed
-from surg_recording.episode import Episode, Table
-from surg_recording.errors import EpisodeError
-from surg_recording.figures import EXECUTED, TRUE
-from surg_recording.summary import rotate
+from surg_recording import metrics
+from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.reports.run_figures import EXECUTED, TRUE
+from surg_recording.reports.run_summary import rotate
+from surg_recording.video import video_embed
 
 MAX_ROWS = 20_000
 """Samples kept of a table: 40 s at 500 Hz whole, more are thinned out and keep their extremes."""

@@ -1,7 +1,7 @@
 """Episodes of any kind, grouped into conditions and measured, beside a reference set.
 
 A *condition* is what its episodes have in common: task, physical setting, robot, control law, and
-whether robot and patient were simulated. What the numbers mean is said in docs/evaluation.md.
+whether robot and patient were simulated. What the numbers mean is said in docs/guide/evaluation.md.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_recording import episode as episodes
-from surg_recording import metrics, reference, summary, trials
-from surg_recording.episode import Episode
-from surg_recording.errors import EpisodeError
-from surg_recording.intervals import spread, success_rate
+from surg_recording import metrics
+from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.metrics import reference_sets
+from surg_recording.metrics.confidence_intervals import spread, success_rate
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.reports import run_summary, trials
 
 IDENTITY = ("task", "setting", "robot", "law", "source")
 """What makes a condition."""
@@ -121,7 +123,7 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
         EpisodeError: It has no such arm, no motion, or cannot be read.
     """
     try:
-        measured = summary.summarise(recorded, arm)
+        measured = run_summary.summarise(recorded, arm)
     except ValueError as problem:  # a metric was given what is no number
         raise EpisodeError(f"{recorded.folder}: {problem}") from problem
     if measured["duration_s"] is None:
@@ -268,9 +270,9 @@ def compare(spec: str, preset: str, progress: Progress) -> dict[str, Any]:
     Raises:
         ReferenceSetError: Nothing of it can be measured.
     """
-    found = reference.load(spec)
+    found = reference_sets.load(spec)
     measured = []
     for i, motion in enumerate(found.motions):
         progress(i / len(found.motions), f"{found.name}: {motion.name}")
-        measured.append(reference.measure(motion))
-    return reference.summarise(found, measured, preset)
+        measured.append(reference_sets.measure(motion))
+    return reference_sets.summarise(found, measured, preset)

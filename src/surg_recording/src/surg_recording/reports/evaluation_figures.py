@@ -10,9 +10,9 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from surg_recording import evaluation, trial_figures
-from surg_recording.figures import EXECUTED, GRID, INK, INPUT, STYLE, Drawn, blank
 from surg_recording.metrics import PRESETS
+from surg_recording.reports import evaluation, trial_figures
+from surg_recording.reports.run_figures import EXECUTED, GRID, INK, INPUT, STYLE, Drawn, blank
 
 FORMATS = ("png", "svg")
 

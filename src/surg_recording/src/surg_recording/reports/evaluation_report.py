@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_recording import evaluation_figures, evaluation_tables
-from surg_recording.evaluation import METRICS
-from surg_recording.finishing import clean_json, write_json
+from surg_recording.episode.finishing import clean_json, write_json
 from surg_recording.metrics import PRESETS
-from surg_recording.page import document, figure_section, number, text
-from surg_recording.trial_report import interval
+from surg_recording.reports import evaluation_figures, evaluation_tables
+from surg_recording.reports.evaluation import METRICS
+from surg_recording.reports.html_page import document, figure_section, number, text
+from surg_recording.reports.trial_report import interval
 
 _DEFINITIONS = (
     (
@@ -32,7 +32,7 @@ _DEFINITIONS = (
     (
         "SPARC, LDLJ",
         "Spectral arc length and log dimensionless jerk of the executed tip motion at 5 Hz, by the"
-        " one preset named; closer to zero is smoother. docs/evaluation.md has the formulas.",
+        " one preset named; closer to zero is smoother. docs/guide/evaluation.md has the formulas.",
     ),
     (
         "Path length, duration, idle time",

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_recording.evaluation import IDENTITY, METRICS
 from surg_recording.metrics import PRESETS
-from surg_recording.page import number
-from surg_recording.trial_report import interval
+from surg_recording.reports.evaluation import IDENTITY, METRICS
+from surg_recording.reports.html_page import number
+from surg_recording.reports.trial_report import interval
 
 _SPREAD = ("n", "min", "q1", "median", "q3", "max", "low", "high")
 """Of a metric, in the columns <metric>_<one of these>; low, high: the median's 95 % interval."""

@@ -7,7 +7,7 @@ import html
 from collections.abc import Iterable
 from typing import Any
 
-from surg_recording.figures import Drawn
+from surg_recording.reports.run_figures import Drawn
 
 CSS = """
 :root { color-scheme: light; }

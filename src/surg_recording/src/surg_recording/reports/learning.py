@@ -1,7 +1,7 @@
 """What a policy that was learned came to: its roll-outs beside the demonstrations.
 
 Entries are those of ``trials.describe``, so that every number is computed as everywhere else. What
-each means is said in docs/learning.md and docs/run.md.
+each means is said in docs/guide/learning.md and docs/guide/run.md.
 """
 
 from __future__ import annotations
@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from surg_recording import episode, trials, unsafe
-from surg_recording.episode import Episode
+from surg_recording.episode import episode_reader
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.metrics import unsafe_commands
+from surg_recording.reports import trials
 
 Entry = Mapping[str, Any]
 
@@ -54,7 +56,7 @@ def look(recorded: Episode) -> dict[str, Any]:
     cycles = 0
     for arm in recorded.arms:
         cycles += len(recorded.cycle(arm))
-        for rule in unsafe.examine(recorded, arm):
+        for rule in unsafe_commands.examine(recorded, arm):
             found[rule.name] = found.get(rule.name, 0) + rule.cycles
     return {"cycles": cycles, "commands": sum(found.values()), "rules": found}
 
@@ -68,7 +70,7 @@ def demonstration(folder: Path) -> dict[str, Any]:
     Raises:
         EpisodeError: It cannot be read.
     """
-    recorded = episode.read(folder)
+    recorded = episode_reader.read(folder)
     run = recorded.manifest.get("run") or {}
     verdict = (recorded.manifest.get("sim") or {}).get("task") or {}
     ticks = (recorded.manifest.get("sim") or {}).get("sim_time_s") or 0.0

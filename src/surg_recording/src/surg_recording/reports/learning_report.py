@@ -8,11 +8,11 @@ from typing import Any
 
 import matplotlib
 
-from surg_recording import trial_figures
-from surg_recording.figures import STYLE, Drawn
-from surg_recording.finishing import clean_json, write_json
-from surg_recording.page import document, figure_section, number, text
-from surg_recording.trial_report import interval
+from surg_recording.episode.finishing import clean_json, write_json
+from surg_recording.reports import trial_figures
+from surg_recording.reports.html_page import document, figure_section, number, text
+from surg_recording.reports.run_figures import STYLE, Drawn
+from surg_recording.reports.trial_report import interval
 
 Entry = Mapping[str, Any]
 

@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from surg_recording import metrics
-from surg_recording.summary import Run, rotate
+from surg_recording.reports.run_summary import Run, rotate
 
 Array = npt.NDArray[np.float64]
 

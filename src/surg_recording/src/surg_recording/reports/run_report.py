@@ -1,6 +1,7 @@
 """The report of a run: ``summary.json``, ``figures/*.png`` and one self-contained ``report.html``.
 
-On the command line: ``python -m surg_recording.report RUN_DIR`` (exit code 0 when the run met its
+On the command line: ``python -m surg_recording.reports.run_report RUN_DIR`` (exit code 0 when the
+run met its
 limits, 1 when not, 2 when there is no readable episode).
 """
 
@@ -16,11 +17,13 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from surg_recording import episode as episodes
-from surg_recording import figures, summary, sync_page, sync_report, video_file
-from surg_recording.errors import EpisodeError, NoMotionError
-from surg_recording.finishing import clean_json, write_json
-from surg_recording.page import document, embed, figure_section, number, text
+from surg_recording.clock import sync_page, sync_report
+from surg_recording.episode import episode_reader as episodes
+from surg_recording.episode.finishing import clean_json, write_json
+from surg_recording.recording_errors import EpisodeError, NoMotionError
+from surg_recording.reports import run_figures, run_summary
+from surg_recording.reports.html_page import document, embed, figure_section, number, text
+from surg_recording.video import video_file
 
 STRIP_FRAMES = 6
 
@@ -96,13 +99,13 @@ def make(
     folder = Path(run_dir)
     recorded = episodes.read(Path(episode) if episode is not None else folder / "episode")
     try:
-        run = summary.load(recorded, arm)
+        run = run_summary.load(recorded, arm)
     except NoMotionError:
         run = None
-    result = clean_json(summary.summarise(recorded, arm, run))
-    drawn: list[figures.Drawn] = []
+    result = clean_json(run_summary.summarise(recorded, arm, run))
+    drawn: list[run_figures.Drawn] = []
     if run is not None:
-        drawn = figures.save_all(run, result, _robot(recorded, run.arm), folder / "figures")
+        drawn = run_figures.save_all(run, result, _robot(recorded, run.arm), folder / "figures")
     strip, video_problem = _strip(recorded)
     write_json(folder / "summary.json", result)
     page = _page(recorded, result, drawn, strip, video_problem)
@@ -121,7 +124,7 @@ def _robot(recorded: episodes.Episode, arm: str) -> Mapping[str, Any]:
 def _page(
     recorded: episodes.Episode,
     result: Mapping[str, Any],
-    drawn: Sequence[figures.Drawn],
+    drawn: Sequence[run_figures.Drawn],
     strip: Sequence[tuple[str, bytes]],
     video_problem: str | None,
 ) -> str:
@@ -323,7 +326,7 @@ def _spread(values: Mapping[str, Any] | None) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """The command line; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m surg_recording.report",
+        prog="python -m surg_recording.reports.run_report",
         description="Write summary.json, figures/ and report.html of a recorded run.",
     )
     parser.add_argument("run_dir", type=Path, help="the run's folder")

@@ -1,6 +1,7 @@
 """From an episode to its numbers: ``summary.json`` and the series that the figures draw.
 
-What each number means is said once, in docs/report.md. Millimetres, degrees and milliseconds are
+What each number means is said once, in docs/reference/report.md. Millimetres, degrees and
+milliseconds are
 used here and in the report only, and the key says so.
 """
 
@@ -15,8 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_recording import metrics
-from surg_recording.episode import Episode, Table
-from surg_recording.errors import EpisodeError, NoMotionError
+from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.recording_errors import EpisodeError, NoMotionError
 
 Array = npt.NDArray[np.float64]
 

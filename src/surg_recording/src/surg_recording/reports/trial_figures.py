@@ -11,8 +11,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from surg_recording import trials
-from surg_recording.figures import (
+from surg_recording.reports import trials
+from surg_recording.reports.run_figures import (
     EXECUTED,
     FAINT,
     INK,

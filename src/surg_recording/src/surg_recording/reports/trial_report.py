@@ -6,14 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_recording import trial_figures
-from surg_recording.finishing import clean_json, write_json
-from surg_recording.page import document, figure_section, number, text
+from surg_recording.episode.finishing import clean_json, write_json
+from surg_recording.reports import trial_figures
+from surg_recording.reports.html_page import document, figure_section, number, text
 
 _DEFINITIONS = (
     (
         "Success",
-        "By the task's own definition, judged by the simulator's ground truth (docs/tasks.md)."
+        "By the task's own definition, judged by the simulator's ground truth"
+        " (docs/reference/tasks.md)."
         " An episode that ends for any other reason is a failure and names it.",
     ),
     (

@@ -1,7 +1,7 @@
 """Many episodes of one task: what each came to, and what they come to together.
 
 A *condition* is what episodes have in common: the physical setting and the control law. Episodes of
-one condition differ by their seeds only. What the numbers mean is said in docs/run.md.
+one condition differ by their seeds only. What the numbers mean is said in docs/guide/run.md.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from surg_recording import summary
-from surg_recording.episode import Episode
-from surg_recording.intervals import Z_95, success_rate, wilson
+from surg_recording.episode.episode_reader import Episode
+from surg_recording.metrics.confidence_intervals import Z_95, success_rate, wilson
+from surg_recording.reports import run_summary
 
 __all__ = [
     "Z_95",
@@ -68,7 +68,7 @@ def describe(
     sim: Mapping[str, Any] = {}
     if recorded is not None:
         sim = recorded.manifest.get("sim") or {}
-        arms = {arm: pick(summary.summarise(recorded, arm)) for arm in recorded.arms}
+        arms = {arm: pick(run_summary.summarise(recorded, arm)) for arm in recorded.arms}
     first = next(iter(arms.values()), dict.fromkeys(_OF_AN_ARM))
     return {
         "seed": seed,
@@ -162,7 +162,7 @@ def _condition(setting: str, law: str, episodes: Sequence[Mapping[str, Any]]) ->
         found[f"trocar_{name}"] = _spread(values(episodes, "trocar", name, "max"))
     for name in ("sparc", "ldlj"):
         found[name] = _spread(values(episodes, "smoothness", name))
-    bounds = summary.SETTING_BOUNDS.get(setting, summary.ANY_SETTING)
+    bounds = run_summary.SETTING_BOUNDS.get(setting, run_summary.ANY_SETTING)
     worst = {name: found["rcm_kinematic_mm"][name]["max"] for name in bounds}
     found["bounds"] = [
         {"metric": name, "value": value, "worst": worst[name], "met": _below(worst[name], value)}

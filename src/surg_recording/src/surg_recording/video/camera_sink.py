@@ -12,7 +12,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from surg_recording.video_sink import Frame, VideoSink, unusable
+from surg_recording.video.video_sink import Frame, VideoSink, unusable
 
 MAX_PARTS = 8
 """A camera that goes on changing after so many parts is not recorded any further."""

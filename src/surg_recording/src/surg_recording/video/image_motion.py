@@ -17,7 +17,7 @@ import av
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.errors import EpisodeError
+from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 

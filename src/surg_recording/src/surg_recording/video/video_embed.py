@@ -12,8 +12,8 @@ import av
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.errors import EpisodeError
-from surg_recording.video_encoder import MICROSECONDS
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.video.video_encoder import MICROSECONDS
 
 SMALL_WIDTH = 480
 """Of a video that had to be thinned out [pixels]."""

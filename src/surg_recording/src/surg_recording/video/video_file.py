@@ -12,8 +12,9 @@ import av
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording import columns, mp4_boxes
-from surg_recording.errors import EpisodeError
+from surg_recording.episode import table_columns
+from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import mp4_boxes
 
 Image = npt.NDArray[np.uint8]
 
@@ -92,7 +93,7 @@ def is_empty(path: Path) -> bool:
 def last_stamp(sidecar: Path) -> int:
     """Stamp of the last line of a sidecar [ns]; -1: there is none."""
     lines = _sidecar_lines(sidecar)
-    return int(lines[-1][columns.VIDEO.index("stamp_ns")]) if lines else -1
+    return int(lines[-1][table_columns.VIDEO.index("stamp_ns")]) if lines else -1
 
 
 def _sidecar_lines(sidecar: Path) -> list[list[str]]:
@@ -103,7 +104,9 @@ def _sidecar_lines(sidecar: Path) -> list[list[str]]:
     with open(sidecar, newline="", encoding="utf-8", errors="replace") as file:
         text = file.read().rpartition("\n")[0]
     for line in csv.reader(text.replace("\0", "").splitlines()[1:]):
-        if len(line) != len(columns.VIDEO) or not all(_INTEGER.match(value) for value in line):
+        if len(line) != len(table_columns.VIDEO) or not all(
+            _INTEGER.match(value) for value in line
+        ):
             break
         good.append(line)
     return good
@@ -113,13 +116,13 @@ def _keep(sidecar: Path, lines: list[list[str]]) -> None:
     """Cut a sidecar behind its first whole lines, these; in place, as the disk may be full."""
     data = sidecar.read_bytes() if sidecar.exists() else b""
     ends = [place + 1 for place, byte in enumerate(data) if byte == ord("\n")]
-    head = (",".join(columns.VIDEO) + "\n").encode()
+    head = (",".join(table_columns.VIDEO) + "\n").encode()
     if len(ends) > len(lines) and data.startswith(head) and b"\0" not in data[: ends[len(lines)]]:
         os.truncate(sidecar, ends[len(lines)])
         return
     temporary = sidecar.with_suffix(".csv.tmp")
     with open(temporary, "w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([columns.VIDEO, *lines])
+        csv.writer(file, lineterminator="\n").writerows([table_columns.VIDEO, *lines])
     os.replace(temporary, sidecar)
 
 

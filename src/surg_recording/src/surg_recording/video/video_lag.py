@@ -14,7 +14,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from surg_recording.image_motion import ImageMotion
+from surg_recording.video.image_motion import ImageMotion
 
 Array = npt.NDArray[np.float64]
 

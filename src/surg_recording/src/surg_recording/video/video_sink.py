@@ -19,7 +19,7 @@ from collections import deque
 from pathlib import Path
 from typing import NamedTuple
 
-from surg_recording import video_encoder, video_file
+from surg_recording.video import video_encoder, video_file
 
 QUEUE_LIMIT = 40
 """Frames that may wait for the encoder: 2 s at 20 fps."""

@@ -1,6 +1,7 @@
 """A cell with its controllers in this process: the world of a task without ROS.
 
-The order of events is that of the lock-step (docs/conventions.md), and the controllers get the same
+The order of events is that of the lock-step (docs/reference/conventions.md), and the controllers
+get the same
 numbers, so that one seed gives one state hash in and out of ROS. Tick k: state k is there; the
 controllers step with it and with the commands that senders worked out from tick k - 1; the world
 steps with their answers and with the assistant's command of the same tick; state k + 1 is there.
@@ -16,13 +17,13 @@ from pathlib import Path
 import numpy as np
 
 import surg_core
-from surg_sim.arm import ArmCommand
-from surg_sim.assistant import AssistantCommand
-from surg_sim.conditions import Condition, condition
-from surg_sim.experts.base import ArmView, ArmWish, View, Wishes
-from surg_sim.stability import trouble
+from surg_sim.physics.assistant_arm import AssistantCommand
+from surg_sim.physics.patient_settings import Condition, condition
+from surg_sim.physics.sim_arm import ArmCommand
+from surg_sim.physics.stability import trouble
+from surg_sim.physics.world import World
 from surg_sim.tasks import GRID, State, Task, Verdict, load
-from surg_sim.world import World
+from surg_sim.tasks.scripted_sender import ArmView, ArmWish, View, Wishes
 
 Command = surg_core.MotionCommand | surg_core.StateCommand
 """To an arm in one tick: state commands are obeyed first, then motions in their order."""

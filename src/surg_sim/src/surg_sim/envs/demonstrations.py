@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from multiprocessing import active_children, get_context
 from pathlib import Path
 
-from surg_recording import episode
-from surg_recording.errors import EpisodeError
-from surg_sim.experts.arm import ArmExpert
-from surg_sim.experts.shaken import Shaken
-from surg_sim.recorded import RecordedSession
+from surg_recording.episode import episode_reader
+from surg_recording.recording_errors import EpisodeError
+from surg_sim.envs.recorded_episode import RecordedSession
+from surg_sim.tasks.perturbed_sender import Shaken
+from surg_sim.tasks.scripted_arm import ArmExpert
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Plan:
     def done(self, seed: int) -> bool:
         """Whether the recording of a seed is there, whole."""
         try:
-            return episode.read(self.folder(seed)).complete
+            return episode_reader.read(self.folder(seed)).complete
         except EpisodeError:
             return False
 
@@ -131,7 +131,7 @@ def _play_one(plan: Plan, seed: int, shaken: bool) -> Demonstration:
             plan.cell, plan.task, plan.setting, seed, plan.cameras, plan.size
         )
     session, folder = _sessions[plan], plan.folder(seed)
-    for left in (folder, folder.with_name(folder.name + episode.PARTIAL)):
+    for left in (folder, folder.with_name(folder.name + episode_reader.PARTIAL)):
         shutil.rmtree(left, ignore_errors=True)  # of a run that was cut off
     session.reset(seed)
     experts = dict(session.task.experts(session.cell, seed))

@@ -3,7 +3,7 @@
 Two tables: every task in every setting over test seeds, and an ablation of the settings'
 disturbances, each alone and all together, with the paper's law in the same table. ::
 
-    python3 -m surg_sim.evaluate --episodes 100 --out docs/results/phantom.md
+    python3 -m surg_sim.envs.expert_evaluation --episodes 100 --out docs/results/phantom.md
 
 These are figures of a simulation.
 """
@@ -21,11 +21,13 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_sim import cells, seeds, tasks
-from surg_sim.conditions import CONDITIONS, Breathing, Condition, condition
-from surg_sim.episode import EpisodeReport, run_episode
-from surg_sim.session import Session
-from surg_sim.trocar import TrocarParameters
+from surg_sim import tasks
+from surg_sim.envs.cell_session import Session
+from surg_sim.envs.episode_runner import EpisodeReport, run_episode
+from surg_sim.physics import cell_files
+from surg_sim.physics.patient_settings import CONDITIONS, Breathing, Condition, condition
+from surg_sim.physics.trocar import TrocarParameters
+from surg_sim.tasks import episode_seeds
 
 ROBOTS = {"UR5e": "sim_two_arms", "Panda": "sim_two_arms_panda"}
 """Robot of the instrument, and the bundled cell with it."""
@@ -55,7 +57,7 @@ class Series:
 
     def run(self) -> list[EpisodeReport]:
         """All episodes, one after another, in one compiled scene."""
-        path = cells.find(self.cell)
+        path = cell_files.find(self.cell)
         session = Session(path, self.task, self.condition, self.seeds[0], law=self.law)
         return [run_episode(session, seed) for seed in self.seeds]
 
@@ -155,8 +157,8 @@ def plan(
         names: Tasks.
         others: Of each other task and robot; None: as many.
     """
-    test = tuple(seeds.test_seeds(episodes))
-    less = test if others is None else tuple(seeds.test_seeds(others))
+    test = tuple(episode_seeds.test_seeds(episodes))
+    less = test if others is None else tuple(episode_seeds.test_seeds(others))
     first = [
         Series(
             f"{name}, {setting}, {robot}", cell, name, condition(setting), "ours",
@@ -166,7 +168,7 @@ def plan(
         for robot, cell in robots.items()
         for setting in CONDITIONS
     ]  # fmt: skip
-    few = tuple(seeds.test_seeds(ablation))
+    few = tuple(episode_seeds.test_seeds(ablation))
     cell = next(iter(robots.values()))
     second = [
         Series(f"{setting}: {label}{', ' + law + ' law' if law != 'ours' else ''}",
@@ -211,7 +213,9 @@ def report(
 
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point."""
-    parser = argparse.ArgumentParser(prog="surg_sim.evaluate", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="surg_sim.envs.expert_evaluation", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("--episodes", type=int, default=100, help="of each row of the first table")
     parser.add_argument("--others", type=int, help="the same of all but bgr with the first robot")
     parser.add_argument("--ablation", type=int, default=10, help="of each row of the second table")
@@ -227,13 +231,14 @@ def main(words: Sequence[str] | None = None) -> int:
         )
         results = run_all([*first, *second], options.jobs)
     except ValueError as error:
-        print(f"surg_sim.evaluate: {error}", file=sys.stderr)
+        print(f"surg_sim.envs.expert_evaluation: {error}", file=sys.stderr)
         return 2
     n = len(first)
     text = report(
         list(zip(first, results[:n], strict=True)),
         list(zip(second, results[n:], strict=True)),
-        f"python3 -m surg_sim.evaluate {' '.join(sys.argv[1:] if words is None else words)}",
+        "python3 -m surg_sim.envs.expert_evaluation "
+        + " ".join(sys.argv[1:] if words is None else words),
     )
     if options.out is None:
         print(text)

@@ -1,6 +1,7 @@
 """A policy in the environment, without wire, server and ROS: to choose and to compare by.
 
-Observations have the names, units and order of an exported dataset (docs/datasets.md), which are
+Observations have the names, units and order of an exported dataset (docs/reference/datasets.md),
+which are
 those that the model server serves. What is measured here lacks what the way over the wire adds: the
 model server's safety controller, latencies. Figures that are published come from the graph.
 """
@@ -13,8 +14,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import TICK
-from surg_sim.env import ARM_STATE, SurgEnv
+from surg_sim.envs.surg_env import ARM_STATE, SurgEnv
+from surg_sim.physics.sim_arm import TICK
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,7 @@
 """Episodes played in this process, recorded as the recorder node would record them.
 
-The episode folders that come out are those of a ROS graph (docs/recording.md): the same tables with
+The episode folders that come out are those of a ROS graph (docs/reference/recording.md): the same
+tables with
 the same rows, so that whatever reads recordings reads these. What a wall clock would say is left
 out: the computing time of a control cycle is empty, and the stamps of reception are the ticks'.
 """
@@ -16,24 +17,24 @@ import numpy as np
 
 import surg_core
 from surg_core.transforms import matrix_to_quaternion_xyzw
-from surg_sim import scene
-from surg_sim.assistant import AssistantCommand
-from surg_sim.episode import EpisodeReport, run_episode
-from surg_sim.session import Command, Session, Tick
+from surg_sim.envs.cell_session import Command, Session, Tick
+from surg_sim.envs.episode_runner import EpisodeReport, run_episode
+from surg_sim.physics import scene
+from surg_sim.physics.assistant_arm import AssistantCommand
+from surg_sim.physics.world import TICK_NS
 from surg_sim.tasks import GRID, State
-from surg_sim.world import TICK_NS
 
 try:
-    from surg_recording import provenance
-    from surg_recording.recording import Recording
+    from surg_recording.episode import provenance
+    from surg_recording.episode.episode_recorder import Recording
 except ImportError as error:  # pragma: no cover - of an installation of surg_sim alone
     raise ImportError(
         "recording in process needs surg_recording: pip install ./src/surg_recording"
     ) from error
 
 if TYPE_CHECKING:
-    from surg_sim.experts.base import Expert
-    from surg_sim.render import Renderer
+    from surg_sim.looks.render import Renderer
+    from surg_sim.tasks.scripted_sender import Expert
 
 SENDER = "/expert"
 """Whose commands the recording says they are, as in a graph."""
@@ -205,7 +206,7 @@ class RecordedSession(Session):
             self._eye.close()
 
     def _open_eye(self, size: tuple[int, int]) -> Renderer:
-        from surg_sim.render import Renderer, StereoRenderer, show_only
+        from surg_sim.looks.render import Renderer, StereoRenderer, show_only
 
         show_only(self.world.model, lamps=False)
         shown: dict[str, Any] = {"hidden": [scene.OUTSIDE], "skins": self.task.skins}
@@ -216,7 +217,7 @@ class RecordedSession(Session):
 
     def _look(self, recording: Recording, stamp: int) -> None:
         """The pictures of the state that is there."""
-        from surg_sim.render import StereoRenderer
+        from surg_sim.looks.render import StereoRenderer
 
         qpos = self.world.data.qpos
         if isinstance(self._eye, StereoRenderer):
@@ -237,7 +238,8 @@ class RecordedSession(Session):
             recording.image(self._cameras[name], message, stamp)
 
 
-# --- messages without ROS: what surg_recording.rows reads -----------------------------------------
+# --- messages without ROS: what surg_recording.episode.table_rows reads
+# -----------------------------------------
 
 
 def _header(stamp_ns: int) -> SimpleNamespace:

@@ -5,7 +5,7 @@ commands give the same state hash here and in a ROS graph. Import this module, t
 
     env = gymnasium.make("surg_sim/bgr-v0", setting="phantom")
 
-docs/tasks.md says what each number of the spaces means.
+docs/reference/tasks.md says what each number of the spaces means.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ except ImportError as error:  # pragma: no cover - of an installation without th
         "the environments need gymnasium: pip install 'surg_sim[gym]' or pip install gymnasium"
     ) from error
 
-from surg_sim import cells, seeds
-from surg_sim.experts.base import (
+from surg_sim.envs.cell_session import Session, Tick, merge
+from surg_sim.physics import cell_files
+from surg_sim.tasks import GRID, episode_seeds, load, names
+from surg_sim.tasks.scripted_sender import (
     ENABLED,
     ArmWish,
     Wishes,
@@ -36,11 +38,9 @@ from surg_sim.experts.base import (
     out_of,
     tip_quaternion,
 )
-from surg_sim.session import Session, Tick, merge
-from surg_sim.tasks import GRID, load, names
 
 if TYPE_CHECKING:
-    from surg_sim.experts.base import Expert, View
+    from surg_sim.tasks.scripted_sender import Expert, View
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
                 f"{', '.join(CAMERAS)} and render_mode None or 'rgb_array'"
             )
         looks = bool(images) or render_mode is not None
-        path = cells.find(cell or load(task).home_cell)
+        path = cell_files.find(cell or load(task).home_cell)
         self.session = Session(path, task, setting, seed_look, looks, law)
         self.render_mode, self._images = render_mode, tuple(images)
         self._size = (width, height)
@@ -174,7 +174,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             options: Not used.
         """
         super().reset(seed=seed)
-        drawn = int(self.np_random.integers(seeds.TRAINING.start, seeds.TRAINING.stop))
+        drawn = int(
+            self.np_random.integers(episode_seeds.TRAINING.start, episode_seeds.TRAINING.stop)
+        )
         self.seed = drawn if seed is None else seed
         session = self.session
         session.reset(self.seed)
@@ -281,10 +283,10 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         }
 
     def _picture(self, name: str) -> NDArray[np.uint8]:
-        from surg_sim.render import Renderer, show_only
+        from surg_sim.looks.render import Renderer, show_only
 
         if name not in self._eyes:
-            from surg_sim.scene import OUTSIDE
+            from surg_sim.physics.scene import OUTSIDE
 
             session, (width, height) = self.session, self._size
             show_only(session.world.model, lamps=False)
@@ -333,7 +335,9 @@ def register() -> None:
     for name in names():
         key = f"surg_sim/{name}-v0"
         if key not in gymnasium.registry:
-            gymnasium.register(key, entry_point="surg_sim.env:SurgEnv", kwargs={"task": name})
+            gymnasium.register(
+                key, entry_point="surg_sim.envs.surg_env:SurgEnv", kwargs={"task": name}
+            )
 
 
 register()

@@ -1,6 +1,7 @@
 """One episode of a task with the scripted senders, without ROS: a video and a figure.
 
-As a program: ``python -m surg_sim.demo --task bgr --setting phantom --seed 20000 --out demo``.
+As a program: ``python -m surg_sim.envs.task_demo --task bgr --setting phantom --seed 20000 --out
+demo``.
 """
 
 from __future__ import annotations
@@ -15,13 +16,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import cells, conditions, seeds, tasks
-from surg_sim.arm import TICK
-from surg_sim.episode import EpisodeReport, run_episode
-from surg_sim.render import NoOpenGL, Renderer, show_only
-from surg_sim.scene import ENDOSCOPE, OUTSIDE
-from surg_sim.session import LAWS, Session, Tick
-from surg_sim.tasks.base import GRID
+from surg_sim import tasks
+from surg_sim.envs.cell_session import LAWS, Session, Tick
+from surg_sim.envs.episode_runner import EpisodeReport, run_episode
+from surg_sim.looks.render import NoOpenGL, Renderer, show_only
+from surg_sim.physics import cell_files, patient_settings
+from surg_sim.physics.scene import ENDOSCOPE, OUTSIDE
+from surg_sim.physics.sim_arm import TICK
+from surg_sim.tasks import episode_seeds
+from surg_sim.tasks.task import GRID
 
 Picture = NDArray[np.uint8]
 
@@ -131,19 +134,19 @@ def write_figure(watch: Watch, report: EpisodeReport, file: Path) -> None:
 def main(words: Sequence[str] | None = None) -> int:
     """Entry point: 0 after a success, 1 after a failure, 2 for words that cannot be used."""
     parser = argparse.ArgumentParser(
-        prog="surg_sim.demo", description=(__doc__ or "").split("\n")[0]
+        prog="surg_sim.envs.task_demo", description=(__doc__ or "").split("\n")[0]
     )
     parser.add_argument("--task", default="bgr", help=", ".join(tasks.names()))
     parser.add_argument("--cell", help="name or path; default: the task's")
-    parser.add_argument("--setting", default="phantom", help=", ".join(conditions.CONDITIONS))
+    parser.add_argument("--setting", default="phantom", help=", ".join(patient_settings.CONDITIONS))
     parser.add_argument("--law", default="ours", help=", ".join(LAWS))
-    parser.add_argument("--seed", type=int, default=seeds.TEST.start)
+    parser.add_argument("--seed", type=int, default=episode_seeds.TEST.start)
     parser.add_argument("--out", type=Path, default=Path("surg_sim_demo"), help="folder")
     parser.add_argument("--size", type=int, nargs=2, default=(640, 480), metavar=("W", "H"))
     parser.add_argument("--no-video", action="store_true")
     options = parser.parse_args(words)
     try:
-        cell = cells.find(options.cell or tasks.load(options.task).home_cell)
+        cell = cell_files.find(options.cell or tasks.load(options.task).home_cell)
         looks = not options.no_video
         session = Session(cell, options.task, options.setting, options.seed, looks, options.law)
         camera = None
@@ -160,7 +163,7 @@ def main(words: Sequence[str] | None = None) -> int:
             )
     except (ValueError, OSError, NoOpenGL) as error:
         hint = "; --no-video needs none" if isinstance(error, NoOpenGL) else ""
-        print(f"surg_sim.demo: {error}{hint}", file=sys.stderr)
+        print(f"surg_sim.envs.task_demo: {error}{hint}", file=sys.stderr)
         return 2
     watch = Watch(session, camera)
     report = run_episode(session, options.seed, watch=watch)

@@ -1,4 +1,4 @@
-"""Pictures of a cell at home: ``python -m surg_sim.picture OUT.png --view stereo``."""
+"""Pictures of a cell at home: ``python -m surg_sim.looks.cell_picture OUT.png --view stereo``."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_sim import endoscope, scene, tasks
-from surg_sim.render import NoOpenGL, Picture, Renderer, show_only
-from surg_sim.world import World
+from surg_sim import tasks
+from surg_sim.looks.render import NoOpenGL, Picture, Renderer, show_only
+from surg_sim.physics import endoscope_rig, scene
+from surg_sim.physics.world import World
 
 
 def png(picture: Picture) -> bytes:
@@ -72,7 +73,7 @@ VIEWS = {
     "overview": ((scene.OVERVIEW, 853, 480),),
     "endoscope": ((scene.ENDOSCOPE, 640, 480),),
     "both": ((scene.OVERVIEW, 853, 480), (scene.ENDOSCOPE, 640, 480)),
-    "stereo": ((endoscope.LEFT, 640, 480), (endoscope.RIGHT, 640, 480)),
+    "stereo": ((endoscope_rig.LEFT, 640, 480), (endoscope_rig.RIGHT, 640, 480)),
 }
 """What can be asked for: camera, width and height of each picture [px]."""
 
@@ -81,7 +82,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code (2: broken configuration, 1: no OpenGL)."""
     import surg_core
 
-    parser = argparse.ArgumentParser(prog="python -m surg_sim.picture", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m surg_sim.looks.cell_picture", description=__doc__
+    )
     parser.add_argument("out", type=Path, help="PNG file to write")
     parser.add_argument("--cell", default="cells/sim_ur5e", help="folder of the cell")
     parser.add_argument("--view", choices=sorted(VIEWS), default="both")
@@ -95,14 +98,14 @@ def main(arguments: list[str] | None = None) -> int:
             looks=True,
             task=tasks.load(options.task) if options.task else None,
         )
-        if options.view == "stereo" and endoscope.RIGHT not in _cameras(world):
+        if options.view == "stereo" and endoscope_rig.RIGHT not in _cameras(world):
             raise ValueError(f"{options.cell}: its endoscope has one camera; --view endoscope")
         pictures = [take(world, *view) for view in VIEWS[options.view]]
     except (surg_core.ConfigError, ValueError) as error:
-        print(f"surg_sim.picture: {error}", file=sys.stderr)
+        print(f"surg_sim.looks.cell_picture: {error}", file=sys.stderr)
         return 2
     except NoOpenGL as error:
-        print(f"surg_sim.picture: {error}", file=sys.stderr)
+        print(f"surg_sim.looks.cell_picture: {error}", file=sys.stderr)
         return 1
     options.out.write_bytes(png(np.concatenate(pictures, axis=1)))
     print(options.out)

@@ -1,4 +1,6 @@
-"""The documentation's pictures, taken in episodes: ``python -m surg_sim.gallery docs/pictures``.
+"""The documentation's pictures, taken in episodes.
+
+Run ``python -m surg_sim.looks.documentation_pictures docs/pictures``.
 
 Scripted senders act, one seed, no ROS. Bowel grasping and retraction: a stereo pair of each of its
 four steps and the room at the end of the third. Then a sheet of all tasks, inside above outside.
@@ -13,14 +15,16 @@ from pathlib import Path
 
 import numpy as np
 
-from surg_sim import cells, endoscope, picture, scene, seeds, tasks
-from surg_sim.arm import TICK, quaternion
-from surg_sim.drawing import look
-from surg_sim.episode import run_episode
-from surg_sim.render import NoOpenGL, Picture
-from surg_sim.session import Session, Tick
-from surg_sim.tasks import GRID, State
-from surg_sim.world import World
+from surg_sim import tasks
+from surg_sim.envs.cell_session import Session, Tick
+from surg_sim.envs.episode_runner import run_episode
+from surg_sim.looks import cell_picture
+from surg_sim.looks.drawing import look
+from surg_sim.looks.render import NoOpenGL, Picture
+from surg_sim.physics import cell_files, endoscope_rig, scene
+from surg_sim.physics.sim_arm import TICK, quaternion
+from surg_sim.physics.world import World
+from surg_sim.tasks import GRID, State, episode_seeds
 
 STEPS = ("point", "grasp", "assist", "retract")
 """Of bowel grasping and retraction: the assistant points, the robot holds, both do, it is shown."""
@@ -35,8 +39,8 @@ _GAP = 8  # [px]
 
 def stereo(world: World) -> Picture:
     """Both pictures of the endoscope side by side, the left one on the left."""
-    views = (endoscope.LEFT, endoscope.RIGHT)
-    return np.concatenate([picture.take(world, view, *_INSIDE) for view in views], axis=1)
+    views = (endoscope_rig.LEFT, endoscope_rig.RIGHT)
+    return np.concatenate([cell_picture.take(world, view, *_INSIDE) for view in views], axis=1)
 
 
 def room(world: World) -> Picture:
@@ -48,7 +52,7 @@ def room(world: World) -> Picture:
     camera.quat[:] = quaternion(look(sight, np.array([0.0, 0.0, 1.0])))
     camera.fovy[:] = _NARROW
     try:
-        return picture.take(world, scene.OVERVIEW, *_OUTSIDE)
+        return cell_picture.take(world, scene.OVERVIEW, *_OUTSIDE)
     finally:
         camera.quat[:], camera.fovy[:] = before
 
@@ -56,7 +60,9 @@ def room(world: World) -> Picture:
 def column(world: World) -> Picture:
     """What the endoscope and the spectator see, one above the other."""
     width, height = _CELL
-    both = [picture.take(world, view, width, height) for view in (scene.ENDOSCOPE, scene.OVERVIEW)]
+    both = [
+        cell_picture.take(world, view, width, height) for view in (scene.ENDOSCOPE, scene.OVERVIEW)
+    ]
     gap = np.full((_GAP, width, 3), 255, dtype=np.uint8)
     return np.concatenate([both[0], gap, both[1]], axis=0)
 
@@ -79,7 +85,7 @@ def episode(
     Raises:
         ValueError: The episode fails, or a moment does not come.
     """
-    session = Session(cells.find(tasks.load(task).home_cell), task, setting, seed, looks=True)
+    session = Session(cell_files.find(tasks.load(task).home_cell), task, setting, seed, looks=True)
     found: dict[str, Picture] = {}
 
     def watch(tick: Tick) -> None:
@@ -140,10 +146,11 @@ def of_all_tasks(seed: int) -> Picture:
 def main(words: list[str] | None = None) -> int:
     """Entry point; returns the exit code (2: nothing to be had, 1: no OpenGL)."""
     parser = argparse.ArgumentParser(
-        prog="python -m surg_sim.gallery", description=(__doc__ or "").split("\n")[0]
+        prog="python -m surg_sim.looks.documentation_pictures",
+        description=(__doc__ or "").split("\n")[0],
     )
     parser.add_argument("out", type=Path, help="folder to write into")
-    parser.add_argument("--seed", type=int, default=seeds.TRAINING.start + 1)
+    parser.add_argument("--seed", type=int, default=episode_seeds.TRAINING.start + 1)
     parser.add_argument("--only", choices=("bgr", SHEET), help="leave the other out")
     options = parser.parse_args(words)
     options.out.mkdir(parents=True, exist_ok=True)
@@ -152,11 +159,11 @@ def main(words: list[str] | None = None) -> int:
         if options.only != "bgr":
             pictures[SHEET] = of_all_tasks(options.seed)
     except (ValueError, NoOpenGL) as error:
-        print(f"surg_sim.gallery: {error}", file=sys.stderr)
+        print(f"surg_sim.looks.documentation_pictures: {error}", file=sys.stderr)
         return 1 if isinstance(error, NoOpenGL) else 2
     for name, content in pictures.items():
         file = options.out / f"{name}.png"
-        file.write_bytes(picture.png(content))
+        file.write_bytes(cell_picture.png(content))
         print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
     return 0
 

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import textures
-from surg_sim.anatomy import Mesh
+from surg_sim.looks import textures
+from surg_sim.looks.anatomy import Mesh
 
 Array = NDArray[np.float64]
 

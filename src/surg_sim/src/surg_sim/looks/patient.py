@@ -12,13 +12,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import anatomy
-from surg_sim.arm import quaternion
-from surg_sim.drawing import OUTSIDE, add_mesh, add_seen
-from surg_sim.room import BED_DEPTH, table_of
+from surg_sim.looks import anatomy
+from surg_sim.looks.drawing import OUTSIDE, add_mesh, add_seen
+from surg_sim.looks.room import BED_DEPTH, table_of
+from surg_sim.physics.sim_arm import quaternion
 
 if TYPE_CHECKING:
-    from surg_sim.scene import Site
+    from surg_sim.physics.scene import Site
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import endoscope
-from surg_sim.drawing import OUTSIDE
+from surg_sim.looks.drawing import OUTSIDE
+from surg_sim.physics import endoscope_rig
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -42,7 +42,7 @@ class NoOpenGL(RuntimeError):
 
 _PROBE = """
 import mujoco
-from surg_sim.render import context
+from surg_sim.looks.render import context
 gl, mjr = context({backend!r}, mujoco.MjModel.from_xml_string("<mujoco/>"), 64, 64)
 mjr.free()
 gl.free()
@@ -320,13 +320,13 @@ class StereoRenderer(Renderer):
         hidden: Iterable[int] = (),
         skins: Sequence[Skin] = (),
     ) -> None:
-        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, endoscope.RIGHT) < 0:
+        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, endoscope_rig.RIGHT) < 0:
             raise ValueError(
                 "this scene's endoscope has one camera: a pair needs a cell with an arm that holds "
                 "a stereo endoscope, such as cells/sim_two_arms"
             )
-        super().__init__(model, endoscope.LEFT, width, height, vignette, hidden, skins)
-        self._right = _fixed(model, endoscope.RIGHT)
+        super().__init__(model, endoscope_rig.LEFT, width, height, vignette, hidden, skins)
+        self._right = _fixed(model, endoscope_rig.RIGHT)
         left, right = (self._data.cam_xpos[c.fixedcamid] for c in (self._camera, self._right))
         self.baseline = float(np.linalg.norm(right - left))
         """Distance between the cameras [m]."""

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surg_sim import scene
-from surg_sim.render import StereoRenderer, show_only
+from surg_sim.looks.render import StereoRenderer, show_only
+from surg_sim.physics import scene
 
 if TYPE_CHECKING:
-    from surg_sim.world import World
+    from surg_sim.physics.world import World
 
 
 @dataclass(frozen=True)

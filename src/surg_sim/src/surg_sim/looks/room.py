@@ -9,11 +9,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import quaternion
-from surg_sim.drawing import add_seen, look
+from surg_sim.looks.drawing import add_seen, look
+from surg_sim.physics.sim_arm import quaternion
 
 if TYPE_CHECKING:
-    from surg_sim.scene import Site
+    from surg_sim.physics.scene import Site
 
 Array = NDArray[np.float64]
 

@@ -14,11 +14,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import textures
-from surg_sim.tissue import NAME, TissueParameters, rest_shape
+from surg_sim.looks import textures
+from surg_sim.physics.tissue import NAME, TissueParameters, rest_shape
 
 if TYPE_CHECKING:
-    from surg_sim.scene import Site
+    from surg_sim.physics.scene import Site
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.truth import ArmTruth
+from surg_sim.physics.ground_truth import ArmTruth
 
 Array = NDArray[np.float64]
 

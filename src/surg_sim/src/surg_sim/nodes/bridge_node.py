@@ -34,18 +34,20 @@ from surg_msgs.msg import (
     Ready,
     SimSnapshot,
 )
-from surg_recording.polled_node import Polled
-from surg_sim import conditions, faults, tasks, wire
-from surg_sim.arm import ArmCommand
-from surg_sim.by_hand import ByHand
-from surg_sim.injector import Injector, tool_errors
-from surg_sim.lockstep import OBSERVER_WINDOWS, Action, Lockstep
-from surg_sim.newest import Newest
-from surg_sim.ports_node import Output, RawJointState, RawTwist, listeners, speakers
-from surg_sim.settings import BridgeSettings, SettingsError
-from surg_sim.shutter import RENDERER, Shutter
-from surg_sim.task_topics_node import AssistantTopics, TaskTopics
-from surg_sim.world import TICK_NS, World
+from surg_recording.nodes.polled_node import Polled
+from surg_sim import tasks
+from surg_sim.nodes import bridge_messages
+from surg_sim.nodes.exposure_schedule import RENDERER, Shutter
+from surg_sim.nodes.latest_value import Newest
+from surg_sim.nodes.lockstep import OBSERVER_WINDOWS, Action, Lockstep
+from surg_sim.nodes.sim_parameters import BridgeSettings, SettingsError
+from surg_sim.nodes.sim_ports_node import Output, RawJointState, RawTwist, listeners, speakers
+from surg_sim.nodes.task_topics_node import AssistantTopics, TaskTopics
+from surg_sim.physics import faults, patient_settings
+from surg_sim.physics.fault_injector import Injector, tool_errors
+from surg_sim.physics.hand_guiding import ByHand
+from surg_sim.physics.sim_arm import ArmCommand
+from surg_sim.physics.world import TICK_NS, World
 
 _JAWLESS_TICKS = 5
 """In free-run the link of an instrument without a jaw speaks every 5th tick: 100 Hz."""
@@ -64,7 +66,7 @@ class _ArmTopics:
         patient = bridge.lockstep
         self.name: str = arm.name
         self.command = arm.robot.command.name.lower()
-        self.layout = wire.JointStateLayout(list(arm.robot.joint_names))
+        self.layout = bridge_messages.JointStateLayout(list(arm.robot.joint_names))
         self.last_command_ns = 0
         self.arrived: dict[str, Newest[_Arrived]] = {"robot": Newest(), "tool": Newest()}
         root = f"/{arm.name}"
@@ -95,8 +97,8 @@ class _ArmTopics:
             return rospy.Subscriber(f"{root}/{topic}", kind, callback, tcp_nodelay=True)
 
         # Tracks the trocar, when asked to; a topic that nobody fills must not be there.
-        self.stale = round(bridge.track_stale * wire.NS / TICK_NS)
-        self.frame = wire.text(f"{arm.name}_base")
+        self.stale = round(bridge.track_stale * bridge_messages.NS / TICK_NS)
+        self.frame = bridge_messages.text(f"{arm.name}_base")
         self.tracked = 0
         self.track: Output | None = None
         if self.stale >= 0:
@@ -213,17 +215,17 @@ class Bridge:
 
     def on_velocity(self, arm: _ArmTopics, data: bytes) -> None:
         """``robot/servo_jv``."""
-        stamp_ns, _, velocity = wire.unpack_joint_state(data)
+        stamp_ns, _, velocity = bridge_messages.unpack_joint_state(data)
         self._take(arm, "robot", (stamp_ns, velocity, None))
 
     def on_twist(self, arm: _ArmTopics, data: bytes) -> None:
         """``robot/servo_cv``."""
-        stamp_ns, twist = wire.unpack_twist(data)
+        stamp_ns, twist = bridge_messages.unpack_twist(data)
         self._take(arm, "robot", (stamp_ns, None, twist))
 
     def on_jaw(self, arm: _ArmTopics, data: bytes) -> None:
         """``tool/servo_jp``."""
-        stamp_ns, position, _ = wire.unpack_joint_state(data)
+        stamp_ns, position, _ = bridge_messages.unpack_joint_state(data)
         self._take(arm, "tool", (stamp_ns, float(position[0]) if len(position) else None, None))
 
     def _take(self, arm: _ArmTopics, link: str, arrived: _Arrived) -> None:
@@ -354,17 +356,17 @@ class Bridge:
         tick, world = self._world.tick, self._world
         self._stamp_ns = stamp_ns
         if self._clock.connections:
-            self._clock.send(struct.pack("<2I", *divmod(stamp_ns, wire.NS)))
+            self._clock.send(struct.pack("<2I", *divmod(stamp_ns, bridge_messages.NS)))
         for arm in self._arms:
             self._publish_links(arm, tick, stamp_ns)
         if self._task is not None:
             self._task.publish(tick, stamp_ns)
         if self._truth.connections:
             truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
-            self._truth.send(wire.pack_ground_truth(stamp_ns, tick, truths))
+            self._truth.send(bridge_messages.pack_ground_truth(stamp_ns, tick, truths))
         if self._shutter.opens(tick):
             snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
-            snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, wire.NS))
+            snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, bridge_messages.NS))
             self._snapshot.publish(snapshot)
         if self._tracker is not None:
             arms, sent = [arm.name for arm in self._arms], [arm.tracked for arm in self._arms]
@@ -382,7 +384,7 @@ class Bridge:
             arm.tool.send(_JAW.pack(tick, stamp_ns, _one(jaw[0]), _one(jaw[1])))
         if arm.status.connections and injector.speaks(arm.name):
             arm.status.send(
-                wire.pack_link_status(
+                bridge_messages.pack_link_status(
                     stamp_ns,
                     tick,
                     arm.command,
@@ -397,14 +399,16 @@ class Bridge:
             when, point, velocity = seen
             stamp_seen = stamp_ns - (tick - when) * TICK_NS
             arm.tracked += 1
-            arm.track.send(wire.pack_point_velocity(stamp_seen, tick, arm.frame, point, velocity))
+            arm.track.send(
+                bridge_messages.pack_point_velocity(stamp_seen, tick, arm.frame, point, velocity)
+            )
 
     def _publish_status(self) -> None:
         tick = self._world.tick
         # At the end the last executed tick counts; while running, the one whose state is out.
         status = {
             "tick": tick - 1 if self._done else tick,
-            "sim_time_s": (tick - 1 if self._done else tick) * TICK_NS / wire.NS,
+            "sim_time_s": (tick - 1 if self._done else tick) * TICK_NS / bridge_messages.NS,
             "mode": self._settings.mode,
             "deterministic": self._deterministic,
             "state_hash": self._world.hash if self.lockstep else None,
@@ -492,7 +496,7 @@ class Bridge:
         """500 Hz by the steady clock; stamps are start + k * 2 ms of wall time."""
         self._start_ns = time.time_ns() - self._world.tick * TICK_NS
         deadline = time.monotonic()
-        period = TICK_NS / wire.NS
+        period = TICK_NS / bridge_messages.NS
         while not rospy.is_shutdown():
             deadline += period
             left = deadline - time.monotonic()
@@ -502,7 +506,7 @@ class Bridge:
                 # The machine stood still: drop the backlog, in time and in stamps.
                 self._overruns += 1
                 deadline -= left
-                self._start_ns -= int(left * wire.NS)
+                self._start_ns -= int(left * bridge_messages.NS)
             with self._lock:
                 if self._jitter:
                     time.sleep(random.uniform(0.0, self._jitter))
@@ -514,11 +518,11 @@ class Bridge:
                 self._publish_state(self._start_ns + self._world.tick * TICK_NS)
 
 
-_JAW = wire.JointStateLayout(["jaw"])
+_JAW = bridge_messages.JointStateLayout(["jaw"])
 
 
 def _one(value: float) -> Any:
-    return wire.np.array([value])
+    return bridge_messages.np.array([value])
 
 
 def _viewer(world: World) -> Callable[[], None]:
@@ -559,7 +563,7 @@ def main() -> int:
             looks=settings.view,
             arms=settings.arms,
             tool_errors=tool_errors(known, settings.seed) or None,
-            condition=conditions.condition(settings.setting) if settings.setting else None,
+            condition=patient_settings.condition(settings.setting) if settings.setting else None,
             task=tasks.load(settings.task) if settings.task else None,
         )
         injector = Injector(world, known, settings.seed, settings.mode == "lockstep")

@@ -15,13 +15,14 @@ from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
 from surg_msgs.msg import Ready, SimSnapshot
-from surg_sim import conditions, endoscope, scene, tasks
-from surg_sim.render import Intrinsics, NoOpenGL, Picture, Renderer, StereoRenderer, show_only
-from surg_sim.settings import EndoscopeSettings, SettingsError
-from surg_sim.shutter import RENDERER
-from surg_sim.world import World
+from surg_sim import tasks
+from surg_sim.looks.render import Intrinsics, NoOpenGL, Picture, Renderer, StereoRenderer, show_only
+from surg_sim.nodes.exposure_schedule import RENDERER
+from surg_sim.nodes.sim_parameters import EndoscopeSettings, SettingsError
+from surg_sim.physics import endoscope_rig, patient_settings, scene
+from surg_sim.physics.world import World
 
-FRAMES = {"left": endoscope.LEFT, "right": endoscope.RIGHT}
+FRAMES = {"left": endoscope_rig.LEFT, "right": endoscope_rig.RIGHT}
 """Optical frame of each view."""
 
 
@@ -151,7 +152,7 @@ def make_renderer(settings: EndoscopeSettings) -> Renderer:
         settings.seed,
         looks=True,
         arms=settings.arms,
-        condition=conditions.condition(settings.setting) if settings.setting else None,
+        condition=patient_settings.condition(settings.setting) if settings.setting else None,
         task=tasks.load(settings.task) if settings.task else None,
     )
     show_only(world.model, lamps=False)
@@ -159,7 +160,7 @@ def make_renderer(settings: EndoscopeSettings) -> Renderer:
     skins = world.task.skins if world.task is not None else ()
     if len(settings.views) == 2:
         return StereoRenderer(world.model, *size, hidden=[scene.OUTSIDE], skins=skins)
-    return Renderer(world.model, endoscope.LEFT, *size, hidden=[scene.OUTSIDE], skins=skins)
+    return Renderer(world.model, endoscope_rig.LEFT, *size, hidden=[scene.OUTSIDE], skins=skins)
 
 
 def main() -> int:

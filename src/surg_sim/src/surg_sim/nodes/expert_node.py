@@ -23,12 +23,12 @@ from std_msgs.msg import Empty, String
 import surg_core
 from crtk_msgs.msg import StringStamped
 from surg_msgs.msg import Cycle
-from surg_sim import wire
-from surg_sim.assistant import JOINTS, AssistantCommand
-from surg_sim.experts.base import ArmView, ArmWish, Expert, View
-from surg_sim.participant_node import ASSISTANT, Participant, Seen
-from surg_sim.settings import SenderSettings, SettingsError
+from surg_sim.nodes import bridge_messages
+from surg_sim.nodes.participant_node import ASSISTANT, Participant, Seen
+from surg_sim.nodes.sim_parameters import SenderSettings, SettingsError
+from surg_sim.physics.assistant_arm import JOINTS, AssistantCommand
 from surg_sim.tasks import load
+from surg_sim.tasks.scripted_sender import ArmView, ArmWish, Expert, View
 
 ARM_COMMANDS: dict[str, type] = {
     "state_command": StringStamped,
@@ -76,7 +76,7 @@ class ExpertNode:
             return False
         message = seen.task_state()
         arms = {arm: arm_view(seen.cycle(arm)) for arm in seen.cycles}
-        state = wire.task_state(message.names, message.values)
+        state = bridge_messages.task_state(message.names, message.values)
         wishes = self._expert.tick(View(seen.tick, arms, state, message.phase))
         for arm, wish in wishes.arms.items():
             self._send_to_arm(arm, wish, seen.stamp)

@@ -20,11 +20,11 @@ from typing import Any
 import rospy
 
 from surg_msgs.msg import Cycle, Ready, TaskState
-from surg_recording.raw_message import RawMessage
-from surg_sim import wire
-from surg_sim.ports_node import Output
+from surg_recording.nodes.raw_message import RawMessage
+from surg_sim.nodes import bridge_messages
+from surg_sim.nodes.sim_ports_node import Output
+from surg_sim.physics.world import TICK_NS
 from surg_sim.tasks import GRID
-from surg_sim.world import TICK_NS
 
 ASSISTANT = "assistant"
 """The name in Ready of what the simulator itself obeys."""
@@ -57,7 +57,7 @@ class Seen:
     @property
     def stamp(self) -> rospy.Time:
         """Of the tick that the answer is for."""
-        return rospy.Time(*divmod((self.tick + 1) * TICK_NS, wire.NS))
+        return rospy.Time(*divmod((self.tick + 1) * TICK_NS, bridge_messages.NS))
 
     def cycle(self, arm: str) -> Cycle:
         """The control cycle of an arm."""
@@ -100,7 +100,7 @@ class Participant:
             topic: rospy.Publisher(topic, kind, **keys) for topic, kind in commands.items()
         }
         self._ready = Output("/sim/ready", Ready, patient=True, latch=True)
-        self._layout = wire.ReadyLayout(self._name, list(self._sent))
+        self._layout = bridge_messages.ReadyLayout(self._name, list(self._sent))
         listen: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
         self._inputs = [
             rospy.Subscriber(f"/{arm}/cycle", _RawCycle, self._on_cycle, arm, **listen)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from surg_sim.lockstep import OBSERVER_WINDOWS
+from surg_sim.nodes.lockstep import OBSERVER_WINDOWS
 
 MODES = ("lockstep", "freerun")
 VIEWS = (("left",), ("left", "right"))

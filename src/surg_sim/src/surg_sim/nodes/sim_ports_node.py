@@ -14,7 +14,7 @@ import rospy
 from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import JointState
 
-from surg_recording.raw_message import RawMessage
+from surg_recording.nodes.raw_message import RawMessage
 
 
 class RawJointState(RawMessage, JointState):  # type: ignore[misc]

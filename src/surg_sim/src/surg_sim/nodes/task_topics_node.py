@@ -13,19 +13,19 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
 from surg_msgs.msg import TaskState
-from surg_sim import wire
-from surg_sim.assistant import AssistantCommand
-from surg_sim.echoes import Echoes
-from surg_sim.ports_node import Output, RawJointState
-from surg_sim.session import FORCE_TICKS
-from surg_sim.stability import trouble
+from surg_sim.envs.cell_session import FORCE_TICKS
+from surg_sim.nodes import bridge_messages
+from surg_sim.nodes.command_echo import Echoes
+from surg_sim.nodes.sim_ports_node import Output, RawJointState
+from surg_sim.physics.assistant_arm import AssistantCommand
+from surg_sim.physics.stability import trouble
+from surg_sim.physics.world import World
 from surg_sim.tasks import GRID, Verdict
-from surg_sim.world import World
 
 if TYPE_CHECKING:
-    from surg_sim.bridge_node import Bridge
+    from surg_sim.nodes.bridge_node import Bridge
 
-_JAW = wire.JointStateLayout(["jaw"])
+_JAW = bridge_messages.JointStateLayout(["jaw"])
 
 
 class AssistantTopics:
@@ -42,14 +42,14 @@ class AssistantTopics:
         self._waiting: deque[tuple[int, str, str, Any]] = deque()
         self._state = Output("/assistant/measured_js", JointState, bridge.lockstep)
         self._jaw = Output("/assistant/jaw/measured_js", JointState, bridge.lockstep)
-        self._layout = wire.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
+        self._layout = bridge_messages.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
         self._echoes = Echoes()
 
         def listen(topic: str, what: str, size: int) -> Any:
             def callback(message: Any) -> None:
                 sender = str(message._connection_header.get("callerid", "")).lstrip("/")
                 try:
-                    stamp_ns, position, _ = wire.unpack_joint_state(message.data)
+                    stamp_ns, position, _ = bridge_messages.unpack_joint_state(message.data)
                     if len(position) != size or not np.isfinite(position).all():
                         raise ValueError(f"{position}, allowed: {size} finite numbers")
                     if not bridge.lockstep and self._echoes.late(stamp_ns):
@@ -102,7 +102,7 @@ class _ForceSensor:
     """
 
     def __init__(self, arm: str, place: str, read: Callable[[str], Any], patient: bool) -> None:
-        self.arm, self._frame, self._read = arm, wire.text(f"{arm}_base"), read
+        self.arm, self._frame, self._read = arm, bridge_messages.text(f"{arm}_base"), read
         self._output = Output(f"/{arm}/{place}/measured_cf", WrenchStamped, patient)
         self.topic = f"/{arm}/{place}/measured_cf"
 
@@ -115,7 +115,7 @@ class _ForceSensor:
         """The force in the state that is there."""
         if self._output.connections:
             force = self._read(self.arm)
-            self._output.send(wire.pack_wrench(stamp_ns, tick, self._frame, force))
+            self._output.send(bridge_messages.pack_wrench(stamp_ns, tick, self._frame, force))
 
 
 class TaskTopics:
@@ -130,7 +130,7 @@ class TaskTopics:
     def __init__(self, bridge: Bridge, world: World, setting: str) -> None:
         assert world.task is not None
         self._world, self._task, self._setting = world, world.task, setting
-        self._layout = wire.TaskStateLayout(self._task.state())
+        self._layout = bridge_messages.TaskStateLayout(self._task.state())
         # Latched: a sender that takes part counts itself connected a moment before this side does,
         # and a state of the grid is sent once.
         self._state = Output("/sim/task_state", TaskState, bridge.lockstep, latch=True)

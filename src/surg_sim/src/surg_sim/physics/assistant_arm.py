@@ -1,7 +1,8 @@
 """The assistant's instrument: a second grasper that turns about its own trocar, moved by a person.
 
 There is no robot behind it: four servos move yaw, pitch, insertion and roll, the virtual joints of
-docs/conventions.md, about a pivot that stands still in the wall. They follow what is commanded with
+docs/reference/conventions.md, about a pivot that stands still in the wall. They follow what is
+commanded with
 limited velocity and acceleration, as a hand does.
 """
 
@@ -18,10 +19,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import TICK, quaternion
+from surg_sim.physics.sim_arm import TICK, quaternion
 
 if TYPE_CHECKING:
-    from surg_sim.scene import Site
+    from surg_sim.physics.scene import Site
 
 Array = NDArray[np.float64]
 
@@ -77,7 +78,7 @@ class AssistantPort:
     @classmethod
     def opposite(cls, site: Site) -> AssistantPort:
         """On the other side of the patient's middle than the first arm's trocar, in the wall."""
-        from surg_sim.scene import wall_height
+        from surg_sim.physics.scene import wall_height
 
         x, y, _ = site.local(site.trocar)
         side = -1.0 if x > -0.02 else 1.0
@@ -183,7 +184,7 @@ def add_assistant(
     for part in [pivot, *pivot.find_all(mujoco.mjtObj.mjOBJ_BODY)]:
         part.gravcomp = 1.0
     if looks:
-        from surg_sim.scene import draw_cannula
+        from surg_sim.physics.scene import draw_cannula
 
         draw_cannula(spec.body(f"{NAME}_pitch"), np.array([0.0, 0.0, 1.0]))  # turns with the shaft
         _draw_handle(body, -float(to_tip[2]))
@@ -196,7 +197,7 @@ def _draw_handle(body: mujoco.MjsBody, end: float) -> None:
         body: Carries the shaft; the tip is its origin, z the shaft's axis.
         end: The shaft's outer end on z [m].
     """
-    from surg_sim.scene import OUTSIDE
+    from surg_sim.physics.scene import OUTSIDE
 
     def rod(start: Array, stop: Array, radius: float, material: str, kind: str) -> None:
         body.add_geom(

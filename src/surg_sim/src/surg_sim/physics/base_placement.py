@@ -4,7 +4,8 @@ The instrument's shaft and the scope's shaft are put where a surgeon would want 
 then every base beside the table that can hold its shaft there is tried, and the one with the
 largest reserve is taken. ::
 
-    python3 -m surg_sim.placement OUT --psm ROBOT.yaml GRASPER.yaml --ecm ROBOT.yaml SCOPE.yaml
+    python3 -m surg_sim.physics.base_placement OUT --psm ROBOT.yaml GRASPER.yaml --ecm ROBOT.yaml
+    SCOPE.yaml
 
 Reserve of an arm: the worst over the corners of a box round the home tip, at three rolls, of what
 is left of each joint's range, speed and acceleration. Refused are placements in which a robot comes
@@ -27,8 +28,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import ActuatorParameters, add_arm
-from surg_sim.trocar import shaft_in_flange
+from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
+from surg_sim.physics.trocar import shaft_in_flange
 
 if TYPE_CHECKING:
     import surg_core
@@ -551,7 +552,7 @@ def make_two_arm_cell(out: Path, instrument: Files, scope: Files) -> str:
             limits=limits,
         ),
     }
-    note = f"PSM1 holds the instrument, ECM the endoscope; placed by surg_sim.placement. {said}"
+    note = f"PSM1 holds the instrument, ECM the endoscope; placed by base_placement. {said}"
     make_cell_of(out, plans, "\n".join(textwrap.wrap(note, 98)))
     return f"{said} Reserve: PSM1 {_words(first.reserve)}; ECM {_words(left)}."
 
@@ -565,7 +566,9 @@ def _words(left: Reserve) -> str:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Place two robots beside a patient and write the cell."""
-    parser = argparse.ArgumentParser(prog="surg_sim.placement", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="surg_sim.physics.base_placement", description=main.__doc__
+    )
     parser.add_argument("out", type=Path, help="folder of the cell to write")
     for option, what in (("--psm", "the instrument"), ("--ecm", "the endoscope")):
         parser.add_argument(
@@ -580,7 +583,7 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         print(make_two_arm_cell(options.out, Files(*options.psm), Files(*options.ecm)))
     except (ValueError, OSError, RuntimeError) as error:
-        print(f"surg_sim.placement: {error}", file=sys.stderr)
+        print(f"surg_sim.physics.base_placement: {error}", file=sys.stderr)
         return 2
     return 0
 

@@ -4,7 +4,7 @@ The hands know the true tool (from the URDF) and are not steady: the tip has pla
 shaft in its guide and in the trocar. The recording sees the joint states of the simulated arm only,
 with an encoder's noise and quantisation. ::
 
-    python3 -m surg_sim.bench CELL FILE.csv --motions tip roll
+    python3 -m surg_sim.physics.calibration_bench CELL FILE.csv --motions tip roll
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import ArmCommand
-from surg_sim.trocar import TrocarParameters, shaft_in_flange
-from surg_sim.world import World
+from surg_sim.physics.sim_arm import ArmCommand
+from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
+from surg_sim.physics.world import World
 
 if TYPE_CHECKING:
     import surg_core
@@ -159,7 +159,9 @@ def main(words: Sequence[str] | None = None) -> int:
     """Record motions of a cell's arm on the bench."""
     import surg_core
 
-    parser = argparse.ArgumentParser(prog="surg_sim.bench", description=main.__doc__)
+    parser = argparse.ArgumentParser(
+        prog="surg_sim.physics.calibration_bench", description=main.__doc__
+    )
     parser.add_argument("cell", type=Path)
     parser.add_argument("file", type=Path, help="CSV, for ./surg calibrate CELL ... --from FILE")
     parser.add_argument("--arm", help="default: the cell's first")
@@ -173,7 +175,7 @@ def main(words: Sequence[str] | None = None) -> int:
             raise ValueError(f"--arm {options.arm}: the cell has {', '.join(cell.arms)}")
         Bench(cell, options.seed, options.arm).record(options.file, options.motions, options.count)
     except (ValueError, OSError, RuntimeError) as error:
-        print(f"surg_sim.bench: {error}", file=sys.stderr)
+        print(f"surg_sim.physics.calibration_bench: {error}", file=sys.stderr)
         return 2
     print(f"{options.file}: {options.count} poses each of {', '.join(options.motions)}")
     return 0

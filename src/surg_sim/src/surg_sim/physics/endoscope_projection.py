@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import scene
+from surg_sim.physics import scene
 
 Array = NDArray[np.float64]
 

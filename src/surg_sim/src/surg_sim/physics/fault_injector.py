@@ -14,8 +14,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import ArmCommand, ToolError
-from surg_sim.faults import (
+from surg_sim.physics.faults import (
     Fault,
     FaultError,
     Freeze,
@@ -28,8 +27,9 @@ from surg_sim.faults import (
     TrocarMotion,
     Wire,
 )
-from surg_sim.trocar_motion import Sinusoid
-from surg_sim.world import ArmState, World
+from surg_sim.physics.sim_arm import ArmCommand, ToolError
+from surg_sim.physics.trocar_motion import Sinusoid
+from surg_sim.physics.world import ArmState, World
 
 Array = NDArray[np.float64]
 Packet = TypeVar("Packet")

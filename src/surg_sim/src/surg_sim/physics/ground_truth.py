@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.trocar import Trocar
+from surg_sim.physics.trocar import Trocar
 
 if TYPE_CHECKING:
     import surg_core

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import ArmCommand
+from surg_sim.physics.sim_arm import ArmCommand
 
 GAIN = 2.0
 """Of the way that is left [1/s]."""

@@ -2,7 +2,8 @@
 
 They describe the world, not a result: every value was written down from the literature or assumed
 before any RCM deviation in a setting was looked at, and none was changed afterwards; nothing is
-tuned to a published figure. ``SOURCES`` says where each comes from; docs/simulation.md prints it.
+tuned to a published figure. ``SOURCES`` says where each comes from; docs/reference/simulation.md
+prints it.
 The robot is the same in every setting, and so are its drives and encoders.
 """
 
@@ -15,10 +16,10 @@ from math import degrees, pi, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import ActuatorParameters, ToolError
-from surg_sim.tissue import TissueParameters
-from surg_sim.trocar import TrocarParameters
-from surg_sim.trocar_motion import Sinusoid
+from surg_sim.physics.sim_arm import ActuatorParameters, ToolError
+from surg_sim.physics.tissue import TissueParameters
+from surg_sim.physics.trocar import TrocarParameters
+from surg_sim.physics.trocar_motion import Sinusoid
 
 Array = NDArray[np.float64]
 
@@ -145,7 +146,7 @@ def condition(name: str) -> Condition:
 
 
 def table() -> str:
-    """The settings as a Markdown table, for docs/simulation.md."""
+    """The settings as a Markdown table, for docs/reference/simulation.md."""
     rows: list[tuple[str, str, Callable[[Condition], float]]] = [
         ("wall stiffness, N/m", "wall stiffness", lambda c: c.trocar.stiffness),
         ("seal friction, N", "seal friction", lambda c: c.trocar.friction),

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.pads import add_pad
+from surg_sim.physics.jaw_pads import add_pad
 
 Array = NDArray[np.float64]
 

@@ -16,12 +16,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import endoscope, room
-from surg_sim.arm import ActuatorParameters, ToolError, add_arm
-from surg_sim.drawing import OUTSIDE, add_materials
-from surg_sim.jaw import add_jaw
-from surg_sim.patient import add_patient, draw_cannula, wall_height
-from surg_sim.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
+from surg_sim.looks import room
+from surg_sim.looks.drawing import OUTSIDE, add_materials
+from surg_sim.looks.patient import add_patient, draw_cannula, wall_height
+from surg_sim.physics import endoscope_rig
+from surg_sim.physics.sim_arm import ActuatorParameters, ToolError, add_arm
+from surg_sim.physics.tool_drive import add_jaw
+from surg_sim.physics.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
 
 if TYPE_CHECKING:
     import surg_core
@@ -33,7 +34,7 @@ Array = NDArray[np.float64]
 
 WORK_DEPTH = 0.120
 """Depth of the work point behind the trocar [m]: the home tip of the bundled cells."""
-ENDOSCOPE = endoscope.LEFT
+ENDOSCOPE = endoscope_rig.LEFT
 """Name of the (left) endoscope camera, and of its optical frame on the wire."""
 OVERVIEW = room.OVERVIEW
 """Name of the camera that looks at the room."""
@@ -77,7 +78,7 @@ class Site:
 
 def site_of(arms: list[surg_core.Arm]) -> Site:
     """The site that the trocars and home postures of arms define."""
-    scope = endoscope.holder(arms)
+    scope = endoscope_rig.holder(arms)
     arm = next((arm for arm in arms if arm is not scope), arms[0])
     trocar, s = wall_frame(arm)
     away = trocar - arm.X_WB[:3, 3]
@@ -151,7 +152,7 @@ def check_reach(arms: Iterable[surg_core.Arm]) -> None:
                 f"{where}the tip is {1000 * depth:.0f} mm behind it; allowed are "
                 f"{1000 * limits.depth_min:.0f} to {1000 * limits.depth_max:.0f} mm{advice}"
             )
-    scope = endoscope.holder(arms)
+    scope = endoscope_rig.holder(arms)
     for arm in arms:
         if scope is not None and arm is not scope:
             _check_patient(arm, scope)
@@ -163,7 +164,10 @@ def _check_patient(arm: surg_core.Arm, scope: surg_core.Arm) -> None:
     work = p_WRcm + WORK_DEPTH * s
     p_WScope, view = wall_frame(scope)
     apart = float(np.linalg.norm(p_WScope - p_WRcm))
-    advice = f"; move arms.{scope.name}.base (or .home) in cell.yaml, or see surg_sim.placement"
+    advice = (
+        f"; move arms.{scope.name}.base (or .home) in cell.yaml, or search by "
+        "python3 -m surg_sim.physics.base_placement"
+    )
     if apart > PATIENT:
         raise ValueError(
             f"the trocars of {arm.name} and {scope.name} are {apart:.2f} m apart; allowed are "
@@ -216,16 +220,16 @@ def build(
     for arm in arms:
         add_arm(spec, arm, actuators or ActuatorParameters(), errors.get(arm.name))
         add_jaw(spec, arm)
-    scope = endoscope.holder(arms)
+    scope = endoscope_rig.holder(arms)
     if scope is not None:
-        endoscope.add_held(spec, scope)
+        endoscope_rig.add_held(spec, scope)
     for arm in arms:
         add_trocar(spec, arm, trocar or TrocarParameters(), errors.get(arm.name))
     site = site_of(arms)
     if add is not None:
         add(spec, site)
     if scope is None:
-        endoscope.add_standing(spec, site, looks)
+        endoscope_rig.add_standing(spec, site, looks)
     if looks:
         rng = np.random.default_rng(seed)
         add_materials(spec, rng)

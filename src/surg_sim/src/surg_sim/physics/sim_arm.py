@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.drawing import OUTSIDE
-from surg_sim.stability import all_finite
+from surg_sim.looks.drawing import OUTSIDE
+from surg_sim.physics.stability import all_finite
 
 if TYPE_CHECKING:
     import surg_core

@@ -19,13 +19,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.anatomy import smooth_curve
-from surg_sim.arm import quaternion
-from surg_sim.trocar_motion import MovingPoint
+from surg_sim.looks.anatomy import smooth_curve
+from surg_sim.physics.sim_arm import quaternion
+from surg_sim.physics.trocar_motion import MovingPoint
 
 if TYPE_CHECKING:
-    from surg_sim.scene import Site
-    from surg_sim.tissue_skin import BowelSkin
+    from surg_sim.looks.tissue_skin import BowelSkin
+    from surg_sim.physics.scene import Site
 
 Array = NDArray[np.float64]
 
@@ -206,7 +206,7 @@ def add_bowel(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters, loo
         condim=1,
     )
     if looks:
-        from surg_sim.tissue_skin import add_skin
+        from surg_sim.looks.tissue_skin import add_skin
 
         add_skin(spec, site, p)
 
@@ -358,7 +358,7 @@ class Bowel:
     @functools.cached_property
     def skin(self) -> BowelSkin:
         """What draws the bowel in pictures of this scene, which must have been built with looks."""
-        from surg_sim.tissue_skin import BowelSkin
+        from surg_sim.looks.tissue_skin import BowelSkin
 
         return BowelSkin(self._model, self._site, self.parameters)
 

@@ -15,10 +15,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import TICK
-from surg_sim.pads import add_pad
-from surg_sim.tissue import NAME as BOWEL
-from surg_sim.tissue import Bowel
+from surg_sim.physics.jaw_pads import add_pad
+from surg_sim.physics.sim_arm import TICK
+from surg_sim.physics.tissue import NAME as BOWEL
+from surg_sim.physics.tissue import Bowel
 
 Array = NDArray[np.float64]
 

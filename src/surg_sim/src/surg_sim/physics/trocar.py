@@ -18,8 +18,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import ToolError, quaternion
-from surg_sim.trocar_motion import MovingPoint
+from surg_sim.physics.sim_arm import ToolError, quaternion
+from surg_sim.physics.trocar_motion import MovingPoint
 
 if TYPE_CHECKING:
     import surg_core

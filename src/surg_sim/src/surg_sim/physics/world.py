@@ -14,17 +14,17 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim import scene
-from surg_sim.arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
-from surg_sim.conditions import Condition
-from surg_sim.jaw import JawLink
-from surg_sim.trocar import Trocar, TrocarParameters
-from surg_sim.truth import ArmTruth, TruthReader
+from surg_sim.physics import scene
+from surg_sim.physics.ground_truth import ArmTruth, TruthReader
+from surg_sim.physics.patient_settings import Condition
+from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
+from surg_sim.physics.tool_drive import JawLink
+from surg_sim.physics.trocar import Trocar, TrocarParameters
 
 if TYPE_CHECKING:
     import surg_core
-    from surg_sim.assistant import AssistantCommand
-    from surg_sim.tasks.base import Task
+    from surg_sim.physics.assistant_arm import AssistantCommand
+    from surg_sim.tasks.task import Task
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
-from surg_sim.tasks.base import GRID, State, Task, TaskError, Verdict
+from surg_sim.tasks.task import GRID, State, Task, TaskError, Verdict
 
 __all__ = ["GRID", "State", "Task", "TaskError", "Verdict", "load", "names"]
 
@@ -42,7 +42,7 @@ def load(name_or_path: str) -> Task:
     if name_or_path.endswith(".py"):
         return _only_task(_module_of(Path(name_or_path)), name_or_path)()
     if name_or_path in _BUNDLED:
-        module = importlib.import_module(f"surg_sim.tasks.{name_or_path}")
+        module = importlib.import_module(f"surg_sim.tasks.{name_or_path}.{name_or_path}_task")
         return _only_task(module, name_or_path)()
     for point in metadata.entry_points(group=GROUP):
         if point.name == name_or_path:

@@ -15,8 +15,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.experts.arm import ArmExpert
-from surg_sim.experts.base import STEP, Expert, View, Wishes, tip_quaternion
+from surg_sim.tasks.scripted_arm import ArmExpert
+from surg_sim.tasks.scripted_sender import STEP, Expert, View, Wishes, tip_quaternion
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.experts.base import (
+from surg_sim.tasks.scripted_sender import (
     DISABLED,
     ENABLED,
     RETRY,

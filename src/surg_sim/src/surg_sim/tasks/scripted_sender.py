@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_core.transforms import tip_quaternion as tip_quaternion
-from surg_sim.arm import TICK
-from surg_sim.tasks.base import GRID
+from surg_sim.physics.sim_arm import TICK
+from surg_sim.tasks.task import GRID
 
 if TYPE_CHECKING:
     import surg_core
-    from surg_sim.assistant import AssistantCommand
+    from surg_sim.physics.assistant_arm import AssistantCommand
 
 Array = NDArray[np.float64]
 

@@ -16,16 +16,16 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import TICK
+from surg_sim.physics.sim_arm import TICK
 
 if TYPE_CHECKING:
     import mujoco
 
     import surg_core
-    from surg_sim.conditions import Condition
-    from surg_sim.experts.base import Expert
-    from surg_sim.scene import Site
-    from surg_sim.world import World
+    from surg_sim.physics.patient_settings import Condition
+    from surg_sim.physics.scene import Site
+    from surg_sim.physics.world import World
+    from surg_sim.tasks.scripted_sender import Expert
 
 Array = NDArray[np.float64]
 State = dict[str, "float | Array"]

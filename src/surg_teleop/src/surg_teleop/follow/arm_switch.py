@@ -10,9 +10,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from surg_teleop.arm import ArmView
-from surg_teleop.leader import LeaderSample
-from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
+from surg_teleop.follow.arm_view import ArmView
+from surg_teleop.follow.teleoperation import CameraView, State, Teleop, TeleopOutput
+from surg_teleop.leaders.leader import LeaderSample
 
 PEDAL_SILENCE = 0.25
 """[s] Buttons that are repeated (20 times a second) and have not been for longer are not there."""
@@ -99,7 +99,7 @@ class Pedals:
 
         Args:
             source: Who says so.
-            button: One of :data:`~surg_teleop.leader.BUTTONS`.
+            button: One of :data:`~surg_teleop.leaders.leader.BUTTONS`.
             down: Whether it is pressed.
             now: Steady clock [s].
 

@@ -1,6 +1,6 @@
 """An arm as its senders see it: what it says, and what may be asked of it.
 
-Values only: no ROS, no clock. Poses are in the arm's rcm frame R (docs/conventions.md).
+Values only: no ROS, no clock. Poses are in the arm's rcm frame R (docs/reference/conventions.md).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_teleop import camera_file
+from surg_teleop.follow import camera_file
 
 Array = NDArray[np.float64]
 

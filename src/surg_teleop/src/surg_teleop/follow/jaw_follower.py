@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from surg_teleop.arm import Jaw
+from surg_teleop.follow.arm_view import Jaw
 
 SLOW = 0.5
 """[rad/s] until hand and jaw have met; from open to closed in a second or two."""

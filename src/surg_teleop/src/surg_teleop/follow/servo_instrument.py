@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_teleop.arm import ArmState, ArmView, Commands, virtual_joints
-from surg_teleop.teleop import SILENCE
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, virtual_joints
+from surg_teleop.follow.teleoperation import SILENCE
 
 Array = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ def tip(joints: Array) -> Array:
 
 @dataclass
 class VirtualArm:
-    """What such an instrument looks like to a :class:`~surg_teleop.teleop.Teleop`.
+    """What such an instrument looks like to a :class:`~surg_teleop.follow.teleoperation.Teleop`.
 
     Attributes:
         node: Caller id under which it is moved: nobody else is known of.

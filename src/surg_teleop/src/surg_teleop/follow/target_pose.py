@@ -14,12 +14,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_teleop.arm import ArmView, Pose, tip_pose, virtual_joints
-from surg_teleop.fit import Workspace
-from surg_teleop.handle import Handle
-from surg_teleop.leader import LeaderSample
-from surg_teleop.mapping import Mapping
-from surg_teleop.motion import JUMP_SLACK, JUMP_SPEED, ROLL_JUMP_SLACK, ROLL_JUMP_SPEED
+from surg_teleop.follow.arm_view import ArmView, Pose, tip_pose, virtual_joints
+from surg_teleop.follow.hand_mapping import Mapping
+from surg_teleop.leaders.handle_roll import Handle
+from surg_teleop.leaders.leader import LeaderSample
+from surg_teleop.playback.motion_file import (
+    JUMP_SLACK,
+    JUMP_SPEED,
+    ROLL_JUMP_SLACK,
+    ROLL_JUMP_SPEED,
+)
+from surg_teleop.playback.workspace_fit import Workspace
 
 Array = NDArray[np.float64]
 

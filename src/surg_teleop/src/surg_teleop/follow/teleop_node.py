@@ -1,4 +1,4 @@
-"""Teleoperation as a node: hands on the controls of one cell (docs/teleoperation.md).
+"""Teleoperation as a node: hands on the controls of one cell (docs/reference/teleoperation.md).
 
 Parameters: ``~cell`` (folder or cell.yaml); ``~leader`` (a bundled leader, an entry point, a
 ``.py`` file, or ``crtk`` for topics), ``~settings`` (of the leader, a mapping), ``~arm`` (PSM1),
@@ -34,19 +34,19 @@ from std_msgs.msg import Bool, Float64, String
 from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_msgs.msg import Cycle, Ready
-from surg_recording.polled_node import Polled
-from surg_teleop.arm import PERIOD_NS, SECOND, ArmView
-from surg_teleop.camera import HeldCamera
-from surg_teleop.crtk_node import CrtkTopics
-from surg_teleop.lateness import Arrivals
-from surg_teleop.leader import LeaderError
-from surg_teleop.leaders.crtk import CrtkLeader
-from surg_teleop.peers import publishers, subscribers
-from surg_teleop.picture import PictureWatch
-from surg_teleop.ports_node import ArmPort, RawCycle, arm_view, wait_for_all
-from surg_teleop.seat import Pedals
-from surg_teleop.system import ASSISTANT, Hand, System, read_system
-from surg_teleop.teleop import CameraView, State, Teleop, TeleopOutput
+from surg_recording.nodes.polled_node import Polled
+from surg_teleop.follow.arm_switch import Pedals
+from surg_teleop.follow.arm_view import PERIOD_NS, SECOND, ArmView
+from surg_teleop.follow.endoscope_pose import HeldCamera
+from surg_teleop.follow.message_lateness import Arrivals
+from surg_teleop.follow.peers import publishers, subscribers
+from surg_teleop.follow.picture_watch import PictureWatch
+from surg_teleop.follow.teleop_ports_node import ArmPort, RawCycle, arm_view, wait_for_all
+from surg_teleop.follow.teleop_setup import ASSISTANT, Hand, System, read_system
+from surg_teleop.follow.teleoperation import CameraView, State, Teleop, TeleopOutput
+from surg_teleop.leaders.bundled.crtk import CrtkLeader
+from surg_teleop.leaders.crtk_leader_node import CrtkTopics
+from surg_teleop.leaders.leader import LeaderError
 
 ASKED_PERIOD = 0.004
 """[s] A leader that must be asked is asked that often."""

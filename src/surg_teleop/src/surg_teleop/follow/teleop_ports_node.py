@@ -15,8 +15,8 @@ from std_msgs.msg import Empty
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix
 from surg_msgs.msg import Cycle
-from surg_recording.raw_message import RawMessage
-from surg_teleop.arm import SECOND, ArmState, ArmView, Commands, Pose
+from surg_recording.nodes.raw_message import RawMessage
+from surg_teleop.follow.arm_view import SECOND, ArmState, ArmView, Commands, Pose
 
 COMMANDS = {
     "state_command": StringStamped,

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_core import ConfigError
-from surg_teleop import leader as leaders
-from surg_teleop.arm import Jaw
-from surg_teleop.camera import HeldCamera, held_camera
-from surg_teleop.fit import Workspace
-from surg_teleop.leader import Leader, LeaderError, LeaderSample
-from surg_teleop.leaders.crtk import CrtkLeader
-from surg_teleop.seat import Seat
-from surg_teleop.target import StepLimits
-from surg_teleop.teleop import CameraView, Kind, Teleop, TeleopSettings
-from surg_teleop.virtual_arm import VirtualArm
+from surg_teleop.follow.arm_switch import Seat
+from surg_teleop.follow.arm_view import Jaw
+from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
+from surg_teleop.follow.servo_instrument import VirtualArm
+from surg_teleop.follow.target_pose import StepLimits
+from surg_teleop.follow.teleoperation import CameraView, Kind, Teleop, TeleopSettings
+from surg_teleop.leaders import leader as leaders
+from surg_teleop.leaders.bundled.crtk import CrtkLeader
+from surg_teleop.leaders.leader import Leader, LeaderError, LeaderSample
+from surg_teleop.playback.workspace_fit import Workspace
 
 Array = NDArray[np.float64]
 

@@ -16,11 +16,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_teleop.arm import PERIOD_NS, ArmState, ArmView, Commands, Jaw
-from surg_teleop.fit import Workspace
-from surg_teleop.jaw import JawGhost
-from surg_teleop.leader import HandlePose, HandRate, LeaderSample
-from surg_teleop.target import HandJumpError, StepLimits, Target
+from surg_teleop.follow.arm_view import PERIOD_NS, ArmState, ArmView, Commands, Jaw
+from surg_teleop.follow.jaw_follower import JawGhost
+from surg_teleop.follow.target_pose import HandJumpError, StepLimits, Target
+from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
+from surg_teleop.playback.workspace_fit import Workspace
 
 Array = NDArray[np.float64]
 

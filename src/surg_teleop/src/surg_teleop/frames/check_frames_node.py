@@ -27,15 +27,15 @@ from sensor_msgs.msg import CameraInfo, Image
 import surg_core
 from surg_core import ConfigError
 from surg_msgs.msg import Ready
-from surg_teleop.arm import Commands
-from surg_teleop.camera import HeldCamera, held_camera
-from surg_teleop.fit import Workspace
-from surg_teleop.frames.check import FramesCheck, Pair, Stage, split
-from surg_teleop.frames.judge import Lens, Verdict, judge, not_seen
-from surg_teleop.frames.moves import REST, WORDS
-from surg_teleop.frames.sight import NotSeen, Picture, Place, find_places
-from surg_teleop.peers import publishers, subscribers
-from surg_teleop.ports_node import ArmPort, RawCycle, arm_view, wait_for_all
+from surg_teleop.follow.arm_view import Commands
+from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
+from surg_teleop.follow.peers import publishers, subscribers
+from surg_teleop.follow.teleop_ports_node import ArmPort, RawCycle, arm_view, wait_for_all
+from surg_teleop.frames.frame_check import FramesCheck, Pair, Stage, split
+from surg_teleop.frames.probe_moves import REST, WORDS
+from surg_teleop.frames.registration_verdict import Lens, Verdict, judge, not_seen
+from surg_teleop.frames.tip_tracker import NotSeen, Picture, Place, find_places
+from surg_teleop.playback.workspace_fit import Workspace
 
 CONNECT_TIMEOUT = 180.0
 """[s] wall clock: longest wait for controllers and pictures."""

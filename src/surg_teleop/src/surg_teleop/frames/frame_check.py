@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_teleop.arm import PERIOD_NS, SECOND, ArmState, ArmView, Commands, tip_pose
-from surg_teleop.fit import Workspace
-from surg_teleop.frames.moves import REST, SIDE, STEPS, Step, between
-from surg_teleop.frames.sight import Picture
+from surg_teleop.follow.arm_view import PERIOD_NS, SECOND, ArmState, ArmView, Commands, tip_pose
+from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step, between
+from surg_teleop.frames.tip_tracker import Picture
+from surg_teleop.playback.workspace_fit import Workspace
 
 Array = NDArray[np.float64]
 

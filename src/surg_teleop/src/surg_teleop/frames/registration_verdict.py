@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_teleop.frames.moves import AXES, REST, SIDE, WORDS, Step
-from surg_teleop.frames.sight import Place
+from surg_teleop.frames.probe_moves import AXES, REST, SIDE, WORDS, Step
+from surg_teleop.frames.tip_tracker import Place
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
-from surg_teleop.frames.moves import AXES, REST, Step
+from surg_teleop.frames.probe_moves import AXES, REST, Step
 
 Array = NDArray[np.float64]
 Smooth = NDArray[np.float32]

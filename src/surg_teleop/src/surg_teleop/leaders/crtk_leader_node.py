@@ -1,4 +1,4 @@
-"""The topics of a CRTK leader, put into a :class:`~surg_teleop.leaders.crtk.CrtkLeader`."""
+"""The topics of a CRTK leader, put into a :class:`~surg_teleop.leaders.bundled.crtk.CrtkLeader`."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState
 
 from crtk_msgs.msg import OperatingState
-from surg_teleop.lateness import Arrivals
-from surg_teleop.leaders.crtk import FRESH, CrtkLeader
+from surg_teleop.follow.message_lateness import Arrivals
+from surg_teleop.leaders.bundled.crtk import FRESH, CrtkLeader
 
 HANDS = ("measured_cp", "measured_cv", "spherical/measured_js")
 """Topics that say what the hand does: what is late on them is not followed."""

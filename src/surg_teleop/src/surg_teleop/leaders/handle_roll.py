@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_teleop.leader import HandlePose
+from surg_teleop.leaders.leader import HandlePose
 
 Array = NDArray[np.float64]
 

@@ -210,7 +210,7 @@ def load(name_or_path: str, settings: Mapping[str, object]) -> Leader:
 
 
 def _bundled() -> tuple[str, ...]:
-    folder = Path(__file__).with_name("leaders")
+    folder = Path(__file__).with_name("bundled")
     return tuple(sorted(file.stem for file in folder.glob("*.py") if file.stem[0] != "_"))
 
 
@@ -222,7 +222,7 @@ def _class_of(name_or_path: str) -> type[Leader]:
     if name_or_path.endswith(".py"):
         return _only_leader(_module_of(Path(name_or_path)), name_or_path)
     if name_or_path in _bundled():
-        module = importlib.import_module(f"surg_teleop.leaders.{name_or_path}")
+        module = importlib.import_module(f"surg_teleop.leaders.bundled.{name_or_path}")
         return _only_leader(module, name_or_path)
     point = _entry_points().get(name_or_path)
     if point is None:

@@ -28,10 +28,18 @@ from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
 from surg_core import matrix_to_quaternion_xyzw
-from surg_teleop.crtk_node import JOINTS
-from surg_teleop.inputs.leader import InputLeader
-from surg_teleop.leader import HandlePose, HandRate, Leader, LeaderError, LeaderSample, load, names
-from surg_teleop.leaders.keyboard import HELP, Keyboard
+from surg_teleop.leaders.bundled.keyboard import HELP, Keyboard
+from surg_teleop.leaders.crtk_leader_node import JOINTS
+from surg_teleop.leaders.evdev.device_leader import InputLeader
+from surg_teleop.leaders.leader import (
+    HandlePose,
+    HandRate,
+    Leader,
+    LeaderError,
+    LeaderSample,
+    load,
+    names,
+)
 
 ALLOWED = ("leader", "settings", "rate", "pedals")
 RATES = (20.0, 500.0)

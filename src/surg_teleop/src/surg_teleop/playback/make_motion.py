@@ -1,6 +1,6 @@
 """Writes the bundled motion: our own formula, the same file every time.
 
-    python3 -m surg_teleop.make_motion motions/bundled.csv
+    python3 -m surg_teleop.playback.make_motion motions/bundled.csv
 
 It looks like work under a laparoscope: reaches, dwells, the loops of a knot, pulls. Every move is a
 minimum-jerk move (10 u^3 - 15 u^4 + 6 u^5 along a line or an arc), which is how a practised hand
@@ -232,5 +232,5 @@ def write_motion(path: Path) -> None:
 
 if __name__ == "__main__":
     if len(sys.argv) != 2:
-        sys.exit("usage: python3 -m surg_teleop.make_motion OUT.csv")
+        sys.exit("usage: python3 -m surg_teleop.playback.make_motion OUT.csv")
     write_motion(Path(sys.argv[1]))

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from surg_teleop.errors import MotionError
-from surg_teleop.handle import MIN_TWIST, twist_angle
+from surg_teleop.leaders.handle_roll import MIN_TWIST, twist_angle
+from surg_teleop.playback.motion_errors import MotionError
 
 Array = NDArray[np.float64]
 

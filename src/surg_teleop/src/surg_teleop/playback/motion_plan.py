@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from surg_teleop.errors import MotionError
-from surg_teleop.fit import Workspace, box_centre, largest_scale
-from surg_teleop.mapping import Mapping
-from surg_teleop.motion import Motion
+from surg_teleop.follow.hand_mapping import Mapping
+from surg_teleop.playback.motion_errors import MotionError
+from surg_teleop.playback.motion_file import Motion
+from surg_teleop.playback.workspace_fit import Workspace, box_centre, largest_scale
 
 Array = NDArray[np.float64]
 

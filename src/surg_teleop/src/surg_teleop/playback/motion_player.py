@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from surg_teleop.arm import (
+from surg_teleop.follow.arm_view import (
     PERIOD_NS,
     SECOND,
     ArmState,
@@ -22,7 +22,7 @@ from surg_teleop.arm import (
     tip_pose,
     virtual_joints,
 )
-from surg_teleop.plan import Plan
+from surg_teleop.playback.motion_plan import Plan
 
 READY_TIMEOUT = 5 * SECOND
 """Longest wait for each of: homed, enabled."""

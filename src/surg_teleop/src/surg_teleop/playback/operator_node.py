@@ -22,14 +22,14 @@ from std_msgs.msg import String
 
 from surg_core import ConfigError, load_cell
 from surg_msgs.msg import Cycle, Ready
-from surg_teleop.arm import Jaw
-from surg_teleop.errors import MotionError
-from surg_teleop.fit import Workspace
-from surg_teleop.motion import read_motion
-from surg_teleop.operator import Mode, Operator
-from surg_teleop.peers import publishers, subscribers
-from surg_teleop.plan import ConstantMotionError, Plan, make_plan
-from surg_teleop.ports_node import ArmPort, arm_view, wait_for_all
+from surg_teleop.follow.arm_view import Jaw
+from surg_teleop.follow.peers import publishers, subscribers
+from surg_teleop.follow.teleop_ports_node import ArmPort, arm_view, wait_for_all
+from surg_teleop.playback.motion_errors import MotionError
+from surg_teleop.playback.motion_file import read_motion
+from surg_teleop.playback.motion_plan import ConstantMotionError, Plan, make_plan
+from surg_teleop.playback.motion_player import Mode, Operator
+from surg_teleop.playback.workspace_fit import Workspace
 
 BUNDLED_MOTION = "motions/bundled.csv"
 CONNECT_TIMEOUT = 30.0

@@ -1,1 +1,1 @@
-"""Policies of other projects, as policies of ours: docs/policy_client.md says what was tested."""
+"""Adapters for policies of other projects; docs/guide/policy_client.md says what was tested."""

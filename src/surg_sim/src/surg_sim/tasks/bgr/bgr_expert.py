@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.assistant import AssistantCommand, inverse
-from surg_sim.experts.arm import ArmExpert
-from surg_sim.experts.base import STEP, Expert, MinimumJerk, View, Wishes, into
-from surg_sim.grasp import GRIP_DEPTH
-from surg_sim.tasks.bgr import APART, PHASES, ROBOT, TAUT
+from surg_sim.physics.assistant_arm import AssistantCommand, inverse
+from surg_sim.physics.tissue_grasp import GRIP_DEPTH
+from surg_sim.tasks.bgr.bgr_task import APART, PHASES, ROBOT, TAUT
+from surg_sim.tasks.scripted_arm import ArmExpert
+from surg_sim.tasks.scripted_sender import STEP, Expert, MinimumJerk, View, Wishes, into
 
 if TYPE_CHECKING:
     import surg_core

@@ -2,7 +2,7 @@
 
 The assistant points at a place; the robot grasps there; it holds while the assistant takes a hold
 of its own; both retract until the tissue between them is taut and visible; both hold still for 2 s.
-docs/tasks.md defines success; every number of the definition stands below.
+docs/reference/tasks.md defines success; every number of the definition stands below.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import TICK
-from surg_sim.assistant import Assistant, add_assistant
-from surg_sim.grasp import Grasp, add_grasp
-from surg_sim.tasks.base import GRID, State, Task, Verdict
-from surg_sim.tissue import Bowel, add_bowel
-from surg_sim.view import EndoscopeView
+from surg_sim.physics.assistant_arm import Assistant, add_assistant
+from surg_sim.physics.endoscope_projection import EndoscopeView
+from surg_sim.physics.sim_arm import TICK
+from surg_sim.physics.tissue import Bowel, add_bowel
+from surg_sim.physics.tissue_grasp import Grasp, add_grasp
+from surg_sim.tasks.task import GRID, State, Task, Verdict
 
 if TYPE_CHECKING:
     import surg_core
-    from surg_sim.conditions import Condition
-    from surg_sim.experts.base import Expert
-    from surg_sim.scene import Site
-    from surg_sim.world import World
+    from surg_sim.physics.patient_settings import Condition
+    from surg_sim.physics.scene import Site
+    from surg_sim.physics.world import World
+    from surg_sim.tasks.scripted_sender import Expert
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class Bgr(Task):
         self.grasps = {name: Grasp(model, data, name, self.bowel) for name in (ROBOT, ASSISTANT)}
         self.view = EndoscopeView(model, data)
         if self._looks:
-            from surg_sim.tissue_skin import BowelSkin
+            from surg_sim.looks.tissue_skin import BowelSkin
 
             self.skins = [BowelSkin(model, self._site, self._tissue)]
         self._tip_body = int(model.body(f"{ROBOT}_{self._tip}").id)
@@ -112,7 +112,7 @@ class Bgr(Task):
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
         """Two: at the robot, and at the assistant's instrument."""
-        from surg_sim.experts.bgr import AssistantExpert, RobotExpert
+        from surg_sim.tasks.bgr.bgr_expert import AssistantExpert, RobotExpert
 
         return {"assistant": AssistantExpert(seed), "expert": RobotExpert(cell, seed)}
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.experts.arm import ArmExpert
-from surg_sim.experts.base import STEP
-from surg_sim.tasks.endoscope_guidance import INSTRUMENT, SCOPE
+from surg_sim.tasks.endoscope_guidance.endoscope_guidance_task import INSTRUMENT, SCOPE
+from surg_sim.tasks.scripted_arm import ArmExpert
+from surg_sim.tasks.scripted_sender import STEP
 
 if TYPE_CHECKING:
     import surg_core

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.endoscope import cameras
-from surg_sim.tasks.base import GRID, State, Task, Verdict
-from surg_sim.view import EndoscopeView
+from surg_sim.physics.endoscope_projection import EndoscopeView
+from surg_sim.physics.endoscope_rig import cameras
+from surg_sim.tasks.task import GRID, State, Task, Verdict
 
 if TYPE_CHECKING:
     import surg_core
-    from surg_sim.conditions import Condition
-    from surg_sim.experts.base import Expert
-    from surg_sim.world import World
+    from surg_sim.physics.patient_settings import Condition
+    from surg_sim.physics.world import World
+    from surg_sim.tasks.scripted_sender import Expert
 
 Array = NDArray[np.float64]
 
@@ -90,7 +90,7 @@ class EndoscopeGuidance(Task):
 
     def bind(self, world: World) -> None:
         """Find the instrument's tip and the cameras."""
-        from surg_sim.scene import site_of
+        from surg_sim.physics.scene import site_of
 
         self._data = world.data
         self._body = int(world.model.body(f"{INSTRUMENT}_{self._tip}").id)
@@ -108,7 +108,10 @@ class EndoscopeGuidance(Task):
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
         """Two: the one who guides, and the script of the instrument."""
-        from surg_sim.experts.guidance import GuidanceExpert, InstrumentScript
+        from surg_sim.tasks.endoscope_guidance.endoscope_guidance_expert import (
+            GuidanceExpert,
+            InstrumentScript,
+        )
 
         return {"expert": GuidanceExpert(cell, seed), "instrument": InstrumentScript(cell, seed)}
 

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.experts.arm import ArmExpert
-from surg_sim.rigid_grasp import GRIP_DEPTH
-from surg_sim.tasks.pick_and_place import ARM, PEG_HEIGHT, RING_RADIUS
+from surg_sim.physics.rigid_grasp import GRIP_DEPTH
+from surg_sim.tasks.pick_and_place.pick_and_place_task import ARM, PEG_HEIGHT, RING_RADIUS
+from surg_sim.tasks.scripted_arm import ArmExpert
 
 if TYPE_CHECKING:
     import surg_core

@@ -14,16 +14,16 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.arm import TICK, quaternion
-from surg_sim.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
-from surg_sim.tasks.base import State, Task, Verdict
+from surg_sim.physics.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
+from surg_sim.physics.sim_arm import TICK, quaternion
+from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
     import surg_core
-    from surg_sim.conditions import Condition
-    from surg_sim.experts.base import Expert
-    from surg_sim.scene import Site
-    from surg_sim.world import World
+    from surg_sim.physics.patient_settings import Condition
+    from surg_sim.physics.scene import Site
+    from surg_sim.physics.world import World
+    from surg_sim.tasks.scripted_sender import Expert
 
 Array = NDArray[np.float64]
 
@@ -141,7 +141,7 @@ class PickAndPlace(Task):
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
         """One: at the robot."""
-        from surg_sim.experts.peg_transfer import PegTransferExpert
+        from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
 
         return {"expert": PegTransferExpert(cell, seed)}
 

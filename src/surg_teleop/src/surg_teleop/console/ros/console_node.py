@@ -4,7 +4,7 @@ Parameters: ``~cell`` (folder or cell.yaml); ``~arm`` (the first with jaws) and 
 show); ``~leader`` (browser; empty: another device moves the arm), ``~teleop`` (name of the
 teleoperation node); ``~views`` (left; or left,right; empty: no camera); ``~episodes`` (the
 recorder's ``~out``); ``~bind`` (127.0.0.1), ``~port`` (8090), ``~host_names``, ``~cert``, ``~key``,
-``~token_file``: who may connect (docs/console.md). Exit code 1: the port cannot be had; 2: a
+``~token_file``: who may connect (docs/guide/console.md). Exit code 1: the port cannot be had; 2: a
 parameter that must not be used.
 """
 
@@ -21,11 +21,11 @@ import rosgraph
 import rospy
 
 import surg_core
-from surg_teleop.console import access
-from surg_teleop.console.encoder_process import EncoderProcess
-from surg_teleop.console.ros_system_node import RosSystem
-from surg_teleop.console.server import Server
-from surg_teleop.console.session import Session
+from surg_teleop.console.ros.ros_system_node import RosSystem
+from surg_teleop.console.session.console_session import Session
+from surg_teleop.console.web import access
+from surg_teleop.console.web.encoder_process import EncoderProcess
+from surg_teleop.console.web.web_server import Server
 
 PORT = 8090
 KEYS = (
@@ -118,7 +118,7 @@ async def serve(settings: Settings, stop: asyncio.Event) -> None:
         "limits": settings.limits,
     }
     name = f"{rospy.get_name().strip('/').replace('/', '_')}_video"
-    argv = [sys.executable, "-s", "-m", "surg_teleop.console.video_node", name]
+    argv = [sys.executable, "-s", "-m", "surg_teleop.console.ros.video_node", name]
 
     def show(packet: Any) -> None:
         server.show(packet)

@@ -21,10 +21,9 @@ from sensor_msgs.msg import JointState, Joy
 from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
-from surg_recording.polled_node import Polled
-from surg_teleop.console import words
-from surg_teleop.console.episodes import Entry, Episodes
-from surg_teleop.console.orders import (
+from surg_recording.nodes.polled_node import Polled
+from surg_teleop.console.session import operator_messages
+from surg_teleop.console.session.console_orders import (
     Camera,
     Clutch,
     Follow,
@@ -38,9 +37,10 @@ from surg_teleop.console.orders import (
     SetScale,
     StateCommand,
 )
-from surg_teleop.console.protocol import Input
-from surg_teleop.console.report import finite
-from surg_teleop.console.robot import Arm, Follower, Gauges, Robot
+from surg_teleop.console.session.episode_list import Entry, Episodes
+from surg_teleop.console.session.page_status import finite
+from surg_teleop.console.session.system_state import Arm, Follower, Gauges, Robot
+from surg_teleop.console.web.page_protocol import Input
 
 FRESH = 1.0
 """[s] for which a figure is shown."""
@@ -133,7 +133,7 @@ class RosSystem:
     def _on_change(self, message: String, arm: str) -> None:
         """FAULT on `error`, every other state on `status`; either may come before the state."""
         for state in ("DISABLED", "ENABLED", "PAUSED", "FAULT"):
-            why = words.reason_of(message.data, arm, state)
+            why = operator_messages.reason_of(message.data, arm, state)
             if why is not None:
                 with self._lock:
                     self._because[arm] = (state, why)
@@ -142,7 +142,7 @@ class RosSystem:
         with self._lock:
             self._arms[arm] = replace(
                 self._arms[arm],
-                warning=words.without_name(message.data, arm),
+                warning=operator_messages.without_name(message.data, arm),
                 warned=time.monotonic(),
             )
 

@@ -18,8 +18,8 @@ import av
 import rospy
 from sensor_msgs.msg import Image
 
-from surg_teleop.console.codec import CodecError
-from surg_teleop.console.gallery import EYES, Pairer, Shot, Stream, parse_line
+from surg_teleop.console.web.codec import CodecError
+from surg_teleop.console.web.picture_streams import EYES, Pairer, Shot, Stream, parse_line
 
 POLL = 0.2
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surg_teleop.console.protocol import Input
+from surg_teleop.console.web.page_protocol import Input
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ import enum
 import math
 from dataclasses import dataclass, field
 
-from surg_teleop.console import words
-from surg_teleop.console.orders import (
+from surg_teleop.console.session import operator_messages
+from surg_teleop.console.session.console_orders import (
     Camera,
     Clutch,
     Follow,
@@ -30,9 +30,9 @@ from surg_teleop.console.orders import (
     SetScale,
     StateCommand,
 )
-from surg_teleop.console.protocol import Input
-from surg_teleop.console.robot import Robot
-from surg_teleop.lateness import Lateness
+from surg_teleop.console.session.system_state import Robot
+from surg_teleop.console.web.page_protocol import Input
+from surg_teleop.follow.message_lateness import Lateness
 
 SILENCE = 0.1
 """[s] without an input after which the arm holds; a page sends one every 20 ms."""
@@ -136,7 +136,7 @@ class Session:
         """A page's connection has ended."""
         page = self._pages.pop(name, None)
         if page is not None and page is self._holder:
-            self._give_up(words.CLOSED)
+            self._give_up(operator_messages.CLOSED)
 
     def take(self, name: str, now: float) -> str:
         """A page wants control.
@@ -150,8 +150,8 @@ class Session:
             return ""
         if other is not None:
             if other.visible and now - other.heard < GONE:
-                return words.taken(other.name)
-            self._give_up(words.TAKEN_AWAY)
+                return operator_messages.taken(other.name)
+            self._give_up(operator_messages.TAKEN_AWAY)
         self._holder, self.phase, self.reason = page, Phase.READY, ""
         page.visible, page.heard = True, now
         return ""
@@ -184,10 +184,10 @@ class Session:
         """
         page = self._pages[name]
         if page is not self._holder:
-            return words.NO_CONTROL
+            return operator_messages.NO_CONTROL
         if self.phase in (Phase.STARTING, Phase.DRIVING):
             return ""
-        why = self._doubt(page, now) or ("" if robot.arms else words.NO_ARM)
+        why = self._doubt(page, now) or ("" if robot.arms else operator_messages.NO_ARM)
         if why:
             self._hold(why)
             return why
@@ -206,15 +206,15 @@ class Session:
             Why it is refused; empty: it is under way.
         """
         if self.holder != name:
-            return words.NO_CONTROL
+            return operator_messages.NO_CONTROL
         state = robot.policy.get("state", "")
-        if state in words.POLICY_ACTIVE:
+        if state in operator_messages.POLICY_ACTIVE:
             self._orders.append(Policy(False))
-            self.reason = words.POLICY_ENDED
+            self.reason = operator_messages.POLICY_ENDED
             return ""
         if state in ("", "IDLE"):
-            return words.NO_POLICY
-        self._hold(words.POLICY_ASKED)
+            return operator_messages.NO_POLICY
+        self._hold(operator_messages.POLICY_ASKED)
         self.phase, self._promised = Phase.READY, now
         return ""
 
@@ -225,10 +225,10 @@ class Session:
             Why it is refused; empty: they are on their way.
         """
         if self.holder != name:
-            return words.NO_CONTROL
+            return operator_messages.NO_CONTROL
         if not robot.astray:
-            return words.NOTHING_ASTRAY
-        self._hold(words.PUT_BACK)
+            return operator_messages.NOTHING_ASTRAY
+        self._hold(operator_messages.PUT_BACK)
         self._orders += [PutBack(arm) for arm in robot.astray]
         return ""
 
@@ -239,11 +239,11 @@ class Session:
             robot: Which arms there are.
             who: Name of the page.
         """
-        self._hold(words.stopped(who if who != self.holder else ""))
+        self._hold(operator_messages.stopped(who if who != self.holder else ""))
         self._orders += [
             StateCommand(arm.name, "pause") for arm in robot.arms if arm.state == "ENABLED"
         ]
-        if robot.policy.get("state") in words.POLICY_ACTIVE:
+        if robot.policy.get("state") in operator_messages.POLICY_ACTIVE:
             self._orders.append(Policy(False))
 
     def hide(self, name: str, why: str) -> None:
@@ -257,19 +257,19 @@ class Session:
         page.visible = why in ("gamepad", "pointer")
         active = self.phase in (Phase.STARTING, Phase.DRIVING) or self._promised > -math.inf
         if page is self._holder and active:
-            self._hold(words.HIDDEN[why])
+            self._hold(operator_messages.HIDDEN[why])
 
     def scale(self, name: str, value: float) -> str:
         """Another scale is wanted; returns why not."""
         if self.holder != name:
-            return words.NO_CONTROL
+            return operator_messages.NO_CONTROL
         self._orders.append(SetScale(value))
         return ""
 
     def record(self, name: str, on: bool) -> str:
         """Recording shall start or stop; returns why not."""
         if self.holder != name:
-            return words.NO_CONTROL
+            return operator_messages.NO_CONTROL
         self._orders.append(Record(on))
         return ""
 
@@ -285,7 +285,7 @@ class Session:
         if page is not self._holder or self.phase not in (Phase.STARTING, Phase.DRIVING):
             return
         if silent:  # it was frozen, and wakes up before anybody has looked
-            self._hold(words.SILENT)
+            self._hold(operator_messages.SILENT)
             return
         if sample.clutch != self._clutch:
             self._clutch, self._acted = sample.clutch, now
@@ -324,9 +324,9 @@ class Session:
             self.phase = Phase.DRIVING
         elif self.phase is Phase.DRIVING or follower.state in LATCHED:
             if not self._clutch or follower.state in LATCHED:
-                self._hold(words.let_go(robot))
+                self._hold(operator_messages.let_go(robot))
         elif now - self._enabled > START_TIMEOUT:
-            self._hold(words.not_ready(robot, self._enabled, START_TIMEOUT))
+            self._hold(operator_messages.not_ready(robot, self._enabled, START_TIMEOUT))
 
     def _hand_over(self, robot: Robot, now: float) -> None:
         """The policy gets the arm as soon as the hand is off it."""
@@ -340,13 +340,13 @@ class Session:
     def _doubt(self, page: _Page, now: float) -> str:
         """Why the page must not drive now."""
         if not page.visible:
-            return words.HIDDEN["hidden"]
+            return operator_messages.HIDDEN["hidden"]
         if not now - page.heard <= SILENCE:
-            return words.SILENT
+            return operator_messages.SILENT
         if self._pictures and not page.picture_us:
-            return words.NO_PICTURE
+            return operator_messages.NO_PICTURE
         if self._pictures and not now - page.picture_changed <= BLIND:
-            return words.FROZEN_PICTURE
+            return operator_messages.FROZEN_PICTURE
         return ""
 
     def _hold(self, why: str) -> None:

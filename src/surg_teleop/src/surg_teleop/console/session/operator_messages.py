@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from surg_teleop.console.robot import Arm, Robot
+from surg_teleop.console.session.system_state import Arm, Robot
 
 NO_CONTROL = "another page has control: this one watches (Stop works from here too)"
 CLOSED = "the page that had control was closed: the arm holds"
@@ -20,7 +20,7 @@ NO_ARM = "no arm has spoken yet: see that the controllers run (./surg status)"
 NO_FOLLOWER = "the teleoperation node does not speak: see that it runs (./surg status)"
 NOTHING_ASTRAY = "no simulated arm is in FAULT: nothing is to be put back"
 PUT_BACK = "the arm is led home by hand; press Enable once it rests"
-NO_POLICY = "no policy is connected: start one, it connects by itself (docs/policies.md)"
+NO_POLICY = "no policy is connected: start one, it connects by itself (docs/reference/policies.md)"
 POLICY_ASKED = "the arm goes to the policy"
 POLICY_ENDED = "the policy gives the arm up; press Enable to have it yourself"
 POLICY_ACTIVE = ("WAKING", "RUNNING")

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from surg_teleop.console import words
-from surg_teleop.console.robot import Arm, Follower, Robot
-from surg_teleop.console.session import Phase, Session
+from surg_teleop.console.session import operator_messages
+from surg_teleop.console.session.console_session import Phase, Session
+from surg_teleop.console.session.system_state import Arm, Follower, Robot
 
 STALE = 1.0
 """[s] after which what an arm said of itself is no longer believed."""
@@ -39,7 +39,7 @@ def report(
         "say": "status",
         "phase": session.phase.value,
         "headline": _policy_headline(session, robot) or _headline(session, robot),
-        "sentence": words.as_sentence(sentence(session, robot, now)),
+        "sentence": operator_messages.as_sentence(sentence(session, robot, now)),
         "holder": session.holder,
         "pages": session.pages,
         "arms": [_arm(arm, now) for arm in robot.arms],
@@ -59,12 +59,12 @@ def report(
             "finishing": bool(robot.record.get("finishing")),
             "problem": str(robot.record.get("problem") or ""),
         },
-        "task": words.task_sentence(robot),
+        "task": operator_messages.task_sentence(robot),
         "astray": list(robot.astray),
         "policy": {
             "state": str(robot.policy.get("state", "")),
-            "on": robot.policy.get("state") in words.POLICY_ACTIVE,
-            "sentence": words.as_sentence(words.policy_sentence(robot)),
+            "on": robot.policy.get("state") in operator_messages.POLICY_ACTIVE,
+            "sentence": operator_messages.as_sentence(operator_messages.policy_sentence(robot)),
         },
     }
 
@@ -74,7 +74,9 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
     arm = robot.arms[0] if robot.arms else None
     if session.phase is Phase.DRIVING:
         if session.scoping:
-            return robot.scope.reason or words.scoping(robot.scope.arm, session.clutched)
+            return robot.scope.reason or operator_messages.scoping(
+                robot.scope.arm, session.clutched
+            )
         if robot.follower.reason:
             return robot.follower.reason
         if session.clutched:
@@ -82,16 +84,23 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
         if arm is not None and now - arm.warned < RECENT:
             return arm.warning
         return "The tip follows your hand."
-    about = robot.policy.get("state") in words.POLICY_ACTIVE or session.reason == words.POLICY_ASKED
-    if session.phase is Phase.READY and about and (said := words.policy_sentence(robot)):
+    about = (
+        robot.policy.get("state") in operator_messages.POLICY_ACTIVE
+        or session.reason == operator_messages.POLICY_ASKED
+    )
+    if (
+        session.phase is Phase.READY
+        and about
+        and (said := operator_messages.policy_sentence(robot))
+    ):
         return said
     if session.reason:
         return session.reason
     if arm is None or not arm.state:
-        return words.NO_ARM
+        return operator_messages.NO_ARM
     if session.phase is Phase.STARTING:
         return f"{arm.name} is {arm.state}: it is being homed and enabled."
-    said = f"{arm.name}: {words.state_sentence(arm)}"
+    said = f"{arm.name}: {operator_messages.state_sentence(arm)}"
     if session.phase is Phase.READY:
         return f"{said}. Press Enable to begin."
     return said
@@ -136,7 +145,7 @@ def _arm(arm: Arm, now: float) -> dict[str, Any]:
         "homed": arm.homed,
         "sentence": "it no longer speaks: see that its controller runs (./surg status)"
         if silent
-        else words.state_sentence(arm),
+        else operator_messages.state_sentence(arm),
     }
 
 

@@ -16,7 +16,7 @@ import contextlib
 import time
 from collections.abc import Callable, Sequence
 
-from surg_teleop.console import wire
+from surg_teleop.console.web import picture_packet
 
 RESTART = 1.0
 """[s] before an encoder that has ended is started again."""
@@ -36,7 +36,7 @@ class EncoderProcess:
     def __init__(
         self,
         argv: Sequence[str],
-        show: Callable[[wire.Packet], None],
+        show: Callable[[picture_packet.Packet], None],
         problem: Callable[[str], None],
     ) -> None:
         self._argv, self._show, self._problem = tuple(argv), show, problem
@@ -69,18 +69,18 @@ class EncoderProcess:
         """One life of the encoder; returns its exit code."""
         pipe = asyncio.subprocess.PIPE
         child = await asyncio.create_subprocess_exec(
-            *self._argv, stdin=pipe, stdout=pipe, limit=wire.LARGEST
+            *self._argv, stdin=pipe, stdout=pipe, limit=picture_packet.LARGEST
         )
         self._child = child
         try:
             self.want(self._wanted)
             assert child.stdout is not None
-            with contextlib.suppress(asyncio.IncompleteReadError, wire.WireError):
+            with contextlib.suppress(asyncio.IncompleteReadError, picture_packet.WireError):
                 while True:
-                    header = await child.stdout.readexactly(wire.HEADER_BYTES)
-                    data = await child.stdout.readexactly(wire.size_of(header))
+                    header = await child.stdout.readexactly(picture_packet.HEADER_BYTES)
+                    data = await child.stdout.readexactly(picture_packet.size_of(header))
                     self._seen = time.monotonic()
-                    self._show(wire.unpack(header + data))
+                    self._show(picture_packet.unpack(header + data))
         finally:
             self._child = None
             with contextlib.suppress(ProcessLookupError):

@@ -7,7 +7,7 @@ not drawn what it was sent gets no more: pictures must not pile up in sockets ei
 
 from __future__ import annotations
 
-from surg_teleop.console.wire import Packet
+from surg_teleop.console.web.picture_packet import Packet
 
 UNDER_WAY = 3
 """Pictures that may have been sent and not drawn yet."""

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from surg_teleop.console.codec import (
+from surg_teleop.console.web.codec import (
     CODECS,
     Codec,
     CodecError,
@@ -15,7 +15,7 @@ from surg_teleop.console.codec import (
     image_of,
     profile_of,
 )
-from surg_teleop.console.wire import Packet
+from surg_teleop.console.web.picture_packet import Packet
 
 EYES = {"left": ("left",), "stereo": ("left", "right")}
 """Cameras of each layout."""

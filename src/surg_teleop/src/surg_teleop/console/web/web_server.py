@@ -19,12 +19,14 @@ from typing import Any, Protocol
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from surg_teleop.console import words
-from surg_teleop.console.access import Access
-from surg_teleop.console.episodes import Entry
-from surg_teleop.console.lane import Lane
-from surg_teleop.console.orders import Follow, Order, Present
-from surg_teleop.console.protocol import (
+from surg_teleop.console.session import operator_messages
+from surg_teleop.console.session.console_orders import Follow, Order, Present
+from surg_teleop.console.session.console_session import Session
+from surg_teleop.console.session.episode_list import Entry
+from surg_teleop.console.session.page_status import report
+from surg_teleop.console.session.system_state import Robot
+from surg_teleop.console.web.access import Access
+from surg_teleop.console.web.page_protocol import (
     LONGEST,
     Hello,
     Hidden,
@@ -38,10 +40,8 @@ from surg_teleop.console.protocol import (
     Watch,
     parse,
 )
-from surg_teleop.console.report import report
-from surg_teleop.console.robot import Robot
-from surg_teleop.console.session import Session
-from surg_teleop.console.wire import Packet
+from surg_teleop.console.web.picture_packet import Packet
+from surg_teleop.console.web.picture_queue import Lane
 
 TICK = 0.01
 """[s] between two looks of the session at everything."""
@@ -414,7 +414,7 @@ class Server:
             session.release(name)
             return ""
         if not in_time:
-            return words.LATE
+            return operator_messages.LATE
         if said.button == "take":
             return session.take(name, now)
         if said.button == "enable":

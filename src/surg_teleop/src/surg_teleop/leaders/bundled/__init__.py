@@ -1,1 +1,1 @@
-"""Bundled leaders, one file each; found by the file's name (``surg_teleop.leader.load``)."""
+"""Bundled leaders, one file each, found by the name of the file."""

@@ -3,7 +3,7 @@
 Pure; the teleoperation node subscribes (``measured_cp``, ``measured_cv``,
 ``spherical/measured_js``, ``gripper/measured_js``, ``operating_state``). So a browser, a gamepad or
 a haptic device may be a process of its own. Times are those at which a message would have come, had
-no network held it up (:class:`~surg_teleop.lateness.Arrivals`): an old pose is old.
+no network held it up (:class:`~surg_teleop.follow.message_lateness.Arrivals`): an old pose is old.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surg_core import quaternion_xyzw_to_matrix, rpy_to_matrix
-from surg_teleop.leader import HandlePose, HandRate, LeaderSample
+from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
 
 Array = NDArray[np.float64]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from surg_teleop.inputs.host import Host
-from surg_teleop.inputs.leader import InputLeader
+from surg_teleop.leaders.evdev.device_host import Host
+from surg_teleop.leaders.evdev.device_leader import InputLeader
 
 
 class Gamepad(InputLeader):

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from surg_teleop.leader import HandRate, LeaderError, LeaderSample
+from surg_teleop.leaders.leader import HandRate, LeaderError, LeaderSample
 
 HOLD = 0.15
 """[s] A key counts that long after it was last heard. Consoles repeat every 92 ms, others

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surg_core import rpy_to_matrix
-from surg_teleop.errors import MotionError
-from surg_teleop.leader import HandlePose, LeaderError, LeaderSample
-from surg_teleop.motion import Motion, read_motion
+from surg_teleop.leaders.leader import HandlePose, LeaderError, LeaderSample
+from surg_teleop.playback.motion_errors import MotionError
+from surg_teleop.playback.motion_file import Motion, read_motion
 
 
 class MotionLeader:
-    """Plays a motion file (``surg_teleop.motion``) at a leader's rate.
+    """Plays a motion file (``surg_teleop.playback.motion_file``) at a leader's rate.
 
     Args:
         file: The CSV file.

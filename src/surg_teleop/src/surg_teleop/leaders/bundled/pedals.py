@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from surg_teleop.inputs.host import Host
-from surg_teleop.inputs.leader import InputLeader
-from surg_teleop.leader import LeaderError, LeaderSample
+from surg_teleop.leaders.evdev.device_host import Host
+from surg_teleop.leaders.evdev.device_leader import InputLeader
+from surg_teleop.leaders.leader import LeaderError, LeaderSample
 
 
 class Pedals(InputLeader):

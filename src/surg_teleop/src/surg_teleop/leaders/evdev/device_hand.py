@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surg_teleop.inputs.events import Event
-from surg_teleop.inputs.layout import Axis, Layout
-from surg_teleop.inputs.state import Description, InputState, Snapshot
-from surg_teleop.leader import HandRate, LeaderSample
+from surg_teleop.leaders.evdev.device_layout import Axis, Layout
+from surg_teleop.leaders.evdev.device_state import Description, InputState, Snapshot
+from surg_teleop.leaders.evdev.input_events import Event
+from surg_teleop.leaders.leader import HandRate, LeaderSample
 
 WIRELESS_QUIET = 2.0
 """[s] A stick that is held by a hand trembles and says so. A radio device that is deflected and

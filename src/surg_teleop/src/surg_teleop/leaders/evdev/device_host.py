@@ -11,7 +11,7 @@ from typing import Protocol
 import evdev
 from evdev import ecodes
 
-from surg_teleop.inputs.state import AxisRange, Description, Snapshot
+from surg_teleop.leaders.evdev.device_state import AxisRange, Description, Snapshot
 
 FOLDER = Path("/dev/input")
 

@@ -1,6 +1,6 @@
 """A layout file: which axes and buttons a device has, and what each of them means.
 
-One YAML file per kind of device; ``docs/leaders.md`` explains the keys. Bundled ones lie in
+One YAML file per kind of device; ``docs/guide/leaders.md`` explains the keys. Bundled ones lie in
 ``layouts/`` and go by their name.
 """
 
@@ -14,8 +14,8 @@ from typing import Any
 import yaml
 from evdev import ecodes
 
-from surg_teleop.inputs.state import Description
-from surg_teleop.leader import BUTTONS, LeaderError
+from surg_teleop.leaders.evdev.device_state import Description
+from surg_teleop.leaders.leader import BUTTONS, LeaderError
 
 FORMAT = "surg_input/1"
 FOLDER = Path(__file__).with_name("layouts")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from surg_teleop.inputs.events import Decoder
-from surg_teleop.inputs.find import find
-from surg_teleop.inputs.hand import Hand, Joy
-from surg_teleop.inputs.host import Device, EvdevHost, Host
-from surg_teleop.inputs.layout import Layout, read_layout
-from surg_teleop.leader import LeaderError, LeaderSample
+from surg_teleop.leaders.evdev.device_hand import Hand, Joy
+from surg_teleop.leaders.evdev.device_host import Device, EvdevHost, Host
+from surg_teleop.leaders.evdev.device_layout import Layout, read_layout
+from surg_teleop.leaders.evdev.device_search import find
+from surg_teleop.leaders.evdev.input_events import Decoder
+from surg_teleop.leaders.leader import LeaderError, LeaderSample
 
 LOOK_EVERY = 0.5
 """[s] How often a device that has gone is looked for, ..."""

@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 
-from surg_teleop.inputs.host import Device, Host
-from surg_teleop.inputs.layout import Layout
-from surg_teleop.leader import LeaderError
+from surg_teleop.leaders.evdev.device_host import Device, Host
+from surg_teleop.leaders.evdev.device_layout import Layout
+from surg_teleop.leaders.leader import LeaderError
 
 PERMISSION_CURE = (
-    "'sudo usermod -aG input $USER' and a new login, or the udev rule in docs/leaders.md, allows it"
+    "'sudo usermod -aG input $USER' and a new login, or the udev rule in docs/guide/leaders.md,"
+    " allows it"
 )
 SHOWN = 12
 """Devices named in a message at most, ..."""
@@ -117,7 +118,8 @@ def _nothing_fits(layout: Layout, wanted: str, looked: _Looked) -> LeaderError:
         cure = PERMISSION_CURE
     elif looked.unfit:
         cure = (
-            "plug in one that fits, or describe yours in a layout of its own (docs/leaders.md); "
+            "plug in one that fits, or describe yours in a layout of its own"
+            " (docs/guide/leaders.md); "
             "'evtest' shows what a device has"
         )
     else:

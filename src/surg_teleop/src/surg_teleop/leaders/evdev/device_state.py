@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from surg_teleop.inputs.events import EV_ABS, EV_KEY, EV_REL, Event
+from surg_teleop.leaders.evdev.input_events import EV_ABS, EV_KEY, EV_REL, Event
 
 BUS_BLUETOOTH = 0x05
 

@@ -1,0 +1,1 @@
+"""The model server: sessions, safety controller, play-out, and its node."""

@@ -1,0 +1,1 @@
+"""Time of an episode: clock steps, synchronisation of machines, and a report on both."""

@@ -1,0 +1,1 @@
+"""Episode folders: reading, writing, finishing and recovering them."""

@@ -1,0 +1,1 @@
+"""Videos of an episode: encoding, reading, mending, and how late they are."""

@@ -1,0 +1,1 @@
+"""Tasks without ROS: Gymnasium environments, episodes, demonstrations, roll-outs."""

@@ -1,0 +1,1 @@
+"""Bowel grasping and retraction: the task and its scripted senders."""

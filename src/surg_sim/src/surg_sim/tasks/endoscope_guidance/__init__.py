@@ -1,0 +1,1 @@
+"""Endoscope guidance: the task and its scripted senders."""

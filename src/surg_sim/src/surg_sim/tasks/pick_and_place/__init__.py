@@ -1,0 +1,1 @@
+"""Peg transfer: the task and its scripted sender."""

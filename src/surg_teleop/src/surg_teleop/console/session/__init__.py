@@ -1,0 +1,1 @@
+"""Who is in control, and what pages are told. No ROS, no sockets."""

@@ -1,0 +1,1 @@
+"""A hand on an arm: states, mapping, safety checks, and the node that wires them."""

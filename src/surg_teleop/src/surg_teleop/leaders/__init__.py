@@ -1,0 +1,1 @@
+"""Leaders: what a hand holds, as a stream of samples."""

@@ -1,0 +1,1 @@
+"""Running ROS graphs: which nodes, started how, watched how."""

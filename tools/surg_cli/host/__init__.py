@@ -1,0 +1,1 @@
+"""The machine: packages, environment, build, terminal, cells on disk."""
