@@ -46,7 +46,7 @@ from surg_sim.envs.policy_rollouts import STATE, Rollout
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
 
-sys.path.insert(0, str(paths.ROOT / "examples"))
+sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 CELL, TASK = "sim_two_arms", "bgr"
 SET, JAW = slice(5, 9), 4
 PLAIN: dict[str, Any] = {"push": 0.0, "behind": 0}

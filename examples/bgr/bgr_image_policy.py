@@ -1,6 +1,6 @@
 """A learned policy for bowel grasping and retraction that looks through the endoscope; numpy only.
 
-    python3 examples/bgr_image_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
+    python3 examples/bgr/bgr_image_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
 
 `train_bgr_images.py` makes the weights. The policy reads `observation.state` and the endoscope's
 left picture: **what a robot can measure, and nothing else**. It answers each observation with a

@@ -1,6 +1,6 @@
 """A learned policy for bowel grasping and retraction: numpy only, no platform, no torch.
 
-    python3 examples/bgr_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
+    python3 examples/bgr/bgr_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
 
 `train_bgr.py` makes the weights. The policy reads `observation.state`, which a robot measures, and
 `privileged.task_state`, the simulator's ground truth: **no robot can measure that**, so this policy

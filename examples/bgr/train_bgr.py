@@ -1,6 +1,6 @@
 """Trains the policy of `bgr_policy.py` on a LeRobot dataset (v2.1) that `./surg export` wrote.
 
-    python3 examples/train_bgr.py datasets/bgr --out weights.npz --seed 0
+    python3 examples/bgr/train_bgr.py datasets/bgr --out weights.npz --seed 0
 
 Behaviour cloning of action chunks with a small multilayer perceptron, in plain numpy: the same
 dataset, options and seed give the same weights. Reads the split `train`; says what the loss is on

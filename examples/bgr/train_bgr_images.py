@@ -1,6 +1,6 @@
 """Trains the policy of `bgr_image_policy.py` on a LeRobot dataset (v2.1) with pictures.
 
-    python3 examples/train_bgr_images.py datasets/bgr --out weights.npz --seed 0
+    python3 examples/bgr/train_bgr_images.py datasets/bgr --out weights.npz --seed 0
 
 As `train_bgr.py`, with small convolutions in front, in plain numpy: the same dataset, options and
 seed give the same weights. It reads `observation.state`, `action` and the left endoscope's video

@@ -9,7 +9,7 @@ import numpy as np
 from helpers.bgr_synthetic import ACTION, STATE
 from surg_cli.host import paths
 
-sys.path.insert(0, str(paths.ROOT / "examples"))
+sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 
 import bgr_image_policy
 import train_bgr_images

@@ -8,7 +8,7 @@ import numpy as np
 
 from surg_cli.host import paths
 
-sys.path.insert(0, str(paths.ROOT / "examples"))
+sys.path.insert(0, str(paths.ROOT / "examples/bgr"))
 
 import bgr_policy
 import train_bgr

@@ -1,4 +1,4 @@
-"""Runs the examples as their users do: beside nothing of the platform."""
+"""Runs the bgr learner as its users do: without the platform."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from surg_cli.host import paths
 
 
 def said_alone(program: str) -> str:
-    """What a program prints that sees the folder of examples and no environment of ours."""
+    """What a program prints that runs in examples/bgr without the workspace's environment."""
     done = subprocess.run(
         [sys.executable, "-s", "-c", program],
-        cwd=paths.ROOT / "examples",
+        cwd=paths.ROOT / "examples/bgr",
         capture_output=True,
         text=True,
         check=True,

@@ -22,10 +22,12 @@ from surg_cli.host import cells, paths
 from surg_cli.host.stages import Ledger
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
+LEARNERS = paths.ROOT / "examples/bgr"
+
 
 @dataclass(frozen=True)
 class Recipe:
-    """What learns a task; files in examples/.
+    """The programs that train and run a policy; files in `LEARNERS`.
 
     Attributes:
         train: Trains.
@@ -48,7 +50,7 @@ class Recipe:
     def made_of(self) -> list[str]:
         """Digests of all its files."""
         files = (self.train, self.serve, *self.parts)
-        return [paths.file_digest(paths.ROOT / "examples" / name) for name in files]
+        return [paths.file_digest(LEARNERS / name) for name in files]
 
     def folder(self, weights: str) -> str:
         """Name for the roll-outs of these weights, played by these programs and no others."""
@@ -148,7 +150,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     again = f"./surg {_line(command, wanted)} --out {_shown(out)}"
     ledger = Ledger(out / "stages.json", again)
     recipe = wanted.recipe
-    train, serve = (paths.ROOT / "examples" / name for name in (recipe.train, recipe.serve))
+    train, serve = (LEARNERS / name for name in (recipe.train, recipe.serve))
     looking = ", from pictures" if wanted.cameras else ""
     say(
         f"learn: {wanted.task}{looking}, {wanted.setting}, {wanted.episodes} demonstrations, "

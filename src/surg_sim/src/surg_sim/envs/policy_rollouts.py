@@ -24,7 +24,7 @@ IMAGES = "observation.images.endoscope"
 
 
 class Acts(Protocol):
-    """What a policy is: examples/bgr_policy.py, or any object like it."""
+    """What a policy is: examples/bgr/bgr_policy.py, or any object like it."""
 
     def reset(self, instruction: str, seed: int | None) -> None:
         """Forget the last episode; the seed is for policies that draw."""
