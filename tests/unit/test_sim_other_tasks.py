@@ -46,7 +46,9 @@ def test_a_ring_beside_the_pegs_is_a_failure(pegs: Session, share: float, reason
             view.task["goal"] = view.task["start"] + share * way
             return super().act(view)
 
-    report = run_episode(pegs, SEED, {"expert": Careless(pegs.cell, SEED)})
+    task = pick_and_place_task
+    geometry = (task.ARM, task.RING_RADIUS, task.PEG_HEIGHT)
+    report = run_episode(pegs, SEED, {"expert": Careless(pegs.cell, SEED, *geometry)})
     assert (report.success, report.reason) == (False, reason)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from surg_sim.physics.assistant_arm import AssistantCommand, inverse
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH
-from surg_sim.tasks.bgr.bgr_task import APART, PHASES, ROBOT, TAUT
+from surg_sim.tasks.bgr.bgr_definition import PHASES, ROBOT, TAUT
 from surg_sim.tasks.scripted_arm import ArmExpert
 from surg_sim.tasks.scripted_sender import STEP, Expert, MinimumJerk, View, Wishes, into
 
@@ -25,6 +25,8 @@ OPEN, CLOSED = 0.68, 0.0
 """Jaw angles [rad]."""
 ABOVE = 0.030
 """From here the jaws go down to the tissue [m]."""
+APART = 5
+"""Number of nodes from the target to the node that the assistant grasps."""
 GRIP_HEIGHT = 0.006
 """Of the grip above the axis of the bowel [m]."""
 POINT_HEIGHT = 0.016

@@ -1,8 +1,8 @@
 """Bowel grasping and retraction: the paper's collaborative task.
 
-The assistant points at a place; the robot grasps there; it holds while the assistant takes a hold
-of its own; both retract until the tissue between them is taut and visible; both hold still for 2 s.
-docs/reference/tasks.md defines success; every number of the definition stands below.
+The assistant points at a target and the robot grasps there. The robot holds while the assistant
+grasps beside it. Both retract until the tissue between them is taut and visible, and hold still for
+2 s. docs/reference/tasks.md defines success; ``bgr_definition`` holds its numbers.
 """
 
 from __future__ import annotations
@@ -19,6 +19,21 @@ from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.sim_arm import TICK
 from surg_sim.physics.tissue import Bowel, add_bowel
 from surg_sim.physics.tissue_grasp import Grasp, add_grasp
+from surg_sim.tasks.bgr.bgr_definition import (
+    ASSISTANT,
+    LEAST_APART,
+    NOBODY,
+    PHASES,
+    POINT_AT,
+    POINT_FOR,
+    RIGHT,
+    ROBOT,
+    STILL_FOR,
+    STILL_SPEED,
+    TARGETS,
+    TAUT,
+)
+from surg_sim.tasks.bgr.bgr_expert import AssistantExpert, RobotExpert
 from surg_sim.tasks.task import GRID, State, Task, Verdict
 
 if TYPE_CHECKING:
@@ -29,32 +44,6 @@ if TYPE_CHECKING:
     from surg_sim.tasks.scripted_sender import Expert
 
 Array = NDArray[np.float64]
-
-ROBOT, ASSISTANT = "PSM1", "assistant"
-
-TARGETS = (17, 22)
-"""Nodes of the bowel that can be asked for: first and last."""
-APART = 5
-"""Nodes between the place that is asked for and where the scripted assistant takes hold."""
-LEAST_APART = 3
-"""A hold of the assistant that is nearer to the robot's shows no tissue."""
-
-POINT_AT = 0.022
-"""The assistant points while its tip is at most so far from the axis of the bowel there [m]."""
-POINT_FOR = 0.3
-"""So long [s]."""
-RIGHT = 1
-"""The robot must hold the node that was pointed at, or one so many nodes away."""
-TAUT = 0.5
-"""Least elastic tension in every piece of tissue between the two holds [N]."""
-STILL_SPEED = 0.005
-"""Greatest speed of both tips, averaged over 50 ms, that counts as still [m/s]."""
-STILL_FOR = 2.0
-"""So long must the tissue be taut, in view, and both instruments still [s]."""
-
-PHASES = ("point", "grasp", "assist", "retract", "still", "done")
-NOBODY = -1.0
-"""Instead of a node: nothing is held."""
 
 
 class Bgr(Task):
@@ -112,8 +101,6 @@ class Bgr(Task):
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
         """Two: at the robot, and at the assistant's instrument."""
-        from surg_sim.tasks.bgr.bgr_expert import AssistantExpert, RobotExpert
-
         return {"assistant": AssistantExpert(seed), "expert": RobotExpert(cell, seed)}
 
     # --- in an episode ------------------------------------------------------------------------

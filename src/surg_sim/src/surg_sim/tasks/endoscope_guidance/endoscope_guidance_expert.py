@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.tasks.endoscope_guidance.endoscope_guidance_task import INSTRUMENT, SCOPE
 from surg_sim.tasks.scripted_arm import ArmExpert
 from surg_sim.tasks.scripted_sender import STEP
 
@@ -30,9 +29,9 @@ SPEED_SHARE = 0.7
 class GuidanceExpert(ArmExpert):
     """Turns the endoscope about its trocar so that its axis goes through the instrument's tip."""
 
-    def __init__(self, cell: surg_core.Cell, seed: int) -> None:
-        super().__init__(cell, seed, SCOPE)
-        limits = cell.arms[SCOPE].limits
+    def __init__(self, cell: surg_core.Cell, seed: int, arm: str) -> None:
+        super().__init__(cell, seed, arm)
+        limits = cell.arms[arm].limits
         self._most = SPEED_SHARE * limits.tip_velocity * STEP
         self._depths = (limits.depth_slow, limits.depth_max)
 
@@ -58,10 +57,7 @@ class GuidanceExpert(ArmExpert):
 
 
 class InstrumentScript(ArmExpert):
-    """Moves the instrument as the task says."""
-
-    def __init__(self, cell: surg_core.Cell, seed: int) -> None:
-        super().__init__(cell, seed, INSTRUMENT)
+    """Moves the instrument along the path that the task has drawn."""
 
     def script(self) -> Iterator[None]:
         """See ``ArmExpert``."""

@@ -17,6 +17,10 @@ from numpy.typing import NDArray
 
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.endoscope_rig import cameras
+from surg_sim.tasks.endoscope_guidance.endoscope_guidance_expert import (
+    GuidanceExpert,
+    InstrumentScript,
+)
 from surg_sim.tasks.task import GRID, State, Task, Verdict
 
 if TYPE_CHECKING:
@@ -108,12 +112,10 @@ class EndoscopeGuidance(Task):
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
         """Two: the one who guides, and the script of the instrument."""
-        from surg_sim.tasks.endoscope_guidance.endoscope_guidance_expert import (
-            GuidanceExpert,
-            InstrumentScript,
-        )
-
-        return {"expert": GuidanceExpert(cell, seed), "instrument": InstrumentScript(cell, seed)}
+        return {
+            "expert": GuidanceExpert(cell, seed, SCOPE),
+            "instrument": InstrumentScript(cell, seed, INSTRUMENT),
+        }
 
     @property
     def tip(self) -> Array:

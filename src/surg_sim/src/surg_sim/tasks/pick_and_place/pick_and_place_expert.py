@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_sim.physics.rigid_grasp import GRIP_DEPTH
-from surg_sim.tasks.pick_and_place.pick_and_place_task import ARM, PEG_HEIGHT, RING_RADIUS
 from surg_sim.tasks.scripted_arm import ArmExpert
 
 if TYPE_CHECKING:
@@ -18,31 +17,42 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 UP = np.array([0.0, 0.0, 1.0])
-CLEAR = PEG_HEIGHT + 0.012
-"""Height above a board at which the ring passes over the pegs [m]."""
+CLEARANCE = 0.012
+"""Distance between the ring and the peg tops while the ring is carried [m]."""
 PARTLY_OPEN = 0.34
 """Jaw angle for the approach [rad]: the inner finger fits between ring and peg."""
 
 
 class PegTransferExpert(ArmExpert):
-    """Takes the ring at its rim, carries it over, lowers it and lets go."""
+    """Grasps the ring at its rim, carries it to the other board, lowers and releases it.
 
-    def __init__(self, cell: surg_core.Cell, seed: int) -> None:
-        super().__init__(cell, seed, ARM)
+    Args:
+        cell: The cell.
+        seed: Seed of its imperfections.
+        arm: Name of the arm.
+        ring_radius: Of the ring's centre line [m].
+        peg_height: Height of the pegs above their board [m].
+    """
+
+    def __init__(
+        self, cell: surg_core.Cell, seed: int, arm: str, ring_radius: float, peg_height: float
+    ) -> None:
+        super().__init__(cell, seed, arm)
+        self._ring_radius, self._carry_height = ring_radius, peg_height + CLEARANCE
 
     def script(self) -> Iterator[None]:
         """See ``ArmExpert``."""
         self.jaw = PARTLY_OPEN
         s_W = self.X_WB[:3, :3] @ self.me.s
         across = self.X_WR[:3, 1] - (self.X_WR[:3, 1] @ UP) * UP  # where the jaws open to
-        rim = self.view.point("ring") + RING_RADIUS * across / np.linalg.norm(across)
+        rim = self.view.point("ring") + self._ring_radius * across / np.linalg.norm(across)
         rim = rim + GRIP_DEPTH * s_W + self.rng.normal(scale=2e-4, size=3)
         yield from self.move(rim + 0.025 * UP)
         yield from self.move(rim, 0.8)
         yield from self.squeeze(self.jaw_closed, 0.4)
-        yield from self.move(rim + CLEAR * UP)
+        yield from self.move(rim + self._carry_height * UP)
         # The ring turns with the shaft: aim with its centre, twice.
-        for height in (CLEAR, CLEAR, 0.008):
+        for height in (self._carry_height, self._carry_height, 0.008):
             goal = self.view.point("goal") + height * UP
             tip = self.view.point("tip") + goal - self.view.point("ring")
             yield from self.move(tip, 0.8)

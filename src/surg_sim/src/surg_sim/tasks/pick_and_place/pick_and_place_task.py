@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from surg_sim.physics.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
 from surg_sim.physics.sim_arm import TICK, quaternion
+from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
 from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
@@ -141,9 +142,7 @@ class PickAndPlace(Task):
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
         """One: at the robot."""
-        from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
-
-        return {"expert": PegTransferExpert(cell, seed)}
+        return {"expert": PegTransferExpert(cell, seed, ARM, RING_RADIUS, PEG_HEIGHT)}
 
     @property
     def ring(self) -> Array:
