@@ -6,14 +6,18 @@ import argparse
 import struct
 import sys
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surg_sim import tasks
 from surg_sim.looks.render import NoOpenGL, Picture, Renderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.world import World
+
+Array = NDArray[np.float64]
 
 
 def png(picture: Picture) -> bytes:
@@ -40,13 +44,21 @@ def png(picture: Picture) -> bytes:
 
 
 def take(world: World, camera: str, width: int, height: int) -> Picture:
-    """One picture of the world as it is, supersampled twice for smooth edges.
+    """One picture of the world as it is; see ``series``."""
+    return series(world, camera, width, height, [np.array(world.data.qpos)])[0]
+
+
+def series(
+    world: World, camera: str, width: int, height: int, states: Sequence[Array]
+) -> list[Picture]:
+    """Pictures of states of the world, supersampled twice for smooth edges.
 
     Args:
         world: Built with ``looks=True``.
         camera: Name of the camera.
-        width: Of the result [px].
-        height: Of the result [px].
+        width: Of each picture [px].
+        height: Of each picture [px].
+        states: MuJoCo joint positions (nq,), one per picture.
     """
     inside = camera != scene.OVERVIEW
     show_only(world.model, lamps=not inside)
@@ -61,12 +73,15 @@ def take(world: World, camera: str, width: int, height: int) -> Picture:
         hidden=[scene.OUTSIDE] if inside else [],
         skins=world.task.skins if world.task is not None else (),
     )
+
+    def small(qpos: Array) -> Picture:
+        blocks = renderer.render(qpos).reshape(height, factor, width, factor, 3).astype(np.float64)
+        return np.asarray(blocks.mean(axis=(1, 3)).round(), dtype=np.uint8)
+
     try:
-        large = renderer.render(np.array(world.data.qpos))
+        return [small(qpos) for qpos in states]
     finally:
         renderer.close()
-    blocks = large.reshape(height, factor, width, factor, 3).astype(np.float64)
-    return np.asarray(blocks.mean(axis=(1, 3)).round(), dtype=np.uint8)
 
 
 VIEWS = {

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -45,6 +46,13 @@ def stereo(world: World) -> Picture:
 
 def room(world: World) -> Picture:
     """The spectator's picture, nearer to where the work is done."""
+    with close_up(world):
+        return cell_picture.take(world, scene.OVERVIEW, *_OUTSIDE)
+
+
+@contextmanager
+def close_up(world: World) -> Iterator[None]:
+    """Point the spectator's camera at the patient and narrow its view."""
     model, site = world.model, scene.site_of([world.cell.arms[name] for name in world.arms])
     camera = model.camera(scene.OVERVIEW)
     before = camera.quat.copy(), camera.fovy.copy()
@@ -52,7 +60,7 @@ def room(world: World) -> Picture:
     camera.quat[:] = quaternion(look(sight, np.array([0.0, 0.0, 1.0])))
     camera.fovy[:] = _NARROW
     try:
-        return cell_picture.take(world, scene.OVERVIEW, *_OUTSIDE)
+        yield
     finally:
         camera.quat[:], camera.fovy[:] = before
 
