@@ -51,7 +51,7 @@ from surg_cli.host.terminal import Progress, say, table
 
 sys.path.insert(0, str(paths.ROOT / "tests"))
 
-from helpers.chromium import Chromium, Tab, missing, until
+from helpers.teleop.chromium import Chromium, Tab, missing, until
 
 CIRCLE = ("KeyD", "KeyS", "KeyA", "KeyW")
 STEP_S = 0.6

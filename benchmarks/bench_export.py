@@ -27,8 +27,8 @@ from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table, warn
 
 sys.path.insert(0, str(paths.ROOT / "tests"))
-from helpers import datasets_synthetic
-from helpers.picture_identity import Identity
+from helpers.recording import datasets_synthetic
+from helpers.recording.picture_identity import Identity
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
 

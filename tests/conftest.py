@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from helpers.claims import Claims
-from helpers.ros import RosGraph, close_own_topics, forget_dead_nodes, private_master
+from helpers.graph.claims import Claims
+from helpers.graph.ros import RosGraph, close_own_topics, forget_dead_nodes, private_master
 from surg_cli import __main__ as cli
 from surg_cli.graph import master
 from surg_cli.graph.processes import Supervisor

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.surg import surg
+from helpers.graph.surg import surg
 from surg_cli.host import paths
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.surg import start, surg
+from helpers.graph.surg import start, surg
 from surg_cli.graph import master, processes, running
 
 pytestmark = pytest.mark.ros

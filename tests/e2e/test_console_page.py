@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from helpers import chromium
-from helpers.chromium import GAMEPAD, Chromium, Tab, until
-from helpers.console import Console, console
-from helpers.console_results import keeps, note
+from helpers.results.console_results import keeps, note
+from helpers.teleop import chromium
+from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
+from helpers.teleop.console import Console, console
 from surg_teleop.console.session.console_orders import (
     Camera,
     Clutch,

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from helpers import chromium
-from helpers.chromium import Chromium, until
-from helpers.console import Console, console
+from helpers.teleop import chromium
+from helpers.teleop.chromium import Chromium, until
+from helpers.teleop.console import Console, console
 from surg_teleop.console.session.console_orders import Follow, Policy
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers import chromium
-from helpers.chromium import GAMEPAD, Chromium, Tab, until
-from helpers.console_results import keeps, note
-from helpers.surg import environment, start
+from helpers.graph.surg import environment, start
+from helpers.results.console_results import keeps, note
+from helpers.teleop import chromium
+from helpers.teleop.chromium import GAMEPAD, Chromium, Tab, until
 from surg_cli.graph import master
 from surg_cli.host import paths
 from surg_recording.episode import episode_reader
@@ -97,7 +97,7 @@ async def _print_tips(
     """A process that says where a tip is, and the task that reads it."""
     printer = await asyncio.create_subprocess_exec(
         sys.executable,
-        str(paths.ROOT / "tests" / "helpers" / "tip_printer.py"),
+        str(paths.ROOT / "tests" / "helpers" / "graph" / "tip_printer.py"),
         arm,
         env={**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"},
         stdout=asyncio.subprocess.PIPE,
@@ -212,7 +212,7 @@ def test_bgr_with_two_arms_and_two_hands_from_the_page(tmp_path: Path) -> None:
     """The hand on the instrument, then on the endoscope; another on the assistant's instrument."""
     camera = "{5: 1}"  # the right shoulder button
     headline = "surgConsole.status()?.headline"
-    second = paths.ROOT / "tests" / "helpers" / "second_hand.py"
+    second = paths.ROOT / "tests" / "helpers" / "teleop" / "second_hand.py"
 
     async def test() -> None:
         more = ("--second-leader", second)

@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from conftest import FULL
-from helpers.surg import surg
-from helpers.third_arm import write_third_arm
+from helpers.control.third_arm import write_third_arm
+from helpers.graph.surg import surg
 from surg_cli.host.paths import ROOT
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.nudge_policy import begin, row
-from helpers.policy_results import note
-from helpers.surg import surg
+from helpers.graph.surg import surg
+from helpers.policy.nudge_policy import begin, row
+from helpers.results.policy_results import note
 from surg_cli.commands import run
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
@@ -22,9 +22,9 @@ from surg_sim.looks.render import NoOpenGL, choose_backend
 
 pytestmark = pytest.mark.untimed
 
-TASK = paths.ROOT / "tests" / "helpers" / "nudge_task.py"
-POLICY = paths.ROOT / "tests" / "helpers" / "nudge_policy.py"
-LOOKING = paths.ROOT / "tests" / "helpers" / "witness_policy.py"
+TASK = paths.ROOT / "tests" / "helpers" / "sim" / "nudge_task.py"
+POLICY = paths.ROOT / "tests" / "helpers" / "policy" / "nudge_policy.py"
+LOOKING = paths.ROOT / "tests" / "helpers" / "policy" / "witness_policy.py"
 WITNESS = "SURG_TEST_WITNESS"
 """Where the looking one writes."""
 SEED = 10_004

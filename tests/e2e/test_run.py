@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.nudge_task import BREAKING, LUCKY
-from helpers.surg import surg
-from helpers.two_arms import write_two_arms
+from helpers.graph.surg import surg
+from helpers.graph.two_arms import write_two_arms
+from helpers.sim.nudge_task import BREAKING, LUCKY
 from surg_cli.host.paths import ROOT
 from surg_recording.episode import episode_reader as episodes
 from surg_sim.physics.stability import trouble
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
-NUDGE = ROOT / "tests" / "helpers" / "nudge_task.py"
+NUDGE = ROOT / "tests" / "helpers" / "sim" / "nudge_task.py"
 
 
 def test_an_unstable_episode_fails_and_the_next_one_starts_clean(tmp_path: Path) -> None:

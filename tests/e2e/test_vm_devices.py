@@ -1,7 +1,7 @@
 """Real virtual devices of a real kernel: `./surg test --tier vm` (about a minute).
 
 A gamepad and foot pedals made by uinput drive the core controller and an arm with lag; unplugging
-them stops it. Elsewhere the same code reads pipes (tests/unit/test_teleop_inputs.py).
+them stops it. Elsewhere the same code reads pipes (tests/unit/teleop/test_teleop_inputs.py).
 """
 
 import json
@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from helpers import vm
+from helpers.machines import vm
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.vm
@@ -28,7 +28,8 @@ def found() -> dict[str, Any]:
         "LD_LIBRARY_PATH": os.environ.get("LD_LIBRARY_PATH", ""),
         "HOME": "/run",
     }
-    words = [str(paths.VENV_PYTHON), "-m", "helpers.vm_devices", str(paths.CELLS / "sim_ur5e")]
+    cell = str(paths.CELLS / "sim_ur5e")
+    words = [str(paths.VENV_PYTHON), "-m", "helpers.machines.vm_devices", cell]
     try:
         status, said = vm.run(words, env, 1800.0)
     except vm.MissingError as missing:

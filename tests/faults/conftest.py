@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from helpers.reactions import Reactions
+from helpers.results.reactions import Reactions
 
 
 @pytest.fixture(scope="session")

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.fault_bench import STRANGER, STREAMS, Bench, command, force, shipped
-from helpers.lagging_arm import SOURCE, TICK
-from helpers.reactions import Reactions
+from helpers.control.fault_bench import STRANGER, STREAMS, Bench, command, force, shipped
+from helpers.control.lagging_arm import SOURCE, TICK
+from helpers.results.reactions import Reactions
 from surg_core import Reason, State, StateCommand
 from surg_sim.physics.fault_injector import Channel
 from surg_sim.physics.faults import Wire

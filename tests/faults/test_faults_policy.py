@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 import zmq
 
-from helpers.policy_results import note
-from helpers.policy_rig import CAMERA, CELL, Camera, PolicyRig
-from helpers.reactions import Reactions
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
+from helpers.policy.policy_rig import CAMERA, CELL, Camera, PolicyRig
+from helpers.results.policy_results import note
+from helpers.results.reactions import Reactions
 from surg_cli.graph import master, topic_contract
 from surg_msgs.msg import Cycle
 from surg_policy_bridge.server.listen_address import BindError
@@ -33,7 +33,7 @@ from surg_policy_client.wire import Message
 
 pytestmark = pytest.mark.ros
 
-HOSTILE = Path(__file__).parents[1] / "helpers" / "hostile_peer.py"
+HOSTILE = Path(__file__).parents[1] / "helpers" / "policy" / "hostile_peer.py"
 STANDSTILL_MS = 300
 """The requirement. Nothing is added for the machine: the receipt of the cycles, which a busy one
 delays, can only lengthen a time, and these are 130 to 210 ms."""

@@ -17,8 +17,8 @@ import rospy
 from std_msgs.msg import Bool, String
 
 from faults.test_faults_ros import System
-from helpers.ros import RosGraph
-from helpers.set_clock import SetClock
+from helpers.graph.ros import RosGraph
+from helpers.machines.set_clock import SetClock
 from surg_cli.commands import run
 from surg_cli.commands.run import Condition
 from surg_cli.graph import system
@@ -34,7 +34,7 @@ pytestmark = pytest.mark.ros
 HOUR = 3600
 SAID_S = 1.0
 """A step of the clock or a full disk is said within so much."""
-SHORT = str(paths.ROOT / "tests" / "helpers" / "short_bgr.py")
+SHORT = str(paths.ROOT / "tests" / "helpers" / "sim" / "short_bgr.py")
 SEED = 10_001
 
 

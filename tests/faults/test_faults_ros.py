@@ -24,9 +24,9 @@ from std_msgs.msg import String
 
 import surg_core
 from crtk_msgs.msg import StringStamped
-from helpers.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
-from helpers.reactions import Reactions
-from helpers.ros import RosGraph
+from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
+from helpers.graph.ros import RosGraph
+from helpers.results.reactions import Reactions
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
 from surg_msgs.msg import Cycle, GroundTruth
@@ -161,7 +161,7 @@ def test_f26_a_stranger_is_not_obeyed_and_may_stop_the_arm(
 ) -> None:
     start(ros_graph, rig, mode="freerun", participants=[])
     python_path = f"{paths.ROOT / 'tests'}:{os.environ.get('PYTHONPATH', '')}"
-    script = paths.ROOT / "tests" / "helpers" / "second_sender.py"
+    script = paths.ROOT / "tests" / "helpers" / "graph" / "second_sender.py"
     ros_graph.supervisor.start(
         "/stranger", [sys.executable, str(script)], extra_env={"PYTHONPATH": python_path}
     )

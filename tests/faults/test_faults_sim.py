@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.reactions import Reactions
+from helpers.results.reactions import Reactions
 from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, Reason, State, StateCommand
 from surg_sim.physics.fault_injector import Injector

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.layering import violations
+from helpers.tree.layering import violations
 from surg_cli.host import paths
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from helpers.lagging_arm import DELAY, LAG, SOURCE, TICK
+from helpers.control.lagging_arm import DELAY, LAG, SOURCE, TICK
 from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, Reason, State, StateCommand
 

@@ -21,8 +21,8 @@ from geometry_msgs.msg import TwistStamped
 from numpy.typing import NDArray
 from sensor_msgs.msg import JointState
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from helpers.dh import PANDA, PANDA_FLANGE
+sys.path.insert(0, str(Path(__file__).parents[2]))
+from helpers.control.dh import PANDA, PANDA_FLANGE
 from surg_msgs.msg import LinkStatus
 
 Array = NDArray[np.float64]

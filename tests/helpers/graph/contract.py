@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.graph import master, topic_contract
 
 Topics = set[tuple[str, str, str]]

@@ -21,7 +21,7 @@ from std_msgs.msg import String
 
 import surg_core
 from crtk_msgs.msg import OperatingState, StringStamped
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
 from surg_msgs.msg import Cycle, LinkStatus, Ready

@@ -10,7 +10,7 @@ import threading
 import rospy
 from std_msgs.msg import Empty, String
 
-from helpers.crtk_client import Arm, LockstepTime, WallTime, position, shifted
+from helpers.graph.crtk_client import Arm, LockstepTime, WallTime, position, shifted
 
 
 def visit(arm: Arm) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from evdev import AbsInfo, UInput, ecodes
 
 import surg_core
-from helpers.lagging_arm import TICK, LaggingArm
+from helpers.control.lagging_arm import TICK, LaggingArm
 from surg_teleop.follow.arm_switch import Pedals as Feet
 from surg_teleop.follow.arm_switch import Seat
 from surg_teleop.follow.arm_view import Commands, Jaw

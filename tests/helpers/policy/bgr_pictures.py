@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 
-from helpers.bgr_synthetic import ACTION, STATE
+from helpers.policy.bgr_synthetic import ACTION, STATE
 from surg_cli.host import paths
 
 sys.path.insert(0, str(paths.ROOT / "examples/bgr"))

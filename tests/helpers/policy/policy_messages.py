@@ -8,7 +8,7 @@ from typing import Any
 import msgpack
 import numpy as np
 
-from helpers.policy_server import spec
+from helpers.policy.policy_server import spec
 from surg_policy_client.wire import EVENTS, KINDS, MAGIC, Message
 
 TEXTS = ("", "retract the bowel", "Zug: 0,5 N – größer", "\u0000", "手术", "x" * 64)

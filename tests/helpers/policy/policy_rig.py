@@ -17,7 +17,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, String
 
 from crtk_msgs.msg import StringStamped
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.graph import master, system
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths

@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import zarr
 
-from helpers import picture_identity
-from helpers.datasets_synthetic import CAMERAS, FRAME_NS
+from helpers.recording import picture_identity
+from helpers.recording.datasets_synthetic import CAMERAS, FRAME_NS
 
 FORMATS = ("lerobot", "lerobot_v30", "robomimic", "act", "diffusion_policy")
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from helpers import recording_synthetic as base
-from helpers.picture_identity import HEIGHT, WIDTH, Identity, draw
-from helpers.recording_synthetic import TICK_NS, Synthetic
+from helpers.recording import recording_synthetic as base
+from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity, draw
+from helpers.recording.recording_synthetic import TICK_NS, Synthetic
 from surg_recording.episode.episode_recorder import Recording
 
 CAMERAS = ("endoscope_left", "endoscope_right")

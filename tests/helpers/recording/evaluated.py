@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from helpers.recording_synthetic import Synthetic, record
+from helpers.recording.recording_synthetic import Synthetic, record
 
 DONE = {"name": "bgr", "phase": "done", "done": True, "success": True, "reason": ""}
 

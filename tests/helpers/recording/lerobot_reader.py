@@ -21,10 +21,10 @@ _OPERATORS = torch.library.Library("torchvision", "DEF")
 for _name in ("nms", "qnms"):
     _OPERATORS.define(f"{_name}(Tensor a, Tensor b, float c) -> Tensor")
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 
-from helpers import picture_identity  # noqa: E402
+from helpers.recording import picture_identity  # noqa: E402
 
 VERSIONS = ("lerobot", "torch", "torchvision", "torchcodec", "datasets", "pyarrow", "numpy")
 

@@ -16,8 +16,8 @@ from typing import Any
 import torch
 from robomimic.utils.dataset import SequenceDataset
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from helpers import picture_identity
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from helpers.recording import picture_identity
 
 CAMERAS = ("endoscope_left", "endoscope_right")
 VERSIONS = ("robomimic", "torch", "h5py", "numpy")

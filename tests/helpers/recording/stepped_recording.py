@@ -6,11 +6,11 @@ import dataclasses
 import time
 from pathlib import Path
 
-from helpers import datasets_synthetic, picture_identity
-from helpers import recording_synthetic as base
-from helpers.datasets_synthetic import IMAGE_TICKS
-from helpers.picture_identity import Identity
-from helpers.recording_synthetic import TICK_NS, Synthetic
+from helpers.recording import datasets_synthetic, picture_identity
+from helpers.recording import recording_synthetic as base
+from helpers.recording.datasets_synthetic import IMAGE_TICKS
+from helpers.recording.picture_identity import Identity
+from helpers.recording.recording_synthetic import TICK_NS, Synthetic
 from surg_recording.episode.episode_recorder import Recording
 
 START_NS = 1_732_000_000_000_000_000

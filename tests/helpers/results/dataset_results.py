@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from helpers.results_page import ResultsPage
+from helpers.results.results_page import ResultsPage
 
 _HEAD = """# Datasets
 
-Written by `./surg test --full` (`tests/unit/test_datasets_resample.py`, `test_datasets_export.py`,
-`test_datasets_scale.py`).
+Written by `./surg test --full` (`test_datasets_resample.py`, `test_datasets_export.py` and
+`test_datasets_scale.py` in `tests/unit/datasets`).
 
 | what | cases | result |
 |---|---|---|
@@ -45,9 +45,9 @@ def note(row: str, cases: int, result: str) -> None:
 
 _READERS_HEAD = """# Datasets in the programs that they are for
 
-Written by `./surg test --full --tier oracle tests/unit/test_datasets_oracle.py`: the real readers,
-each in an environment of its own, in random order. A picture says which recording, camera and
-frame it is of.
+Written by `./surg test --full --tier oracle tests/unit/datasets/test_datasets_oracle.py`: the real
+readers, each in an environment of its own, in random order. A picture says which recording, camera
+and frame it is of.
 
 | reader | frames or sequences | result |
 |---|---|---|

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from helpers.results_page import ResultsPage
+from helpers.results.results_page import ResultsPage
 
 _HEAD = """# Policies: figures of the tests
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from helpers.results_page import ResultsPage
+from helpers.results.results_page import ResultsPage
 
 _HEAD = """# Recordings that are cut off
 
-Written by `./surg test --full` (`tests/unit/test_recording_*.py`); random times and places, seeded.
+Written by `./surg test --full` (`tests/unit/recording/test_*.py`); random times and places, seeded.
 
 | what | cases | result |
 |---|---|---|

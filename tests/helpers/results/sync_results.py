@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from helpers.results_page import ResultsPage
+from helpers.results.results_page import ResultsPage
 
 _HEAD = """# Synchronisation
 
-Written by `./surg test --full` (`tests/unit/test_video_lag.py`,
-`tests/ros/test_clock_sync_node.py`).
+Written by `./surg test --full` (`tests/unit/recording/test_video_lag.py`,
+`tests/ros/recording/test_clock_sync_node.py`).
 The videos are made up: an instrument before breathing tissue, in light that varies, with noise; the
 clocks are two real `ptp4l` in two network namespaces, which share one clock: the true offset is 0.
 

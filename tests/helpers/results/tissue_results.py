@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from helpers.results_page import ResultsPage
+from helpers.results.results_page import ResultsPage
 
 _HEAD = """# Tissue, grasp, assistant
 
-Written by `./surg test --full` (`tests/unit/test_sim_tissue.py`, `test_sim_grasp.py`,
+Written by `./surg test --full` (`tests/unit/sim/test_sim_tissue.py`, `test_sim_grasp.py`,
 `test_sim_assistant.py`): figures of simulation, seeded.
 
 | what | cases | result |

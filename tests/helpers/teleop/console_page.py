@@ -11,7 +11,7 @@ from typing import Any
 
 import aiohttp
 
-from helpers.chromium import until
+from helpers.teleop.chromium import until
 
 
 class Page:

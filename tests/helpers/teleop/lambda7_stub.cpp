@@ -11,7 +11,7 @@
 
 namespace {
 
-// Mirrored field by field in tests/helpers/lambda7.py.
+// Mirrored field by field in tests/helpers/teleop/lambda7.py.
 struct State {
   double p[3];
   double R[9];

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from helpers.gate_arm import (
+from helpers.control.gate_arm import (
     LONGEST,
     ROLL_SLACK,
     ROLL_SPEED,
@@ -25,7 +25,7 @@ from helpers.gate_arm import (
     TICK,
     GateArm,
 )
-from helpers.hand import Hand, settings
+from helpers.teleop.hand import Hand, settings
 from surg_teleop.follow.arm_view import ArmState
 from surg_teleop.follow.teleoperation import ASKED, CameraView, Kind, State, Teleop
 

@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
 from crtk_msgs.msg import OperatingState
-from helpers.control_rig import (
+from helpers.graph.control_rig import (
     ANSWER_S,
     CELL,
     SILENCE_S,
@@ -30,7 +30,7 @@ from helpers.control_rig import (
     start,
     tip_in_rcm,
 )
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.graph import master
 from surg_msgs.msg import Cycle, LinkStatus
 

@@ -27,8 +27,8 @@ from tf2_msgs.msg import TFMessage
 
 from crtk_msgs.msg import StringStamped
 from crtk_msgs.srv import QueryForwardKinematics, QueryInverseKinematics
-from helpers.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
-from helpers.ros import RosGraph, find_executable
+from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
+from helpers.graph.ros import RosGraph, find_executable
 from surg_cli.graph import master
 from surg_msgs.msg import Cycle, PointVelocityStamped
 

@@ -16,8 +16,8 @@ import roslib.message
 import rospy
 
 import surg_core
-from helpers.crtk_client import TICK, Arm, LockstepTime, WallTime
-from helpers.ros import RosGraph
+from helpers.graph.crtk_client import TICK, Arm, LockstepTime, WallTime
+from helpers.graph.ros import RosGraph
 from surg_cli.commands import topics
 from surg_cli.graph import system
 from surg_cli.graph.graph_probe import Seen, observe

@@ -22,8 +22,8 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Empty, Float64, String
 
-from helpers.crtk_client import TICK, Arm, LockstepTime, position, shifted
-from helpers.ros import RosGraph
+from helpers.graph.crtk_client import TICK, Arm, LockstepTime, position, shifted
+from helpers.graph.ros import RosGraph
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
 from surg_msgs.msg import Cycle, GroundTruth
@@ -31,7 +31,7 @@ from surg_msgs.msg import Cycle, GroundTruth
 pytestmark = pytest.mark.ros
 
 CELLS = {name: paths.ROOT / "cells" / name for name in ("sim_ur5e", "sim_panda")}
-SCRIPT = paths.ROOT / "tests" / "helpers" / "crtk_script.py"
+SCRIPT = paths.ROOT / "tests" / "helpers" / "graph" / "crtk_script.py"
 
 
 @dataclass

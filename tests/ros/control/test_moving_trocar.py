@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import rospy
 
-from helpers.crtk_client import TICK, Arm, LockstepTime, position
-from helpers.ros import RosGraph
+from helpers.graph.crtk_client import TICK, Arm, LockstepTime, position
+from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
 from surg_msgs.msg import Cycle, GroundTruth
 
@@ -120,8 +120,8 @@ KINDS = ("kinematic", "true")
 HEAD = """\
 # A trocar that moves
 
-Written by `./surg test --full tests/ros/test_moving_trocar.py`. Simulation: UR5e, the tip held
-still while the trocar moves 5 mm at 0.25 Hz across the shaft, tracked 20 ms late.
+Written by `./surg test --full tests/ros/control/test_moving_trocar.py`. Simulation: UR5e, the tip
+held still while the trocar moves 5 mm at 0.25 Hz across the shaft, tracked 20 ms late.
 
 | deviation | mean [µm] | max [µm] |
 |---|---|---|

@@ -11,10 +11,10 @@ import pytest
 import rospy
 from std_msgs.msg import String
 
-from helpers.moving_hand import MovingHand
-from helpers.policy_results import note
-from helpers.policy_rig import CELL, PolicyRig
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
+from helpers.policy.policy_rig import CELL, PolicyRig
+from helpers.results.policy_results import note
+from helpers.teleop.moving_hand import MovingHand
 
 pytestmark = [pytest.mark.ros, pytest.mark.full]
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from helpers.policy_rig import PolicyRig
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
+from helpers.policy.policy_rig import PolicyRig
 from surg_cli.graph import system
 from surg_cli.host import paths
 
 CELL = paths.CELLS / "sim_two_arms"
-POLICY = paths.ROOT / "tests" / "helpers" / "looking_policy.py"
+POLICY = paths.ROOT / "tests" / "helpers" / "policy" / "looking_policy.py"
 
 
 @pytest.mark.ros

@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.policy_results import note
-from helpers.policy_rig import CELL, PolicyRig
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
+from helpers.policy.policy_rig import CELL, PolicyRig
+from helpers.results.policy_results import note
 from surg_cli.graph import system
 from surg_cli.host import paths
 
-HELPERS = paths.ROOT / "tests" / "helpers"
+HELPERS = paths.ROOT / "tests" / "helpers" / "sim"
+GOAL = paths.ROOT / "tests" / "helpers" / "policy" / "goal_policy.py"
 
 
 @pytest.mark.ros
@@ -43,7 +44,7 @@ def test_f04_a_restart_within_the_episode_recovers_and_completes(
     rig = PolicyRig(
         ros_graph, CELL, nodes, task="patient", privileged=True, autostart=True, instruction="go"
     )
-    first = rig.policy("first", script=HELPERS / "goal_policy.py")
+    first = rig.policy("first", script=GOAL)
     begin = rig.now.p_tip
     ros_graph.wait_for(
         lambda: bool(np.linalg.norm(rig.now.p_tip - begin) > 0.008), 30.0, "the arm to be under way"
@@ -55,7 +56,7 @@ def test_f04_a_restart_within_the_episode_recovers_and_completes(
     left = rig.now.p_tip
     assert rig.status["episode"] == 1
 
-    second = rig.policy("second", script=HELPERS / "goal_policy.py")
+    second = rig.policy("second", script=GOAL)
     ros_graph.wait_for(
         lambda: "episode 1: success" in second.log_tail(20), 40.0, "the episode to be completed"
     )

@@ -13,11 +13,11 @@ import rospy
 import yaml
 from sensor_msgs.msg import JointState
 
-from helpers import panda_link
-from helpers.dh import panda
-from helpers.policy_results import note
-from helpers.policy_rig import PolicyRig
-from helpers.ros import RosGraph
+from helpers.control import panda_link
+from helpers.control.dh import panda
+from helpers.graph.ros import RosGraph
+from helpers.policy.policy_rig import PolicyRig
+from helpers.results.policy_results import note
 from surg_cli.graph.processes import wait_until
 from surg_cli.host import paths
 from surg_description.make_cell import make_cell

@@ -15,9 +15,10 @@ from typing import Any
 
 import pytest
 
-from helpers import network_pair, sync_results
-from helpers.ros import RosGraph
-from helpers.surg import argv, environment
+from helpers.graph.ros import RosGraph
+from helpers.graph.surg import argv, environment
+from helpers.machines import network_pair
+from helpers.results import sync_results
 
 rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")

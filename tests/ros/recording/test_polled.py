@@ -13,7 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 
 pytestmark = [pytest.mark.ros, pytest.mark.filterwarnings("ignore:The publisher should be")]
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from PIL import Image as Picture
 
-from helpers import picture_identity
-from helpers.picture_identity import HEIGHT, WIDTH, Identity
-from helpers.ros import RosGraph
-from helpers.twin_publisher import TwinPublisher
+from helpers.graph.ros import RosGraph
+from helpers.graph.twin_publisher import TwinPublisher
+from helpers.recording import picture_identity
+from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity
 from surg_cli.graph import master
 
 rospy = pytest.importorskip("rospy")

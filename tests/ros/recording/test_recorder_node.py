@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 
 rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.ros import RosGraph
-from helpers.set_clock import SetClock
-from helpers.surg import surg
-from helpers.twin_publisher import TwinPublisher
+from helpers.graph.ros import RosGraph
+from helpers.graph.surg import surg
+from helpers.graph.twin_publisher import TwinPublisher
+from helpers.machines.set_clock import SetClock
 from surg_cli.graph import master
 from surg_cli.graph.processes import Supervisor
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from conftest import FULL
-from helpers.nudge_task import LUCKY
-from helpers.two_arms import write_two_arms
+from helpers.graph.two_arms import write_two_arms
+from helpers.sim.nudge_task import LUCKY
 from surg_cli.commands import run
 from surg_cli.commands.run import Condition
 from surg_cli.graph import task_episode
@@ -28,7 +28,7 @@ from surg_sim.envs.recorded_episode import RecordedSession
 
 pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 
-HELPERS = paths.ROOT / "tests" / "helpers"
+HELPERS = paths.ROOT / "tests" / "helpers" / "sim"
 SHORT = str(HELPERS / "short_bgr.py")
 NUDGE = str(HELPERS / "nudge_task.py")
 PUSHED = str(HELPERS / "pushed_bgr.py")

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.graph import graph_probe, master, processes
 from surg_cli.host import paths
 

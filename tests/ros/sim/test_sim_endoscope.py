@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
@@ -110,8 +110,8 @@ def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: s
     import rospy
 
     import surg_core
-    from helpers.bead_task import BeadTask
-    from helpers.beads import centre, triangulate
+    from helpers.sim.bead_task import BeadTask
+    from helpers.sim.beads import centre, triangulate
     from surg_msgs.msg import SimSnapshot
     from surg_sim.physics import endoscope_rig, scene
     from surg_sim.physics.world import World
@@ -129,7 +129,7 @@ def test_a_published_pair_triangulates_a_bead(ros_graph: RosGraph, rospy_node: s
     params = {
         "cell": str(path),
         "mode": "lockstep",
-        "task": str(paths.ROOT / "tests" / "helpers" / "bead_task.py"),
+        "task": str(paths.ROOT / "tests" / "helpers" / "sim" / "bead_task.py"),
         "views": ["left", "right"],
     }
     child = ros_graph.node("surg_sim", "endoscope_node.py", "/endoscope", params)

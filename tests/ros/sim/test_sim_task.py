@@ -11,7 +11,7 @@ import rospy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.graph.graph_probe import observe
 from surg_cli.graph.topic_contract import compare, load
 from surg_cli.host import paths
@@ -21,7 +21,7 @@ from surg_sim.nodes import bridge_messages
 pytestmark = pytest.mark.ros
 
 CELL = paths.ROOT / "cells" / "sim_two_arms"
-SHORT = paths.ROOT / "tests" / "helpers" / "short_bgr.py"
+SHORT = paths.ROOT / "tests" / "helpers" / "sim" / "short_bgr.py"
 
 
 def test_a_person_drives_the_assistant_and_the_task_ends(

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers import surg
+from helpers.graph import surg
 from surg_cli.graph import master, processes, running
 from surg_cli.host import paths
 
@@ -119,7 +119,7 @@ class Session:
         env["ROS_MASTER_URI"] = f"http://localhost:{self.port}"
         env["PYTHONPATH"] = f"{paths.ROOT / 'tests'}:{env['PYTHONPATH']}"
         self.client = subprocess.Popen(
-            [sys.executable, "-m", "helpers.session_client", "PSM1"],
+            [sys.executable, "-m", "helpers.graph.session_client", "PSM1"],
             env=env,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

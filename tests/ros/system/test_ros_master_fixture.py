@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.graph import master, processes
 from surg_cli.graph.processes import Supervisor
 from surg_cli.host import paths

@@ -21,8 +21,8 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from helpers.machines import Machines, two_machines
-from helpers.surg import argv, environment
+from helpers.graph.surg import argv, environment
+from helpers.machines.machines import Machines, two_machines
 from surg_cli.graph import processes, roles
 from surg_cli.host import network, paths
 from surg_cli.host.environment import for_nodes
@@ -145,7 +145,7 @@ def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory
             lambda: robot.poll() is not None or "is up:" in log.read_text("utf-8"), 90.0, 0.1
         )
         assert started and robot.poll() is None, log.read_text("utf-8")
-        helpers = paths.ROOT / "tests" / "helpers"
+        helpers = paths.ROOT / "tests" / "helpers" / "machines"
         sent, cycles = folder / "sent.txt", folder / "cycles.txt"
         eye = Program(machines, "robot", str(helpers / "near_eye.py"), "PSM1", str(cycles))
         hand = Program(machines, "operator", str(helpers / "far_hand.py"), "PSM1", str(sent))
@@ -160,7 +160,7 @@ def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory
     assert code == 130
     if FULL:
         page = paths.ROOT / "docs/results/two_machines.md"
-        command = "`SURG_TEST_FULL=1 ./surg test tests/ros/test_two_machines.py`"
+        command = "`SURG_TEST_FULL=1 ./surg test tests/ros/system/test_two_machines.py`"
         head = (
             f"# Two machines on a bad cable\n\nWritten by {command}, with the left eye of the "
             "endoscope on.\n\n"

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from helpers.ros import RosGraph
-from helpers.surg import surg
+from helpers.graph.ros import RosGraph
+from helpers.graph.surg import surg
 from surg_cli.graph import processes, system
 from surg_cli.host import paths
 
@@ -91,7 +91,7 @@ def test_the_wiring_is_judged_on_the_topics(
 ) -> None:
     """A drawn endoscope stands in for the rendered one: an arm, two controllers, real topics."""
     import surg_core
-    from helpers.drawn_endoscope import DrawnEndoscope
+    from helpers.teleop.drawn_endoscope import DrawnEndoscope
 
     endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS[cause])
     out = tmp_path / "verdict.json"
@@ -112,7 +112,7 @@ def test_an_arm_that_is_not_enabled_is_left_alone(
     ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
     import surg_core
-    from helpers.drawn_endoscope import DrawnEndoscope
+    from helpers.teleop.drawn_endoscope import DrawnEndoscope
 
     endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS["none"])
     out = tmp_path / "verdict.json"
@@ -132,7 +132,7 @@ def test_a_controller_that_dies_ends_the_check(
     arm: str, ros_graph: RosGraph, rospy_node: str, tmp_path: Path
 ) -> None:
     import surg_core
-    from helpers.drawn_endoscope import DrawnEndoscope
+    from helpers.teleop.drawn_endoscope import DrawnEndoscope
 
     endoscope = DrawnEndoscope(surg_core.load_cell(CELL), WIRINGS["none"])
     out = tmp_path / "verdict.json"

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.console_page import page, when
-from helpers.ros import RosGraph
-from helpers.surg import surg
+from helpers.graph.ros import RosGraph
+from helpers.graph.surg import surg
+from helpers.teleop.console_page import page, when
 from surg_cli.graph import master
 from surg_cli.host import paths
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
 from surg_teleop.follow.teleop_node import END
 

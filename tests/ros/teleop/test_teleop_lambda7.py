@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers import contract, lambda7
-from helpers.lambda7 import State
-from helpers.ros import RosGraph
+from helpers.graph import contract
+from helpers.graph.ros import RosGraph
+from helpers.teleop import lambda7
+from helpers.teleop.lambda7 import State
 from surg_cli.graph.processes import Child
 from surg_core import axis_angle_to_matrix, quaternion_xyzw_to_matrix
 

@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers import contract
-from helpers.input_devices import GAMEPAD, PEDALS, Machine
-from helpers.ros import RosGraph, find_executable
+from helpers.graph import contract
+from helpers.graph.ros import RosGraph, find_executable
+from helpers.teleop.input_devices import GAMEPAD, PEDALS, Machine
 from surg_cli.host import paths
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 from surg_teleop.leaders.bundled.pedals import Pedals

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers import contract
-from helpers.moving_hand import MovingHand
-from helpers.ros import RosGraph
+from helpers.graph import contract
+from helpers.graph.ros import RosGraph
+from helpers.teleop.moving_hand import MovingHand
 from surg_cli.graph import master, system
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
@@ -269,7 +269,8 @@ def kill_the_pedals(graph: RosGraph, hand: CrtkHand) -> None:
     """F03: a pedal node that is killed with its clutch up is noticed, and gone on without."""
     hand.enable.publish(True)
     graph.wait_for(lambda: hand.engaged("PSM1"), 10.0, "the instrument to follow again")
-    argv = [sys.executable, "-s", str(paths.ROOT / "tests" / "helpers" / "pedal_publisher.py")]
+    script = paths.ROOT / "tests" / "helpers" / "teleop" / "pedal_publisher.py"
+    argv = [sys.executable, "-s", str(script)]
     feet = graph.supervisor.start("/feet", argv)
     topic = "/footpedals/clutch"
     graph.wait_for(lambda: topic in master.publications(graph.uri), 20.0, "the pedals")

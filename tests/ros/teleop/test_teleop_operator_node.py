@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from helpers.ros import RosGraph
+from helpers.graph.ros import RosGraph
 from surg_cli.graph import operator_nodes, system
 from surg_cli.graph.processes import Child
 from surg_cli.host import cells, paths

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from helpers import jigsaws_synthetic
-from helpers.evaluated import DONE, episode
+from helpers.recording import jigsaws_synthetic
+from helpers.recording.evaluated import DONE, episode
 from surg_cli.__main__ import COMMANDS
 from surg_cli.commands import evaluate
 from surg_cli.host import paths

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers import datasets_synthetic
+from helpers.recording import datasets_synthetic
 from surg_cli.commands import export
 from surg_cli.host.terminal import Problem
 

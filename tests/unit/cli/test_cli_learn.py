@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from helpers.rollouts_synthetic import entry, rollout
+from helpers.recording.rollouts_synthetic import entry, rollout
 from surg_cli.commands import demo, learn
 from surg_cli.graph import rollouts
 from surg_cli.host.terminal import Problem

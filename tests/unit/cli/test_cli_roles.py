@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from helpers.surg import surg
+from helpers.graph.surg import surg
 from surg_cli.graph import join, roles
 from surg_cli.graph.roles import Link, Role
 from surg_cli.graph.system import Plan

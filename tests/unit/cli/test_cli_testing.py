@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.claims import Claims
+from helpers.graph.claims import Claims
 
 here = Path(__file__).parent
 

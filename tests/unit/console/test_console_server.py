@@ -15,8 +15,8 @@ from typing import Any
 import aiohttp
 import pytest
 
-from helpers.console import console
-from helpers.console_page import Page, page, when
+from helpers.teleop.console import console
+from helpers.teleop.console_page import Page, page, when
 from surg_cli.graph import master
 from surg_teleop.console.session.console_orders import Follow, Move, Present, Record, StateCommand
 from surg_teleop.console.web import picture_packet

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.miscalibration import run, taught_at_home, tool_of, wrong_tool
+from helpers.control.miscalibration import run, taught_at_home, tool_of, wrong_tool
 from surg_cli.host import paths
 from surg_sim.physics.calibration_bench import Bench
 from surg_sim.physics.trocar import shaft_in_flange
 
 HEADER = """# Calibration: kinematic and true RCM deviation
 
-Written by `./surg test --full` (`tests/unit/test_calibration_sim.py`): figures of simulation,
+Written by `./surg test --full` (`tests/unit/core/test_calibration_sim.py`): figures of simulation,
 seeded. A Lissajous motion of the tip (±35 / ±35 / ±25 mm at 0.2 / 0.15 / 0.1 Hz, roll ±1.2 rad) in
 MuJoCo. *Kinematic*: what the controller computes with its own calibration. *True*: distance of the
 undisturbed trocar point to the simulated shaft. "Max" is over all runs.

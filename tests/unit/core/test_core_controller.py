@@ -11,7 +11,7 @@ import pytest
 import surg_core
 from surg_core import Motion, MotionCommand, Reason, State, StateCommand
 
-CELLS = Path(__file__).resolve().parents[2] / "cells"
+CELLS = Path(__file__).resolve().parents[3] / "cells"
 
 
 class Loop:

@@ -21,7 +21,7 @@ from surg_teleop.playback.motion_file import read_motion
 pytest.importorskip("surg_core", reason="surg_core is not built")
 
 import surg_core
-from helpers.stream_laws import (
+from helpers.control.stream_laws import (
     Law,
     Verdict,
     filter_law,
@@ -48,7 +48,8 @@ ROUGHER = 0.3
 
 HEADER = """# The stream filter: measured
 
-Written by `SURG_TEST_MOTION=FILE ./surg test --full` (`tests/unit/test_core_stream_motion.py`).
+Written by `SURG_TEST_MOTION=FILE ./surg test --full`
+(`tests/unit/core/test_core_stream_motion.py`).
 
 A recorded motion, sampled at 500 and at 30 Hz, followed by each law in ticks of 2 ms; the truth is
 the cubic spline through the recording. Lag: shift of least rms. rms, p95, max: distance to the

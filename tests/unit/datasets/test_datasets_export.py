@@ -13,11 +13,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from helpers import dataset_readers, datasets_synthetic, picture_identity
-from helpers.dataset_readers import FORMATS
-from helpers.dataset_results import note
-from helpers.datasets_synthetic import CAMERAS, FRAME_NS
-from helpers.recording_synthetic import TICK_NS, Synthetic, path
+from helpers.recording import dataset_readers, datasets_synthetic, picture_identity
+from helpers.recording.dataset_readers import FORMATS
+from helpers.recording.datasets_synthetic import CAMERAS, FRAME_NS
+from helpers.recording.recording_synthetic import TICK_NS, Synthetic, path
+from helpers.results.dataset_results import note
 from surg_recording import datasets
 from surg_recording.datasets import ExportError, ExportOptions, Report
 from surg_recording.recording_errors import EpisodeError

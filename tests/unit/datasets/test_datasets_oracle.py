@@ -16,16 +16,17 @@ from typing import Any
 
 import pytest
 
-from helpers import datasets_synthetic, lerobot_venv
-from helpers.dataset_results import READERS
-from helpers.datasets_synthetic import FRAME_NS
-from helpers.recording_synthetic import Synthetic
+from helpers.policy import lerobot_venv
+from helpers.recording import datasets_synthetic
+from helpers.recording.datasets_synthetic import FRAME_NS
+from helpers.recording.recording_synthetic import Synthetic
+from helpers.results.dataset_results import READERS
 from surg_recording import datasets
 from surg_recording.datasets import ExportOptions
 
 pytestmark = pytest.mark.oracle
 
-HELPERS = Path(__file__).parents[1] / "helpers"
+HELPERS = Path(__file__).parents[2] / "helpers" / "recording"
 VERSIONS = {"0.3.3": "lerobot_v21", "0.4.4": "lerobot_v30"}
 IDENTITIES = [1, 2, 3]
 """Of the recordings, in the order of the dataset."""

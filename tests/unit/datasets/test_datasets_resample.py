@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from helpers.dataset_results import note
+from helpers.results.dataset_results import note
 from surg_recording.datasets import rotations
 from surg_recording.datasets.resample import (
     SECOND,

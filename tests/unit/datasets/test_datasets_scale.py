@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from helpers import datasets_synthetic
-from helpers.dataset_results import note
+from helpers.recording import datasets_synthetic
+from helpers.results.dataset_results import note
 from surg_recording import datasets
 from surg_recording.datasets import ExportError, ExportOptions, Report, executors, parts
 from surg_recording.datasets.parts import Job, Outcome

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers import dataset_readers, datasets_synthetic, picture_identity
-from helpers.datasets_synthetic import FRAME_NS
-from helpers.recording_synthetic import Synthetic
-from helpers.stepped_recording import CAMERA, START_NS, Stepped
+from helpers.recording import dataset_readers, datasets_synthetic, picture_identity
+from helpers.recording.datasets_synthetic import FRAME_NS
+from helpers.recording.recording_synthetic import Synthetic
+from helpers.recording.stepped_recording import CAMERA, START_NS, Stepped
 from surg_recording import datasets
 from surg_recording.clock import clock_segments, sync_report
 from surg_recording.datasets import ExportError, ExportOptions, Report

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import yaml
 
-from helpers.reach import sweep
-from helpers.third_arm import write_third_arm
+from helpers.control.reach import sweep
+from helpers.control.third_arm import write_third_arm
 from surg_cli.host import paths
 from surg_description.make_cell import home_pose, make_cell
 from surg_description.urdf_chain import UrdfError, read_chain

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from helpers import dh
+from helpers.control import dh
 from surg_cli.host import paths
 from surg_description.urdf_chain import UrdfError, read_chain
 

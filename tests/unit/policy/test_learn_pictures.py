@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers import bgr_pictures as made
-from helpers.bgr_pictures import bgr_image_policy, train_bgr_images
-from helpers.bgr_synthetic import STATE, bgr_policy
-from helpers.example_program import said_alone
+from helpers.policy import bgr_pictures as made
+from helpers.policy.bgr_pictures import bgr_image_policy, train_bgr_images
+from helpers.policy.bgr_synthetic import STATE, bgr_policy
+from helpers.policy.example_program import said_alone
 from surg_policy_client.spec import Spec
 
 FEW = train_bgr_images.Options(

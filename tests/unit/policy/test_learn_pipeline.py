@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.bgr_synthetic import bgr_policy, train_bgr
+from helpers.policy.bgr_synthetic import bgr_policy, train_bgr
 from surg_cli.graph import rollouts as cli_rollouts
 from surg_cli.graph import task_episode as cli_episode
 from surg_cli.host import paths
@@ -25,7 +25,7 @@ from surg_sim.physics import cell_files
 from surg_sim.tasks.perturbed_sender import Shaken
 from surg_sim.tasks.scripted_arm import ArmExpert
 
-SHORT = str(paths.ROOT / "tests" / "helpers" / "short_bgr.py")
+SHORT = str(paths.ROOT / "tests" / "helpers" / "sim" / "short_bgr.py")
 SEEDS = (10_000, 10_001)
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers import bgr_synthetic as made
-from helpers.bgr_synthetic import bgr_policy, train_bgr
-from helpers.example_program import said_alone
+from helpers.policy import bgr_synthetic as made
+from helpers.policy.bgr_synthetic import bgr_policy, train_bgr
+from helpers.policy.example_program import said_alone
 
 FEW = train_bgr.Options(steps=60, hidden=(32, 32), batch=64, chunk=8)
 

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import zmq
 
-from helpers import lerobot_venv
-from helpers.policy_server import spec
+from helpers.policy import lerobot_venv
+from helpers.policy.policy_server import spec
 from surg_cli.host import paths
 from surg_policy_client import BadAction, NoServer, Observation
 from surg_policy_client.adapters.gr00t import Gr00tPolicy
@@ -118,7 +118,7 @@ def test_a_lerobot_checkpoint_answers_as_lerobot_itself(tmp_path: Path) -> None:
         stamp.touch()
     client = paths.ROOT / "src" / "surg_policy_bridge" / "client" / "src"
     env = {**os.environ, "PYTHONPATH": f"{client}:{beside}", "HF_HUB_OFFLINE": "1"}
-    program = Path(__file__).parents[1] / "helpers" / "lerobot_policy.py"
+    program = Path(__file__).parents[2] / "helpers" / "policy" / "lerobot_policy.py"
     done = subprocess.run(
         [str(python), str(program), str(tmp_path / "checkpoint")],
         capture_output=True,

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from helpers.policy_server import spec
+from helpers.policy.policy_server import spec
 from surg_policy_client import Chunk, ChunkBlender, Observation, RecedingHorizon
 
 

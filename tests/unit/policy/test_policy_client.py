@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.policy_bench import WiredBench
-from helpers.policy_server import PolicyServer, spec
+from helpers.policy.policy_bench import WiredBench
+from helpers.policy.policy_server import PolicyServer, spec
 from surg_policy_client import (
     BadAction,
     Chunk,

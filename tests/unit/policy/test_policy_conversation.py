@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from helpers.policy_server import spec
+from helpers.policy.policy_server import spec
 from surg_policy_client import PolicyClientError, Refused, Spec, SpecMismatch, VersionMismatch
 from surg_policy_client.conversation import HELLO_S, LOST_S, Conversation, State
 from surg_policy_client.wire import Message

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.policy_server import ACTION, STATE, PolicyServer, spec
+from helpers.policy.policy_server import ACTION, STATE, PolicyServer, spec
 from surg_cli.commands import make_keys
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem

@@ -9,8 +9,8 @@ import msgpack
 import numpy as np
 import pytest
 
-from helpers.policy_bench import HOME, MS, Bench
-from helpers.policy_results import note
+from helpers.policy.policy_bench import HOME, MS, Bench
+from helpers.results.policy_results import note
 from surg_policy_bridge.server.timers import SILENCE
 from surg_policy_client import wire
 from surg_policy_client.wire import Message

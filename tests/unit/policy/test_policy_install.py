@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from helpers import pythons
-from helpers.nudge_task import LUCKY
-from helpers.policy_server import PolicyServer
-from helpers.surg import surg
+from helpers.graph.surg import surg
+from helpers.policy import pythons
+from helpers.policy.policy_server import PolicyServer
+from helpers.sim.nudge_task import LUCKY
 from surg_cli.host import paths
 
 CLIENT = paths.ROOT / "src" / "surg_policy_bridge" / "client"
@@ -97,7 +97,7 @@ def talk(python: Path, folder: Path) -> str:
 def hold(python: Path, folder: Path) -> int:
     """Let it hold the arms for an episode of the running system; the steps that were accepted."""
     address = f"ipc://{folder}/server"
-    task, out = paths.ROOT / "tests" / "helpers" / "nudge_task.py", folder / "run"
+    task, out = paths.ROOT / "tests" / "helpers" / "sim" / "nudge_task.py", folder / "run"
     words = ("run", task, "--policy", address, "--seed", LUCKY, "--out", out)
     client = started(python, folder, "-m", "surg_policy_client.policies.hold", "--server", address)
     try:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.policy_bench import ARM, HOME, MS, Bench, cell
-from helpers.policy_results import note
+from helpers.policy.policy_bench import ARM, HOME, MS, Bench, cell
+from helpers.results.policy_results import note
 from surg_core import Motion, MotionCommand
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.playout import SEND, Piece

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.policy_bench import ARM, HOME, Bench, arm_limits, cell
-from helpers.policy_results import note
+from helpers.policy.policy_bench import ARM, HOME, Bench, arm_limits, cell
+from helpers.results.policy_results import note
 from surg_policy_bridge.server.observer import CameraWatch, Observer, apart
 from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmState, ArmView, Target
 from surg_policy_bridge.server.safety_controller import (

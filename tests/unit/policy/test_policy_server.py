@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from helpers.policy_bench import ARM, HOME, MS, Bench, spec
-from helpers.policy_results import note
+from helpers.policy.policy_bench import ARM, HOME, MS, Bench, spec
+from helpers.results.policy_results import note
 from surg_policy_bridge.server.chunk_queue import LONGEST, ChunkQueue
 from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmState
 from surg_policy_bridge.server.sessions import BURST, PEERS, RATE, Flow

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers.policy_server import spec
+from helpers.policy.policy_server import spec
 from surg_policy_client import Feature, Spec, SpecError
 
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import zmq
 
-from helpers import policy_messages
-from helpers.policy_server import spec
-from helpers.policy_wire_results import note
+from helpers.policy import policy_messages
+from helpers.policy.policy_server import spec
+from helpers.results.policy_wire_results import note
 from surg_cli.host import paths
 from surg_policy_client import wire
 from surg_policy_client.wire import KINDS, Message, WireError, decode, encode

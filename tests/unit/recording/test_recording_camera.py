@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers import recording_synthetic as synthetic
-from helpers.camera_recording import start, until
-from helpers.recording_results import note
+from helpers.recording import recording_synthetic as synthetic
+from helpers.recording.camera_recording import start, until
+from helpers.results.recording_results import note
 from surg_recording.episode import episode_reader
 from surg_recording.episode.episode_recorder import Recording
 from surg_recording.video import camera_sink, video_file

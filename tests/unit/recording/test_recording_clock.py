@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from helpers import recording_synthetic as synthetic
+from helpers.recording import recording_synthetic as synthetic
 from surg_recording.clock.clock_steps import STEP_NS, SteppedClock
 from surg_recording.episode import episode_reader
 from surg_recording.episode.episode_recorder import Recording

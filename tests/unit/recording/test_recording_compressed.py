@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from helpers import picture_identity
-from helpers import recording_synthetic as synthetic
-from helpers.camera_recording import start, until
-from helpers.picture_identity import HEIGHT, WIDTH, Identity
+from helpers.recording import picture_identity
+from helpers.recording import recording_synthetic as synthetic
+from helpers.recording.camera_recording import start, until
+from helpers.recording.picture_identity import HEIGHT, WIDTH, Identity
 from surg_recording.episode import episode_reader
 from surg_recording.video import compressed_image, video_file
 from surg_recording.video.compressed_image import Coded

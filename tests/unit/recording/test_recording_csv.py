@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from helpers import recording_synthetic as synthetic
-from helpers.recording_results import note
+from helpers.recording import recording_synthetic as synthetic
+from helpers.results.recording_results import note
 from surg_recording.episode import csv_sink, episode_reader, finishing, table_columns, table_rows
 from surg_recording.episode.csv_sink import CsvWriter
 from surg_recording.recording_errors import EpisodeError

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from helpers.recording_results import note
+from helpers.results.recording_results import note
 from surg_recording.episode.duplicate_filter import WINDOW_S, Deliveries
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers import recording_synthetic as synthetic
-from helpers.recording_results import note
+from helpers.recording import recording_synthetic as synthetic
+from helpers.results.recording_results import note
 from surg_recording.episode import episode_reader
 from surg_recording.episode.csv_sink import CsvWriter
 from surg_recording.episode.episode_recorder import Recording

@@ -15,8 +15,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from helpers import recording_synthetic as synthetic
-from helpers.recording_results import note
+from helpers.recording import recording_synthetic as synthetic
+from helpers.results.recording_results import note
 from surg_recording.episode import episode_reader, finishing, provenance, table_columns
 from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.episode_writer import EpisodeWriter
@@ -213,7 +213,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_was_there(tmp_path: Path)
 _VICTIM = """
 import sys, time
 from pathlib import Path
-from helpers import recording_synthetic as synthetic
+from helpers.recording import recording_synthetic as synthetic
 from surg_recording.episode.episode_recorder import Recording
 what = synthetic.Synthetic()
 r = Recording(Path(sys.argv[1]), mode="lockstep", arms=["PSM1"], cameras=["cam"],
@@ -235,7 +235,7 @@ def test_a_killed_recorder_is_mended_at_the_next_start(tmp_path: Path, full: boo
     kills, rows_ms, video_s = (20 if full else 2), 0.0, 0.0
     for kill in range(kills):
         folder = tmp_path / f"e{kill}"
-        path = [*sys.path, str(Path(__file__).parents[1])]
+        path = [*sys.path, str(Path(__file__).parents[2])]
         with subprocess.Popen(
             [sys.executable, "-c", _VICTIM, str(folder)],
             stdout=subprocess.PIPE,

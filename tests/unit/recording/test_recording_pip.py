@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-PACKAGE = Path(__file__).parents[2] / "src" / "surg_recording"
+PACKAGE = Path(__file__).parents[3] / "src" / "surg_recording"
 
 _USE = """
 import importlib, pkgutil, sys

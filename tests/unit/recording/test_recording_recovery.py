@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from helpers import recording_synthetic as synthetic
-from helpers.recording_results import note
+from helpers.recording import recording_synthetic as synthetic
+from helpers.results.recording_results import note
 from surg_recording.clock import clock_segments
 from surg_recording.episode import episode_reader, finishing, recovery
 from surg_recording.episode.episode_writer import LOCK, EpisodeWriter

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers.recording_results import note
+from helpers.results.recording_results import note
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers import recording_synthetic as synthetic
-from helpers.moving_pictures import Scene
+from helpers.recording import recording_synthetic as synthetic
+from helpers.recording.moving_pictures import Scene
 from surg_recording.clock import sync_page, sync_report
 from surg_recording.episode import csv_sink, table_columns, table_rows
 from surg_recording.episode import episode_reader as episodes

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from helpers import sync_results
-from helpers.moving_pictures import Scene, tremor, wander
+from helpers.recording.moving_pictures import Scene, tremor, wander
+from helpers.results import sync_results
 from surg_recording.video import image_motion, video_lag
 from surg_recording.video.image_motion import HEIGHT, WIDTH, ImageMotion
 from surg_recording.video.video_lag import CANNOT_TELL, FAIL, PASS, LagEstimate, TipPath

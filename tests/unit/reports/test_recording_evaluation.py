@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers import jigsaws_synthetic
-from helpers.evaluated import DONE, episode
-from helpers.recording_synthetic import Synthetic
+from helpers.recording import jigsaws_synthetic
+from helpers.recording.evaluated import DONE, episode
+from helpers.recording.recording_synthetic import Synthetic
 from surg_recording import metrics
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.recording_errors import EpisodeError

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from helpers import jigsaws_synthetic as made_up
+from helpers.recording import jigsaws_synthetic as made_up
 from surg_recording import metrics
 from surg_recording.metrics import jigsaws, reference_sets
 from surg_recording.recording_errors import ReferenceSetError

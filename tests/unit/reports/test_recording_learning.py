@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from helpers.rollouts_synthetic import entry, rollout
+from helpers.recording.rollouts_synthetic import entry, rollout
 from surg_recording.reports import learning, learning_report
 
 INFO: dict[str, Any] = {

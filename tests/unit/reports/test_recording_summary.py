@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from helpers import recording_synthetic as synthetic
-from helpers.recording_synthetic import Synthetic
+from helpers.recording import recording_synthetic as synthetic
+from helpers.recording.recording_synthetic import Synthetic
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError, NoMotionError
 from surg_recording.reports import run_report, run_summary

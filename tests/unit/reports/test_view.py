@@ -17,7 +17,7 @@ import av
 import numpy as np
 import pytest
 
-from helpers import recording_synthetic as synthetic
+from helpers.recording import recording_synthetic as synthetic
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import episode_view, episode_view_data

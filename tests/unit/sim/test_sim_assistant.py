@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from helpers.phantom import Phantom, arm_of
-from helpers.tissue_results import note
+from helpers.results.tissue_results import note
+from helpers.sim.phantom import Phantom, arm_of
 from surg_sim.physics import scene
 from surg_sim.physics.assistant_arm import (
     ACCELERATION,

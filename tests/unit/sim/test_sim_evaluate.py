@@ -78,7 +78,7 @@ def test_every_task_in_every_setting(tmp_path: Path) -> None:
     text = expert_evaluation.report(
         list(zip(first, results[:n], strict=True)),
         list(zip(second, results[n:], strict=True)),
-        "./surg test --full tests/unit/test_sim_evaluate.py",
+        "./surg test --full tests/unit/sim/test_sim_evaluate.py",
     )
     (folder / "phantom.md").write_text(text, encoding="utf-8")
     for series, reports in zip(first, results, strict=False):

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.phantom import OPEN, SHUT, Phantom
-from helpers.tissue_results import note
+from helpers.results.tissue_results import note
+from helpers.sim.phantom import OPEN, SHUT, Phantom
 from surg_sim.physics.scene import Site
 from surg_sim.physics.tissue import TissueParameters, add_bowel
 from surg_sim.physics.tissue_grasp import GraspParameters, add_grasp

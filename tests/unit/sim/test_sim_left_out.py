@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.phantom import Phantom, arm_of
+from helpers.sim.phantom import Phantom, arm_of
 from surg_sim.physics.assistant_arm import Assistant, AssistantCommand
 from surg_sim.physics.sim_arm import evenly
 from surg_sim.physics.stability import all_finite

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.phantom import Phantom, arm_of
-from helpers.tissue_results import note
+from helpers.results.tissue_results import note
+from helpers.sim.phantom import Phantom, arm_of
 from surg_sim.physics import scene
 from surg_sim.physics.patient_settings import CONDITIONS
 from surg_sim.physics.sim_arm import ActuatorParameters, ArmCommand, ArmLink

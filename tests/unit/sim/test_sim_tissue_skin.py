@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.phantom import Phantom, arm_of
+from helpers.sim.phantom import Phantom, arm_of
 from surg_sim.looks.tissue_skin import _FINE, _ROUND, BowelSkin, _carried
 from surg_sim.physics import scene
 from surg_sim.physics.assistant_arm import add_assistant

@@ -15,9 +15,9 @@ import pytest
 import yaml
 
 import surg_core
-from helpers import dh
-from helpers.bead_task import BeadTask
-from helpers.beads import centre, triangulate
+from helpers.control import dh
+from helpers.sim.bead_task import BeadTask
+from helpers.sim.beads import centre, triangulate
 from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, StateCommand
 from surg_description.make_cell import home_pose

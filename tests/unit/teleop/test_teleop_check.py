@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from helpers.gate_arm import SPEED, TICK, GateArm
+from helpers.control.gate_arm import SPEED, TICK, GateArm
 from surg_teleop.follow.arm_view import ArmState, ArmView, Commands
 from surg_teleop.frames.frame_check import STILL_S, FramesCheck, Pair, Stage, split
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS

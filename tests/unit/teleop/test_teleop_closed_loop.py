@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.third_arm import write_third_arm
+from helpers.control.third_arm import write_third_arm
 from surg_cli.host import paths
 from surg_description.make_cell import make_cell
 from surg_teleop.playback.motion_player import Mode, Stage
 
 pytest.importorskip("surg_core", reason="surg_core is not built")
 
-from helpers.lagging_arm import Run, play
+from helpers.control.lagging_arm import Run, play
 
 DESCRIPTION = paths.ROOT / "src/surg_description"
 BUNDLED = paths.ROOT / "src/surg_teleop/motions/bundled.csv"

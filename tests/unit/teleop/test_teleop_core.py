@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from helpers.gate_arm import TICK, US, GateArm
-from helpers.hand import Hand, settings
+from helpers.control.gate_arm import TICK, US, GateArm
+from helpers.teleop.hand import Hand, settings
 from surg_teleop.follow.arm_view import ArmState
 from surg_teleop.follow.teleoperation import (
     ABANDONED,

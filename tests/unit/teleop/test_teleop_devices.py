@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from helpers.gate_arm import TICK, GateArm
-from helpers.hand import settings
-from helpers.input_devices import GAMEPAD, Machine, Plugged
+from helpers.control.gate_arm import TICK, GateArm
+from helpers.teleop.hand import settings
+from helpers.teleop.input_devices import GAMEPAD, Machine, Plugged
 from surg_teleop.follow.arm_switch import Seat
 from surg_teleop.follow.teleop_setup import REOPEN, Hand
 from surg_teleop.follow.teleoperation import CameraView, Kind, State, Teleop, TeleopOutput

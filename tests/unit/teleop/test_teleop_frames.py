@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import surg_core
-from helpers.stage import Stage, stage_of, turn
+from helpers.teleop.stage import Stage, stage_of, turn
 from surg_cli.host import paths
 from surg_sim.looks.render import Picture
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from helpers.input_devices import (
+from helpers.teleop.input_devices import (
     GAMEPAD,
     KEYBOARD,
     PEDALS,

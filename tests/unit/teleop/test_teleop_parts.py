@@ -9,8 +9,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 import surg_core
-from helpers.gate_arm import TICK, GateArm
-from helpers.hand import JAW, WORKSPACE, Hand, settings
+from helpers.control.gate_arm import TICK, GateArm
+from helpers.teleop.hand import JAW, WORKSPACE, Hand, settings
 from surg_cli.host import paths
 from surg_teleop.follow import camera_file
 from surg_teleop.follow.arm_switch import PEDAL_SILENCE, Pedals, Seat

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from helpers.gate_arm import TICK, GateArm
-from helpers.hand import Hand, settings
-from helpers.stage import Stage, stage_of
+from helpers.control.gate_arm import TICK, GateArm
+from helpers.teleop.hand import Hand, settings
+from helpers.teleop.stage import Stage, stage_of
 from surg_cli.host import paths
 from surg_sim.looks.render import Picture
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera

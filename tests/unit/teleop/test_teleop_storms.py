@@ -14,9 +14,9 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 import surg_core
-from helpers.hand import Hand, settings
-from helpers.lagging_arm import SOURCE, TICK, LaggingArm
-from helpers.storm import EVENTS, Event, Storm
+from helpers.control.lagging_arm import SOURCE, TICK, LaggingArm
+from helpers.teleop.hand import Hand, settings
+from helpers.teleop.storm import EVENTS, Event, Storm
 from surg_cli.host import paths
 from surg_teleop.follow.arm_view import ArmState, Commands
 from surg_teleop.follow.target_pose import StepLimits
@@ -62,7 +62,8 @@ def test_storms_of_events_never_jump_and_never_open_the_jaw() -> None:
         results = paths.ROOT / "docs/results"
         results.mkdir(exist_ok=True)
         (results / "teleop_storms.md").write_text(
-            "# Clutch storms\n\nWritten by `./surg test --full tests/unit/test_teleop_storms.py`.\n"
+            "# Clutch storms\n\n"
+            "Written by `./surg test --full tests/unit/teleop/test_teleop_storms.py`.\n"
             f"\n{text}. No step above the gate's, nothing refused, no engagement without an act, "
             "no jaw that opened by itself.\n"
         )

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.hand import settings
-from helpers.lagging_arm import SOURCE, TICK, LaggingArm
+from helpers.control.lagging_arm import SOURCE, TICK, LaggingArm
+from helpers.teleop.hand import settings
 from surg_cli.host import paths
 from surg_teleop.follow.arm_view import ArmState, Commands, tip_pose
 from surg_teleop.follow.target_pose import StepLimits
@@ -161,9 +161,9 @@ def _write(name: str, text: str) -> None:
     file = paths.ROOT / "docs/results/teleop_lag.md"
     head = (
         "# From the hand to the tip\n\nWritten by `SURG_TEST_MOTION=FILE ./surg test --full "
-        "tests/unit/test_teleop_surgeon.py`. A hand at 30 Hz and scale 1 on the UR5e's controller "
-        "and a plant with lag; the lag is the shift that explains the most, and rms is what is "
-        "left. Lock-step: the wire and the operating system are not in it.\n\n"
+        "tests/unit/teleop/test_teleop_surgeon.py`. A hand at 30 Hz and scale 1 on the UR5e's "
+        "controller and a plant with lag; the lag is the shift that explains the most, and rms is "
+        "what is left. Lock-step: the wire and the operating system are not in it.\n\n"
     )
     lines = file.read_text().splitlines() if file.is_file() else []
     kept = [line for line in lines if line.startswith("- ") and not line.startswith(f"- {name},")]

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers import vm
+from helpers.machines import vm
 
 
 def test_an_archive_is_what_the_kernel_reads() -> None:

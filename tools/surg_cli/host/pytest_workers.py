@@ -1,4 +1,4 @@
-"""Runs pytest: one of them, or several that share one list of files (tests/helpers/claims.py)."""
+"""Runs pytest: one, or several that share the files (tests/helpers/graph/claims.py)."""
 
 from __future__ import annotations
 

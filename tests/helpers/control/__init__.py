@@ -1,0 +1,1 @@
+"""Arms, links and reference laws for tests of the controller."""

@@ -1,0 +1,1 @@
+"""Several machines: namespaces, a virtual machine, clocks."""

@@ -1,0 +1,1 @@
+"""Policies, servers and made-up training data for tests."""

@@ -1,0 +1,1 @@
+"""Made-up recordings and independent readers."""

@@ -1,0 +1,1 @@
+"""Writers of pages in docs/results."""

@@ -1,0 +1,1 @@
+"""Tasks and scenes for tests of the simulator."""

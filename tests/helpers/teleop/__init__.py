@@ -1,0 +1,1 @@
+"""Hands, devices and consoles for tests of teleoperation."""
