@@ -49,6 +49,7 @@ void encode_cycle(const CycleRecord& record, const std::string& frame, const Sou
   message.state = static_cast<std::uint8_t>(out.state);
   message.homed = out.homed;
   message.busy = out.busy;
+  message.reason_code = static_cast<std::uint8_t>(out.reason);
   message.reason = out.reason == surg::Reason::kNone ? "" : surg::name(out.reason);
   message.q.assign(record.q.data(), record.q.data() + record.q.size());
   message.qd.assign(record.qd.data(), record.qd.data() + record.qd.size());
