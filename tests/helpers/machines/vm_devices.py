@@ -20,19 +20,19 @@ from evdev import AbsInfo, UInput, ecodes
 
 import surg_core
 from helpers.control.lagging_arm import TICK, LaggingArm
-from surg_teleop.follow.arm_switch import Pedals as Feet
-from surg_teleop.follow.arm_switch import Seat
+from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.arm_view import Commands, Jaw
+from surg_teleop.follow.pedal_monitor import PedalMonitor as Feet
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_setup import Hand
-from surg_teleop.follow.teleoperation import (
+from surg_teleop.follow.teleop_types import (
     CameraView,
-    Kind,
+    ControlMode,
     State,
-    Teleop,
     TeleopOutput,
     TeleopSettings,
 )
+from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 from surg_teleop.leaders.bundled.pedals import Pedals
 from surg_teleop.leaders.leader import LeaderError
@@ -103,7 +103,7 @@ class Bench:
             view = self.arm.view({1: "/teleop"})
             camera = CameraView(view.R_WR, now)
             before = view.p_tip
-            self.out = self.hand.seat.tick(now, sample, {"PSM1": view}, camera)["PSM1"]
+            self.out = self.hand.switch.tick(now, sample, {"PSM1": view}, camera)["PSM1"]
             self.arm.step(self.out.commands)
             self.speed = float(np.linalg.norm(self.tip - before)) / TICK
         assert self.out is not None
@@ -163,10 +163,10 @@ def bench(cell: Path) -> Bench:
         step=step,
         quiet=arm.robot.tuning.servo_timeout + 0.05,
         jaw=Jaw(instrument.jaw_min, instrument.jaw_max),
-        kind=Kind.RATE,
+        mode=ControlMode.RATE,
     )
     teleop = Teleop(settings)
-    return Bench(plant, teleop, Hand(Gamepad(), Seat(teleop)))
+    return Bench(plant, teleop, Hand(Gamepad(), ArmSwitch(teleop)))
 
 
 def refusal() -> str:

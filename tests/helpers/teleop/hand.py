@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from surg_teleop.follow.arm_view import Jaw
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.follow.teleoperation import Kind, TeleopSettings
+from surg_teleop.follow.teleop_types import ControlMode, TeleopSettings
 from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
 from surg_teleop.playback.workspace_fit import Workspace
 
@@ -28,7 +28,7 @@ def settings(**changes: object) -> TeleopSettings:
         "workspace": WORKSPACE,
         "step": STEP,
         "jaw": JAW,
-        "kind": Kind.POSITION,
+        "mode": ControlMode.POSITION,
     }
     return TeleopSettings(**{**given, **changes})  # type: ignore[arg-type]
 
@@ -44,7 +44,7 @@ class Hand:
     spherical: np.ndarray | None = None
     grip: float | None = 0.0
     buttons: set[str] = field(default_factory=set)
-    offers: frozenset[Kind] = frozenset(Kind)
+    offers: frozenset[ControlMode] = frozenset(ControlMode)
     speaks: bool = True
     broken: bool = False
     problem: str = ""
@@ -64,10 +64,10 @@ class Hand:
             p = np.full(3, np.nan) if self.broken else self.p
             self.said = LeaderSample(
                 stamp=now,
-                pose=HandlePose(p, self.R) if Kind.POSITION in self.offers else None,
+                pose=HandlePose(p, self.R) if ControlMode.POSITION in self.offers else None,
                 rate=(
                     HandRate(self.v, self.roll_rate, self.spherical)
-                    if Kind.RATE in self.offers
+                    if ControlMode.RATE in self.offers
                     else None
                 ),
                 grip=self.grip,

@@ -27,7 +27,8 @@ from helpers.control.gate_arm import (
 )
 from helpers.teleop.hand import Hand, settings
 from surg_teleop.follow.arm_view import ArmState
-from surg_teleop.follow.teleoperation import ASKED, CameraView, Kind, State, Teleop
+from surg_teleop.follow.teleop_types import REQUEST_LIFETIME, CameraView, ControlMode, State
+from surg_teleop.follow.teleoperation import Teleop
 
 Event = tuple[str, float]
 
@@ -51,7 +52,7 @@ class Storm:
         largest: Largest step commanded, as a share of what was allowed.
     """
 
-    kind: Kind = Kind.POSITION
+    kind: ControlMode = ControlMode.POSITION
     need_present: bool = False
     ticks: int = 0
     largest: float = 0.0
@@ -68,7 +69,7 @@ class Storm:
 
     def __post_init__(self) -> None:
         self.hand.grip = 0.5
-        made = settings(kind=self.kind, need_present=self.need_present)
+        made = settings(mode=self.kind, need_present=self.need_present)
         self.teleop = Teleop(made, scale=1.0)
         if self.need_present:
             self.hand.buttons = {"present"}
@@ -104,7 +105,7 @@ class Storm:
     def _judge(self, now: float, out: object) -> None:
         commands, following = out.commands, out.state is State.FOLLOWING  # type: ignore[attr-defined]
         if following and not self._following:
-            assert now - self._acted <= ASKED + 1e-9, "engaged without an act"
+            assert now - self._acted <= REQUEST_LIFETIME + 1e-9, "engaged without an act"
             self._by_hand = self._by_jaw = 0.0
             # As the newest sample says: a hand that is silent for less than the limit may engage.
             self._grip, self._jaw = self.hand.said.grip, self.arm.jaw

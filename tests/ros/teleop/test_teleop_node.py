@@ -259,7 +259,7 @@ def freeze_the_picture(graph: RosGraph, hand: CrtkHand) -> None:
         image.header.stamp = rospy.Time.now()
         camera.publish(image)
         time.sleep(0.03)
-        return any("shows the same picture" in text for text in hand.warnings)
+        return any("repeats the same picture" in text for text in hand.warnings)
 
     graph.wait_for(told, 5.0, "the frozen picture to be said")
     camera.unregister()

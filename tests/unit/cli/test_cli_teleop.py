@@ -18,8 +18,8 @@ from surg_sim import tasks
 from surg_sim.physics.assistant_arm import AssistantCommand, forward
 from surg_sim.physics.world import World
 from surg_teleop.console.ros.console_node import Settings
-from surg_teleop.follow.teleop_setup import read_system
-from surg_teleop.follow.teleoperation import CameraView
+from surg_teleop.follow.teleop_setup import read_setup
+from surg_teleop.follow.teleop_types import CameraView
 from surg_teleop.leaders.leader import HandRate, LeaderSample
 
 
@@ -80,8 +80,8 @@ def test_a_second_hand_holds_the_assistants_instrument() -> None:
     world = World(surg_core.load_cell(paths.CELLS / "sim_two_arms"), 3, task=tasks.load("bgr"))
     R = Rotation.from_quat(hands.params["assistant_frame"]).as_matrix()
     assert pytest.approx(R, abs=1e-12) == world.task.state()["X_WAssistant"][:3, :3]
-    system = read_system({**hands.params, "cell": str(paths.CELLS / "sim_two_arms")}, "/teleop")
-    assert [set(hand.seat.arms) for hand in system.hands] == [{"PSM1", "ECM"}, {"assistant"}]
+    system = read_setup({**hands.params, "cell": str(paths.CELLS / "sim_two_arms")}, "/teleop")
+    assert [set(hand.switch.arms) for hand in system.hands] == [{"PSM1", "ECM"}, {"assistant"}]
 
 
 def test_the_second_hand_moves_its_tip_as_the_picture_shows_it() -> None:
@@ -90,9 +90,9 @@ def test_the_second_hand_moves_its_tip_as_the_picture_shows_it() -> None:
     hands, _ = teleop._operator_nodes(chosen, teleop._plan(chosen), {}, [])
     cell = surg_core.load_cell(paths.CELLS / "sim_two_arms")
     params = {**hands.params, "second_settings": {"name": "second"}, "second_mapping": "rate"}
-    system = read_system(params, "/teleop")
+    system = read_setup(params, "/teleop")
     world = World(cell, 0, task=tasks.load("bgr"))
-    arm, seat, instrument = system.assistant, system.hands[1].seat, world.task.assistant
+    arm, seat, instrument = system.assistant, system.hands[1].switch, world.task.assistant
     camera = CameraView(system.camera.view(np.array(cell.arms["ECM"].robot.home)))
     R_VA = camera.R_WV.T @ arm.R_WR
     seat.enable()
@@ -103,7 +103,7 @@ def test_the_second_hand_moves_its_tip_as_the_picture_shows_it() -> None:
         stick = np.array([0.0, -0.02, 0.0]) if 250 <= k < 750 else np.zeros(3)
         sample = LeaderSample(now, rate=HandRate(stick))
         commands = seat.tick(now, sample, {"assistant": arm.view()}, camera)["assistant"].commands
-        asked = arm.obey(commands)
+        asked = arm.convert(commands)
         world.step({}, AssistantCommand(asked.servo_jp, asked.jaw))
     way = R_VA @ forward(instrument.joints)[:3, 3] - start
     print(f"a stick up for 1 s at 20 mm/s: {np.round(1e3 * way, 2)} mm right, down, away")

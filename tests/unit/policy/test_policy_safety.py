@@ -19,7 +19,7 @@ from surg_policy_bridge.server.safety_controller import (
     SafetyController,
 )
 from surg_policy_bridge.server.timers import PRESENCE, Presence
-from surg_teleop.follow.arm_switch import PEDAL_SILENCE
+from surg_teleop.follow.pedal_monitor import PEDAL_SILENCE
 
 DT = PERIOD / SECOND
 # The shipped UR5e (docs/reference/safety.md), written here a second time on purpose: an oracle.

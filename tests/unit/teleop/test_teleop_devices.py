@@ -12,9 +12,10 @@ import pytest
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import settings
 from helpers.teleop.input_devices import GAMEPAD, Machine, Plugged
-from surg_teleop.follow.arm_switch import Seat
+from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.teleop_setup import REOPEN, Hand
-from surg_teleop.follow.teleoperation import CameraView, Kind, State, Teleop, TeleopOutput
+from surg_teleop.follow.teleop_types import CameraView, ControlMode, State, TeleopOutput
+from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 
 FULL_SPEED = 0.04  # [m/s] of the gamepad's layout
@@ -32,8 +33,8 @@ class Bench:
 
     def __post_init__(self) -> None:
         self.pad = self.machine.plug(GAMEPAD)
-        self.teleop = Teleop(settings(kind=Kind.RATE))
-        self.hand = Hand(Gamepad(host=self.machine), Seat(self.teleop))
+        self.teleop = Teleop(settings(mode=ControlMode.RATE))
+        self.hand = Hand(Gamepad(host=self.machine), ArmSwitch(self.teleop))
 
     def tick(self, n: int = 1) -> TeleopOutput:
         """N cycles."""
@@ -41,7 +42,7 @@ class Bench:
             now = self.arm.tick * TICK
             camera = CameraView(np.eye(3), now)
             sample = self.hand.read(now)
-            out = self.hand.seat.tick(now, sample, {"PSM1": self.arm.view()}, camera)["PSM1"]
+            out = self.hand.switch.tick(now, sample, {"PSM1": self.arm.view()}, camera)["PSM1"]
             self.arm.step(out.commands)
         return out
 

@@ -13,16 +13,18 @@ from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import JAW, WORKSPACE, Hand, settings
 from surg_cli.host import paths
 from surg_teleop.follow import camera_file
-from surg_teleop.follow.arm_switch import PEDAL_SILENCE, Pedals, Seat
+from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.arm_view import ArmState, Commands, tip_pose, virtual_joints
 from surg_teleop.follow.endoscope_pose import held_camera
-from surg_teleop.follow.jaw_follower import MET, SLOW, JawGhost
+from surg_teleop.follow.jaw_follower import MET, SLOW, JawFollower
 from surg_teleop.follow.message_lateness import Arrivals
+from surg_teleop.follow.pedal_monitor import PEDAL_SILENCE, PedalMonitor
 from surg_teleop.follow.picture_watch import PictureWatch
-from surg_teleop.follow.servo_instrument import VirtualArm, tip
-from surg_teleop.follow.teleop_setup import REOPEN, read_system
+from surg_teleop.follow.servo_instrument import ServoInstrument, tip
+from surg_teleop.follow.teleop_setup import REOPEN, read_setup
 from surg_teleop.follow.teleop_setup import Hand as SeatedHand
-from surg_teleop.follow.teleoperation import CameraView, State, Teleop
+from surg_teleop.follow.teleop_types import CameraView, State
+from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders import leader as leaders
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
 from surg_teleop.leaders.bundled.motion import MotionLeader
@@ -120,7 +122,7 @@ class Faulty(CrtkLeader):
 def test_a_leader_that_raises_whatever_it_likes_is_a_leader_that_is_lost() -> None:
     """So the arm is held and paused, and the node ends as it should."""
     leader = Faulty()
-    hand = SeatedHand(leader, Seat(Teleop(settings())))
+    hand = SeatedHand(leader, ArmSwitch(Teleop(settings())))
     for now in (0.0, 0.5 * REOPEN, 1.1 * REOPEN):
         assert hand.read(now) is None
         assert hand.problem == "ZeroDivisionError: division by zero"
@@ -171,7 +173,7 @@ def test_a_grip_ends_with_a_silence_of_its_hand_and_not_before() -> None:
 
 
 def test_f31_an_engagement_never_opens_the_jaw() -> None:
-    ghost = JawGhost(JAW, 3.0, angle=0.1, grip=0.8)
+    ghost = JawFollower(JAW, 3.0, angle=0.1, grip=0.8)
     assert [ghost.tick(0.8, 0.002) for _ in range(1000)] == [0.1] * 1000
     # The hand opens by a tenth of its range: so does the jaw, slowly.
     angles = [ghost.tick(0.9, 0.002) for _ in range(1000)]
@@ -188,7 +190,7 @@ def test_f31_an_engagement_never_opens_the_jaw() -> None:
 
 
 def test_f31_what_the_hand_opened_and_closed_again_opens_nothing() -> None:
-    ghost = JawGhost(JAW, 3.0, angle=0.0, grip=0.5)
+    ghost = JawFollower(JAW, 3.0, angle=0.0, grip=0.5)
     ghost.tick(1.0, 0.0)
     ghost.tick(0.5, 0.0)
     assert [ghost.tick(0.5, 0.002) for _ in range(100)] == [0.0] * 100
@@ -198,7 +200,7 @@ def test_f31_random_grips_never_open_more_than_the_hand() -> None:
     rng = np.random.default_rng(7)
     for _ in range(200):
         grips = np.clip(np.cumsum(rng.normal(0.0, 0.1, 100)) + rng.uniform(), 0.0, 1.0)
-        ghost = JawGhost(JAW, 3.0, angle=rng.uniform(0.0, 0.7), grip=grips[0])
+        ghost = JawFollower(JAW, 3.0, angle=rng.uniform(0.0, 0.7), grip=grips[0])
         by_hand, by_jaw, before, angle = 0.0, 0.0, grips[0], ghost.angle
         for grip in grips:
             by_hand += 0.7 * max(0.0, grip - before)
@@ -382,8 +384,10 @@ def test_a_moving_endoscope_is_applied_exactly_once() -> None:
 
 def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
     hand, psm, ecm = Hand(), GateArm(), GateArm(p=np.array([0.0, 0.01, 0.06]))
-    seat = Seat(Teleop(settings(), scale=1.0), Teleop(settings(arm="ECM", jaw=None), scale=1.0))
-    pedals = Pedals()
+    seat = ArmSwitch(
+        Teleop(settings(), scale=1.0), Teleop(settings(arm="ECM", jaw=None), scale=1.0)
+    )
+    pedals = PedalMonitor()
     seat.enable()
 
     def run(n: int, step: float) -> dict[str, State]:
@@ -413,7 +417,7 @@ def test_the_camera_pedal_hands_the_leader_over_and_back() -> None:
 
 def test_the_button_enable_ends_only_what_the_hand_is_on() -> None:
     """What says "press enable" can be obeyed with the device itself."""
-    hand, arm, seat = Hand(), GateArm(), Seat(Teleop(settings()))
+    hand, arm, seat = Hand(), GateArm(), ArmSwitch(Teleop(settings()))
 
     def run(state: State, n: int = 100) -> bool:
         for _ in range(n):
@@ -421,7 +425,7 @@ def test_the_button_enable_ends_only_what_the_hand_is_on() -> None:
             out = seat.tick(now, hand.sample(now), {"PSM1": arm.view()}, CameraView(np.eye(3)))
             arm.step(out["PSM1"].commands)
         assert out["PSM1"].state is state, out["PSM1"].message
-        return seat.means_on(frozenset(hand.buttons | {"enable"}))
+        return seat.enables(frozenset(hand.buttons | {"enable"}))
 
     assert run(State.DISABLED)
     seat.enable()
@@ -444,7 +448,7 @@ class Floor:
     """A pedal node that repeats what is down 20 times a second, before a hand on an arm."""
 
     def __init__(self) -> None:
-        self.hand, self.arm, self.pedals = Hand(), GateArm(), Pedals()
+        self.hand, self.arm, self.pedals = Hand(), GateArm(), PedalMonitor()
         self.teleop = Teleop(settings(), scale=1.0)
         self.down, self.speaks, self.sent = False, True, 0
 
@@ -516,7 +520,7 @@ def test_enable_goes_on_without_pedals_that_are_silent() -> None:
 
 
 def test_a_pedal_that_speaks_on_change_alone_is_not_watched() -> None:
-    pedals, hand = Pedals(), Hand()
+    pedals, hand = PedalMonitor(), Hand()
     for k in range(4):  # a change, and the same again three times, as a driver may do
         pedals.press("/dvrk", "clutch", True, 0.1 * k)
     pedals.press("/dvrk", "clutch", False, 5.0)
@@ -618,11 +622,11 @@ def test_f08_a_picture_that_stalls_or_freezes_is_said_within_three_periods() -> 
         watch.picture(now, 1 + k, k)
         assert watch.problem(now + 0.049) == ""
     assert watch.problem(now + 0.149) == ""
-    assert "endoscope_left sends nothing" in watch.problem(now + 0.151)
+    assert "endoscope_left sends no pictures" in watch.problem(now + 0.151)
     for k in range(100, 104):  # the same pixels with new stamps
         now = 0.05 * k
         watch.picture(now, 1 + k, 99)
-    assert "endoscope_left shows the same picture" in watch.problem(now)
+    assert "endoscope_left repeats the same picture" in watch.problem(now)
     watch.picture(now + 0.05, 105, 105)
     assert watch.problem(now + 0.05) == ""
     for k in range(4):  # new pixels with an old stamp
@@ -636,25 +640,25 @@ def test_f08_a_picture_that_stalls_or_freezes_is_said_within_three_periods() -> 
 def test_a_virtual_arm_is_the_simulators_assistant() -> None:
     """The simulator's own kinematics is the oracle for pose and joints."""
     assistant = pytest.importorskip("surg_sim.physics.assistant_arm")
-    arm = VirtualArm("/teleop", np.eye(3))
+    arm = ServoInstrument("/teleop", np.eye(3))
     assert arm.view() is None
     rng = np.random.default_rng(2)
     for _ in range(100):
         joints = rng.uniform([-0.8, -0.8, 0.05, -3.0], [0.8, 0.8, 0.2, 3.0])
-        arm = VirtualArm("/teleop", np.eye(3))
+        arm = ServoInstrument("/teleop", np.eye(3))
         arm.joints(1.0, 0, joints)
         view = arm.view()
         assert view.p_set == pytest.approx(assistant.forward(joints)[:3, 3])
         assert (view.state, view.stream) == (ArmState.ENABLED, "/teleop")
         pose = tip_pose(view.p_set, joints[3] + 0.1)
-        asked = arm.obey(Commands(servo_cp=pose, jaw=0.3, state="pause", claim=True))
+        asked = arm.convert(Commands(servo_cp=pose, jaw=0.3, state="pause", claim=True))
         assert asked.servo_jp == pytest.approx(
             [*virtual_joints(view.p_set, 0)[:3], joints[3] + 0.1]
         )
         R = Rotation.from_quat(pose.q).as_matrix()
         assert assistant.forward(asked.servo_jp)[:3, :3] == pytest.approx(R)
         assert (asked.jaw, asked.state, asked.claim, asked.servo_cp) == (0.3, None, False, None)
-        assert arm.obey(Commands(hold=True)).servo_jp == pytest.approx(joints)
+        assert arm.convert(Commands(hold=True)).servo_jp == pytest.approx(joints)
     arm.joints(2.0, 0, np.full(4, np.nan))
     assert arm.view().received == 1.0
 
@@ -662,10 +666,10 @@ def test_a_virtual_arm_is_the_simulators_assistant() -> None:
 def test_a_virtual_arm_that_was_silent_is_where_it_is() -> None:
     """Its set-point is the target again only from the next command on."""
     home, there = np.array([0.0, 0.0, 0.09, 0.0]), np.array([0.05, 0.0, 0.1, 0.0])
-    arm = VirtualArm("/teleop", np.eye(3))
+    arm = ServoInstrument("/teleop", np.eye(3))
     arm.joints(1.0, 0, home)
     arm.jaw(0.2)
-    arm.obey(Commands(servo_cp=tip_pose(np.array([0.0, 0.0, 0.1]), 0.0), jaw=0.5))
+    arm.convert(Commands(servo_cp=tip_pose(np.array([0.0, 0.0, 0.1]), 0.0), jaw=0.5))
     for now, silent in ((1.0999, False), (1.1998, False), (1.3, True)):
         arm.joints(now, 0, there)
         view = arm.view()
@@ -689,13 +693,13 @@ def test_a_system_is_read_from_parameters() -> None:
         "second_arm": "assistant",
         "assistant_frame": [0.0, 0.0, 0.0, 1.0],
     }
-    found = read_system(params, "/teleop")
+    found = read_setup(params, "/teleop")
     first, second = found.hands
-    assert set(first.seat.arms) == {"PSM1", "ECM"}
-    assert first.seat.endoscope.lock_rotation
-    assert first.seat.instrument.scale == 0.4
-    assert first.seat.instrument.settings.quiet > 0.1
-    assert set(second.seat.arms) == {"assistant"}
+    assert set(first.switch.arms) == {"PSM1", "ECM"}
+    assert first.switch.endoscope.lock_rotation
+    assert first.switch.instrument.scale == 0.4
+    assert first.switch.instrument.settings.quiet > 0.1
+    assert set(second.switch.arms) == {"assistant"}
     assert found.heard == ["PSM1", "ECM"]
 
 
@@ -710,7 +714,7 @@ def test_a_system_is_read_from_parameters() -> None:
         ({"leader": "crtk", "mapping": "both"}, "~mapping: 'both'; allowed: position, rate"),
         ({"leader": "crtk", "settings": 3}, "~settings: 3; allowed: a mapping"),
         ({"leader": "crtk", "lockstep": True}, "~lockstep: true with a leader on topics"),
-        ({"leader": "crtk", "enabled": True}, "~enabled: true; allowed: in lock-step only"),
+        ({"leader": "crtk", "enabled": True}, "~enabled: true; allowed with ~lockstep: true only"),
         ({"leader": "crtk", "arm": "assistant"}, "~assistant_frame: None; needed: 4 numbers"),
         (
             {"leader": "crtk", "cell": paths.ROOT / "cells/sim_ur5e"},
@@ -718,11 +722,11 @@ def test_a_system_is_read_from_parameters() -> None:
         ),
         (
             {"leader": "crtk", "second_leader": "crtk", "second_arm": "PSM1"},
-            "~second_arm: PSM1 is held by the first hand already",
+            "~second_arm: PSM1 is driven by the first leader already",
         ),
     ],
 )
 def test_a_parameter_that_must_not_be_used_is_named(params: dict, words: str) -> None:
     with pytest.raises(surg_core.ConfigError) as error:
-        read_system({"cell": TWO_ARMS, **params}, "/teleop")
+        read_setup({"cell": TWO_ARMS, **params}, "/teleop")
     assert words in str(error.value)

@@ -22,7 +22,8 @@ from helpers.teleop.stage import Stage, stage_of
 from surg_cli.host import paths
 from surg_sim.looks.render import Picture
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
-from surg_teleop.follow.teleoperation import CameraView, State, Teleop
+from surg_teleop.follow.teleop_types import CameraView, State
+from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step
 from surg_teleop.frames.registration_verdict import Lens, Outcome, judge
 from surg_teleop.frames.tip_tracker import Place, find_places

@@ -20,7 +20,8 @@ from helpers.teleop.storm import EVENTS, Event, Storm
 from surg_cli.host import paths
 from surg_teleop.follow.arm_view import ArmState, Commands
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.follow.teleoperation import CameraView, Kind, State, Teleop
+from surg_teleop.follow.teleop_types import CameraView, ControlMode, State
+from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.playback.workspace_fit import Workspace
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
@@ -43,7 +44,7 @@ def test_storms_of_events_never_jump_and_never_open_the_jaw() -> None:
     ticks, engagements, largest = 0, 0, 0.0
     for seed in range(STORMS):
         rng = np.random.default_rng(seed)
-        kind = Kind.RATE if seed % 3 == 0 else Kind.POSITION
+        kind = ControlMode.RATE if seed % 3 == 0 else ControlMode.POSITION
         try:
             storm = Storm(kind, need_present=seed % 5 == 0).run(random_events(rng))
         except AssertionError as error:
@@ -74,19 +75,19 @@ def test_storms_of_events_never_jump_and_never_open_the_jaw() -> None:
     events=st.lists(
         st.tuples(st.sampled_from(EVENTS), st.floats(-1.0, 1.0, allow_nan=False)), max_size=25
     ),
-    kind=st.sampled_from(list(Kind)),
+    kind=st.sampled_from(list(ControlMode)),
 )
-def test_no_sequence_of_events_breaks_a_rule(events: list[Event], kind: Kind) -> None:
+def test_no_sequence_of_events_breaks_a_rule(events: list[Event], kind: ControlMode) -> None:
     Storm(kind).run(events)
 
 
-@pytest.mark.parametrize("kind", list(Kind))
-def test_storms_on_the_real_controller(kind: Kind) -> None:
+@pytest.mark.parametrize("kind", list(ControlMode))
+def test_storms_on_the_real_controller(kind: ControlMode) -> None:
     """No refusal; tip and joints keep their limits in every cycle, whatever the hand does."""
     arm = surg_core.load_cell(paths.ROOT / "cells/sim_ur5e").arms["PSM1"]
     limits = arm.limits
     made = settings(
-        kind=kind,
+        mode=kind,
         workspace=Workspace(limits.depth_slow, limits.depth_max, limits.cone),
         step=StepLimits(
             limits.tip_velocity,

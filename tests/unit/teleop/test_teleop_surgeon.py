@@ -19,7 +19,8 @@ from helpers.teleop.hand import settings
 from surg_cli.host import paths
 from surg_teleop.follow.arm_view import ArmState, Commands, tip_pose
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.follow.teleoperation import CameraView, State, Teleop
+from surg_teleop.follow.teleop_types import CameraView, State
+from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.motion import MotionLeader
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import CENTRE_DEPTH

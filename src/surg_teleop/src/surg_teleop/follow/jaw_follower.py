@@ -1,9 +1,9 @@
-"""The jaw follows a ghost of the hand's grip; it never opens by itself.
+"""The jaw follows the grip of the hand and never opens by itself.
 
-As on the dVRK: at an engagement hand and jaw seldom agree, so the ghost goes slowly until they have
-met within 2 degrees, and fast from then on. Beyond the dVRK: while they have not met the jaw may
-close towards the hand, but it opens only by as much as the hand itself has opened since. What a
-jaw holds is let go by the hand, never by an engagement.
+As on the dVRK: at an engagement grip and jaw seldom agree, so the jaw moves slowly until both have
+met within 2 degrees, and fast from then on. Until then the jaw closes towards the grip, but opens
+only by as much as the grip has opened since the engagement. So only the hand releases what the jaw
+holds.
 """
 
 from __future__ import annotations
@@ -13,50 +13,50 @@ import math
 from surg_teleop.follow.arm_view import Jaw
 
 SLOW = 0.5
-"""[rad/s] until hand and jaw have met; from open to closed in a second or two."""
+"""[rad/s] Rate until jaw and grip have met; from open to closed in one or two seconds."""
 MET = math.radians(2.0)
-"""[rad] Hand and jaw agree."""
+"""[rad] Largest difference at which jaw and grip count as met."""
 
 
-class JawGhost:
-    """Where the jaw shall be, tick by tick.
+class JawFollower:
+    """Set-point of the jaw, tick by tick.
 
     Args:
-        jaw: Its range.
-        fast: Rate once hand and jaw have met [rad/s].
-        angle: Where the jaw is commanded now [rad].
-        grip: The hand now, 0 closed to 1 open.
+        jaw: Range of the jaw.
+        fast: Rate once jaw and grip have met [rad/s].
+        angle: Present set-point of the jaw [rad].
+        grip: Present grip, 0 closed to 1 open.
     """
 
     def __init__(self, jaw: Jaw, fast: float, angle: float, grip: float) -> None:
         self._jaw, self._fast = jaw, fast
         self.angle = min(max(angle, jaw.min), jaw.max)
-        """Where the jaw shall be [rad]."""
-        self._wanted = self._angle_of(grip)
-        self._opened = 0.0  # by the hand and not yet by the jaw [rad]
-        self.met = abs(self._wanted - self.angle) <= MET
-        """Whether hand and jaw have met since the engagement."""
+        """Set-point of the jaw [rad]."""
+        self._grip_angle = self._angle_of(grip)
+        self._opening_left = 0.0  # opened by the hand and not yet by the jaw [rad]
+        self.met = abs(self._grip_angle - self.angle) <= MET
+        """Whether jaw and grip have met since the engagement."""
 
     def tick(self, grip: float, dt: float) -> float:
-        """One tick.
+        """Advance by one tick.
 
         Args:
             grip: The hand, 0 closed to 1 open.
             dt: Time since the last tick [s].
 
         Returns:
-            Where the jaw shall be [rad].
+            Set-point of the jaw [rad].
         """
         wanted = self._angle_of(grip)
-        self._opened = max(0.0, self._opened + wanted - self._wanted)
-        self._wanted = wanted
+        self._opening_left = max(0.0, self._opening_left + wanted - self._grip_angle)
+        self._grip_angle = wanted
         step = (self._fast if self.met else SLOW) * dt
         if wanted < self.angle:
             self.angle = max(wanted, self.angle - step)
         else:
-            opening = min(wanted - self.angle, step, self._opened)
+            opening = min(wanted - self.angle, step, self._opening_left)
             self.angle += opening
-            self._opened -= opening
+            self._opening_left -= opening
         self.met = self.met or abs(wanted - self.angle) <= MET
         return self.angle
 

@@ -1,8 +1,8 @@
-"""How long messages were held up on their way, told by their stamps, with no clock in common.
+"""Estimates how long messages were delayed on their way, from their stamps alone.
 
-Pure: time is an argument. A network that stalls delivers what was sent meanwhile all at once, and
-every old pose would look new. The stamps say how far apart the messages were sent; the quickest one
-of the last seconds stands for a delay of zero.
+A network that stalls delivers its backlog at once, and old poses would look new. Sender and
+receiver have no common clock; the fastest message of the last seconds stands for zero delay. Pure:
+time is an argument.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import math
 
 
 class Lateness:
-    """How much longer than the quickest message each one was under way.
+    """Delay of every message above that of the fastest one.
 
-    The two clocks are steady but have nothing in common: the smallest difference between receipt
-    and sending, over the last one to two windows, stands for a delay of zero.
+    The smallest difference between receipt and sending, over the last one to two windows, stands
+    for zero delay.
 
     Args:
-        window: Over which the quickest message is looked for: clocks drift [s].
+        window: Window of the minimum [s]; bounded because clocks drift.
     """
 
     def __init__(self, window: float = 10.0) -> None:
@@ -26,14 +26,14 @@ class Lateness:
         self._until = -math.inf
 
     def add(self, sent: float, received: float) -> float:
-        """Take a message in.
+        """Take in a message.
 
         Args:
             sent: On the sender's clock [s].
-            received: On ours [s].
+            received: On the receiver's clock [s].
 
         Returns:
-            Its delay above that of the quickest [s].
+            Its delay above that of the fastest [s].
         """
         if received > self._until:
             self._previous, self._best = self._best, math.inf
@@ -44,11 +44,11 @@ class Lateness:
 
 
 class Arrivals:
-    """When the messages of one topic would have come, had nothing held them up.
+    """Receipt times of one topic, corrected for the delay.
 
-    A stamp that stands still says nothing about the way, and one that goes back is a clock that was
-    set: neither makes a message late (F09). A way that has become longer for good is taken as it is
-    after one to two windows.
+    Repeated stamps carry no information, and a stamp that goes back means that the sender's clock
+    was set: neither makes a message late (F09). A lasting increase of the delay is accepted after
+    one to two windows.
     """
 
     WINDOW = 2.0
@@ -59,14 +59,14 @@ class Arrivals:
         self._lateness = Lateness(self.WINDOW)
 
     def of(self, stamp: float, now: float) -> float:
-        """Take a message in.
+        """Take in a message.
 
         Args:
             stamp: Of the message, on its sender's clock [s].
             now: Its receipt on the steady clock [s].
 
         Returns:
-            Not after now, on the same clock [s].
+            When it would have arrived without the delay [s]; never after now.
         """
         if stamp == self._newest:
             return now

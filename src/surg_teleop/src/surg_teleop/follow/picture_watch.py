@@ -1,7 +1,7 @@
-"""Is the picture alive? A hand must not be led by a picture of some time ago (F08).
+"""Detects a stalled or frozen camera picture (F08).
 
-Pure: stamps, fingerprints and times in, a sentence out. The arm is not stopped by it: the operator,
-who sees that nothing moves, is told why.
+Pure: stamps, checksums and times in, a message out. It does not stop the arm: the operator sees
+that nothing moves, and is told why.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 PERIODS = 3.0
-"""A picture that is later than that many of its periods has stalled."""
+"""A picture older than this many of its periods is stale."""
 LONGEST = 1.0
-"""[s] No period is longer."""
+"""[s] Upper bound of the estimated period."""
 
 
 @dataclass
@@ -19,43 +19,43 @@ class PictureWatch:
     """Watches one camera.
 
     Attributes:
-        name: The camera's, for messages.
-        period: Between two pictures, as seen lately [s].
+        name: Name of the camera, for messages.
+        period: Estimated time between two pictures [s].
     """
 
     name: str
     period: float = 0.05
     _changed: float | None = field(default=None, repr=False)
     _stamp: int = field(default=0, repr=False)
-    _fingerprint: int = field(default=0, repr=False)
+    _checksum: int = field(default=0, repr=False)
     _arrived: float | None = field(default=None, repr=False)
 
-    def picture(self, now: float, stamp_ns: int, fingerprint: int) -> None:
-        """A picture has come.
+    def picture(self, now: float, stamp_ns: int, checksum: int) -> None:
+        """A picture has arrived.
 
         Args:
             now: Steady clock [s].
             stamp_ns: Its own stamp [ns].
-            fingerprint: Of its pixels: a scene with a living camera is never twice the same.
+            checksum: Of its pixels; pictures of a live camera always differ.
         """
         if self._arrived is not None:
             spacing = min(now - self._arrived, LONGEST)
             self.period += 0.1 * (spacing - self.period)
         self._arrived = now
-        if stamp_ns > self._stamp and fingerprint != self._fingerprint:
+        if stamp_ns > self._stamp and checksum != self._checksum:
             self._changed = now
-        self._stamp, self._fingerprint = stamp_ns, fingerprint
+        self._stamp, self._checksum = stamp_ns, checksum
 
     def problem(self, now: float) -> str:
-        """Empty, or what the operator must know."""
+        """Message for the operator; empty if the picture is live, or there never was one."""
         if self._changed is None or self._arrived is None:
-            return ""  # a camera that never was has no picture to be deceived by
+            return ""
         age = now - self._changed
         if age <= PERIODS * self.period:
             return ""
         stalled = now - self._arrived > PERIODS * self.period
-        what = "sends nothing" if stalled else "shows the same picture"
+        symptom = "sends no pictures" if stalled else "repeats the same picture"
         return (
-            f"the picture is {age:.1f} s old ({self.name} {what}): do not move; check the camera "
-            "and its cable"
+            f"the picture is {age:.1f} s old ({self.name} {symptom}); do not move; check the "
+            "camera and its cable"
         )

@@ -35,15 +35,16 @@ from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_msgs.msg import Cycle, Ready
 from surg_recording.nodes.polled_node import Polled
-from surg_teleop.follow.arm_switch import Pedals
 from surg_teleop.follow.arm_view import PERIOD_NS, SECOND, ArmView
 from surg_teleop.follow.endoscope_pose import HeldCamera
 from surg_teleop.follow.message_lateness import Arrivals
+from surg_teleop.follow.pedal_monitor import PedalMonitor
 from surg_teleop.follow.peers import publishers, subscribers
 from surg_teleop.follow.picture_watch import PictureWatch
 from surg_teleop.follow.teleop_ports_node import ArmPort, RawCycle, arm_view, wait_for_all
-from surg_teleop.follow.teleop_setup import ASSISTANT, Hand, System, read_system
-from surg_teleop.follow.teleoperation import CameraView, State, Teleop, TeleopOutput
+from surg_teleop.follow.teleop_setup import ASSISTANT, Hand, TeleopSetup, read_setup
+from surg_teleop.follow.teleop_types import CameraView, State, TeleopOutput
+from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
 from surg_teleop.leaders.crtk_leader_node import CrtkTopics
 from surg_teleop.leaders.leader import LeaderError
@@ -66,7 +67,7 @@ PEDALS = {"clutch": "clutch", "camera": "camera", "operator_present": "present",
 class TeleopNode:
     """Wires hands, arms and the camera; every decision is :class:`Teleop`'s."""
 
-    def __init__(self, system: System) -> None:
+    def __init__(self, system: TeleopSetup) -> None:
         """Advertises and subscribes.
 
         Args:
@@ -77,7 +78,7 @@ class TeleopNode:
         self._wake = threading.Event()
         self.finished = threading.Event()
         """Set where the node shall end."""
-        self._pedals = Pedals()
+        self._pedals = PedalMonitor()
         self._cycles: dict[str, tuple[float, RawCycle]] = {}
         self._arrivals = {arm: Arrivals() for arm in system.heard}
         self._tick, self._recording = 0, False
@@ -120,7 +121,7 @@ class TeleopNode:
     # Topics.
 
     def _wire_hand(self, hand: Hand) -> None:
-        for arm, one in hand.seat.arms.items():
+        for arm, one in hand.switch.arms.items():
             pair = f"/{hand.leader.name}_{arm}"
             kinds = {
                 "current_state": String,
@@ -140,7 +141,7 @@ class TeleopNode:
             _listen(f"{pair}/lock_translation", Bool, self._on_lock, (one, "lock_translation"))
 
     def _wire_console(self) -> None:
-        everyone = [one for hand in self._system.hands for one in hand.seat.arms.values()]
+        everyone = [one for hand in self._system.hands for one in hand.switch.arms.values()]
         for source in ("/console", "/footpedals"):
             for topic, button in PEDALS.items():
                 _listen(f"{source}/{topic}", Joy, self._on_pedal, (source, button))
@@ -236,7 +237,7 @@ class TeleopNode:
         with self._lock:
             if not self._system.lockstep:
                 for hand in self._system.hands:
-                    hand.seat.disable()
+                    hand.switch.disable()
                 self._act(time.monotonic())
             for hand in self._system.hands:
                 hand.leader.close()
@@ -315,11 +316,11 @@ class TeleopNode:
         if "record" in pressed:
             self._record.publish(Bool(not self._recording))
         if sample is not None and "enable" in pressed:
-            self._switch(hand, hand.seat.means_on(sample.buttons))
-        for arm, output in hand.seat.tick(now, sample, views, camera).items():
+            self._switch(hand, hand.switch.enables(sample.buttons))
+        for arm, output in hand.switch.tick(now, sample, views, camera).items():
             commands = output.commands
             if arm == ASSISTANT and self._system.assistant is not None:
-                commands = self._system.assistant.obey(commands)
+                commands = self._system.assistant.convert(commands)
             self._ports[arm].send(commands)
             self._say(hand, arm, output)
 
@@ -327,14 +328,14 @@ class TeleopNode:
         """The operator takes or leaves the seat."""
         if on:
             self._pedals.forget(time.monotonic())
-            hand.seat.enable()
+            hand.switch.enable()
         else:
-            hand.seat.disable()
+            hand.switch.disable()
 
     # What people read.
 
     def _say(self, hand: Hand, arm: str, output: TeleopOutput) -> None:
-        one = hand.seat.arms[arm]
+        one = hand.switch.arms[arm]
         values: dict[str, object] = {
             "current_state": output.state.value,
             "desired_state": "DISABLED" if output.state is State.DISABLED else "FOLLOWING",
@@ -371,12 +372,12 @@ class TeleopNode:
                     "leader": hand.leader.name,
                     "arm": arm,
                     "state": one.state.value,
-                    "mapping": one.kind.value,
+                    "mapping": one.mode.value,
                     "scale": one.scale,
                     "message": self._said.get((arm, "message"), ""),
                 }
                 for hand in self._system.hands
-                for arm, one in hand.seat.arms.items()
+                for arm, one in hand.switch.arms.items()
             ],
             "picture": picture,
         }
@@ -442,7 +443,7 @@ def main() -> int:
         return 1
     rospy.init_node("teleop", disable_signals=True)
     try:
-        system = read_system(dict(rospy.get_param("~", {})), rospy.get_name())
+        system = read_setup(dict(rospy.get_param("~", {})), rospy.get_name())
     except (ConfigError, LeaderError) as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 2

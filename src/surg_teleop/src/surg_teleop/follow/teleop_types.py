@@ -1,0 +1,190 @@
+"""Values of the teleoperation: states, limits, settings and reasons."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_teleop.follow.arm_view import ArmView, Commands, Jaw
+from surg_teleop.follow.target_pose import StepLimits
+from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
+from surg_teleop.playback.workspace_fit import Workspace
+
+Array = NDArray[np.float64]
+
+SILENCE = 0.1
+"""[s] Timeout of the messages of leader, arm and camera."""
+REQUEST_LIFETIME = 5.0
+"""[s] A request to follow expires after this; enabling an arm takes a moment."""
+RETRY = 0.5
+"""[s] A state command that has shown no effect is sent again after this."""
+ABANDONED = 2.0
+"""[s] An arm whose leader is silent for longer is paused, and free for other senders."""
+GRACE = 0.15
+"""[s] An arm must obey the new stream within this time."""
+MAX_LAG = 0.03
+"""[m] Following ends when the arm is further behind its target."""
+NEUTRAL = 1e-3
+"""[m/s], and ten times that [rad/s]: a rate leader below this is at rest."""
+DEFAULT_SCALE = 0.2
+MIN_SCALE, MAX_SCALE = 0.01, 1.0
+_ROUNDING = 1e-9
+"""[s] Tick times are not exact in binary; this keeps a deadline on its tick."""
+
+
+def fresh(now: float, stamp: float) -> bool:
+    """Whether a message of this stamp is within the timeout, both on the steady clock [s]."""
+    return not older_than(SILENCE, now, stamp)
+
+
+def older_than(limit: float, now: float, stamp: float) -> bool:
+    """Whether a stamp is older than a limit [s]."""
+    return now - stamp > limit + _ROUNDING
+
+
+class State(enum.Enum):
+    """State of one leader on one arm."""
+
+    DISABLED = "DISABLED"
+    WAITING = "WAITING"
+    FOLLOWING = "FOLLOWING"
+    CLUTCHED = "CLUTCHED"
+    FAULT = "FAULT"
+
+
+class ControlMode(enum.Enum):
+    """How the leader drives the tip: by its position or by its rate."""
+
+    POSITION = "position"
+    RATE = "rate"
+
+    def read(self, sample: LeaderSample) -> HandlePose | HandRate | None:
+        """The part of a sample that this mode uses; None if the leader does not provide it."""
+        return sample.pose if self is ControlMode.POSITION else sample.rate
+
+
+class Reason(enum.Enum):
+    """Why an arm does not follow, or what limits it."""
+
+    NONE = ""
+    ARM_SILENT = "arm_silent"
+    ARM_FAULT = "arm_fault"
+    ARM_NOT_READY = "arm_not_ready"
+    ARM_HELD = "arm_held"
+    ARM_BUSY = "arm_busy"
+    ARM_STOPPING = "arm_stopping"
+    LEADER_SILENT = "leader_silent"
+    LEADER_PROBLEM = "leader_problem"
+    LEADER_INVALID = "leader_invalid"
+    LEADER_DEFLECTED = "leader_deflected"
+    NO_SUCH_MODE = "no_such_mode"
+    NOT_PRESENT = "not_present"
+    CAMERA_SILENT = "camera_silent"
+    CAMERA_INVALID = "camera_invalid"
+    NODE_STALLED = "node_stalled"
+    NOT_REQUESTED = "not_requested"
+    TOO_SHALLOW = "too_shallow"
+    NOT_OBEYING = "not_obeying"
+    LAGGING = "lagging"
+    HAND_JUMP = "hand_jump"
+    AT_LIMIT = "at_limit"
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A reason with its message for the operator.
+
+    Attributes:
+        reason: The code.
+        text: What is wrong and what to do; empty: nothing.
+        fault: Latched: only ``enable`` clears it.
+    """
+
+    reason: Reason = Reason.NONE
+    text: str = ""
+    fault: bool = False
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """Orientation of the endoscope's view.
+
+    Attributes:
+        R_WV: (3, 3) the view frame V, the left eye's optical axes, in the world of the cell.
+        received: Receipt on the steady clock [s]; infinite for a fixed camera.
+    """
+
+    R_WV: Array
+    received: float = math.inf
+
+
+@dataclass(frozen=True)
+class TeleopSettings:
+    """Constants of one leader on one arm.
+
+    Attributes:
+        leader: Name of the leader, for messages.
+        arm: Name of the arm.
+        node: Caller id under which the commands are sent.
+        workspace: Where the tip may be commanded.
+        step: Largest step between two commands.
+        quiet: Pause between ``hold`` and the next stream [s]; longer than the arm's
+            ``servo_timeout``.
+        jaw: Range of the jaw; None: the instrument has no jaw.
+        jaw_velocity: Rate of the jaw once jaw and grip have met [rad/s].
+        mode: The control mode at the start.
+        need_present: Follow only while the operator is detected at the controls.
+    """
+
+    leader: str
+    arm: str
+    node: str
+    workspace: Workspace
+    step: StepLimits
+    quiet: float = 0.15
+    jaw: Jaw | None = None
+    jaw_velocity: float = 3.0
+    mode: ControlMode = ControlMode.POSITION
+    need_present: bool = False
+
+
+@dataclass(frozen=True)
+class TeleopInputs:
+    """What one tick reads.
+
+    Attributes:
+        now: Steady clock [s].
+        dt: Time since the last tick [s].
+        sample: The leader's newest sample.
+        valid: Every number of the sample is finite, and its orientation is a rotation.
+        arm: The arm's newest cycle.
+        camera: Orientation of the view.
+    """
+
+    now: float
+    dt: float
+    sample: LeaderSample | None
+    valid: bool
+    arm: ArmView | None
+    camera: CameraView | None
+
+
+@dataclass(frozen=True)
+class TeleopOutput:
+    """Result of one tick.
+
+    Attributes:
+        state: The new state.
+        commands: Commands for the arm.
+        message: Why the arm does not follow, or what limits it, and what to do; may be empty.
+        reason: Code of the message.
+    """
+
+    state: State
+    commands: Commands
+    message: str
+    reason: Reason = Reason.NONE
