@@ -4,10 +4,10 @@
 #include <string>
 #include <vector>
 
-#include "surg_core/exact.hpp"
-#include "surg_core/kinematics.hpp"
-#include "surg_core/limited_step.hpp"
-#include "surg_core/rcm.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/law/exact.hpp"
+#include "surg_core/law/rcm.hpp"
+#include "surg_core/limits/limited_step.hpp"
 
 namespace bench {
 

@@ -4,7 +4,7 @@
 
 #include "arm.hpp"
 #include "streams.hpp"
-#include "surg_core/stream.hpp"
+#include "surg_core/motion/stream.hpp"
 
 namespace bench {
 namespace {

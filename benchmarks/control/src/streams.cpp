@@ -8,7 +8,7 @@
 
 #include "arm.hpp"
 #include "clock.hpp"
-#include "surg_core/stream.hpp"
+#include "surg_core/motion/stream.hpp"
 
 namespace bench {
 namespace {

@@ -6,8 +6,8 @@
 #include <string>
 #include <vector>
 
-#include "surg_core/profiler.hpp"
-#include "surg_core/quintic.hpp"
+#include "surg_core/motion/profiler.hpp"
+#include "surg_core/motion/quintic.hpp"
 
 namespace bench {
 

@@ -1,4 +1,5 @@
-// Preloaded into the nodes of a cell that is spread over several machines (docs/guide/two_machines.md).
+// Preloaded into the nodes of a cell that is spread over several machines
+// (docs/guide/two_machines.md).
 //
 // ROS 1 opens its ports on every address of a machine as soon as it may speak to others. This
 // library puts itself before three calls of libc, for C++ and Python nodes alike:

@@ -5,8 +5,8 @@
 #include <cstdio>
 #include <random>
 
-#include "surg_control/base_frame.hpp"
-#include "surg_control/decode.hpp"
+#include "surg_control/topics/base_frame.hpp"
+#include "surg_control/topics/decode.hpp"
 
 namespace surg_control {
 namespace {

@@ -8,8 +8,8 @@
 #include <string>
 #include <vector>
 
-#include "small_cell.hpp"
-#include "surg_control/config_loader.hpp"
+#include "support/small_cell.hpp"
+#include "surg_control/files/config_loader.hpp"
 
 namespace surg_control {
 namespace {

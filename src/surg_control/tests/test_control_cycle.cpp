@@ -6,10 +6,10 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/config_loader.hpp"
-#include "surg_control/control_cycle.hpp"
-#include "surg_control/model_loader.hpp"
-#include "surg_control/virtual_kinematics.hpp"
+#include "surg_control/files/config_loader.hpp"
+#include "surg_control/files/model_loader.hpp"
+#include "surg_control/loop/control_cycle.hpp"
+#include "surg_control/topics/virtual_kinematics.hpp"
 
 namespace surg_control {
 namespace {

@@ -1,14 +1,14 @@
-// The kinematics queries: there and back, against the definition in docs/reference/conventions.md, and words
-// for what has no answer.
+// The kinematics queries: there and back, against the definition in docs/reference/conventions.md,
+// and words for what has no answer.
 #include <gtest/gtest.h>
 
 #include <cmath>
 #include <cstdio>
 #include <random>
 
-#include "surg_control/config_loader.hpp"
-#include "surg_control/kinematics_services.hpp"
-#include "surg_control/virtual_kinematics.hpp"
+#include "surg_control/files/config_loader.hpp"
+#include "surg_control/topics/kinematics_services.hpp"
+#include "surg_control/topics/virtual_kinematics.hpp"
 
 namespace surg_control {
 namespace {

@@ -7,7 +7,7 @@
 #include <utility>
 #include <vector>
 
-#include "surg_control/lockstep_gate.hpp"
+#include "surg_control/loop/lockstep_gate.hpp"
 
 namespace surg_control {
 namespace {

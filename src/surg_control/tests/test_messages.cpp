@@ -7,8 +7,8 @@
 #include <set>
 #include <string>
 
-#include "surg_control/decode.hpp"
-#include "surg_control/messages.hpp"
+#include "surg_control/topics/decode.hpp"
+#include "surg_control/topics/messages.hpp"
 
 namespace surg_control {
 namespace {

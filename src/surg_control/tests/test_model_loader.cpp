@@ -4,9 +4,9 @@
 #include <cmath>
 #include <string>
 
-#include "small_cell.hpp"
-#include "surg_control/config_loader.hpp"
-#include "surg_control/model_loader.hpp"
+#include "support/small_cell.hpp"
+#include "surg_control/files/config_loader.hpp"
+#include "surg_control/files/model_loader.hpp"
 
 namespace surg_control {
 namespace {

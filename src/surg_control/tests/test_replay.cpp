@@ -5,10 +5,10 @@
 #include <sstream>
 #include <string>
 
-#include "small_cell.hpp"
-#include "surg_control/config_loader.hpp"
-#include "surg_control/model_loader.hpp"
-#include "surg_control/replay.hpp"
+#include "support/small_cell.hpp"
+#include "surg_control/files/config_loader.hpp"
+#include "surg_control/files/model_loader.hpp"
+#include "surg_control/files/replay.hpp"
 
 namespace surg_control {
 namespace {

@@ -6,7 +6,7 @@
 #include <random>
 #include <vector>
 
-#include "surg_control/echoes.hpp"
+#include "surg_control/loop/stamp_history.hpp"
 
 namespace surg_control {
 namespace {

@@ -1,9 +1,9 @@
 // What housekeeping looks at: the clock (F09), the master (F07), the parameters (F16).
 #include <gtest/gtest.h>
 
-#include "surg_control/clock_watch.hpp"
-#include "surg_control/master_probe.hpp"
-#include "surg_control/parameter_watch.hpp"
+#include "surg_control/monitor/clock_watch.hpp"
+#include "surg_control/monitor/master_probe.hpp"
+#include "surg_control/monitor/parameter_watch.hpp"
 
 namespace surg_control {
 namespace {

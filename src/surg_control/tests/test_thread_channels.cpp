@@ -4,9 +4,9 @@
 #include <cstdint>
 #include <thread>
 
-#include "surg_control/handover.hpp"
-#include "surg_control/realtime.hpp"
-#include "surg_control/source_table.hpp"
+#include "surg_control/loop/realtime.hpp"
+#include "surg_control/loop/thread_channels.hpp"
+#include "surg_control/topics/source_table.hpp"
 
 namespace surg_control {
 namespace {

@@ -15,10 +15,10 @@
 #include <random>
 #include <string>
 
-#include "arm.hpp"
-#include "results.hpp"
+#include "support/results.hpp"
+#include "support/test_arm.hpp"
 #include "surg_core/controller.hpp"
-#include "surg_core/exact_follower.hpp"
+#include "surg_core/law/exact_follower.hpp"
 
 namespace surg {
 namespace {

@@ -5,9 +5,9 @@
 #include <memory>
 #include <string>
 
-#include "arm.hpp"
-#include "support.hpp"
-#include "surg_core/black_box.hpp"
+#include "support/test_arm.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/state/black_box.hpp"
 
 namespace surg {
 namespace {

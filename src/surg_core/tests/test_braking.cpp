@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "stop_oracle.hpp"
-#include "support.hpp"
-#include "surg_core/braking.hpp"
+#include "support/stop_oracle.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/motion/braking.hpp"
 
 namespace surg {
 namespace {

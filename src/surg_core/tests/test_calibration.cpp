@@ -3,9 +3,9 @@
 #include <Eigen/Dense>
 #include <functional>
 
-#include "results.hpp"
-#include "support.hpp"
-#include "surg_core/calibration.hpp"
+#include "support/results.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/kinematics/calibration.hpp"
 
 namespace surg {
 namespace {

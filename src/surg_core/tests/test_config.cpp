@@ -1,10 +1,10 @@
 // The schema: a good document is taken, every bad one refused with file, key, value and range.
 #include <functional>
 
-#include "arm.hpp"
-#include "support.hpp"
+#include "support/test_arm.hpp"
+#include "support/test_support.hpp"
 #include "surg_core/config.hpp"
-#include "surg_core/jaw.hpp"
+#include "surg_core/motion/jaw.hpp"
 
 namespace surg {
 namespace {

@@ -1,9 +1,9 @@
 // The controller closed over plants it does not know: an ideal integrator and one with delay and
 // lag.
-#include "bench.hpp"
-#include "support.hpp"
+#include "support/controller_bench.hpp"
+#include "support/test_support.hpp"
 #include "surg_core/controller.hpp"
-#include "surg_core/limits.hpp"
+#include "surg_core/limits/workspace.hpp"
 
 namespace surg {
 namespace {

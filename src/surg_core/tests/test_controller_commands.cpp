@@ -1,8 +1,8 @@
 // The command surface beyond streams in space: joints of the trocar frame, in and out through the
 // trocar, a moving trocar, exclusive authority, the jaw and its link.
-#include "bench.hpp"
-#include "support.hpp"
-#include "surg_core/limits.hpp"
+#include "support/controller_bench.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/limits/workspace.hpp"
 
 namespace surg {
 namespace {

@@ -1,45 +1,14 @@
-// What only broken copies of the core showed to be untested (tests/mutants).
-#include "bench.hpp"
-#include "support.hpp"
-#include "surg_core/rcm.hpp"
+// Limits of the controller near the trocar, under force, at a jump in roll and above top speed; the
+// cause of a fault; authority while the arm moves.
+#include "support/controller_bench.hpp"
+#include "support/test_support.hpp"
 
 namespace surg {
 namespace {
 
 using test::Bench;
-using test::Random;
 
-TEST(Noticed, ThePapersSphericalLawIsTheOneThatIsPrinted) {
-  // Equations (8) and (9), written out by components.
-  Random random(31);
-  const int n = test::family(2000, 200000);
-  for (int i = 0; i < n; ++i) {
-    const Vector3 p_ee(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
-    const Vector3 p_rcm(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
-    const double pitch = random.uniform(-1, 1), yaw = random.uniform(-1, 1);
-    const double roll = random.uniform(-1, 1), trans = random.uniform(-0.1, 0.1);
-    double r[3], u[3], w[3];
-    double length = 0;
-    for (int k = 0; k < 3; ++k) {
-      r[k] = p_rcm[k] - p_ee[k];
-      length += r[k] * r[k];
-    }
-    length = std::sqrt(length);
-    for (int k = 0; k < 3; ++k) u[k] = r[k] / length;
-    w[0] = pitch + roll * u[0];
-    w[1] = yaw + roll * u[1];
-    w[2] = roll * u[2];
-    const Vector6 twist = paper_spherical_twist(p_ee, p_rcm, pitch, yaw, roll, trans);
-    for (int k = 0; k < 3; ++k) {
-      const int a = (k + 1) % 3, b = (k + 2) % 3;
-      ASSERT_NEAR(twist[k], trans * u[k] - (w[a] * r[b] - w[b] * r[a]), 1e-12);
-      ASSERT_NEAR(twist[3 + k], w[k], 1e-12);
-    }
-  }
-  test::report("twists of equations (8) and (9)", n);
-}
-
-TEST(Noticed, F24LateralMotionFadesTowardsTheTrocar) {
+TEST(ControllerLimits, F24LateralMotionFadesTowardsTheTrocar) {
   constexpr double kAside = 0.02;  // [m/s]
   for (const double depth : {0.0212, 0.0225, 0.024, 0.026, 0.028, 0.04}) {
     Bench bench;
@@ -70,7 +39,7 @@ TEST(Noticed, F24LateralMotionFadesTowardsTheTrocar) {
   }
 }
 
-TEST(Noticed, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
+TEST(ControllerLimits, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
   Controller::Options options;
   options.law = Law::kVelocity;
   Bench aside(options);  // a tip that is 1 mm off the set-point, on the pivot
@@ -101,7 +70,7 @@ TEST(Noticed, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
   }
 }
 
-TEST(Noticed, AWeakArmStartsBackToItsSetPointFromRest) {
+TEST(ControllerLimits, AWeakArmStartsBackToItsSetPointFromRest) {
   for (const Law law : {Law::kVelocity, Law::kExact}) {
     Controller::Options options;
     options.law = law;
@@ -122,7 +91,7 @@ TEST(Noticed, AWeakArmStartsBackToItsSetPointFromRest) {
   }
 }
 
-TEST(Noticed, AStreamMayNotJumpInRoll) {
+TEST(ControllerLimits, AStreamMayNotJumpInRoll) {
   Bench bench;
   const Vector3 p(0, 0, 0.12);
   bench.servo_cp(p, 0.2);
@@ -138,7 +107,7 @@ TEST(Noticed, AStreamMayNotJumpInRoll) {
   EXPECT_EQ(bench.tick().verdicts[0].reason, Reason::kNone);
 }
 
-TEST(Noticed, TooFastAWishKeepsItsDirection) {
+TEST(ControllerLimits, TooFastAWishKeepsItsDirection) {
   Bench bench;
   MotionCommand command;
   command.source = test::kMe;
@@ -153,14 +122,14 @@ TEST(Noticed, TooFastAWishKeepsItsDirection) {
   EXPECT_NEAR(v.z(), 0.5 * v.x(), 0.05 * v.x());
 }
 
-TEST(Noticed, TheFirstCauseOfAFaultStays) {
+TEST(ControllerLimits, TheFirstCauseOfAFaultStays) {
   Bench bench;
   bench.controller().fault(Reason::kOverrun);
   bench.controller().fault(Reason::kMasterLost);
   EXPECT_EQ(bench.tick().reason, Reason::kOverrun);
 }
 
-TEST(Noticed, F26TheArmIsNotFreeWhileItMoves) {
+TEST(ControllerLimits, F26TheArmIsNotFreeWhileItMoves) {
   Bench bench;
   MotionCommand mine, other;
   mine.motion = other.motion = Motion::kMoveCp;

@@ -1,7 +1,7 @@
 // The exact form against oracles that know nothing of it.
-#include "arm.hpp"
-#include "support.hpp"
-#include "surg_core/exact.hpp"
+#include "support/test_arm.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/law/exact.hpp"
 
 namespace surg {
 namespace {

@@ -3,9 +3,9 @@
 #include <cmath>
 #include <utility>
 
-#include "lagging_arm.hpp"
-#include "support.hpp"
-#include "surg_core/exact_follower.hpp"
+#include "support/lagging_arm.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/law/exact_follower.hpp"
 
 namespace surg {
 namespace {

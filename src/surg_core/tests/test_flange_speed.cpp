@@ -1,9 +1,9 @@
 // The flange's speed: inside its limit in every command, whatever is asked, whatever the plant, and
 // on the way back along the trace; and the look ahead that knows the margin before a joint's limit.
-#include "bench.hpp"
-#include "lagging_arm.hpp"
-#include "support.hpp"
-#include "surg_core/flange_cap.hpp"
+#include "support/controller_bench.hpp"
+#include "support/lagging_arm.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/limits/flange_cap.hpp"
 
 namespace surg {
 namespace {

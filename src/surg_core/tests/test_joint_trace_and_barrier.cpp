@@ -1,7 +1,7 @@
 // The parts of the limited step by themselves: recorded trace, singularity measures, position
 // braking, and what happens at the edges.
-#include "limited_paths.hpp"
-#include "support.hpp"
+#include "support/limited_paths.hpp"
+#include "support/test_support.hpp"
 
 namespace surg {
 namespace {

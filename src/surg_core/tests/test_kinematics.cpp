@@ -2,8 +2,8 @@
 #include <stdexcept>
 #include <vector>
 
-#include "support.hpp"
-#include "surg_core/kinematics.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 
 namespace surg {
 namespace {

@@ -3,12 +3,12 @@
 #include <functional>
 #include <vector>
 
-#include "lagging_arm.hpp"
-#include "law_scene.hpp"
-#include "results.hpp"
-#include "support.hpp"
-#include "surg_core/exact_follower.hpp"
-#include "surg_core/limited_step.hpp"
+#include "support/lagging_arm.hpp"
+#include "support/law_scene.hpp"
+#include "support/results.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/law/exact_follower.hpp"
+#include "surg_core/limits/limited_step.hpp"
 
 namespace surg {
 namespace {

@@ -3,9 +3,9 @@
 #include <functional>
 #include <vector>
 
-#include "law_scene.hpp"
-#include "results.hpp"
-#include "support.hpp"
+#include "support/law_scene.hpp"
+#include "support/results.hpp"
+#include "support/test_support.hpp"
 
 namespace surg {
 namespace {
@@ -19,7 +19,8 @@ using test::Scene;
 using test::Series;
 
 test::Results& results() {
-  static test::Results page("law", "src/surg_core/tests/test_law.cpp", "The law on an ideal arm");
+  static test::Results page("law", "src/surg_core/tests/test_laws_on_ideal_arm.cpp",
+                            "The law on an ideal arm");
   return page;
 }
 

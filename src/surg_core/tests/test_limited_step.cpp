@@ -2,8 +2,8 @@
 // path that the arm's geometry allows to its end, every other one stopped and left again.
 #include <chrono>
 
-#include "limited_paths.hpp"
-#include "results.hpp"
+#include "support/limited_paths.hpp"
+#include "support/results.hpp"
 
 namespace surg {
 namespace {
@@ -18,7 +18,7 @@ using test::Reach;
 using test::Scene;
 
 test::Results& results() {
-  static test::Results page("limits", "test_limited", "Limits: measured");
+  static test::Results page("limits", "test_limited_step", "Limits: measured");
   return page;
 }
 

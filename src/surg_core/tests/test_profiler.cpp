@@ -3,11 +3,11 @@
 #include <cmath>
 #include <stdexcept>
 
-#include "quintic_oracle.hpp"
-#include "results.hpp"
-#include "stop_oracle.hpp"
-#include "support.hpp"
-#include "surg_core/profiler.hpp"
+#include "support/quintic_oracle.hpp"
+#include "support/results.hpp"
+#include "support/stop_oracle.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/motion/profiler.hpp"
 
 namespace surg {
 namespace {

@@ -1,7 +1,7 @@
 #include <algorithm>
 
-#include "support.hpp"
-#include "surg_core/quintic.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/motion/quintic.hpp"
 
 namespace surg {
 namespace {

@@ -1,8 +1,8 @@
 // The law against oracles that know nothing of it: rigid-body motion integrated by exponentials,
 // and finite differences. Keeping the pivot alone proves nothing (a law with r_ee and r_shaft
 // swapped keeps it too), so every case also asks for the tip's velocity.
-#include "support.hpp"
-#include "surg_core/rcm.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/law/rcm.hpp"
 
 namespace surg {
 namespace {
@@ -132,6 +132,36 @@ TEST(Rcm, PaperSphericalAxisIsWrongWithALateralOffset) {
       EXPECT_GT(off, 0.002);
     }
   }
+}
+
+TEST(Rcm, PaperSphericalIsEquations8And9) {
+  // Equations (8) and (9), written out by components.
+  Random random(31);
+  const int n = test::family(2000, 200000);
+  for (int i = 0; i < n; ++i) {
+    const Vector3 p_ee(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+    const Vector3 p_rcm(random.uniform(-1, 1), random.uniform(-1, 1), random.uniform(-1, 1));
+    const double pitch = random.uniform(-1, 1), yaw = random.uniform(-1, 1);
+    const double roll = random.uniform(-1, 1), trans = random.uniform(-0.1, 0.1);
+    double r[3], u[3], w[3];
+    double length = 0;
+    for (int k = 0; k < 3; ++k) {
+      r[k] = p_rcm[k] - p_ee[k];
+      length += r[k] * r[k];
+    }
+    length = std::sqrt(length);
+    for (int k = 0; k < 3; ++k) u[k] = r[k] / length;
+    w[0] = pitch + roll * u[0];
+    w[1] = yaw + roll * u[1];
+    w[2] = roll * u[2];
+    const Vector6 twist = paper_spherical_twist(p_ee, p_rcm, pitch, yaw, roll, trans);
+    for (int k = 0; k < 3; ++k) {
+      const int a = (k + 1) % 3, b = (k + 2) % 3;
+      ASSERT_NEAR(twist[k], trans * u[k] - (w[a] * r[b] - w[b] * r[a]), 1e-12);
+      ASSERT_NEAR(twist[3 + k], w[k], 1e-12);
+    }
+  }
+  test::report("twists of equations (8) and (9)", n);
 }
 
 TEST(Rcm, AnglesAndDirectionsAreInverse) {

@@ -1,9 +1,9 @@
 #include <algorithm>
 #include <cmath>
 
-#include "support.hpp"
-#include "surg_core/limits.hpp"
-#include "surg_core/setpoint.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/limits/workspace.hpp"
+#include "surg_core/motion/setpoint.hpp"
 
 namespace surg {
 namespace {

@@ -2,8 +2,8 @@
 #include <algorithm>
 #include <cstdio>
 
-#include "bench.hpp"
-#include "lagging_arm.hpp"
+#include "support/controller_bench.hpp"
+#include "support/lagging_arm.hpp"
 
 namespace surg {
 namespace {

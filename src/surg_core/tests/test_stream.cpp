@@ -5,9 +5,9 @@
 #include <stdexcept>
 #include <vector>
 
-#include "support.hpp"
-#include "surg_core/braking.hpp"
-#include "surg_core/stream.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/motion/braking.hpp"
+#include "surg_core/motion/stream.hpp"
 
 namespace surg {
 namespace {

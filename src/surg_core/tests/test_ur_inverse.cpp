@@ -2,10 +2,10 @@
 #include <algorithm>
 #include <chrono>
 
-#include "arm.hpp"
-#include "support.hpp"
-#include "surg_core/exact.hpp"
-#include "surg_core/ur_inverse.hpp"
+#include "support/test_arm.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/kinematics/ur_inverse.hpp"
+#include "surg_core/law/exact.hpp"
 
 namespace surg {
 namespace {

@@ -89,7 +89,7 @@ def sanitized_tests(env: Mapping[str, str]) -> tuple[int, int]:
     """
     core = [f"-DSURG_CORE_BUILD={CORE_BUILD}"]
     cmake("thread sanitizer: build", RACE, RACE_BUILD, core, [], env)
-    programs = [RACE_BUILD / "race_handover"]
+    programs = [RACE_BUILD / "race_thread_channels"]
     if "SURG_TEST_FULL" in env:
         options = [*core_options(), "-DSURG_CORE_SANITIZE=address,undefined"]
         cmake("address sanitizer: build", CORE, SANITIZED_BUILD, options, ["fuzz_controller"], env)

@@ -1,4 +1,4 @@
-#include "surg_control/black_box_file.hpp"
+#include "surg_control/files/black_box_file.hpp"
 
 #include <fcntl.h>
 #include <unistd.h>

@@ -1,4 +1,4 @@
-#include "surg_control/config_loader.hpp"
+#include "surg_control/files/config_loader.hpp"
 
 #include <yaml-cpp/yaml.h>
 

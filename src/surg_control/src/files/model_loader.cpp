@@ -1,4 +1,4 @@
-#include "surg_control/model_loader.hpp"
+#include "surg_control/files/model_loader.hpp"
 
 #include <console_bridge/console.h>
 #include <urdf_parser/urdf_parser.h>

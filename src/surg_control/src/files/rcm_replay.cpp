@@ -11,10 +11,10 @@
 #include <map>
 #include <string>
 
-#include "surg_control/black_box_file.hpp"
-#include "surg_control/config_loader.hpp"
-#include "surg_control/model_loader.hpp"
-#include "surg_control/replay.hpp"
+#include "surg_control/files/black_box_file.hpp"
+#include "surg_control/files/config_loader.hpp"
+#include "surg_control/files/model_loader.hpp"
+#include "surg_control/files/replay.hpp"
 
 namespace {
 

@@ -1,4 +1,4 @@
-#include "surg_control/replay.hpp"
+#include "surg_control/files/replay.hpp"
 
 #include <algorithm>
 #include <array>
@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "surg_core/rcm.hpp"
+#include "surg_core/law/rcm.hpp"
 
 namespace surg_control {
 namespace {

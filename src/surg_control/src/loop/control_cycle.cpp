@@ -1,10 +1,10 @@
-#include "surg_control/control_cycle.hpp"
+#include "surg_control/loop/control_cycle.hpp"
 
 #include <algorithm>
 #include <chrono>
 #include <limits>
 
-#include "surg_control/virtual_kinematics.hpp"
+#include "surg_control/topics/virtual_kinematics.hpp"
 
 namespace surg_control {
 namespace {

@@ -1,4 +1,4 @@
-#include "surg_control/exit_request.hpp"
+#include "surg_control/loop/exit_request.hpp"
 
 #include <ros/init.h>
 #include <ros/xmlrpc_manager.h>

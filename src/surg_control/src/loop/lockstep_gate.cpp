@@ -1,4 +1,4 @@
-#include "surg_control/lockstep_gate.hpp"
+#include "surg_control/loop/lockstep_gate.hpp"
 
 #include <algorithm>
 #include <functional>

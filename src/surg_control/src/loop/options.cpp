@@ -1,4 +1,4 @@
-#include "surg_control/options.hpp"
+#include "surg_control/loop/options.hpp"
 
 #include <ros/file_log.h>
 

@@ -1,4 +1,4 @@
-#include "surg_control/rcm_loop.hpp"
+#include "surg_control/loop/rcm_loop.hpp"
 
 #include <std_msgs/String.h>
 
@@ -6,9 +6,9 @@
 #include <cstdlib>
 #include <thread>
 
-#include "surg_control/exit_request.hpp"
-#include "surg_control/messages.hpp"
-#include "surg_control/realtime.hpp"
+#include "surg_control/loop/exit_request.hpp"
+#include "surg_control/loop/realtime.hpp"
+#include "surg_control/topics/messages.hpp"
 
 namespace surg_control {
 namespace {

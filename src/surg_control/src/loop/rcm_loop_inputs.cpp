@@ -1,10 +1,10 @@
 // RcmLoop's incoming half: what links, participants and commanders send, in the thread of run().
 #include <std_msgs/String.h>
 
-#include "surg_control/clock_watch.hpp"
-#include "surg_control/messages.hpp"
-#include "surg_control/rcm_loop.hpp"
-#include "surg_control/realtime.hpp"
+#include "surg_control/loop/rcm_loop.hpp"
+#include "surg_control/loop/realtime.hpp"
+#include "surg_control/monitor/clock_watch.hpp"
+#include "surg_control/topics/messages.hpp"
 
 namespace surg_control {
 namespace {

@@ -6,8 +6,8 @@
 #include <cstdio>
 #include <exception>
 
-#include "surg_control/exit_request.hpp"
-#include "surg_control/rcm_loop.hpp"
+#include "surg_control/loop/exit_request.hpp"
+#include "surg_control/loop/rcm_loop.hpp"
 
 int main(int argc, char** argv) {
   ros::init(argc, argv, "controller", ros::init_options::NoSigintHandler);

@@ -9,8 +9,8 @@
 #include <pluginlib/class_list_macros.hpp>
 #include <thread>
 
-#include "surg_control/exit_request.hpp"
-#include "surg_control/rcm_loop.hpp"
+#include "surg_control/loop/exit_request.hpp"
+#include "surg_control/loop/rcm_loop.hpp"
 
 namespace surg_control {
 

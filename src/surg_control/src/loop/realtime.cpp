@@ -1,4 +1,4 @@
-#include "surg_control/realtime.hpp"
+#include "surg_control/loop/realtime.hpp"
 
 #include <pthread.h>
 #include <sched.h>

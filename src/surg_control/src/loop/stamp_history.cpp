@@ -1,4 +1,4 @@
-#include "surg_control/echoes.hpp"
+#include "surg_control/loop/stamp_history.hpp"
 
 #include <algorithm>
 

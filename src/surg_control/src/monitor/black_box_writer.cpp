@@ -1,4 +1,4 @@
-#include "surg_control/black_box_writer.hpp"
+#include "surg_control/monitor/black_box_writer.hpp"
 
 #include <sys/time.h>
 
@@ -8,7 +8,7 @@
 #include <filesystem>
 #include <system_error>
 
-#include "surg_control/black_box_file.hpp"
+#include "surg_control/files/black_box_file.hpp"
 
 namespace surg_control {
 namespace {

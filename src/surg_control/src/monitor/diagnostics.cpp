@@ -1,10 +1,10 @@
-#include "surg_control/diagnostics.hpp"
+#include "surg_control/monitor/diagnostics.hpp"
 
 #include <diagnostic_msgs/DiagnosticArray.h>
 
 #include <algorithm>
 
-#include "surg_control/messages.hpp"
+#include "surg_control/topics/messages.hpp"
 
 namespace surg_control {
 namespace {

@@ -1,4 +1,4 @@
-#include "surg_control/master_probe.hpp"
+#include "surg_control/monitor/master_probe.hpp"
 
 #include <ros/master.h>
 #include <ros/this_node.h>

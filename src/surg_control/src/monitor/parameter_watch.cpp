@@ -1,4 +1,4 @@
-#include "surg_control/parameter_watch.hpp"
+#include "surg_control/monitor/parameter_watch.hpp"
 
 #include <sstream>
 

@@ -1,10 +1,10 @@
-#include "surg_control/housekeeping.hpp"
+#include "surg_control/monitor/system_monitor.hpp"
 
 #include <chrono>
 #include <cstdio>
 
-#include "surg_control/realtime.hpp"
-#include "surg_core/operating_state.hpp"
+#include "surg_control/loop/realtime.hpp"
+#include "surg_core/state/operating_state.hpp"
 
 namespace surg_control {
 namespace {

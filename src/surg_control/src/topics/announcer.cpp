@@ -1,4 +1,4 @@
-#include "surg_control/announcer.hpp"
+#include "surg_control/topics/announcer.hpp"
 
 #include <std_msgs/String.h>
 

@@ -1,4 +1,4 @@
-#include "surg_control/base_frame.hpp"
+#include "surg_control/topics/base_frame.hpp"
 
 namespace surg_control {
 

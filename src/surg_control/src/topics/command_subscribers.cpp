@@ -1,4 +1,4 @@
-#include "surg_control/command_inlets.hpp"
+#include "surg_control/topics/command_subscribers.hpp"
 
 #include <ros/message_traits.h>
 #include <std_msgs/Empty.h>

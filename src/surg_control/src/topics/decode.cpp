@@ -1,4 +1,4 @@
-#include "surg_control/decode.hpp"
+#include "surg_control/topics/decode.hpp"
 
 #include <array>
 #include <cmath>

@@ -1,13 +1,13 @@
-#include "surg_control/kinematics_services.hpp"
+#include "surg_control/topics/kinematics_services.hpp"
 
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
 
-#include "surg_control/decode.hpp"
-#include "surg_control/messages.hpp"
-#include "surg_control/virtual_kinematics.hpp"
-#include "surg_core/limits.hpp"
+#include "surg_control/topics/decode.hpp"
+#include "surg_control/topics/messages.hpp"
+#include "surg_control/topics/virtual_kinematics.hpp"
+#include "surg_core/limits/workspace.hpp"
 
 namespace surg_control {
 namespace {

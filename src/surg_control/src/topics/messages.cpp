@@ -1,4 +1,4 @@
-#include "surg_control/messages.hpp"
+#include "surg_control/topics/messages.hpp"
 
 namespace surg_control {
 namespace {

@@ -1,9 +1,9 @@
-#include "surg_control/robot_command.hpp"
+#include "surg_control/topics/robot_command.hpp"
 
 #include <cmath>
 #include <string>
 
-#include "surg_control/messages.hpp"
+#include "surg_control/topics/messages.hpp"
 
 namespace surg_control {
 namespace {

@@ -1,10 +1,10 @@
-#include "surg_control/outlets.hpp"
+#include "surg_control/topics/state_publishers.hpp"
 
 #include <crtk_msgs/OperatingState.h>
 #include <tf2_msgs/TFMessage.h>
 
-#include "surg_control/messages.hpp"
-#include "surg_core/rcm.hpp"
+#include "surg_control/topics/messages.hpp"
+#include "surg_core/law/rcm.hpp"
 
 namespace surg_control {
 namespace {

@@ -1,8 +1,8 @@
-#include "surg_control/spokesman.hpp"
+#include "surg_control/topics/status_reporter.hpp"
 
 #include <cstdio>
 
-#include "surg_control/decode.hpp"
+#include "surg_control/topics/decode.hpp"
 
 namespace surg_control {
 namespace {

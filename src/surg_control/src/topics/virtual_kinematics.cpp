@@ -1,8 +1,8 @@
-#include "surg_control/virtual_kinematics.hpp"
+#include "surg_control/topics/virtual_kinematics.hpp"
 
 #include <cmath>
 
-#include "surg_core/rcm.hpp"
+#include "surg_core/law/rcm.hpp"
 
 namespace surg_control {
 namespace {

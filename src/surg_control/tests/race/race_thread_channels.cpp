@@ -4,9 +4,9 @@
 #include <cstdio>
 #include <thread>
 
-#include "arm.hpp"
-#include "surg_control/handover.hpp"
-#include "surg_core/black_box.hpp"
+#include "support/test_arm.hpp"
+#include "surg_control/loop/thread_channels.hpp"
+#include "surg_core/state/black_box.hpp"
 
 namespace {
 

@@ -8,12 +8,12 @@
 #include <cstdint>
 #include <memory>
 
-#include "surg_core/command.hpp"
 #include "surg_core/config.hpp"
-#include "surg_core/force_guard.hpp"
-#include "surg_core/kinematics.hpp"
-#include "surg_core/operating_state.hpp"
-#include "surg_core/rcm.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/law/rcm.hpp"
+#include "surg_core/motion/command.hpp"
+#include "surg_core/state/force_guard.hpp"
+#include "surg_core/state/operating_state.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

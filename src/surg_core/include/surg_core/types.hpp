@@ -1,7 +1,7 @@
 // Value types shared by the whole core: no ROS, no clock, no threads, no heap in the loop.
 //
-// Frames are in the names (docs/reference/conventions.md): X_AB is the pose of frame B in frame A, p_BTip the
-// tip seen from and expressed in the base B. SI units throughout.
+// Frames are in the names (docs/reference/conventions.md): X_AB is the pose of frame B in frame A,
+// p_BTip the tip seen from and expressed in the base B. SI units throughout.
 #pragma once
 
 #include <Eigen/Core>

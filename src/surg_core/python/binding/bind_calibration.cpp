@@ -1,8 +1,7 @@
-#include "surg_core/calibration.hpp"
-
 #include <pybind11/stl.h>
 
 #include "convert.hpp"
+#include "surg_core/kinematics/calibration.hpp"
 
 namespace surg::python {
 void bind_calibration(py::module_& m) {

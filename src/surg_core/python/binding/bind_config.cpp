@@ -1,12 +1,11 @@
-#include "surg_core/config.hpp"
-
 #include <pybind11/stl.h>
 
 #include <optional>
 
 #include "convert.hpp"
-#include "surg_core/gate.hpp"
-#include "surg_core/limits.hpp"
+#include "surg_core/config.hpp"
+#include "surg_core/limits/workspace.hpp"
+#include "surg_core/state/gate.hpp"
 
 namespace surg::python {
 namespace {

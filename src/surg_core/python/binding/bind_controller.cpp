@@ -1,11 +1,10 @@
-#include "surg_core/controller.hpp"
-
 #include <pybind11/stl.h>
 
 #include <algorithm>
 #include <optional>
 
 #include "convert.hpp"
+#include "surg_core/controller.hpp"
 
 namespace surg::python {
 namespace {

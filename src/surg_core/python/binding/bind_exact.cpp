@@ -1,5 +1,3 @@
-#include "surg_core/exact.hpp"
-
 #include <pybind11/stl.h>
 
 #include <optional>
@@ -8,8 +6,9 @@
 #include <vector>
 
 #include "convert.hpp"
-#include "surg_core/exact_follower.hpp"
-#include "surg_core/ur_inverse.hpp"
+#include "surg_core/kinematics/ur_inverse.hpp"
+#include "surg_core/law/exact.hpp"
+#include "surg_core/law/exact_follower.hpp"
 
 namespace surg::python {
 namespace {

@@ -1,10 +1,9 @@
-#include "surg_core/kinematics.hpp"
-
 #include <pybind11/stl.h>
 
 #include <optional>
 
 #include "convert.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 
 namespace surg::python {
 namespace {

@@ -1,12 +1,11 @@
-#include "surg_core/limits.hpp"
-
 #include <pybind11/functional.h>
 
 #include <functional>
 #include <tuple>
 
 #include "convert.hpp"
-#include "surg_core/limited_step.hpp"
+#include "surg_core/limits/limited_step.hpp"
+#include "surg_core/limits/workspace.hpp"
 
 namespace surg::python {
 namespace {

@@ -7,10 +7,10 @@
 #include <vector>
 
 #include "convert.hpp"
-#include "surg_core/braking.hpp"
-#include "surg_core/profiler.hpp"
-#include "surg_core/quintic.hpp"
-#include "surg_core/stream.hpp"
+#include "surg_core/motion/braking.hpp"
+#include "surg_core/motion/profiler.hpp"
+#include "surg_core/motion/quintic.hpp"
+#include "surg_core/motion/stream.hpp"
 
 namespace surg::python {
 namespace {

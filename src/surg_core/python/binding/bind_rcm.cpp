@@ -1,6 +1,5 @@
-#include "surg_core/rcm.hpp"
-
 #include "convert.hpp"
+#include "surg_core/law/rcm.hpp"
 
 namespace surg::python {
 namespace {

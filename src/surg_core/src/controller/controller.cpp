@@ -4,7 +4,7 @@
 #include <cmath>
 #include <cstring>
 
-#include "controller_impl.hpp"
+#include "controller/controller_impl.hpp"
 
 namespace surg {
 namespace {

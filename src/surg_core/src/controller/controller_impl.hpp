@@ -3,17 +3,17 @@
 // commands and motion in controller_motion.cpp, the order of a cycle in controller.cpp.
 #pragma once
 
-#include "surg_core/arm_state.hpp"
 #include "surg_core/controller.hpp"
-#include "surg_core/exact_follower.hpp"
-#include "surg_core/gate.hpp"
-#include "surg_core/image.hpp"
-#include "surg_core/jaw.hpp"
-#include "surg_core/joint_trace.hpp"
-#include "surg_core/law.hpp"
-#include "surg_core/limited_step.hpp"
-#include "surg_core/pilot.hpp"
-#include "surg_core/trocar.hpp"
+#include "surg_core/kinematics/arm_state.hpp"
+#include "surg_core/kinematics/trocar.hpp"
+#include "surg_core/law/exact_follower.hpp"
+#include "surg_core/law/twist_law.hpp"
+#include "surg_core/limits/limited_step.hpp"
+#include "surg_core/motion/command_handler.hpp"
+#include "surg_core/motion/jaw.hpp"
+#include "surg_core/motion/joint_trace.hpp"
+#include "surg_core/state/gate.hpp"
+#include "surg_core/state/snapshot.hpp"
 
 namespace surg {
 

@@ -1,8 +1,8 @@
 #include <algorithm>
 #include <cmath>
 
-#include "controller_impl.hpp"
-#include "surg_core/flange_cap.hpp"
+#include "controller/controller_impl.hpp"
+#include "surg_core/limits/flange_cap.hpp"
 
 namespace surg {
 namespace {

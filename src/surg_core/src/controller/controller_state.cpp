@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "controller_impl.hpp"
+#include "controller/controller_impl.hpp"
 
 namespace surg {
 namespace {

@@ -1,4 +1,4 @@
-#include "surg_core/arm_state.hpp"
+#include "surg_core/kinematics/arm_state.hpp"
 
 #include <cmath>
 

@@ -1,4 +1,4 @@
-#include "surg_core/calibration.hpp"
+#include "surg_core/kinematics/calibration.hpp"
 
 #include <Eigen/Dense>
 #include <algorithm>

@@ -1,4 +1,4 @@
-#include "inverse.hpp"
+#include "kinematics/jacobian_inverse.hpp"
 
 #include <algorithm>
 #include <cmath>

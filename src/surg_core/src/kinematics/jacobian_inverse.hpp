@@ -3,7 +3,7 @@
 
 #include <array>
 
-#include "surg_core/kinematics.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

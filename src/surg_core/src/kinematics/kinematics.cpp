@@ -1,11 +1,11 @@
-#include "surg_core/kinematics.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 
 #include <array>
 #include <cmath>
 #include <stdexcept>
 #include <utility>
 
-#include "sines.hpp"
+#include "kinematics/sines.hpp"
 
 namespace surg {
 namespace {

@@ -1,4 +1,4 @@
-#include "surg_core/trocar.hpp"
+#include "surg_core/kinematics/trocar.hpp"
 
 #include <cmath>
 

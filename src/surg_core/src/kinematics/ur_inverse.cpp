@@ -1,4 +1,4 @@
-#include "surg_core/ur_inverse.hpp"
+#include "surg_core/kinematics/ur_inverse.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "surg_core/exact.hpp"
+#include "surg_core/law/exact.hpp"
 
 #include <Eigen/LU>
 #include <algorithm>

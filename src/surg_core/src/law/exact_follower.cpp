@@ -1,9 +1,9 @@
-#include "surg_core/exact_follower.hpp"
+#include "surg_core/law/exact_follower.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-#include "surg_core/flange_cap.hpp"
+#include "surg_core/limits/flange_cap.hpp"
 
 namespace surg {
 namespace {

@@ -1,4 +1,4 @@
-#include "surg_core/rcm.hpp"
+#include "surg_core/law/rcm.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,9 +1,9 @@
-#include "surg_core/law.hpp"
+#include "surg_core/law/twist_law.hpp"
 
 #include <algorithm>
 
-#include "surg_core/limits.hpp"
-#include "surg_core/rcm.hpp"
+#include "surg_core/law/rcm.hpp"
+#include "surg_core/limits/workspace.hpp"
 
 namespace surg {
 namespace {

@@ -1,4 +1,4 @@
-#include "surg_core/barrier.hpp"
+#include "surg_core/limits/barrier.hpp"
 
 #include <algorithm>
 #include <cmath>

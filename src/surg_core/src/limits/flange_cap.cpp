@@ -1,4 +1,4 @@
-#include "surg_core/flange_cap.hpp"
+#include "surg_core/limits/flange_cap.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "joint_box.hpp"
+#include "limits/joint_box.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -4,7 +4,7 @@
 
 #include <array>
 
-#include "surg_core/limited_step.hpp"
+#include "surg_core/limits/limited_step.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

@@ -1,9 +1,9 @@
-#include "limited_laws.hpp"
+#include "limits/limited_laws.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-#include "inverse.hpp"
+#include "kinematics/jacobian_inverse.hpp"
 
 namespace surg {
 namespace {

@@ -4,8 +4,8 @@
 
 #include <algorithm>
 
-#include "surg_core/barrier.hpp"
-#include "surg_core/limited_step.hpp"
+#include "surg_core/limits/barrier.hpp"
+#include "surg_core/limits/limited_step.hpp"
 
 namespace surg {
 

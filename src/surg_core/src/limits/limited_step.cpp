@@ -1,12 +1,12 @@
-#include "surg_core/limited_step.hpp"
+#include "surg_core/limits/limited_step.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-#include "joint_box.hpp"
-#include "limited_laws.hpp"
-#include "look_ahead.hpp"
-#include "surg_core/flange_cap.hpp"
+#include "limits/joint_box.hpp"
+#include "limits/limited_laws.hpp"
+#include "limits/look_ahead.hpp"
+#include "surg_core/limits/flange_cap.hpp"
 
 namespace surg {
 namespace {

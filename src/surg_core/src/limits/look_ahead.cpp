@@ -1,9 +1,9 @@
-#include "look_ahead.hpp"
+#include "limits/look_ahead.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-#include "joint_box.hpp"
+#include "limits/joint_box.hpp"
 
 namespace surg {
 namespace {

@@ -3,7 +3,7 @@
 
 #include <array>
 
-#include "limited_laws.hpp"
+#include "limits/limited_laws.hpp"
 
 namespace surg {
 

@@ -1,4 +1,4 @@
-#include "surg_core/limits.hpp"
+#include "surg_core/limits/workspace.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "surg_core/braking.hpp"
+#include "surg_core/motion/braking.hpp"
 
 #include <algorithm>
 #include <cmath>

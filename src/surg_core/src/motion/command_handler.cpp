@@ -1,10 +1,10 @@
-#include "surg_core/pilot.hpp"
+#include "surg_core/motion/command_handler.hpp"
 
 #include <cmath>
 
-#include "surg_core/gate.hpp"
-#include "surg_core/limits.hpp"
-#include "surg_core/rcm.hpp"
+#include "surg_core/law/rcm.hpp"
+#include "surg_core/limits/workspace.hpp"
+#include "surg_core/state/gate.hpp"
 
 namespace surg {
 namespace {

@@ -1,4 +1,4 @@
-#include "surg_core/jaw.hpp"
+#include "surg_core/motion/jaw.hpp"
 
 #include <algorithm>
 #include <cmath>

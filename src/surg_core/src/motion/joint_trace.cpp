@@ -1,4 +1,4 @@
-#include "surg_core/joint_trace.hpp"
+#include "surg_core/motion/joint_trace.hpp"
 
 #include <algorithm>
 #include <cmath>

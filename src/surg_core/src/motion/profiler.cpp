@@ -1,4 +1,4 @@
-#include "surg_core/profiler.hpp"
+#include "surg_core/motion/profiler.hpp"
 
 #include <algorithm>
 #include <cmath>

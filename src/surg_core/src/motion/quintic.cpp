@@ -1,4 +1,4 @@
-#include "surg_core/quintic.hpp"
+#include "surg_core/motion/quintic.hpp"
 
 #include <algorithm>
 #include <cmath>

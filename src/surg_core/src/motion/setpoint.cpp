@@ -1,10 +1,10 @@
-#include "surg_core/setpoint.hpp"
+#include "surg_core/motion/setpoint.hpp"
 
 #include <algorithm>
 #include <cmath>
 
-#include "surg_core/limits.hpp"
-#include "surg_core/rcm.hpp"
+#include "surg_core/law/rcm.hpp"
+#include "surg_core/limits/workspace.hpp"
 
 namespace surg {
 namespace {

@@ -1,4 +1,4 @@
-#include "surg_core/stream.hpp"
+#include "surg_core/motion/stream.hpp"
 
 #include <algorithm>
 #include <cmath>

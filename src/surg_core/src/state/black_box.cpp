@@ -1,4 +1,4 @@
-#include "surg_core/black_box.hpp"
+#include "surg_core/state/black_box.hpp"
 
 #include <algorithm>
 #include <cmath>

@@ -1,4 +1,4 @@
-#include "surg_core/force_guard.hpp"
+#include "surg_core/state/force_guard.hpp"
 
 #include <cmath>
 

@@ -1,4 +1,4 @@
-#include "surg_core/gate.hpp"
+#include "surg_core/state/gate.hpp"
 
 #include <algorithm>
 #include <cmath>

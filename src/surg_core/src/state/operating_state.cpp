@@ -1,4 +1,4 @@
-#include "surg_core/operating_state.hpp"
+#include "surg_core/state/operating_state.hpp"
 
 namespace surg {
 namespace {

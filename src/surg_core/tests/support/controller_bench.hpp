@@ -5,7 +5,7 @@
 
 #include <deque>
 
-#include "arm.hpp"
+#include "support/test_arm.hpp"
 #include "surg_core/controller.hpp"
 
 namespace surg::test {

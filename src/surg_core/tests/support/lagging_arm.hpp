@@ -3,7 +3,7 @@
 
 #include <cmath>
 
-#include "support.hpp"
+#include "support/test_support.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg::test {

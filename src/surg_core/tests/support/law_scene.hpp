@@ -5,8 +5,8 @@
 #include <cmath>
 #include <string>
 
-#include "arm.hpp"
-#include "surg_core/exact.hpp"
+#include "support/test_arm.hpp"
+#include "surg_core/law/exact.hpp"
 
 namespace surg::test {
 

@@ -8,10 +8,10 @@
 #include <functional>
 #include <vector>
 
-#include "arm.hpp"
-#include "support.hpp"
-#include "surg_core/limited_step.hpp"
-#include "ur_oracle.hpp"
+#include "support/test_arm.hpp"
+#include "support/test_support.hpp"
+#include "support/ur_oracle.hpp"
+#include "surg_core/limits/limited_step.hpp"
 
 namespace surg::test {
 

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <vector>
 
-#include "surg_core/quintic.hpp"
+#include "surg_core/motion/quintic.hpp"
 
 namespace surg::test {
 

@@ -5,7 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "surg_core/quintic.hpp"
+#include "surg_core/motion/quintic.hpp"
 
 namespace surg::test {
 

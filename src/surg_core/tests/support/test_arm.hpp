@@ -9,7 +9,7 @@
 
 #include "surg_core/config.hpp"
 #include "surg_core/controller.hpp"
-#include "surg_core/kinematics.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 
 namespace surg::test {
 

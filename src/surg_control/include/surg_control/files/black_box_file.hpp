@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "surg_core/black_box.hpp"
+#include "surg_core/state/black_box.hpp"
 
 namespace surg_control {
 

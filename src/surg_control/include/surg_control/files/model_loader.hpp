@@ -5,7 +5,7 @@
 #include <string>
 
 #include "surg_core/config.hpp"
-#include "surg_core/kinematics.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 
 namespace surg_control {
 

@@ -8,7 +8,7 @@
 #include <stdexcept>
 
 #include "surg_core/config.hpp"
-#include "surg_core/kinematics.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 
 namespace surg_control {
 

@@ -6,9 +6,9 @@
 #include <cstdint>
 #include <string_view>
 
-#include "surg_control/command_item.hpp"
-#include "surg_control/echoes.hpp"
-#include "surg_core/black_box.hpp"
+#include "surg_control/loop/cycle_data.hpp"
+#include "surg_control/loop/stamp_history.hpp"
+#include "surg_core/state/black_box.hpp"
 
 namespace surg_control {
 

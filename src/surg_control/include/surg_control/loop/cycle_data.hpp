@@ -6,7 +6,7 @@
 #include <cstdint>
 #include <limits>
 
-#include "surg_control/base_frame.hpp"
+#include "surg_control/topics/base_frame.hpp"
 #include "surg_core/controller.hpp"
 
 namespace surg_control {

@@ -1,6 +1,6 @@
 // Lock-step: holds commands until every declared participant has said "that was all for this tick",
-// then gives them out in an order that no network can change (docs/reference/conventions.md, lock-step).
-// Pure.
+// then gives them out in an order that no network can change (docs/reference/conventions.md,
+// lock-step). Pure.
 #pragma once
 
 #include <cstddef>
@@ -10,7 +10,7 @@
 #include <utility>
 #include <vector>
 
-#include "surg_control/command_item.hpp"
+#include "surg_control/loop/cycle_data.hpp"
 
 namespace surg_control {
 

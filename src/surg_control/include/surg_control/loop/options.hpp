@@ -6,7 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/config_loader.hpp"
+#include "surg_control/files/config_loader.hpp"
 #include "surg_core/controller.hpp"
 
 namespace surg_control {

@@ -18,19 +18,19 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/announcer.hpp"
-#include "surg_control/black_box_writer.hpp"
-#include "surg_control/command_inlets.hpp"
-#include "surg_control/control_cycle.hpp"
-#include "surg_control/handover.hpp"
-#include "surg_control/health.hpp"
-#include "surg_control/housekeeping.hpp"
-#include "surg_control/kinematics_services.hpp"
-#include "surg_control/lockstep_gate.hpp"
-#include "surg_control/model_loader.hpp"
-#include "surg_control/options.hpp"
-#include "surg_control/outlets.hpp"
-#include "surg_control/robot_command.hpp"
+#include "surg_control/files/model_loader.hpp"
+#include "surg_control/loop/control_cycle.hpp"
+#include "surg_control/loop/lockstep_gate.hpp"
+#include "surg_control/loop/options.hpp"
+#include "surg_control/loop/thread_channels.hpp"
+#include "surg_control/monitor/black_box_writer.hpp"
+#include "surg_control/monitor/health.hpp"
+#include "surg_control/monitor/system_monitor.hpp"
+#include "surg_control/topics/announcer.hpp"
+#include "surg_control/topics/command_subscribers.hpp"
+#include "surg_control/topics/kinematics_services.hpp"
+#include "surg_control/topics/robot_command.hpp"
+#include "surg_control/topics/state_publishers.hpp"
 
 namespace surg_control {
 

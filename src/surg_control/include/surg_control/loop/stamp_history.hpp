@@ -9,7 +9,7 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "surg_control/command_item.hpp"
+#include "surg_control/loop/cycle_data.hpp"
 
 namespace surg_control {
 

@@ -6,8 +6,8 @@
 #include <string>
 #include <thread>
 
-#include "surg_control/announcer.hpp"
-#include "surg_core/black_box.hpp"
+#include "surg_control/topics/announcer.hpp"
+#include "surg_core/state/black_box.hpp"
 
 namespace surg_control {
 

@@ -9,11 +9,11 @@
 #include <string>
 #include <thread>
 
-#include "surg_control/announcer.hpp"
-#include "surg_control/clock_watch.hpp"
-#include "surg_control/health.hpp"
-#include "surg_control/master_probe.hpp"
-#include "surg_control/parameter_watch.hpp"
+#include "surg_control/monitor/clock_watch.hpp"
+#include "surg_control/monitor/health.hpp"
+#include "surg_control/monitor/master_probe.hpp"
+#include "surg_control/monitor/parameter_watch.hpp"
+#include "surg_control/topics/announcer.hpp"
 
 namespace surg_control {
 

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/decode.hpp"
+#include "surg_control/topics/decode.hpp"
 
 namespace surg_control {
 

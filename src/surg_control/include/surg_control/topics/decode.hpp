@@ -11,7 +11,7 @@
 #include <string>
 #include <vector>
 
-#include "surg_control/command_item.hpp"
+#include "surg_control/loop/cycle_data.hpp"
 
 namespace surg_control {
 

@@ -7,8 +7,8 @@
 
 #include <string>
 
-#include "surg_control/base_frame.hpp"
-#include "surg_control/handover.hpp"
+#include "surg_control/loop/thread_channels.hpp"
+#include "surg_control/topics/base_frame.hpp"
 #include "surg_core/config.hpp"
 
 namespace surg_control {

@@ -8,8 +8,8 @@
 
 #include <string>
 
-#include "surg_control/command_item.hpp"
-#include "surg_control/source_table.hpp"
+#include "surg_control/loop/cycle_data.hpp"
+#include "surg_control/topics/source_table.hpp"
 
 namespace surg_control {
 

@@ -5,8 +5,8 @@
 #include <ros/ros.h>
 #include <sensor_msgs/JointState.h>
 
-#include "surg_control/command_item.hpp"
-#include "surg_control/config_loader.hpp"
+#include "surg_control/files/config_loader.hpp"
+#include "surg_control/loop/cycle_data.hpp"
 
 namespace surg_control {
 

@@ -12,13 +12,13 @@
 
 #include <string>
 
-#include "surg_control/announcer.hpp"
-#include "surg_control/command_item.hpp"
-#include "surg_control/config_loader.hpp"
-#include "surg_control/diagnostics.hpp"
-#include "surg_control/model_loader.hpp"
-#include "surg_control/source_table.hpp"
-#include "surg_control/spokesman.hpp"
+#include "surg_control/files/config_loader.hpp"
+#include "surg_control/files/model_loader.hpp"
+#include "surg_control/loop/cycle_data.hpp"
+#include "surg_control/monitor/diagnostics.hpp"
+#include "surg_control/topics/announcer.hpp"
+#include "surg_control/topics/source_table.hpp"
+#include "surg_control/topics/status_reporter.hpp"
 
 namespace surg_control {
 

@@ -4,9 +4,9 @@
 #include <cstdint>
 #include <string>
 
-#include "surg_control/announcer.hpp"
-#include "surg_control/command_item.hpp"
-#include "surg_control/source_table.hpp"
+#include "surg_control/loop/cycle_data.hpp"
+#include "surg_control/topics/announcer.hpp"
+#include "surg_control/topics/source_table.hpp"
 #include "surg_core/config.hpp"
 
 namespace surg_control {

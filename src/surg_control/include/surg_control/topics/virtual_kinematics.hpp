@@ -2,7 +2,7 @@
 // ways (docs/reference/conventions.md, "Virtual joints"). Pure.
 #pragma once
 
-#include "surg_control/base_frame.hpp"
+#include "surg_control/topics/base_frame.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg_control {

@@ -2,10 +2,10 @@
 // find it.
 #pragma once
 
-#include "surg_core/image.hpp"
-#include "surg_core/kinematics.hpp"
-#include "surg_core/rcm.hpp"
-#include "surg_core/trocar.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/kinematics/trocar.hpp"
+#include "surg_core/law/rcm.hpp"
+#include "surg_core/state/snapshot.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

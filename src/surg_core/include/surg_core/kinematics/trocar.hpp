@@ -1,7 +1,7 @@
 // The pivot point: taught once, or tracked while it moves (rcm/track).
 #pragma once
 
-#include "surg_core/operating_state.hpp"
+#include "surg_core/state/operating_state.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

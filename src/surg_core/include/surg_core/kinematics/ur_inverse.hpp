@@ -7,7 +7,7 @@
 #include <optional>
 #include <string>
 
-#include "surg_core/kinematics.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

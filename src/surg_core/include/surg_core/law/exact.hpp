@@ -6,10 +6,10 @@
 
 #include <optional>
 
-#include "surg_core/kinematics.hpp"
-#include "surg_core/rcm.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/kinematics/ur_inverse.hpp"
+#include "surg_core/law/rcm.hpp"
 #include "surg_core/types.hpp"
-#include "surg_core/ur_inverse.hpp"
 
 namespace surg {
 

@@ -1,9 +1,9 @@
 // What the law asks of the flange in one cycle, for a set-point on its way.
 #pragma once
 
-#include "surg_core/arm_state.hpp"
 #include "surg_core/config.hpp"
-#include "surg_core/setpoint.hpp"
+#include "surg_core/kinematics/arm_state.hpp"
+#include "surg_core/motion/setpoint.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

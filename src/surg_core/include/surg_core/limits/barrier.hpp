@@ -4,7 +4,7 @@
 
 #include <array>
 
-#include "surg_core/kinematics.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

@@ -13,12 +13,12 @@
 #include <array>
 #include <cstdint>
 
-#include "surg_core/barrier.hpp"
 #include "surg_core/config.hpp"
-#include "surg_core/exact.hpp"
-#include "surg_core/joint_trace.hpp"
-#include "surg_core/kinematics.hpp"
-#include "surg_core/rcm.hpp"
+#include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/law/exact.hpp"
+#include "surg_core/law/rcm.hpp"
+#include "surg_core/limits/barrier.hpp"
+#include "surg_core/motion/joint_trace.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

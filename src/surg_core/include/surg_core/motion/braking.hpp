@@ -4,7 +4,7 @@
 
 #include <array>
 
-#include "surg_core/quintic.hpp"
+#include "surg_core/motion/quintic.hpp"
 
 namespace surg {
 

@@ -2,10 +2,10 @@
 // source has fallen silent. Authority, finiteness and operating state have been checked before.
 #pragma once
 
-#include "surg_core/command.hpp"
 #include "surg_core/config.hpp"
-#include "surg_core/operating_state.hpp"
-#include "surg_core/setpoint.hpp"
+#include "surg_core/motion/command.hpp"
+#include "surg_core/motion/setpoint.hpp"
+#include "surg_core/state/operating_state.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

@@ -5,8 +5,8 @@
 
 #include <array>
 
-#include "surg_core/braking.hpp"
-#include "surg_core/quintic.hpp"
+#include "surg_core/motion/braking.hpp"
+#include "surg_core/motion/quintic.hpp"
 
 namespace surg {
 

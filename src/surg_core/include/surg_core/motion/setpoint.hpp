@@ -7,8 +7,8 @@
 #include <array>
 
 #include "surg_core/config.hpp"
-#include "surg_core/profiler.hpp"
-#include "surg_core/stream.hpp"
+#include "surg_core/motion/profiler.hpp"
+#include "surg_core/motion/stream.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {

@@ -2,7 +2,7 @@
 // closed form, with no planning and no failure branch; and the alpha-beta estimate that feeds it.
 #pragma once
 
-#include "surg_core/quintic.hpp"
+#include "surg_core/motion/quintic.hpp"
 
 namespace surg {
 

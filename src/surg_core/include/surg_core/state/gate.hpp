@@ -5,7 +5,7 @@
 #include <cstdint>
 
 #include "surg_core/config.hpp"
-#include "surg_core/operating_state.hpp"
+#include "surg_core/state/operating_state.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
