@@ -76,4 +76,4 @@ class TouchExpert(ArmExpert):
 
     def script(self) -> Iterator[None]:
         """See ``ArmExpert``."""
-        yield from self.move(self.view.point("ball"), slowest=0.8)
+        yield from self.move(self.observation.point("ball"), slowest=0.8)

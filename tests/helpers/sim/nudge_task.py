@@ -16,11 +16,11 @@ from surg_sim.tasks import State, Task, Verdict
 from surg_sim.tasks.scripted_sender import (
     ENABLED,
     STEP,
-    ArmWish,
+    Action,
+    ArmAction,
     Expert,
     MinimumJerk,
-    View,
-    Wishes,
+    Observation,
     tip_quaternion,
 )
 
@@ -86,22 +86,24 @@ class Nudger(Expert):
         self.arms = arms
         self._ways: dict[str, MinimumJerk] = {}
 
-    def act(self, view: View) -> Wishes:
+    def act(self, observation: Observation) -> Action:
         """Home, enable, stream."""
-        wishes = Wishes()
+        action = Action()
         for name in self.arms:
-            arm = view.arms[name]
-            wish = wishes.arms[name] = ArmWish()
+            arm = observation.arms[name]
+            arm_action = action.arms[name] = ArmAction()
             if not arm.homed:
-                wish.state = "home"
+                arm_action.state = "home"
             elif arm.state != ENABLED:
-                wish.state = "enable"
+                arm_action.state = "enable"
             else:
-                p, offset = np.array([0.0, 0.0, DEPTH]), view.point("offset")
+                p, offset = np.array([0.0, 0.0, DEPTH]), observation.point("offset")
                 if name not in self._ways:
                     self._ways[name] = MinimumJerk(p, 0.05, 0.3)
                     self._ways[name].go(p + offset)
-                wish.p = self._ways[name].advance(STEP)
-                wish.q = tip_quaternion(wish.p, 0.1 * float(np.linalg.norm(wish.p - p)) / 0.006)
-                wish.jaw = 0.3
-        return wishes
+                arm_action.p = self._ways[name].advance(STEP)
+                arm_action.q = tip_quaternion(
+                    arm_action.p, 0.1 * float(np.linalg.norm(arm_action.p - p)) / 0.006
+                )
+                arm_action.jaw = 0.3
+        return action

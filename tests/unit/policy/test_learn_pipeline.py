@@ -22,7 +22,7 @@ from surg_sim.envs import demonstrations, policy_rollouts
 from surg_sim.envs.recorded_episode import RecordedSession
 from surg_sim.envs.surg_env import SurgEnv
 from surg_sim.physics import cell_files
-from surg_sim.tasks.perturbed_sender import Shaken
+from surg_sim.tasks.perturbed_sender import PerturbedExpert
 from surg_sim.tasks.scripted_arm import ArmExpert
 
 SHORT = str(paths.ROOT / "tests" / "helpers" / "sim" / "short_bgr.py")
@@ -40,7 +40,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
         robot = experts["expert"]
         assert isinstance(robot, ArmExpert)
         if spread:
-            experts["expert"] = Shaken(robot, seed, spread)
+            experts["expert"] = PerturbedExpert(robot, seed, spread)
         session.record(out / str(seed), seed, experts, shake=spread)
     return out
 

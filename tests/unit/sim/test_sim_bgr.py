@@ -158,10 +158,10 @@ def test_letting_go_is_a_failure(session: Session) -> None:
 def test_the_assistant_letting_go_is_a_failure(session: Session) -> None:
     class Careless(AssistantExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
-            wishes = super().act(view)
+            action = super().act(view)
             if view.phase in ("retract", "still"):
                 self.jaw = OPEN
-            return wishes
+            return action
 
     report = play(session, assistant=Careless(SEED))
     assert (report.success, report.reason) == (False, "the assistant lost its grasp")
@@ -170,12 +170,12 @@ def test_the_assistant_letting_go_is_a_failure(session: Session) -> None:
 def test_an_instrument_that_keeps_moving_is_a_failure(session: Session) -> None:
     class Restless(RobotExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
-            wishes = super().act(view)
-            wish = wishes.arms.get("PSM1")
-            if view.phase == "still" and wish is not None and wish.p is not None:
+            action = super().act(view)
+            arm_action = action.arms.get("PSM1")
+            if view.phase == "still" and arm_action is not None and arm_action.p is not None:
                 up = 0.002 * np.sin(2 * np.pi * view.tick / 500.0)
-                wish.p = wish.p + np.array([0.0, 0.0, up])
-            return wishes
+                arm_action.p = arm_action.p + np.array([0.0, 0.0, up])
+            return action
 
     report = play(session, robot=Restless(session.cell, SEED), limit=13.0)
     assert (report.success, report.reason) == (False, "time limit of 13 s in phase 'still'")

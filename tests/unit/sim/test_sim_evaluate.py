@@ -10,7 +10,7 @@ import pytest
 from surg_sim import tasks
 from surg_sim.envs import expert_evaluation
 from surg_sim.envs.episode_runner import ArmReport, EpisodeReport, Spread
-from surg_sim.physics.patient_settings import CONDITIONS, condition
+from surg_sim.physics.patient_settings import SETTINGS, find_setting
 from surg_sim.physics.trocar import TrocarParameters
 
 
@@ -33,9 +33,9 @@ def test_a_hundred_of_a_hundred_and_ninety_five_say_what_they_should() -> None:
     assert expert_evaluation.wilson(95, 100)[0] < 0.90 < expert_evaluation.wilson(96, 100)[0]
 
 
-@pytest.mark.parametrize("name", CONDITIONS)
+@pytest.mark.parametrize("name", SETTINGS)
 def test_each_disturbance_alone_is_the_setting_s_own(name: str) -> None:
-    setting = condition(name)
+    setting = find_setting(name)
     rows = expert_evaluation.alone(setting)
     none = rows["nothing but the drives"]
     assert (none.tool_error, none.encoder, none.breathing.amplitude) == (None, 0.0, 0.0)

@@ -17,7 +17,7 @@ from surg_sim import tasks
 from surg_sim.envs.cell_session import Session
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files
-from surg_sim.physics.patient_settings import condition
+from surg_sim.physics.patient_settings import find_setting
 from surg_sim.tasks import TaskError, episode_seeds
 
 EXAMPLE = paths.ROOT / "examples/touch_task.py"
@@ -78,7 +78,7 @@ def test_arms_and_instruments_that_a_task_needs(
 ) -> None:
     cell = surg_core.load_cell(cell_of(tmp_path / "cell", arm, instrument))
     with pytest.raises(TaskError, match=said):
-        tasks.load(task).prepare(cell, condition("phantom"))
+        tasks.load(task).prepare(cell, find_setting("phantom"))
 
 
 def test_a_force_on_the_jaws_is_said_in_the_base_frame(
@@ -101,7 +101,9 @@ def test_the_cells_that_a_refusal_names_do_fit(name: str) -> None:
     task = tasks.load(name)
     assert task.home_cell in task.fitting_cells
     for cell in task.fitting_cells:
-        tasks.load(name).prepare(surg_core.load_cell(cell_files.find(cell)), condition("phantom"))
+        tasks.load(name).prepare(
+            surg_core.load_cell(cell_files.find(cell)), find_setting("phantom")
+        )
 
 
 BROKEN = {

@@ -9,7 +9,7 @@ import pytest
 from helpers.results.tissue_results import note
 from helpers.sim.phantom import Phantom, arm_of
 from surg_sim.physics import scene
-from surg_sim.physics.patient_settings import CONDITIONS
+from surg_sim.physics.patient_settings import SETTINGS
 from surg_sim.physics.sim_arm import ActuatorParameters, ArmCommand, ArmLink
 from surg_sim.physics.tissue import TissueParameters, add_bowel, rest_shape
 from surg_sim.physics.trocar_motion import Sinusoid
@@ -165,7 +165,7 @@ def test_the_tension_is_what_statics_demands(phantom: Phantom) -> None:
 
 def test_stretch_stiffness_is_the_parameter() -> None:
     """Force per strain of the springs side by side, from their definition."""
-    for name, setting in CONDITIONS.items():
+    for name, setting in SETTINGS.items():
         p = setting.tissue
         k = p.springs
         assert p.spacing * (k[0] + 4 * k[1] + 16 * k[2]) == pytest.approx(p.stretch), name
@@ -206,7 +206,7 @@ def test_the_floor_carries_what_is_pressed_down(phantom: Phantom) -> None:
 
 
 def test_breathing_carries_the_bowel(phantom: Phantom) -> None:
-    motion = CONDITIONS["in_vivo"].breathing.bed()
+    motion = SETTINGS["in_vivo"].breathing.bed()
     assert isinstance(motion, Sinusoid)
     phantom.bowel.bed.move(motion)
     start, heights, worst = phantom.bowel.nodes, [], 0.0
@@ -268,7 +268,7 @@ def test_the_robot_does_not_feel_a_bowel_that_it_does_not_touch() -> None:
 
 def test_the_plain_shape_fits_every_setting() -> None:
     site = scene.site_of([arm_of("sim_ur5e")])
-    for setting in CONDITIONS.values():
+    for setting in SETTINGS.values():
         nodes = rest_shape(site, setting.tissue)
         assert nodes.shape == (setting.tissue.nodes, 3)
         middle = site.local(nodes.mean(axis=0))

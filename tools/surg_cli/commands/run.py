@@ -139,12 +139,12 @@ def _settings(text: str) -> list[str]:
     Raises:
         Problem: One does not exist; lists those that do.
     """
-    from surg_sim.physics.patient_settings import CONDITIONS, condition
+    from surg_sim.physics.patient_settings import SETTINGS, find_setting
 
-    wanted = list(CONDITIONS) if text == "all" else text.split(",")
+    wanted = list(SETTINGS) if text == "all" else text.split(",")
     for name in wanted:
         try:
-            condition(name)
+            find_setting(name)
         except ValueError as error:
             raise Problem(f"--setting {text}: {error}", 2) from error
     return list(dict.fromkeys(wanted))
@@ -218,14 +218,14 @@ def make_plan(
         Problem: The task is unknown, does not fit the cell, or has nobody who plays it.
     """
     from surg_sim import tasks
-    from surg_sim.physics.patient_settings import condition
+    from surg_sim.physics.patient_settings import find_setting
 
     if task.endswith(".py"):
         task = str(Path(task).absolute())
     try:
         for each in conditions:
             found = tasks.load(task)
-            found.prepare(loaded, condition(each.setting))
+            found.prepare(loaded, find_setting(each.setting))
         senders = {name: tuple(e.arms) for name, e in found.experts(loaded, seed).items()}
     except ValueError as error:  # a TaskError is one
         raise Problem(str(error), 2) from error

@@ -206,10 +206,10 @@ def _plan(options: argparse.Namespace) -> Plan:
 def _check_task(loaded: Any, task: str, setting: str) -> None:
     """Refuse what the simulator would refuse, before anything starts."""
     from surg_sim import tasks
-    from surg_sim.physics.patient_settings import condition
+    from surg_sim.physics.patient_settings import find_setting
 
     try:
-        tasks.load(task).prepare(loaded, condition(setting))
+        tasks.load(task).prepare(loaded, find_setting(setting))
     except ValueError as error:  # a TaskError is one
         raise Problem(str(error), 2) from error
 

@@ -1,9 +1,9 @@
-"""Tells a message that came twice from one that was sent twice.
+"""Recognises messages that arrive twice over two connections to the same publisher.
 
-A subscriber can be connected to one publisher over two connections: its own registration and an
-update by the master may race. Every message then arrives once on each. What has come over another
-connection of the same publisher within the last seconds is a repeat; what comes again over the same
-connection is news.
+A subscriber may connect twice to one publisher when its own registration races with an update from
+the master. Each message then arrives once per connection. A message that another connection has
+delivered within the last seconds is a duplicate; one that repeats on the same connection was sent
+twice and counts.
 """
 
 from __future__ import annotations
@@ -13,45 +13,45 @@ from collections import deque
 from collections.abc import Hashable
 
 WINDOW_S = 5.0
-"""How far two connections may be apart [s]."""
+"""Largest delay between the two connections [s]."""
 
 
-class Deliveries:
-    """What one publisher has delivered on one topic. Every connection may have its own thread."""
+class DuplicateFilter:
+    """Deliveries of one publisher on one topic. Each connection may have its own thread."""
 
     def __init__(self, window_s: float = WINDOW_S) -> None:
-        self.repeats = 0
-        """Messages that were recognised as repeats."""
+        self.duplicates = 0
+        """Number of messages recognised as duplicates."""
         self._window_s = window_s
         self._recent: deque[tuple[float, Hashable]] = deque()
         self._by_key: dict[Hashable, deque[set[int]]] = {}
         self._lock = threading.Lock()
 
-    def repeated(self, connection: int, key: Hashable, now: float) -> bool:
-        """Whether another connection has delivered this message already.
+    def is_duplicate(self, connection: int, key: Hashable, now: float) -> bool:
+        """Whether another connection has already delivered this message.
 
         Args:
-            connection: identity of the connection it came over.
-            key: identity of the message: sequence number and stamp, or its content.
-            now: steady clock [s]; never goes back by much.
+            connection: Identity of the connection that delivered it.
+            key: Identity of the message: sequence number and stamp, or its content.
+            now: Steady clock [s].
         """
         with self._lock:
             self._forget(now)
-            same = self._by_key.setdefault(key, deque())
-            for delivered_by in same:
+            same_key = self._by_key.setdefault(key, deque())
+            for delivered_by in same_key:
                 if connection not in delivered_by:
                     delivered_by.add(connection)
-                    self.repeats += 1
+                    self.duplicates += 1
                     return True
-            news = {connection}
-            same.append(news)
+            first_delivery = {connection}
+            same_key.append(first_delivery)
             self._recent.append((now, key))
             return False
 
     def _forget(self, now: float) -> None:
         while self._recent and self._recent[0][0] < now - self._window_s:
             _, key = self._recent.popleft()
-            same = self._by_key[key]
-            same.popleft()  # the oldest of a key is the oldest of all
-            if not same:
+            same_key = self._by_key[key]
+            same_key.popleft()  # the oldest delivery of a key is also the oldest of all
+            if not same_key:
                 del self._by_key[key]

@@ -31,7 +31,7 @@ from crtk_msgs.msg import OperatingState
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, Ready, TaskState
 from surg_recording.clock.clock_steps import SteppedClock
 from surg_recording.episode import annotations, provenance, table_rows
-from surg_recording.episode.duplicate_filter import Deliveries
+from surg_recording.episode.duplicate_filter import DuplicateFilter
 from surg_recording.episode.episode_reader import PARTIAL
 from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.message_fields import Flat
@@ -99,7 +99,7 @@ class RecorderNode:
         self._last_row = time.monotonic()
         self._states: dict[str, str] = {}
         self._info: dict[str, Any] = {}
-        self._deliveries: dict[tuple[str, str], Deliveries] = {}
+        self._duplicate_filters: dict[tuple[str, str], DuplicateFilter] = {}
         self._clock = SteppedClock(self._on_clock_step)
         taken = frozenset((*self._own_topics(), *settings.cameras.values()))
         self.choice = TopicChoice(list(settings.topics), taken)
@@ -132,7 +132,7 @@ class RecorderNode:
                 "versions": provenance.versions(),
                 "host": provenance.host(),
             }
-            self._deliveries = {}
+            self._duplicate_filters = {}
             try:
                 self.recording = Recording(
                     s.out,
@@ -213,8 +213,8 @@ class RecorderNode:
     def _repeats(self) -> dict[str, int]:
         """Topic → messages that came twice over two connections."""
         found: dict[str, int] = {}
-        for (topic, _), deliveries in list(self._deliveries.items()):
-            found[topic] = found.get(topic, 0) + deliveries.repeats
+        for (topic, _), duplicate_filter in list(self._duplicate_filters.items()):
+            found[topic] = found.get(topic, 0) + duplicate_filter.duplicates
         return {topic: count for topic, count in found.items() if count}
 
     def _warn_of_silence(self, recording: Recording) -> None:
@@ -308,10 +308,10 @@ class RecorderNode:
         """Whether a second connection to the same publisher has brought this message before."""
         header = message._connection_header  # one object for each connection
         publisher = (topic, str(header.get("callerid", "")))
-        deliveries = self._deliveries.get(publisher)
-        if deliveries is None:
-            deliveries = self._deliveries.setdefault(publisher, Deliveries())
-        return deliveries.repeated(id(header), key, time.monotonic())
+        duplicate_filter = self._duplicate_filters.get(publisher)
+        if duplicate_filter is None:
+            duplicate_filter = self._duplicate_filters.setdefault(publisher, DuplicateFilter())
+        return duplicate_filter.is_duplicate(id(header), key, time.monotonic())
 
     def _on_cycle(self, arm: str, message: Cycle) -> None:
         recording = self.recording

@@ -18,12 +18,12 @@ import numpy as np
 
 import surg_core
 from surg_sim.physics.assistant_arm import AssistantCommand
-from surg_sim.physics.patient_settings import Condition, condition
+from surg_sim.physics.patient_settings import PatientSetting, find_setting
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.stability import trouble
 from surg_sim.physics.world import World
 from surg_sim.tasks import GRID, State, Task, Verdict, load
-from surg_sim.tasks.scripted_sender import ArmView, ArmWish, View, Wishes
+from surg_sim.tasks.scripted_sender import Action, ArmAction, ArmView, Observation
 
 Command = surg_core.MotionCommand | surg_core.StateCommand
 """To an arm in one tick: state commands are obeyed first, then motions in their order."""
@@ -58,10 +58,10 @@ class Tick:
     state: State
     verdict: Verdict
 
-    def view(self) -> View:
+    def observation(self) -> Observation:
         """The same as a sender sees it."""
         arms = {name: ArmView.of(out) for name, out in self.outputs.items()}
-        return View(tick=self.tick, arms=arms, task=self.state, phase=self.verdict.phase)
+        return Observation(tick=self.tick, arms=arms, task=self.state, phase=self.verdict.phase)
 
 
 class Session:
@@ -70,7 +70,7 @@ class Session:
     Args:
         cell: A loaded cell, or its path.
         task: A task, or what ``tasks.load`` takes.
-        setting: Of ``conditions.CONDITIONS``, or a condition of one's own.
+        setting: Of ``patient_settings.SETTINGS``, or a condition of one's own.
         seed: Of the first episode, and of the look of the tissue.
         looks: Build also what only pictures need; the physics is the same.
         law: Of ``LAWS``.
@@ -84,7 +84,7 @@ class Session:
         self,
         cell: surg_core.Cell | Path | str,
         task: Task | str,
-        setting: str | Condition = "phantom",
+        setting: str | PatientSetting = "phantom",
         seed: int = 0,
         looks: bool = False,
         law: str = "ours",
@@ -94,9 +94,9 @@ class Session:
             raise ValueError(f"no law '{law}': there are {', '.join(LAWS)}")
         self.cell = cell if isinstance(cell, surg_core.Cell) else surg_core.load_cell(cell)
         self.task = load(task) if isinstance(task, str) else task
-        self.condition = condition(setting) if isinstance(setting, str) else setting
+        self.setting = find_setting(setting) if isinstance(setting, str) else setting
         self.law, self.every = law, every
-        self.world = World(self.cell, seed, looks, condition=self.condition, task=self.task)
+        self.world = World(self.cell, seed, looks, setting=self.setting, task=self.task)
         self.seed = seed
         self._begin()
 
@@ -115,7 +115,7 @@ class Session:
             )
             controller.set_rcm(arm.trocar.p_BRcm)
             self.controllers[name] = controller
-        self._felt = dict.fromkeys(self.controllers, surg_core.Readings())
+        self._force_readings = dict.fromkeys(self.controllers, surg_core.Readings())
 
     @property
     def hash(self) -> str:
@@ -145,20 +145,20 @@ class Session:
             motions = [item for item in given if isinstance(item, surg_core.MotionCommand)]
             measured = world.state(name)
             out = controller.step(
-                measured.q, measured.qd, motions, measured.jaw, readings=self._felt[name]
+                measured.q, measured.qd, motions, measured.jaw, readings=self._force_readings[name]
             )
             outputs[name] = out
             jaw = out.jaw_set if math.isfinite(out.jaw_set) else None
             answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw)
             if tick % FORCE_TICKS == 0:
-                self._felt[name] = self._feel(name)
+                self._force_readings[name] = self._read_force_sensors(name)
         world.step(answers, assistant)
         unstable = trouble(world.data)
         if unstable:
             verdict = Verdict(done=True, reason=unstable, phase=verdict.phase)
         return Tick(tick, outputs, state, verdict)
 
-    def _feel(self, arm: str) -> surg_core.Readings:
+    def _read_force_sensors(self, arm: str) -> surg_core.Readings:
         """What the force sensors of an arm measure now."""
         at_trocar = surg_core.ForceSample(self.world.truth(arm).trocar_force)
         tip = self.world.tip_force(arm)
@@ -166,30 +166,30 @@ class Session:
         return surg_core.Readings(trocar_force=at_trocar, tip_force=at_tip)
 
 
-def decode(wish: ArmWish) -> list[Command]:
+def decode(action: ArmAction) -> list[Command]:
     """An arm's commands as the controller node makes them of messages."""
     motion, kinds = surg_core.MotionCommand, surg_core.Motion
     found: list[Command] = []
-    if wish.state is not None:
-        found.append(getattr(surg_core.StateCommand, wish.state.upper()))
-    if wish.hold:
+    if action.state is not None:
+        found.append(getattr(surg_core.StateCommand, action.state.upper()))
+    if action.hold:
         found.append(motion(kinds.HOLD, SOURCE))
-    if wish.jaw is not None:
-        found.append(motion(kinds.JAW_SERVO_JP, SOURCE, jaw=wish.jaw))
-    if wish.p is not None and wish.q is not None:
-        x, y, z, w = (float(v) for v in wish.q)
+    if action.jaw is not None:
+        found.append(motion(kinds.JAW_SERVO_JP, SOURCE, jaw=action.jaw))
+    if action.p is not None and action.q is not None:
+        x, y, z, w = (float(v) for v in action.q)
         norm = math.sqrt((x * x + z * z) + (y * y + w * w))  # summed as Eigen does in the node
         rotation = np.array([x, y, z, w]) / norm
-        found.append(motion(kinds.SERVO_CP, SOURCE, p=wish.p, rotation=rotation))
+        found.append(motion(kinds.SERVO_CP, SOURCE, p=action.p, rotation=rotation))
     return found
 
 
-def merge(wishes: Sequence[Wishes]) -> tuple[dict[str, list[Command]], AssistantCommand | None]:
-    """The wishes of several senders as ``Session.tick`` takes them, in the senders' order."""
+def merge(actions: Sequence[Action]) -> tuple[dict[str, list[Command]], AssistantCommand | None]:
+    """The actions of several senders as ``Session.tick`` takes them, in the senders' order."""
     commands: dict[str, list[Command]] = {}
     assistant = None
-    for each in wishes:
-        for arm, wish in each.arms.items():
-            commands.setdefault(arm, []).extend(decode(wish))
+    for each in actions:
+        for arm, action in each.arms.items():
+            commands.setdefault(arm, []).extend(decode(action))
         assistant = each.assistant or assistant
     return commands, assistant

@@ -16,7 +16,7 @@ from pathlib import Path
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
 from surg_sim.envs.recorded_episode import RecordedSession
-from surg_sim.tasks.perturbed_sender import Shaken
+from surg_sim.tasks.perturbed_sender import PerturbedExpert
 from surg_sim.tasks.scripted_arm import ArmExpert
 
 
@@ -28,7 +28,7 @@ class Plan:
         out: Folder of the recordings; each is ``<out>/<seed>``.
         cell: Folder of the cell.
         task: Name.
-        setting: Of ``conditions.CONDITIONS``.
+        setting: Of ``patient_settings.SETTINGS``.
         cameras: Views to record.
         size: Of the pictures [px].
         shake: Of every second demonstration, see ``experts.shaken`` [m]; 0: of none.
@@ -139,6 +139,6 @@ def _play_one(plan: Plan, seed: int, shaken: bool) -> Demonstration:
     if spread > 0.0:
         for name, expert in experts.items():
             if isinstance(expert, ArmExpert):
-                experts[name] = Shaken(expert, seed, spread)
+                experts[name] = PerturbedExpert(expert, seed, spread)
     report = session.record(folder, seed, experts, shake=spread)
     return Demonstration(seed, report.success, report.reason, report.duration)

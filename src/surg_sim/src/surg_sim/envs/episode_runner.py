@@ -116,11 +116,11 @@ def run_episode(
             watch(tick)
         if tick.verdict.done:
             break
-        said = []
+        actions = []
         if tick.tick % GRID == 0:
-            view = tick.view()
-            said = [sender.tick(view) for sender in senders]
-        commands, assistant = merge(said)
+            observation = tick.observation()
+            actions = [sender.tick(observation) for sender in senders]
+        commands, assistant = merge(actions)
     return EpisodeReport(
         seed=seed,
         success=tick.verdict.success,

@@ -25,7 +25,7 @@ from surg_sim import tasks
 from surg_sim.envs.cell_session import Session
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics import cell_files
-from surg_sim.physics.patient_settings import CONDITIONS, Breathing, Condition, condition
+from surg_sim.physics.patient_settings import SETTINGS, Breathing, PatientSetting, find_setting
 from surg_sim.physics.trocar import TrocarParameters
 from surg_sim.tasks import episode_seeds
 
@@ -51,7 +51,7 @@ class Series:
     label: str
     cell: str
     task: str
-    condition: Condition
+    condition: PatientSetting
     law: str
     seeds: tuple[int, ...]
 
@@ -70,7 +70,7 @@ def wilson(successes: int, n: int, z: float = 1.959964) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def alone(setting: Condition) -> dict[str, Condition]:
+def alone(setting: PatientSetting) -> dict[str, PatientSetting]:
     """The disturbances of a setting, each alone, then all together; drives are the robot's own.
 
     Nothing disturbs the first one: no wall, no breathing, an exact calibration and encoder. What
@@ -161,20 +161,20 @@ def plan(
     less = test if others is None else tuple(episode_seeds.test_seeds(others))
     first = [
         Series(
-            f"{name}, {setting}, {robot}", cell, name, condition(setting), "ours",
+            f"{name}, {setting}, {robot}", cell, name, find_setting(setting), "ours",
             test if (name, robot) == ("bgr", next(iter(robots))) else less,
         )
         for name in names
         for robot, cell in robots.items()
-        for setting in CONDITIONS
+        for setting in SETTINGS
     ]  # fmt: skip
     few = tuple(episode_seeds.test_seeds(ablation))
     cell = next(iter(robots.values()))
     second = [
         Series(f"{setting}: {label}{', ' + law + ' law' if law != 'ours' else ''}",
                cell, "bgr", each, law, few)
-        for setting in CONDITIONS
-        for label, each in alone(condition(setting)).items()
+        for setting in SETTINGS
+        for label, each in alone(find_setting(setting)).items()
         for law in (("ours", "velocity", "paper") if label == "all together" else ("ours",))
     ]  # fmt: skip
     return first, second

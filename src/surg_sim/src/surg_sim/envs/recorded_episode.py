@@ -48,7 +48,7 @@ class RecordedSession(Session):
     Args:
         cell: As for ``Session``; a path, because the recording describes the cell's files.
         task: Its name.
-        setting: Of ``conditions.CONDITIONS``.
+        setting: Of ``patient_settings.SETTINGS``.
         seed: Of the first episode.
         cameras: Views to render and record, of ``left`` and ``right``.
         size: Width and height of the pictures [px].
@@ -104,7 +104,7 @@ class RecordedSession(Session):
             "mode": "cartesian",
             "timing": "lockstep",
             "seed": seed,
-            "setting": self.condition.name,
+            "setting": self.setting.name,
             "law": self.law,
             **run,
         }
@@ -132,7 +132,7 @@ class RecordedSession(Session):
             recording, self._recording = self._recording, None
         verdict = {
             "name": self.task.name,
-            "setting": self.condition.name,
+            "setting": self.setting.name,
             "phase": self.task.verdict().phase,
             "done": True,
             "success": report.success,

@@ -31,8 +31,8 @@ from surg_sim.physics import cell_files
 from surg_sim.tasks import GRID, episode_seeds, load, names
 from surg_sim.tasks.scripted_sender import (
     ENABLED,
-    ArmWish,
-    Wishes,
+    Action,
+    ArmAction,
     home_frame,
     into,
     out_of,
@@ -40,7 +40,7 @@ from surg_sim.tasks.scripted_sender import (
 )
 
 if TYPE_CHECKING:
-    from surg_sim.tasks.scripted_sender import Expert, View
+    from surg_sim.tasks.scripted_sender import Expert, Observation
 
 Array = NDArray[np.float64]
 
@@ -74,7 +74,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
     Args:
         task: Of ``tasks.names()``, or the path of a task's file.
         cell: A bundled cell's name or the path of one; default: the task's own.
-        setting: Of ``conditions.CONDITIONS``.
+        setting: Of ``patient_settings.SETTINGS``.
         images: Cameras to observe, of ``CAMERAS``.
         width: Of the pictures [px].
         height: [px].
@@ -183,23 +183,23 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         senders = dict(session.task.experts(session.cell, self.seed))
         senders.pop(POLICY, None)
         self._partners: list[Expert] = [senders[name] for name in sorted(senders)]
-        self._said: list[Wishes] = []
+        self._partner_actions: list[Action] = []
         self._expert = None
-        self._go(Wishes())
+        self._advance(Action())
         for _ in range(_READY):
             waking = {arm: self._wake(arm) for arm in self.arms}
-            if not any(wish.count for wish in waking.values()):
+            if not any(arm_action.count for arm_action in waking.values()):
                 return self._observation(), self._info()
-            self._go(Wishes(arms=waking))
+            self._advance(Action(arms=waking))
         raise RuntimeError(f"{self.arms} did not become ready: {self._info()['reason']}")
 
-    def _wake(self, arm: str) -> ArmWish:
+    def _wake(self, arm: str) -> ArmAction:
         """What an arm needs to be told before it takes motions."""
         assert self._tick is not None
         out = self._tick.outputs[arm]
         if not out.homed:
-            return ArmWish(state="home")
-        return ArmWish() if int(out.state) == ENABLED else ArmWish(state="enable")
+            return ArmAction(state="home")
+        return ArmAction() if int(out.state) == ENABLED else ArmAction(state="enable")
 
     def step(self, action: Array) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Send one action and let 25 ticks pass.
@@ -216,11 +216,11 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
                 f"action {values.tolist()}: {len(self.action_names)} finite numbers are needed: "
                 f"{', '.join(self.action_names)}"
             )
-        wishes = {}
+        arm_actions = {}
         for arm, part in zip(self.arms, values.reshape(-1, len(ACTION)), strict=True):
             p, roll, jaw = part[:3].copy(), float(part[3]), float(part[4])
-            wishes[arm] = ArmWish(jaw=jaw, p=p, q=tip_quaternion(p, roll))
-        reward = self._go(Wishes(arms=wishes))
+            arm_actions[arm] = ArmAction(jaw=jaw, p=p, q=tip_quaternion(p, roll))
+        reward = self._advance(Action(arms=arm_actions))
         verdict = self._tick.verdict
         return (
             self._observation(),
@@ -230,9 +230,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             self._info(),
         )
 
-    def _go(self, wishes: Wishes) -> float:
+    def _advance(self, action: Action) -> float:
         """Tick to the next grid time or to the end; returns the reward of these ticks."""
-        commands, assistant = merge([wishes, *self._said])
+        commands, assistant = merge([action, *self._partner_actions])
         reward, self._worst = 0.0, dict.fromkeys(self.session.world.arms, 0.0)
         for i in range(GRID):
             self._qpos = self.session.world.data.qpos.copy()  # a tick ends in the next one's state
@@ -243,10 +243,10 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             if tick.verdict.done:
                 break
         self._tick = tick
-        self._said = []
+        self._partner_actions = []
         if not tick.verdict.done:
-            self.view: View = tick.view()
-            self._said = [partner.tick(self.view) for partner in self._partners]
+            self._observed: Observation = tick.observation()
+            self._partner_actions = [partner.tick(self._observed) for partner in self._partners]
         return reward
 
     # --- what comes out -----------------------------------------------------------------------
@@ -317,16 +317,16 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         """What the task's expert would do now; call it in every step of an episode, or in none."""
         if self._expert is None:
             self._expert = self.session.task.experts(self.session.cell, self.seed)[POLICY]
-        wishes = self._expert.tick(self.view)
+        scripted = self._expert.tick(self._observed)
         action: list[float] = []
         for arm in self.arms:
-            wish = wishes.arms.get(arm)
+            arm_action = scripted.arms.get(arm)
             out = self._tick.outputs[arm] if self._tick else None
-            if wish is None or wish.p is None:
+            if arm_action is None or arm_action.p is None:
                 raise RuntimeError(f"the expert has no motion for {arm}: {self._expert.reason}")
             assert out is not None
-            jaw = wish.jaw if wish.jaw is not None else float(out.jaw_set)
-            action += [*wish.p, wish.roll, jaw]
+            jaw = arm_action.jaw if arm_action.jaw is not None else float(out.jaw_set)
+            action += [*arm_action.p, arm_action.roll, jaw]
         return np.array(action)
 
 

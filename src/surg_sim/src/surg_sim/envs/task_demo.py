@@ -127,7 +127,7 @@ def write_figure(watch: Watch, report: EpisodeReport, file: Path) -> None:
         )
     axes[-1].set_xlabel("time [s]")
     outcome = "success" if report.success else report.reason
-    figure.suptitle(f"{task.title}, {watch.session.condition.name}, seed {report.seed}: {outcome}")
+    figure.suptitle(f"{task.title}, {watch.session.setting.name}, seed {report.seed}: {outcome}")
     figure.savefig(file, dpi=120)
 
 
@@ -138,7 +138,7 @@ def main(words: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--task", default="bgr", help=", ".join(tasks.names()))
     parser.add_argument("--cell", help="name or path; default: the task's")
-    parser.add_argument("--setting", default="phantom", help=", ".join(patient_settings.CONDITIONS))
+    parser.add_argument("--setting", default="phantom", help=", ".join(patient_settings.SETTINGS))
     parser.add_argument("--law", default="ours", help=", ".join(LAWS))
     parser.add_argument("--seed", type=int, default=episode_seeds.TEST.start)
     parser.add_argument("--out", type=Path, default=Path("surg_sim_demo"), help="folder")

@@ -37,15 +37,15 @@ from surg_msgs.msg import (
 from surg_recording.nodes.polled_node import Polled
 from surg_sim import tasks
 from surg_sim.nodes import bridge_messages
-from surg_sim.nodes.exposure_schedule import RENDERER, Shutter
-from surg_sim.nodes.latest_value import Newest
+from surg_sim.nodes.exposure_schedule import RENDERER, ExposureSchedule
+from surg_sim.nodes.latest_value import LatestValue
 from surg_sim.nodes.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.nodes.sim_parameters import BridgeSettings, SettingsError
 from surg_sim.nodes.sim_ports_node import Output, RawJointState, RawTwist, listeners, speakers
 from surg_sim.nodes.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.physics import faults, patient_settings
 from surg_sim.physics.fault_injector import Injector, tool_errors
-from surg_sim.physics.hand_guiding import ByHand
+from surg_sim.physics.hand_guiding import HandGuiding
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import TICK_NS, World
 
@@ -68,7 +68,10 @@ class _ArmTopics:
         self.command = arm.robot.command.name.lower()
         self.layout = bridge_messages.JointStateLayout(list(arm.robot.joint_names))
         self.last_command_ns = 0
-        self.arrived: dict[str, Newest[_Arrived]] = {"robot": Newest(), "tool": Newest()}
+        self.arrived: dict[str, LatestValue[_Arrived]] = {
+            "robot": LatestValue(),
+            "tool": LatestValue(),
+        }
         root = f"/{arm.name}"
         self.state = Output(f"{root}/robot/measured_js", JointState, patient)
         self.status = Output(f"{root}/robot/status", LinkStatus, patient)
@@ -190,7 +193,7 @@ class Bridge:
         self._stamp_ns = 0  # of the state that is out
         self._overruns = 0
         self._clock = Output("/clock", Clock, self.lockstep)
-        self._shutter = Shutter(waits=not self.lockstep)
+        self._exposures = ExposureSchedule(wait_for_renderer=not self.lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
         )
@@ -204,7 +207,7 @@ class Bridge:
             self._tracker = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         if settings.inject:
             rospy.Subscriber("/sim/inject", String, self._on_inject)
-        self._hands: dict[str, ByHand] = {}
+        self._guided: dict[str, HandGuiding] = {}
         rospy.Subscriber("/sim/by_hand", String, self._on_by_hand)
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
         self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
@@ -258,7 +261,7 @@ class Bridge:
 
     def _on_ready(self, message: Ready) -> None:
         if message.participant == RENDERER:
-            self._shutter.drawn(message.tick)
+            self._exposures.rendered(message.tick)
         if not self.lockstep:
             return  # nobody is waited for, and the lock is the tick's own: newest.py says why
         with self._lock:
@@ -294,7 +297,7 @@ class Bridge:
             )
             return
         rospy.loginfo(f"{name} is led home by hand")
-        self._hands[name] = ByHand(self._world.cell.arms[name].robot.home)
+        self._guided[name] = HandGuiding(self._world.cell.arms[name].robot.home)
 
     # --- what goes out ----------------------------------------------------------------------
 
@@ -338,10 +341,10 @@ class Bridge:
 
     def _led(self, commands: Mapping[str, ArmCommand]) -> Mapping[str, ArmCommand]:
         """With the pushes of hands on arms that their controllers leave alone."""
-        for name, hand in tuple(self._hands.items()):
-            led = hand.lead(self._world.state(name).q, commands.get(name, ArmCommand()))
+        for name, hand in tuple(self._guided.items()):
+            led = hand.guide(self._world.state(name).q, commands.get(name, ArmCommand()))
             if led is None:
-                del self._hands[name]
+                del self._guided[name]
                 rospy.loginfo(f"{name}: the hand has let go")
             else:
                 commands = {**commands, name: led}
@@ -364,7 +367,7 @@ class Bridge:
         if self._truth.connections:
             truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
             self._truth.send(bridge_messages.pack_ground_truth(stamp_ns, tick, truths))
-        if self._shutter.opens(tick):
+        if self._exposures.due(tick):
             snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
             snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, bridge_messages.NS))
             self._snapshot.publish(snapshot)
@@ -563,7 +566,7 @@ def main() -> int:
             looks=settings.view,
             arms=settings.arms,
             tool_errors=tool_errors(known, settings.seed) or None,
-            condition=patient_settings.condition(settings.setting) if settings.setting else None,
+            setting=patient_settings.find_setting(settings.setting) if settings.setting else None,
             task=tasks.load(settings.task) if settings.task else None,
         )
         injector = Injector(world, known, settings.seed, settings.mode == "lockstep")

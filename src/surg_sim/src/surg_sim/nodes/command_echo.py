@@ -1,41 +1,41 @@
-"""What a command answers: told by the stamp that its sender has copied from the instrument.
+"""Detects late commands by the state stamp that each command echoes.
 
-A network that stalls delivers what was sent meanwhile all at once. A stamp is looked up among those
-that this side has given its own states, and never read as a time: no clock in common is needed, and
-one that is wrong or set decides nothing. An arm's controller does the same (surg_control's echoes).
+A stalled network delivers everything it held at once. A sender copies the stamp of the state it
+answers into its command. That stamp is looked up among the stamps of the states sent from here and
+never read as a time, so the two machines need no common clock. The arm controller does the same.
 """
 
 from __future__ import annotations
 
-LATE = 50
-"""[ticks] A command that answers an older state is late: 0.1 s, the silence that stops an arm."""
-KEPT = 2048
-"""[ticks] Stamps that are remembered: longer than a role keeps what is not acknowledged (3 s)."""
+MAX_AGE = 50
+"""Age of the answered state above which a command is late [ticks]: 0.1 s, the stream watchdog."""
+HISTORY = 2048
+"""Number of stamps kept; longer than the 3 s for which a role keeps unacknowledged messages."""
 TICK_NS = 2_000_000
-"""[ns] What a sender adds that means the tick after the state it has seen."""
+"""A sender that addresses the tick after the state it has seen adds one tick to the stamp [ns]."""
 
 
-class Echoes:
-    """Remembers the stamps of the newest states. One thread remembers; any may ask."""
+class CommandEcho:
+    """History of the stamps of sent states. One thread records; any thread may ask."""
 
     def __init__(self) -> None:
         self._tick = 0
-        self._ticks: dict[int, int] = {}  # in the order of ticks
+        self._ticks: dict[int, int] = {}  # stamp to tick, oldest first
 
-    def remember(self, stamp_ns: int) -> None:
-        """A state with this stamp has been sent; it is a tick after the one before."""
+    def record(self, stamp_ns: int) -> None:
+        """Add the stamp of the state that was just sent, one tick after the previous one."""
         self._tick += 1
-        self._ticks.pop(stamp_ns, None)  # a clock that was set back may give one again
+        self._ticks.pop(stamp_ns, None)  # a clock that was set back may repeat a stamp
         self._ticks[stamp_ns] = self._tick
-        if len(self._ticks) > KEPT:
+        if len(self._ticks) > HISTORY:
             del self._ticks[next(iter(self._ticks))]
 
-    def late(self, stamp_ns: int) -> bool:
-        """Whether a command answers a state from more than `LATE` ticks ago.
+    def is_late(self, stamp_ns: int) -> bool:
+        """Whether a command answers a state that is more than ``MAX_AGE`` ticks old.
 
         Args:
-            stamp_ns: Its stamp. One that is of no state of these, or 0, is of some other clock: not
-                late.
+            stamp_ns: Stamp of the command. An unknown stamp, or 0, belongs to another clock and
+                is not late.
         """
-        own = self._ticks.get(stamp_ns, self._ticks.get(stamp_ns - TICK_NS, self._tick))
-        return self._tick - own > LATE
+        answered = self._ticks.get(stamp_ns, self._ticks.get(stamp_ns - TICK_NS, self._tick))
+        return self._tick - answered > MAX_AGE

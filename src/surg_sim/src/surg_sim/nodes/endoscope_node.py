@@ -48,7 +48,7 @@ def camera_info(intrinsics: Intrinsics, frame: str, baseline: float = 0.0) -> Ca
     return info
 
 
-class View:
+class CameraTopics:
     """The topics of one camera.
 
     Args:
@@ -97,7 +97,7 @@ class Endoscope:
         if isinstance(renderer, StereoRenderer):
             baselines["right"] = renderer.baseline
         self._views = [
-            View(
+            CameraTopics(
                 name,
                 camera_info(renderer.intrinsics, FRAMES[name], baseline),
                 0 if keep_all else 2,
@@ -152,7 +152,7 @@ def make_renderer(settings: EndoscopeSettings) -> Renderer:
         settings.seed,
         looks=True,
         arms=settings.arms,
-        condition=patient_settings.condition(settings.setting) if settings.setting else None,
+        setting=patient_settings.find_setting(settings.setting) if settings.setting else None,
         task=tasks.load(settings.task) if settings.task else None,
     )
     show_only(world.model, lamps=False)

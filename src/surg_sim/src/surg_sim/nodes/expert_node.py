@@ -28,7 +28,7 @@ from surg_sim.nodes.participant_node import ASSISTANT, Participant, Seen
 from surg_sim.nodes.sim_parameters import SenderSettings, SettingsError
 from surg_sim.physics.assistant_arm import JOINTS, AssistantCommand
 from surg_sim.tasks import load
-from surg_sim.tasks.scripted_sender import ArmView, ArmWish, Expert, View
+from surg_sim.tasks.scripted_sender import ArmAction, ArmView, Expert, Observation
 
 ARM_COMMANDS: dict[str, type] = {
     "state_command": StringStamped,
@@ -77,32 +77,32 @@ class ExpertNode:
         message = seen.task_state()
         arms = {arm: arm_view(seen.cycle(arm)) for arm in seen.cycles}
         state = bridge_messages.task_state(message.names, message.values)
-        wishes = self._expert.tick(View(seen.tick, arms, state, message.phase))
-        for arm, wish in wishes.arms.items():
-            self._send_to_arm(arm, wish, seen.stamp)
-        if wishes.assistant is not None:
-            self._send_to_assistant(wishes.assistant, seen.stamp)
+        action = self._expert.tick(Observation(seen.tick, arms, state, message.phase))
+        for arm, arm_action in action.arms.items():
+            self._send_to_arm(arm, arm_action, seen.stamp)
+        if action.assistant is not None:
+            self._send_to_assistant(action.assistant, seen.stamp)
         if self._expert.reason != self._reason:
             self._reason = self._expert.reason
             self._status.publish(json.dumps({"reason": self._reason}))
         return False
 
-    def _send_to_arm(self, arm: str, wish: ArmWish, stamp: rospy.Time) -> None:
+    def _send_to_arm(self, arm: str, arm_action: ArmAction, stamp: rospy.Time) -> None:
         def send(topic: str, message: Any) -> None:
             message.header.stamp = stamp
             self._participant.send(f"/{arm}/{topic}", message)
 
-        if wish.state is not None:
-            send("state_command", StringStamped(string=wish.state))
-        if wish.hold:
+        if arm_action.state is not None:
+            send("state_command", StringStamped(string=arm_action.state))
+        if arm_action.hold:
             self._participant.send(f"/{arm}/hold", Empty())
-        if wish.jaw is not None:
-            send("jaw/servo_jp", JointState(name=["jaw"], position=[wish.jaw]))
-        if wish.p is not None and wish.q is not None:
+        if arm_action.jaw is not None:
+            send("jaw/servo_jp", JointState(name=["jaw"], position=[arm_action.jaw]))
+        if arm_action.p is not None and arm_action.q is not None:
             message = PoseStamped()
             position, orientation = message.pose.position, message.pose.orientation
-            position.x, position.y, position.z = wish.p.tolist()
-            orientation.x, orientation.y, orientation.z, orientation.w = wish.q.tolist()
+            position.x, position.y, position.z = arm_action.p.tolist()
+            orientation.x, orientation.y, orientation.z, orientation.w = arm_action.q.tolist()
             send("servo_cp", message)
 
     def _send_to_assistant(self, command: AssistantCommand, stamp: rospy.Time) -> None:

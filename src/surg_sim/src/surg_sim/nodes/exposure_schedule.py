@@ -1,51 +1,51 @@
-"""When the camera is exposed: the ticks whose state is drawn.
+"""Selects the ticks whose state is sent to the renderer.
 
-In lock-step every 25th tick: nothing is left out, whoever draws. In free-run a picture that is
-begun late is an old picture. So, 20 times a second at most, the state is handed out when the
-renderer is ready to draw it, instead of waiting for it in a queue while it ages.
+Lock-step: every 25th tick, so that the pictures of a run do not depend on the renderer. Free-run:
+at most 20 times a second, and only when the renderer is ready. A state that waits in a queue would
+become an old picture.
 """
 
 from __future__ import annotations
 
 RENDERER = "endoscope"
-"""Who says on /sim/ready what it has drawn."""
+"""Participant that reports rendered ticks on /sim/ready."""
 PERIOD = 25
-"""Ticks between two exposures, at least: 20 Hz."""
-PATIENCE = 250
-"""Ticks for which a drawing is waited for: half a second. A renderer that takes longer, or does not
-say when it has drawn, is shown a state every `PERIOD`."""
+"""Minimum number of ticks between two exposures: 20 Hz."""
+RENDER_TIMEOUT = 250
+"""Ticks to wait for a renderer: 0.5 s. After that, or if it never reports, it gets one state every
+``PERIOD``."""
 
 
-class Shutter:
-    """Says at which ticks the state is exposed.
+class ExposureSchedule:
+    """Decides in each tick whether its state is exposed.
 
-    One thread asks, another may say what was drawn.
+    One thread may ask while another reports rendered ticks.
 
     Args:
-        waits: Whether it waits for the renderer (free-run).
+        wait_for_renderer: Wait until the renderer has finished (free-run).
     """
 
-    def __init__(self, waits: bool) -> None:
-        self._waits = waits
+    def __init__(self, wait_for_renderer: bool) -> None:
+        self._wait_for_renderer = wait_for_renderer
         self._exposed = 0
-        self._drawn: int | None = None
+        self._rendered: int | None = None
 
-    def drawn(self, tick: int) -> None:
-        """The renderer has drawn the state of a tick."""
-        self._drawn = tick
+    def rendered(self, tick: int) -> None:
+        """Report that the state of a tick has been rendered."""
+        self._rendered = tick
 
-    def opens(self, tick: int) -> bool:
-        """Whether the state of this tick is exposed; asked at every tick, once or again."""
-        if not self._waits:
+    def due(self, tick: int) -> bool:
+        """Whether the state of this tick is exposed. Call it in every tick; repeats are allowed."""
+        if not self._wait_for_renderer:
             return tick % PERIOD == 0
         since = tick - self._exposed
-        if since < PERIOD or (self._draws() and since < PATIENCE):
+        if since < PERIOD or (self._rendering() and since < RENDER_TIMEOUT):
             return False
-        if self._draws():
-            self._drawn = None  # nobody there: it is waited for again when it speaks again
+        if self._rendering():
+            self._rendered = None  # presumed dead; waited for again after its next report
         self._exposed = tick
         return True
 
-    def _draws(self) -> bool:
-        """Whether a renderer that has spoken before still draws the last exposure."""
-        return self._drawn is not None and self._drawn < self._exposed
+    def _rendering(self) -> bool:
+        """Whether a renderer that has reported before is still busy with the last exposure."""
+        return self._rendered is not None and self._rendered < self._exposed

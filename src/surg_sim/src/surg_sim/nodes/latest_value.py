@@ -1,9 +1,8 @@
-"""What came last, put by whoever receives and taken by the tick, without a lock.
+"""A mailbox for one value: the receiver puts, the tick takes, and neither takes a lock.
 
-In lock-step a thread of the connection receives, in free-run the tick itself (`polled_node`). In
-free-run a simulator that is behind ticks without a pause and holds its lock nearly all the time.
-A receiver that wanted the same lock would get it now and then, messages would queue in front of it,
-and the arm would obey commands that are half a second old.
+A lock would delay commands. A free-running simulator that is behind ticks without a pause and
+holds its lock almost all the time; receivers would queue for it, and the arm would follow commands
+that are half a second old.
 """
 
 from __future__ import annotations
@@ -14,19 +13,19 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Newest(Generic[T]):
-    """Room for one; one thread may put while another takes."""
+class LatestValue(Generic[T]):
+    """Holds the most recent value. One thread may put while another takes."""
 
     def __init__(self) -> None:
-        self._room: deque[T] = deque(maxlen=1)
+        self._slot: deque[T] = deque(maxlen=1)
 
     def put(self, value: T) -> None:
-        """Replaces what nobody has taken."""
-        self._room.append(value)
+        """Store a value; it replaces one that was not taken."""
+        self._slot.append(value)
 
     def take(self) -> T | None:
-        """What was put last and has not been taken; None: nothing."""
+        """Remove and return the value; None if there is none."""
         try:
-            return self._room.pop()
+            return self._slot.pop()
         except IndexError:
             return None

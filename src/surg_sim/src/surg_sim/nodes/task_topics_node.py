@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from surg_msgs.msg import TaskState
 from surg_sim.envs.cell_session import FORCE_TICKS
 from surg_sim.nodes import bridge_messages
-from surg_sim.nodes.command_echo import Echoes
+from surg_sim.nodes.command_echo import CommandEcho
 from surg_sim.nodes.sim_ports_node import Output, RawJointState
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.stability import trouble
@@ -43,7 +43,7 @@ class AssistantTopics:
         self._state = Output("/assistant/measured_js", JointState, bridge.lockstep)
         self._jaw = Output("/assistant/jaw/measured_js", JointState, bridge.lockstep)
         self._layout = bridge_messages.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
-        self._echoes = Echoes()
+        self._command_echo = CommandEcho()
 
         def listen(topic: str, what: str, size: int) -> Any:
             def callback(message: Any) -> None:
@@ -52,7 +52,7 @@ class AssistantTopics:
                     stamp_ns, position, _ = bridge_messages.unpack_joint_state(message.data)
                     if len(position) != size or not np.isfinite(position).all():
                         raise ValueError(f"{position}, allowed: {size} finite numbers")
-                    if not bridge.lockstep and self._echoes.late(stamp_ns):
+                    if not bridge.lockstep and self._command_echo.is_late(stamp_ns):
                         raise ValueError(
                             "late: it answers a state of more than 0.1 s ago; not obeyed"
                         )
@@ -84,7 +84,7 @@ class AssistantTopics:
 
     def publish(self, tick: int, stamp_ns: int, joints: Any, jaw: float) -> None:
         """What the instrument measures."""
-        self._echoes.remember(stamp_ns)
+        self._command_echo.record(stamp_ns)
         if self._state.connections:
             self._state.send(self._layout.pack(tick, stamp_ns, joints, np.zeros(0)))
         if self._jaw.connections:

@@ -1,7 +1,7 @@
-"""A hand that leads a simulated arm home, as somebody who stands beside a real one would.
+"""Hand guiding: leads a simulated arm back to its home posture, as a person would push a real one.
 
-After FAULT(rcm_error) the shaft is off its trocar, and a controller must not enable until somebody
-has put that right. A real arm is pushed by hand; this is the simulated one's. Pure.
+After FAULT(rcm_error) the shaft is off its trocar. A controller must not enable until somebody has
+moved the arm back.
 """
 
 from __future__ import annotations
@@ -12,41 +12,40 @@ from numpy.typing import NDArray
 from surg_sim.physics.sim_arm import ArmCommand
 
 GAIN = 2.0
-"""Of the way that is left [1/s]."""
+"""Joint velocity per remaining joint distance [1/s]."""
 SPEED = 0.2
-"""Of the fastest joint [rad/s]."""
+"""Largest joint speed [rad/s]."""
 THERE = 5e-4
-"""From home [rad]: half a millimetre at the trocar."""
+"""Largest joint distance that counts as home [rad]: half a millimetre at the trocar."""
 STILL = 1e-3
-"""What a controller may still command: more means that it moves the arm itself [rad/s, m/s]."""
+"""A controller that commands more than this moves the arm itself [rad/s, m/s]."""
 
 
-class ByHand:
-    """One way home.
+class HandGuiding:
+    """Guides one arm home.
 
     Args:
-        home: (n,) joint positions to lead to [rad].
+        home: Home posture, (n,) [rad].
     """
 
     def __init__(self, home: NDArray[np.float64]) -> None:
         self._home = np.asarray(home, dtype=float)
 
-    def lead(self, q: NDArray[np.float64], command: ArmCommand) -> ArmCommand | None:
-        """Where the hand pushes in this tick.
+    def guide(self, q: NDArray[np.float64], command: ArmCommand) -> ArmCommand | None:
+        """The command that replaces the controller's in this tick.
 
         Args:
-            q: (n,) where the arm is [rad].
-            command: What its controller sent.
+            q: Joint positions, (n,) [rad].
+            command: Command of the controller.
 
         Returns:
-            What the arm does instead; None: the hand lets go, as the arm is home, or its controller
-            moves it.
+            The guiding command; None once the arm is home or its controller moves it.
         """
-        for sent in (command.velocity, command.twist):
-            if sent is not None and not np.abs(sent).max() <= STILL:
+        for commanded in (command.velocity, command.twist):
+            if commanded is not None and not np.abs(commanded).max() <= STILL:
                 return None
-        left = self._home - q
-        if np.abs(left).max() < THERE:
+        remaining = self._home - q
+        if np.abs(remaining).max() < THERE:
             return None
-        velocity = GAIN * left
+        velocity = GAIN * remaining
         return ArmCommand(velocity * min(1.0, SPEED / np.abs(velocity).max()), None, command.jaw)

@@ -58,7 +58,7 @@ class Breathing:
 
 
 @dataclass(frozen=True)
-class Condition:
+class PatientSetting:
     """One setting.
 
     Attributes:
@@ -82,8 +82,8 @@ class Condition:
 
 _ENCODER = 2.0 * pi / 2**19
 
-CONDITIONS: Mapping[str, Condition] = {
-    "phantom": Condition(
+SETTINGS: Mapping[str, PatientSetting] = {
+    "phantom": PatientSetting(
         name="phantom",
         trocar=TrocarParameters(stiffness=1500.0, friction=0.5),
         breathing=Breathing(),
@@ -91,7 +91,7 @@ CONDITIONS: Mapping[str, Condition] = {
         encoder=_ENCODER,
         tissue=TissueParameters(stretch=21.0, slip_force=3.0),
     ),
-    "ex_vivo": Condition(
+    "ex_vivo": PatientSetting(
         name="ex_vivo",
         trocar=TrocarParameters(stiffness=800.0, friction=1.0),
         breathing=Breathing(),
@@ -99,7 +99,7 @@ CONDITIONS: Mapping[str, Condition] = {
         encoder=_ENCODER,
         tissue=TissueParameters(stretch=33.0, slip_force=2.0),
     ),
-    "in_vivo": Condition(
+    "in_vivo": PatientSetting(
         name="in_vivo",
         trocar=TrocarParameters(stiffness=800.0, friction=1.5),
         breathing=Breathing(amplitude=0.002, period=4.0, bed_share=0.5),
@@ -134,20 +134,20 @@ SOURCES: Mapping[str, str] = {
 """Where each parameter comes from; the word "assumed" means that nobody measured it for us."""
 
 
-def condition(name: str) -> Condition:
+def find_setting(name: str) -> PatientSetting:
     """The setting of this name.
 
     Raises:
         ValueError: There is none; the message lists what exists.
     """
-    if name not in CONDITIONS:
-        raise ValueError(f"no setting '{name}': there are {', '.join(CONDITIONS)}")
-    return CONDITIONS[name]
+    if name not in SETTINGS:
+        raise ValueError(f"no setting '{name}': there are {', '.join(SETTINGS)}")
+    return SETTINGS[name]
 
 
 def table() -> str:
     """The settings as a Markdown table, for docs/reference/simulation.md."""
-    rows: list[tuple[str, str, Callable[[Condition], float]]] = [
+    rows: list[tuple[str, str, Callable[[PatientSetting], float]]] = [
         ("wall stiffness, N/m", "wall stiffness", lambda c: c.trocar.stiffness),
         ("seal friction, N", "seal friction", lambda c: c.trocar.friction),
         ("breathing at the wall, mm", "breathing amplitude", lambda c: 1e3 * c.breathing.amplitude),
@@ -163,12 +163,12 @@ def table() -> str:
         ("mesentery, N/m per node", "mesentery stiffness", lambda c: c.tissue.mesentery),
         ("slip force in the jaws, N", "slip force", lambda c: c.tissue.slip_force),
     ]
-    lines = [f"| | {' | '.join(CONDITIONS)} | source |", "|" + "---|" * (len(CONDITIONS) + 2)]
+    lines = [f"| | {' | '.join(SETTINGS)} | source |", "|" + "---|" * (len(SETTINGS) + 2)]
     for title, source, value in rows:
-        values = " | ".join(f"{value(c):.5g}" for c in CONDITIONS.values())
+        values = " | ".join(f"{value(c):.5g}" for c in SETTINGS.values())
         lines.append(f"| {title} | {values} | {SOURCES[source]} |")
     return "\n".join(lines)
 
 
-def _error(setting: Condition) -> ToolError:
+def _error(setting: PatientSetting) -> ToolError:
     return setting.tool_error or ToolError(0.0, 0.0)

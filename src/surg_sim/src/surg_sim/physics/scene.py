@@ -21,7 +21,7 @@ from surg_sim.looks.drawing import OUTSIDE, add_materials
 from surg_sim.looks.patient import add_patient, draw_cannula, wall_height
 from surg_sim.physics import endoscope_rig
 from surg_sim.physics.sim_arm import ActuatorParameters, ToolError, add_arm
-from surg_sim.physics.tool_drive import add_jaw
+from surg_sim.physics.tool_drive import add_tool_drive
 from surg_sim.physics.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
 
 if TYPE_CHECKING:
@@ -219,7 +219,7 @@ def build(
     spec = mujoco.MjSpec.from_string(empty.read_text("utf-8"))
     for arm in arms:
         add_arm(spec, arm, actuators or ActuatorParameters(), errors.get(arm.name))
-        add_jaw(spec, arm)
+        add_tool_drive(spec, arm)
     scope = endoscope_rig.holder(arms)
     if scope is not None:
         endoscope_rig.add_held(spec, scope)

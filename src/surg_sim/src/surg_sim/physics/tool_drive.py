@@ -39,7 +39,7 @@ def jaw_joints(urdf_path: Path) -> list[tuple[str, float, float]]:
     return found
 
 
-def add_jaw(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
+def add_tool_drive(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
     """Put a position servo on every jaw joint of the arm's instrument."""
     for name, _, _ in jaw_joints(arm.instrument_urdf):
         joint = spec.joint(f"{arm.name}_{name}")
@@ -55,7 +55,7 @@ def add_jaw(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
         servo.biasprm[1:3] = [-_STIFFNESS, -damping]
 
 
-class JawLink:
+class ToolDrive:
     """The jaw of one arm in a compiled scene.
 
     Args:

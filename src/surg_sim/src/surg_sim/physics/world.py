@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from surg_sim.physics import scene
 from surg_sim.physics.ground_truth import ArmTruth, TruthReader
-from surg_sim.physics.patient_settings import Condition
+from surg_sim.physics.patient_settings import PatientSetting
 from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmCommand, ArmLink, ToolError
-from surg_sim.physics.tool_drive import JawLink
+from surg_sim.physics.tool_drive import ToolDrive
 from surg_sim.physics.trocar import Trocar, TrocarParameters
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class _Member:
     """The parts of one arm."""
 
     link: ArmLink
-    jaw: JawLink
+    jaw: ToolDrive
     trocar: Trocar
     truth: TruthReader
 
@@ -72,7 +72,7 @@ class World:
         actuators: Drive parameters.
         trocar: Wall parameters.
         tool_errors: By arm name, how the true tool differs from its URDF (calibration error).
-        condition: Physical parameters of a setting; None: those of the arguments, no breathing.
+        setting: Physical parameters of a setting; None: those of the arguments, no breathing.
         task: What is done in it.
 
     Raises:
@@ -88,17 +88,17 @@ class World:
         actuators: ActuatorParameters | None = None,
         trocar: TrocarParameters | None = None,
         tool_errors: Mapping[str, ToolError] | None = None,
-        condition: Condition | None = None,
+        setting: PatientSetting | None = None,
         task: Task | None = None,
     ) -> None:
-        if condition is not None:
-            actuators, trocar = actuators or condition.actuators, trocar or condition.trocar
-            if tool_errors is None and condition.tool_error is not None:
-                tool_errors = dict.fromkeys(cell.arms, condition.tool_error)
+        if setting is not None:
+            actuators, trocar = actuators or setting.actuators, trocar or setting.trocar
+            if tool_errors is None and setting.tool_error is not None:
+                tool_errors = dict.fromkeys(cell.arms, setting.tool_error)
         actuators, trocar = actuators or ActuatorParameters(), trocar or TrocarParameters()
-        self._condition = condition
+        self._setting = setting
         if task is not None:
-            task.prepare(cell, condition or Condition(name="default"))
+            task.prepare(cell, setting or PatientSetting(name="default"))
         chosen = scene.choose_arms(cell, arms)
         self.cell, self.task, self._seed = cell, task, seed
 
@@ -114,7 +114,7 @@ class World:
             sleeve = Trocar(self.model, self.data, arm, trocar)
             self._members[arm.name] = _Member(
                 link=ArmLink(self.model, self.data, arm, actuators),
-                jaw=JawLink(self.model, self.data, arm),
+                jaw=ToolDrive(self.model, self.data, arm),
                 trocar=sleeve,
                 truth=TruthReader(self.model, self.data, arm, sleeve),
             )
@@ -140,9 +140,9 @@ class World:
         mujoco.mj_kinematics(self.model, self.data)
         for member in self._members.values():
             member.trocar.reset()
-        if self._condition is not None:
+        if self._setting is not None:
             for name, member in self._members.items():
-                member.trocar.point.move(self._condition.breathing.wall(self._R_WB[name]))
+                member.trocar.point.move(self._setting.breathing.wall(self._R_WB[name]))
         if self.task is not None:
             self.task.reset(np.random.default_rng(self._seed if seed is None else seed))
         mujoco.mj_forward(self.model, self.data)
@@ -181,7 +181,7 @@ class World:
     def state(self, arm: str) -> ArmState:
         """What the links of an arm measure now."""
         member = self._members[arm]
-        q, step = member.link.q, self._condition.encoder if self._condition else 0.0
+        q, step = member.link.q, self._setting.encoder if self._setting else 0.0
         if step > 0.0:
             q = np.rint(q / step) * step
         return ArmState(q, member.link.qd, member.jaw.angle, member.jaw.velocity)

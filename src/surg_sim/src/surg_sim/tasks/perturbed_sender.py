@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_sim.tasks.scripted_arm import ArmExpert
-from surg_sim.tasks.scripted_sender import STEP, Expert, View, Wishes, tip_quaternion
+from surg_sim.tasks.scripted_sender import STEP, Action, Expert, Observation, tip_quaternion
 
 Array = NDArray[np.float64]
 
@@ -26,7 +26,7 @@ NEAR = 0.015
 """The offset fades within this distance of a goal [m]."""
 
 
-class Shaken(Expert):
+class PerturbedExpert(Expert):
     """Plays another sender's part with a less steady hand.
 
     Args:
@@ -45,18 +45,18 @@ class Shaken(Expert):
         self._gain = spread * math.sqrt((1 - a * a) ** 3 / ((1 - a) ** 4 * (1 + a * a)))
         self._slow, self._offset = np.zeros(3), np.zeros(3)
 
-    def act(self, view: View) -> Wishes:
+    def act(self, observation: Observation) -> Action:
         """See :class:`Expert`."""
-        wishes = self._expert.act(view)
+        action = self._expert.act(observation)
         self.reason = self._expert.reason
         a = self._keep
         self._slow = a * self._slow + (1 - a) * self._gain * self._rng.standard_normal(3)
         self._offset = a * self._offset + (1 - a) * self._slow
-        arms = dict(wishes.arms)
-        for name, wish in arms.items():
-            if wish.p is not None:
+        arms = dict(action.arms)
+        for name, arm_action in arms.items():
+            if arm_action.p is not None:
                 path = self._expert.path
                 left = float(np.linalg.norm(path.goal - path.at))
-                p = wish.p + min(left / NEAR, 1.0) * self._offset
-                arms[name] = replace(wish, p=p, q=tip_quaternion(p, wish.roll))
-        return Wishes(arms=arms, assistant=wishes.assistant)
+                p = arm_action.p + min(left / NEAR, 1.0) * self._offset
+                arms[name] = replace(arm_action, p=p, q=tip_quaternion(p, arm_action.roll))
+        return Action(arms=arms, assistant=action.assistant)

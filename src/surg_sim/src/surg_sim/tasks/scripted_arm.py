@@ -18,12 +18,12 @@ from surg_sim.tasks.scripted_sender import (
     ENABLED,
     RETRY,
     STEP,
+    Action,
+    ArmAction,
     ArmView,
-    ArmWish,
     Expert,
     MinimumJerk,
-    View,
-    Wishes,
+    Observation,
     home_frame,
     into,
     out_of,
@@ -68,40 +68,40 @@ class ArmExpert(Expert):
         """Of the roll [rad]."""
         self.done = False
         """The script is over: the last pose is held."""
-        self.view: View
+        self.observation: Observation
         self._script: Iterator[None] | None = None
         self._asked = -RETRY
 
     @property
     def me(self) -> ArmView:
         """The arm as it is now."""
-        return self.view.arms[self._arm]
+        return self.observation.arms[self._arm]
 
     @abstractmethod
     def script(self) -> Iterator[None]:
         """What is done, action by action: move ``path``, ``roll``, ``jaw``; yield."""
 
-    def act(self, view: View) -> Wishes:
+    def act(self, observation: Observation) -> Action:
         """See :class:`Expert`."""
-        wish = ArmWish()
-        me = view.arms[self._arm]
+        arm_action = ArmAction()
+        me = observation.arms[self._arm]
         if self.reason:
-            return Wishes()
+            return Action()
         if me.state == ENABLED and me.homed:
-            self.view = view
-            self._act(wish)
+            self.observation = observation
+            self._act(arm_action)
         elif me.state == DISABLED and self._script is None:
-            if view.tick - self._asked >= RETRY or (me.homed and self._last == "home"):
-                self._asked, self._last = view.tick, "enable" if me.homed else "home"
-                wish.state = self._last
+            if observation.tick - self._asked >= RETRY or (me.homed and self._last == "home"):
+                self._asked, self._last = observation.tick, "enable" if me.homed else "home"
+                arm_action.state = self._last
         else:
             why = f": {me.reason}" if me.reason else ""
             self.reason = f"{self._arm} left ENABLED{why}"
-        return Wishes(arms={self._arm: wish} if wish.count else {})
+        return Action(arms={self._arm: arm_action} if arm_action.count else {})
 
     _last = ""
 
-    def _act(self, wish: ArmWish) -> None:
+    def _act(self, arm_action: ArmAction) -> None:
         if self._script is None:
             self.path.stay(self.p_set)
             self.roll.stay(np.array([self.me.roll_set]))
@@ -111,10 +111,10 @@ class ArmExpert(Expert):
                 next(self._script)
             except StopIteration:
                 self.done = True
-        wish.p = self.path.advance(STEP)
-        wish.roll = float(self.roll.advance(STEP)[0])
-        wish.q = tip_quaternion(wish.p, wish.roll)
-        wish.jaw = self.jaw
+        arm_action.p = self.path.advance(STEP)
+        arm_action.roll = float(self.roll.advance(STEP)[0])
+        arm_action.q = tip_quaternion(arm_action.p, arm_action.roll)
+        arm_action.jaw = self.jaw
 
     # --- what scripts are made of -------------------------------------------------------------
 

@@ -80,7 +80,7 @@ class ArmView:
 
 
 @dataclass(frozen=True)
-class View:
+class Observation:
     """Everything that a sender sees of tick k.
 
     Attributes:
@@ -105,7 +105,7 @@ class View:
 
 
 @dataclass
-class ArmWish:
+class ArmAction:
     """What to send to one arm for tick k + 1; what is None is not sent.
 
     Attributes:
@@ -132,7 +132,7 @@ class ArmWish:
 
 
 @dataclass
-class Wishes:
+class Action:
     """What a sender sends for one tick.
 
     Attributes:
@@ -140,7 +140,7 @@ class Wishes:
         assistant: To the assistant's instrument.
     """
 
-    arms: dict[str, ArmWish] = field(default_factory=dict)
+    arms: dict[str, ArmAction] = field(default_factory=dict)
     assistant: AssistantCommand | None = None
 
 
@@ -155,12 +155,12 @@ class Expert(ABC):
     arms: tuple[str, ...] = ()
     reason: str = ""
 
-    def tick(self, view: View) -> Wishes:
+    def tick(self, observation: Observation) -> Action:
         """What to send for k + 1; nothing off the grid, whose ticks need not be shown."""
-        return self.act(view) if view.tick % GRID == 0 else Wishes()
+        return self.act(observation) if observation.tick % GRID == 0 else Action()
 
     @abstractmethod
-    def act(self, view: View) -> Wishes:
+    def act(self, observation: Observation) -> Action:
         """Look at a tick of the grid, one after another, and say what to send."""
 
 

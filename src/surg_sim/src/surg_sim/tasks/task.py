@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import mujoco
 
     import surg_core
-    from surg_sim.physics.patient_settings import Condition
+    from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.scene import Site
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
@@ -94,7 +94,7 @@ class Task(ABC):
 
     # --- before an episode --------------------------------------------------------------------
 
-    def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
+    def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
         """Look at the cell and the setting before the scene is built.
 
         Raises:

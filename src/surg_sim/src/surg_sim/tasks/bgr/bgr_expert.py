@@ -13,7 +13,7 @@ from surg_sim.physics.assistant_arm import AssistantCommand, inverse
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH
 from surg_sim.tasks.bgr.bgr_definition import PHASES, ROBOT, TAUT
 from surg_sim.tasks.scripted_arm import ArmExpert
-from surg_sim.tasks.scripted_sender import STEP, Expert, MinimumJerk, View, Wishes, into
+from surg_sim.tasks.scripted_sender import STEP, Action, Expert, MinimumJerk, Observation, into
 
 if TYPE_CHECKING:
     import surg_core
@@ -78,34 +78,34 @@ class RobotExpert(ArmExpert):
         yield from self.until("grasp")
         yield from self.wait(self._reaction)
         self.jaw = OPEN
-        node = int(self.view.number("target"))
-        place = self.view.point("nodes")[node]
+        node = int(self.observation.number("target"))
+        place = self.observation.point("nodes")[node]
         direction = place - self.X_WR[:3, 3]
         s = direction / np.linalg.norm(direction)
         y = swing_to(self.X_WR[:3, 2], s) @ self.X_WR[:3, 1]
-        self.roll.go(np.array([roll_across(s, y, along(self.view.point("nodes"), node))]))
+        self.roll.go(np.array([roll_across(s, y, along(self.observation.point("nodes"), node))]))
         grip = GRIP_HEIGHT * UP + GRIP_DEPTH * s + self._error
         yield from self.move(place + grip - ABOVE * s, 1.0)
         while not self.roll.arrived:
             yield
         for attempt in range(ATTEMPTS):
-            place = self.view.point("nodes")[node]
+            place = self.observation.point("nodes")[node]
             yield from self.move(place + grip - attempt * DEEPER * UP, 1.0)
             yield from self.squeeze(CLOSED, 0.6)
-            if self.view.number("held") >= 0.0:
+            if self.observation.number("held") >= 0.0:
                 break
             yield from self.squeeze(OPEN, 0.3)
             yield from self.move(place + grip - AGAIN * s, 0.5)
             grip = grip - 0.5 * self._error  # a second look is a better one
         yield from self.until("retract")
         yield from self.wait(self._reaction)
-        yield from self.move(self.view.point("tip") + LIFT * UP, 1.5)
-        away = self.view.point("tip") - self.view.point("assistant_tip")
+        yield from self.move(self.observation.point("tip") + LIFT * UP, 1.5)
+        away = self.observation.point("tip") - self.observation.point("assistant_tip")
         away -= (away @ UP) * UP
         away /= np.linalg.norm(away)
-        pulled, tip, pulling = 0.0, self.view.point("tip"), True
+        pulled, tip, pulling = 0.0, self.observation.point("tip"), True
         while pulled < PULL_MOST:  # taut in passing is not taut: what slackens is pulled again
-            pulling = self.view.number("tension") < (PULL if pulling else TAUT)
+            pulling = self.observation.number("tension") < (PULL if pulling else TAUT)
             if pulling:
                 pulled += PULL_SPEED * STEP
                 self.path.stay(self.local(tip + pulled * away))
@@ -113,7 +113,7 @@ class RobotExpert(ArmExpert):
 
     def until(self, phase: str) -> Iterator[None]:
         """Wait for a phase, or a later one."""
-        while PHASES.index(self.view.phase) < PHASES.index(phase):
+        while PHASES.index(self.observation.phase) < PHASES.index(phase):
             yield
 
 
@@ -135,33 +135,33 @@ class AssistantExpert(Expert):
         self.path = MinimumJerk(np.zeros(3), 0.06, 0.3)
         self.roll = MinimumJerk(np.zeros(1), 1.5, 6.0)
         self._script: Iterator[None] | None = None
-        self.view: View
+        self.observation: Observation
 
-    def act(self, view: View) -> Wishes:
+    def act(self, observation: Observation) -> Action:
         """See :class:`Expert`."""
-        self.view = view
+        self.observation = observation
         if self._script is None:
-            self._X = view.point("X_WAssistant")
-            self.path.stay(into(self._X, view.point("assistant_tip")))
-            self.roll.stay(view.point("assistant_joints")[3:])
+            self._X = observation.point("X_WAssistant")
+            self.path.stay(into(self._X, observation.point("assistant_tip")))
+            self.roll.stay(observation.point("assistant_joints")[3:])
             self._script = self.script()
         next(self._script, None)
         joints = inverse(self.path.advance(STEP), float(self.roll.advance(STEP)[0]))
-        return Wishes(assistant=AssistantCommand(joints=joints, jaw=self.jaw))
+        return Action(assistant=AssistantCommand(joints=joints, jaw=self.jaw))
 
     def script(self) -> Iterator[None]:
         """What it does, action by action."""
         yield from self.wait(self._reaction[0])
-        node = int(self.view.number("target"))
-        nodes = self.view.point("nodes")
+        node = int(self.observation.number("target"))
+        nodes = self.observation.point("nodes")
         side = -along(nodes, node) * 0.006  # beside the place, so that the robot gets at it
         yield from self.move(nodes[node] + POINT_HEIGHT * UP + side + self._error[0])
-        while PHASES.index(self.view.phase) < PHASES.index("grasp"):
+        while PHASES.index(self.observation.phase) < PHASES.index("grasp"):
             yield
         yield from self.wait(self._reaction[1])
         mine = node - APART
         self.jaw = OPEN
-        nodes = self.view.point("nodes")
+        nodes = self.observation.point("nodes")
         p = into(self._X, nodes[mine])
         s = p / np.linalg.norm(p)
         y = swing_to(np.array([0.0, 0.0, 1.0]), s) @ np.array([0.0, 1.0, 0.0])
@@ -169,23 +169,23 @@ class AssistantExpert(Expert):
         grip = GRIP_HEIGHT * UP + GRIP_DEPTH * (self._X[:3, :3] @ s) + self._error[1]
         above = grip - ABOVE * (self._X[:3, :3] @ s)
         yield from self.move(nodes[mine] + above)
-        while PHASES.index(self.view.phase) < PHASES.index("assist"):
+        while PHASES.index(self.observation.phase) < PHASES.index("assist"):
             yield
         yield from self.wait(self._reaction[2])
         for attempt in range(ATTEMPTS):
-            place = self.view.point("nodes")[mine]
+            place = self.observation.point("nodes")[mine]
             yield from self.move(place + grip - attempt * DEEPER * UP, 1.0)
             self.jaw = CLOSED
             yield from self.wait(0.6)
-            if self.view.number("assistant_held") >= 0.0:
+            if self.observation.number("assistant_held") >= 0.0:
                 break
             self.jaw = OPEN
             yield from self.wait(0.3)
             yield from self.move(place + grip - AGAIN * (self._X[:3, :3] @ s), 0.5)
             grip = grip - 0.5 * self._error[1]
-        while PHASES.index(self.view.phase) < PHASES.index("retract"):
+        while PHASES.index(self.observation.phase) < PHASES.index("retract"):
             yield
-        yield from self.move(self.view.point("assistant_tip") + LIFT * UP, 1.5)
+        yield from self.move(self.observation.point("assistant_tip") + LIFT * UP, 1.5)
 
     def wait(self, seconds: float) -> Iterator[None]:
         """Stay as things are."""

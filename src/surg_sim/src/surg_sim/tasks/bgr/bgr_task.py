@@ -38,7 +38,7 @@ from surg_sim.tasks.task import GRID, State, Task, Verdict
 
 if TYPE_CHECKING:
     import surg_core
-    from surg_sim.physics.patient_settings import Condition
+    from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.scene import Site
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
@@ -54,11 +54,11 @@ class Bgr(Task):
     time_limit = 45.0
     plotted: ClassVar[Mapping[str, str]] = {"tension": "N", "still": "s"}
 
-    def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
+    def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
         """The robot's instrument must have jaws; any endoscope will do, also one that stands."""
-        super().prepare(cell, condition)
+        super().prepare(cell, setting)
         self.need_jaws(cell, ROBOT)
-        self._tissue, self._breathing = condition.tissue, condition.breathing
+        self._tissue, self._breathing = setting.tissue, setting.breathing
         arm = cell.arms[ROBOT]
         self._urdf, self._tip = arm.instrument_urdf, arm.instrument.tip_link
 

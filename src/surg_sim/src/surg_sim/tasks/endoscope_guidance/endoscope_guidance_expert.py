@@ -39,10 +39,10 @@ class GuidanceExpert(ArmExpert):
         """See ``ArmExpert``."""
         at = self.path.at
         # The lens stays as far from the tip as it was at the start.
-        far = float(np.linalg.norm(self.local(self.view.point("tip")) - at))
-        before, velocity = self.local(self.view.point("tip")), np.zeros(3)
+        far = float(np.linalg.norm(self.local(self.observation.point("tip")) - at))
+        before, velocity = self.local(self.observation.point("tip")), np.zeros(3)
         while True:
-            tip = self.local(self.view.point("tip"))
+            tip = self.local(self.observation.point("tip"))
             share = STEP / SMOOTHING
             velocity = velocity + share * ((tip - before) / STEP - velocity)
             before = tip
@@ -63,5 +63,5 @@ class InstrumentScript(ArmExpert):
         """See ``ArmExpert``."""
         start = self.path.at
         while True:
-            self.path.stay(start + self.X_WR[:3, :3].T @ self.view.point("wanted_offset"))
+            self.path.stay(start + self.X_WR[:3, :3].T @ self.observation.point("wanted_offset"))
             yield

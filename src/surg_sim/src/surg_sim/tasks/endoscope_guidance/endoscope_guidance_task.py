@@ -25,7 +25,7 @@ from surg_sim.tasks.task import GRID, State, Task, Verdict
 
 if TYPE_CHECKING:
     import surg_core
-    from surg_sim.physics.patient_settings import Condition
+    from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
 
@@ -83,13 +83,13 @@ class EndoscopeGuidance(Task):
     commanded = (SCOPE,)
     plotted: ClassVar[Mapping[str, str]] = {"error": "px"}
 
-    def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
+    def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
         """Two arms are needed, and the second must hold a camera."""
         arms = cell.arms
         if INSTRUMENT not in arms or SCOPE not in arms or arms[SCOPE].instrument.camera is None:
             needs = f"needs {INSTRUMENT} with an instrument and {SCOPE} with an endoscope"
             raise self.misfit(cell, needs)
-        super().prepare(cell, condition)
+        super().prepare(cell, setting)
         self._tip = cell.arms[INSTRUMENT].instrument.tip_link
 
     def bind(self, world: World) -> None:

@@ -45,7 +45,7 @@ class PegTransferExpert(ArmExpert):
         self.jaw = PARTLY_OPEN
         s_W = self.X_WB[:3, :3] @ self.me.s
         across = self.X_WR[:3, 1] - (self.X_WR[:3, 1] @ UP) * UP  # where the jaws open to
-        rim = self.view.point("ring") + self._ring_radius * across / np.linalg.norm(across)
+        rim = self.observation.point("ring") + self._ring_radius * across / np.linalg.norm(across)
         rim = rim + GRIP_DEPTH * s_W + self.rng.normal(scale=2e-4, size=3)
         yield from self.move(rim + 0.025 * UP)
         yield from self.move(rim, 0.8)
@@ -53,9 +53,9 @@ class PegTransferExpert(ArmExpert):
         yield from self.move(rim + self._carry_height * UP)
         # The ring turns with the shaft: aim with its centre, twice.
         for height in (self._carry_height, self._carry_height, 0.008):
-            goal = self.view.point("goal") + height * UP
-            tip = self.view.point("tip") + goal - self.view.point("ring")
+            goal = self.observation.point("goal") + height * UP
+            tip = self.observation.point("tip") + goal - self.observation.point("ring")
             yield from self.move(tip, 0.8)
         yield from self.squeeze(0.45, 0.4)
-        tip = self.view.point("tip")
+        tip = self.observation.point("tip")
         yield from self.move(tip + 0.03 * UP)

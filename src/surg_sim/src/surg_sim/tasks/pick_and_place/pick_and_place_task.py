@@ -21,7 +21,7 @@ from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
     import surg_core
-    from surg_sim.physics.patient_settings import Condition
+    from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.scene import Site
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
@@ -65,9 +65,9 @@ class PickAndPlace(Task):
     home_cell = "sim_ur5e"
     plotted: ClassVar[Mapping[str, str]] = {"held": "0 or 1"}
 
-    def prepare(self, cell: surg_core.Cell, condition: Condition) -> None:
+    def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
         """The arm must be there and have jaws."""
-        super().prepare(cell, condition)
+        super().prepare(cell, setting)
         self.need_jaws(cell, ARM)
         self._tip = cell.arms[ARM].instrument.tip_link
 

@@ -7,7 +7,7 @@ import random
 import pytest
 
 from helpers.results.recording_results import note
-from surg_recording.episode.duplicate_filter import WINDOW_S, Deliveries
+from surg_recording.episode.duplicate_filter import WINDOW_S, DuplicateFilter
 
 
 def interleave(rng: random.Random, lanes: list[list[int]]) -> list[tuple[int, int]]:
@@ -33,24 +33,28 @@ def test_every_message_is_kept_once_however_the_connections_interleave(
         for _ in range(rng.randrange(1, 3)):
             first = rng.randrange(40)
             lanes.append(sent[first : rng.randrange(first, 41)] if headers else sent[first:])
-        deliveries = Deliveries()
+        duplicate_filter = DuplicateFilter()
         order = interleave(rng, lanes)
-        kept = [m for n, (c, m) in enumerate(order) if not deliveries.repeated(c, m, n * 1e-3)]
+        kept = [
+            message
+            for n, (connection, message) in enumerate(order)
+            if not duplicate_filter.is_duplicate(connection, message, n * 1e-3)
+        ]
         assert sorted(kept) == sorted(sent)
-        assert deliveries.repeats == sum(map(len, lanes)) - len(sent)
+        assert duplicate_filter.duplicates == sum(map(len, lanes)) - len(sent)
     how = "with" if headers else "without"
     note(f"two connections, {how} headers", families, "each message kept once")
 
 
 def test_one_connection_may_say_the_same_again() -> None:
-    deliveries = Deliveries()
-    assert not any(deliveries.repeated(1, "hold", t) for t in range(10))
+    duplicate_filter = DuplicateFilter()
+    assert not any(duplicate_filter.is_duplicate(1, "hold", t) for t in range(10))
 
 
 def test_what_comes_much_later_is_news_and_memory_is_bounded() -> None:
-    deliveries = Deliveries()
+    duplicate_filter = DuplicateFilter()
     for k in range(20_000):
-        assert not deliveries.repeated(1, k, k * 2e-3)
-    assert len(deliveries._recent) == len(deliveries._by_key) <= WINDOW_S / 2e-3 + 1
-    assert deliveries.repeated(2, 19_999, 40.0)
-    assert not deliveries.repeated(2, 0, 40.0)
+        assert not duplicate_filter.is_duplicate(1, k, k * 2e-3)
+    assert len(duplicate_filter._recent) == len(duplicate_filter._by_key) <= WINDOW_S / 2e-3 + 1
+    assert duplicate_filter.is_duplicate(2, 19_999, 40.0)
+    assert not duplicate_filter.is_duplicate(2, 0, 40.0)

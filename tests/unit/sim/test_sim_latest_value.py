@@ -5,11 +5,11 @@ from __future__ import annotations
 import sys
 import threading
 
-from surg_sim.nodes.latest_value import Newest
+from surg_sim.nodes.latest_value import LatestValue
 
 
 def test_the_last_one_is_taken_once() -> None:
-    box: Newest[int] = Newest()
+    box: LatestValue[int] = LatestValue()
     assert box.take() is None
     for value in (1, 2, 3):
         box.put(value)
@@ -18,7 +18,7 @@ def test_the_last_one_is_taken_once() -> None:
 
 
 def test_two_threads_lose_nothing_that_is_new_and_see_nothing_twice() -> None:
-    box: Newest[int] = Newest()
+    box: LatestValue[int] = LatestValue()
     last = 20_000
     before = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)  # they meet in every line

@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surg_sim.nodes.exposure_schedule import PATIENCE, PERIOD, Shutter
+from surg_sim.nodes.exposure_schedule import PERIOD, RENDER_TIMEOUT, ExposureSchedule
 
 TICKS = 5000
 
 
-def play(shutter: Shutter, takes: list[int], speaks: bool = True) -> list[tuple[int, int]]:
+def play(
+    schedule: ExposureSchedule, takes: list[int], speaks: bool = True
+) -> list[tuple[int, int]]:
     """A renderer that keeps the newest exposure only: the (exposed, begun) of what it draws.
 
     Args:
-        shutter: Under test.
+        schedule: Under test.
         takes: Ticks for which it draws each picture, in turn.
         speaks: Whether it says what it has drawn.
     """
@@ -23,8 +25,8 @@ def play(shutter: Shutter, takes: list[int], speaks: bool = True) -> list[tuple[
     until = 0
     for tick in range(1, TICKS):
         if tick == until and speaks:
-            shutter.drawn(begun[-1][0])
-        if shutter.opens(tick):
+            schedule.rendered(begun[-1][0])
+        if schedule.due(tick):
             waiting = tick
         if waiting is not None and tick >= until:
             begun.append((waiting, tick))
@@ -33,9 +35,9 @@ def play(shutter: Shutter, takes: list[int], speaks: bool = True) -> list[tuple[
 
 
 def test_in_lockstep_the_grid_is_exposed_whoever_draws() -> None:
-    shutter = Shutter(waits=False)
-    shutter.drawn(3)
-    exposed = [tick for tick in range(TICKS) for _ in range(2) if shutter.opens(tick)]
+    schedule = ExposureSchedule(wait_for_renderer=False)
+    schedule.rendered(3)
+    exposed = [tick for tick in range(TICKS) for _ in range(2) if schedule.due(tick)]
     assert exposed == sorted(2 * list(range(0, TICKS, PERIOD))), "also when it is asked again"
 
 
@@ -43,39 +45,39 @@ def test_in_lockstep_the_grid_is_exposed_whoever_draws() -> None:
 def test_what_is_drawn_is_never_old(seed: int) -> None:
     """Once it has spoken, a renderer is shown the state of the tick at which it begins."""
     rng = np.random.default_rng(seed)
-    takes = rng.integers(1, PATIENCE // 2, 50).tolist()
-    begun = play(Shutter(waits=True), takes)
+    takes = rng.integers(1, RENDER_TIMEOUT // 2, 50).tolist()
+    begun = play(ExposureSchedule(wait_for_renderer=True), takes)
     first = 2  # nobody knows of a renderer until it has drawn
-    assert len(begun) > TICKS // PATIENCE
+    assert len(begun) > TICKS // RENDER_TIMEOUT
     assert all(exposed == at for exposed, at in begun[first:])
     spacing = np.diff([exposed for exposed, _ in begun[first:]])
     expected = [max(PERIOD, takes[(k + first + 1) % 50]) for k in range(len(spacing))]
     assert spacing.tolist() == expected, "as soon as it is ready, and 20 times a second at most"
 
 
-@pytest.mark.parametrize("takes", [5, 40, 3 * PATIENCE])
+@pytest.mark.parametrize("takes", [5, 40, 3 * RENDER_TIMEOUT])
 def test_a_renderer_that_says_nothing_is_shown_20_states_a_second(takes: int) -> None:
-    shutter = Shutter(waits=True)
-    exposed = [tick for tick in range(TICKS) if shutter.opens(tick)]
+    schedule = ExposureSchedule(wait_for_renderer=True)
+    exposed = [tick for tick in range(TICKS) if schedule.due(tick)]
     assert exposed == list(range(PERIOD, TICKS, PERIOD))
-    begun = play(Shutter(waits=True), [takes], speaks=False)
+    begun = play(ExposureSchedule(wait_for_renderer=True), [takes], speaks=False)
     assert all(at - exposed < PERIOD for exposed, at in begun)
 
 
 def test_a_renderer_that_has_gone_is_not_waited_for_longer_than_once() -> None:
-    shutter = Shutter(waits=True)
+    schedule = ExposureSchedule(wait_for_renderer=True)
     exposed = []
     for tick in range(1, TICKS):
-        if shutter.opens(tick):
+        if schedule.due(tick):
             exposed.append(tick)
             if tick < 1000 or tick > 3000:
-                shutter.drawn(tick)
+                schedule.rendered(tick)
     gaps = np.diff(exposed)
     print(f"{len(exposed)} exposures, longest gap {gaps.max()} ticks")
-    assert (gaps > PERIOD).sum() == 1 and gaps.max() == PATIENCE
+    assert (gaps > PERIOD).sum() == 1 and gaps.max() == RENDER_TIMEOUT
 
 
 def test_a_renderer_slower_than_the_patience_still_has_newer_states() -> None:
-    begun = play(Shutter(waits=True), [2 * PATIENCE + 7])
-    assert len(begun) >= TICKS // (2 * PATIENCE + 7)
+    begun = play(ExposureSchedule(wait_for_renderer=True), [2 * RENDER_TIMEOUT + 7])
+    assert len(begun) >= TICKS // (2 * RENDER_TIMEOUT + 7)
     assert all(at - exposed < PERIOD for exposed, at in begun)

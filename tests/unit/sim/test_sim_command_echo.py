@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from surg_sim.nodes.command_echo import KEPT, LATE, TICK_NS, Echoes
+from surg_sim.nodes.command_echo import HISTORY, MAX_AGE, TICK_NS, CommandEcho
 
 
 def stamps(rng: random.Random, count: int) -> list[int]:
@@ -27,29 +27,29 @@ def test_what_answers_a_state_of_more_than_50_ticks_ago_is_late(
 ) -> None:
     runs, asked = 200 if full else 20, 0
     for _ in range(runs):
-        given = stamps(rng, rng.randint(1, 2 * KEPT))
-        echoes = Echoes()
+        given = stamps(rng, rng.randint(1, 2 * HISTORY))
+        echo = CommandEcho()
         for stamp in given:
-            echoes.remember(stamp)
+            echo.record(stamp)
         for _ in range(50):
-            age = rng.randrange(min(len(given), KEPT))
+            age = rng.randrange(min(len(given), HISTORY))
             meant = given[-1 - age] + rng.choice((0, TICK_NS))
             if given.count(meant) + given.count(meant - TICK_NS) > 1:
                 continue  # a clock that was set back gave it twice
-            assert echoes.late(meant) == (age > LATE), f"{age} ticks"
+            assert echo.is_late(meant) == (age > MAX_AGE), f"{age} ticks"
             asked += 1
     print(f"{runs} runs, {asked} commands")
 
 
 def test_a_stamp_of_another_clock_is_not_late(rng: random.Random) -> None:
-    echoes = Echoes()
+    echo = CommandEcho()
     given = stamps(rng, 500)
     for stamp in given:
-        echoes.remember(stamp)
-    assert not echoes.late(0)
+        echo.record(stamp)
+    assert not echo.is_late(0)
     for stamp in given:
-        assert not echoes.late(stamp + 1)
-        assert not echoes.late(stamp - 7_000_000_000_000_000)
+        assert not echo.is_late(stamp + 1)
+        assert not echo.is_late(stamp - 7_000_000_000_000_000)
 
 
 def test_a_stall_is_refused_and_what_is_sent_after_it_is_obeyed(

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from surg_cli.host import paths
-from surg_sim.physics.patient_settings import CONDITIONS, SOURCES, condition, table
+from surg_sim.physics.patient_settings import SETTINGS, SOURCES, find_setting, table
 
 
 def test_the_three_settings() -> None:
-    assert list(CONDITIONS) == ["phantom", "ex_vivo", "in_vivo"]
-    for name in CONDITIONS:
-        assert condition(name).name == name
+    assert list(SETTINGS) == ["phantom", "ex_vivo", "in_vivo"]
+    for name in SETTINGS:
+        assert find_setting(name).name == name
     with pytest.raises(ValueError, match="no setting 'cadaver': there are phantom, ex_vivo, in"):
-        condition("cadaver")
+        find_setting("cadaver")
     with pytest.raises(FrozenInstanceError):
-        condition("phantom").encoder = 0.0  # type: ignore[misc]
+        find_setting("phantom").encoder = 0.0  # type: ignore[misc]
 
 
 def test_only_the_living_breathe() -> None:
     R = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])  # base y is up
-    for name, setting in CONDITIONS.items():
+    for name, setting in SETTINGS.items():
         wall, bed = setting.breathing.wall(R), setting.breathing.bed()
         if name != "in_vivo":
             assert wall is None and bed is None
