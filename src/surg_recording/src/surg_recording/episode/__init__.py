@@ -1,1 +1,8 @@
-"""Episode folders: reading, writing, finishing and recovering them."""
+"""Episode folders: reading, writing, finishing and recovering them.
+
+``from surg_recording import episode; episode.read(folder)`` reads one.
+"""
+
+from surg_recording.episode.episode_reader import Episode, Table, Video, read
+
+__all__ = ["Episode", "Table", "Video", "read"]
