@@ -27,6 +27,7 @@ from surg_policy_bridge.server.policy_arm import (
     Target,
 )
 from surg_policy_bridge.server.safety_controller import CLIPPED, ArmLimits, SafetyController
+from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client import wire
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
@@ -125,6 +126,7 @@ class Bench:
             SafetyController({ARM: arm_limits()}, clip),
             lambda: next(self.sessions),
         )
+        self.endpoint = WireEndpoint(self.server)
         self.server.serve(spec(), self.now)
         self.sent: list[tuple[int, Target]] = []
         self.heard: list[Message] = []
@@ -137,7 +139,7 @@ class Bench:
     def say(self, kind: str, peer: bytes = b"a", arrays: Any = None, **head: Any) -> None:
         """A message of a policy."""
         parts = [bytes(part) for part in wire.encode(Message(kind, head, arrays or {}))]
-        self.server.receive(peer, parts, self.now)
+        self.endpoint.receive(peer, parts, self.now)
         self._hear()
 
     def hello(self, peer: bytes = b"a", **changes: Any) -> None:
@@ -177,8 +179,7 @@ class Bench:
         self.say("ACT", arrays={"chunk": chunk}, **{**head, **changes})
 
     def _hear(self) -> None:
-        outbox, self.server.outbox = self.server.outbox, []
-        for peer, parts in outbox:
+        for peer, parts in self.endpoint.take_frames():
             message = wire.decode([bytes(part) for part in parts])
             if message.kind == "ERR":
                 self.errors.append((peer, message.head["code"], message.head["text"]))
@@ -275,7 +276,7 @@ class WiredBench(Bench):
                 self.now = time.monotonic_ns()
                 while self._router.poll(0):
                     peer, *parts = self._router.recv_multipart()
-                    self.server.receive(peer, parts, self.now)
+                    self.endpoint.receive(peer, parts, self.now)
                 self.tick()
                 begins = ran != (ran := self.server.state is State.RUNNING)
                 if ran and (begins or not self.server.unanswered):
@@ -285,6 +286,5 @@ class WiredBench(Bench):
             time.sleep(0.002)
 
     def _hear(self) -> None:
-        for peer, parts in self.server.outbox:
+        for peer, parts in self.endpoint.take_frames():
             self._router.send_multipart([peer, *parts])
-        self.server.outbox.clear()

@@ -499,7 +499,7 @@ def test_an_environment_waits_for_the_episodes_that_the_model_server_begins() ->
             assert (observation.episode, info["success"]) == (episode, None)
             _, _, terminated, _, _ = env.step(observation.held_action())
             assert not terminated
-            with pytest.raises(Refused, match="begun on the server's side"):
+            with pytest.raises(Refused, match="server's side"):
                 env.reset()  # in the middle of one, which goes on
             threading.Timer(0.1, end).start()
             while not terminated:

@@ -65,10 +65,10 @@ def test_f17_a_storm_of_bad_frames_and_a_good_one(full: bool) -> None:
         for n in range(100):
             # Of strangers: what a mutant of a real action says might otherwise be one.
             peer = b"stranger" + bytes([n % 4])
-            bench.server.receive(peer, mutated(parts, rng), bench.now)
+            bench.endpoint.receive(peer, mutated(parts, rng), bench.now)
             bad += 1
             bench.now += 2 * MS // 10
-        bench.server.outbox.clear()
+        bench.server.replies.clear()
         x += step
         bench.act([bench.here(step)])
         done = bench.execute()
@@ -99,7 +99,7 @@ def test_f17_what_the_policy_in_session_sends_is_told_and_moves_nothing() -> Non
         chunk = {"chunk": np.array([bench.here(1.0)])}
         template = wire.encode(Message("ACT", {**head, "step0": seen["step"] + 1}, chunk))
         for _ in range(20):
-            bench.server.receive(b"a", mutated([bytes(p) for p in template], rng), bench.now)
+            bench.endpoint.receive(b"a", mutated([bytes(p) for p in template], rng), bench.now)
             bench._hear()
             bench.execute()
         assert not [t for _, t in bench.sent if np.abs(t.p - [0, 0, 0.12]).max() > 2.1e-3]
@@ -151,7 +151,7 @@ def test_f17_what_the_codec_overlooks_is_counted(monkeypatch: pytest.MonkeyPatch
     bench.start()
     with monkeypatch.context() as patch:
         patch.setattr(wire, "decode", overlooks)
-        bench.server.receive(b"stranger", [b"odd"], bench.now)
+        bench.endpoint.receive(b"stranger", [b"odd"], bench.now)
     assert bench.server.counters.malformed == {"other": 1}
     assert bench.period([bench.here(1e-3)]) is not None
 
@@ -169,7 +169,7 @@ def test_f17_numbers_that_are_none_count_as_refusals() -> None:
     parts[1] = np.array([np.nan] * 5).tobytes()
     for n in range(3):
         assert bench.server.state.value == "RUNNING", n
-        bench.server.receive(b"a", parts, bench.now)
+        bench.endpoint.receive(b"a", parts, bench.now)
     bench._hear()
     assert bench.server.state.value == "PAUSED" and not bench.sent
     rules = [each["rule"] for m in bench.of("ACK") for each in m.head["rejected"]]

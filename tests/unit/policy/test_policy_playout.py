@@ -16,7 +16,7 @@ from surg_core import Motion, MotionCommand
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.playout import SEND, Piece
 from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, TICK, ArmCommand, Target
-from surg_policy_bridge.server.step_clock import FreeRun
+from surg_policy_bridge.server.step_clock import StepClock
 
 
 def targets(values: np.ndarray) -> list[Target]:
@@ -151,7 +151,7 @@ class RealTime:
         self.bench.tick()
         assert self.bench.server.enable(True, self.bench.now) == ""
         self.begin = self.bench.now
-        self._free = FreeRun([ARM], self.begin)
+        self._free = StepClock([ARM], self.begin)
         self._answers: list[tuple[int, dict[str, int]]] = []
         self.first: int | None = None
         """Grid time of the first observation."""
@@ -295,7 +295,7 @@ def test_lock_step_is_ahead_of_its_rows_by_a_period_and_real_time_is_not() -> No
 def test_nothing_is_played_once_the_policy_is_stopped() -> None:
     bench = Bench()
     bench.start()
-    free = FreeRun([ARM], bench.now)
+    free = StepClock([ARM], bench.now)
     bench.observe()
     bench.act(np.array([bench.here(1e-3 * i) for i in range(1, 12)]), first=0)
     views = {ARM: bench.arm.view}

@@ -10,7 +10,7 @@ import pytest
 
 from helpers.policy.policy_bench import ARM, HOME, Bench, arm_limits, cell
 from helpers.results.policy_results import note
-from surg_policy_bridge.server.observer import CameraWatch, Observer, apart
+from surg_policy_bridge.server.observer import CameraWatch, Observer, lagging_arm
 from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmState, ArmView, Target
 from surg_policy_bridge.server.safety_controller import (
     CLIPPABLE,
@@ -18,7 +18,7 @@ from surg_policy_bridge.server.safety_controller import (
     ArmSafety,
     SafetyController,
 )
-from surg_policy_bridge.server.timers import PRESENCE, Presence
+from surg_policy_bridge.server.timers import PRESENCE, OperatorPresence
 from surg_teleop.follow.pedal_monitor import PEDAL_SILENCE
 
 DT = PERIOD / SECOND
@@ -76,14 +76,14 @@ def test_every_verdict_against_an_oracle(full: bool) -> None:
                 target[rng.integers(5)] = rng.choice([np.nan, np.inf, -1e308])
             verdict = guard.judge(Target.of(target), view(), at)
             if allowed(target, last, v_last, jaw):
-                assert verdict.target is not None, (target, verdict.broken)
+                assert verdict.target is not None, (target, verdict.violations)
                 guard.take(verdict, at)
                 v_last = (target[:3] - before[:3]) / DT
                 last, taken = target, taken + 1
                 at += PERIOD
             else:
                 assert verdict.target is None, target
-                assert verdict.broken[0].rule in RULES and ARM in verdict.broken[0].text
+                assert verdict.violations[0].rule in RULES and ARM in verdict.violations[0].text
                 refused += 1  # and the same moment is tried again
     note(0, taken + refused, f"{taken} taken, {refused} refused, each as the oracle says")
     assert min(taken, refused) > 300
@@ -107,7 +107,7 @@ def test_f06_a_jump_is_refused_at_its_exact_size() -> None:
                 at += PERIOD
         toward = np.array([1.0, 0.0, 0.0])
         verdict = guard.judge(Target(start.p + size * toward, 0.0, 0.3), view(start.p), at)
-        rules = [each.rule for each in verdict.broken]
+        rules = [each.rule for each in verdict.violations]
         assert (verdict.target is not None) == good, (size, first, rules)
         if not good:
             assert rules == ["start" if first else "step"]
@@ -120,14 +120,14 @@ def test_f06_a_jump_is_refused_at_its_exact_size() -> None:
 
 def test_millimetres_for_metres_are_refused_in_words() -> None:
     verdict = safety().judge(Target(1e3 * HOME, 0.0, 0.3), view(), 0)
-    (broken,) = verdict.broken
-    assert broken.rule == "workspace" and "metres" in broken.text
+    (violation,) = verdict.violations
+    assert violation.rule == "workspace" and "metres" in violation.text
 
 
 def test_a_shaft_off_its_pivot_is_not_led_on() -> None:
     good, bad = (safety().judge(Target(HOME, 0, 0.3), view(rcm=r), 0) for r in (1e-3, 1.001e-3))
     assert good.target is not None and bad.target is None
-    assert bad.broken[0].rule == "rcm_error"
+    assert bad.violations[0].rule == "rcm_error"
 
 
 def test_what_may_be_clipped_lies_on_the_way_and_is_allowed() -> None:
@@ -140,7 +140,7 @@ def test_what_may_be_clipped_lies_on_the_way_and_is_allowed() -> None:
         verdict = guard.judge(wish, view(), 0)
         assert verdict.target is not None
         assert strict.judge(verdict.target, view(), 0).target is not None, "what is sent is good"
-        if any(each.rule == "start" for each in verdict.broken):
+        if any(each.rule == "start" for each in verdict.violations):
             clipped += 1
             moved, wanted = verdict.target.p - HOME, wish.p - HOME
             np.testing.assert_allclose(np.cross(moved, wanted), 0.0, atol=1e-12)
@@ -156,7 +156,7 @@ def test_a_jaw_is_clipped_into_its_range_and_never_from_afar() -> None:
     verdict = guard.judge(Target(HOME, 0.0, high + 0.01), view(), 0)
     assert verdict.target is not None and verdict.target.jaw == high
     degrees = guard.judge(Target(HOME, 0.0, math.degrees(high)), view(), 0)
-    assert degrees.target is None and degrees.broken[0].rule == "jaw"
+    assert degrees.target is None and degrees.violations[0].rule == "jaw"
 
 
 def test_a_rule_that_cannot_clip_is_said() -> None:
@@ -202,7 +202,7 @@ def test_the_expert_is_never_refused(full: bool) -> None:
                 p_set = np.array([state[f"set_{axis}"] for axis in "xyz"])
                 at_rest = view(p_set, state["roll_set"], state["jaw"])
                 verdict = guard.judge(Target.of(action), at_rest, at)
-                assert verdict.target is not None and not verdict.broken, (task, seed, verdict)
+                assert verdict.target is not None and not verdict.violations, (task, seed, verdict)
                 guard.take(verdict, at)
                 judged, at = judged + 1, at + PERIOD
                 _, _, terminated, truncated, _ = env.step(action)
@@ -214,15 +214,15 @@ def test_the_expert_is_never_refused(full: bool) -> None:
 
 def test_a_dead_man_counts_while_its_source_says_so_again() -> None:
     assert PRESENCE == PEDAL_SILENCE * SECOND, "the teleoperation's"
-    presence = Presence()
-    assert not presence.there(0)
+    presence = OperatorPresence()
+    assert not presence.detected(0)
     presence.press("/footpedals", True, 0)
     presence.press("/console", False, 0)
-    assert presence.there(PRESENCE), "one source does not lift another's foot"
-    assert not presence.there(PRESENCE + 1), "its node was killed with the pedal down"
+    assert presence.detected(PRESENCE), "one source does not lift another's foot"
+    assert not presence.detected(PRESENCE + 1), "its node was killed with the pedal down"
     presence.press("/footpedals", True, SECOND)
     presence.press("/footpedals", False, SECOND)
-    assert not presence.there(SECOND)
+    assert not presence.detected(SECOND)
 
 
 # --- pictures -------------------------------------------------------------------------------------
@@ -243,7 +243,7 @@ def test_f08_a_picture_that_is_not_new_is_noticed_after_three_periods(fault: str
         elif fault == "old":
             watch.picture(now, last, 100 + n)
     problem = watch.problem(last + 3 * PERIOD + 1)
-    assert ("sends nothing" in problem) == (fault == "silent") and "150 ms" in problem
+    assert ("sends no pictures" in problem) == (fault == "silent") and "150 ms" in problem
     watch.picture(last + 4 * PERIOD, last + 4 * PERIOD, 77)
     assert watch.problem(last + 4 * PERIOD) == ""
 
@@ -258,8 +258,8 @@ def test_f08_a_drawn_picture_may_repeat_itself_while_nothing_moves() -> None:
     now = 99 * PERIOD
     assert watch.problem(now, rest + 0.9e-3) == ""
     assert "same picture" in watch.problem(now, rest + 1.1e-3)
-    assert "sends nothing" in watch.problem(now + 3 * PERIOD + 1, rest)
-    watch.settle()  # homing gives the arms another frame: that was no motion
+    assert "sends no pictures" in watch.problem(now + 3 * PERIOD + 1, rest)
+    watch.forget_tips()  # homing gives the arms another frame: that was no motion
     assert watch.problem(now, rest + 0.12) == ""
 
 
@@ -280,7 +280,7 @@ def test_f08_a_blind_camera_pauses_the_policy_and_nothing_is_observed() -> None:
 def test_observations_belong_together() -> None:
     exact = Observer(["a", "b"], 0)
     exact.put("a", 50, np.zeros(1))
-    assert "b has not come" in exact.missing(50) and exact.take(1, 50) is None
+    assert "b has not arrived" in exact.missing(50) and exact.take(1, 50) is None
     exact.put("b", 49, np.ones(1))
     assert exact.take(1, 50) is None, "lock-step: of the same tick"
     exact.put("b", 50, np.ones(1))
@@ -300,8 +300,8 @@ def test_observations_belong_together() -> None:
 
 
 def test_states_of_two_arms_belong_together() -> None:
-    assert apart({"PSM1": 0}) == "" == apart({"PSM1": 3 * PERIOD, "PSM2": 0})
-    assert "PSM2 is 200 ms behind" in apart({"PSM1": 4 * PERIOD, "PSM2": 0})
+    assert lagging_arm({"PSM1": 0}) == "" == lagging_arm({"PSM1": 3 * PERIOD, "PSM2": 0})
+    assert "PSM2 is 200 ms behind" in lagging_arm({"PSM1": 4 * PERIOD, "PSM2": 0})
 
 
 def test_the_cell_agrees_with_the_oracle() -> None:

@@ -12,7 +12,7 @@ from helpers.policy.policy_bench import ARM, HOME, MS, Bench, spec
 from helpers.results.policy_results import note
 from surg_policy_bridge.server.chunk_queue import LONGEST, ChunkQueue
 from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmState
-from surg_policy_bridge.server.sessions import BURST, PEERS, RATE, Flow
+from surg_policy_bridge.server.sessions import BURST, PEERS, RATE, RateLimiter
 from surg_policy_bridge.server.timers import MAX_OBS_AGE, SILENCE
 from surg_policy_client.spec import Spec
 
@@ -120,16 +120,16 @@ def test_f29_a_former_session_is_not_obeyed() -> None:
 
 
 def test_a_flood_is_not_looked_into_and_a_good_message_is() -> None:
-    flow, now = Flow(), 0
-    admitted = sum(flow.admits(b"a", now) for _ in range(10_000))
+    limiter, now = RateLimiter(), 0
+    admitted = sum(limiter.admits(b"a", now) for _ in range(10_000))
     assert admitted == BURST
-    assert flow.admits(b"b", now), "another peer has its own"
+    assert limiter.admits(b"b", now), "another peer has its own"
     for _ in range(RATE):
         now += SECOND // RATE
-        assert flow.admits(b"a", now) and not flow.admits(b"a", now)
+        assert limiter.admits(b"a", now) and not limiter.admits(b"a", now)
     for n in range(10 * PEERS):
-        flow.admits(str(n).encode(), now)
-    assert len(flow._buckets) == PEERS
+        limiter.admits(str(n).encode(), now)
+    assert len(limiter._buckets) == PEERS
 
 
 # --- chunks ---------------------------------------------------------------------------------------
@@ -212,10 +212,10 @@ def test_answers_out_of_order_and_to_nothing_are_not_obeyed(bench: Bench) -> Non
     first, second = (m.head for m in bench.of("OBS")[-2:])
     good = {"seq": second["seq"], "stamp_ns": second["stamp_ns"]}
     bench.act([bench.here(1e-3)] * 9, **good)
-    queued = len(bench.server._queue)
+    queued = len(bench.server.steps.queue)
     bench.act([bench.here(2e-3)] * 9, seq=first["seq"], stamp_ns=first["stamp_ns"])
     bench.act([bench.here(2e-3)] * 9, **good)
-    assert bench.server.counters.stale == 18 and len(bench.server._queue) == queued
+    assert bench.server.counters.stale == 18 and len(bench.server.steps.queue) == queued
     for wrong in ({"seq": 999}, {"stamp_ns": second["stamp_ns"] + 1}):
         bench.act([bench.here(2e-3)] * 9, **{**good, **wrong})
         assert bench.of("ACK")[-1].head["rejected"][0]["rule"] == "observation"
@@ -253,7 +253,7 @@ def test_f04_silence_flushes_holds_and_needs_a_new_session() -> None:
     bench.now += 1
     bench.tick()
     assert bench.server.state.value == "IDLE" and "150 ms" in bench.server.reason
-    assert len(bench.server._queue) == 0 and bench.execute() is None
+    assert len(bench.server.steps.queue) == 0 and bench.execute() is None
     assert bench.arm.told[-2:] == ["hold", "pause"]
     assert bench.arm.view.state == ArmState.PAUSED and bench.arm.view.holder == ""
     bench.say("PING", session=bench.session, n=2)
@@ -355,7 +355,7 @@ def test_f05_an_answer_that_is_too_old_when_it_comes_is_counted(bench: Bench) ->
         bench.ping()
         bench.tick()
     bench.act(np.array([bench.here(1e-3)] * 50))
-    assert bench.server.counters.stale == 50 and len(bench.server._queue) == 0
+    assert bench.server.counters.stale == 50 and len(bench.server.steps.queue) == 0
 
 
 def test_three_refusals_in_a_row_pause_and_are_told(bench: Bench) -> None:

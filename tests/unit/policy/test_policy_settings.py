@@ -75,7 +75,7 @@ def test_what_is_served_fits_onto_the_wire() -> None:
 def test_ground_truth_is_of_a_simulator_only() -> None:
     settings = Settings.read(reader({**GOOD, "privileged": True}))
     settings.check_arms(["PSM1"], ["simulator"])
-    with pytest.raises(SettingsError, match="no simulated arm"):
+    with pytest.raises(SettingsError, match="not simulated"):
         settings.check_arms(["PSM1"], ["ur_driver"])
     with pytest.raises(SettingsError, match="the cell has ECM"):
         settings.check_arms(["ECM"], ["simulator"])

@@ -1,4 +1,4 @@
-"""What is counted, for the status topic."""
+"""Statistics for the status topic."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 KEPT = 4096
-"""Newest values of a spread."""
+"""Number of values kept."""
 
 
 @dataclass
 class Spread:
-    """The newest values of something that is measured [ns]."""
+    """The newest values of a duration [ns]."""
 
     values: deque[int] = field(default_factory=lambda: deque(maxlen=KEPT))
 
     def add(self, value: int) -> None:
-        """One more."""
+        """Add a value."""
         self.values.append(value)
 
     def ms(self) -> dict[str, float | None]:
@@ -31,23 +31,23 @@ class Spread:
 
 @dataclass
 class Counters:
-    """Since the node's start.
+    """Counts since the start of the node.
 
     Attributes:
         accepted: Steps relayed to the arms.
         clipped: Of them, those that a rule has shortened.
-        rejected: Steps that a rule has refused, by rule.
-        late: Steps that came when their time was over (docs/reference/policies.md).
+        rejected: Rejected steps, by rule.
+        late: Steps that arrived after their time (docs/reference/policies.md).
         stale: Steps whose observation was too old when they were due, and chunks that answered an
             observation older than the newest one answered.
         empty: Grid times without a step.
-        waited: Lock-step: grid times at which no answer came in time.
-        messages: Messages of the wire.
-        malformed: Of them, those that are no messages, by the codec's code.
-        flooded: Messages that were not looked into, for they came too fast.
-        strangers: Messages of no session, or of another one.
-        sessions: Sessions so far.
-        obs_age: Age of the observation when a step that answers it is relayed.
+        waited: Grid times without an answer in time (lock-step).
+        messages: Messages received.
+        malformed: Of them, invalid ones, by the codec's code.
+        flooded: Messages above the rate limit, dropped undecoded.
+        strangers: Messages without a session, or of another one.
+        sessions: Number of sessions.
+        obs_age: Age of the observation when its step is relayed.
         round_trip: From sending an observation to the answer.
     """
 
@@ -67,7 +67,7 @@ class Counters:
     round_trip: Spread = field(default_factory=Spread)
 
     def report(self) -> dict[str, object]:
-        """As it stands on the status topic."""
+        """Content of the status topic."""
         return {
             "accepted": self.accepted,
             "clipped": self.clipped,

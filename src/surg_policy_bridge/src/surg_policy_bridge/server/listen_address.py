@@ -1,4 +1,4 @@
-"""Where a server may listen: an address that leaves this machine needs keys (F19)."""
+"""Checks the listen address: one reachable from other machines needs keys (F19)."""
 
 from __future__ import annotations
 
@@ -9,37 +9,39 @@ LOOPBACK_NAMES = ("localhost",)
 
 
 class BindError(ValueError):
-    """An address at which no server is started: what is wrong, and what would do."""
+    """An address that cannot be used: what is wrong and what is allowed."""
 
 
 def check(address: str, keyed: bool) -> str:
-    """An address that may be bound.
+    """Check an address.
 
     Args:
         address: ``tcp://HOST:PORT`` or ``ipc://PATH``.
-        keyed: There are CURVE keys.
+        keyed: CURVE keys are in use.
 
     Returns:
         The address.
 
     Raises:
-        BindError: It may not be bound.
+        BindError: It must not be bound.
     """
     examples = "tcp://127.0.0.1:5555 or ipc:///tmp/policy"
     try:
         parts = urlsplit(address)
         host, port = parts.hostname or "", parts.port
     except ValueError as error:
-        raise BindError(f"address {address!r}: {error}; such as {examples}") from None
+        raise BindError(
+            f"address {address!r}: {error}; use an address such as {examples}"
+        ) from None
     if parts.scheme == "ipc" and address.removeprefix("ipc://").startswith("/"):
         return address
     if parts.scheme != "tcp" or not host or port is None or parts.path:
-        raise BindError(f"address {address!r}: such as {examples}")
+        raise BindError(f"address {address!r}: use an address such as {examples}")
     if not (keyed or _is_loopback(host)):
         raise BindError(
-            f"address {address!r} can be reached from other machines, and anybody there could move "
-            "the arms: make keys with ./surg keys and name their folder, or bind tcp://127.0.0.1:"
-            f"{port}"
+            f"address {address!r} is reachable from other machines, and anybody there could move "
+            "the arms; make keys with ./surg keys and give their folder, or bind "
+            f"tcp://127.0.0.1:{port}"
         )
     return address
 
@@ -49,5 +51,5 @@ def _is_loopback(host: str) -> bool:
         return True
     try:
         return ipaddress.ip_address(host).is_loopback
-    except ValueError:  # a name or an interface: it may be anything
+    except ValueError:  # a host name or an interface
         return False

@@ -42,15 +42,16 @@ from surg_policy_bridge.server.observer import (
     CameraWatch,
     Observation,
     Observer,
-    apart,
+    lagging_arm,
 )
 from surg_policy_bridge.server.policy_arm import GRID, SECOND, TICK, ArmCommand, ArmView
 from surg_policy_bridge.server.policy_ports_node import ArmPort, RawCycle, RawTaskState
 from surg_policy_bridge.server.router_node import Router
 from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
 from surg_policy_bridge.server.server_parameters import Settings, SettingsError
-from surg_policy_bridge.server.step_clock import FreeRun
-from surg_policy_bridge.server.timers import CAMERA_PERIODS, Presence
+from surg_policy_bridge.server.step_clock import StepClock
+from surg_policy_bridge.server.timers import CAMERA_PERIODS, OperatorPresence
+from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
 from surg_recording.nodes.recorder_parameters import camera as camera_topic
@@ -103,7 +104,8 @@ class ModelServerNode:
             SafetyController(limits, settings.clip),
             lambda: secrets.randbits(64) or 1,
         )
-        self._free = FreeRun(settings.arms, time.monotonic_ns())
+        self._endpoint = WireEndpoint(self._server)
+        self._clock = StepClock(settings.arms, time.monotonic_ns())
         keys_seen = [STATE, *map(cell_spec.image_key, settings.cameras)]
         keys_seen += [TASK_STATE] if settings.privileged else []
         period = round(SECOND / settings.camera_rate)
@@ -124,7 +126,7 @@ class ModelServerNode:
         self._over = False
         self._operator = ""
         self._homed = False
-        self._presence = Presence()
+        self._presence = OperatorPresence()
         self._refused = ""
         self._reported = -REPORT
         self._said: tuple[object, ...] = ()
@@ -268,7 +270,7 @@ class ModelServerNode:
         """Why nobody wants a policy to run now."""
         if self._operator:
             return self._operator
-        if self._settings.need_present and not self._presence.there(time.monotonic_ns()):
+        if self._settings.need_present and not self._presence.detected(time.monotonic_ns()):
             return "nobody is at the controls (operator_present)"
         return ""
 
@@ -280,7 +282,7 @@ class ModelServerNode:
         before, self._homed = self._homed, all(view.homed for view in views.values())
         for watch in self._watches.values():
             if not (before and self._homed):  # the tips were not yet said in the frame of now
-                watch.settle()
+                watch.forget_tips()
             if problem := watch.problem(now, place):
                 return problem
         return ""
@@ -293,7 +295,7 @@ class ModelServerNode:
         """Observe the arms; the stamp of the youngest, or None and why not."""
         if len(views) < len(self._ports):
             return None, "an arm is silent"
-        if why := apart({arm: view.stamp_ns for arm, view in views.items()}):
+        if why := lagging_arm({arm: view.stamp_ns for arm, view in views.items()}):
             return None, why
         numbers = np.array([n for arm in self._ports for n in views[arm].numbers()], dtype="<f4")
         if not np.isfinite(numbers).all():
@@ -309,7 +311,7 @@ class ModelServerNode:
         if self._settings.lockstep:
             threading.Thread(target=self._connect, daemon=True).start()
         while not self.finished.is_set() and not rospy.is_shutdown():
-            self._wait(self._free.due(time.monotonic_ns()))
+            self._wait(self._clock.due(time.monotonic_ns()))
             with self._lock:
                 self._listen()
                 if self._settings.lockstep:
@@ -328,19 +330,18 @@ class ModelServerNode:
     def _listen(self) -> None:
         """Take what has come and answer it."""
         for peer, parts in self._router.receive():
-            self._server.receive(peer, parts, time.monotonic_ns())
+            self._endpoint.receive(peer, parts, time.monotonic_ns())
         self._answer()
 
     def _answer(self) -> None:
-        outbox, self._server.outbox = self._server.outbox, []
-        for peer, parts in outbox:
+        for peer, parts in self._endpoint.take_frames():
             self._router.send(peer, parts)
 
     def _beat(self, now: int) -> None:
         """Free-run: look, observe, send."""
         views = {arm: raw.view() for arm, (at, raw) in self._cycles.items() if now - at <= FRESH}
         commands = self._server.tick(views, now, now, self._obstacle(), self._blind(now, views))
-        step = self._free.observe(now)
+        step = self._clock.observe(now)
         if step is not None:
             (stamp_ns, why), wanted = self._put_state(views), self._server.wanted
             seen = None if stamp_ns is None else self._observer.take(step, stamp_ns, wanted)
@@ -351,7 +352,7 @@ class ModelServerNode:
             else:
                 missing = "" if stamp_ns is None else self._observer.missing(stamp_ns, wanted)
                 self._server.observe_nothing(why or missing)
-        for arm, target in self._free.play(self._server, views, now).items():
+        for arm, target in self._clock.play(self._server, views, now).items():
             commands[arm] = ArmCommand(servo=target)
         self._send(commands, views)
         self._publish_judged(time.time_ns())
@@ -479,7 +480,7 @@ class ModelServerNode:
     # --- what people read -------------------------------------------------------------------------
 
     def _publish_judged(self, stamp_ns: int) -> None:
-        judged, self._server.judged = self._server.judged, []
+        judged, self._server.steps.judged = self._server.steps.judged, []
         names = [f"{arm}/{name}" for arm in self._ports for name in cell_spec.ACTION]
         for each in judged:
             message = PolicyAction(

@@ -1,8 +1,8 @@
-"""What belongs together: the newest values of all sources, matched by their stamps.
+"""Assembles observations: the newest values of all sources, matched by their stamps.
 
-Only the newest value of a source is kept: an observation is never queued. In lock-step all sources
-of a tick bear its stamp exactly; in free-run they may differ by a tolerance, and a source that is
-further behind is named instead of served.
+Only the newest value of a source is kept; observations are never queued. In lock-step all sources
+of a tick have exactly its stamp. In free-run stamps may differ by a tolerance; a source further
+behind is reported instead of served.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ TASK_STATE = "privileged.task_state"
 IMAGE = "observation.images."
 """Keys as in a dataset (docs/reference/datasets.md)."""
 STILL = 1e-3
-"""[m] What a tip may move without a drawn picture having to change."""
+"""[m] Motion of a tip that need not change a rendered picture."""
 TOLERANCE = CAMERA_PERIODS * PERIOD
 """[ns] Free-run: largest difference between stamps of one observation."""
-
 
 Array = NDArray[np.float64]
 
@@ -37,7 +36,7 @@ class Observation:
         step: Number of its grid time.
         stamp_ns: Stamp of the arms' state.
         arrays: By key, as the spec says.
-        behind: How much older than the arms' state its oldest part is [ns].
+        behind: Age of its oldest part relative to the arms' state [ns].
     """
 
     step: int
@@ -47,66 +46,66 @@ class Observation:
 
 
 class CameraWatch:
-    """Is a picture alive? One that stalls or repeats itself must not lead an arm (F08).
+    """Detects a stalled or frozen camera, which must not guide an arm (F08).
 
     Args:
-        name: The camera's, for the texts.
-        period: Between two pictures [ns].
+        name: Name of the camera, for messages.
+        period: Time between two pictures [ns].
     """
 
     def __init__(self, name: str, period: int = PERIOD) -> None:
         self._name, self._limit = name, CAMERA_PERIODS * period
-        self._stamp, self._fingerprint = -1, -1
+        self._stamp, self._checksum = -1, -1
         self._arrived: int | None = None
         self._newer: int | None = None
         self._fresh: int | None = None
-        self._place: Array | None = None
+        self._tips: Array | None = None
 
-    def picture(self, now: int, stamp_ns: int, fingerprint: int) -> None:
-        """A picture has come; ``fingerprint``: of its pixels."""
+    def picture(self, now: int, stamp_ns: int, checksum: int) -> None:
+        """A picture has arrived; ``checksum``: of its pixels."""
         self._arrived = now
         if stamp_ns > self._stamp:
             self._newer = now
-            if fingerprint != self._fingerprint:
-                self._fresh, self._place = now, None
-        self._stamp, self._fingerprint = max(self._stamp, stamp_ns), fingerprint
+            if checksum != self._checksum:
+                self._fresh, self._tips = now, None
+        self._stamp, self._checksum = max(self._stamp, stamp_ns), checksum
 
-    def problem(self, now: int, place: Array | None = None) -> str:
-        """Empty, or why no policy may look at this camera.
+    def problem(self, now: int, tips: Array | None = None) -> str:
+        """Why no policy may use this camera; empty: it may.
 
         Args:
             now: Steady clock [ns].
-            place: Where the tips are, (3 n,) [m], for a camera that is drawn and so has no noise: a
-                scene at rest is the same picture again, and only one in which a tip has moved is
-                expected to change. None: a real camera is never twice the same.
+            tips: Positions of all tips, (3 n,) [m], for a rendered camera. It has no noise, so its
+                picture is expected to change only if a tip has moved. None: a real camera, whose
+                pictures always differ.
         """
         if self._fresh is None or self._newer is None or self._arrived is None:
-            return f"no picture of {self._name} yet: is the camera running?"
-        if self._place is None:
-            self._place = place
+            return f"no picture of {self._name} yet; check that the camera is running"
+        if self._tips is None:
+            self._tips = tips
         age = now - self._fresh
-        if age <= self._limit or (now - self._newer <= self._limit and self._at_rest(place)):
+        if age <= self._limit or (now - self._newer <= self._limit and self._at_rest(tips)):
             return ""
         silent = now - self._arrived > self._limit
-        what = "sends nothing" if silent else "shows the same picture"
+        symptom = "sends no pictures" if silent else "repeats the same picture"
         return (
-            f"the picture of {self._name} is {1e3 * age / SECOND:.0f} ms old (it {what}): check "
-            "the camera and its cable, then enable the policy again"
+            f"the picture is {1e3 * age / SECOND:.0f} ms old ({self._name} {symptom}); check the "
+            "camera and its cable, then enable the policy again"
         )
 
-    def settle(self) -> None:
-        """What was said of places until now does not count: the arms had no frame yet."""
-        self._place = None
+    def forget_tips(self) -> None:
+        """Earlier tip positions are invalid: the arms had no rcm frame yet."""
+        self._tips = None
 
-    def _at_rest(self, place: Array | None) -> bool:
+    def _at_rest(self, tips: Array | None) -> bool:
         """Whether no tip has moved since the picture changed."""
-        if place is None or self._place is None:
+        if tips is None or self._tips is None:
             return False
-        return float(np.abs(place - self._place).max()) <= STILL
+        return float(np.abs(tips - self._tips).max()) <= STILL
 
 
-def apart(stamps: Mapping[str, int]) -> str:
-    """Which arm's state is too old to be one observation with the others'; empty: none.
+def lagging_arm(stamps: Mapping[str, int]) -> str:
+    """Which arm's state is too old for an observation with the others; empty: none.
 
     Args:
         stamps: Of every arm's state [ns], by name.
@@ -119,11 +118,11 @@ def apart(stamps: Mapping[str, int]) -> str:
 
 
 class Observer:
-    """The newest value of every source, by the key that it is observed as.
+    """The newest value of every source, by its key in the observation.
 
     Args:
-        keys: Of all sources; an observation is complete with all of them.
-        tolerance: Largest difference of stamps [ns]; 0: they are equal (lock-step).
+        keys: Of all sources.
+        tolerance: Largest difference of stamps [ns]; 0 in lock-step.
     """
 
     def __init__(self, keys: Sequence[str], tolerance: int) -> None:
@@ -131,22 +130,22 @@ class Observer:
         self._newest: dict[str, tuple[int, NDArray[np.generic]]] = {}
 
     def put(self, key: str, stamp_ns: int, value: NDArray[np.generic]) -> None:
-        """A value has come; one that was overtaken is dropped."""
+        """A value has arrived; one older than the present value is dropped."""
         known = self._newest.get(key)
         if known is None or stamp_ns >= known[0] or known[0] - stamp_ns > self._tolerance:
             self._newest[key] = (stamp_ns, value)
 
     def missing(self, stamp_ns: int, keys: Iterable[str] | None = None) -> str:
-        """What an observation of this stamp still waits for, in words; empty: nothing.
+        """What is missing for an observation of this stamp; empty: nothing.
 
         Args:
             stamp_ns: Of the arms' state.
-            keys: What is looked at; None: everything.
+            keys: Of the observation; None: all.
         """
         for key in self._keys if keys is None else keys:
             known = self._newest.get(key)
             if known is None:
-                return f"{key} has not come yet"
+                return f"{key} has not arrived yet"
             behind = stamp_ns - known[0]
             if abs(behind) > self._tolerance:
                 where = "behind" if behind > 0 else "ahead of"
@@ -156,7 +155,7 @@ class Observer:
     def take(
         self, step: int, stamp_ns: int, keys: Iterable[str] | None = None
     ) -> Observation | None:
-        """The observation of this stamp, if all of it that is looked at is here."""
+        """The observation of this stamp, if it is complete."""
         wanted = self._keys if keys is None else tuple(keys)
         if self.missing(stamp_ns, wanted):
             return None

@@ -1,7 +1,7 @@
-"""The socket of the model server: a ROUTER that a stranger can neither fill nor enter.
+"""The ZeroMQ ROUTER socket of the model server, hardened against unknown peers.
 
-What ZeroMQ can refuse before it reaches this process is refused there: frames larger than the
-protocol's, more than two messages waiting per peer, with keys every peer whose key is not listed.
+ZeroMQ itself refuses frames larger than the protocol's, more than two waiting messages per peer,
+and, with keys, every peer whose key is not listed.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from surg_policy_client import wire
 from surg_policy_client.keys import ServerKeys
 
 RCVHWM, SNDHWM = 2, 8
-"""Messages that wait for each peer, in and out."""
+"""Queue lengths per peer, in and out."""
 BACKLOG = 16
 AT_ONCE = 32
-"""Messages that are taken before there is time for anything else."""
-GIVE_WAY = 1e-4
-"""[s] Between the parts of a message of thousands."""
+"""Messages taken in one call of `receive`."""
+YIELD = 1e-4
+"""[s] Pause between the parts of a message with thousands of them."""
 DOMAIN = "policy"
 
 
-def _give_way() -> None:
-    """Whoever waits for the processor, a controller above all, goes before a flood.
+def _yield_cpu() -> None:
+    """Let other processes run during a flood, above all the controller.
 
-    A sleep, for `sched_yield` gives way within this process's session only (autogroups).
+    Sleeps: `sched_yield` yields only to processes of the same autogroup.
     """
-    time.sleep(GIVE_WAY)
+    time.sleep(YIELD)
 
 
 class _AllowList:
-    """Which public keys may enter; asked by ZeroMQ before the first message."""
+    """Public keys that may connect; ZeroMQ checks them before the first message."""
 
     def __init__(self, keys: Sequence[bytes]) -> None:
         self._keys = frozenset(keys)
 
     def callback(self, domain: str, key: bytes) -> bool:
-        """Whether the owner of this key may enter."""
+        """Whether this key may connect."""
         return domain == DOMAIN and key in self._keys
 
 
@@ -51,10 +51,10 @@ class Router:
 
     Args:
         address: Where to listen.
-        keys: Of the server and of those who may enter; None: only on this machine.
+        keys: Of the server and its clients; None: this machine only.
 
     Raises:
-        BindError: The address may not be bound, or is taken.
+        BindError: The address must not be bound, or is in use.
     """
 
     def __init__(self, address: str, keys: ServerKeys | None) -> None:
@@ -86,18 +86,18 @@ class Router:
             ) from None
 
     def receive(self) -> list[tuple[bytes, list[Any]]]:
-        """What has come, with the peer of each: some of it, the rest later."""
-        found = []
+        """Received messages, at most `AT_ONCE`, with the peer of each."""
+        messages = []
         for _ in range(AT_ONCE):
             try:
-                peer, *parts = wire.receive(self.socket, zmq.NOBLOCK, _give_way)
+                peer, *parts = wire.receive(self.socket, zmq.NOBLOCK, _yield_cpu)
             except zmq.Again:
                 break
-            found.append((bytes(peer.buffer), parts))
-        return found
+            messages.append((bytes(peer.buffer), parts))
+        return messages
 
     def send(self, peer: bytes, parts: Sequence[Any]) -> bool:
-        """Send; whether it went out: nobody who does not read is waited for."""
+        """Send without waiting; returns whether it was sent."""
         try:
             self.socket.send_multipart([peer, *parts], zmq.NOBLOCK, copy=False)
         except zmq.Again:
@@ -105,7 +105,7 @@ class Router:
         return True
 
     def close(self) -> None:
-        """Give everything back."""
+        """Close the socket."""
         if self._guard is not None:
             self._guard.stop()
             self._guard = None

@@ -1,4 +1,4 @@
-"""The model server's parameters: checked once, then frozen. No ROS."""
+"""Parameters of the model server, checked once. No ROS."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from surg_policy_client.wire import MAX_PARTS, MAX_SENTENCE
 MODES = ("lockstep", "freerun")
 ADDRESS = "tcp://127.0.0.1:5555"
 Get = Callable[[str, Any], Any]
-"""Looks a private parameter up: (name without ~, default) -> value."""
+"""Reads a private parameter: (name without ~, default) -> value."""
 
 
 class SettingsError(ValueError):
-    """A parameter that must not be used: name, value, what is allowed."""
+    """An invalid parameter: name, value and what is allowed."""
 
 
 @dataclass(frozen=True)
@@ -27,20 +27,20 @@ class Settings:
 
     Attributes:
         bind: Address at which policies connect.
-        keys: Folder of `./surg keys`; empty: none, and then this machine only.
+        keys: Folder of `./surg keys`; empty: none, which allows this machine only.
         cell: Path of the cell.
-        arms: Those that the policy commands, in the order of the action.
+        arms: Arms that the policy commands, in the order of the action.
         mode: ``lockstep`` or ``freerun``.
         task: Name of the task, for the specification.
         instruction: The task in words, for the policy.
-        privileged: Serve the simulator's truth (``privileged.task_state``).
-        cameras: To observe, such as ``endoscope_left``.
+        privileged: Serve the simulator's ground truth (``privileged.task_state``).
+        cameras: Observed cameras, such as ``endoscope_left``.
         camera_rate: Pictures per second [1/s].
-        clip: Rules that clip a step instead of refusing it.
-        autostart: Every new session is enabled at once.
-        need_present: Run only while somebody is at the controls (operator_present of the console or
-            the foot pedals, repeated 20 times a second).
-        answer_timeout: Lock-step: longest wall-clock wait for an answer [s].
+        clip: Rules that clip a step instead of rejecting it.
+        autostart: Enable every new session at once.
+        need_present: Run only while the operator is at the controls (operator_present of the
+            console or the foot pedals, repeated 20 times per second).
+        answer_timeout: Longest wall-clock wait for an answer in lock-step [s].
     """
 
     bind: str
@@ -60,7 +60,7 @@ class Settings:
 
     @property
     def lockstep(self) -> bool:
-        """Step by step, or in real time."""
+        """Whether it runs in lock-step with the simulator."""
         return self.mode == "lockstep"
 
     @classmethod
@@ -68,11 +68,13 @@ class Settings:
         """Read and check all parameters.
 
         Raises:
-            SettingsError: One is missing or must not be used.
+            SettingsError: A parameter is missing or invalid.
         """
         clip = _texts("clip", get("clip", list(CLIPPED)))
-        if strange := [rule for rule in clip if rule not in CLIPPABLE]:
-            raise SettingsError(f"parameter ~clip has {strange}: {', '.join(CLIPPABLE)} can clip")
+        if unknown := [rule for rule in clip if rule not in CLIPPABLE]:
+            raise SettingsError(
+                f"parameter ~clip has {unknown}: allowed are {', '.join(CLIPPABLE)}"
+            )
         mode = get("mode", "freerun")
         if mode not in MODES:
             raise SettingsError(f"parameter ~mode is {mode!r}: allowed are {', '.join(MODES)}")
@@ -109,25 +111,25 @@ class Settings:
         )
 
     def check_arms(self, names: Sequence[str], links: Sequence[str]) -> None:
-        """Compare with the cell.
+        """Check the arms against the cell.
 
         Args:
-            names: Its arms.
-            links: What each is behind, such as ``simulator``.
+            names: Arms of the cell.
+            links: Robot link of each, such as ``simulator``.
 
         Raises:
-            SettingsError: They do not fit.
+            SettingsError: An arm is unknown, or a real arm has no ground truth.
         """
-        there = dict(zip(names, links, strict=True))
-        if strange := [arm for arm in self.arms if arm not in there]:
+        link_of = dict(zip(names, links, strict=True))
+        if unknown := [arm for arm in self.arms if arm not in link_of]:
             raise SettingsError(
-                f"parameter ~arms names {', '.join(strange)}: the cell has {', '.join(there)}"
+                f"parameter ~arms names {', '.join(unknown)}: the cell has {', '.join(link_of)}"
             )
-        real = [arm for arm in self.arms if there[arm] != "simulator"]
+        real = [arm for arm in self.arms if link_of[arm] != "simulator"]
         if self.privileged and real:
             raise SettingsError(
-                f"parameter ~privileged is true, but {', '.join(real)} is no simulated arm: a "
-                "robot has no ground truth to serve"
+                f"parameter ~privileged is true, but {', '.join(real)} is not simulated: only the "
+                "simulator has ground truth"
             )
 
 

@@ -1,7 +1,7 @@
-"""Who talks: one policy at a time, by a session that nobody can guess, and no faster than it may.
+"""Sessions of policies and the rate limit of their messages.
 
-A session ends with a BYE, with 150 ms of silence, or with the server. Its number is random: what a
-former client or a recording of the wire sends is of another session and is not obeyed (F29).
+One policy at a time is in session. A session ends with BYE, with 150 ms of silence, or with the
+server. Its number is random, so messages of a former client, or a replay, are refused (F29).
 """
 
 from __future__ import annotations
@@ -12,50 +12,50 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from surg_policy_bridge.server.policy_arm import SECOND
-from surg_policy_bridge.server.timers import SILENCE, Patience
+from surg_policy_bridge.server.timers import SILENCE, Timeout
 from surg_policy_client.spec import Spec
 
 RATE, BURST = 500, 200
-"""Messages of a peer per second, and at once; what comes above is not even looked into (F18)."""
+"""Messages of a peer per second, and at once; more are dropped undecoded (F18)."""
 PEERS = 64
-"""Peers that are remembered; the longest unheard is forgotten first."""
+"""Peers with a rate limit of their own; the one idle for longest is forgotten first."""
 SENT = 64
 """Observations that may still be answered."""
 
 
 @dataclass
-class Bucket:
-    """Lets `RATE` messages per second through, `BURST` at once.
+class TokenBucket:
+    """Admits `RATE` messages per second, `BURST` at once.
 
     Attributes:
-        filled: Tokens that are there, in units of 1 / RATE / SECOND.
+        tokens: In units of 1 / RATE / SECOND.
         at: When they were counted [ns].
     """
 
-    filled: int = BURST * SECOND
+    tokens: int = BURST * SECOND
     at: int = 0
 
     def take(self, now: int) -> bool:
-        """Whether one more message may come."""
-        self.filled = min(self.filled + max(now - self.at, 0) * RATE, BURST * SECOND)
+        """Whether one more message is admitted."""
+        self.tokens = min(self.tokens + max(now - self.at, 0) * RATE, BURST * SECOND)
         self.at = max(now, self.at)
-        if self.filled < SECOND:
+        if self.tokens < SECOND:
             return False
-        self.filled -= SECOND
+        self.tokens -= SECOND
         return True
 
 
-class Flow:
-    """The buckets of all peers."""
+class RateLimiter:
+    """Token buckets of all peers."""
 
     def __init__(self) -> None:
-        self._buckets: OrderedDict[bytes, Bucket] = OrderedDict()
+        self._buckets: OrderedDict[bytes, TokenBucket] = OrderedDict()
 
     def admits(self, peer: bytes, now: int) -> bool:
-        """Whether a peer's message is looked into."""
+        """Whether a message of this peer is decoded."""
         bucket = self._buckets.get(peer)
         if bucket is None:
-            bucket = self._buckets[peer] = Bucket(at=now)
+            bucket = self._buckets[peer] = TokenBucket(at=now)
             if len(self._buckets) > PEERS:
                 self._buckets.popitem(last=False)
         self._buckets.move_to_end(peer)
@@ -63,7 +63,7 @@ class Flow:
 
 
 @dataclass(frozen=True)
-class Sent:
+class SentObservation:
     """An observation that was sent.
 
     Attributes:
@@ -81,19 +81,19 @@ class Sent:
 
 @dataclass
 class Session:
-    """A policy that is connected.
+    """A connected policy.
 
     Attributes:
-        number: Random; on every message of the session.
+        number: Random; part of every message of the session.
         peer: Identity of its connection.
-        client: Its name.
-        policy: Name of its policy.
-        spec: What it is served.
-        silence: Since when nothing has been heard.
+        client: Name of the client.
+        policy: Name of the policy.
+        spec: The specification that it is served.
+        silence: Time since its last message.
         sent: Observations that it may answer, by sequence number.
-        seq: Of the newest observation.
-        answered: Of the newest observation that it has answered, or may no longer answer.
-        acted: It has answered one.
+        seq: Number of the newest observation.
+        answered: Newest observation that it has answered, or may no longer answer.
+        acted: It has answered an observation.
     """
 
     number: int
@@ -101,44 +101,44 @@ class Session:
     client: str
     policy: str
     spec: Spec
-    silence: Patience = field(default_factory=lambda: Patience(SILENCE))
-    sent: OrderedDict[int, Sent] = field(default_factory=OrderedDict)
+    silence: Timeout = field(default_factory=lambda: Timeout(SILENCE))
+    sent: OrderedDict[int, SentObservation] = field(default_factory=OrderedDict)
     seq: int = 0
     answered: int = 0
     acted: bool = False
 
     def heard(self, now: int) -> None:
-        """A message of it has come."""
+        """A message has arrived."""
         self.silence.since = now
 
-    def note(self, sent: Sent) -> int:
-        """An observation goes out; returns its sequence number."""
+    def note(self, observation: SentObservation) -> int:
+        """An observation is sent; returns its sequence number."""
         self.seq += 1
-        self.sent[self.seq] = sent
+        self.sent[self.seq] = observation
         if len(self.sent) > SENT:
             self.sent.popitem(last=False)
         return self.seq
 
 
 def refusal(head: Mapping[str, Any], versions: range, served: Spec) -> tuple[str, str] | None:
-    """Why a HELLO cannot be answered with a session: code and text, naming both sides.
+    """Why a HELLO is refused: code and text, naming both sides; None: it is not.
 
     Args:
         head: Of the HELLO.
-        versions: Of the protocol that this server speaks.
-        served: What this server has.
+        versions: Protocol versions of this server.
+        served: Specification of this server.
     """
     low, high = head["versions"]
     if high < versions.start or low >= versions.stop:
         return "version", (
-            f"the client speaks versions {low} to {high} of the protocol, this server "
-            f"{versions.start} to {versions.stop - 1}: install the client of this release"
+            f"the client supports protocol versions {low} to {high}, this server "
+            f"{versions.start} to {versions.stop - 1}; install the client of this release"
         )
     wrong = Spec.from_map(head["wants"]).mismatches(served) if head["wants"] is not None else []
     return ("spec", "; ".join(wrong)) if wrong else None
 
 
 def spec_for(head: Mapping[str, Any], served: Spec) -> Spec:
-    """What a client is served: the observations that it named, or all."""
+    """Specification for a client: with the observations that it named, or all."""
     wanted = Spec.from_map(head["wants"]).observation if head["wants"] is not None else {}
     return served.only(list(wanted)) if wanted else served

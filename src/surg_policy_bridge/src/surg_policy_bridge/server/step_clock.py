@@ -1,9 +1,9 @@
-"""The grid of real time: when to observe, when a step is due, and what to send in between.
+"""The 20 Hz grid in real time: when to observe, when a step is due, and what to send in between.
 
-Step n says where the arms shall be at grid time n, so the way to it is played from grid time n - 1
-on, at 125 Hz (`playout`). That takes a step more than the answer to the newest observation can have
-brought by then. Where it has not come, the step before it is played in its place, a period late:
-so an answer within a period is in time whether it brings one step or fifty.
+Step n holds the targets of grid time n. The way to it is played from grid time n - 1 on, at 125 Hz
+(`playout`), which needs the step one period before the newest observation can have been answered.
+If it is missing, the step before it is played in its place, one period late. So any answer within a
+period is in time, whether it holds one step or fifty.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from surg_policy_bridge.server.playout import SEND, Piece
 from surg_policy_bridge.server.policy_arm import ACTION, PERIOD, ArmView, Target
 
 
-class FreeRun:
+class StepClock:
     """Plays a server's steps in real time.
 
     Args:
-        arms: Those that the policy commands.
+        arms: Arms that the policy commands.
         start: Grid time 0 [ns].
     """
 
     def __init__(self, arms: Sequence[str], start: int) -> None:
         self._arms, self._start = tuple(arms), start
-        self._seen = -1
+        self._observed = -1
         self._step = -1
         self._begun = 0
         self._pieces: dict[str, Piece] = {}
@@ -35,7 +35,7 @@ class FreeRun:
         self._sent = start - SEND
 
     def due(self, now: int) -> int:
-        """When there is something to do again [ns]."""
+        """Time of the next action of this clock [ns]."""
         return min(self._sent + SEND, self._start + (self.step(now) + 1) * PERIOD)
 
     def step(self, now: int) -> int:
@@ -43,15 +43,15 @@ class FreeRun:
         return (now - self._start) // PERIOD
 
     def observe(self, now: int) -> int | None:
-        """The grid time that has just come, once; None: there is none."""
+        """Number of a grid time that has just begun, once; otherwise None."""
         step = self.step(now)
-        if step <= self._seen:
+        if step <= self._observed:
             return None
-        self._seen = step
+        self._observed = step
         return step
 
     def play(self, server: ModelServer, views: dict[str, ArmView], now: int) -> dict[str, Target]:
-        """What to send now, by arm; empty: nothing."""
+        """Set-points to send now, by arm; empty: none."""
         step = self.step(now)
         if step > self._step:
             self._step = step
@@ -67,32 +67,29 @@ class FreeRun:
     def _begin(self, server: ModelServer, views: dict[str, ArmView], step: int, now: int) -> None:
         if self._pieces:
             self._last = (now, self._pieces)
-        # Where the arms rest, a stream begins with the first step there is: the one after it may
-        # lie farther away than a first step is allowed to.
+        # From rest a stream begins with the first step there is: the one after it may be farther
+        # away than a first step is allowed to be.
         order = (step + 1, step) if self._pieces else (step, step + 1)
         number = next((n for n in order if server.coming(n) is not None), step)
         targets = server.execute(number, now, past=step)
-        if not targets:
-            self._pieces = {}
-            return
-        beyond = server.coming(number + 1)
+        beyond = server.coming(number + 1) if targets else None
         self._begun = now
         self._pieces = {
             name: self._piece(
-                views[name], self._before(name, now), goal, beyond[name] if beyond else None
+                views[name], self._previous(name, now), goal, beyond[name] if beyond else None
             )
             for name, goal in targets.items()
         }
 
-    def _before(self, name: str, now: int) -> Piece | None:
-        """What has just been played; None: the arm rests, or will when its stream has ended."""
+    def _previous(self, name: str, now: int) -> Piece | None:
+        """The piece just played; None: the arm is at rest, or its stream has ended."""
         at, pieces = self._last
         return pieces.get(name) if now - at <= PERIOD else None
 
     def _piece(
-        self, view: ArmView, before: Piece | None, goal: Target, beyond: Target | None
+        self, view: ArmView, previous: Piece | None, goal: Target, beyond: Target | None
     ) -> Piece:
-        if before is None:
+        if previous is None:
             start = Target(view.p_set, view.roll_set, view.jaw_set)
             return Piece(start, goal, np.zeros(len(ACTION)), beyond)
-        return Piece(before.goal, goal, before.slope, beyond)
+        return Piece(previous.goal, goal, previous.slope, beyond)

@@ -1,4 +1,4 @@
-"""When a policy has been silent, idle or wrong for too long. Times are integer nanoseconds."""
+"""Timeouts of the model server. Times are integer nanoseconds."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from dataclasses import dataclass
 from surg_policy_bridge.server.policy_arm import SECOND
 
 SILENCE = 150_000_000
-"""[ns] A client that pings every 50 ms and has not been heard for longer is not there."""
+"""[ns] Timeout of a client, which pings every 50 ms."""
 MAX_OBS_AGE = 600_000_000
-"""[ns] A step is executed only while the observation that it answers is younger."""
+"""[ns] A step is executed only while the observation that it answers is not older."""
 EMPTY = 2 * SECOND
-"""[ns] Without a step to execute for longer, the arms are paused."""
+"""[ns] The arms are paused after this time without a step."""
 REJECTS = 3
 """Rejected steps in a row that pause the arms."""
 CAMERA_PERIODS = 3
-"""Periods of a camera that may pass without a new picture (F08)."""
+"""Camera periods without a new picture that count as a stall (F08)."""
 PRESENCE = SECOND // 4
-"""[ns] A dead-man is repeated 20 times a second; one that has not been for longer is let go. The
-teleoperation's limit, too (surg_teleop.follow.arm_switch.PEDAL_SILENCE)."""
+"""[ns] Timeout of a dead-man switch, which is repeated 20 times per second; the same as the
+teleoperation's (surg_teleop.follow.pedal_monitor.PEDAL_SILENCE)."""
 
 
 @dataclass
-class Patience:
+class Timeout:
     """A limit on how long something may last.
 
     Attributes:
@@ -33,13 +33,13 @@ class Patience:
     limit: int
     since: int | None = None
 
-    def lasts(self, now: int) -> None:
-        """It lasts; the first call counts."""
+    def start(self, now: int) -> None:
+        """It begins now, unless it has begun already."""
         if self.since is None:
             self.since = now
 
-    def over(self) -> None:
-        """It is over."""
+    def clear(self) -> None:
+        """It has ended."""
         self.since = None
 
     def exceeded(self, now: int) -> bool:
@@ -47,19 +47,19 @@ class Patience:
         return self.since is not None and now - self.since > self.limit
 
 
-class Presence:
-    """Is anybody at the controls? One source that is pressed, and says so again, is enough."""
+class OperatorPresence:
+    """Whether the operator is at the controls: one pressed, live source is enough."""
 
     def __init__(self) -> None:
-        self._down: dict[str, int] = {}
+        self._pressed: dict[str, int] = {}
 
     def press(self, source: str, down: bool, now: int) -> None:
-        """A source says whether it is pressed; it speaks for itself alone."""
+        """A source reports its own state."""
         if down:
-            self._down[source] = now
+            self._pressed[source] = now
         else:
-            self._down.pop(source, None)
+            self._pressed.pop(source, None)
 
-    def there(self, now: int) -> bool:
-        """Whether somebody is: the word of a source that has died does not last."""
-        return any(now - at <= PRESENCE for at in self._down.values())
+    def detected(self, now: int) -> bool:
+        """Whether any source is pressed; silent sources do not count."""
+        return any(now - at <= PRESENCE for at in self._pressed.values())

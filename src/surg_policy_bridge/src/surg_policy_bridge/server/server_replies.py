@@ -1,0 +1,104 @@
+"""Messages of the server to a policy, one function per kind (docs/reference/protocol.md)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from surg_policy_bridge.server.policy_arm import SECOND
+from surg_policy_bridge.server.sessions import Session
+from surg_policy_client import wire
+from surg_policy_client.wire import Message
+
+PING = 50_000_000
+"""[ns] Ping interval that the server asks for."""
+MAX_TEXT = 1024
+"""Longest text of a reply."""
+
+
+@dataclass
+class AckTally:
+    """What has happened to steps since the last ACK.
+
+    Attributes:
+        accepted: Steps sent to the arms.
+        clipped: Of them, those that a rule has shortened.
+        late: Steps that arrived after their time.
+        stale: Steps whose observation was too old.
+        rejected: Step, rule and text of every refusal.
+    """
+
+    accepted: int = 0
+    clipped: int = 0
+    late: int = 0
+    stale: int = 0
+    rejected: list[dict[str, Any]] = field(default_factory=list)
+
+
+def welcome(session: Session, max_obs_age: int, silence: int) -> Message:
+    """A session is open; ages and timeouts in [ns]."""
+    return Message(
+        "WELCOME",
+        {
+            "version": wire.VERSION,
+            "session": session.number,
+            "spec": session.spec.to_map(),
+            "max_obs_age_s": max_obs_age / SECOND,
+            "ping_s": PING / SECOND,
+            "silence_s": silence / SECOND,
+        },
+    )
+
+
+def acknowledgement(session: Session, seq: int, tally: AckTally, queued: int) -> Message:
+    """What has become of the steps that answer observation ``seq``, and of earlier ones."""
+    return Message(
+        "ACK",
+        {
+            "session": session.number,
+            "seq": seq,
+            "accepted": tally.accepted,
+            "clipped": tally.clipped,
+            "late": tally.late,
+            "stale": tally.stale,
+            "rejected": tally.rejected,
+            "queue": queued,
+        },
+    )
+
+
+def rejected_step(step: int, rule: str, text: str) -> dict[str, Any]:
+    """One entry of an ACK's ``rejected``."""
+    return {"step": step, "rule": rule, "text": text[:MAX_TEXT]}
+
+
+def episode(
+    session: Session, number: int, event: str, instruction: str, success: bool | None, reason: str
+) -> Message:
+    """An episode begins, is paused, resumes or ends."""
+    return Message(
+        "EPISODE",
+        {
+            "session": session.number,
+            "episode": number,
+            "event": event,
+            "instruction": instruction,
+            "success": success,
+            "reason": reason[:MAX_TEXT],
+        },
+    )
+
+
+def pong(session: Session, n: int) -> Message:
+    """Answer to PING ``n``."""
+    return Message("PONG", {"session": session.number, "n": n})
+
+
+def goodbye(session: Session, reason: str) -> Message:
+    """The server ends the session."""
+    return Message("BYE", {"session": session.number, "reason": reason})
+
+
+def error(code: str, text: str) -> Message:
+    """The peer's last message was refused."""
+    return Message("ERR", {"code": code, "text": text})

@@ -1,0 +1,208 @@
+"""Executes the steps of a policy: queue, safety controller, and what becomes of every step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surg_policy_bridge.server.chunk_queue import ChunkQueue, Step
+from surg_policy_bridge.server.counters import Counters
+from surg_policy_bridge.server.policy_arm import ACTION, ArmView, Target
+from surg_policy_bridge.server.safety_controller import SafetyController
+from surg_policy_bridge.server.server_replies import AckTally, rejected_step
+from surg_policy_bridge.server.sessions import SentObservation, Session
+from surg_policy_bridge.server.timers import Timeout
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class JudgedStep:
+    """One step with the verdict of the safety controller.
+
+    Attributes:
+        session: Of the policy.
+        seq: Of the observation that it answers.
+        step: Its grid time.
+        obs_age: Age of that observation [ns].
+        values: What was relayed or, if rejected, requested; (A,), may be empty.
+        passed: It was relayed.
+        rule: Rules that clipped or rejected it; empty: none.
+        text: What was requested and what is allowed.
+    """
+
+    session: int
+    seq: int
+    step: int
+    obs_age: int
+    values: Array
+    passed: bool
+    rule: str = ""
+    text: str = ""
+
+
+class StepExecutor:
+    """Steps of one policy on their way to the arms.
+
+    Args:
+        arms: Arms that the policy commands, in the order of the action.
+        safety: Judges every step.
+        counters: Get the counts.
+        max_obs_age: A step is executed only while its observation is not older [ns].
+        empty: Longest time without a step [ns].
+
+    Attributes:
+        queue: Steps still to come.
+        judged: Steps for the topics; the caller empties it.
+        rejected_in_a_row: Steps rejected since the last accepted one.
+    """
+
+    def __init__(
+        self,
+        arms: tuple[str, ...],
+        safety: SafetyController,
+        counters: Counters,
+        max_obs_age: int,
+        empty: int,
+    ) -> None:
+        self._arms, self._safety, self._counters = arms, safety, counters
+        self._max_obs_age = max_obs_age
+        self._empty = Timeout(empty)
+        self._tally = AckTally()
+        self.queue = ChunkQueue()
+        self.judged: list[JudgedStep] = []
+        self.rejected_in_a_row = 0
+
+    def start(self, at: int) -> None:
+        """The policy begins to run; the next step starts a stream."""
+        self.stop()
+        self.rejected_in_a_row = 0
+        self._empty.start(at)
+
+    def stop(self) -> None:
+        """The policy does not run any more; nothing queued is executed."""
+        self.queue.flush()
+        self._safety.forget()
+        self._empty.clear()
+
+    def take(self, number: int, past: int | None, at: int) -> Step | None:
+        """The step of a grid time; see :meth:`ChunkQueue.take`."""
+        self.count_stale(self.queue.drop_older(at - self._max_obs_age))
+        step = self.queue.take(number, past)
+        if step is None:
+            self._counters.empty += 1
+            self._empty.start(at)
+        else:
+            self._empty.clear()
+        return step
+
+    def starved(self, at: int) -> bool:
+        """Whether there has been no step for too long."""
+        return self._empty.exceeded(at)
+
+    def coming(self, number: int) -> dict[str, Target] | None:
+        """Targets of a future grid time, by arm; None: unknown."""
+        step = self.queue.peek(number)
+        return None if step is None else self._targets(step.row)
+
+    def judge(
+        self, session: Session, step: Step, views: Mapping[str, ArmView], at: int
+    ) -> dict[str, Target]:
+        """What may be sent of a step, by arm; empty: it is rejected."""
+        passed, violations = self._safety.judge(self._targets(step.row), views, at)
+        if not passed:
+            worst = violations[0]
+            self.reject(session, step.number, worst.rule, worst.text, at, step.seq, step.row)
+            return {}
+        self.rejected_in_a_row = 0
+        self._counters.accepted += 1
+        self._counters.obs_age.add(at - step.seen)
+        self._tally.accepted += 1
+        self._tally.clipped += bool(violations)
+        self._counters.clipped += bool(violations)
+        self.judged.append(
+            JudgedStep(
+                session=session.number,
+                seq=step.seq,
+                step=step.number,
+                obs_age=at - step.seen,
+                values=np.concatenate([target.row for target in passed.values()]),
+                passed=True,
+                rule=",".join(violation.rule for violation in violations),
+                text="; ".join(violation.text for violation in violations),
+            )
+        )
+        return passed
+
+    def reject(
+        self,
+        session: Session,
+        number: int,
+        rule: str,
+        text: str,
+        at: int,
+        seq: int = 0,
+        values: Array | None = None,
+    ) -> None:
+        """A rule refuses a step.
+
+        Args:
+            session: Of the policy.
+            number: Grid time of the step.
+            rule: That refuses it.
+            text: What was requested and what is allowed.
+            at: Time of the execution [ns].
+            seq: Of the observation that it answers; 0: unknown.
+            values: The step, if it is one.
+        """
+        sent = session.sent.get(seq)
+        age = at - sent.seen if sent is not None else 0
+        row = np.zeros(0) if values is None else values
+        self._counters.rejected[rule] += 1
+        self.judged.append(JudgedStep(session.number, seq, number, age, row, False, rule, text))
+        self._tally.rejected.append(rejected_step(number, rule, text))
+        self.rejected_in_a_row += 1
+
+    def splice(
+        self, session: Session, first: int, rows: Array, seq: int, sent: SentObservation, at: int
+    ) -> None:
+        """Queue a chunk, or refuse it if its shape is wrong.
+
+        Args:
+            session: Of the policy.
+            first: Grid time of the first step.
+            rows: (K, A).
+            seq: Of the observation that it answers.
+            sent: That observation.
+            at: Time of the execution [ns].
+        """
+        if at - sent.seen > self._max_obs_age:
+            self.count_stale(len(rows))
+        elif len(rows) and (wrong := session.spec.check_chunk(rows)):
+            self.reject(session, first, "shape", "; ".join(wrong), at, seq)
+        elif len(rows):
+            late = self.queue.splice(first, rows, seq, sent.seen)
+            self._counters.late += late
+            self._tally.late += late
+
+    def count_stale(self, steps: int) -> None:
+        """So many steps answered an observation that was too old."""
+        self._counters.stale += steps
+        self._tally.stale += steps
+
+    def take_tally(self) -> AckTally:
+        """What the next ACK reports; the count starts again."""
+        tally, self._tally = self._tally, AckTally()
+        return tally
+
+    @property
+    def has_unreported_rejections(self) -> bool:
+        """Whether the next ACK reports a rejection."""
+        return bool(self._tally.rejected)
+
+    def _targets(self, row: Array) -> dict[str, Target]:
+        parts = row.reshape(-1, len(ACTION))
+        return {name: Target.of(part) for name, part in zip(self._arms, parts, strict=True)}
