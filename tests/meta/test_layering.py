@@ -22,6 +22,8 @@ def write(root: Path, name: str, text: str) -> Path:
 def test_a_clean_tree_passes(tmp_path: Path) -> None:
     write(tmp_path, "surg_sim/src/surg_sim/arm.py", "import numpy\nimport surg_core\n")
     write(tmp_path, "surg_sim/src/surg_sim/bridge_node.py", "import rospy\nimport surg_msgs.msg\n")
+    write(tmp_path, "surg_ros/src/surg_ros/arm_port.py", "import rospy\nimport surg_msgs.msg\n")
+    write(tmp_path, "surg_sim/src/surg_sim/settings.py", "from surg_ros.params import Params\n")
     write(tmp_path, "surg_core/src/rcm.cpp", "#include <Eigen/Dense>\n#include <vector>\n")
     write(tmp_path, "surg_core/include/surg_core/rcm.hpp", '#include "surg_core/types.hpp"\n')
     write(tmp_path, "surg_control/src/a.cpp", "#include <ros/ros.h>\n#include <surg_core/a.hpp>\n")
@@ -103,6 +105,26 @@ BROKEN = {
         "surg_policy_bridge/client/src/surg_policy_client/link.py",
         "def f():\n    from surg_core import Gate\n",
         "a client must use nothing of ours but itself (surg_core)",
+    ),
+    "a functional package takes ROS plumbing from the recorder": (
+        "surg_teleop/src/surg_teleop/a_node.py",
+        "from surg_recording.nodes.recorder_node import main\n",
+        "surg_teleop must not use another package's nodes",
+    ),
+    "surg_ros imports the recorder": (
+        "surg_ros/src/surg_ros/arm_port.py",
+        "import surg_recording\n",
+        "surg_ros must not use surg_recording",
+    ),
+    "a pure module of surg_ros imports ROS": (
+        "surg_ros/src/surg_ros/params.py",
+        "import rospy\n",
+        "a core must not use ROS (rospy)",
+    ),
+    "a core imports the ROS library": (
+        "surg_recording/src/surg_recording/metrics.py",
+        "from surg_ros.transport.raw_message import RawMessage\n",
+        "a core must not use ROS (surg_ros.transport.raw_message.RawMessage)",
     ),
     "an unknown package": ("surg_more/a.py", "", "a package that the layering does not know"),
 }

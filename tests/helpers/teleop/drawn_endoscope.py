@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
+from surg_ros.transport.raw_message import RawCycle
 from surg_sim.physics.endoscope_rig import camera_poses
-from surg_teleop.follow.teleop_ports_node import RawCycle
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

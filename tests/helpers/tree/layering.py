@@ -21,13 +21,16 @@ FUNCTIONAL = frozenset(
         "surg_dvrk_compat",
     }
 )
-LIBRARIES = frozenset({"surg_core", "surg_description", "surg_recording"})
+LIBRARIES = frozenset({"surg_core", "surg_description", "surg_recording", "surg_ros"})
+PURE_IN_SURG_ROS = frozenset({"camera_topic", "params"})
+"""Modules of surg_ros that need no ROS; everything else in it does."""
 ALLOWED: dict[str, frozenset[str]] = {
     "crtk_msgs": frozenset(),
     "surg_msgs": frozenset(),
     "surg_core": frozenset(),
     "surg_description": frozenset({"surg_core"}),
-    "surg_recording": MESSAGES | {"surg_core"},
+    "surg_ros": MESSAGES | {"surg_core", "surg_description"},
+    "surg_recording": MESSAGES | {"surg_core", "surg_ros"},
     **dict.fromkeys(FUNCTIONAL, MESSAGES | LIBRARIES),
 }
 TOOLS = frozenset({"surg_cli"})
@@ -81,6 +84,8 @@ def violations(src: Path) -> list[str]:
             where = f"{use.file.relative_to(src)}:{use.line}"
             if top in OURS and top != package and top not in ALLOWED[package]:
                 found.append(f"{where}: {package} must not use {top}")
+            if top != package and needs_nodes(use):
+                found.append(f"{where}: {package} must not use another package's nodes")
             if use.file.relative_to(src / package).parts[0] == "client" and top in OURS:
                 found.append(f"{where}: a client must use nothing of ours but itself ({top})")
             if is_pure(use.file, src / package) and needs_ros(use):
@@ -91,8 +96,8 @@ def violations(src: Path) -> list[str]:
 def is_pure(file: Path, package: Path) -> bool:
     """Whether a file belongs to a core.
 
-    All of surg_core does, and in the other packages every Python module but the nodes
-    (`*_node.py`), the start scripts and the tests.
+    All of surg_core does, of surg_ros what `PURE_IN_SURG_ROS` names, and in the other packages
+    every Python module but the nodes (`*_node.py`), the start scripts and the tests.
 
     Args:
         file: The file.
@@ -103,16 +108,26 @@ def is_pure(file: Path, package: Path) -> bool:
     inside = file.relative_to(package).parts
     if file.suffix != ".py" or file.name == "setup.py":
         return False
+    if package.name == "surg_ros":
+        return file.stem in PURE_IN_SURG_ROS
     return not (file.name.endswith("_node.py") or {"scripts", "test", "tests"} & set(inside))
 
 
 def needs_ros(use: Use) -> bool:
-    """Whether what is used comes with ROS, or is one of a package's own nodes."""
+    """Whether what is used comes with ROS, is surg_ros, or is one of a package's own nodes."""
     if use.file.suffix == ".py":
         parts = use.target.split(".")
+        if parts[0] == "surg_ros" != use.package:
+            return not PURE_IN_SURG_ROS & set(parts[1:2])
         own_node = parts[0] in OURS and any(part.endswith("_node") for part in parts[1:])
         return bool(ROS_PYTHON.match(parts[0])) or own_node
     return bool(ROS_INCLUDE.match(use.target))
+
+
+def needs_nodes(use: Use) -> bool:
+    """Whether what is used is in the `nodes` folder of one of our packages."""
+    parts = use.target.split(".")
+    return use.file.suffix == ".py" and parts[0] in OURS and parts[1:2] == ["nodes"]
 
 
 def uses(package: Path) -> Iterator[Use]:

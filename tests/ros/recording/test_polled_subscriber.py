@@ -25,7 +25,7 @@ def framed(message: bytes) -> bytes:
 
 
 def test_messages_come_out_of_any_pieces() -> None:
-    from surg_recording.nodes.polled_node import Frames
+    from surg_ros.transport.polled_subscriber import FrameDecoder
 
     pieces_seen = 0
     for seed in range(200):
@@ -35,9 +35,9 @@ def test_messages_come_out_of_any_pieces() -> None:
         cuts = sorted(rng.integers(0, len(stream), rng.integers(0, 60)).tolist())
         pieces = [stream[a:b] for a, b in itertools.pairwise([0, *cuts, len(stream)])]
         head = int(rng.integers(0, len(pieces)))
-        frames = Frames(b"")
+        frames = FrameDecoder(b"")
         found = [m for piece in pieces[:head] for m in frames.add(piece)]
-        later = Frames(frames.rest)  # as another reader would go on
+        later = FrameDecoder(frames.rest)  # as another reader would go on
         found += [m for piece in pieces[head:] for m in later.add(piece)]
         assert found == messages and later.rest == b""
         pieces_seen += len(pieces)
@@ -45,15 +45,15 @@ def test_messages_come_out_of_any_pieces() -> None:
 
 
 def test_a_length_that_cannot_be_is_no_message() -> None:
-    from surg_recording.nodes.polled_node import MOST, Frames
+    from surg_ros.transport.polled_subscriber import MAX_LENGTH, FrameDecoder
 
-    assert Frames().add(framed(bytes(MOST)))
+    assert FrameDecoder().add(framed(bytes(MAX_LENGTH)))
     with pytest.raises(ValueError, match="a message of"):
-        Frames().add(struct.pack("<I", MOST + 1))
+        FrameDecoder().add(struct.pack("<I", MAX_LENGTH + 1))
 
 
 def test_nonsense_that_comes_with_the_handshake_ends_the_connection_and_nothing_else() -> None:
-    from surg_recording.nodes.polled_node import _Lent
+    from surg_ros.transport.polled_subscriber import _BorrowedConnection
 
     buffer, closed = io.BytesIO(), []
     buffer.write(framed(b"first") + b"\xff" * 8)
@@ -62,7 +62,7 @@ def test_nonsense_that_comes_with_the_handshake_ends_the_connection_and_nothing_
         connection = SimpleNamespace(
             read_buff=buffer, socket=ours, name="topic", close=lambda: closed.append(True)
         )
-        lent = _Lent(connection)
+        lent = _BorrowedConnection(connection)
         lent.fetch()
         assert closed and lent.ended.is_set() and lent.fetch() == []
 
@@ -81,13 +81,13 @@ class Link:
         import rospy
         from sensor_msgs.msg import JointState
 
-        from surg_recording.nodes.polled_node import Polled
-        from surg_sim.nodes.sim_ports_node import RawJointState
+        from surg_ros.transport.polled_subscriber import PolledSubscriber
+        from surg_ros.transport.raw_message import RawJointState
 
         self.graph, self.kind = graph, JointState
         self.topic = f"/polled_{next(_names)}"
         self.heard: list[float] = []
-        self.polled = Polled(self.topic, RawJointState)
+        self.polled = PolledSubscriber(self.topic, RawJointState)
         self.make = lambda: rospy.Publisher(self.topic, JointState, queue_size=None)
         self.publisher = self.make()
         self.wait(lambda: self.polled.get_num_connections() == 1 and self._subscribed())

@@ -8,7 +8,7 @@ import pytest
 rospy = pytest.importorskip("rospy")
 
 from surg_msgs.msg import Cycle, TaskState  # noqa: E402
-from surg_recording.nodes.raw_message import RawMessage  # noqa: E402
+from surg_ros.transport.raw_message import RawMessage  # noqa: E402
 
 KINDS = [Cycle, TaskState]
 

@@ -14,6 +14,8 @@ from surg_sim.physics.ground_truth import ArmTruth
 
 rospy = pytest.importorskip("rospy")
 
+from surg_ros.participant import ReadyLayout  # noqa: E402
+
 STAMP_NS = 1_795_000_000_123_456_789
 
 
@@ -187,9 +189,7 @@ def test_ready() -> None:
     for arms in ([], ["PSM1"], ["PSM1", "ECM", "assistant"]):
         sent = [7 * i for i, _ in enumerate(arms)]
         message = Ready(tick=2**40, participant="expert", arms=arms, sent=sent, done=True)
-        assert bridge_messages.ReadyLayout("expert", arms).pack(2**40, sent, True) == serialised(
-            message
-        )
+        assert ReadyLayout("expert", arms).pack(2**40, sent, True) == serialised(message)
 
 
 def test_wrench() -> None:

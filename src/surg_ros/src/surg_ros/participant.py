@@ -10,34 +10,28 @@ from __future__ import annotations
 
 import os
 import random
+import struct
 import threading
 import time
 import xmlrpc.client
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import rospy
 
 from surg_msgs.msg import Cycle, Ready, TaskState
-from surg_recording.nodes.raw_message import RawMessage
-from surg_sim.nodes import bridge_messages
-from surg_sim.nodes.sim_ports_node import Output
-from surg_sim.physics.world import TICK_NS
-from surg_sim.tasks import GRID
+from surg_ros.transport.direct_publisher import DirectPublisher
+from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
+TICK_NS = 2_000_000
+"""[ns] Control period."""
+GRID = 25
+"""Ticks between two actions: 20 Hz."""
 ASSISTANT = "assistant"
 """The name in Ready of what the simulator itself obeys."""
 CONNECT_TIMEOUT = 60.0
 """[s] wall clock: longest wait for everybody to connect."""
-
-
-class _RawCycle(RawMessage, Cycle):  # type: ignore[misc]
-    """A Cycle that keeps its bytes."""
-
-
-class _RawTaskState(RawMessage, TaskState):  # type: ignore[misc]
-    """A TaskState that keeps its bytes."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +51,7 @@ class Seen:
     @property
     def stamp(self) -> rospy.Time:
         """Of the tick that the answer is for."""
-        return rospy.Time(*divmod((self.tick + 1) * TICK_NS, bridge_messages.NS))
+        return rospy.Time(*divmod((self.tick + 1) * TICK_NS, 1_000_000_000))
 
     def cycle(self, arm: str) -> Cycle:
         """The control cycle of an arm."""
@@ -66,6 +60,29 @@ class Seen:
     def task_state(self) -> TaskState:
         """The task's state."""
         return TaskState().deserialize(self.task)
+
+
+class ReadyLayout:
+    """surg_msgs/Ready of one participant as bytes, packed from a prebuilt layout.
+
+    Args:
+        participant: Its name.
+        arms: The arms that it commands.
+    """
+
+    def __init__(self, participant: str, arms: Sequence[str]) -> None:
+        count = struct.pack("<I", len(arms))
+        self._head = _text(participant) + count + b"".join(map(_text, arms)) + count
+        self._tail = struct.Struct(f"<{len(arms)}QB")
+
+    def pack(self, tick: int, sent: Iterable[int], done: bool) -> bytes:
+        """The message as bytes; ``sent`` in the order of the arms."""
+        return struct.pack("<Q", tick) + self._head + self._tail.pack(*sent, done)
+
+
+def _text(words: str) -> bytes:
+    data = words.encode()
+    return struct.pack("<I", len(data)) + data
 
 
 class Participant:
@@ -99,16 +116,16 @@ class Participant:
         self._out = {
             topic: rospy.Publisher(topic, kind, **keys) for topic, kind in commands.items()
         }
-        self._ready = Output("/sim/ready", Ready, patient=True, latch=True)
-        self._layout = bridge_messages.ReadyLayout(self._name, list(self._sent))
+        self._ready = DirectPublisher("/sim/ready", Ready, blocking=True, latch=True)
+        self._layout = ReadyLayout(self._name, list(self._sent))
         listen: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
         self._inputs = [
-            rospy.Subscriber(f"/{arm}/cycle", _RawCycle, self._on_cycle, arm, **listen)
+            rospy.Subscriber(f"/{arm}/cycle", RawCycle, self._on_cycle, arm, **listen)
             for arm in arms
         ]
         if task:
             self._inputs.append(
-                rospy.Subscriber("/sim/task_state", _RawTaskState, self._on_state, **listen)
+                rospy.Subscriber("/sim/task_state", RawTaskState, self._on_state, **listen)
             )
 
     def send(self, topic: str, message: Any) -> None:
@@ -148,14 +165,14 @@ class Participant:
                 return f"{topic} does not reach {', '.join(away)}"
         return ""
 
-    def _on_cycle(self, message: _RawCycle, arm: str) -> None:
+    def _on_cycle(self, message: RawCycle, arm: str) -> None:
         with self._lock:
             tick = message.tick()
             if tick > self._cycles[arm][0]:
                 self._cycles[arm] = (tick, message.data)
                 self._advance()
 
-    def _on_state(self, message: _RawTaskState) -> None:
+    def _on_state(self, message: RawTaskState) -> None:
         with self._lock:
             tick = message.tick()
             # One off the grid ends the episode. It may overtake a cycle: a controller's answer can

@@ -45,7 +45,7 @@ from surg_policy_bridge.server.observer import (
     lagging_arm,
 )
 from surg_policy_bridge.server.policy_arm import GRID, SECOND, TICK, ArmCommand, ArmView
-from surg_policy_bridge.server.policy_ports_node import ArmPort, RawCycle, RawTaskState
+from surg_policy_bridge.server.policy_ports_node import ArmPort, view_of
 from surg_policy_bridge.server.router_node import Router
 from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
 from surg_policy_bridge.server.server_parameters import Settings, SettingsError
@@ -54,7 +54,8 @@ from surg_policy_bridge.server.timers import CAMERA_PERIODS, OperatorPresence
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
-from surg_recording.nodes.recorder_parameters import camera as camera_topic
+from surg_ros.camera_topic import camera_topic
+from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
 FRESH = SECOND // 4
 """[ns] Free-run: an arm that has said nothing for longer is silent. (Its controller has a watchdog
@@ -339,7 +340,9 @@ class ModelServerNode:
 
     def _beat(self, now: int) -> None:
         """Free-run: look, observe, send."""
-        views = {arm: raw.view() for arm, (at, raw) in self._cycles.items() if now - at <= FRESH}
+        views = {
+            arm: view_of(raw.read()) for arm, (at, raw) in self._cycles.items() if now - at <= FRESH
+        }
         commands = self._server.tick(views, now, now, self._obstacle(), self._blind(now, views))
         step = self._clock.observe(now)
         if step is not None:
@@ -413,7 +416,7 @@ class ModelServerNode:
         # In every state: what is served, and so when a policy begins, shall not depend on the time
         # that a picture takes.
         self._await(at, [cell_spec.image_key(camera) for camera in self._settings.cameras])
-        views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
+        views = {arm: view_of(raw.read()) for arm, (_, raw) in self._cycles.items()}
         commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle())
         if self._server.state is State.RUNNING:
             seen = self._complete(views, number)
@@ -512,7 +515,7 @@ class ModelServerNode:
         """No exit leaves an arm moving: whoever is connected is told, what is held is paused."""
         with self._lock:
             self._server.end("the model server has ended")
-            views = {arm: raw.view() for arm, (_, raw) in self._cycles.items()}
+            views = {arm: view_of(raw.read()) for arm, (_, raw) in self._cycles.items()}
             now = self._now()
             commands = self._server.tick(views, now, time.monotonic_ns())
             self._send(commands, views)

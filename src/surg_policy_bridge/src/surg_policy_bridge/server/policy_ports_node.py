@@ -12,9 +12,8 @@ from std_msgs.msg import Empty
 
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix, tip_quaternion
-from surg_msgs.msg import Cycle, TaskState
+from surg_msgs.msg import Cycle
 from surg_policy_bridge.server.policy_arm import SECOND, ArmCommand, ArmState, ArmView
-from surg_recording.nodes.raw_message import RawMessage
 
 COMMANDS = {
     "state_command": StringStamped,
@@ -23,22 +22,6 @@ COMMANDS = {
     "jaw/servo_jp": JointState,
     "hold": Empty,
 }
-
-
-class RawCycle(RawMessage, Cycle):  # type: ignore[misc]
-    """A Cycle that keeps its bytes."""
-
-    def view(self) -> ArmView:
-        """What it says."""
-        return view_of(Cycle().deserialize(self.data))
-
-
-class RawTaskState(RawMessage, TaskState):  # type: ignore[misc]
-    """A TaskState that keeps its bytes."""
-
-    def read(self) -> TaskState:
-        """The whole message."""
-        return TaskState().deserialize(self.data)
 
 
 def view_of(cycle: Cycle) -> ArmView:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_recording.episode.episode_writer import MIN_FREE_BYTES
+from surg_ros.camera_topic import camera_topic
 
 MODES = ("lockstep", "freerun")
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow")
@@ -47,7 +48,7 @@ class Settings:
         arms = names(get("~arms", ["PSM1"]), "~arms")
         if not arms:
             raise ValueError("parameter ~arms is empty: at least one arm, e.g. [PSM1]")
-        cameras = [camera(name) for name in names(get("~cameras", []), "~cameras")]
+        cameras = [camera_topic(name) for name in names(get("~cameras", []), "~cameras")]
         if len(dict(cameras)) != len(cameras):
             said = ", ".join(f"{name} ({topic})" for name, topic in cameras)
             raise ValueError(f"parameter ~cameras names a camera twice: {said}")
@@ -78,15 +79,6 @@ def names(value: Any, parameter: str) -> list[str]:
     if not isinstance(value, list):
         raise ValueError(f"parameter {parameter} is {value!r}, must be a list of names")
     return [name for name in (str(item).strip(" '\"") for item in value) if name]
-
-
-def camera(given: str) -> tuple[str, str]:
-    """Name and topic of a camera from either."""
-    if given.startswith("/"):
-        short = given.removesuffix("/compressed").removesuffix("/image_raw")
-        return short.strip("/").replace("/", "_"), given
-    head, _, tail = given.rpartition("_")
-    return given, f"/{head}/{tail}/image_raw" if head else f"/{given}/image_raw"
 
 
 def _one_of(value: Any, parameter: str, allowed: tuple[str, ...]) -> str:

@@ -185,24 +185,6 @@ def task_state(names: Iterable[str], values: Sequence[float]) -> dict[str, float
     return found
 
 
-class ReadyLayout:
-    """surg_msgs/Ready of one participant.
-
-    Args:
-        participant: Its name.
-        arms: Whom it commands.
-    """
-
-    def __init__(self, participant: str, arms: Sequence[str]) -> None:
-        count = struct.pack("<I", len(arms))
-        self._head = text(participant) + count + b"".join(map(text, arms)) + count
-        self._tail = struct.Struct(f"<{len(arms)}QB")
-
-    def pack(self, tick: int, sent: Iterable[int], done: bool) -> bytes:
-        """The message as bytes; ``sent`` in the order of the arms."""
-        return struct.pack("<Q", tick) + self._head + self._tail.pack(*sent, done)
-
-
 def pack_wrench(stamp_ns: int, seq: int, frame: bytes, force: Array) -> bytes:
     """A geometry_msgs/WrenchStamped without torque; ``frame`` as for ``header``."""
     return header(seq, stamp_ns, frame) + struct.pack("<6d", *force, 0.0, 0.0, 0.0)

@@ -34,14 +34,15 @@ from surg_msgs.msg import (
     Ready,
     SimSnapshot,
 )
-from surg_recording.nodes.polled_node import Polled
+from surg_ros.transport.direct_publisher import DirectPublisher, listeners, speakers
+from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_ros.transport.raw_message import RawJointState, RawTwist
 from surg_sim import tasks
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.exposure_schedule import RENDERER, ExposureSchedule
 from surg_sim.nodes.latest_value import LatestValue
 from surg_sim.nodes.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.nodes.sim_parameters import BridgeSettings, SettingsError
-from surg_sim.nodes.sim_ports_node import Output, RawJointState, RawTwist, listeners, speakers
 from surg_sim.nodes.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.physics import faults, patient_settings
 from surg_sim.physics.fault_injector import Injector, tool_errors
@@ -73,14 +74,14 @@ class _ArmTopics:
             "tool": LatestValue(),
         }
         root = f"/{arm.name}"
-        self.state = Output(f"{root}/robot/measured_js", JointState, patient)
-        self.status = Output(f"{root}/robot/status", LinkStatus, patient)
-        self.tool = Output(f"{root}/tool/measured_js", JointState, patient)
+        self.state = DirectPublisher(f"{root}/robot/measured_js", JointState, patient)
+        self.status = DirectPublisher(f"{root}/robot/status", LinkStatus, patient)
+        self.tool = DirectPublisher(f"{root}/tool/measured_js", JointState, patient)
         jaw = arm.instrument.jaw_min < arm.instrument.jaw_max
         self.tool_ticks = 1 if bridge.lockstep or jaw else _JAWLESS_TICKS
 
         # In free-run the tick fetches the commands itself.
-        self._polled: list[tuple[Polled, Callable[[bytes], None]]] = []
+        self._polled: list[tuple[PolledSubscriber, Callable[[bytes], None]]] = []
 
         def listen(topic: str, kind: type, take: Callable[[_ArmTopics, bytes], None]) -> Any:
             def hear(data: bytes) -> None:
@@ -90,7 +91,7 @@ class _ArmTopics:
                     rospy.logwarn_throttle(1.0, f"{root}/{topic}: unreadable message: {error}")
 
             if not bridge.lockstep:
-                polled = Polled(f"{root}/{topic}", kind)
+                polled = PolledSubscriber(f"{root}/{topic}", kind)
                 self._polled.append((polled, hear))
                 return polled
 
@@ -103,9 +104,9 @@ class _ArmTopics:
         self.stale = round(bridge.track_stale * bridge_messages.NS / TICK_NS)
         self.frame = bridge_messages.text(f"{arm.name}_base")
         self.tracked = 0
-        self.track: Output | None = None
+        self.track: DirectPublisher | None = None
         if self.stale >= 0:
-            self.track = Output(f"{root}/rcm/track", PointVelocityStamped, patient)
+            self.track = DirectPublisher(f"{root}/rcm/track", PointVelocityStamped, patient)
 
         self.inputs = [
             listen("robot/servo_jv", RawJointState, bridge.on_velocity),
@@ -192,7 +193,7 @@ class Bridge:
         self._start_ns = 0
         self._stamp_ns = 0  # of the state that is out
         self._overruns = 0
-        self._clock = Output("/clock", Clock, self.lockstep)
+        self._clock = DirectPublisher("/clock", Clock, self.lockstep)
         self._exposures = ExposureSchedule(wait_for_renderer=not self.lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
@@ -212,7 +213,7 @@ class Bridge:
         self._arms = [_ArmTopics(self, cell.arms[name]) for name in world.arms]
         self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
         # After the task's: who is connected here can know whether there is a task.
-        self._truth = Output("/sim/ground_truth/state", GroundTruth, self.lockstep)
+        self._truth = DirectPublisher("/sim/ground_truth/state", GroundTruth, self.lockstep)
 
     # --- what arrives -----------------------------------------------------------------------
 

@@ -23,8 +23,8 @@ from std_msgs.msg import Empty, String
 import surg_core
 from crtk_msgs.msg import StringStamped
 from surg_msgs.msg import Cycle
+from surg_ros.participant import ASSISTANT, Participant, Seen
 from surg_sim.nodes import bridge_messages
-from surg_sim.nodes.participant_node import ASSISTANT, Participant, Seen
 from surg_sim.nodes.sim_parameters import SenderSettings, SettingsError
 from surg_sim.physics.assistant_arm import JOINTS, AssistantCommand
 from surg_sim.tasks import load

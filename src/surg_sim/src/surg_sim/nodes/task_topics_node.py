@@ -13,10 +13,11 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
 from surg_msgs.msg import TaskState
+from surg_ros.transport.direct_publisher import DirectPublisher
+from surg_ros.transport.raw_message import RawJointState
 from surg_sim.envs.cell_session import FORCE_TICKS
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.command_echo import CommandEcho
-from surg_sim.nodes.sim_ports_node import Output, RawJointState
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.stability import trouble
 from surg_sim.physics.world import World
@@ -40,8 +41,8 @@ class AssistantTopics:
         self._bridge = bridge
         # Tick, sender, what, value; in free-run put in without a lock (newest.py says why).
         self._waiting: deque[tuple[int, str, str, Any]] = deque()
-        self._state = Output("/assistant/measured_js", JointState, bridge.lockstep)
-        self._jaw = Output("/assistant/jaw/measured_js", JointState, bridge.lockstep)
+        self._state = DirectPublisher("/assistant/measured_js", JointState, bridge.lockstep)
+        self._jaw = DirectPublisher("/assistant/jaw/measured_js", JointState, bridge.lockstep)
         self._layout = bridge_messages.JointStateLayout(["yaw", "pitch", "insertion", "roll"])
         self._command_echo = CommandEcho()
 
@@ -103,7 +104,7 @@ class _ForceSensor:
 
     def __init__(self, arm: str, place: str, read: Callable[[str], Any], patient: bool) -> None:
         self.arm, self._frame, self._read = arm, bridge_messages.text(f"{arm}_base"), read
-        self._output = Output(f"/{arm}/{place}/measured_cf", WrenchStamped, patient)
+        self._output = DirectPublisher(f"/{arm}/{place}/measured_cf", WrenchStamped, patient)
         self.topic = f"/{arm}/{place}/measured_cf"
 
     @property
@@ -133,7 +134,7 @@ class TaskTopics:
         self._layout = bridge_messages.TaskStateLayout(self._task.state())
         # Latched: a sender that takes part counts itself connected a moment before this side does,
         # and a state of the grid is sent once.
-        self._state = Output("/sim/task_state", TaskState, bridge.lockstep, latch=True)
+        self._state = DirectPublisher("/sim/task_state", TaskState, bridge.lockstep, latch=True)
         self._assistant = None if self._task.assistant is None else AssistantTopics(bridge)
         patient = bridge.lockstep
         self._free = not patient  # in free-run an end is news once, also where the phantom goes on

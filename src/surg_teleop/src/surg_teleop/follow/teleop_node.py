@@ -34,14 +34,15 @@ from std_msgs.msg import Bool, Float64, String
 from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_msgs.msg import Cycle, Ready
-from surg_recording.nodes.polled_node import Polled
+from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_ros.transport.raw_message import RawCycle
 from surg_teleop.follow.arm_view import PERIOD_NS, SECOND, ArmView
 from surg_teleop.follow.endoscope_pose import HeldCamera
 from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.pedal_monitor import PedalMonitor
 from surg_teleop.follow.peers import publishers, subscribers
 from surg_teleop.follow.picture_watch import PictureWatch
-from surg_teleop.follow.teleop_ports_node import ArmPort, RawCycle, arm_view, wait_for_all
+from surg_teleop.follow.teleop_ports_node import ArmPort, arm_view, wait_for_all
 from surg_teleop.follow.teleop_setup import ASSISTANT, Hand, TeleopSetup, read_setup
 from surg_teleop.follow.teleop_types import CameraView, State, TeleopOutput
 from surg_teleop.follow.teleoperation import Teleop
@@ -99,14 +100,16 @@ class TeleopNode:
             "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
         )
         # In free-run hands are moved less often than arms speak: each reads the newest cycle then.
-        self._polled: dict[str, Polled] = {}
+        self._polled: dict[str, PolledSubscriber] = {}
         self._inputs = []
         if system.lockstep:
             self._inputs = [
                 _listen(f"/{arm}/cycle", RawCycle, self._on_cycle, arm) for arm in system.heard
             ]
         else:
-            self._polled = {arm: Polled(f"/{arm}/cycle", RawCycle) for arm in system.heard}
+            self._polled = {
+                arm: PolledSubscriber(f"/{arm}/cycle", RawCycle) for arm in system.heard
+            }
         for hand in system.hands:
             self._wire_hand(hand)
             if isinstance(hand.leader, CrtkLeader):

@@ -15,7 +15,6 @@ from std_msgs.msg import Empty
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix
 from surg_msgs.msg import Cycle
-from surg_recording.nodes.raw_message import RawMessage
 from surg_teleop.follow.arm_view import SECOND, ArmState, ArmView, Commands, Pose
 
 COMMANDS = {
@@ -101,14 +100,6 @@ class ArmPort:
     def _send(self, name: str, message: object) -> None:
         self.out[name].publish(message)
         self.sent += 1
-
-
-class RawCycle(RawMessage, Cycle):  # type: ignore[misc]
-    """A Cycle that keeps its bytes."""
-
-    def read(self) -> Cycle:
-        """The whole message."""
-        return Cycle().deserialize(self.data)
 
 
 @functools.lru_cache(maxsize=8)

@@ -21,7 +21,7 @@ from sensor_msgs.msg import JointState, Joy
 from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
-from surg_recording.nodes.polled_node import Polled
+from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_teleop.console.session import operator_messages
 from surg_teleop.console.session.console_orders import (
     Camera,
@@ -87,7 +87,8 @@ class RosSystem:
         self._repeated = -1e9
         self._out = _publishers(arms, leader)
         self._fast = {
-            what: Polled(f"/{arms[0]}/{topic}", rospy.AnyMsg) for what, topic in FAST.items()
+            what: PolledSubscriber(f"/{arms[0]}/{topic}", rospy.AnyMsg)
+            for what, topic in FAST.items()
         }
         self._subscribers = self._subscribe(arms, teleop)
 
