@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.commands import run
-from surg_cli.graph import master, processes, system
+from surg_cli.graph import episode_plans, master, processes, system
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment
 from surg_cli.host.terminal import Problem
@@ -47,10 +46,12 @@ def measure(task: str, robot: str, views: str, seconds: float, out: Path) -> dic
     if not ROSBAG.exists():
         raise Problem(f"{ROSBAG} is missing: ./surg setup installs python3-rosbag")
     out.mkdir(parents=True)
-    condition = run.Condition("phantom", "ours")
-    cell = cells.find(run.ROBOT_CELLS[robot])
-    plan = run.make_plan(task, cell, cells.load(cell), [condition], 0, run.VIEWS[views], out)
-    plan = replace(run.of_episode(plan, condition, 0, out), lockstep=False)
+    condition = episode_plans.Condition("phantom", "ours")
+    cell = episode_plans.find_cell(robot)
+    plan = episode_plans.make_plan(
+        task, cell, cells.load(cell), [condition], 0, episode_plans.VIEWS[views], out
+    )
+    plan = replace(episode_plans.for_episode(plan, condition, 0, out), lockstep=False)
     env = environment.for_nodes(ros_home=out / "logs" / "ros")
     processes.adopt_orphans()
     try:

@@ -120,8 +120,8 @@ def test_an_episode_without_its_policy_ends(tmp_path: Path, more: list[str]) -> 
         (["--policy", "tcp://0.0.0.0:5555"], "./surg keys"),
         (["--policy", "udp://127.0.0.1:1"], "such as tcp://127.0.0.1:5555"),
         (["--policy", "tcp://127.0.0.1:5555", "--policy-keys", "/nowhere"], "/nowhere"),
-        (["--privileged"], "--privileged goes with --policy"),
-        (["--free-run"], "--free-run goes with --policy"),
+        (["--privileged"], "--privileged needs --policy"),
+        (["--free-run"], "--free-run needs --policy"),
     ],
 )
 def test_what_cannot_be_a_policy_is_said(tmp_path: Path, words: list[str], said: str) -> None:

@@ -19,9 +19,8 @@ from std_msgs.msg import Bool, String
 from faults.test_faults_ros import System
 from helpers.graph.ros import RosGraph
 from helpers.machines.set_clock import SetClock
-from surg_cli.commands import run
-from surg_cli.commands.run import Condition
-from surg_cli.graph import system
+from surg_cli.graph import episode_plans, system
+from surg_cli.graph.episode_plans import Condition
 from surg_cli.graph.processes import Child
 from surg_cli.host import cells, paths
 from surg_msgs.msg import Cycle
@@ -246,8 +245,8 @@ def test_f12_a_full_disk_changes_no_tick_of_a_run_in_lock_step(
     disk = small_disk(3)
     cell = cells.find("sim_two_arms")
     condition = Condition("phantom", "ours")
-    plan = run.make_plan(SHORT, cell, cells.load(cell), [condition], SEED, (), tmp_path)
-    plan = run.of_episode(plan, condition, SEED, tmp_path / "run")
+    plan = episode_plans.make_plan(SHORT, cell, cells.load(cell), [condition], SEED, (), tmp_path)
+    plan = episode_plans.for_episode(plan, condition, SEED, tmp_path / "run")
     heard = Listener(plan.arms)
     recorder: Child | None = None
     try:

@@ -4,12 +4,36 @@ from pathlib import Path
 
 import pytest
 
-from helpers.tree.layering import violations
+from helpers.tree.layering import CLI_FOLDERS, cli_violations, violations
 from surg_cli.host import paths
 
 
 def test_layering_holds() -> None:
     assert violations(paths.ROOT / "src") == []
+
+
+def test_layers_of_the_command_line_hold() -> None:
+    root = paths.ROOT / "tools" / "surg_cli"
+    folders = {path.parent.name for path in root.glob("*/*.py")}
+    assert folders == set(CLI_FOLDERS)
+    assert cli_violations(root) == []
+
+
+@pytest.mark.parametrize(
+    ("file", "line"),
+    [
+        ("host/paths.py", "from surg_cli.graph import master"),
+        ("graph/watch.py", "def f():\n    from surg_cli.commands import run"),
+        ("graph/watch.py", "from surg_cli.__main__ import run"),
+        ("learning/rollouts.py", "import surg_cli.commands.run"),
+        ("commands/demo.py", "from surg_cli.commands.run import main"),
+    ],
+)
+def test_a_wrong_import_in_the_command_line_is_noticed(
+    file: str, line: str, tmp_path: Path
+) -> None:
+    assert cli_violations(write(tmp_path, "graph/good.py", "from surg_cli.host import paths")) == []
+    assert len(cli_violations(write(tmp_path, file, line))) == 1
 
 
 def write(root: Path, name: str, text: str) -> Path:

@@ -36,6 +36,9 @@ ALLOWED: dict[str, frozenset[str]] = {
 TOOLS = frozenset({"surg_cli"})
 OURS = frozenset(ALLOWED) | TOOLS
 
+CLI_FOLDERS = ("host", "graph", "learning", "commands")
+"""Folders of surg_cli; each may use itself and those before it, but commands not one another."""
+
 ROS_PYTHON = re.compile(
     r"^(rospy|roslib|roscpp|rosbag|rosgraph\w*|rosnode|rostopic|rosparam|rosmaster|genpy|genmsg|"
     r"tf|tf2_\w+|PyKDL|cv_bridge|nodelet\w*|std_srvs|\w+_msgs)$"
@@ -90,6 +93,26 @@ def violations(src: Path) -> list[str]:
                 found.append(f"{where}: a client must use nothing of ours but itself ({top})")
             if is_pure(use.file, src / package) and needs_ros(use):
                 found.append(f"{where}: a core must not use ROS ({use.target})")
+    return found
+
+
+def cli_violations(root: Path) -> list[str]:
+    """Every import inside surg_cli that points the wrong way.
+
+    Args:
+        root: The folder surg_cli.
+
+    Returns:
+        One sentence per violation, with file and line.
+    """
+    found = []
+    for number, folder in enumerate(CLI_FOLDERS):
+        allowed = CLI_FOLDERS[: number + (folder != "commands")]
+        for file in sorted((root / folder).glob("*.py")):
+            for line, target in _imports(file):
+                parts = target.split(".")
+                if parts[0] == "surg_cli" and parts[1] not in allowed:
+                    found.append(f"{folder}/{file.name}:{line}: {folder} must not use {target}")
     return found
 
 

@@ -6,7 +6,6 @@ arrives must be the same to the last bit, and nothing may depend on when.
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 
@@ -16,9 +15,8 @@ import pytest
 from conftest import FULL
 from helpers.graph.two_arms import write_two_arms
 from helpers.sim.nudge_task import LUCKY
-from surg_cli.commands import run
-from surg_cli.commands.run import Condition
-from surg_cli.graph import task_episode
+from surg_cli.graph import episode_plans, episode_process, task_episode
+from surg_cli.graph.episode_plans import Condition
 from surg_cli.host import cells, paths
 from surg_recording.episode import episode_reader as recorded
 from surg_sim import tasks
@@ -44,12 +42,11 @@ def through_the_graph(
 ) -> tuple[task_episode.Ended, dict[str, object]]:
     """Outcome and what the recording says of the simulator."""
     loaded = cells.load(cell)
-    plan = run.make_plan(task, cell, loaded, [Condition(setting, law)], seed, (), folder)
-    plan = run.of_episode(plan, Condition(setting, law), seed, folder)
-    task_episode.write_plan(plan)
-    said = run.run_process(folder, lambda seconds, note: None)
-    assert not said, said
-    ended = task_episode.Ended(**json.loads((folder / task_episode.OUTCOME).read_text("utf-8")))
+    condition = Condition(setting, law)
+    plan = episode_plans.make_plan(task, cell, loaded, [condition], seed, (), folder)
+    plan = episode_plans.for_episode(plan, condition, seed, folder)
+    ended = episode_process.run_episode(plan, lambda seconds, note: None)
+    assert ended.played, ended.reason
     return ended, dict(recorded.read(folder / "episode").manifest["sim"])
 
 

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 
 from helpers.graph.surg import argv, environment
 from helpers.machines.machines import Machines, two_machines
-from surg_cli.graph import processes, roles
-from surg_cli.host import network, paths
+from surg_cli.graph import network, processes, roles
+from surg_cli.host import paths
 from surg_cli.host.environment import for_nodes
 
 pytestmark = pytest.mark.ros

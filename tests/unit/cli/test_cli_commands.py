@@ -3,17 +3,19 @@
 import argparse
 import json
 import os
+import re
 import socket
 from pathlib import Path
 
 import pytest
 
 from surg_cli import __main__ as cli
-from surg_cli.commands import demo, up
+from surg_cli import command_table
+from surg_cli.commands import up
 from surg_cli.graph import follow, master, processes, roles, running, system, task_episode
 from surg_cli.graph.processes import Supervisor
 from surg_cli.graph.system import Plan
-from surg_cli.host import cells, paths, pytest_workers
+from surg_cli.host import cells, option_types, paths, pytest_workers
 from surg_cli.host.terminal import Problem, table
 
 
@@ -30,12 +32,25 @@ def plan(tmp_path: Path, **changes: object) -> Plan:
 
 
 def test_every_command_has_a_module_and_options() -> None:
-    for name, (module, _, text) in cli.COMMANDS.items():
-        parser = argparse.ArgumentParser()
-        loaded = __import__(f"surg_cli.commands.{module}", fromlist=["main"])
-        loaded.add_arguments(parser, name)
-        assert callable(loaded.main)
-        assert text
+    for name, command in command_table.COMMANDS.items():
+        _, main = command_table.parser(name)
+        assert callable(main)
+        assert command.help and command.group in command_table.GROUPS
+
+
+def test_help_lists_every_command_once_under_its_group(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.run(["help"]) == 0
+    listed: dict[str, str] = {}
+    for line in capsys.readouterr().out.splitlines()[1:]:
+        if line.endswith(":"):
+            group = line.removesuffix(":")
+        elif line.startswith("  "):
+            name = line.split()[0]
+            assert name not in listed
+            listed[name] = group
+    assert listed == {name: c.group for name, c in command_table.COMMANDS.items()}
 
 
 def test_an_unknown_command_names_the_known_ones(capsys: pytest.CaptureFixture[str]) -> None:
@@ -148,13 +163,13 @@ def test_an_unknown_robot_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("text", ["0", "-1", "nan", "inf"])
 def test_only_positive_numbers(text: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError):
-        demo._positive(text)
+        option_types.positive(text)
 
 
 @pytest.mark.parametrize("text", ["-1", "101", "nan"])
 def test_gain_range(text: str) -> None:
     with pytest.raises(argparse.ArgumentTypeError):
-        demo._gain(text)
+        option_types.feedback_gain(text)
 
 
 def test_an_out_folder_with_content_is_refused(tmp_path: Path) -> None:
@@ -218,18 +233,26 @@ def test_tables_line_up() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "others"),
     [
-        (["--task", "bgr", "--motion", "m.csv"], "--motion: only without --task"),
-        (["--task", "bgr", "--scale", "2", "--free-run"], "--free-run, --scale: only without"),
-        (["--setting", "in_vivo", "--episodes", "3"], "--episodes, --setting: only with --task"),
+        (["--task", "bgr"], {"run"}),
+        (["--full"], {"learn"}),
+        (["--setting", "phantom"], {"run", "learn", "teleop", "record"}),
+        (["--rollouts=3"], {"learn"}),
+        (["--scale", "2", "--episodes", "1"], {"run", "learn"}),
     ],
 )
-def test_a_motion_and_a_task_do_not_mix(words: list[str], said: str) -> None:
-    parser = argparse.ArgumentParser()
-    demo.add_arguments(parser, "demo")
-    with pytest.raises(Problem, match=said) as caught:
-        demo.main(parser.parse_args(words), "demo")
+def test_demo_names_the_commands_that_have_an_option(words: list[str], others: set[str]) -> None:
+    """Also where the option has its default value."""
+    with pytest.raises(Problem) as caught:
+        command_table.parse("demo", words)
+    assert caught.value.code == 2
+    assert set(re.findall(r"\./surg ([\w-]+)", str(caught.value))) == others
+
+
+def test_an_option_that_no_command_has_is_refused() -> None:
+    with pytest.raises(SystemExit) as caught:
+        command_table.parse("demo", ["--dance"])
     assert caught.value.code == 2
 
 

@@ -10,7 +10,6 @@ import pytest
 
 from helpers.recording import jigsaws_synthetic
 from helpers.recording.evaluated import DONE, episode
-from surg_cli.__main__ import COMMANDS
 from surg_cli.commands import evaluate
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
@@ -35,7 +34,6 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_what_help_tells_is_what_there_is() -> None:
-    assert COMMANDS["evaluate"][0] == "evaluate"
     assert list(metrics.PRESETS) == list(evaluate.PRESETS)
     kinds = ", ".join(f"{kind}:{what}" for kind, (what, _) in reference_sets.KINDS.items())
     assert kinds == evaluate.REFERENCES

@@ -1,6 +1,6 @@
-"""`./surg learn` and `./surg demo --full`: what is asked for, in which order, and what is left.
+"""`./surg learn`: checked options, order of the stages, and what a run leaves.
 
-The stages themselves are made up here: each has tests of its own.
+The stages themselves are fakes here: each has tests of its own.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from helpers.recording.rollouts_synthetic import entry, rollout
-from surg_cli.commands import demo, learn
-from surg_cli.graph import rollouts
+from surg_cli.commands import learn
 from surg_cli.host.terminal import Problem
+from surg_cli.learning import learn_stages, recipes, rollouts
 
 TRAINED = {
     "weights": "c0ffee" * 8,
@@ -26,10 +26,9 @@ TRAINED = {
 }
 
 
-def options(*words: str, full: bool = False) -> argparse.Namespace:
+def options(*words: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser()
-    module: Any = demo if full else learn
-    module.add_arguments(parser, "demo" if full else "learn")
+    learn.add_arguments(parser, "learn")
     return parser.parse_args(words)
 
 
@@ -70,10 +69,12 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
         return work
 
-    monkeypatch.setattr(learn, "_show", fake("show", {"success": 8, "failed": {}}))
-    monkeypatch.setattr(learn, "_export", fake("export", {"recordings": 8}))
-    monkeypatch.setattr(learn, "_train", fake("train", TRAINED))
-    monkeypatch.setattr(learn, "_measure", fake("measure", [entry(1)]))
+    monkeypatch.setattr(
+        learn_stages, "demonstrate", fake("demonstrate", {"success": 8, "failed": {}})
+    )
+    monkeypatch.setattr(learn_stages, "export", fake("export", {"recordings": 8}))
+    monkeypatch.setattr(learn_stages, "train", fake("train", TRAINED))
+    monkeypatch.setattr(learn_stages, "measure", fake("measure", [entry(1)]))
     monkeypatch.setattr(rollouts, "Player", FakePlayer)
     monkeypatch.setattr(FakePlayer, "success", True)
     FakePlayer.broken.clear()
@@ -89,7 +90,7 @@ def test_all_stages_once_and_what_is_left(
     out = tmp_path / "run"
     words = ("bgr", "--episodes", "8", "--rollouts", "3", "--out", str(out))
     assert learn.main(options(*words), "learn") == 0
-    assert done == ["show", "measure", "export", "train"]
+    assert done == ["demonstrate", "measure", "export", "train"]
     assert FakePlayer.played == [20_000, 20_001, 20_002]
     said = capsys.readouterr().out
     assert said.splitlines()[-1] == str(out / "summary.json")
@@ -115,7 +116,7 @@ def test_roll_outs_of_another_program_with_the_same_weights_lie_elsewhere(
     """Training again gives the same weights; what the older program played is not to be found."""
     words = ("bgr", "--episodes", "8", "--rollouts", "1", "--out", str(tmp_path / "run"))
     for client in ("before", "after", "before"):
-        monkeypatch.setattr(learn.Recipe, "made_of", [client])
+        monkeypatch.setattr(recipes.Recipe, "digests", [client])
         assert learn.main(options(*words), "learn") == 0
     before, after, again = FakePlayer.folders
     assert before == again != after
@@ -123,8 +124,8 @@ def test_roll_outs_of_another_program_with_the_same_weights_lie_elsewhere(
 
 @pytest.mark.parametrize(("played", "least"), [(1, 1), (3, 3), (20, 17), (50, 43), (1000, 850)])
 def test_at_least_the_share_that_was_said_succeeds(played: int, least: int) -> None:
-    assert learn.RECIPES["bgr"].least(played) == least
-    assert learn.LOOKING["bgr"].least(played) == 0
+    assert recipes.STATE_RECIPES["bgr"].least(played) == least
+    assert recipes.CAMERA_RECIPES["bgr"].least(played) == 0
 
 
 def test_a_roll_out_that_did_not_come_to_its_end_is_played_again(
@@ -148,10 +149,9 @@ def test_what_is_kept_of_a_roll_out_came_to_its_end(
     monkeypatch.setenv(rollouts.WEIGHTS, "")  # set by the player
     plan = SimpleNamespace(run_info={"title": "t", "robot": "ur5e"})
     monkeypatch.setattr(rollouts.policy_program, "read", lambda *_: None)
-    monkeypatch.setattr(rollouts.run, "make_plan", lambda *_: plan)
-    monkeypatch.setattr(rollouts.run, "of_episode", lambda *_: plan)
-    monkeypatch.setattr(rollouts.task_episode, "write_plan", lambda _: None)
-    monkeypatch.setattr(rollouts.run, "run_process", lambda *_: "")
+    monkeypatch.setattr(rollouts.episode_plans, "make_plan", lambda *_: plan)
+    monkeypatch.setattr(rollouts.episode_plans, "for_episode", lambda *_: plan)
+    monkeypatch.setattr(rollouts.episode_process, "run_episode", lambda *_: None)
     ends = iter((False, True))
     tried: list[bool] = []
 
@@ -159,7 +159,7 @@ def test_what_is_kept_of_a_roll_out_came_to_its_end(
         tried.append(next(ends))
         return {"rollout": rollout(seed) | {"played": tried[-1]}, "episode": entry(seed)}
 
-    monkeypatch.setattr(rollouts, "_describe", describe)
+    monkeypatch.setattr(rollouts, "describe", describe)
     player = rollouts.Player("bgr", Path(), None, "phantom", Path("p.py"), Path("w.npz"), False)
     for _ in range(3):
         last = player.play(20_000, tmp_path / "20000", lambda *_: None)
@@ -172,8 +172,8 @@ def test_a_stage_that_breaks_is_named_with_the_line_to_go_on(
     def no_memory(*arguments: Any) -> Any:
         raise Problem("out of memory")
 
-    good = learn._train
-    monkeypatch.setattr(learn, "_train", no_memory)
+    good = learn_stages.train
+    monkeypatch.setattr(learn_stages, "train", no_memory)
     out = tmp_path / "run"
     words = ("bgr", "--episodes", "8", "--rollouts", "3", "--out", str(out))
     with pytest.raises(Problem) as said:
@@ -182,14 +182,12 @@ def test_a_stage_that_breaks_is_named_with_the_line_to_go_on(
     assert "stage 'training'" in text and "out of memory" in text
     line = "--setting phantom --robot ur5e --seed 0 --episodes 8 --rollouts 3"
     assert f"./surg learn bgr {line} --out {out}" in text
-    monkeypatch.setattr(learn, "_train", good)
+    monkeypatch.setattr(learn_stages, "train", good)
     assert learn.main(options(*words), "learn") == 0
-    assert done == ["show", "measure", "export", "train"]
+    assert done == ["demonstrate", "measure", "export", "train"]
 
 
-@pytest.mark.parametrize("full", [False, True])
 def test_cameras_make_a_policy_that_looks(
-    full: bool,
     tmp_path: Path,
     done: list[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -198,19 +196,17 @@ def test_cameras_make_a_policy_that_looks(
     """Other programs, pictures at both ends, no truth; its figure is said, whatever it is."""
     seen = TRAINED | {"observation": ["observation.state", "pictures"], "privileged": []}
     trainers: list[str] = []
-    monkeypatch.setattr(learn, "_train", lambda program, *_: trainers.append(program.name) or seen)
+    monkeypatch.setattr(
+        learn_stages, "train", lambda request, _: trainers.append(request.recipe.train) or seen
+    )
     monkeypatch.setattr(FakePlayer, "success", False)
     out = tmp_path / "run"
     words = ("--cameras", "--episodes", "8", "--rollouts", "2", "--out", str(out))
-    parsed = options(*(("--full",) if full else ("bgr",)), *words, full=full)
-    main: Any = (demo if full else learn).main
-    assert main(parsed, "demo" if full else "learn") == 0
+    assert learn.main(options("bgr", *words), "learn") == 0
     (player,) = FakePlayer.made
     assert [player[4].name, *player[6:]] == ["bgr_image_policy.py", False, ("left",)]
     assert trainers == ["train_bgr_images.py"]
-    assert learn.Wanted("bgr", "phantom", "ur5e", 0, 8, 2, True).demonstrations["cameras"]
-    said = capsys.readouterr().out
-    assert "0 of 2" in said and "no: it looks at observation.state, pictures" in said
+    assert recipes.Request("bgr", "phantom", "ur5e", 0, 8, 2, True).demonstrations["cameras"]
     summary = json.loads((out / "summary.json").read_text("utf-8"))
     assert summary["ok"] and summary["privileged"] == []
     # The folder of a run that looks is no folder of one that does not.
@@ -224,15 +220,9 @@ def test_what_goes_on_with_cameras_says_so(
     def no_memory(*arguments: Any) -> Any:
         raise Problem("out of memory")
 
-    monkeypatch.setattr(learn, "_export", no_memory)
+    monkeypatch.setattr(learn_stages, "export", no_memory)
     with pytest.raises(Problem, match=r"--episodes 60 --rollouts 20 --cameras --out"):
         learn.main(options("bgr", "--cameras", "--out", str(tmp_path / "run")), "learn")
-
-
-def test_demo_full_is_learn(tmp_path: Path, done: list[str]) -> None:
-    words = ("--full", "--episodes", "8", "--rollouts", "2", "--out", str(tmp_path / "run"))
-    assert demo.main(options(*words, full=True), "demo") == 0
-    assert done == ["show", "measure", "export", "train"]
 
 
 @pytest.mark.parametrize(
@@ -267,20 +257,6 @@ def test_a_folder_of_another_run_is_left_alone(tmp_path: Path, done: list[str]) 
         learn.main(options("bgr", "--out", str(tmp_path / "other")), "learn")
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("--full", "--motion", "m.csv"), "--motion: only without --full"),
-        (("--full", "--law", "paper"), "--law: only without --full"),
-        (("--rollouts", "3"), "--rollouts: only with --full"),
-        (("--task", "bgr", "--rollouts", "3"), "--rollouts: only with --full"),
-    ],
-)
-def test_options_of_another_demo_are_refused(words: tuple[str, ...], said: str) -> None:
-    with pytest.raises(Problem, match=said):
-        demo.main(options(*words, full=True), "demo")
-
-
 def test_what_a_program_says_in_json_is_its_progress_and_its_result(tmp_path: Path) -> None:
     told: list[float] = []
     script = tmp_path / "train.py"
@@ -292,9 +268,9 @@ def test_what_a_program_says_in_json_is_its_progress_and_its_result(tmp_path: Pa
         "print(json.dumps({'weights': 'ab'}))\n"
     )
     argv = ["/usr/bin/python3", str(script)]
-    last = learn.follow(argv, tmp_path / "log", lambda news: told.append(news["part"]))
+    last = learn_stages.follow(argv, tmp_path / "log", lambda news: told.append(news["part"]))
     assert last == {"weights": "ab"} and told == [0.0, 0.5]
     assert (tmp_path / "log").read_text("utf-8") == "a warning\n"
     script.write_text("import sys\nsys.exit('no data set')\n")
     with pytest.raises(Problem, match="no data set"):
-        learn.follow(argv, tmp_path / "log", lambda news: None)
+        learn_stages.follow(argv, tmp_path / "log", lambda news: None)

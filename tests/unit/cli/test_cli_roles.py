@@ -12,10 +12,10 @@ from types import SimpleNamespace
 import pytest
 
 from helpers.graph.surg import surg
-from surg_cli.graph import join, roles
+from surg_cli.graph import join, network, roles
 from surg_cli.graph.roles import Link, Role
 from surg_cli.graph.system import Plan
-from surg_cli.host import network, paths
+from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_teleop.console.ros.console_node import Settings
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from surg_cli.host.stages import Ledger
 from surg_cli.host.terminal import Problem
+from surg_cli.learning.stage_ledger import Ledger
 
 
 class Work:
@@ -39,7 +39,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path, capsys: pytest.CaptureFi
     first = work.run(file)
     assert work.done == ["show", "train", "deploy"]
     assert work.run(file) == first and len(work.done) == 3
-    assert capsys.readouterr().out.count("done before") == 3
+    assert capsys.readouterr().out.count("already done") == 3
 
 
 def test_a_changed_stage_and_all_behind_it_are_done_anew(tmp_path: Path) -> None:

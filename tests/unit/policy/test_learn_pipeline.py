@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from helpers.policy.bgr_synthetic import bgr_policy, train_bgr
-from surg_cli.graph import rollouts as cli_rollouts
+from surg_cli.graph import episode_process
 from surg_cli.graph import task_episode as cli_episode
 from surg_cli.host import paths
+from surg_cli.learning import rollouts as cli_rollouts
 from surg_recording import datasets
 from surg_recording.episode import episode_reader
 from surg_recording.metrics import unsafe_commands
@@ -167,7 +168,9 @@ def test_a_roll_out_is_told_from_what_its_process_left(recorded: Path, tmp_path:
     shutil.copytree(recorded / str(SEEDS[0]), tmp_path / "episode")
     file = tmp_path / cli_episode.OUTCOME
     file.write_text(json.dumps(dataclasses.asdict(ended)), "utf-8")
-    found = cli_rollouts._describe(SEEDS[0], "phantom", tmp_path, "")
+    found = cli_rollouts.describe(
+        SEEDS[0], "phantom", tmp_path, episode_process.read_outcome(tmp_path, "")
+    )
     rollout = json.loads(json.dumps(found["rollout"]))
     assert (rollout["success"], rollout["reason"], rollout["played"]) == (False, "time limit", True)
     assert {name: rollout[name] for name in status} == status
@@ -175,7 +178,9 @@ def test_a_roll_out_is_told_from_what_its_process_left(recorded: Path, tmp_path:
     assert 0.0 < rollout["rcm_mean_mm"] < rollout["rcm_max_mm"] < 0.3
     assert rollout["sparc"] < 0.0 and rollout["ldlj"] < 0.0
     # A process that left nothing: not played, never a success, and nothing is called safe.
-    lost = cli_rollouts._describe(7, "phantom", tmp_path / "nothing", "the graph did not come up")
+    nothing = tmp_path / "nothing"
+    ended = episode_process.read_outcome(nothing, "the graph did not come up")
+    lost = cli_rollouts.describe(7, "phantom", nothing, ended)
     assert not lost["rollout"]["played"] and not lost["rollout"]["success"]
     assert "the graph did not come up" in lost["rollout"]["reason"]
     assert lost["rollout"]["unsafe"] is None

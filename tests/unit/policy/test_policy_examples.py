@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from helpers.policy.policy_server import ACTION, STATE, PolicyServer, spec
-from surg_cli.commands import make_keys
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_policy_client import Observation
@@ -194,4 +193,3 @@ def test_surg_keys_makes_them_once(
     assert caught.value.code == 2
     assert surg("keys", "--out", folder, "--policy", "laboratory") == 0
     assert sorted(server_keys(folder).clients) == ["laboratory", "policy"]
-    assert make_keys.POLICY == "policy"

@@ -11,8 +11,8 @@ import re
 from pathlib import Path
 from typing import Any
 
-from surg_cli.commands.demo import tcp_port
 from surg_cli.host import cells
+from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, say
 
 

@@ -10,11 +10,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.commands.demo import tcp_port
-from surg_cli.graph import join, master, processes, roles, running, system
+from surg_cli.graph import join, master, network, processes, roles, running, system
 from surg_cli.graph.follow import death_notice
 from surg_cli.graph.system import Node, Plan
-from surg_cli.host import cells, environment, frames_picture, network, paths, terminal
+from surg_cli.host import cells, environment, frames_picture, paths, terminal
+from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say
 
 NODE = "check_frames"

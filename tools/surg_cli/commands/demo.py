@@ -8,21 +8,16 @@ import json
 import math
 import os
 import shutil
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli.commands import learn, run
-from surg_cli.graph import follow, master, processes, running, system
+from surg_cli.graph import motion_run
 from surg_cli.graph.system import Plan
-from surg_cli.graph.watch import Watch
-from surg_cli.host import cells, environment, paths
+from surg_cli.host import cells, paths
+from surg_cli.host.option_types import feedback_gain, positive, tcp_port
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
-OPERATOR_TIMEOUT_S = 15.0
-# Homing, the way to the start, settling and the last hold, for the progress line only.
-AROUND_MOTION_S = 2.5
 BUNDLED_MOTION = paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv"
 
 
@@ -31,42 +26,25 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add = parser.add_argument
     add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or the path of a robot's YAML")
     add("--motion", type=Path, metavar="FILE", help="motion CSV (default: the bundled one)")
-    add("--scale", type=_positive, default=1.0, help="motion scale (default 1)")
-    add("--duration", type=_positive, metavar="S", help="only the first S seconds of the motion")
-    add("--mode", choices=("cartesian", "spherical"), default="cartesian", help="what is commanded")
-    add("--link", choices=("joint", "twist"), help="what the robot obeys (default: its YAML)")
+    add("--scale", type=positive, default=1.0, help="motion scale (default 1)")
+    add("--duration", type=positive, metavar="S", help="only the first S seconds of the motion")
+    add("--mode", choices=("cartesian", "spherical"), default="cartesian", help="command space")
+    add("--link", choices=("joint", "twist"), help="command of the robot link (default: its YAML)")
     add("--law", choices=("ours", "velocity", "paper"), default="ours", help="the control law")
-    add("--feedback-gain", type=_gain, metavar="K", help="lateral feedback [1/s], 0 to 100")
-    add("--seed", type=int, default=0, metavar="N", help="of the simulator's random numbers")
+    add("--feedback-gain", type=feedback_gain, metavar="K", help="lateral feedback [1/s], 0 to 100")
+    add("--seed", type=int, default=0, metavar="N", help="seed of the simulator")
     add("--out", type=Path, metavar="DIR", help="folder of the run (default runs/<UTC time>)")
     add("--free-run", action="store_true", help="in real time instead of lock-step")
     add("--no-video", action="store_true", help="without the endoscope camera")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master (default: a free one)")
-    add(
-        "--task",
-        metavar="TASK",
-        help="play a task instead of a motion, as ./surg run TASK does",
-    )
-    add("--full", action="store_true", help="learn a policy of bgr, as ./surg learn bgr does")
-    run.add_options(parser)
-    learn.add_options(parser)
-    parser.set_defaults(episodes=None)
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Check everything, run, report; the last line printed is the path of summary.json."""
-    _check_mixture(options, command)
-    if options.full:
-        options.task = "bgr"
-        options.cameras = options.cameras != "none"
-        return learn.main(options, command)
-    if options.task is not None:
-        options.episodes = 1 if options.episodes is None else options.episodes
-        return run.main(options, command)
     if options.view and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise Problem("--view needs a display: neither DISPLAY nor WAYLAND_DISPLAY is set", 2)
-    # Everything a person can get wrong is found before anything moves.
+    # All input is checked before anything moves.
     out = paths.run_folder(options.out)
     try:
         cell = cells.for_robot(options.robot, out / "cell")
@@ -74,7 +52,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         arm = _only_arm(loaded, cell)
         motion = _check_motion(options, loaded.arms[arm])
     except Problem:
-        _forget(out)
+        _remove_cell(out)
         raise
     out.mkdir(parents=True, exist_ok=True)
     plan = _plan(options, cell, arm, motion, out, loaded.arms[arm].robot)
@@ -83,41 +61,17 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"scale {options.scale:g}, {options.mode}, "
         f"{'lock-step' if plan.lockstep else 'free-run'} -> {out}"
     )
-    reasons = play(plan, motion.duration_s, options.port)
+    reasons = motion_run.play(plan, motion.duration_s, options.port)
     for reason in reasons:
         warn(f"surg: {reason}")
     summary = make_report(out, reasons)
     print_summary(summary)
-    # What ended the run early has been said above; here is what the report finds in the recording.
+    # The reasons printed above ended the run early; these come from the recording.
     for reason in summary["reasons"]:
         if reason not in reasons:
             warn(f"surg: {reason}")
     say(str(out / "summary.json"))
     return 0 if summary["ok"] else 1
-
-
-def _check_mixture(options: argparse.Namespace, command: str) -> None:
-    """Refuse options of a motion with a task, of a task with a motion, of neither with --full.
-
-    Raises:
-        Problem: Names those that must not be there.
-    """
-    parser = argparse.ArgumentParser()
-    add_arguments(parser, command)
-    of_task, shared = {"setting", "episodes", "cameras"}, {"task", "robot", "law", "seed", "out"}
-    given = {name for name, value in vars(options).items() if value != parser.get_default(name)}
-    if options.full:
-        allowed = {"full", "setting", "episodes", "rollouts", "cameras", "robot", "seed", "out"}
-        wrong, where = given - allowed, "without --full"
-    elif "rollouts" in given:
-        wrong, where = {"rollouts"}, "with --full"
-    elif options.task is None:
-        wrong, where = given & of_task, "with --task"
-    else:
-        wrong, where = given - of_task - shared, "without --task"
-    if wrong:
-        names = ", ".join(sorted(f"--{name.replace('_', '-')}" for name in wrong))
-        raise Problem(f"{names}: only {where}", 2)
 
 
 @dataclass(frozen=True)
@@ -134,82 +88,6 @@ class CheckedMotion:
     file: Path
     duration_s: float
     whole: bool
-
-
-def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
-    """Run a plan with an operator to its end.
-
-    Args:
-        plan: What to start; its folder receives `episode/` and `logs/`.
-        duration_s: Length of the motion, for the progress line.
-        port: Of the master, None for a free one.
-
-    Returns:
-        Why the run failed, one sentence each; empty when it came to its end.
-
-    Raises:
-        Problem: When the system does not come up, or nothing was recorded.
-    """
-    env = environment.for_nodes(ros_home=plan.out / "logs" / "ros")
-    processes.adopt_orphans()
-    try:
-        with processes.Supervisor(env, plan.out / "logs") as supervisor:
-            return _supervise(plan, duration_s, port, supervisor)
-    finally:
-        with processes.signals_ignored():
-            processes.end_orphans()
-
-
-def _supervise(
-    plan: Plan, duration_s: float, port: int | None, supervisor: processes.Supervisor
-) -> list[str]:
-    """Start the master, list the system as running, follow it."""
-    port = port or master.free_port()
-    master.start(supervisor, port)
-    with running.announced("demo", port, plan.cell, supervisor.logs) as entry:
-        return _follow(plan, duration_s, supervisor, entry)
-
-
-def _follow(
-    plan: Plan, duration_s: float, supervisor: processes.Supervisor, entry: running.System
-) -> list[str]:
-    """Start the nodes and watch them until the motion is over."""
-    for node in system.nodes(plan):
-        system.start(supervisor, node)
-    os.environ.update(supervisor.env)
-    reasons: list[str] = []
-    with Watch(plan.arms) as watch, Progress("demo") as progress:
-        watch.record(True)
-        follow.wait_for(
-            lambda: watch.recording is True, supervisor, progress.update, "the recorder"
-        )
-        operator = system.start(supervisor, system.operator_node(plan))
-        entry.nodes = {child.name: child.process.pid for child in supervisor.children}
-        entry.save()
-        fault_at: float | None = None
-        while not (watch.sim.get("done") or operator.exit_code == 0):
-            time.sleep(0.05)
-            seconds = float(watch.sim.get("sim_time_s") or 0.0)
-            note = " ".join(f"{name} {state}" for name, state in watch.states.items())
-            fraction = seconds / (duration_s + AROUND_MOTION_S)
-            progress.update(fraction, f"{seconds:5.1f} s simulated, {note}")
-            if watch.faulted and fault_at is None:
-                fault_at = time.monotonic()
-            reasons = follow.failure(watch, supervisor, fault_at, (f"/{system.OPERATOR}",))
-            if reasons:
-                break
-        progress.update(1.0, "writing the recording")
-        if not reasons:
-            reasons = _operator_verdict(operator)
-        reasons += follow.finish_recording(watch, supervisor)
-    return reasons
-
-
-def _operator_verdict(operator: processes.Child) -> list[str]:
-    """What the operator says at its end; empty when it has played the whole motion."""
-    if not processes.wait_until(lambda: operator.exit_code is not None, OPERATOR_TIMEOUT_S):
-        return ["the operator did not end"]
-    return [] if operator.exit_code == 0 else [follow.death_notice(operator)]
 
 
 def make_report(out: Path, reasons: list[str]) -> dict[str, Any]:
@@ -241,7 +119,7 @@ def make_report(out: Path, reasons: list[str]) -> dict[str, Any]:
 
 
 def print_summary(summary: dict[str, Any]) -> None:
-    """Print the figures a person looks for first."""
+    """Print the main figures."""
     rows = [
         ["RCM deviation, kinematic [mm]", _numbers(summary, "rcm_kinematic_mm")],
         ["RCM deviation, true [mm]", _numbers(summary, "rcm_true_mm")],
@@ -331,10 +209,10 @@ def _plan(
 
 
 def _check_motion(options: argparse.Namespace, arm: Any) -> CheckedMotion:
-    """Read the motion and fit it into the arm's workspace: the operator's own checks, made early.
+    """Read the motion and fit it into the arm's workspace, as the operator node does later.
 
     Raises:
-        Problem: When it is broken or does not fit: file, line, value, what is allowed.
+        Problem: The file is broken or the motion does not fit: file, line, value, what is allowed.
     """
     from surg_teleop.playback.motion_errors import MotionError
     from surg_teleop.playback.motion_file import read_motion
@@ -362,34 +240,8 @@ def _only_arm(loaded: Any, cell: Path) -> str:
     return str(names[0])
 
 
-def _forget(out: Path) -> None:
-    """Remove what a refused run has written: the cell made for a robot from outside the tree."""
+def _remove_cell(out: Path) -> None:
+    """Remove what a refused run has written: the cell made for a robot given by its YAML."""
     shutil.rmtree(out / "cell", ignore_errors=True)
     with contextlib.suppress(OSError):
         out.rmdir()
-
-
-def _number_between(text: str, low: float, high: float, allowed: str) -> float:
-    """A finite number in a closed range, for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not low <= value <= high:
-        raise argparse.ArgumentTypeError(f"{text!r}; allowed: {allowed}")
-    return value
-
-
-def _positive(text: str) -> float:
-    """A positive finite number."""
-    return _number_between(text, math.ulp(0.0), 1e6, "a positive number")
-
-
-def _gain(text: str) -> float:
-    """A feedback gain."""
-    return _number_between(text, 0.0, 100.0, "0 to 100 (1/s)")
-
-
-def tcp_port(text: str) -> int:
-    """A TCP port that needs no root."""
-    return int(_number_between(text, 1024, 65535, "a port from 1024 to 65535"))

@@ -7,8 +7,8 @@ import contextlib
 import os
 import signal
 
-from surg_cli.commands.demo import tcp_port
 from surg_cli.graph import processes, running
+from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, say
 
 # Interrupt lets it stop its nodes in order; its children die with it when it must be killed.

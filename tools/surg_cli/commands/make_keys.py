@@ -7,8 +7,6 @@ from pathlib import Path
 
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem, say
-from surg_policy_client import BadKeys
-from surg_policy_client.keys import POLICY, make
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -23,14 +21,17 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     )
     add(
         "--policy",
-        default=POLICY,
+        default="policy",
         metavar="NAME",
-        help="of the policy's machine or user; another name adds another key pair to the folder",
+        help="of the policy's machine or user; each name has a key pair of its own",
     )
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Make the keys; say which go where."""
+    """Make the keys and print where each one belongs."""
+    from surg_policy_client import BadKeys
+    from surg_policy_client.keys import make
+
     try:
         made = make(options.out, options.policy)
     except (BadKeys, OSError) as error:

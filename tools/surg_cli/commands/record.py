@@ -9,8 +9,8 @@ import threading
 import time
 from typing import Any
 
-from surg_cli.commands.demo import tcp_port
 from surg_cli.graph import master, processes, running
+from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say, warn
 
 ACTIONS = {

@@ -6,9 +6,9 @@ import argparse
 import os
 import shlex
 
-from surg_cli.commands.demo import tcp_port
 from surg_cli.graph import running
 from surg_cli.host import environment, paths
+from surg_cli.host.option_types import tcp_port
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:

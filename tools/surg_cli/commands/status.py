@@ -8,8 +8,8 @@ import threading
 import time
 from collections import defaultdict
 
-from surg_cli.commands.demo import tcp_port
 from surg_cli.graph import master, processes, running
+from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import say, table
 
 LISTEN_S = 2.0

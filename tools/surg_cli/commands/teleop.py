@@ -13,14 +13,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.commands.demo import tcp_port
-from surg_cli.commands.up import DEFAULT_PORT
-from surg_cli.graph import join, master, operator_nodes, processes, roles, running, system
+from surg_cli.graph import join, master, network, operator_nodes, processes, roles, running, system
 from surg_cli.graph.follow import death_notice
 from surg_cli.graph.operator_nodes import BROWSER, WEB_PORT
 from surg_cli.graph.system import Node, Plan
 from surg_cli.graph.watch import Watch
-from surg_cli.host import cells, environment, network, paths
+from surg_cli.host import cells, environment, paths
+from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say
 
 DEFAULT_CELL = "sim_two_arms"
@@ -50,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="what a second hand holds, which moves the assistant's instrument of the task",
     )
     add("--out", type=Path, metavar="DIR", help="folder of the episodes (runs/<UTC time>)")
-    add("--port", type=tcp_port, default=DEFAULT_PORT, metavar="P", help="of the ROS master")
+    add("--port", type=tcp_port, default=master.DEFAULT_PORT, metavar="P", help="of the ROS master")
     web = parser.add_argument_group("who may open the page (docs/guide/console.md)")
     add = web.add_argument
     add("--web-port", type=tcp_port, default=WEB_PORT, metavar="P", help=f"default {WEB_PORT}")

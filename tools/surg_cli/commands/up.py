@@ -10,15 +10,14 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from surg_cli.commands.demo import tcp_port
-from surg_cli.graph import join, master, processes, roles, running, system
+from surg_cli.graph import join, master, network, processes, roles, running, system
 from surg_cli.graph.follow import death_notice
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
-from surg_cli.host import cells, environment, network, paths
+from surg_cli.host import cells, environment, paths
+from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say
 
-DEFAULT_PORT = 11311
 START_TIMEOUT_S = 60.0
 SPOKEN_TICKS = 100
 """Of the simulator in real time: by then every controller has heard its link."""
@@ -33,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
-    add("--port", type=tcp_port, default=DEFAULT_PORT, metavar="P", help="of the ROS master")
+    add("--port", type=tcp_port, default=master.DEFAULT_PORT, metavar="P", help="of the ROS master")
     add(
         "--role",
         choices=[role.value for role in roles.Role],

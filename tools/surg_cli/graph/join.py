@@ -9,10 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import master, operator_nodes, processes, roles, running, system
+from surg_cli.graph import master, network, operator_nodes, processes, roles, running, system
 from surg_cli.graph.follow import death_notice
 from surg_cli.graph.system import Node, Plan
-from surg_cli.host import environment, network
+from surg_cli.host import environment
 from surg_cli.host.terminal import Problem, Progress, say
 
 LEADER = "crtk"

@@ -12,6 +12,7 @@ from surg_cli.graph.processes import Child, Supervisor, wait_until
 from surg_cli.host.terminal import Problem
 
 ROSMASTER = Path("/usr/bin/rosmaster")
+DEFAULT_PORT = 11311
 START_TIMEOUT_S = 15.0
 
 

@@ -237,6 +237,16 @@ class Supervisor:
             self.stop()
 
 
+def interrupt_on_signals() -> None:
+    """Turn every ending signal into KeyboardInterrupt, so that each way out stops the children."""
+
+    def interrupt(number: int, frame: object) -> None:
+        raise KeyboardInterrupt(signal.Signals(number).name)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)
+
+
 @contextlib.contextmanager
 def signals_ignored() -> Iterator[None]:
     """Ignore the signals that end a command while something must be finished."""

@@ -16,7 +16,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli.__main__ import interrupt_on_signals
 from surg_cli.graph import follow, master, policy_program, processes, running, system
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
@@ -178,7 +177,7 @@ def _progress(seconds: float, note: str) -> None:
 
 def main(arguments: Sequence[str]) -> int:
     """Play the plan in a folder; the exit status is 0 when there is an outcome."""
-    interrupt_on_signals()
+    processes.interrupt_on_signals()
     folder = Path(arguments[0])
     try:
         ended = play(read_plan(folder))

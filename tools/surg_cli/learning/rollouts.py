@@ -1,7 +1,7 @@
 """Roll-outs of a learned policy through the graph: each in a graph of its own, played once.
 
 A roll-out is an episode of `./surg run TASK --policy SCRIPT`: the same graph, the same recording.
-What it came to is kept beside it, so that work that was cut off goes on behind it.
+Its result is stored beside it, so that an interrupted run resumes after the last finished one.
 """
 
 from __future__ import annotations
@@ -14,14 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli.commands import run
-from surg_cli.commands.run import Condition
-from surg_cli.graph import policy_program, task_episode
+from surg_cli.graph import episode_plans, episode_process, policy_program, task_episode
+from surg_cli.graph.episode_plans import Condition
 from surg_cli.host import paths
 
 RESULT = "result.json"
 WEIGHTS = "SURG_BGR_WEIGHTS"
-"""Environment variable by which a policy's script learns of its weights."""
+"""Environment variable that tells a policy's script where its weights are."""
 
 
 @dataclass
@@ -49,9 +48,9 @@ class Player:
     cameras: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        player = policy_program.read(str(self.script), None, self.privileged)
+        policy = policy_program.read(str(self.script), None, self.privileged)
         self._condition = Condition(self.setting, "ours")
-        self._plan = run.make_plan(
+        self._plan = episode_plans.make_plan(
             self.task,
             self.cell,
             self.loaded,
@@ -59,7 +58,7 @@ class Player:
             0,
             self.cameras,
             Path(),
-            player,
+            policy,
         )
 
     @property
@@ -73,12 +72,12 @@ class Player:
         return str(self._plan.run_info["robot"])
 
     def play(self, seed: int, folder: Path, show: Callable[[float, str], None]) -> dict[str, Any]:
-        """Play one, or tell of it when it has been played.
+        """Play one, or return its stored result.
 
         Args:
             seed: Of the episode.
-            folder: Of the roll-out; what a roll-out that was cut off left there is removed.
-            show: Called with the simulated time [s] and words.
+            folder: Of the roll-out; the remains of an interrupted roll-out are removed.
+            show: Called with the simulated time [s] and a note on the progress.
 
         Returns:
             ``rollout`` (`learning.roll_out`) and ``episode`` (`trials.describe`).
@@ -87,29 +86,23 @@ class Player:
         if file.is_file():
             return dict(json.loads(file.read_text("utf-8")))
         shutil.rmtree(folder, ignore_errors=True)
-        plan = run.of_episode(self._plan, self._condition, seed, folder)
-        task_episode.write_plan(plan)
+        plan = episode_plans.for_episode(self._plan, self._condition, seed, folder)
         os.environ[WEIGHTS] = str(self.weights.absolute())
-        said = run.run_process(folder, show)
-        result = _describe(seed, self.setting, folder, said)
-        # One that did not come to its end is played again when the work is resumed.
+        ended = episode_process.run_episode(plan, show)
+        result = describe(seed, self.setting, folder, ended)
+        # A roll-out that broke off is played again when the run is resumed.
         if result["rollout"]["played"]:
             paths.write_text(file, json.dumps(result, indent=1) + "\n")
         return result
 
 
-def _describe(seed: int, setting: str, folder: Path, said: str) -> dict[str, Any]:
-    """Both entries of a roll-out from what its process left."""
+def describe(seed: int, setting: str, folder: Path, ended: task_episode.Ended) -> dict[str, Any]:
+    """Both entries of a roll-out: that of the policy, and that of the episode."""
     from surg_recording.episode import episode_reader as episodes
     from surg_recording.recording_errors import EpisodeError
     from surg_recording.reports import learning, trials
 
-    file = folder / task_episode.OUTCOME
-    if file.exists():
-        ended = task_episode.Ended(**json.loads(file.read_text("utf-8")))
-    else:
-        ended = task_episode.Ended(False, said, "", 0.0, False, None)
-    reason, recorded = ended.reason, None
+    reason = ended.reason
     try:
         recorded = episodes.read(folder / "episode")
         outcome = trials.Outcome(ended.success, reason, ended.phase, ended.duration_s, ended.played)

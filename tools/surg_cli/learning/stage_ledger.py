@@ -1,8 +1,8 @@
-"""Long work in stages: each is done once, timed, and said; what was cut off goes on where it ended.
+"""Long work in stages: each is done once and timed; interrupted work resumes where it stopped.
 
-A ledger is one JSON file in the folder of the work. A stage that ended well has a result there, and
-the key of what it was made from: the same key, and the stage is not done again. A stage whose key
-has changed, and every stage behind it, is done anew.
+A ledger is one JSON file in the folder of the work. It stores the result of each completed stage
+and a key of the stage's inputs. A stage with the same key is not repeated. A stage whose key has
+changed is repeated, with every stage behind it.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ FORMAT = "surg_stages/1"
 
 
 class Ledger:
-    """What has been done, and how long it took.
+    """Results and durations of the stages.
 
     Args:
-        file: Where it is kept; made when a first stage ends.
-        again: How a person goes on after a stage has failed, for the message.
+        file: The JSON file; written when a first stage ends.
+        resume: Command line that resumes the work, for the error message.
 
     Raises:
         Problem: The file is there and is no ledger.
     """
 
-    def __init__(self, file: Path, again: str) -> None:
-        self._file, self._again = file, again
+    def __init__(self, file: Path, resume: str) -> None:
+        self._file, self._resume = file, resume
         self._stages: dict[str, dict[str, Any]] = {}
         self._before = ""
         if file.exists():
@@ -49,51 +49,51 @@ class Ledger:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Wall time of each stage, attempts that were cut off included [s]."""
+        """Wall time of each stage [s], interrupted attempts included."""
         return {name: round(entry["s"], 2) for name, entry in self._stages.items()}
 
     def stage(
         self,
         name: str,
-        made_of: Any,
+        inputs: Any,
         work: Callable[[], Any],
-        whole: Callable[[Any], bool] = lambda _: True,
+        complete: Callable[[Any], bool] = lambda _: True,
     ) -> Any:
         """Do a stage, unless it is done.
 
         Args:
             name: Of the stage.
-            made_of: What its result depends on beside the stages before it; anything JSON.
-            work: Does it; returns what JSON can hold. Must be able to go on after it was cut off.
-            whole: Whether a result is all that was wanted; else the stage goes on next time.
+            inputs: What its result depends on, beside the stages before it; any JSON value.
+            work: Does it and returns a JSON value. Must be able to resume.
+            complete: Whether a result is complete; otherwise the stage resumes next time.
 
         Returns:
-            The result, of now or of then.
+            The result, new or stored.
 
         Raises:
-            Problem: It failed; the text names the stage, and what to do.
+            Problem: The stage failed; the text names it, and how to resume.
         """
-        words = json.dumps([self._before, name, made_of], sort_keys=True, default=str)
+        words = json.dumps([self._before, name, inputs], sort_keys=True, default=str)
         key = self._before = hashlib.sha256(words.encode()).hexdigest()
         entry = self._stages.get(name)
         if entry is not None and entry["key"] == key and entry["done"]:
-            say(f"{name}: done before, in {entry['s']:.0f} s")
+            say(f"{name}: already done, in {entry['s']:.0f} s")
             return entry["result"]
         spent = entry["s"] if entry is not None and entry["key"] == key else 0.0
         started, result, done = time.monotonic(), None, False
         try:
             result = work()
-            done = whole(result)
+            done = complete(result)
         except Problem as problem:
             raise Problem(
-                f"stage '{name}': {problem}\nWhat is done is kept. Go on with: {self._again}",
+                f"stage '{name}': {problem}\nFinished work is kept. Resume with: {self._resume}",
                 problem.code,
             ) from problem
         finally:
             spent += time.monotonic() - started
             self._stages[name] = {"key": key, "s": spent, "done": done, "result": result}
             content = {"format": FORMAT, "stages": self._stages}
-            # A full disk must not hide what went wrong before.
+            # A full disk must not hide the error that ended the stage.
             with contextlib.nullcontext() if done else contextlib.suppress(OSError):
                 paths.write_text(self._file, json.dumps(content, indent=1, default=str) + "\n")
         return result

@@ -1,0 +1,110 @@
+"""The commands of `./surg`, their groups and their option parsers."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from surg_cli.host.terminal import Problem
+
+GROUPS = ("run", "data", "learn", "robot", "develop")
+
+
+@dataclass(frozen=True)
+class Command:
+    """One command.
+
+    Attributes:
+        group: Where `./surg help` lists it.
+        module: Of `surg_cli.commands`.
+        help: One line.
+        needs_workspace: Whether everything is set up and built before it runs.
+    """
+
+    group: str
+    module: str
+    help: str
+    needs_workspace: bool = True
+
+
+COMMANDS = {
+    "demo": Command("run", "demo", "play a recorded motion through a trocar and report the errors"),
+    "run": Command("run", "run", "play episodes of a task, by scripted senders or by a policy"),
+    "teleop": Command("run", "teleop", "operate the phantom from the browser console"),
+    "up": Command("run", "up", "bring a cell up and keep it until Ctrl-C"),
+    "down": Command("run", "down", "end what `up` started", needs_workspace=False),
+    "status": Command("run", "status", "list nodes, topic rates and last errors of a system"),
+    "record": Command("data", "record", "start, stop and tag a recording of a running system"),
+    "recover": Command("data", "recover", "complete recordings that were interrupted"),
+    "view": Command("data", "view", "show an episode: video, tip path and curves on one page"),
+    "evaluate": Command("data", "evaluate", "compare recorded episodes in figures and tables"),
+    "export": Command("data", "export", "write a dataset: LeRobot, robomimic, ACT or Zarr"),
+    "learn": Command("learn", "learn", "demonstrate, export, train, deploy and judge a policy"),
+    "keys": Command("learn", "make_keys", "make key pairs for a model server and its policies"),
+    "calibrate": Command("robot", "calibrate", "solve tool and trocar from recorded poses"),
+    "check-frames": Command("robot", "check_frames", "compare commanded and observed tip motion"),
+    "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
+    "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),
+    "build": Command("develop", "setup", "set up and build the workspace", needs_workspace=False),
+    "test": Command("develop", "testing", "build and run the tests"),
+    "bench": Command("develop", "bench", "run a benchmark"),
+    "shell": Command("develop", "shell", "open a shell with the workspace sourced"),
+    "topics": Command("develop", "topics", "compare a graph with docs/reference/topics.yaml"),
+    "doctor": Command("develop", "doctor", "list what is installed, missing and running", False),
+}
+MOVED = {("demo", "--task"): "./surg run TASK", ("demo", "--full"): "./surg learn TASK"}
+"""Options that earlier versions had, and the command that does the same now."""
+
+
+def usage() -> str:
+    """The text of `./surg help`."""
+    lines = ["usage: ./surg COMMAND [options]      ./surg COMMAND --help lists the options"]
+    for group in GROUPS:
+        lines += ["", f"{group}:"]
+        lines += [f"  {n:12s}  {c.help}" for n, c in COMMANDS.items() if c.group == group]
+    lines += ["", "`demo` and `test` set everything up on first use."]
+    return "\n".join(lines)
+
+
+def parser(name: str) -> tuple[argparse.ArgumentParser, Callable[[Any, str], int]]:
+    """The option parser of a command, and the function that runs it."""
+    command = COMMANDS[name]
+    made = argparse.ArgumentParser(prog=f"./surg {name}", description=command.help)
+    module = importlib.import_module(f"surg_cli.commands.{command.module}")
+    module.add_arguments(made, name)
+    return made, module.main
+
+
+def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable[[Any, str], int]]:
+    """Parse the options of a command.
+
+    Args:
+        name: Of the command.
+        words: Behind it on the command line.
+
+    Returns:
+        The options, and the function that runs the command.
+
+    Raises:
+        Problem: An option belongs to other commands; names them.
+        SystemExit: An option or argument is wrong otherwise; argparse has printed why.
+    """
+    own, main = parser(name)
+    options, unknown = own.parse_known_args(words)
+    for word in unknown:
+        option = word.partition("=")[0]
+        if (other := MOVED.get((name, option), "")) or (other := commands_with(option)):
+            raise Problem(f"{name} has no option {option}; use {other}", 2)
+    if unknown:
+        own.error(f"unrecognized arguments: {' '.join(unknown)}")
+    return options, main
+
+
+def commands_with(option: str) -> str:
+    """The commands that have an option, such as `./surg run or ./surg learn`; empty: none has."""
+    # argparse has no public list of its options.
+    found = [name for name in COMMANDS if option in parser(name)[0]._option_string_actions]
+    return " or ".join(f"./surg {name}" for name in found)

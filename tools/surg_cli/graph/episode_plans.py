@@ -1,0 +1,161 @@
+"""What an episode of a task needs: cell, physical setting, control law, and who plays it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from surg_cli.graph import policy_program, system
+from surg_cli.graph.system import Plan
+from surg_cli.host import cells
+from surg_cli.host.terminal import Problem
+
+VIEWS = {"none": (), "left": ("left",), "stereo": ("left", "right")}
+ROBOT_CELLS = {"ur5e": "sim_two_arms", "panda": "sim_two_arms_panda"}
+EXPERT = "expert"
+"""The scripted sender that a policy replaces; a task's other senders stay scripted."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the episodes of one box in the plots have in common."""
+
+    setting: str
+    law: str
+
+
+def find_cell(robot: str) -> Path:
+    """The two-arm cell of `--robot`.
+
+    Args:
+        robot: Name of a bundled robot, or a cell.
+
+    Raises:
+        Problem: It is neither.
+    """
+    try:
+        return cells.find(ROBOT_CELLS.get(robot, robot))
+    except Problem as problem:
+        known = ", ".join(ROBOT_CELLS)
+        raise Problem(f"--robot {robot}: neither {known} nor a cell ({problem})", 2) from problem
+
+
+def parse_settings(text: str) -> list[str]:
+    """Physical settings of `--setting`, each once.
+
+    Args:
+        text: Names with commas, or `all`.
+
+    Raises:
+        Problem: One does not exist; lists those that do.
+    """
+    from surg_sim.physics.patient_settings import SETTINGS, find_setting
+
+    wanted = list(SETTINGS) if text == "all" else text.split(",")
+    for name in wanted:
+        try:
+            find_setting(name)
+        except ValueError as error:
+            raise Problem(f"--setting {text}: {error}", 2) from error
+    return list(dict.fromkeys(wanted))
+
+
+def make_plan(
+    task: str,
+    cell: Path,
+    loaded: Any,
+    conditions: Sequence[Condition],
+    seed: int,
+    cameras: tuple[str, ...],
+    out: Path,
+    policy: system.Policy | None = None,
+) -> Plan:
+    """What all episodes of a run have in common; starts nothing.
+
+    Args:
+        task: Its name, or the path of its file.
+        cell: Folder of the cell.
+        loaded: The cell.
+        conditions: What it is played in.
+        seed: Of the first episode.
+        cameras: Views that are rendered and recorded.
+        out: Folder of the run.
+        policy: Plays in the place of the scripted expert.
+
+    Raises:
+        Problem: The task is unknown, does not fit the cell, or nobody plays it.
+    """
+    if task.endswith(".py"):
+        task = str(Path(task).absolute())
+    loaded_task, senders = _load_task(task, loaded, conditions, seed, policy)
+    arms = tuple(str(arm) for arm in loaded.arms)
+    return Plan(
+        cell=cell,
+        arms=arms,
+        lockstep=True,
+        cameras=cameras,
+        task=task,
+        senders=senders,
+        policy=policy,
+        out=out,
+        run_info={
+            "task": loaded_task.name,
+            "title": loaded_task.title,
+            "operator": "scripted expert" if policy is None else _policy_name(policy),
+            "robot": loaded.arms[arms[0]].robot.name,
+            "mode": "cartesian",
+            "timing": "lockstep",
+        },
+    )
+
+
+def _load_task(
+    task: str,
+    loaded: Any,
+    conditions: Sequence[Condition],
+    seed: int,
+    policy: system.Policy | None,
+) -> tuple[Any, Mapping[str, tuple[str, ...]]]:
+    """The task, and the names of the nodes that play it with the arms that each commands.
+
+    Raises:
+        Problem: The task is unknown, does not fit the cell, or nobody plays it.
+    """
+    from surg_sim import tasks
+    from surg_sim.physics.patient_settings import find_setting
+
+    try:
+        for each in conditions:
+            found = tasks.load(task)
+            found.prepare(loaded, find_setting(each.setting))
+        senders = {name: tuple(e.arms) for name, e in found.experts(loaded, seed).items()}
+    except ValueError as error:  # a TaskError is one
+        raise Problem(str(error), 2) from error
+    if policy is not None:
+        senders.pop(EXPERT, None)
+        senders[system.POLICY] = tuple(found.commanded)
+    if not senders:
+        raise Problem(f"task '{found.name}' has no scripted sender; name a --policy", 2)
+    return found, senders
+
+
+def _policy_name(policy: system.Policy) -> str:
+    """A policy in the manifest."""
+    return f"policy {Path(policy.script).name if policy.script else 'at ' + policy.address}"
+
+
+def for_episode(plan: Plan, condition: Condition, seed: int, folder: Path) -> Plan:
+    """The plan of one episode of a run."""
+    info = {**plan.run_info, "seed": seed, "setting": condition.setting, "law": condition.law}
+    policy = None if plan.policy is None else policy_program.addressed(plan.policy)
+    return replace(
+        plan,
+        setting=condition.setting,
+        law=condition.law,
+        seed=seed,
+        policy=policy,
+        out=folder,
+        run_info=info,
+    )

@@ -1,0 +1,124 @@
+"""Runs one episode in a process of its own, see `task_episode`, and reads how it ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from surg_cli.graph import episode_plans, processes, task_episode
+from surg_cli.graph.system import Plan
+from surg_cli.host import cells
+from surg_cli.host.terminal import Problem, Progress
+
+EPISODE_TIMEOUT_S = 1800.0
+"""[s] wall clock: longest an episode may take, start and report included."""
+
+
+def run_episode(plan: Plan, show: Callable[[float, str], None]) -> task_episode.Ended:
+    """Write the plan, play it, and read the outcome.
+
+    Args:
+        plan: Of one episode.
+        show: Called with the simulated time [s] and a note on the progress.
+
+    Returns:
+        How it ended; where the process left no outcome, the end of its log is the reason.
+    """
+    task_episode.write_plan(plan)
+    return read_outcome(plan.out, run_process(plan.out, show))
+
+
+def read_outcome(folder: Path, error: str) -> task_episode.Ended:
+    """How an episode ended.
+
+    Args:
+        folder: Of the episode.
+        error: The reason where the process left no outcome.
+    """
+    file = folder / task_episode.OUTCOME
+    if file.exists():
+        return task_episode.Ended(**json.loads(file.read_text("utf-8")))
+    return task_episode.Ended(False, error, "", 0.0, False, None)
+
+
+def run_process(folder: Path, show: Callable[[float, str], None]) -> str:
+    """Run the process of one episode.
+
+    Args:
+        folder: With its plan.
+        show: Called with the simulated time [s] and a note on the progress.
+
+    Returns:
+        The end of its log if it failed; empty when there is an outcome.
+    """
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    argv = [sys.executable, "-s", "-m", "surg_cli.graph.task_episode", str(folder)]
+    with processes.Supervisor(env, folder / "logs") as supervisor:
+        child = supervisor.start("episode", argv)
+        give_up = time.monotonic() + EPISODE_TIMEOUT_S
+        while child.exit_code is None and time.monotonic() < give_up:
+            time.sleep(0.1)
+            line = child.log_tail(1)
+            if line.startswith("{"):
+                news = json.loads(line)
+                show(news["seconds"], news["note"])
+    if child.exit_code == 0:
+        return ""
+    lines = [line for line in child.log_tail(20).splitlines() if not line.startswith('{"seconds"')]
+    return "\n".join(lines) or f"the episode's process ended with {child.exit_code}"
+
+
+def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
+    """The entry of an episode in the summary; writes its report beside its recording."""
+    from surg_recording.episode import episode_reader as episodes
+    from surg_recording.recording_errors import EpisodeError
+    from surg_recording.reports import run_report, trials
+
+    outcome = trials.Outcome(
+        ended.success, ended.reason, ended.phase, ended.duration_s, ended.played
+    )
+    try:
+        recorded = episodes.read(plan.out / "episode")
+        entry = trials.describe(plan.seed, plan.setting, plan.law, outcome, recorded)
+        run_report.make(plan.out)
+    except EpisodeError as error:
+        reason = "; ".join(filter(None, (ended.reason, str(error))))
+        outcome = replace(outcome, played=False, success=False, reason=reason)
+        entry = trials.describe(plan.seed, plan.setting, plan.law, outcome, None)
+    entry["real_time_factor"] = ended.real_time_factor
+    if plan.policy is not None:
+        entry["policy"] = ended.policy
+    entry["folder"] = f"episodes/{plan.out.name}"
+    return entry
+
+
+def real_time_factor(task: str, robot: str, seed: int, out: Path, cameras: str = "left") -> float:
+    """Simulated by wall time of one recorded episode through the graph.
+
+    Args:
+        task: Its name.
+        robot: As for `--robot`.
+        seed: Of the episode.
+        out: Empty folder for it.
+        cameras: Which views of 640 x 480 at 20 fps are rendered and recorded.
+
+    Raises:
+        Problem: The episode was not played to its end.
+    """
+    condition = episode_plans.Condition("phantom", "ours")
+    cell = episode_plans.find_cell(robot)
+    views = episode_plans.VIEWS[cameras]
+    plan = episode_plans.make_plan(task, cell, cells.load(cell), [condition], seed, views, out)
+    plan = episode_plans.for_episode(plan, condition, seed, out)
+    with Progress("episode") as progress:
+        ended = run_episode(plan, lambda seconds, note: progress.update(None, f"{seconds:.1f} s"))
+    entry = describe(plan, ended)
+    if not entry["played"] or ended.real_time_factor is None:
+        raise Problem(f"no rate: {entry['failure_reason'] or 'the episode is too short'}")
+    return ended.real_time_factor

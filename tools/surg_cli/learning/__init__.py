@@ -1,0 +1,1 @@
+"""What `./surg learn` does: recipes, stages, roll-outs of the learned policy."""

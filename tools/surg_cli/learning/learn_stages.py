@@ -1,0 +1,161 @@
+"""The stages of `./surg learn`: demonstrations, smoothness, dataset, training, roll-outs."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.learning.recipes import LEARNERS, PUSH_M, Request
+from surg_cli.learning.rollouts import Player
+
+COMPARED = 20
+"""Demonstrations whose smoothness is in the report, at most."""
+
+
+def demonstrate(request: Request, cell: Path, out: Path) -> dict[str, Any]:
+    """Play demonstrations by the scripted expert, in processes of their own, without ROS."""
+    from surg_recording.episode import episode_reader
+    from surg_recording.recording_errors import EpisodeError
+    from surg_sim.envs import demonstrations
+    from surg_sim.tasks import episode_seeds
+
+    plan = demonstrations.Plan(
+        out / "demonstrations",
+        cell,
+        request.task,
+        request.setting,
+        request.recipe.cameras,
+        shake=PUSH_M,
+    )
+    chosen = episode_seeds.training_seeds(request.episodes)
+    before = sum(plan.done(seed) for seed in chosen)
+    with Progress("demonstrations") as progress:
+
+        def show(made: int, newest: demonstrations.Demonstration) -> None:
+            n = before + made
+            progress.update(n / request.episodes, f"{n} of {request.episodes}, seed {newest.seed}")
+
+        try:
+            demonstrations.play(plan, chosen, _jobs(), show)
+        except (EpisodeError, OSError, ValueError) as problem:
+            raise Problem(str(problem)) from problem
+    reasons = {}
+    for seed in chosen:
+        sim = episode_reader.read(plan.folder(seed)).manifest["sim"]["task"]
+        reasons[seed] = sim["reason"]
+    failed = {seed: reason for seed, reason in reasons.items() if reason}
+    for seed, reason in failed.items():
+        say(f"  failed, left out of the dataset: seed {seed}: {reason}")
+    return {"success": len(reasons) - len(failed), "failed": failed}
+
+
+def measure(request: Request, out: Path) -> list[dict[str, Any]]:
+    """Compute the figures of unperturbed demonstrations that the roll-outs are compared with."""
+    from surg_recording.reports import learning
+    from surg_sim.tasks import episode_seeds
+
+    unperturbed = episode_seeds.training_seeds(request.episodes)[0::2]
+    folders = [out / "demonstrations" / str(seed) for seed in unperturbed[:COMPARED]]
+    forked = get_context("fork")
+    with Progress("smoothness") as progress, ProcessPoolExecutor(_jobs(), forked) as pool:
+        entries = []
+        for entry in pool.map(learning.demonstration, folders):
+            entries.append(entry)
+            progress.update(len(entries) / len(folders), "of the demonstrations")
+    return entries
+
+
+def export(out: Path) -> dict[str, Any]:
+    """Export all demonstrations that succeeded as one dataset."""
+    from surg_recording import datasets
+
+    exporter = datasets.load("lerobot")
+    options = datasets.ExportOptions(
+        fps=20, splits={"train": 0.95, "val": 0.05}, workers=_jobs(), keep_parts=True, replace=True
+    )
+    with Progress("dataset") as progress:
+        try:
+            report = exporter.write(
+                [out / "demonstrations"], out / "dataset", options, progress.update
+            )
+        except datasets.ExportError as problem:
+            raise Problem(str(problem)) from problem
+    if not report.ok:
+        raise Problem("; ".join([*report.errors, *report.refused.values()][:3]))
+    return {"recordings": report.recordings, "frames": report.frames}
+
+
+def train(request: Request, out: Path) -> dict[str, Any]:
+    """Train with the program that a person would start, in a process of its own."""
+    program = LEARNERS / request.recipe.train
+    argv = [sys.executable, str(program), str(out / "dataset"), "--json"]
+    argv += ["--out", str(out / "weights.npz"), "--seed", str(request.seed)]
+    with Progress("training") as progress:
+        last = follow(
+            argv, out / "logs" / "training.log", lambda n: progress.update(n["part"], n["note"])
+        )
+    if "weights" not in last:
+        raise Problem(f"{program.name} ended without naming its weights: {last}")
+    return last
+
+
+def follow(argv: list[str], log: Path, show: Callable[[Mapping[str, Any]], None]) -> dict[str, Any]:
+    """Run a program that prints its progress in lines of JSON; returns the last line.
+
+    Raises:
+        Problem: The program failed; with the end of its log.
+    """
+    log.parent.mkdir(parents=True, exist_ok=True)
+    last: dict[str, Any] = {}
+    with log.open("w", encoding="utf-8") as errors:
+        process = subprocess.Popen(
+            argv, stdout=subprocess.PIPE, stderr=errors, stdin=subprocess.DEVNULL, text=True
+        )
+        assert process.stdout is not None
+        try:
+            for line in process.stdout:
+                try:
+                    last = json.loads(line)
+                except ValueError:
+                    errors.write(line)
+                    continue
+                if "part" in last:
+                    show(last)
+        except BaseException:
+            process.terminate()
+            raise
+        finally:
+            status = process.wait()
+    if status != 0:
+        tail = log.read_text("utf-8", errors="replace").strip().splitlines()[-3:]
+        raise Problem("\n".join(tail) or f"{Path(argv[1]).name} ended with {status}")
+    return last
+
+
+def roll_out(player: Player, count: int, folder: Path) -> list[dict[str, Any]]:
+    """Play the policy through the graph on seeds that were not used for training."""
+    from surg_sim.tasks import episode_seeds
+
+    entries: list[dict[str, Any]] = []
+    with Progress("roll-outs") as progress:
+        for n, seed in enumerate(episode_seeds.test_seeds(count)):
+            good = sum(e["rollout"]["success"] for e in entries)
+
+            def show(seconds: float, note: str, n: int = n, good: int = good) -> None:
+                words = f"{n + 1} of {count}, {good} succeeded: {seconds:.1f} s, {note}"
+                progress.update(n / count, words)
+
+            entries.append(player.play(seed, folder / str(seed), show))
+    return entries
+
+
+def _jobs() -> int:
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,90 @@
+"""Which programs learn a task, and what a run of `./surg learn` was asked for."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from surg_cli.host import paths
+
+LEARNERS = paths.ROOT / "examples" / "bgr"
+PUSH_M = 0.003
+"""Spread of the pushes in every second demonstration [m], see surg_sim.tasks.perturbed_sender."""
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The programs that train and run a policy; files in `LEARNERS`.
+
+    Attributes:
+        train: Trains.
+        serve: The policy's client.
+        parts: What these two import.
+        cameras: Views of the endoscope that are recorded and served.
+        episodes: Default number of demonstrations.
+        target: Share of the roll-outs that must succeed.
+    """
+
+    train: str
+    serve: str
+    parts: tuple[str, ...]
+    cameras: tuple[str, ...] = ()
+    episodes: int = 80
+    target: float = 0.85
+    """The paper's 17 of 20."""
+
+    @property
+    def digests(self) -> list[str]:
+        """SHA-256 of all its files."""
+        files = (self.train, self.serve, *self.parts)
+        return [paths.file_digest(LEARNERS / name) for name in files]
+
+    def folder(self, weights: str) -> str:
+        """Name of the folder for roll-outs of these weights by these very programs."""
+        return hashlib.sha256(" ".join((weights, *self.digests)).encode()).hexdigest()[:12]
+
+    def least(self, rollouts: int) -> int:
+        """How many of so many roll-outs must succeed."""
+        return math.ceil(self.target * rollouts - 1e-9)  # a float product can be a hair above
+
+
+STATE_RECIPES = {"bgr": Recipe("train_bgr.py", "bgr_policy.py", ("bgr_training.py",))}
+"""By task: policies that observe the simulator's truth."""
+CAMERA_RECIPES = {
+    "bgr": Recipe(
+        "train_bgr_images.py",
+        "bgr_image_policy.py",
+        ("bgr_training.py", "bgr_policy.py"),
+        cameras=("left",),
+        episodes=60,
+        target=0.0,  # the success rate is reported, whatever it is
+    )
+}
+"""By task: policies that observe camera images, with ``--cameras``."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a run of `learn` was asked for; stored beside its results."""
+
+    task: str
+    setting: str
+    robot: str
+    seed: int
+    episodes: int
+    rollouts: int
+    cameras: bool = False
+
+    @property
+    def recipe(self) -> Recipe:
+        """The programs for it."""
+        return (CAMERA_RECIPES if self.cameras else STATE_RECIPES)[self.task]
+
+    @property
+    def demonstrations(self) -> dict[str, Any]:
+        """What the demonstrations depend on."""
+        views = {"cameras": self.recipe.cameras} if self.cameras else {}
+        fixed = {"rollouts": 0, "seed": 0, "shake": PUSH_M}
+        return {**{k: v for k, v in asdict(self).items() if k != "cameras"}, **fixed, **views}
