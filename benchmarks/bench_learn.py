@@ -39,10 +39,11 @@ from machine import this_machine
 
 from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
+from surg_core.contract import STATE_KEY
 from surg_recording import datasets
 from surg_recording.reports import trials
 from surg_sim.envs import demonstrations
-from surg_sim.envs.policy_rollouts import STATE, Rollout
+from surg_sim.envs.policy_rollouts import Rollout
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
 
@@ -61,7 +62,7 @@ class Hold:
 
     def act(self, observation: Any) -> Any:
         """The set-point, again."""
-        state = observation[STATE]
+        state = observation[STATE_KEY]
         return np.append(state[SET], state[JAW])[None]
 
 
@@ -79,7 +80,7 @@ class Random(Hold):
             direction = self._rng.standard_normal(3)
             self._direction = 0.003 * direction / np.linalg.norm(direction)
             self._jaw = float(self._rng.uniform(0.0, 0.68))
-        held = observation[STATE][SET].copy()
+        held = observation[STATE_KEY][SET].copy()
         held[:3] += self._direction
         # Inside what the shaft reaches, so that it goes on.
         held[2] = min(max(held[2], 0.06), 0.18)

@@ -18,6 +18,7 @@ setuptools.setup(
         "pyyaml>=6",
         "av>=10",
         "pillow>=9",
+        "surg_core",
     ],
     # Dataset formats (surg_recording.datasets); pyarrow 26 asks for a numpy newer than Debian's.
     extras_require={

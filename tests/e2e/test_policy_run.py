@@ -17,7 +17,7 @@ from helpers.results.policy_results import note
 from surg_cli.commands import run
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
-from surg_policy_bridge.server.policy_arm import ARM_STATE
+from surg_core.contract import ARM_STATE
 from surg_sim.looks.render import NoOpenGL, choose_backend
 
 pytestmark = pytest.mark.untimed

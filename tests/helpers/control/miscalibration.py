@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_core import Motion, MotionCommand, Reason, StateCommand
+from surg_core.contract import TICK
 from surg_sim.physics.calibration_bench import across, turn
-from surg_sim.physics.sim_arm import TICK, ArmCommand
+from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import shaft_in_flange
 from surg_sim.physics.world import World
 

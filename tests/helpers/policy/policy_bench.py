@@ -15,17 +15,11 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_cli.host import paths
+from surg_core.contract import SECOND_NS, STATE_KEY, STEP_NS
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
-from surg_policy_bridge.server.observer import STATE, Observation
-from surg_policy_bridge.server.policy_arm import (
-    PERIOD,
-    SECOND,
-    ArmCommand,
-    ArmState,
-    ArmView,
-    Target,
-)
+from surg_policy_bridge.server.observer import Observation
+from surg_policy_bridge.server.policy_arm import ArmCommand, ArmState, ArmView, Target
 from surg_policy_bridge.server.safety_controller import CLIPPED, ArmLimits, SafetyController
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client import wire
@@ -197,7 +191,7 @@ class Bench:
     def observe(self) -> None:
         """The observation of the present grid time."""
         numbers = np.array(self.arm.view.numbers(), dtype="<f4")
-        seen = Observation(self.step, self.now, {STATE: numbers})
+        seen = Observation(self.step, self.now, {STATE_KEY: numbers})
         self.server.observe(seen, self.now, self.now)
         self._hear()
 
@@ -220,7 +214,7 @@ class Bench:
         if rows is not None:
             self.act(rows)
         done = self.execute()
-        self.now += PERIOD
+        self.now += STEP_NS
         self.step += 1
         return done
 
@@ -250,7 +244,11 @@ class WiredBench(Bench):
     """
 
     def __init__(self, **settings: Any) -> None:
-        patient = {"silence": 60 * SECOND, "max_obs_age": 60 * SECOND, "empty": 60 * SECOND}
+        patient = {
+            "silence": 60 * SECOND_NS,
+            "max_obs_age": 60 * SECOND_NS,
+            "empty": 60 * SECOND_NS,
+        }
         super().__init__(**{**patient, **settings})
         self._context = zmq.Context()
         self._router = self._context.socket(zmq.ROUTER)

@@ -11,11 +11,10 @@ from collections.abc import Mapping
 import numpy as np
 
 import surg_core
+from surg_core.contract import ENABLED, STEP
 from surg_sim.physics.world import World
 from surg_sim.tasks import State, Task, Verdict
 from surg_sim.tasks.scripted_sender import (
-    ENABLED,
-    STEP,
     Action,
     ArmAction,
     Expert,

@@ -9,9 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
 from helpers.results.dataset_results import note
+from surg_core.contract import SECOND_NS
 from surg_recording.datasets import rotations
 from surg_recording.datasets.resample import (
-    SECOND,
     Grid,
     ages_s,
     continuous,
@@ -22,7 +22,7 @@ from surg_recording.datasets.resample import (
 )
 from surg_recording.recording_errors import EpisodeError
 
-GAP = 10 * SECOND
+GAP = 10 * SECOND_NS
 
 
 def families(full: bool) -> range:
@@ -49,7 +49,7 @@ def test_grid_times_never_drift(full: bool) -> None:
     for fps in (1, 7, 20, 24, 29, 30, 50, 60, 144, 1000):
         k = np.concatenate([np.arange(100), rng.integers(0, 10**8, 1000 if full else 100)])
         for frame, offset in zip(k.tolist(), offsets_ns(k, fps).tolist(), strict=True):
-            assert abs(Fraction(frame * SECOND, fps) - offset) <= Fraction(1, 2)
+            assert abs(Fraction(frame * SECOND_NS, fps) - offset) <= Fraction(1, 2)
             checked += 1
     grid = Grid(10**18 + 7, 30, 1000)
     assert (grid.times_ns[1:] == grid.next_ns[:-1]).all()
@@ -143,9 +143,9 @@ def test_slerp_agrees_with_scipy_whatever_the_signs(full: bool) -> None:
 
 
 def test_slerp_turns_at_a_constant_rate() -> None:
-    stamps = np.array([0, SECOND])
+    stamps = np.array([0, SECOND_NS])
     ends = Rotation.from_rotvec([[0, 0, 0], [0.4, -0.8, 0.2]]).as_quat()
-    times = np.arange(0, SECOND + 1, SECOND // 50)
+    times = np.arange(0, SECOND_NS + 1, SECOND_NS // 50)
     found, _ = slerp(stamps, ends, times, "x", GAP)
     turned = Rotation.from_quat(found).magnitude()
     np.testing.assert_allclose(turned, np.linalg.norm([0.4, -0.8, 0.2]) * times * 1e-9, atol=1e-12)

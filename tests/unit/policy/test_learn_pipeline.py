@@ -16,6 +16,7 @@ from surg_cli.graph import episode_process
 from surg_cli.graph import task_episode as cli_episode
 from surg_cli.host import paths
 from surg_cli.learning import rollouts as cli_rollouts
+from surg_core.contract import STATE_KEY, TASK_STATE_KEY
 from surg_recording import datasets
 from surg_recording.episode import episode_reader
 from surg_recording.metrics import unsafe_commands
@@ -71,16 +72,16 @@ def test_an_action_is_what_the_expert_said_at_that_look(exported: Path) -> None:
     shown = dataset.episodes["train"][0]
     env = SurgEnv(SHORT)
     names = policy_rollouts.names(env)
-    assert dataset.names[bgr_policy.STATE] == names[policy_rollouts.STATE]
-    assert dataset.names[bgr_policy.TASK] == names[policy_rollouts.TASK]
+    assert dataset.names[bgr_policy.STATE] == names[STATE_KEY]
+    assert dataset.names[bgr_policy.TASK] == names[TASK_STATE_KEY]
     observation, _ = env.reset(seed=SEEDS[0])
     compared = 0
     for step in range(len(shown.state)):
         seen = policy_rollouts.observe(env, observation)
         action = env.expert_action()
         # The recording's rcm frame is the one that was measured at homing: micrometres away.
-        np.testing.assert_allclose(shown.state[step], seen[policy_rollouts.STATE], atol=2e-5)
-        np.testing.assert_allclose(shown.task[step], seen[policy_rollouts.TASK], atol=1e-5)
+        np.testing.assert_allclose(shown.state[step], seen[STATE_KEY], atol=2e-5)
+        np.testing.assert_allclose(shown.task[step], seen[TASK_STATE_KEY], atol=1e-5)
         if step:  # the jaw's first command comes with the second look
             np.testing.assert_allclose(shown.action[step, :4], action[:4], atol=2e-5)
         observation, _, ended, late, _ = env.step(action)

@@ -13,9 +13,10 @@ import surg_core
 from helpers.policy.policy_bench import ARM, HOME, MS, Bench, cell
 from helpers.results.policy_results import note
 from surg_core import Motion, MotionCommand
+from surg_core.contract import SECOND_NS, STEP_NS, TICK_NS
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.playout import SEND, Piece
-from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, TICK, ArmCommand, Target
+from surg_policy_bridge.server.policy_arm import ArmCommand, Target
 from surg_policy_bridge.server.step_clock import StepClock
 
 
@@ -72,7 +73,9 @@ def test_a_roll_goes_the_shorter_way() -> None:
 def minimum_jerk(distance: float, seconds: float) -> np.ndarray:
     """Positions on the grid, at rest at both ends."""
     u = np.clip(
-        np.arange(1, round(seconds * SECOND / PERIOD) + 30) * PERIOD / SECOND / seconds, 0, 1
+        np.arange(1, round(seconds * SECOND_NS / STEP_NS) + 30) * STEP_NS / SECOND_NS / seconds,
+        0,
+        1,
     )
     return distance * (10 * u**3 - 15 * u**4 + 6 * u**5)
 
@@ -113,12 +116,12 @@ def overshoot(rows: np.ndarray, way: str) -> float:
     pieces = chained(steps, known=way == "chunk")
     xs = []
     for k, piece in enumerate(pieces):
-        for tick in range(PERIOD // TICK):
+        for tick in range(STEP_NS // TICK_NS):
             if way == "steps":
                 target = steps[k + 1] if tick == 0 else None
             else:
-                due = tick * TICK % SEND == 0
-                target = piece.at((tick * TICK + SEND) / PERIOD) if due else None
+                due = tick * TICK_NS % SEND == 0
+                target = piece.at((tick * TICK_NS + SEND) / STEP_NS) if due else None
             xs.append(arm.step(target))
     assert abs(xs[-1] - rows[-1]) < 2e-4, "it arrives"
     return max(xs) - rows[-1]
@@ -166,10 +169,10 @@ class RealTime:
     def play(self, seconds: float, delay: int | None = None) -> None:
         """Let time pass; the answers of this time may take longer or shorter."""
         self._delay = self._delay if delay is None else delay
-        end = self.bench.now + round(seconds * SECOND)
+        end = self.bench.now + round(seconds * SECOND_NS)
         while self.bench.now < end:
             self._tick()
-            self.bench.now += TICK
+            self.bench.now += TICK_NS
 
     def _tick(self) -> None:
         bench = self.bench
@@ -201,10 +204,10 @@ class RealTime:
             behind: Or of so many grid times before.
         """
         assert self.first is not None
-        begin = min(self.sent) // PERIOD + 2
-        steps = [time // PERIOD for time in self.sent if time % PERIOD == 0]
+        begin = min(self.sent) // STEP_NS + 2
+        steps = [time // STEP_NS for time in self.sent if time % STEP_NS == 0]
         steps = [step for step in steps if step >= begin]
-        there = np.array([self.sent[step * PERIOD].row for step in steps])
+        there = np.array([self.sent[step * STEP_NS].row for step in steps])
         return there, np.array([self._row(step - behind - self.first) for step in steps])
 
 
@@ -225,7 +228,7 @@ def test_a_chunk_is_where_it_says_at_every_grid_time(rows: int, ms: int) -> None
     assert len(there) >= 18 and run.counters.empty <= 2 + late
     answers = len(run.bench.of("ACK"))
     assert run.counters.late == late * answers and not run.counters.rejected
-    assert set(run.counters.obs_age.values) <= {PERIOD * (1 + late), PERIOD * 2}
+    assert set(run.counters.obs_age.values) <= {STEP_NS * (1 + late), STEP_NS * 2}
     times = np.array(list(run.sent))
     assert (np.diff(times)[1:] <= 2 * SEND).all(), "without a gap"
 
@@ -237,7 +240,7 @@ def test_single_steps_are_played_a_period_later(ms: int) -> None:
     there, wanted = run.at_grid(behind=1)
     np.testing.assert_allclose(there, wanted, rtol=0, atol=1e-12)
     assert run.counters.late == 0 and run.counters.empty <= 2 and len(there) >= 9
-    assert set(run.counters.obs_age.values) == {PERIOD}
+    assert set(run.counters.obs_age.values) == {STEP_NS}
 
 
 def test_single_steps_that_take_longer_than_a_period_are_late() -> None:
@@ -256,7 +259,7 @@ def test_a_slow_answer_now_and_then_does_not_show() -> None:
     there, wanted = run.at_grid()
     np.testing.assert_allclose(there, wanted, rtol=0, atol=1e-12)
     assert run.counters.late > 10 and run.counters.empty <= 4
-    speeds = np.diff([t.p[0] for t in run.sent.values()]) / np.diff(list(run.sent)) * SECOND
+    speeds = np.diff([t.p[0] for t in run.sent.values()]) / np.diff(list(run.sent)) * SECOND_NS
     assert np.abs(speeds).max() < 0.07
 
 
@@ -275,13 +278,15 @@ def lead(way: str) -> float:
     steps = [Target(HOME, 0.0, 0.3), *targets(rows)]  # at grid time n: step n
     pieces, middle = chained(steps, known=True), 15
     for n in range(middle):
-        for tick in range(PERIOD // TICK):
+        for tick in range(STEP_NS // TICK_NS):
             if way == "lock-step":
                 target = steps[n + 1] if tick == 0 else None
             else:
-                target = pieces[n].at(tick * TICK / PERIOD) if tick * TICK % SEND == 0 else None
+                target = (
+                    pieces[n].at(tick * TICK_NS / STEP_NS) if tick * TICK_NS % SEND == 0 else None
+                )
             x = arm.step(target)
-    speed = (rows[middle] - rows[middle - 2]) * SECOND / (2 * PERIOD)
+    speed = (rows[middle] - rows[middle - 2]) * SECOND_NS / (2 * STEP_NS)
     return float((x - steps[middle].p[0]) / speed)
 
 

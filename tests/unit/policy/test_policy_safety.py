@@ -10,18 +10,18 @@ import pytest
 
 from helpers.policy.policy_bench import ARM, HOME, Bench, arm_limits, cell
 from helpers.results.policy_results import note
+from surg_core.contract import SECOND_NS, STEP_NS
 from surg_policy_bridge.server.observer import CameraWatch, Observer, lagging_arm
-from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmState, ArmView, Target
+from surg_policy_bridge.server.policy_arm import ArmState, ArmView, Target
 from surg_policy_bridge.server.safety_controller import (
     CLIPPABLE,
     RULES,
     ArmSafety,
     SafetyController,
 )
-from surg_policy_bridge.server.timers import PRESENCE, OperatorPresence
-from surg_teleop.follow.pedal_monitor import PEDAL_SILENCE
+from surg_policy_bridge.server.timers import PRESENCE_NS, OperatorPresence
 
-DT = PERIOD / SECOND
+DT = STEP_NS / SECOND_NS
 # The shipped UR5e (docs/reference/safety.md), written here a second time on purpose: an oracle.
 V_MAX, A_MAX, SLACK, ROLL_V, ROLL_SLACK = 0.25, 2.0, 0.002, 2.0, 0.0349
 DEPTH_MIN, DEPTH_MAX, CONE = 0.020, 0.220, 1.0472
@@ -80,7 +80,7 @@ def test_every_verdict_against_an_oracle(full: bool) -> None:
                 guard.take(verdict, at)
                 v_last = (target[:3] - before[:3]) / DT
                 last, taken = target, taken + 1
-                at += PERIOD
+                at += STEP_NS
             else:
                 assert verdict.target is None, target
                 assert verdict.violations[0].rule in RULES and ARM in verdict.violations[0].text
@@ -104,7 +104,7 @@ def test_f06_a_jump_is_refused_at_its_exact_size() -> None:
             for speed in (0.0, 0.1, 0.2):
                 start = Target(start.p + np.array([speed * DT, 0, 0]), 0.0, 0.3)
                 guard.take(guard.judge(start, view(start.p), at), at)
-                at += PERIOD
+                at += STEP_NS
         toward = np.array([1.0, 0.0, 0.0])
         verdict = guard.judge(Target(start.p + size * toward, 0.0, 0.3), view(start.p), at)
         rules = [each.rule for each in verdict.violations]
@@ -115,7 +115,7 @@ def test_f06_a_jump_is_refused_at_its_exact_size() -> None:
         guard = safety()
         guard.take(guard.judge(Target(HOME, 3.1, 0.3), view(roll=3.1), 0), 0)
         across = Target(HOME, 3.1 + turn - 2 * math.pi, 0.3)  # over ±π
-        assert (guard.judge(across, view(), PERIOD).target is not None) == good
+        assert (guard.judge(across, view(), STEP_NS).target is not None) == good
 
 
 def test_millimetres_for_metres_are_refused_in_words() -> None:
@@ -204,7 +204,7 @@ def test_the_expert_is_never_refused(full: bool) -> None:
                 verdict = guard.judge(Target.of(action), at_rest, at)
                 assert verdict.target is not None and not verdict.violations, (task, seed, verdict)
                 guard.take(verdict, at)
-                judged, at = judged + 1, at + PERIOD
+                judged, at = judged + 1, at + STEP_NS
                 _, _, terminated, truncated, _ = env.step(action)
                 done = terminated or truncated or judged >= most
         env.close()
@@ -213,16 +213,15 @@ def test_the_expert_is_never_refused(full: bool) -> None:
 
 
 def test_a_dead_man_counts_while_its_source_says_so_again() -> None:
-    assert PRESENCE == PEDAL_SILENCE * SECOND, "the teleoperation's"
     presence = OperatorPresence()
     assert not presence.detected(0)
     presence.press("/footpedals", True, 0)
     presence.press("/console", False, 0)
-    assert presence.detected(PRESENCE), "one source does not lift another's foot"
-    assert not presence.detected(PRESENCE + 1), "its node was killed with the pedal down"
-    presence.press("/footpedals", True, SECOND)
-    presence.press("/footpedals", False, SECOND)
-    assert not presence.detected(SECOND)
+    assert presence.detected(PRESENCE_NS), "one source does not lift another's foot"
+    assert not presence.detected(PRESENCE_NS + 1), "its node was killed with the pedal down"
+    presence.press("/footpedals", True, SECOND_NS)
+    presence.press("/footpedals", False, SECOND_NS)
+    assert not presence.detected(SECOND_NS)
 
 
 # --- pictures -------------------------------------------------------------------------------------
@@ -230,35 +229,35 @@ def test_a_dead_man_counts_while_its_source_says_so_again() -> None:
 
 @pytest.mark.parametrize("fault", ["silent", "frozen", "old"])
 def test_f08_a_picture_that_is_not_new_is_noticed_after_three_periods(fault: str) -> None:
-    watch = CameraWatch("endoscope_left", PERIOD)
+    watch = CameraWatch("endoscope_left", STEP_NS)
     assert "no picture" in watch.problem(0)
     for n in range(10):
-        watch.picture(n * PERIOD, n * PERIOD, n)
-    last = 9 * PERIOD
+        watch.picture(n * STEP_NS, n * STEP_NS, n)
+    last = 9 * STEP_NS
     for n in range(1, 4):
-        now = last + n * PERIOD
+        now = last + n * STEP_NS
         assert watch.problem(now) == "", "150 ms are not more than 150 ms"
         if fault == "frozen":
             watch.picture(now, now, 9)
         elif fault == "old":
             watch.picture(now, last, 100 + n)
-    problem = watch.problem(last + 3 * PERIOD + 1)
+    problem = watch.problem(last + 3 * STEP_NS + 1)
     assert ("sends no pictures" in problem) == (fault == "silent") and "150 ms" in problem
-    watch.picture(last + 4 * PERIOD, last + 4 * PERIOD, 77)
-    assert watch.problem(last + 4 * PERIOD) == ""
+    watch.picture(last + 4 * STEP_NS, last + 4 * STEP_NS, 77)
+    assert watch.problem(last + 4 * STEP_NS) == ""
 
 
 def test_f08_a_drawn_picture_may_repeat_itself_while_nothing_moves() -> None:
     """The simulator's camera has no noise; a camera that freezes is noticed when a tip moves."""
-    watch, rest = CameraWatch("endoscope_left", PERIOD), np.zeros(3)
+    watch, rest = CameraWatch("endoscope_left", STEP_NS), np.zeros(3)
     for n in range(100):
-        watch.picture(n * PERIOD, n * PERIOD, 7)
-        assert watch.problem(n * PERIOD, rest) == ""
-        assert ("same picture" in watch.problem(n * PERIOD)) == (n > 3), "a real camera's would"
-    now = 99 * PERIOD
+        watch.picture(n * STEP_NS, n * STEP_NS, 7)
+        assert watch.problem(n * STEP_NS, rest) == ""
+        assert ("same picture" in watch.problem(n * STEP_NS)) == (n > 3), "a real camera's would"
+    now = 99 * STEP_NS
     assert watch.problem(now, rest + 0.9e-3) == ""
     assert "same picture" in watch.problem(now, rest + 1.1e-3)
-    assert "sends no pictures" in watch.problem(now + 3 * PERIOD + 1, rest)
+    assert "sends no pictures" in watch.problem(now + 3 * STEP_NS + 1, rest)
     watch.forget_tips()  # homing gives the arms another frame: that was no motion
     assert watch.problem(now, rest + 0.12) == ""
 
@@ -287,21 +286,21 @@ def test_observations_belong_together() -> None:
     seen = exact.take(1, 50)
     assert seen is not None and seen.arrays["b"] == 1.0
     assert exact.take(1, 50, ()) is not None, "nobody looks at anything"
-    loose = Observer(["a", "b"], 3 * PERIOD)
-    loose.put("a", 10 * PERIOD, np.zeros(1))
-    loose.put("b", 7 * PERIOD, np.ones(1))
-    seen = loose.take(1, 10 * PERIOD)
-    assert seen is not None and seen.behind == 3 * PERIOD
-    loose.put("a", 10 * PERIOD + 1, np.zeros(1))
-    assert "b is 150 ms behind" in loose.missing(10 * PERIOD + 1)
-    loose.put("a", 9 * PERIOD, np.full(1, 5.0))
-    seen = loose.take(2, 9 * PERIOD)
+    loose = Observer(["a", "b"], 3 * STEP_NS)
+    loose.put("a", 10 * STEP_NS, np.zeros(1))
+    loose.put("b", 7 * STEP_NS, np.ones(1))
+    seen = loose.take(1, 10 * STEP_NS)
+    assert seen is not None and seen.behind == 3 * STEP_NS
+    loose.put("a", 10 * STEP_NS + 1, np.zeros(1))
+    assert "b is 150 ms behind" in loose.missing(10 * STEP_NS + 1)
+    loose.put("a", 9 * STEP_NS, np.full(1, 5.0))
+    seen = loose.take(2, 9 * STEP_NS)
     assert seen is not None and seen.arrays["a"] == 0.0, "one that was overtaken is dropped"
 
 
 def test_states_of_two_arms_belong_together() -> None:
-    assert lagging_arm({"PSM1": 0}) == "" == lagging_arm({"PSM1": 3 * PERIOD, "PSM2": 0})
-    assert "PSM2 is 200 ms behind" in lagging_arm({"PSM1": 4 * PERIOD, "PSM2": 0})
+    assert lagging_arm({"PSM1": 0}) == "" == lagging_arm({"PSM1": 3 * STEP_NS, "PSM2": 0})
+    assert "PSM2 is 200 ms behind" in lagging_arm({"PSM1": 4 * STEP_NS, "PSM2": 0})
 
 
 def test_the_cell_agrees_with_the_oracle() -> None:

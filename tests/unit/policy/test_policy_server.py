@@ -10,8 +10,9 @@ import pytest
 
 from helpers.policy.policy_bench import ARM, HOME, MS, Bench, spec
 from helpers.results.policy_results import note
+from surg_core.contract import SECOND_NS, STEP_NS
 from surg_policy_bridge.server.chunk_queue import LONGEST, ChunkQueue
-from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmState
+from surg_policy_bridge.server.policy_arm import ArmState
 from surg_policy_bridge.server.sessions import BURST, PEERS, RATE, RateLimiter
 from surg_policy_bridge.server.timers import MAX_OBS_AGE, SILENCE
 from surg_policy_client.spec import Spec
@@ -125,7 +126,7 @@ def test_a_flood_is_not_looked_into_and_a_good_message_is() -> None:
     assert admitted == BURST
     assert limiter.admits(b"b", now), "another peer has its own"
     for _ in range(RATE):
-        now += SECOND // RATE
+        now += SECOND_NS // RATE
         assert limiter.admits(b"a", now) and not limiter.admits(b"a", now)
     for n in range(10 * PEERS):
         limiter.admits(str(n).encode(), now)
@@ -176,7 +177,7 @@ def test_late_steps_are_dropped_and_counted(bench: Bench) -> None:
     bench.ping()
     bench.tick()
     bench.observe()
-    bench.now += 2 * PERIOD  # the answer takes two periods
+    bench.now += 2 * STEP_NS  # the answer takes two periods
     bench.step += 2
     bench.ping()
     bench.execute()
@@ -184,7 +185,7 @@ def test_late_steps_are_dropped_and_counted(bench: Bench) -> None:
     bench.act(rows, first=bench.step - 1)
     assert bench.server.counters.late == 3
     assert bench.of("ACK")[-1].head["late"] == 3
-    bench.now += PERIOD
+    bench.now += STEP_NS
     bench.step += 1
     done = bench.execute()
     assert done is not None and np.array_equal(done.p, rows[3][:3]), "by absolute step"
@@ -207,7 +208,7 @@ def test_answers_out_of_order_and_to_nothing_are_not_obeyed(bench: Bench) -> Non
         bench.ping()
         bench.tick()
         bench.observe()
-        bench.now += PERIOD
+        bench.now += STEP_NS
         bench.step += 1
     first, second = (m.head for m in bench.of("OBS")[-2:])
     good = {"seq": second["seq"], "stamp_ns": second["stamp_ns"]}
@@ -246,7 +247,7 @@ def test_f04_silence_flushes_holds_and_needs_a_new_session() -> None:
     bench = Bench()
     bench.start()
     bench.period(np.array([bench.here(1e-3 * i) for i in range(1, 12)]))
-    since = bench.now - PERIOD
+    since = bench.now - STEP_NS
     bench.now = since + SILENCE
     bench.tick()
     assert bench.server.state.value == "RUNNING", "150 ms are not more than 150 ms"
@@ -311,7 +312,7 @@ def test_a_start_by_itself_waits_for_arms_and_cameras() -> None:
 def test_f05_a_step_is_executed_only_while_its_observation_is_young(bench: Bench) -> None:
     bench.start()
     bench.period(np.array([bench.here(1e-4 * i) for i in range(1, 60)]))
-    seen = bench.now - PERIOD
+    seen = bench.now - STEP_NS
     while bench.period() is not None:
         pass
     newest = bench.sent[-1][0]
@@ -325,8 +326,8 @@ def test_f05_without_a_step_for_two_seconds_the_arm_is_paused(bench: Bench) -> N
     empty = bench.now
     while bench.server.state.value == "RUNNING":
         assert bench.period() is None
-    paused = bench.now - PERIOD
-    assert paused - empty == 2 * SECOND + PERIOD, "the first grid time after more than 2 s"
+    paused = bench.now - STEP_NS
+    assert paused - empty == 2 * SECOND_NS + STEP_NS, "the first grid time after more than 2 s"
     assert "no action" in bench.server.reason and bench.server.counters.empty == 42
     bench.tick()
     assert bench.arm.view.state == ArmState.PAUSED
@@ -340,7 +341,7 @@ def test_f05_without_an_observation_the_source_is_named(bench: Bench) -> None:
         bench.tick()
         bench.server.observe_nothing("endoscope is 400 ms behind the arms' state")
         bench.execute()
-        bench.now += PERIOD
+        bench.now += STEP_NS
         bench.step += 1
     assert "endoscope is 400 ms behind" in bench.server.reason
 
@@ -350,7 +351,7 @@ def test_f05_an_answer_that_is_too_old_when_it_comes_is_counted(bench: Bench) ->
     bench.tick()
     bench.observe()
     for _ in range(13):
-        bench.now += PERIOD
+        bench.now += STEP_NS
         bench.step += 1
         bench.ping()
         bench.tick()
@@ -465,7 +466,7 @@ def test_waking_that_shows_no_effect_is_said_again_and_given_up(bench: Bench) ->
         bench.ping()
         bench.now += 2 * MS
     assert words.count("home") == 11 and "not homed" in bench.server.reason
-    assert bench.now - begin == 5 * SECOND + 4 * MS
+    assert bench.now - begin == 5 * SECOND_NS + 4 * MS
 
 
 def test_an_episode_ends_with_its_verdict(bench: Bench) -> None:

@@ -10,10 +10,10 @@ import pytest
 
 import surg_core
 from surg_cli.host import paths
+from surg_core.contract import TASK_STATE_KEY, image_key
 from surg_policy_bridge.server import cell_spec, listen_address
 from surg_policy_bridge.server.server_parameters import Settings, SettingsError
 from surg_policy_client.wire import MAX_PARTS, Message, encode
-from surg_recording.datasets import schema
 
 GOOD: dict[str, Any] = {"cell": "cells/sim_ur5e"}
 
@@ -125,9 +125,9 @@ def test_the_specification_is_that_of_the_environment_and_of_datasets() -> None:
     assert state is not None and list(state) == env.state_names[: len(state)]
     assert list(made.observation) == [
         "observation.state",
-        schema.video_name("endoscope_left"),
-        schema.TASK_STATE,
+        image_key("endoscope_left"),
+        TASK_STATE_KEY,
     ]
-    truth = made.observation[schema.TASK_STATE]
+    truth = made.observation[TASK_STATE_KEY]
     assert truth.privileged and truth.shape == (10,)
     env.close()

@@ -8,11 +8,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+from helpers.tree import installed_core as core
+
 PACKAGE = Path(__file__).parents[3] / "src" / "surg_recording"
 
 _USE = """
 import importlib, pkgutil, sys
-HIDDEN = {"rospy", "rosgraph", "genpy", "surg_msgs", "crtk_msgs", "surg_core"}
+HIDDEN = {"rospy", "rosgraph", "genpy", "surg_msgs", "crtk_msgs"}
 class NoRos:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in HIDDEN:
@@ -38,6 +40,7 @@ def test_pip_install_without_ros(tmp_path: Path) -> None:
     install = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
     install += ["--no-build-isolation", "--target", str(target), str(source)]
     subprocess.run([sys.executable, *install], check=True, timeout=120, capture_output=True)
+    core.provide(target)
     done = subprocess.run(
         [sys.executable, "-c", _USE],
         check=True,
@@ -45,7 +48,7 @@ def test_pip_install_without_ros(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(target)},
+        env={**os.environ, "PYTHONPATH": str(target), "LD_LIBRARY_PATH": core.libraries()},
     )
     file, count = done.stdout.split()
     assert Path(file).is_relative_to(target)

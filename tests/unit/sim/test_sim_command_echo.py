@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from surg_sim.nodes.command_echo import HISTORY, MAX_AGE, TICK_NS, CommandEcho
+from surg_core.contract import TICK_NS
+from surg_sim.nodes.command_echo import HISTORY, MAX_AGE, CommandEcho
 
 
 def stamps(rng: random.Random, count: int) -> list[int]:

@@ -18,7 +18,8 @@ gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed:
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
-from surg_sim.envs.surg_env import ACTION, ARM_STATE, SurgEnv  # noqa: E402
+from surg_core.contract import ARM_ACTION, ARM_STATE  # noqa: E402
+from surg_sim.envs.surg_env import SurgEnv  # noqa: E402
 
 Policy = Callable[[SurgEnv, dict[str, Any]], Any]
 
@@ -67,7 +68,7 @@ def test_names_and_spaces_agree(pegs: SurgEnv) -> None:
     observation, info = pegs.reset(seed=1)
     assert pegs.observation_space.contains(observation)
     assert pegs.state_names == [f"PSM1/{name}" for name in ARM_STATE]
-    assert pegs.action_names == [f"PSM1/{name}" for name in ACTION]
+    assert pegs.action_names == [f"PSM1/{name}" for name in ARM_ACTION]
     assert set(observation["privileged"]) == set(pegs.session.task.state())
     assert (info["seed"], info["success"], info["phase"]) == (1, False, "grasp")
 

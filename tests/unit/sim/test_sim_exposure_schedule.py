@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surg_sim.nodes.exposure_schedule import PERIOD, RENDER_TIMEOUT, ExposureSchedule
+from surg_core.contract import GRID
+from surg_sim.nodes.exposure_schedule import RENDER_TIMEOUT, ExposureSchedule
 
 TICKS = 5000
 
@@ -38,7 +39,7 @@ def test_in_lockstep_the_grid_is_exposed_whoever_draws() -> None:
     schedule = ExposureSchedule(wait_for_renderer=False)
     schedule.rendered(3)
     exposed = [tick for tick in range(TICKS) for _ in range(2) if schedule.due(tick)]
-    assert exposed == sorted(2 * list(range(0, TICKS, PERIOD))), "also when it is asked again"
+    assert exposed == sorted(2 * list(range(TICKS))), "also when it is asked again"
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -51,7 +52,7 @@ def test_what_is_drawn_is_never_old(seed: int) -> None:
     assert len(begun) > TICKS // RENDER_TIMEOUT
     assert all(exposed == at for exposed, at in begun[first:])
     spacing = np.diff([exposed for exposed, _ in begun[first:]])
-    expected = [max(PERIOD, takes[(k + first + 1) % 50]) for k in range(len(spacing))]
+    expected = [max(GRID, takes[(k + first + 1) % 50]) for k in range(len(spacing))]
     assert spacing.tolist() == expected, "as soon as it is ready, and 20 times a second at most"
 
 
@@ -59,9 +60,9 @@ def test_what_is_drawn_is_never_old(seed: int) -> None:
 def test_a_renderer_that_says_nothing_is_shown_20_states_a_second(takes: int) -> None:
     schedule = ExposureSchedule(wait_for_renderer=True)
     exposed = [tick for tick in range(TICKS) if schedule.due(tick)]
-    assert exposed == list(range(PERIOD, TICKS, PERIOD))
+    assert exposed == list(range(GRID, TICKS))
     begun = play(ExposureSchedule(wait_for_renderer=True), [takes], speaks=False)
-    assert all(at - exposed < PERIOD for exposed, at in begun)
+    assert all(at - exposed < GRID for exposed, at in begun)
 
 
 def test_a_renderer_that_has_gone_is_not_waited_for_longer_than_once() -> None:
@@ -74,10 +75,10 @@ def test_a_renderer_that_has_gone_is_not_waited_for_longer_than_once() -> None:
                 schedule.rendered(tick)
     gaps = np.diff(exposed)
     print(f"{len(exposed)} exposures, longest gap {gaps.max()} ticks")
-    assert (gaps > PERIOD).sum() == 1 and gaps.max() == RENDER_TIMEOUT
+    assert (gaps > GRID).sum() == 1 and gaps.max() == RENDER_TIMEOUT
 
 
 def test_a_renderer_slower_than_the_patience_still_has_newer_states() -> None:
     begun = play(ExposureSchedule(wait_for_renderer=True), [2 * RENDER_TIMEOUT + 7])
     assert len(begun) >= TICKS // (2 * RENDER_TIMEOUT + 7)
-    assert all(at - exposed < PERIOD for exposed, at in begun)
+    assert all(at - exposed < GRID for exposed, at in begun)

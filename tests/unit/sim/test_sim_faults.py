@@ -11,11 +11,12 @@ import pytest
 
 import surg_core
 from surg_cli.host import paths
+from surg_core.contract import TICK
 from surg_sim.physics.fault_injector import Channel, Injector, tool_errors
 from surg_sim.physics.faults import KINDS, FaultError, Wire, parse
 from surg_sim.physics.sim_arm import ArmCommand, ToolError
 from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
-from surg_sim.physics.trocar_motion import TICK, MovingPoint, Sinusoid
+from surg_sim.physics.trocar_motion import MovingPoint, Sinusoid
 from surg_sim.physics.world import World
 
 CELLS = {name: paths.ROOT / "cells" / name for name in ("sim_ur5e", "sim_panda")}

@@ -8,8 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import surg_core
 from conftest import FULL
+from helpers.tree import installed_core as core
 from surg_cli.host import paths
 
 HIDDEN = {
@@ -48,11 +48,7 @@ def test_pip_install_and_demo_without_ros(tmp_path: Path) -> None:
     install += ["--no-build-isolation", "--target", str(target), str(tree / "src/surg_sim")]
     subprocess.run([sys.executable, *install], check=True, timeout=120, capture_output=True)
     shutil.rmtree(tree)
-    # The compiled core is this workspace's: its own installation is tested elsewhere.
-    core = Path(surg_core._core.__file__).parent
-    shutil.copytree(Path(paths.ROOT, "src/surg_core/python/surg_core"), target / "surg_core")
-    shutil.copy(surg_core._core.__file__, target / "surg_core")
-    libraries = os.pathsep.join([str(core.parents[3]), os.environ.get("LD_LIBRARY_PATH", "")])
+    core.provide(target)
     words = ["--task", "pick_and_place", "--out", str(tmp_path / "out")]
     words += ["--size", "160", "120"] if FULL else ["--no-video"]
     done = subprocess.run(
@@ -61,7 +57,7 @@ def test_pip_install_and_demo_without_ros(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(target), "LD_LIBRARY_PATH": libraries},
+        env={**os.environ, "PYTHONPATH": str(target), "LD_LIBRARY_PATH": core.libraries()},
         check=False,
     )
     assert done.returncode == 0, done.stderr

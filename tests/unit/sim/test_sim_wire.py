@@ -8,6 +8,7 @@ import struct
 import numpy as np
 import pytest
 
+from surg_core.contract import SECOND_NS
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.sim_parameters import BridgeSettings, EndoscopeSettings, SettingsError
 from surg_sim.physics.ground_truth import ArmTruth
@@ -35,7 +36,7 @@ def test_joint_state() -> None:
         data = bridge_messages.JointStateLayout(names).pack(9, STAMP_NS, position, velocity)
         message = JointState(name=names, position=list(position), velocity=list(velocity))
         message.header.seq = 9
-        message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
+        message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
         assert data == serialised(message)
         message.header.frame_id = "base"
         message.effort = [1.0]
@@ -51,7 +52,7 @@ def test_link_status() -> None:
         tick=2**40, command="joint_velocity", dead_man=True, lockstep=False, fault="no state"
     )
     message.header.seq = 2**40 & 0xFFFFFFFF
-    message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
     message.last_command = rospy.Time(3, 4_000_000)
     data = bridge_messages.pack_link_status(
         STAMP_NS, 2**40, "joint_velocity", 3_004_000_000, True, False, "no state"
@@ -64,7 +65,7 @@ def test_point_velocity() -> None:
 
     message = PointVelocityStamped()
     message.header.seq = 12
-    message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
     message.header.frame_id = "PSM1_base"
     message.point.x, message.point.y, message.point.z = point = np.array([0.1, -0.2, 0.3])
     message.velocity.x, message.velocity.y, message.velocity.z = velocity = -0.1 * point
@@ -85,7 +86,7 @@ def test_ground_truth() -> None:
     members = [kind(*row) for kind, row in zip(kinds, values, strict=True)]
     message = GroundTruth(tick=5, arms=[ArmTruthMessage(n, *members, 0.5) for n in ("PSM1", "A")])
     message.header.seq = 5
-    message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
     truth = ArmTruth(*values, 0.5)
     data = bridge_messages.pack_ground_truth(STAMP_NS, 5, [("PSM1", truth), ("A", truth)])
     assert data == serialised(message)
@@ -197,7 +198,7 @@ def test_wrench() -> None:
 
     message = WrenchStamped()
     message.header.seq, message.header.frame_id = 9, "PSM1_base"
-    message.header.stamp = rospy.Time(*divmod(STAMP_NS, bridge_messages.NS))
+    message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
     message.wrench.force.x, message.wrench.force.y, message.wrench.force.z = 1.5, -2.0, 0.25
     frame = bridge_messages.text("PSM1_base")
     data = bridge_messages.pack_wrench(STAMP_NS, 9, frame, np.array([1.5, -2.0, 0.25]))

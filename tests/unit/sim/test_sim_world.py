@@ -9,7 +9,8 @@ import pytest
 
 import surg_core
 from surg_cli.host import paths
-from surg_sim.physics.sim_arm import TICK, ActuatorParameters, ArmCommand
+from surg_core.contract import TICK
+from surg_sim.physics.sim_arm import ActuatorParameters, ArmCommand
 from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
 from surg_sim.physics.world import World
 

@@ -8,16 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from surg_cli.host import paths
-from surg_teleop.follow.arm_view import (
-    PERIOD_NS,
-    SECOND,
-    ArmState,
-    ArmView,
-    Commands,
-    Jaw,
-    tip_pose,
-    virtual_joints,
-)
+from surg_core.contract import SECOND_NS, TICK_NS
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, Jaw, tip_pose, virtual_joints
 from surg_teleop.playback.motion_file import Motion, read_motion
 from surg_teleop.playback.motion_plan import make_plan
 from surg_teleop.playback.motion_player import HOLD, JAW_EVERY, Mode, Operator, Stage
@@ -44,7 +36,7 @@ class FakeArm:
 
     def feedback(self) -> ArmView:
         return ArmView(
-            stamp_ns=self.tick * PERIOD_NS,
+            stamp_ns=self.tick * TICK_NS,
             state=self.state,
             homed=self.homed,
             busy=self.busy > 0,
@@ -106,11 +98,11 @@ def test_a_whole_run(mode: Mode) -> None:
     assert [c.state for c in arm.received if c.state] == ["home", "enable"]
     assert sum(c.move_cp is not None for c in arm.received) == 1
     streamed = [c for c in arm.received if c.servo_cp is not None or c.servo_jp is not None]
-    wanted = op.plan.duration * 500 + HOLD / PERIOD_NS
+    wanted = op.plan.duration * 500 + HOLD / TICK_NS
     assert abs(len(streamed) - wanted) <= 2
     # Every cycle without a hole, stamped for the cycle it is meant for.
     stamps = np.array([c.stamp_ns for c in streamed])
-    assert (np.diff(stamps) == PERIOD_NS).all()
+    assert (np.diff(stamps) == TICK_NS).all()
     assert stamps[0] == op.started_ns
     assert all((c.servo_cp is None) == (mode is Mode.SPHERICAL) for c in streamed)
     assert [c.hold for c in arm.received].count(True) == 1
@@ -123,12 +115,12 @@ def test_the_stream_follows_the_plan_exactly() -> None:
     play(op, arm)
     for c in arm.received:
         if c.servo_cp is not None:
-            t = (c.stamp_ns - op.started_ns) / SECOND
+            t = (c.stamp_ns - op.started_ns) / SECOND_NS
             p, roll = op.plan.at(t)
             assert np.array_equal(c.servo_cp.p, p)
             assert np.array_equal(c.servo_cp.q, tip_pose(p, roll).q)
     first, last = op.window_ns
-    assert last - first == pytest.approx(op.plan.played * SECOND, abs=2)
+    assert last - first == pytest.approx(op.plan.played * SECOND_NS, abs=2)
 
 
 def test_both_modes_send_the_same_path() -> None:
@@ -165,7 +157,7 @@ def test_time_is_the_stamps_difference_not_the_number_of_calls() -> None:
         arm.step(commands)
         arm.tick += int(rng.integers(0, 3))
         if commands.servo_cp is not None:
-            p, _ = op.plan.at((commands.stamp_ns - op.started_ns) / SECOND)
+            p, _ = op.plan.at((commands.stamp_ns - op.started_ns) / SECOND_NS)
             assert np.array_equal(commands.servo_cp.p, p)
     assert op.stage is Stage.DONE
 

@@ -12,13 +12,14 @@ import surg_core
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import JAW, WORKSPACE, Hand, settings
 from surg_cli.host import paths
+from surg_core.contract import PRESENCE_TIMEOUT
 from surg_teleop.follow import camera_file
 from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.arm_view import ArmState, Commands, tip_pose, virtual_joints
 from surg_teleop.follow.endoscope_pose import held_camera
 from surg_teleop.follow.jaw_follower import MET, SLOW, JawFollower
 from surg_teleop.follow.message_lateness import Arrivals
-from surg_teleop.follow.pedal_monitor import PEDAL_SILENCE, PedalMonitor
+from surg_teleop.follow.pedal_monitor import PedalMonitor
 from surg_teleop.follow.picture_watch import PictureWatch
 from surg_teleop.follow.servo_instrument import ServoInstrument, tip
 from surg_teleop.follow.teleop_setup import REOPEN, read_setup
@@ -477,7 +478,7 @@ def test_f03_pedals_that_are_killed_hold_the_arm_within_their_limit() -> None:
     last = (floor.arm.tick - 1) // 25 * 25
     floor.ticks_to(State.WAITING)
     # The first tick later than the limit after the last word.
-    assert floor.arm.tick - 1 - last == round(PEDAL_SILENCE / TICK) + 1
+    assert floor.arm.tick - 1 - last == round(PRESENCE_TIMEOUT / TICK) + 1
     assert "the buttons of /pedals are silent" in floor.out.message
     rest, sent = floor.arm.p, floor.sent
     assert floor.run(1000) is State.WAITING

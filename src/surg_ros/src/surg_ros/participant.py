@@ -20,14 +20,11 @@ from typing import Any
 
 import rospy
 
+from surg_core.contract import GRID, SECOND_NS, TICK_NS
 from surg_msgs.msg import Cycle, Ready, TaskState
 from surg_ros.transport.direct_publisher import DirectPublisher
 from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
-TICK_NS = 2_000_000
-"""[ns] Control period."""
-GRID = 25
-"""Ticks between two actions: 20 Hz."""
 ASSISTANT = "assistant"
 """The name in Ready of what the simulator itself obeys."""
 CONNECT_TIMEOUT = 60.0
@@ -51,7 +48,7 @@ class Seen:
     @property
     def stamp(self) -> rospy.Time:
         """Of the tick that the answer is for."""
-        return rospy.Time(*divmod((self.tick + 1) * TICK_NS, 1_000_000_000))
+        return rospy.Time(*divmod((self.tick + 1) * TICK_NS, SECOND_NS))
 
     def cycle(self, arm: str) -> Cycle:
         """The control cycle of an arm."""

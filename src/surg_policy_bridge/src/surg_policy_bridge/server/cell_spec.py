@@ -6,24 +6,20 @@ import math
 from collections.abc import Mapping, Sequence
 
 import surg_core
-from surg_policy_bridge.server.observer import IMAGE, STATE, TASK_STATE
-from surg_policy_bridge.server.policy_arm import (
-    ACTION,
-    ACTION_UNITS,
+from surg_core.contract import (
+    ARM_ACTION,
+    ARM_ACTION_UNITS,
     ARM_STATE,
     ARM_STATE_UNITS,
-    PERIOD,
-    SECOND,
+    SECOND_NS,
+    STATE_KEY,
+    STEP_NS,
+    TASK_STATE_KEY,
+    image_key,
 )
 from surg_policy_client.spec import ActionSpec, Feature, Spec
 from surg_policy_client.wire import MAX_PART
 from surg_recording.episode import table_columns
-
-
-def image_key(camera: str) -> str:
-    """Key of a camera: ``endoscope_left`` is ``observation.images.endoscope.left``."""
-    stem, _, side = camera.rpartition("_")
-    return IMAGE + (f"{stem}.{side}" if stem and side in ("left", "right") else camera)
 
 
 def task_numbers(names: Sequence[str]) -> list[str]:
@@ -57,7 +53,7 @@ def make(
         numbers: Names of the task's ground truth; None: it is not served.
     """
     observation = {
-        STATE: Feature(
+        STATE_KEY: Feature(
             dtype="f4",
             shape=(len(arms) * len(ARM_STATE),),
             unit=",".join(ARM_STATE_UNITS * len(arms)),
@@ -68,7 +64,7 @@ def make(
     for camera, (height, width) in cameras.items():
         observation[image_key(camera)] = Feature(dtype="u1", shape=(height, width, 3))
     if numbers is not None:
-        observation[TASK_STATE] = Feature(
+        observation[TASK_STATE_KEY] = Feature(
             dtype="f4",
             shape=(len(numbers),),
             unit="SI",
@@ -79,11 +75,11 @@ def make(
     low, high = _range(cell, arms)
     return Spec(
         task=task or "none",
-        period_s=PERIOD / SECOND,
+        period_s=STEP_NS / SECOND_NS,
         observation=observation,
         action=ActionSpec(
-            names=tuple(f"{arm}/{name}" for arm in arms for name in ACTION),
-            units=ACTION_UNITS * len(arms),
+            names=tuple(f"{arm}/{name}" for arm in arms for name in ARM_ACTION),
+            units=ARM_ACTION_UNITS * len(arms),
             frame="rcm",
             low=tuple(low),
             high=tuple(high),

@@ -11,11 +11,12 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping, Sequence
 
-from surg_policy_bridge.server.policy_arm import SECOND, ArmCommand, ArmState, ArmView
+from surg_core.contract import SECOND_NS
+from surg_policy_bridge.server.policy_arm import ArmCommand, ArmState, ArmView
 
-RETRY = SECOND // 2
+RETRY = SECOND_NS // 2
 """[ns] A state command that has shown no effect is sent again after this."""
-WAKING = 5 * SECOND
+WAKING = 5 * SECOND_NS
 """[ns] Longest time that homing, enabling and claiming may take."""
 
 

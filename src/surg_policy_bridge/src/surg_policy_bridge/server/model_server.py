@@ -25,11 +25,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from surg_core.contract import SECOND_NS, STEP_NS
 from surg_policy_bridge.server import server_replies
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.handover import Handover, Phase
 from surg_policy_bridge.server.observer import Observation
-from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmCommand, ArmView, Target
+from surg_policy_bridge.server.policy_arm import ArmCommand, ArmView, Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.sessions import SentObservation, Session, refusal, spec_for
 from surg_policy_bridge.server.step_executor import JudgedStep, StepExecutor
@@ -292,7 +293,7 @@ class ModelServer:
         return self.steps.coming(number)
 
     def _starvation(self) -> str:
-        limit = self._settings.empty / SECOND
+        limit = self._settings.empty / SECOND_NS
         if self._observation_problem:
             return f"no observation for more than {limit:g} s: {self._observation_problem}"
         return f"the policy has sent no action for more than {limit:g} s"
@@ -482,6 +483,6 @@ class ModelServer:
             "policy": session.policy if session else "",
             "episode": self.episode,
             "queue": len(self.steps.queue),
-            "period_ms": 1e3 * PERIOD / SECOND,
+            "period_ms": 1e3 * STEP_NS / SECOND_NS,
             **self.counters.report(),
         }

@@ -31,20 +31,19 @@ from sensor_msgs.msg import Image, Joy
 from std_msgs.msg import Bool, String
 
 import surg_core
+from surg_core.contract import GRID, SECOND_NS, STATE_KEY, TASK_STATE_KEY, TICK_NS, image_key
 from surg_msgs.msg import PolicyAction, Ready
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.listen_address import BindError
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
 from surg_policy_bridge.server.observer import (
-    STATE,
-    TASK_STATE,
     TOLERANCE,
     CameraWatch,
     Observation,
     Observer,
     lagging_arm,
 )
-from surg_policy_bridge.server.policy_arm import GRID, SECOND, TICK, ArmCommand, ArmView
+from surg_policy_bridge.server.policy_arm import ArmCommand, ArmView
 from surg_policy_bridge.server.policy_ports_node import ArmPort, view_of
 from surg_policy_bridge.server.router_node import Router
 from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
@@ -57,17 +56,17 @@ from surg_policy_client.keys import ServerKeys, server_keys
 from surg_ros.camera_topic import camera_topic
 from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
-FRESH = SECOND // 4
+FRESH = SECOND_NS // 4
 """[ns] Free-run: an arm that has said nothing for longer is silent. (Its controller has a watchdog
 of its own for the link behind it; an observation is as old as the cycle in it.)"""
-PATIENCE = 8 * SECOND
+PATIENCE = 8 * SECOND_NS
 """[ns] Lock-step: longest wait for a picture of the tick; the simulator gives up after 10 s."""
 NICE = 5
 """A message may come late, a control cycle may not: who floods the port keeps this process busy."""
 AUTOGROUP = Path("/proc/self/autogroup")
 """Linux shares the processor among sessions, and ./surg gives every node one of its own: a node's
 niceness only counts among its own threads, that of its session counts among nodes."""
-REPORT = SECOND // 2
+REPORT = SECOND_NS // 2
 """[ns] The status is published at least that often."""
 ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 
@@ -92,7 +91,7 @@ class ModelServerNode:
         self._poller.register(self._router.socket, zmq.POLLIN)
         self._poller.register(self._wake, zmq.POLLIN)
         limits = {name: ArmLimits.of(cell.arms[name]) for name in settings.arms}
-        answer = round(settings.answer_timeout * SECOND)
+        answer = round(settings.answer_timeout * SECOND_NS)
         more: dict[str, int] = {"silence": answer} if settings.lockstep else {}
         self._server = ModelServer(
             ServerSettings(
@@ -107,9 +106,9 @@ class ModelServerNode:
         )
         self._endpoint = WireEndpoint(self._server)
         self._clock = StepClock(settings.arms, time.monotonic_ns())
-        keys_seen = [STATE, *map(cell_spec.image_key, settings.cameras)]
-        keys_seen += [TASK_STATE] if settings.privileged else []
-        period = round(SECOND / settings.camera_rate)
+        keys_seen = [STATE_KEY, *map(image_key, settings.cameras)]
+        keys_seen += [TASK_STATE_KEY] if settings.privileged else []
+        period = round(SECOND_NS / settings.camera_rate)
         tolerance = max(TOLERANCE, CAMERA_PERIODS * period if settings.cameras else 0)
         self._observer = Observer(keys_seen, 0 if settings.lockstep else tolerance)
         self._watches = {name: CameraWatch(name, period) for name in settings.cameras}
@@ -183,7 +182,7 @@ class ModelServerNode:
             if self._settings.privileged and tick % GRID == 0:
                 state = message.read()
                 values = np.array(state.values, dtype="<f4")
-                self._observer.put(TASK_STATE, state.header.stamp.to_nsec(), values)
+                self._observer.put(TASK_STATE_KEY, state.header.stamp.to_nsec(), values)
                 if self._numbers is None:
                     self._numbers = cell_spec.task_numbers(state.names)
                     self._begin_serving()
@@ -217,7 +216,7 @@ class ModelServerNode:
             if self._sizes.setdefault(camera, size) != size:
                 rospy.logwarn_throttle(5.0, f"{camera}: size {size} is not {self._sizes[camera]}")
                 return
-            key = cell_spec.image_key(camera)
+            key = image_key(camera)
             self._observer.put(key, stamp_ns, np.ascontiguousarray(picture))
             self._begin_serving()
             if self._due is not None:
@@ -290,7 +289,7 @@ class ModelServerNode:
 
     def _now(self) -> int:
         """Time of the execution [ns]."""
-        return self._tick * TICK if self._settings.lockstep else time.monotonic_ns()
+        return self._tick * TICK_NS if self._settings.lockstep else time.monotonic_ns()
 
     def _put_state(self, views: dict[str, ArmView]) -> tuple[int | None, str]:
         """Observe the arms; the stamp of the youngest, or None and why not."""
@@ -302,7 +301,7 @@ class ModelServerNode:
         if not np.isfinite(numbers).all():
             return None, "an arm does not know its jaw"
         stamp_ns = max(view.stamp_ns for view in views.values())
-        self._observer.put(STATE, stamp_ns, numbers)
+        self._observer.put(STATE_KEY, stamp_ns, numbers)
         return stamp_ns, ""
 
     # --- real time --------------------------------------------------------------------------------
@@ -365,7 +364,7 @@ class ModelServerNode:
         """Send; the stamp says which cycle is answered: it is meant for the next one."""
         for arm, command in commands.items():
             answered = views[arm].stamp_ns if arm in views else 0
-            self._ports[arm].send(command, answered + TICK if answered else 0)
+            self._ports[arm].send(command, answered + TICK_NS if answered else 0)
 
     # --- lock-step --------------------------------------------------------------------------------
 
@@ -412,10 +411,10 @@ class ModelServerNode:
         if self._due is None:
             return
         tick, self._due = self._due, None
-        at, number = tick * TICK, tick // GRID
+        at, number = tick * TICK_NS, tick // GRID
         # In every state: what is served, and so when a policy begins, shall not depend on the time
         # that a picture takes.
-        self._await(at, [cell_spec.image_key(camera) for camera in self._settings.cameras])
+        self._await(at, [image_key(camera) for camera in self._settings.cameras])
         views = {arm: view_of(raw.read()) for arm, (_, raw) in self._cycles.items()}
         commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle())
         if self._server.state is State.RUNNING:
@@ -427,7 +426,7 @@ class ModelServerNode:
             for arm, target in self._server.execute(number + 1, at).items():
                 commands[arm] = ArmCommand(servo=target)
         self._send(commands, views)
-        self._publish_judged(at + TICK)
+        self._publish_judged(at + TICK_NS)
         self._answer()
         self._say_ready(tick + 1)
 
@@ -453,7 +452,7 @@ class ModelServerNode:
             self._listen()
 
     def _await_answer(self) -> None:
-        deadline = time.monotonic_ns() + round(self._settings.answer_timeout * SECOND)
+        deadline = time.monotonic_ns() + round(self._settings.answer_timeout * SECOND_NS)
         while self._server.unanswered:
             if time.monotonic_ns() > deadline or self.finished.is_set():
                 self._server.counters.waited += 1
@@ -490,13 +489,13 @@ class ModelServerNode:
                 session=each.session,
                 seq=each.seq,
                 step=each.step,
-                obs_age=each.obs_age / SECOND,
+                obs_age=each.obs_age / SECOND_NS,
                 names=names,
                 values=each.values.tolist(),
                 rule=each.rule,
                 text=each.text,
             )
-            message.header.stamp = rospy.Time(*divmod(stamp_ns, SECOND))
+            message.header.stamp = rospy.Time(*divmod(stamp_ns, SECOND_NS))
             (self._action if each.passed else self._rejected).publish(message)
 
     def _tell(self, now: int) -> None:

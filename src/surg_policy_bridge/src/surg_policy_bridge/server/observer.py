@@ -13,16 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_policy_bridge.server.policy_arm import PERIOD, SECOND
+from surg_core.contract import SECOND_NS, STEP_NS
 from surg_policy_bridge.server.timers import CAMERA_PERIODS
 
-STATE = "observation.state"
-TASK_STATE = "privileged.task_state"
-IMAGE = "observation.images."
-"""Keys as in a dataset (docs/reference/datasets.md)."""
 STILL = 1e-3
 """[m] Motion of a tip that need not change a rendered picture."""
-TOLERANCE = CAMERA_PERIODS * PERIOD
+TOLERANCE = CAMERA_PERIODS * STEP_NS
 """[ns] Free-run: largest difference between stamps of one observation."""
 
 Array = NDArray[np.float64]
@@ -53,7 +49,7 @@ class CameraWatch:
         period: Time between two pictures [ns].
     """
 
-    def __init__(self, name: str, period: int = PERIOD) -> None:
+    def __init__(self, name: str, period: int = STEP_NS) -> None:
         self._name, self._limit = name, CAMERA_PERIODS * period
         self._stamp, self._checksum = -1, -1
         self._arrived: int | None = None
@@ -89,8 +85,8 @@ class CameraWatch:
         silent = now - self._arrived > self._limit
         symptom = "sends no pictures" if silent else "repeats the same picture"
         return (
-            f"the picture is {1e3 * age / SECOND:.0f} ms old ({self._name} {symptom}); check the "
-            "camera and its cable, then enable the policy again"
+            f"the picture is {1e3 * age / SECOND_NS:.0f} ms old ({self._name} {symptom}); check "
+            "the camera and its cable, then enable the policy again"
         )
 
     def forget_tips(self) -> None:
@@ -114,7 +110,7 @@ def lagging_arm(stamps: Mapping[str, int]) -> str:
     behind = max(stamps.values()) - stamps[last]
     if behind <= TOLERANCE:
         return ""
-    return f"the state of {last} is {1e3 * behind / SECOND:.0f} ms behind the other arms'"
+    return f"the state of {last} is {1e3 * behind / SECOND_NS:.0f} ms behind the other arms'"
 
 
 class Observer:
@@ -149,7 +145,7 @@ class Observer:
             behind = stamp_ns - known[0]
             if abs(behind) > self._tolerance:
                 where = "behind" if behind > 0 else "ahead of"
-                return f"{key} is {1e3 * abs(behind) / SECOND:.0f} ms {where} the arms' state"
+                return f"{key} is {1e3 * abs(behind) / SECOND_NS:.0f} ms {where} the arms' state"
         return ""
 
     def take(

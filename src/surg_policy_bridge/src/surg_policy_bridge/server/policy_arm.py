@@ -17,21 +17,6 @@ from surg_core import State as ArmState
 
 Array = NDArray[np.float64]
 
-SECOND = 1_000_000_000
-"""[ns]"""
-TICK = 2_000_000
-"""[ns] Control period; a command answers a cycle and is meant for the next one."""
-GRID = 25
-"""Ticks between two observations, and between two actions: 20 Hz (docs/reference/tasks.md)."""
-PERIOD = GRID * TICK
-"""[ns] Between two grid times."""
-ACTION = ("x", "y", "z", "roll", "jaw")
-"""Of each arm in an action: where tip [m], roll and jaw [rad] shall be at a grid time."""
-ACTION_UNITS = ("m", "m", "m", "rad", "rad")
-ARM_STATE = ("tip_x", "tip_y", "tip_z", "roll", "jaw", "set_x", "set_y", "set_z", "roll_set")
-"""Of each arm in ``observation.state``: measured tip, roll, jaw; set-point of tip and roll."""
-ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
-
 
 @dataclass(frozen=True)
 class ArmView:
@@ -68,7 +53,7 @@ class ArmView:
     refused: int = 0
 
     def numbers(self) -> list[float]:
-        """What ``observation.state`` says of this arm, in the order of `ARM_STATE`."""
+        """What ``observation.state`` says of this arm, in the order of `contract.ARM_STATE`."""
         return [*self.p_tip, self.roll, self.jaw, *self.p_set, self.roll_set]
 
 

@@ -12,8 +12,9 @@ from std_msgs.msg import Empty
 
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix, tip_quaternion
+from surg_core.contract import SECOND_NS
 from surg_msgs.msg import Cycle
-from surg_policy_bridge.server.policy_arm import SECOND, ArmCommand, ArmState, ArmView
+from surg_policy_bridge.server.policy_arm import ArmCommand, ArmState, ArmView
 
 COMMANDS = {
     "state_command": StringStamped,
@@ -65,7 +66,7 @@ class ArmPort:
 
     def send(self, command: ArmCommand, stamp_ns: int) -> None:
         """Send what there is to send."""
-        stamp = rospy.Time(*divmod(stamp_ns, SECOND))
+        stamp = rospy.Time(*divmod(stamp_ns, SECOND_NS))
         if command.hold:
             self._send("hold", Empty())
         if command.state:

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 import surg_core
-from surg_policy_bridge.server.policy_arm import PERIOD, SECOND, ArmView, Target
+from surg_core.contract import SECOND_NS, STEP_NS
+from surg_policy_bridge.server.policy_arm import ArmView, Target
 
 RULES = ("not_finite", "rcm_error", "workspace", "start", "step", "acceleration", "jaw")
 """In the order of evaluation."""
@@ -50,7 +51,7 @@ class ArmLimits:
             limits=arm.limits,
             jaw_min=float(arm.instrument.jaw_min),
             jaw_max=float(arm.instrument.jaw_max),
-            servo_timeout=round(arm.robot.tuning.servo_timeout * SECOND),
+            servo_timeout=round(arm.robot.tuning.servo_timeout * SECOND_NS),
         )
 
 
@@ -128,7 +129,7 @@ class ArmSafety:
             self._last = None  # the arm has come to rest
         last = self._last
         before = last.target if last else Target(view.p_set, view.roll_set, view.jaw_set)
-        since = (at - last.at if last else PERIOD) / SECOND
+        since = (at - last.at if last else STEP_NS) / SECOND_NS
         violations: list[Violation] = []
         for rule in RULES:
             violation = self._check(rule, target, before, since, view)

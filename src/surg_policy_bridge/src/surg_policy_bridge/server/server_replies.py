@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from surg_policy_bridge.server.policy_arm import SECOND
+from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server.sessions import Session
 from surg_policy_client import wire
 from surg_policy_client.wire import Message
@@ -43,9 +43,9 @@ def welcome(session: Session, max_obs_age: int, silence: int) -> Message:
             "version": wire.VERSION,
             "session": session.number,
             "spec": session.spec.to_map(),
-            "max_obs_age_s": max_obs_age / SECOND,
-            "ping_s": PING / SECOND,
-            "silence_s": silence / SECOND,
+            "max_obs_age_s": max_obs_age / SECOND_NS,
+            "ping_s": PING / SECOND_NS,
+            "silence_s": silence / SECOND_NS,
         },
     )
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from surg_policy_bridge.server.policy_arm import SECOND
+from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server.timers import SILENCE, Timeout
 from surg_policy_client.spec import Spec
 
@@ -28,20 +28,20 @@ class TokenBucket:
     """Admits `RATE` messages per second, `BURST` at once.
 
     Attributes:
-        tokens: In units of 1 / RATE / SECOND.
+        tokens: In units of 1 / RATE / SECOND_NS.
         at: When they were counted [ns].
     """
 
-    tokens: int = BURST * SECOND
+    tokens: int = BURST * SECOND_NS
     at: int = 0
 
     def take(self, now: int) -> bool:
         """Whether one more message is admitted."""
-        self.tokens = min(self.tokens + max(now - self.at, 0) * RATE, BURST * SECOND)
+        self.tokens = min(self.tokens + max(now - self.at, 0) * RATE, BURST * SECOND_NS)
         self.at = max(now, self.at)
-        if self.tokens < SECOND:
+        if self.tokens < SECOND_NS:
             return False
-        self.tokens -= SECOND
+        self.tokens -= SECOND_NS
         return True
 
 

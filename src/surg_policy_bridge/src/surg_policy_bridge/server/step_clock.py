@@ -12,9 +12,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from surg_core.contract import ARM_ACTION, STEP_NS
 from surg_policy_bridge.server.model_server import ModelServer, State
 from surg_policy_bridge.server.playout import SEND, Piece
-from surg_policy_bridge.server.policy_arm import ACTION, PERIOD, ArmView, Target
+from surg_policy_bridge.server.policy_arm import ArmView, Target
 
 
 class StepClock:
@@ -36,11 +37,11 @@ class StepClock:
 
     def due(self, now: int) -> int:
         """Time of the next action of this clock [ns]."""
-        return min(self._sent + SEND, self._start + (self.step(now) + 1) * PERIOD)
+        return min(self._sent + SEND, self._start + (self.step(now) + 1) * STEP_NS)
 
     def step(self, now: int) -> int:
         """Number of the present grid time."""
-        return (now - self._start) // PERIOD
+        return (now - self._start) // STEP_NS
 
     def observe(self, now: int) -> int | None:
         """Number of a grid time that has just begun, once; otherwise None."""
@@ -61,7 +62,7 @@ class StepClock:
         if not self._pieces or now - self._sent < SEND:
             return {}
         self._sent = now - (now - self._start) % SEND
-        share = (now - self._begun) / (self._start + (self._step + 1) * PERIOD - self._begun)
+        share = (now - self._begun) / (self._start + (self._step + 1) * STEP_NS - self._begun)
         return {name: piece.at(share) for name, piece in self._pieces.items()}
 
     def _begin(self, server: ModelServer, views: dict[str, ArmView], step: int, now: int) -> None:
@@ -84,12 +85,12 @@ class StepClock:
     def _previous(self, name: str, now: int) -> Piece | None:
         """The piece just played; None: the arm is at rest, or its stream has ended."""
         at, pieces = self._last
-        return pieces.get(name) if now - at <= PERIOD else None
+        return pieces.get(name) if now - at <= STEP_NS else None
 
     def _piece(
         self, view: ArmView, previous: Piece | None, goal: Target, beyond: Target | None
     ) -> Piece:
         if previous is None:
             start = Target(view.p_set, view.roll_set, view.jaw_set)
-            return Piece(start, goal, np.zeros(len(ACTION)), beyond)
+            return Piece(start, goal, np.zeros(len(ARM_ACTION)), beyond)
         return Piece(previous.goal, goal, previous.slope, beyond)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import ARM_ACTION
 from surg_policy_bridge.server.chunk_queue import ChunkQueue, Step
 from surg_policy_bridge.server.counters import Counters
-from surg_policy_bridge.server.policy_arm import ACTION, ArmView, Target
+from surg_policy_bridge.server.policy_arm import ArmView, Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.server_replies import AckTally, rejected_step
 from surg_policy_bridge.server.sessions import SentObservation, Session
@@ -204,5 +205,5 @@ class StepExecutor:
         return bool(self._tally.rejected)
 
     def _targets(self, row: Array) -> dict[str, Target]:
-        parts = row.reshape(-1, len(ACTION))
+        parts = row.reshape(-1, len(ARM_ACTION))
         return {name: Target.of(part) for name, part in zip(self._arms, parts, strict=True)}

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from surg_policy_bridge.server.policy_arm import SECOND
+from surg_core.contract import PRESENCE_TIMEOUT, SECOND_NS
 
 SILENCE = 150_000_000
 """[ns] Timeout of a client, which pings every 50 ms."""
 MAX_OBS_AGE = 600_000_000
 """[ns] A step is executed only while the observation that it answers is not older."""
-EMPTY = 2 * SECOND
+EMPTY = 2 * SECOND_NS
 """[ns] The arms are paused after this time without a step."""
 REJECTS = 3
 """Rejected steps in a row that pause the arms."""
+PRESENCE_NS = round(PRESENCE_TIMEOUT * SECOND_NS)
+"""[ns] A dead-man that has not been repeated for longer is released."""
 CAMERA_PERIODS = 3
 """Camera periods without a new picture that count as a stall (F08)."""
-PRESENCE = SECOND // 4
-"""[ns] Timeout of a dead-man switch, which is repeated 20 times per second; the same as the
-teleoperation's (surg_teleop.follow.pedal_monitor.PEDAL_SILENCE)."""
 
 
 @dataclass
@@ -62,4 +61,4 @@ class OperatorPresence:
 
     def detected(self, now: int) -> bool:
         """Whether any source is pressed; silent sources do not count."""
-        return any(now - at <= PRESENCE for at in self._pressed.values())
+        return any(now - at <= PRESENCE_NS for at in self._pressed.values())

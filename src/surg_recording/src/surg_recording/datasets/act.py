@@ -19,6 +19,7 @@ from typing import Any, ClassVar
 import h5py
 import numpy as np
 
+from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.datasets import hdf5, pictures, schema
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
 from surg_recording.datasets.options import ExportOptions
@@ -72,8 +73,8 @@ class Act(Exporter):
             "camera_names": [
                 camera_name(feature) for feature in schema.videos_of(dataset.features)
             ],
-            "state_dim": len(_feature(dataset, schema.STATE).names),
-            "action_dim": len(_feature(dataset, schema.ACTION).names),
+            "state_dim": len(_feature(dataset, STATE_KEY).names),
+            "action_dim": len(_feature(dataset, ACTION_KEY).names),
             "robot_type": dataset.robot_type,
             "splits": {name: list(ends) for name, ends in dataset.splits.items()},
         }
@@ -127,9 +128,9 @@ class Act(Exporter):
 def arrays(sampled: Sampled) -> dict[str, str]:
     """Place in the file → feature."""
     found = {
-        "observations/qpos": schema.STATE,
+        "observations/qpos": STATE_KEY,
         "observations/qvel": _VELOCITIES,
-        "action": schema.ACTION,
+        "action": ACTION_KEY,
     }
     have = {feature.name: feature for feature in sampled.features}
     missing = [name for name in found.values() if name not in have]

@@ -17,7 +17,8 @@ import numpy.typing as npt
 import zarr
 from numcodecs import Blosc
 
-from surg_recording.datasets import pictures, schema
+from surg_core.contract import ACTION_KEY, STATE_KEY
+from surg_recording.datasets import pictures
 from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
@@ -97,8 +98,8 @@ class DiffusionPolicy(Exporter):
             fps=dataset.options.fps,
             robot_type=dataset.robot_type,
             splits={name: list(ends) for name, ends in dataset.splits.items()},
-            state=_key_of(dataset, schema.STATE),
-            action=_key_of(dataset, schema.ACTION),
+            state=_key_of(dataset, STATE_KEY),
+            action=_key_of(dataset, ACTION_KEY),
         )
 
     def _place_chunks(self, parts: tuple[Part, ...], name: str, target: Path) -> None:
@@ -169,7 +170,7 @@ def _describe(stored: Any, feature: Feature) -> None:
 
 def _key(feature: Feature) -> str:
     """Name of an array: ``state``, ``action``, the camera, else as it is."""
-    if feature.name == schema.STATE:
+    if feature.name == STATE_KEY:
         return "state"
     return feature.camera if feature.is_video else feature.name
 

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from surg_core.contract import TASK_STATE_KEY
 from surg_recording.clock import clock_segments, sync_report
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets import pictures, schema
@@ -189,7 +190,7 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
         cameras=cameras,
         sizes=tuple(sizes),
         labelled=bool(task.get("rows")),
-        task_numbers=tuple(numbers) if task.get("rows") and schema.TASK_STATE not in drop else (),
+        task_numbers=tuple(numbers) if task.get("rows") and TASK_STATE_KEY not in drop else (),
         truth=all(truths) and schema.GROUND_TRUTH not in drop,
     )
 

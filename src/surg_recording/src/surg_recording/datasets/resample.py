@@ -12,12 +12,11 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.contract import SECOND_NS
 from surg_recording.recording_errors import EpisodeError
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
-
-SECOND = 1_000_000_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Grid:
 
 def offsets_ns(k: npt.NDArray[np.int64], fps: int) -> Stamps:
     """K / fps in whole nanoseconds, rounded half up, without passing through floats."""
-    return (2 * k.astype(np.int64) * SECOND + fps) // (2 * fps)
+    return (2 * k.astype(np.int64) * SECOND_NS + fps) // (2 * fps)
 
 
 def previous(stamps: Stamps, times: Stamps, what: str, max_age_ns: int | None = None) -> Stamps:

@@ -17,6 +17,7 @@ from typing import ClassVar
 import h5py
 import numpy as np
 
+from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.datasets import hdf5, schema
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
 from surg_recording.datasets.options import ExportOptions
@@ -44,7 +45,7 @@ class Robomimic(Exporter):
         path = folder / _PART
         n = sampled.grid.frames
         columns = dict(sampled.columns)
-        if schema.ACTION not in columns or schema.STATE not in columns:
+        if ACTION_KEY not in columns or STATE_KEY not in columns:
             raise EpisodeError(
                 "format robomimic needs action and observation.state: do not --drop them"
             )
@@ -159,7 +160,7 @@ class Robomimic(Exporter):
 
 def _place(feature: Feature) -> str:
     """Where a feature stands in a demo."""
-    if feature.name == schema.ACTION:
+    if feature.name == ACTION_KEY:
         return "actions"
     if feature.is_video:
         return f"obs/{feature.camera}_image"

@@ -16,20 +16,23 @@ import av
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.contract import (
+    ACTION_KEY,
+    ARM_ACTION,
+    ARM_ACTION_UNITS,
+    ARM_STATE,
+    ARM_STATE_UNITS,
+    SECOND_NS,
+    STATE_KEY,
+    TASK_STATE_KEY,
+    image_key,
+)
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.frame_columns import Columns
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.reading import checked_cycle, checked_table, checked_video
-from surg_recording.datasets.resample import (
-    SECOND,
-    Grid,
-    Stamps,
-    linear,
-    offsets_ns,
-    previous,
-    slerp,
-)
+from surg_recording.datasets.resample import Grid, Stamps, linear, offsets_ns, previous, slerp
 from surg_recording.datasets.rotations import multiply, tool_quaternion, turn_back
 from surg_recording.datasets.schema import Feature
 from surg_recording.episode import episode_reader, table_columns
@@ -83,9 +86,9 @@ class _Arm:
     stamps: Stamps
     cycle: Table
     state: Array
-    """(N, 9) ``schema.ARM_STATE``, rcm frame."""
+    """(N, 9) ``contract.ARM_STATE``, rcm frame."""
     goal: Array
-    """(N, 5) ``schema.ARM_ACTION``, rcm frame."""
+    """(N, 5) ``contract.ARM_ACTION``, rcm frame."""
     goal_row: Stamps
     """(N,) row since which the goal of a row is in force."""
     p_BTip: Array
@@ -213,7 +216,7 @@ def _grid(
     if reference is not None:
         later = reference[reference >= begin]
         begin = int(later[0]) if len(later) else end + 1
-    frames = (end - begin) * options.fps // SECOND + 1 if end >= begin else 0
+    frames = (end - begin) * options.fps // SECOND_NS + 1 if end >= begin else 0
     if frames < 2:
         raise EpisodeError(
             f"{candidate.folder}: {max(frames, 0)} frames at {options.fps} per second: pictures,"
@@ -229,7 +232,7 @@ def _observe(
     made: Columns, candidate: Candidate, arms: list[_Arm], cycles: dict[str, Table]
 ) -> None:
     """What the arms measured: joints of all, tips of those that are commanded and so homed."""
-    grid, gap = made.grid, round(made.options.max_gap_s * SECOND)
+    grid, gap = made.grid, round(made.options.max_gap_s * SECOND_NS)
     states, poses = [], []
     for arm in arms:
         what = str(candidate.folder / f"cycle_{arm.name}.csv")
@@ -240,10 +243,10 @@ def _observe(
         poses.append(np.column_stack([found[:, arm.state.shape[1] :], quaternion]))
     names = [arm.name for arm in arms]
     made.vector(
-        schema.STATE,
+        STATE_KEY,
         np.hstack(states),
-        _named(names, schema.ARM_STATE),
-        schema.ARM_STATE_UNITS * len(names),
+        _named(names, ARM_STATE),
+        ARM_STATE_UNITS * len(names),
         "rcm frame of each arm",
         _LINEAR,
         "measured tip, roll and jaw; set-point of tip and roll",
@@ -290,10 +293,10 @@ def _act(made: Columns, arms: list[_Arm]) -> None:
         text = f"cycle that accepted the action of {arm.name}"
         made.timing(f"{arm.name}.action", arm.stamps, arm.goal_row[row], times, text)
     made.vector(
-        schema.ACTION,
+        ACTION_KEY,
         np.hstack(goals),
-        _named([arm.name for arm in arms], schema.ARM_ACTION),
-        schema.ARM_ACTION_UNITS * len(arms),
+        _named([arm.name for arm in arms], ARM_ACTION),
+        ARM_ACTION_UNITS * len(arms),
         "rcm frame of each arm",
         _NEXT,
         "where tip, roll and jaw shall be at the next frame; absolute",
@@ -305,12 +308,12 @@ def _show(
 ) -> dict[str, Pictures]:
     """Which picture stands at each grid time."""
     shown: dict[str, Pictures] = {}
-    limit = round(made.options.max_image_age_s * SECOND)
+    limit = round(made.options.max_image_age_s * SECOND_NS)
     for camera, video in videos.items():
         stamps = video.frames["stamp_ns"]
         index = previous(stamps, made.grid.times_ns, f"{video.path}", limit)
         width, height = made.options.size or candidate.layout.sizes[list(videos).index(camera)]
-        name = schema.video_name(camera)
+        name = image_key(camera)
         made.add(
             Feature(
                 name=name,
@@ -349,7 +352,7 @@ def _privileged_task(made: Columns, task: Table, numbers: tuple[str, ...]) -> No
     row = previous(task["stamp_ns"], made.grid.times_ns, "task_state.csv")
     names = tuple(name.removeprefix(table_columns.TASK_PREFIX) for name in numbers)
     made.vector(
-        schema.TASK_STATE,
+        TASK_STATE_KEY,
         np.column_stack([task[name] for name in numbers])[row],
         names,
         ("SI",) * len(names),
@@ -369,7 +372,7 @@ def _privileged_truth(made: Columns, arms: tuple[str, ...], truth: list[Table]) 
         stamps = table["stamp_ns"]
         table = table.select(np.flatnonzero(np.append(np.diff(stamps) > 0, True)))
         values = np.column_stack([table.vector("tip"), table.vector("force")])
-        gap = round(made.options.max_gap_s * SECOND)
+        gap = round(made.options.max_gap_s * SECOND_NS)
         what = f"ground_truth_{arm}.csv"
         found, _ = linear(table["stamp_ns"], values, made.grid.times_ns, what, gap)
         parts.append(found)

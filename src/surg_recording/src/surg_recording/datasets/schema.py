@@ -12,20 +12,19 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
-STATE = "observation.state"
-ACTION = "action"
+from surg_core.contract import ACTION_KEY, IMAGE_PREFIX, STATE_KEY, TASK_STATE_KEY
+
 INSTRUCTION = "instruction.text"
 TOOL = "observation.meta.tool"
-TASK_STATE = "privileged.task_state"
 GROUND_TRUTH = "privileged.ground_truth"
 
-OPTIONAL = frozenset((TASK_STATE, GROUND_TRUTH))
+OPTIONAL = frozenset((TASK_STATE_KEY, GROUND_TRUTH))
 """Features that a recording need not have."""
 
 _ORDER = (
-    STATE,
-    ACTION,
-    "observation.images.",
+    STATE_KEY,
+    ACTION_KEY,
+    IMAGE_PREFIX,
     "observation.",
     "next.",
     "instruction.",
@@ -39,15 +38,6 @@ def rank(name: str) -> int:
     return found[0] if found else len(_ORDER)
 
 
-ARM_STATE = (
-    *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
-    *("set_x", "set_y", "set_z", "roll_set"),
-)
-"""Of each arm in ``observation.state``: the state of surg_sim.envs.surg_env, in its order."""
-ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
-ARM_ACTION = ("x", "y", "z", "roll", "jaw")
-"""Of each commanded arm in ``action``: the action of surg_sim.envs.surg_env."""
-ARM_ACTION_UNITS = ("m", "m", "m", "rad", "rad")
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
 POSE_UNITS = ("m", "m", "m", "1", "1", "1", "1")
 
@@ -83,13 +73,6 @@ class Feature:
         """As it stands in the JSON files of an export."""
         found = dataclasses.asdict(self)
         return {key: list(v) if isinstance(v, tuple) else v for key, v in found.items()}
-
-
-def video_name(camera: str) -> str:
-    """Feature name of a camera: ``endoscope_left`` is ``observation.images.endoscope.left``."""
-    stem, _, side = camera.rpartition("_")
-    place = f"{stem}.{side}" if stem and side in ("left", "right") else camera
-    return f"observation.images.{place}"
 
 
 def from_description(described: dict[str, Any]) -> Feature:

@@ -9,6 +9,7 @@ import json
 import math
 from typing import Any
 
+from surg_core.contract import SECOND_NS
 from surg_recording.episode import table_columns
 
 Row = tuple[Any, ...]
@@ -22,7 +23,7 @@ _JAW = table_columns.COMMAND.index("jaw")
 
 def nanoseconds(stamp: Any) -> int:
     """A ROS time as integer nanoseconds."""
-    return int(stamp.secs) * 1_000_000_000 + int(stamp.nsecs)
+    return int(stamp.secs) * SECOND_NS + int(stamp.nsecs)
 
 
 def _xyz(value: Any) -> tuple[float, float, float]:

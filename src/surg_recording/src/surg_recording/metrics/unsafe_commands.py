@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.contract import ENABLED, POSITION_STREAMS, STREAMS
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError
 
@@ -22,11 +23,6 @@ Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-6
 """Relative; a limit that is met exactly is met."""
-ENABLED = 1
-SERVO = (1, 2, 3, 4, 9)
-"""Commands that stream: servo_cp, _jp, _cv, _jv, _jr."""
-POSES = (1, 2, 9)
-"""Those whose goal may be a step away."""
 STOP_NS = 300_000_000
 """A ramp may last so long after an arm has left ENABLED [ns]."""
 STILL = 1e-6
@@ -188,7 +184,7 @@ def _tip(look: _Look, cycle: Table, dt: Array, limits: _Limits) -> list[Rule]:
         found = to_R @ (cycle.vector(prefix) - cycle.vector("p_rcm"))[:, :, None]
         return np.asarray(found[:, :, 0])
 
-    servo = np.isin(cycle["command"], SERVO) & (cycle["homed"] == 1)
+    servo = np.isin(cycle["command"], STREAMS) & (cycle["homed"] == 1)
     p_set, goal = in_R("p_set"), in_R("p_goal")
     both = servo[1:] & servo[:-1]
     speed = np.where(both[:, None], np.abs(np.diff(p_set, axis=0)) / dt[:, None], 0.0)
@@ -214,7 +210,7 @@ def _steps(look: _Look, cycle: Table, goal: Array, p_set: Array, limits: _Limits
     """How far a newly accepted goal lies from the one before, or a first one from the set-point."""
     stamps = cycle["stamp_ns"]
     taken = np.diff(cycle["accepted"], prepend=cycle["accepted"][:1]) > 0
-    pose = np.isin(cycle["command"], POSES) & (cycle["homed"] == 1)
+    pose = np.isin(cycle["command"], POSITION_STREAMS) & (cycle["homed"] == 1)
     moved = (np.diff(goal, axis=0, prepend=goal[:1]) != 0.0).any(axis=1)
     moved |= np.diff(cycle["roll_goal"], prepend=cycle["roll_goal"][:1]) != 0.0
     rows = np.flatnonzero(taken & pose & moved)

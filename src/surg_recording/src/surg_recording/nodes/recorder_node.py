@@ -28,6 +28,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState
+from surg_core.contract import GRID, TICK_NS
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, Ready, TaskState
 from surg_recording.clock.clock_steps import SteppedClock
 from surg_recording.episode import annotations, provenance, table_rows
@@ -65,8 +66,6 @@ CLOCK_TOPIC = "/clock_sync/status"
 FACTS = ("task", "setting", "operator", "seed")
 """Facts about a run that stand in the manifest by themselves."""
 
-READY_TICKS = 25
-TICK_NS = 2_000_000
 PACE_S = 0.01
 STATUS_S = 0.2
 SETTLE_S = 0.3
@@ -538,7 +537,7 @@ class RecorderNode:
                 if recording is not given_up:
                     given_up = recording
                     threading.Thread(target=self.stop, daemon=True).start()
-            due = tick >= sent + READY_TICKS or (tick > sent and now - sent_at > 5 * PACE_S)
+            due = tick >= sent + GRID or (tick > sent and now - sent_at > 5 * PACE_S)
             if ready is not None and due:
                 ready.publish(Ready(tick=tick, participant="recorder"))
                 sent, sent_at = tick, now

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.contract import STATE_NAMES
 from surg_recording import metrics
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode, Table
@@ -30,7 +31,6 @@ MAX_EVENTS = 2000
 VIDEO_BUDGET = 64 << 20
 """Of all videos of a page together [bytes]."""
 
-STATES = ("DISABLED", "ENABLED", "PAUSED", "FAULT")
 
 Array = npt.NDArray[np.float64]
 Stamps = npt.NDArray[np.int64]
@@ -143,7 +143,7 @@ def collect(
             for name, stamps, shown in videos
         ],
         "events": events,
-        "states": STATES,
+        "states": STATE_NAMES,
     }
     return Viewed(data, [shown.data for _, _, shown in videos], missing)
 

@@ -15,16 +15,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.contract import ENABLED, FAULT, STREAMS
 from surg_recording import metrics
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError, NoMotionError
 
 Array = npt.NDArray[np.float64]
 
-ENABLED, FAULT = 1, 3
-"""Values of surg_msgs/Cycle.state."""
-SERVO = (1, 2, 3, 4, 9)
-"""Values of surg_msgs/Cycle.command that are streams: servo_cp, _jp, _cv, _jv, _jr."""
 
 PATH_CUTOFF_HZ = 3.0
 SMOOTHNESS_PRESETS = ("reference", "paper")
@@ -143,7 +140,7 @@ def load(episode: Episode, arm: str | None = None) -> Run:
     """
     arm = _arm(episode, arm)
     whole = episode.cycle(arm)
-    commanded = np.flatnonzero(np.isin(whole["command"], SERVO))
+    commanded = np.flatnonzero(np.isin(whole["command"], STREAMS))
     if len(commanded) < 3:
         raise NoMotionError(
             f"{episode.folder}: {arm} accepted no servo command in {len(whole)} cycles"

@@ -17,12 +17,13 @@ from pathlib import Path
 import numpy as np
 
 import surg_core
+from surg_core.contract import GRID
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.patient_settings import PatientSetting, find_setting
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.stability import trouble
 from surg_sim.physics.world import World
-from surg_sim.tasks import GRID, State, Task, Verdict, load
+from surg_sim.tasks import State, Task, Verdict, load
 from surg_sim.tasks.scripted_sender import Action, ArmAction, ArmView, Observation
 
 Command = surg_core.MotionCommand | surg_core.StateCommand

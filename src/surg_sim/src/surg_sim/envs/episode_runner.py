@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import GRID, TICK
 from surg_sim.envs.cell_session import Session, Tick, merge
-from surg_sim.physics.sim_arm import TICK
 from surg_sim.tasks.scripted_sender import Expert
-from surg_sim.tasks.task import GRID
 
 Array = NDArray[np.float64]
 

@@ -14,13 +14,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.envs.surg_env import ARM_STATE, SurgEnv
-from surg_sim.physics.sim_arm import TICK
+from surg_core.contract import ARM_STATE, STATE_KEY, TASK_STATE_KEY, TICK, image_key
+from surg_sim.envs.surg_env import SurgEnv
 
 Array = NDArray[np.float64]
-
-STATE, TASK = "observation.state", "privileged.task_state"
-IMAGES = "observation.images.endoscope"
 
 
 class Acts(Protocol):
@@ -64,19 +61,22 @@ def names(env: SurgEnv) -> dict[str, list[str]]:
     for key, value in env.session.task.state().items():
         for place in np.ndindex(np.shape(value)):
             flat.append("_".join([key, *map(str, place)]))
-    return {STATE: [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE], TASK: flat}
+    return {
+        STATE_KEY: [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE],
+        TASK_STATE_KEY: flat,
+    }
 
 
 def observe(env: SurgEnv, observation: dict[str, Any]) -> dict[str, Any]:
     """An observation of the environment as a dataset has it; pictures too, where there are any."""
     place = {name: i for i, name in enumerate(env.state_names)}
-    chosen = [place[name] for name in names(env)[STATE]]
+    chosen = [place[name] for name in names(env)[STATE_KEY]]
     truth = [np.ravel(value) for value in observation["privileged"].values()]
     shown = observation.get("images", {})
     return {
-        STATE: observation["state"][chosen],
-        TASK: np.concatenate(truth),
-        **{f"{IMAGES}.{name}": picture for name, picture in shown.items()},
+        STATE_KEY: observation["state"][chosen],
+        TASK_STATE_KEY: np.concatenate(truth),
+        **{image_key(f"endoscope_{name}"): picture for name, picture in shown.items()},
     }
 
 

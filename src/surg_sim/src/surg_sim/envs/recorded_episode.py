@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import surg_core
+from surg_core.contract import GRID, SECOND_NS, TICK_NS
 from surg_core.transforms import matrix_to_quaternion_xyzw
 from surg_sim.envs.cell_session import Command, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics import scene
 from surg_sim.physics.assistant_arm import AssistantCommand
-from surg_sim.physics.world import TICK_NS
-from surg_sim.tasks import GRID, State
+from surg_sim.tasks import State
 
 try:
     from surg_recording.episode import provenance
@@ -138,7 +138,7 @@ class RecordedSession(Session):
             "success": report.success,
             "reason": report.reason,
         }
-        ticks = round(report.duration * 1e9) // TICK_NS
+        ticks = round(report.duration * SECOND_NS) // TICK_NS
         sim: dict[str, Any] = {
             "tick": ticks,
             "sim_time_s": report.duration,
@@ -243,7 +243,7 @@ class RecordedSession(Session):
 
 
 def _header(stamp_ns: int) -> SimpleNamespace:
-    secs, nsecs = divmod(stamp_ns, 1_000_000_000)
+    secs, nsecs = divmod(stamp_ns, SECOND_NS)
     return SimpleNamespace(stamp=SimpleNamespace(secs=secs, nsecs=nsecs))
 
 

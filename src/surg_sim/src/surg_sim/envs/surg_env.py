@@ -26,11 +26,11 @@ except ImportError as error:  # pragma: no cover - of an installation without th
         "the environments need gymnasium: pip install 'surg_sim[gym]' or pip install gymnasium"
     ) from error
 
+from surg_core.contract import ARM_ACTION, ARM_STATE, ENABLED, GRID
 from surg_sim.envs.cell_session import Session, Tick, merge
 from surg_sim.physics import cell_files
-from surg_sim.tasks import GRID, episode_seeds, load, names
+from surg_sim.tasks import episode_seeds, load, names
 from surg_sim.tasks.scripted_sender import (
-    ENABLED,
     Action,
     ArmAction,
     home_frame,
@@ -46,13 +46,6 @@ Array = NDArray[np.float64]
 
 POLICY = "expert"
 """The sender of a task whose place the policy takes; the others stay scripted."""
-ACTION = ("x", "y", "z", "roll", "jaw")
-"""Of each commanded arm: tip [m], roll [rad], jaw [rad] at the next grid time, rcm frame."""
-ARM_STATE = (
-    *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
-    *("set_x", "set_y", "set_z", "roll_set"),
-)
-"""Of each arm in ``state``: measured tip, roll, jaw; set-point of tip and roll; rcm frame."""
 ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
 """Of the assistant's instrument in ``state`` [rad, rad, m, rad, rad], where there is one."""
 CAMERAS = ("left", "right")
@@ -135,7 +128,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
     @property
     def action_names(self) -> list[str]:
         """Names of the numbers of an action, such as ``PSM1/x``."""
-        return [f"{arm}/{name}" for arm in self.arms for name in ACTION]
+        return [f"{arm}/{name}" for arm in self.arms for name in ARM_ACTION]
 
     def _action_space(self) -> spaces.Box:
         low, high = [], []
@@ -217,7 +210,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
                 f"{', '.join(self.action_names)}"
             )
         arm_actions = {}
-        for arm, part in zip(self.arms, values.reshape(-1, len(ACTION)), strict=True):
+        for arm, part in zip(self.arms, values.reshape(-1, len(ARM_ACTION)), strict=True):
             p, roll, jaw = part[:3].copy(), float(part[3]), float(part[4])
             arm_actions[arm] = ArmAction(jaw=jaw, p=p, q=tip_quaternion(p, roll))
         reward = self._advance(Action(arms=arm_actions))

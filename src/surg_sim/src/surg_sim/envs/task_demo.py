@@ -16,15 +16,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import GRID, TICK
 from surg_sim import tasks
 from surg_sim.envs.cell_session import LAWS, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.looks.render import NoOpenGL, Renderer, show_only
 from surg_sim.physics import cell_files, patient_settings
 from surg_sim.physics.scene import ENDOSCOPE, OUTSIDE
-from surg_sim.physics.sim_arm import TICK
 from surg_sim.tasks import episode_seeds
-from surg_sim.tasks.task import GRID
 
 Picture = NDArray[np.uint8]
 

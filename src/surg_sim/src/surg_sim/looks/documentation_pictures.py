@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from surg_core.contract import GRID, TICK
 from surg_sim import tasks
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import run_episode
@@ -23,9 +24,9 @@ from surg_sim.looks import cell_picture
 from surg_sim.looks.drawing import look
 from surg_sim.looks.render import NoOpenGL, Picture
 from surg_sim.physics import cell_files, endoscope_rig, scene
-from surg_sim.physics.sim_arm import TICK, quaternion
+from surg_sim.physics.sim_arm import quaternion
 from surg_sim.physics.world import World
-from surg_sim.tasks import GRID, State, episode_seeds
+from surg_sim.tasks import State, episode_seeds
 
 STEPS = ("point", "grasp", "assist", "retract")
 """Of bowel grasping and retraction: the assistant points, the robot holds, both do, it is shown."""

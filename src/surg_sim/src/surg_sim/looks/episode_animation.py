@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import GRID, TICK
 from surg_sim import tasks
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import run_episode
@@ -20,8 +21,7 @@ from surg_sim.looks import cell_picture
 from surg_sim.looks.documentation_pictures import close_up
 from surg_sim.looks.render import NoOpenGL, Picture
 from surg_sim.physics import cell_files, scene
-from surg_sim.physics.sim_arm import TICK
-from surg_sim.tasks import GRID, episode_seeds
+from surg_sim.tasks import episode_seeds
 
 Array = NDArray[np.float64]
 

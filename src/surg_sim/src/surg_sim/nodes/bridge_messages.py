@@ -14,11 +14,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import SECOND_NS
 from surg_sim.physics.ground_truth import ArmTruth
 
 Array = NDArray[np.float64]
-
-NS = 1_000_000_000
 
 
 def text(words: str) -> bytes:
@@ -29,7 +28,7 @@ def text(words: str) -> bytes:
 
 def header(seq: int, stamp_ns: int, frame: bytes = b"\0\0\0\0") -> bytes:
     """A std_msgs/Header; ``frame`` is the frame id with its length in front."""
-    return struct.pack("<3I", seq & 0xFFFFFFFF, *divmod(stamp_ns, NS)) + frame
+    return struct.pack("<3I", seq & 0xFFFFFFFF, *divmod(stamp_ns, SECOND_NS)) + frame
 
 
 def _doubles(values: Array) -> bytes:
@@ -74,7 +73,7 @@ def pack_link_status(
             header(tick, stamp_ns),
             struct.pack("<Q", tick),
             text(command),
-            struct.pack("<2I2B", *divmod(last_command_ns, NS), dead_man, lockstep),
+            struct.pack("<2I2B", *divmod(last_command_ns, SECOND_NS), dead_man, lockstep),
             text(fault),
         )
     )
@@ -197,7 +196,7 @@ def unpack_header(data: bytes) -> tuple[int, int]:
         struct.error: The data are too short.
     """
     _, seconds, nanoseconds, length = struct.unpack_from("<4I", data)
-    return seconds * NS + nanoseconds, 16 + length
+    return seconds * SECOND_NS + nanoseconds, 16 + length
 
 
 def _skip_strings(data: bytes, offset: int) -> int:

@@ -27,6 +27,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 import surg_core
+from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import (
     GroundTruth,
     LinkStatus,
@@ -48,7 +49,7 @@ from surg_sim.physics import faults, patient_settings
 from surg_sim.physics.fault_injector import Injector, tool_errors
 from surg_sim.physics.hand_guiding import HandGuiding
 from surg_sim.physics.sim_arm import ArmCommand
-from surg_sim.physics.world import TICK_NS, World
+from surg_sim.physics.world import World
 
 _JAWLESS_TICKS = 5
 """In free-run the link of an instrument without a jaw speaks every 5th tick: 100 Hz."""
@@ -101,7 +102,7 @@ class _ArmTopics:
             return rospy.Subscriber(f"{root}/{topic}", kind, callback, tcp_nodelay=True)
 
         # Tracks the trocar, when asked to; a topic that nobody fills must not be there.
-        self.stale = round(bridge.track_stale * bridge_messages.NS / TICK_NS)
+        self.stale = round(bridge.track_stale * SECOND_NS / TICK_NS)
         self.frame = bridge_messages.text(f"{arm.name}_base")
         self.tracked = 0
         self.track: DirectPublisher | None = None
@@ -360,7 +361,7 @@ class Bridge:
         tick, world = self._world.tick, self._world
         self._stamp_ns = stamp_ns
         if self._clock.connections:
-            self._clock.send(struct.pack("<2I", *divmod(stamp_ns, bridge_messages.NS)))
+            self._clock.send(struct.pack("<2I", *divmod(stamp_ns, SECOND_NS)))
         for arm in self._arms:
             self._publish_links(arm, tick, stamp_ns)
         if self._task is not None:
@@ -370,7 +371,7 @@ class Bridge:
             self._truth.send(bridge_messages.pack_ground_truth(stamp_ns, tick, truths))
         if self._exposures.due(tick):
             snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
-            snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, bridge_messages.NS))
+            snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, SECOND_NS))
             self._snapshot.publish(snapshot)
         if self._tracker is not None:
             arms, sent = [arm.name for arm in self._arms], [arm.tracked for arm in self._arms]
@@ -412,7 +413,7 @@ class Bridge:
         # At the end the last executed tick counts; while running, the one whose state is out.
         status = {
             "tick": tick - 1 if self._done else tick,
-            "sim_time_s": (tick - 1 if self._done else tick) * TICK_NS / bridge_messages.NS,
+            "sim_time_s": (tick - 1 if self._done else tick) * TICK_NS / SECOND_NS,
             "mode": self._settings.mode,
             "deterministic": self._deterministic,
             "state_hash": self._world.hash if self.lockstep else None,
@@ -500,7 +501,7 @@ class Bridge:
         """500 Hz by the steady clock; stamps are start + k * 2 ms of wall time."""
         self._start_ns = time.time_ns() - self._world.tick * TICK_NS
         deadline = time.monotonic()
-        period = TICK_NS / bridge_messages.NS
+        period = TICK_NS / SECOND_NS
         while not rospy.is_shutdown():
             deadline += period
             left = deadline - time.monotonic()
@@ -510,7 +511,7 @@ class Bridge:
                 # The machine stood still: drop the backlog, in time and in stamps.
                 self._overruns += 1
                 deadline -= left
-                self._start_ns -= int(left * bridge_messages.NS)
+                self._start_ns -= int(left * SECOND_NS)
             with self._lock:
                 if self._jitter:
                     time.sleep(random.uniform(0.0, self._jitter))

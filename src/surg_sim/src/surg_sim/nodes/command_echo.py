@@ -7,12 +7,12 @@ never read as a time, so the two machines need no common clock. The arm controll
 
 from __future__ import annotations
 
+from surg_core.contract import TICK_NS
+
 MAX_AGE = 50
 """Age of the answered state above which a command is late [ticks]: 0.1 s, the stream watchdog."""
 HISTORY = 2048
 """Number of stamps kept; longer than the 3 s for which a role keeps unacknowledged messages."""
-TICK_NS = 2_000_000
-"""A sender that addresses the tick after the state it has seen adds one tick to the stamp [ns]."""
 
 
 class CommandEcho:

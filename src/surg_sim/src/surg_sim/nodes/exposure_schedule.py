@@ -7,13 +7,13 @@ become an old picture.
 
 from __future__ import annotations
 
+from surg_core.contract import GRID
+
 RENDERER = "endoscope"
 """Participant that reports rendered ticks on /sim/ready."""
-PERIOD = 25
-"""Minimum number of ticks between two exposures: 20 Hz."""
 RENDER_TIMEOUT = 250
 """Ticks to wait for a renderer: 0.5 s. After that, or if it never reports, it gets one state every
-``PERIOD``."""
+``GRID``."""
 
 
 class ExposureSchedule:
@@ -37,9 +37,9 @@ class ExposureSchedule:
     def due(self, tick: int) -> bool:
         """Whether the state of this tick is exposed. Call it in every tick; repeats are allowed."""
         if not self._wait_for_renderer:
-            return tick % PERIOD == 0
+            return tick % GRID == 0
         since = tick - self._exposed
-        if since < PERIOD or (self._rendering() and since < RENDER_TIMEOUT):
+        if since < GRID or (self._rendering() and since < RENDER_TIMEOUT):
             return False
         if self._rendering():
             self._rendered = None  # presumed dead; waited for again after its next report

@@ -12,6 +12,7 @@ import rospy
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
+from surg_core.contract import GRID
 from surg_msgs.msg import TaskState
 from surg_ros.transport.direct_publisher import DirectPublisher
 from surg_ros.transport.raw_message import RawJointState
@@ -21,7 +22,7 @@ from surg_sim.nodes.command_echo import CommandEcho
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.stability import trouble
 from surg_sim.physics.world import World
-from surg_sim.tasks import GRID, Verdict
+from surg_sim.tasks import Verdict
 
 if TYPE_CHECKING:
     from surg_sim.nodes.bridge_node import Bridge

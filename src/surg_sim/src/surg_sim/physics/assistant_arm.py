@@ -19,7 +19,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.physics.sim_arm import TICK, quaternion
+from surg_core.contract import TICK
+from surg_sim.physics.sim_arm import quaternion
 
 if TYPE_CHECKING:
     from surg_sim.physics.scene import Site

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import TICK
 from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.physics.stability import all_finite
 
@@ -27,8 +28,6 @@ Array = NDArray[np.float64]
 
 _URDF_VISUAL = 1  # group that MuJoCo gives to what a URDF calls visual
 
-TICK = 0.002
-"""Duration of one tick [s]."""
 SUBSTEPS = 2
 """MuJoCo steps per tick."""
 

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import TICK
 from surg_sim.physics.jaw_pads import add_pad
-from surg_sim.physics.sim_arm import TICK
 from surg_sim.physics.tissue import NAME as BOWEL
 from surg_sim.physics.tissue import Bowel
 

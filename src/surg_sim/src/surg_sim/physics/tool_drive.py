@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from surg_sim.physics.sim_arm import TICK
+from surg_core.contract import TICK
 
 if TYPE_CHECKING:
     import surg_core

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import TICK
+
 Array = NDArray[np.float64]
 
-TICK = 0.002
-"""Duration of one tick [s]."""
 MAX_STALE = 500
 """Oldest observation that a tracker can give [ticks]: 1 s."""
 

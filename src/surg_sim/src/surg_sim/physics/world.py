@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-TICK_NS = 2_000_000
-"""Duration of one tick [ns]."""
 
 _NOTHING = ArmCommand()
 

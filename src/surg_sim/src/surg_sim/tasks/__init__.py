@@ -13,9 +13,9 @@ from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
-from surg_sim.tasks.task import GRID, State, Task, TaskError, Verdict
+from surg_sim.tasks.task import State, Task, TaskError, Verdict
 
-__all__ = ["GRID", "State", "Task", "TaskError", "Verdict", "load", "names"]
+__all__ = ["State", "Task", "TaskError", "Verdict", "load", "names"]
 
 GROUP = "surg_sim.tasks"
 """Entry points of other packages."""

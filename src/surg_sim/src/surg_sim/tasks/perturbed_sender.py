@@ -15,8 +15,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import STEP
 from surg_sim.tasks.scripted_arm import ArmExpert
-from surg_sim.tasks.scripted_sender import STEP, Action, Expert, Observation, tip_quaternion
+from surg_sim.tasks.scripted_sender import Action, Expert, Observation, tip_quaternion
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import DISABLED, ENABLED, STEP
 from surg_sim.tasks.scripted_sender import (
-    DISABLED,
-    ENABLED,
     RETRY,
-    STEP,
     Action,
     ArmAction,
     ArmView,

@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import GRID
 from surg_core.transforms import tip_quaternion as tip_quaternion
-from surg_sim.physics.sim_arm import TICK
-from surg_sim.tasks.task import GRID
 
 if TYPE_CHECKING:
     import surg_core
@@ -24,10 +23,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-DISABLED, ENABLED, PAUSED, FAULT = range(4)
-"""CRTK operating states, numbered as in surg_msgs/Cycle."""
-STEP = GRID * TICK
-"""Between two actions [s]."""
 RETRY = 250
 """A state command that shows no effect is sent again after so many ticks."""
 

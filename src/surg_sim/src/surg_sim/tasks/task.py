@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.physics.sim_arm import TICK
+from surg_core.contract import GRID, TICK
 
 if TYPE_CHECKING:
     import mujoco
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 State = dict[str, "float | Array"]
 """Ground truth of a task at one tick: fixed names, fixed shapes, SI."""
-
-GRID = 25
-"""Ticks between two looks of a task, two actions of a sender, two pictures: 20 Hz."""
 
 
 class TaskError(ValueError):

@@ -15,11 +15,6 @@ from surg_core import State as ArmState
 
 Array = NDArray[np.float64]
 
-SECOND = 1_000_000_000
-"""Nanoseconds."""
-PERIOD_NS = 2_000_000
-"""Control period: a command answers a cycle and is meant for the next one."""
-
 
 @dataclass(frozen=True)
 class ArmView:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+from surg_core.contract import PRESENCE_TIMEOUT
 from surg_teleop.leaders.leader import LeaderSample
 
-PEDAL_SILENCE = 0.25
-"""[s] Timeout of a source that repeats its state (20 times per second)."""
 PEDAL_REPEATS = 5
 """A source that repeats the same state so often in a row is taken to repeat it always."""
 
@@ -41,7 +40,7 @@ class PedalMonitor:
             Whether the state has changed.
         """
         before, when, repeats = self._last.get((source, button), (None, -math.inf, 0))
-        repeats = repeats + 1 if down is before and now - when <= PEDAL_SILENCE else 0
+        repeats = repeats + 1 if down is before and now - when <= PRESENCE_TIMEOUT else 0
         if source in self._alive or repeats >= PEDAL_REPEATS:
             self._alive[source] = now
         self._last[source, button] = (down, now, repeats)
@@ -81,4 +80,4 @@ class PedalMonitor:
         return replace(sample, buttons=sample.buttons | {button for _, button in self._down})
 
     def _silent(self, now: float) -> list[str]:
-        return sorted(s for s, heard in self._alive.items() if now - heard > PEDAL_SILENCE)
+        return sorted(s for s, heard in self._alive.items() if now - heard > PRESENCE_TIMEOUT)

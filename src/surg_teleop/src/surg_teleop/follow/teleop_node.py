@@ -33,10 +33,11 @@ from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
+from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import Cycle, Ready
 from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_ros.transport.raw_message import RawCycle
-from surg_teleop.follow.arm_view import PERIOD_NS, SECOND, ArmView
+from surg_teleop.follow.arm_view import ArmView
 from surg_teleop.follow.endoscope_pose import HeldCamera
 from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.pedal_monitor import PedalMonitor
@@ -220,7 +221,7 @@ class TeleopNode:
         frame = 16 + int(np.frombuffer(data[12:16], "<u4")[0])
         with self._lock:
             self._picture.picture(
-                time.monotonic(), seconds * SECOND + nanoseconds, zlib.crc32(data[frame:])
+                time.monotonic(), seconds * SECOND_NS + nanoseconds, zlib.crc32(data[frame:])
             )
 
     # Ticks.
@@ -259,13 +260,13 @@ class TeleopNode:
         self._tick = ticks.pop()
         if self._jitter > 0.0:
             time.sleep(random.uniform(0.0, self._jitter))
-        now = self._tick * PERIOD_NS / SECOND
+        now = self._tick * TICK_NS / SECOND_NS
         self._cycles = {name: (now, raw) for name, (_, raw) in self._cycles.items()}
         self._act(now)
         self._say_ready(self._tick + 1)
 
     def _say_ready(self, tick: int) -> None:
-        done = 0.0 < self._system.duration <= self._tick * PERIOD_NS / SECOND
+        done = 0.0 < self._system.duration <= self._tick * TICK_NS / SECOND_NS
         self._ready.publish(
             Ready(
                 tick=tick,

@@ -14,8 +14,9 @@ from std_msgs.msg import Empty
 
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix
+from surg_core.contract import SECOND_NS
 from surg_msgs.msg import Cycle
-from surg_teleop.follow.arm_view import SECOND, ArmState, ArmView, Commands, Pose
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, Pose
 
 COMMANDS = {
     "state_command": StringStamped,
@@ -72,7 +73,7 @@ class ArmPort:
 
     def send(self, commands: Commands) -> None:
         """Sends what there is to send."""
-        stamp = rospy.Time(*divmod(commands.stamp_ns, SECOND))
+        stamp = rospy.Time(*divmod(commands.stamp_ns, SECOND_NS))
         if commands.state is not None:
             self._stamped("state_command", StringStamped(string=commands.state), stamp)
         if commands.claim:

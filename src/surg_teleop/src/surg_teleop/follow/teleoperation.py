@@ -26,8 +26,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
+from surg_core.contract import TICK_NS
 from surg_teleop.follow import interlocks
-from surg_teleop.follow.arm_view import PERIOD_NS, ArmState, ArmView, Commands
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands
 from surg_teleop.follow.engagement import AGAIN, DisengagedError, Engagement
 from surg_teleop.follow.teleop_types import (
     ABANDONED,
@@ -161,7 +162,7 @@ class Teleop:
         Returns:
             State, commands and message.
         """
-        commands = Commands(stamp_ns=arm.stamp_ns + PERIOD_NS if arm else 0)
+        commands = Commands(stamp_ns=arm.stamp_ns + TICK_NS if arm else 0)
         last = self._history.ticked
         dt = now - last if math.isfinite(last) else 0.0
         valid = sample is not None and sample.finite()

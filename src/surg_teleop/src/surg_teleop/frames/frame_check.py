@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_teleop.follow.arm_view import PERIOD_NS, SECOND, ArmState, ArmView, Commands, tip_pose
+from surg_core.contract import SECOND_NS, TICK_NS
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, tip_pose
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step, between
 from surg_teleop.frames.tip_tracker import Picture
 from surg_teleop.playback.workspace_fit import Workspace
@@ -93,7 +94,7 @@ class FramesCheck:
     _since: int = field(default=0, repr=False)
     _still_since: int = field(default=0, repr=False)
     _refused: int = field(default=0, repr=False)
-    _asked: int = field(default=-SECOND, repr=False)
+    _asked: int = field(default=-SECOND_NS, repr=False)
 
     @property
     def done(self) -> bool:
@@ -131,7 +132,7 @@ class FramesCheck:
         Returns:
             What to send for the next cycle.
         """
-        commands = Commands(stamp_ns=arm.stamp_ns + PERIOD_NS)
+        commands = Commands(stamp_ns=arm.stamp_ns + TICK_NS)
         if self.done or self._prepare(arm, commands):
             return commands
         if problem := self._problem(arm, R_WV):
@@ -159,7 +160,7 @@ class FramesCheck:
             return arm.busy
         if arm.state not in (ArmState.DISABLED, ArmState.ENABLED):
             return False
-        if arm.stamp_ns - self._asked >= ASK_S * SECOND:
+        if arm.stamp_ns - self._asked >= ASK_S * SECOND_NS:
             commands.state = "home" if not arm.homed else "enable"
             self._asked = arm.stamp_ns
         return True
@@ -217,14 +218,14 @@ class FramesCheck:
     def _go(self, arm: ArmView, commands: Commands) -> None:
         """On the way, and arriving."""
         target = self._place(REST if self.stage is Stage.BACK else self.step)
-        seconds = (arm.stamp_ns - self._since) / SECOND
+        seconds = (arm.stamp_ns - self._since) / SECOND_NS
         place, end = between(self._from, target, seconds)
         commands.servo_cp = tip_pose(place, self._roll)
         if not end:
             self._still_since = arm.stamp_ns
             return
         if float(np.linalg.norm(arm.p_tip - target)) > THERE:
-            if arm.stamp_ns - self._still_since > ARRIVE_S * SECOND:
+            if arm.stamp_ns - self._still_since > ARRIVE_S * SECOND_NS:
                 off = 1e3 * float(np.linalg.norm(arm.p_tip - target))
                 self._fail(
                     f"the tip stays {off:.1f} mm from where it was sent: is it held up?", commands
@@ -240,17 +241,17 @@ class FramesCheck:
     def _look(self, arm: ArmView, pair: Pair | None, commands: Commands) -> None:
         """At rest, until a picture of it has come."""
         commands.servo_cp = tip_pose(self._from, self._roll)
-        apart = 0.0 if pair is None else (arm.stamp_ns - pair.stamp_ns) / SECOND
+        apart = 0.0 if pair is None else (arm.stamp_ns - pair.stamp_ns) / SECOND_NS
         if pair is not None and abs(apart) > CLOCKS_S:
             self._fail(
                 f"the picture's stamp is {apart:.1f} s behind the arm's: nobody knows what it "
                 "shows. Is it frozen, or is the clock of the camera's machine wrong?",
                 commands,
             )
-        elif pair is not None and pair.stamp_ns >= self._still_since + STILL_S * SECOND:
+        elif pair is not None and pair.stamp_ns >= self._still_since + STILL_S * SECOND_NS:
             self.pictures[self.step] = pair
             self._enter(Stage.GO if len(self.pictures) < len(STEPS) else Stage.BACK, arm)
-        elif arm.stamp_ns - self._still_since > (STILL_S + PICTURE_S) * SECOND:
+        elif arm.stamp_ns - self._still_since > (STILL_S + PICTURE_S) * SECOND_NS:
             self._fail(
                 f"no picture for {PICTURE_S:.0f} s: is the endoscope running, and are both eyes "
                 "sent?",

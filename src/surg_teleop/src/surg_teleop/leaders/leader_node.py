@@ -47,7 +47,7 @@ RATES = (20.0, 500.0)
 STATE_EVERY = 0.1
 """[s] operating_state at least that often."""
 PEDALS_EVERY = 0.05
-"""[s] Pedals at least that often: who hears them notices when they end (seat.PEDAL_SILENCE)."""
+"""[s] Pedals repeat at least that often; they expire after `contract.PRESENCE_TIMEOUT`."""
 GRIPPER_OPEN = 1.0
 """[rad] What a jaw that is fully open says on gripper/measured_js; closed is 0."""
 PEDALS = {"clutch": "clutch", "camera": "camera", "present": "operator_present"}

@@ -12,29 +12,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from surg_teleop.follow.arm_view import (
-    PERIOD_NS,
-    SECOND,
-    ArmState,
-    ArmView,
-    Commands,
-    Jaw,
-    tip_pose,
-    virtual_joints,
-)
+from surg_core.contract import SECOND_NS, TICK_NS
+from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, Jaw, tip_pose, virtual_joints
 from surg_teleop.playback.motion_plan import Plan
 
-READY_TIMEOUT = 5 * SECOND
+READY_TIMEOUT = 5 * SECOND_NS
 """Longest wait for each of: homed, enabled."""
-RETRY = SECOND // 2
+RETRY = SECOND_NS // 2
 """A state command that has shown no effect is sent again after this."""
-MOVE_TIMEOUT = 15 * SECOND
+MOVE_TIMEOUT = 15 * SECOND_NS
 """Longest wait for the arm at the start of the motion."""
-MOVE_MIN = SECOND // 20
+MOVE_MIN = SECOND_NS // 20
 """The arm needs that long to show that it is busy."""
-SETTLE = SECOND // 4
+SETTLE = SECOND_NS // 4
 """Rest at the start, so that the servo's lag has died away."""
-HOLD = SECOND // 2
+HOLD = SECOND_NS // 2
 """The last pose is streamed that long, so that the arm arrives before the stream ends."""
 START_TOLERANCE = 0.001
 """[m] Half of what the controller allows between set-point and the first pose of a stream."""
@@ -99,8 +91,8 @@ class Operator:
         """Stamps of the first and the last command that belong to the recorded motion [ns]."""
         first, last = self.plan.window
         return (
-            self.started_ns + round(first * SECOND),
-            self.started_ns + round(last * SECOND),
+            self.started_ns + round(first * SECOND_NS),
+            self.started_ns + round(last * SECOND_NS),
         )
 
     def tick(self, feedback: ArmView) -> Commands:
@@ -112,7 +104,7 @@ class Operator:
         Returns:
             What to send for the next cycle.
         """
-        commands = Commands(stamp_ns=feedback.stamp_ns + PERIOD_NS)
+        commands = Commands(stamp_ns=feedback.stamp_ns + TICK_NS)
         if self.stage is Stage.CONNECT:
             self._enter(Stage.HOME, feedback)
         if not self.done and self._usable(feedback):
@@ -151,7 +143,7 @@ class Operator:
         now = feedback.stamp_ns
         if now - self._since > READY_TIMEOUT:
             why = feedback.reason or "it gave no reason"
-            self._fail(f"the arm did not obey '{command}' in {READY_TIMEOUT // SECOND} s: {why}")
+            self._fail(f"the arm did not obey '{command}' in {READY_TIMEOUT // SECOND_NS} s: {why}")
         elif self._sent < 0 or now - self._sent >= RETRY:
             self._sent = now
             commands.state = command
@@ -185,8 +177,8 @@ class Operator:
         if now - self._since > MOVE_TIMEOUT:
             why = f" ({feedback.reason})" if feedback.reason else ""
             self._fail(
-                f"the arm did not reach the start of the motion in {MOVE_TIMEOUT // SECOND} s: its "
-                f"set-point is {1e3 * away:.1f} mm away{why}"
+                f"the arm did not reach the start of the motion in {MOVE_TIMEOUT // SECOND_NS} s: "
+                f"its set-point is {1e3 * away:.1f} mm away{why}"
             )
 
     def _settle(self, feedback: ArmView, commands: Commands) -> None:
@@ -198,7 +190,7 @@ class Operator:
 
     def _play(self, feedback: ArmView, commands: Commands) -> None:
         self.refused = feedback.refused - self._refused_before
-        t = (commands.stamp_ns - self.started_ns) / SECOND
+        t = (commands.stamp_ns - self.started_ns) / SECOND_NS
         self._stream(t, commands)
         if t >= self.plan.duration:
             self._enter(Stage.HOLD, feedback)

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import STEP
 from surg_sim.physics.assistant_arm import AssistantCommand, inverse
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH
 from surg_sim.tasks.bgr.bgr_definition import PHASES, ROBOT, TAUT
 from surg_sim.tasks.scripted_arm import ArmExpert
-from surg_sim.tasks.scripted_sender import STEP, Action, Expert, MinimumJerk, Observation, into
+from surg_sim.tasks.scripted_sender import Action, Expert, MinimumJerk, Observation, into
 
 if TYPE_CHECKING:
     import surg_core

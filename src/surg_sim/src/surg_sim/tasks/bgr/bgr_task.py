@@ -14,9 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import GRID, TICK
 from surg_sim.physics.assistant_arm import Assistant, add_assistant
 from surg_sim.physics.endoscope_projection import EndoscopeView
-from surg_sim.physics.sim_arm import TICK
 from surg_sim.physics.tissue import Bowel, add_bowel
 from surg_sim.physics.tissue_grasp import Grasp, add_grasp
 from surg_sim.tasks.bgr.bgr_definition import (
@@ -34,7 +34,7 @@ from surg_sim.tasks.bgr.bgr_definition import (
     TAUT,
 )
 from surg_sim.tasks.bgr.bgr_expert import AssistantExpert, RobotExpert
-from surg_sim.tasks.task import GRID, State, Task, Verdict
+from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
     import surg_core

@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import GRID, TICK
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.endoscope_rig import cameras
 from surg_sim.tasks.endoscope_guidance.endoscope_guidance_expert import (
     GuidanceExpert,
     InstrumentScript,
 )
-from surg_sim.tasks.task import GRID, State, Task, Verdict
+from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
     import surg_core
@@ -171,7 +172,7 @@ class EndoscopeGuidance(Task):
             return Verdict(done=True, reason=reason, phase=phase)
         reward = 0.0
         if self.on_grid and self._errors:
-            reward = (1.0 - self.error / MAX_ERROR) * GRID * 0.002 / DURATION
+            reward = (1.0 - self.error / MAX_ERROR) * GRID * TICK / DURATION
         if self.time >= self.time_limit:
             if self.mean_error <= MEAN_ERROR:
                 return Verdict(done=True, success=True, reward=reward, phase="done")

@@ -14,8 +14,9 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.contract import TICK
 from surg_sim.physics.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
-from surg_sim.physics.sim_arm import TICK, quaternion
+from surg_sim.physics.sim_arm import quaternion
 from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
 from surg_sim.tasks.task import State, Task, Verdict
 

@@ -21,6 +21,7 @@ from sensor_msgs.msg import JointState, Joy
 from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import OperatingState, StringStamped
+from surg_core.contract import STATE_NAMES
 from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_teleop.console.session import operator_messages
 from surg_teleop.console.session.console_orders import (
@@ -133,7 +134,7 @@ class RosSystem:
 
     def _on_change(self, message: String, arm: str) -> None:
         """FAULT on `error`, every other state on `status`; either may come before the state."""
-        for state in ("DISABLED", "ENABLED", "PAUSED", "FAULT"):
+        for state in STATE_NAMES:
             why = operator_messages.reason_of(message.data, arm, state)
             if why is not None:
                 with self._lock:

@@ -1,0 +1,64 @@
+"""What the packages agree on: control period, 20 Hz grid, columns of states and actions.
+
+A value stands here when two packages must use the same one: simulator, controller, recorder,
+teleoperation and policy bridge meet on topics and in files, and none of them can change it alone.
+``surg_policy_client``, which installs without anything else of this workspace, keeps a copy of the
+keys; ``tests/unit/test_core_contract.py`` holds the two equal.
+"""
+
+from __future__ import annotations
+
+from surg_core._core import Motion, State
+
+SECOND_NS = 1_000_000_000
+"""One second [ns]."""
+
+# --- time --------------------------------------------------------------------------------------
+
+TICK = 0.002
+"""Control period [s]: one cycle of a controller and one tick of the simulator (500 Hz)."""
+TICK_NS = 2_000_000
+"""Control period [ns]. A command answers a cycle and is meant for the next one."""
+GRID = 25
+"""Ticks between two observations, two actions and two camera images: 20 Hz."""
+STEP = GRID * TICK
+"""Period of the grid [s]: one step of an environment or a policy."""
+STEP_NS = GRID * TICK_NS
+"""Period of the grid [ns]."""
+PRESENCE_TIMEOUT = 0.25
+"""Age at which a held pedal or an operator's presence expires [s]; both repeat at 20 Hz."""
+
+# --- states and actions (docs/reference/tasks.md) ------------------------------------------------
+
+ARM_ACTION = ("x", "y", "z", "roll", "jaw")
+"""Action of each commanded arm: tip, roll and jaw at the next grid time, in the rcm frame."""
+ARM_ACTION_UNITS = ("m", "m", "m", "rad", "rad")
+ARM_STATE = (
+    *("tip_x", "tip_y", "tip_z", "roll", "jaw"),
+    *("set_x", "set_y", "set_z", "roll_set"),
+)
+"""State of each arm: measured tip, roll and jaw; set-point of tip and roll, in the rcm frame."""
+ARM_STATE_UNITS = ("m", "m", "m", "rad", "rad", "m", "m", "m", "rad")
+
+STATE_KEY = "observation.state"
+ACTION_KEY = "action"
+TASK_STATE_KEY = "privileged.task_state"
+IMAGE_PREFIX = "observation.images."
+"""Keys of datasets and of the policy wire (docs/reference/datasets.md)."""
+
+
+def image_key(camera: str) -> str:
+    """Key of a camera: ``endoscope_left`` is ``observation.images.endoscope.left``."""
+    stem, _, side = camera.rpartition("_")
+    return IMAGE_PREFIX + (f"{stem}.{side}" if stem and side in ("left", "right") else camera)
+
+
+# --- numbers of surg_msgs/Cycle ------------------------------------------------------------------
+
+STATE_NAMES = tuple(State.__members__)
+"""CRTK operating states; a state's number is its index."""
+DISABLED, ENABLED, PAUSED, FAULT = (int(State.__members__[name]) for name in STATE_NAMES)
+POSITION_STREAMS = tuple(int(m) for m in (Motion.SERVO_CP, Motion.SERVO_JP, Motion.SERVO_JR))
+"""``Cycle.command`` of streams whose samples are positions: a sample may be a step too far."""
+STREAMS = tuple(sorted({*POSITION_STREAMS, int(Motion.SERVO_CV), int(Motion.SERVO_JV)}))
+"""``Cycle.command`` of all streams."""
