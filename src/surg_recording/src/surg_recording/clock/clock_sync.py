@@ -70,66 +70,78 @@ class ClockStatus:
 
 
 def parse(text: str) -> ClockStatus:
-    """Read what ``pmc`` printed when it was asked for ``QUESTIONS``.
+    """Read the output of ``pmc`` for ``QUESTIONS``.
 
-    Answers may be missing, broken or in any order; what they do not say stays unknown. Of several
-    ports the one that follows a master counts, else the first.
+    Answers may be missing, broken or in any order; what they do not state stays unknown. Of several
+    ports, the one that follows a master counts, otherwise the first.
 
     Args:
-        text: standard output of ``pmc``.
+        text: Standard output of ``pmc``.
     """
-    answers: dict[str, Mapping[str, str]] = {}
-    ports: list[dict[str, str]] = []
-    refused: list[str] = []
-    clock = ""
-    current: dict[str, str] | None = None
-    for line in text.splitlines():
-        head = _ANSWER.match(line)
-        if head:
-            current = {}
-            identity, _, kind, name = head.groups()
-            clock = clock or identity
-            if kind != "RESPONSE" or name == "MANAGEMENT_ERROR_STATUS":
-                refused.append(name)
-            elif name == "PORT_DATA_SET":
-                ports.append(current)
-            else:
-                answers[name] = current
-            continue
-        pair = _PAIR.match(line)
-        if pair and current is not None:
-            current[pair[1]] = pair[2]
-    if not answers and not ports:
-        said = " ".join(text.split())[:120]
+    answers = _Answers(text)
+    if not answers.sets and not answers.ports:
+        output = " ".join(text.split())[:120]
         return ClockStatus(
             problem="the PTP daemon does not answer: is `./surg ptp` running on this machine?"
-            + (f" (pmc said: {said})" if refused else "")
+            + (f" (pmc said: {output})" if answers.refused else "")
         )
-    states = [port.get("portState", "") for port in ports]
+    states = [port.get("portState", "") for port in answers.ports]
     following = [state for state in states if state in (SLAVE, MEASURING)]
     state = following[0] if following else (states[0] if states else "")
-    status = answers.get("TIME_STATUS_NP", {})
-    present = status.get("gmPresent", "true") == "true"
-    grandmaster = (
-        status.get("gmIdentity") or answers.get("PARENT_DATA_SET", {}).get("grandmasterIdentity")
-    ) or ""
+    status = answers.sets.get("TIME_STATUS_NP", {})
+    current = answers.sets.get("CURRENT_DATA_SET", {})
+    parent = answers.sets.get("PARENT_DATA_SET", {})
+    grandmaster = status.get("gmIdentity") or parent.get("grandmasterIdentity") or ""
     if state == MASTER:
-        return ClockStatus(MASTER, 0.0, math.nan, grandmaster or clock, clock)
-    current_set = answers.get("CURRENT_DATA_SET", {})
-    delay = _seconds(current_set.get("meanPathDelay"))
-    # Before the first exchange the daemon says 0 for everything.
+        return ClockStatus(MASTER, 0.0, math.nan, grandmaster or answers.clock, answers.clock)
+    present = status.get("gmPresent", "true") == "true"
+    delay = _seconds(current.get("meanPathDelay"))
+    # Before the first exchange the daemon reports 0 for everything.
     measured = present and state in (SLAVE, MEASURING) and status.get("ingress_time") != "0"
     measured = measured and delay != 0.0
-    offset = _seconds(current_set.get("offsetFromMaster"))
+    offset = _seconds(current.get("offsetFromMaster"))
     if math.isnan(offset):
         offset = _seconds(status.get("master_offset"))
     return ClockStatus(
         state,
         offset if measured else math.nan,
         delay if measured else math.nan,
-        grandmaster if present and grandmaster != clock else "",
-        clock,
+        grandmaster if present and grandmaster != answers.clock else "",
+        answers.clock,
     )
+
+
+class _Answers:
+    """The management responses in the output of ``pmc``.
+
+    Attributes:
+        sets: Key and value by data set.
+        ports: The same of every port.
+        refused: Whether a data set was refused.
+        clock: Identity of the answering clock.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.sets: dict[str, Mapping[str, str]] = {}
+        self.ports: list[dict[str, str]] = []
+        self.refused = False
+        self.clock = ""
+        current: dict[str, str] | None = None
+        for line in text.splitlines():
+            head = _ANSWER.match(line)
+            pair = _PAIR.match(line)
+            if head:
+                current = {}
+                identity, _, kind, name = head.groups()
+                self.clock = self.clock or identity
+                if kind != "RESPONSE" or name == "MANAGEMENT_ERROR_STATUS":
+                    self.refused = True
+                elif name == "PORT_DATA_SET":
+                    self.ports.append(current)
+                else:
+                    self.sets[name] = current
+            elif pair and current is not None:
+                current[pair[1]] = pair[2]
 
 
 def _seconds(nanoseconds: str | None) -> float:

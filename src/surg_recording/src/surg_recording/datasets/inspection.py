@@ -1,7 +1,7 @@
-"""A first look at a recording, by its manifest: can it be exported, and with which others?
+"""Inspects the manifest of a recording: can it be exported, and together with which others?
 
-Nothing large is read here. What needs the tables and the videos (torn files, gaps, stalls) is
-found when the recording is converted (``sampling``).
+Nothing large is read here. Damaged files, gaps and stalls are found when the recording is converted
+(``sampling``).
 """
 
 from __future__ import annotations
@@ -127,25 +127,64 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
 
 
 def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
-    """What the recording holds.
+    """The layout of a recording.
 
     Raises:
-        EpisodeError: something that every export needs is missing.
+        EpisodeError: Something that every export needs is missing.
     """
     manifest, folder = recorded.manifest, recorded.folder
+    tables = manifest["tables"]
     arms = tuple(recorded.arms)
     if not arms:
         raise EpisodeError(f"{folder}: no arm was recorded (key 'arms' of the manifest is empty)")
+    commanded = tuple(arm for arm in arms if _mapping(tables.get(f"command_{arm}")).get("rows"))
+    if not commanded:
+        raise EpisodeError(f"{folder}: no arm was commanded: there is no action to export")
     described = _mapping(_mapping(manifest.get("cell")).get("arms"))
-    joints = []
-    for arm in arms:
-        entry = manifest["tables"].get(f"cycle_{arm}")
-        if not entry or not entry.get("rows"):
-            raise EpisodeError(
-                f"{folder}: no control cycle of {arm} was recorded; nothing to export"
-            )
-        joints.append(sum(1 for name in entry["columns"] if name[:1] == "q" and name[1:].isdigit()))
-    videos = manifest["videos"]
+    parts = {arm: _mapping(described.get(arm)) for arm in arms}
+    robot_of_run = _mapping(manifest.get("run")).get("robot")
+    task = _mapping(tables.get("task_state"))
+    labelled = bool(task.get("rows"))
+    keep_task = labelled and TASK_STATE_KEY not in options.drop
+    truths = [_mapping(tables.get(f"ground_truth_{arm}")).get("rows") for arm in arms]
+    cameras, sizes = _cameras(recorded, options)
+    return Layout(
+        arms=arms,
+        robots=tuple(
+            str(_mapping(parts[arm].get("robot")).get("name") or robot_of_run) for arm in arms
+        ),
+        joints=tuple(_joint_count(recorded, arm) for arm in arms),
+        instruments=tuple(
+            str(_mapping(parts[arm].get("instrument")).get("name") or "unknown") for arm in arms
+        ),
+        commanded=commanded,
+        cameras=cameras,
+        sizes=sizes,
+        labelled=labelled,
+        task_numbers=tuple(
+            name
+            for name in task.get("columns", [])
+            if keep_task and name.startswith(table_columns.TASK_PREFIX)
+        ),
+        truth=all(truths) and schema.GROUND_TRUTH not in options.drop,
+    )
+
+
+def _joint_count(recorded: Episode, arm: str) -> int:
+    """Number of joints in the cycles of an arm."""
+    entry = recorded.manifest["tables"].get(f"cycle_{arm}")
+    if not entry or not entry.get("rows"):
+        raise EpisodeError(
+            f"{recorded.folder}: no control cycle of {arm} was recorded; nothing to export"
+        )
+    return sum(1 for name in entry["columns"] if name[:1] == "q" and name[1:].isdigit())
+
+
+def _cameras(
+    recorded: Episode, options: ExportOptions
+) -> tuple[tuple[str, ...], tuple[tuple[int, int], ...]]:
+    """Names of the cameras to export, and width and height of their pictures [px]."""
+    videos, folder = recorded.manifest["videos"], recorded.folder
     own = tuple(name for name in recorded.cameras if not _mapping(videos[name]).get("part_of"))
     cameras = own if options.cameras is None else options.cameras
     sizes = []
@@ -164,35 +203,7 @@ def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
         if not entry.get("frames"):
             raise EpisodeError(f"{folder}: {camera} holds no frame")
         sizes.append(pictures.size_of(folder / f"{camera}.mp4"))
-    task = _mapping(manifest["tables"].get("task_state"))
-    commanded = tuple(
-        arm for arm in arms if _mapping(manifest["tables"].get(f"command_{arm}")).get("rows")
-    )
-    if not commanded:
-        raise EpisodeError(f"{folder}: no arm was commanded: there is no action to export")
-    truths = [_mapping(manifest["tables"].get(f"ground_truth_{arm}")).get("rows") for arm in arms]
-    run, drop = _mapping(manifest.get("run")), options.drop
-    numbers = [
-        name for name in task.get("columns", []) if name.startswith(table_columns.TASK_PREFIX)
-    ]
-    return Layout(
-        arms=arms,
-        robots=tuple(
-            str(_mapping(_mapping(described.get(arm)).get("robot")).get("name") or run.get("robot"))
-            for arm in arms
-        ),
-        joints=tuple(joints),
-        instruments=tuple(
-            str(_mapping(_mapping(described.get(arm)).get("instrument")).get("name") or "unknown")
-            for arm in arms
-        ),
-        commanded=commanded,
-        cameras=cameras,
-        sizes=tuple(sizes),
-        labelled=bool(task.get("rows")),
-        task_numbers=tuple(numbers) if task.get("rows") and TASK_STATE_KEY not in drop else (),
-        truth=all(truths) and schema.GROUND_TRUTH not in drop,
-    )
+    return tuple(cameras), tuple(sizes)
 
 
 def kind_of(manifest: Mapping[str, Any]) -> str:
@@ -202,8 +213,8 @@ def kind_of(manifest: Mapping[str, Any]) -> str:
         if kind in tags:
             return kind
     verdicts = (manifest.get("result"), _mapping(manifest.get("sim")).get("task"))
-    said = [_mapping(verdict).get("success") for verdict in verdicts]
-    judged = [success for success in said if success is not None]
+    successes = [_mapping(verdict).get("success") for verdict in verdicts]
+    judged = [success for success in successes if success is not None]
     return FAILURE if judged and judged[0] is False else SUCCESS
 
 

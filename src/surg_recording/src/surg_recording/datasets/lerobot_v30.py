@@ -6,7 +6,7 @@ Read by lerobot from 0.4 on. Videos of recordings are joined packet by packet, n
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -42,70 +42,63 @@ class LeRobotV30(Exporter):
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Join tables and videos into files, write ``meta``."""
-        fps, parts = dataset.options.fps, dataset.parts
         tasks = {task: index for index, task in enumerate(dataset.tasks)}
-        rows: list[dict[str, Any]] = []
-        first = 0
-        for index, part in enumerate(parts):
-            rows.append(
-                {
-                    "episode_index": index,
-                    "tasks": [part.instruction],
-                    "length": part.frames,
-                    "dataset_from_index": first,
-                    "dataset_to_index": first + part.frames,
-                }
-            )
-            first += part.frames
-        whole = []
-        colours: dict[str, list[Any]] = {}
-        groups = _groups(
-            [(p.folder / lerobot_tables.DATA).stat().st_size for p in parts], DATA_MB << 20
-        )
-        for file, members in enumerate(groups):
-            tables = []
-            for index in members:
-                part, row = parts[index], rows[index]
-                table = lerobot_tables.indexed(
-                    pq.read_table(part.folder / lerobot_tables.DATA),
-                    fps,
-                    index,
-                    row["dataset_from_index"],
-                    tasks[part.instruction],
-                )
-                counted = lerobot_tables.colours_of(part)
-                for name, entry in counted.items():
-                    colours.setdefault(name, []).append(entry)
-                row.update(_place("data", file))
-                row.update(_flat(lerobot_tables.stats_of(table, counted, quantiles=True)))
-                tables.append(table)
-            path = out / DATA_PATH.format(**_numbers(file))
-            path.parent.mkdir(parents=True, exist_ok=True)
-            whole.append(pa.concat_tables(tables))
-            pq.write_table(whole[-1], path)
-        for feature in schema.videos_of(dataset.features):
-            self._join(feature.name, parts, rows, fps, out)
+        rows = _episode_rows(dataset.parts)
+        stats = self._write_tables(dataset, rows, tasks, out)
+        videos = schema.videos_of(dataset.features)
+        for feature in videos:
+            self._join(feature.name, dataset.parts, rows, dataset.options.fps, out)
         for row in rows:
             row.update(_place("meta/episodes", 0))
         path = out / EPISODES_PATH
         path.parent.mkdir(parents=True)
         pq.write_table(pa.Table.from_pylist(rows), path)
         pq.write_table(tasks_table(tasks), out / TASKS_PATH)
-        summed = {
-            name: (sum(h for h, _ in entries), sum(n for _, n in entries))
-            for name, entries in colours.items()
-        }
-        stats = lerobot_tables.stats_of(pa.concat_tables(whole), summed, quantiles=True)
         lerobot_tables.write_json(out / "meta" / "stats.json", statistics.to_json(stats))
         stated = lerobot_tables.info(dataset, "v3.0")
         stated.update(
             data_files_size_in_mb=DATA_MB,
             video_files_size_in_mb=VIDEO_MB,
             data_path=DATA_PATH,
-            video_path=VIDEO_PATH if schema.videos_of(dataset.features) else None,
+            video_path=VIDEO_PATH if videos else None,
         )
         lerobot_tables.write_json(out / "meta" / "info.json", stated)
         (out / "meta" / "README.md").write_text(readme.page(dataset, "LeRobot 3.0"), "utf-8")
+
+    def _write_tables(
+        self, dataset: Dataset, rows: list[dict[str, Any]], tasks: Mapping[str, int], out: Path
+    ) -> dict[str, statistics.Stats]:
+        """Join the tables; add place and statistics to the rows; statistics of the dataset."""
+        parts = dataset.parts
+        files: list[pa.Table] = []
+        colours: dict[str, list[Any]] = {}
+        sizes = [(part.folder / lerobot_tables.DATA).stat().st_size for part in parts]
+        for file, members in enumerate(_groups(sizes, DATA_MB << 20)):
+            tables = []
+            for index in members:
+                part, row = parts[index], rows[index]
+                table = lerobot_tables.indexed(
+                    pq.read_table(part.folder / lerobot_tables.DATA),
+                    dataset.options.fps,
+                    index,
+                    row["dataset_from_index"],
+                    tasks[part.instruction],
+                )
+                histograms = lerobot_tables.colours_of(part)
+                for name, entry in histograms.items():
+                    colours.setdefault(name, []).append(entry)
+                row.update(_place("data", file))
+                row.update(_flat(lerobot_tables.stats_of(table, histograms, quantiles=True)))
+                tables.append(table)
+            path = out / DATA_PATH.format(**_numbers(file))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            files.append(pa.concat_tables(tables))
+            pq.write_table(files[-1], path)
+        summed = {
+            name: (sum(h for h, _ in entries), sum(n for _, n in entries))
+            for name, entries in colours.items()
+        }
+        return lerobot_tables.stats_of(pa.concat_tables(files), summed, quantiles=True)
 
     def _join(
         self, name: str, parts: tuple[Part, ...], rows: list[dict[str, Any]], fps: int, out: Path
@@ -181,6 +174,24 @@ class LeRobotV30(Exporter):
         report.errors += lerobot_tables.check_splits(stated)
         lerobot_tables.check_openness(stated, report)
         report.facts.update(splits=stated["splits"], features=list(stated["features"]))
+
+
+def _episode_rows(parts: Sequence[Part]) -> list[dict[str, Any]]:
+    """Index, instruction, length and range of frames of every recording."""
+    rows: list[dict[str, Any]] = []
+    first = 0
+    for index, part in enumerate(parts):
+        rows.append(
+            {
+                "episode_index": index,
+                "tasks": [part.instruction],
+                "length": part.frames,
+                "dataset_from_index": first,
+                "dataset_to_index": first + part.frames,
+            }
+        )
+        first += part.frames
+    return rows
 
 
 def tasks_table(tasks: Mapping[str, int]) -> pa.Table:

@@ -1,7 +1,7 @@
-"""The page of a dataset, filled from the manifests: what Open-H-Embodiment asks contributors for.
+"""The README of a dataset, as Open-H-Embodiment requires it, filled from the manifests.
 
-What only people know (licence, contact, who the operators are) comes from ``--about FILE.yaml``;
-what nobody said is called "not stated", never made up.
+Facts that only people know (licence, contact, operators) come from ``--about FILE.yaml``. A missing
+fact reads "not stated".
 """
 
 from __future__ import annotations
@@ -46,18 +46,33 @@ SECTIONS = (
 def page(dataset: Dataset, format_name: str) -> str:
     """The page as Markdown."""
     about = dict(dataset.options.about)
-    parts = dataset.parts
-    hours = dataset.frames / dataset.options.fps / 3600
-    simulated = sum(bool(part.about.get("simulated")) for part in parts)
-    kinds = {kind: sum(p.kind == kind for p in parts) for kind in (RECOVERY, FAILURE)}
-    dates = sorted(str(p.about["created"])[:10] for p in parts if p.about.get("created"))
+    sections = (
+        _description(dataset, about, format_name),
+        _robot(dataset),
+        _sensors(dataset, about),
+        _collection(dataset, about),
+        _synchronization(dataset),
+        _action_and_state(dataset),
+        _splits(dataset),
+        _attribution(about),
+    )
     lines = [
         f"# {about.get('name', dataset.name)}",
         "",
         str(about.get("summary", _summary(dataset))),
-        "",
-        "## Dataset description",
-        "",
+    ]
+    for title, section in zip(SECTIONS, sections, strict=True):
+        lines += ["", f"## {title}", "", *section]
+    if about.get("other"):
+        lines += ["", str(about["other"])]
+    return "\n".join(lines) + "\n"
+
+
+def _description(dataset: Dataset, about: Mapping[str, Any], format_name: str) -> list[str]:
+    parts = dataset.parts
+    hours = dataset.frames / dataset.options.fps / 3600
+    simulated = sum(bool(part.about.get("simulated")) for part in parts)
+    return [
         "| | |",
         "|---|---|",
         f"| Recordings | {len(parts)} |",
@@ -66,56 +81,67 @@ def page(dataset: Dataset, format_name: str) -> str:
         "| Domain | surgical robotics |",
         f"| Data type | {_data_type(simulated, len(parts))} |",
         f"| Format | {format_name} |",
-        f"| Licence | {_said(about, 'license')} |",
-        f"| Version | {_said(about, 'version')} |",
+        f"| Licence | {_stated(about, 'license')} |",
+        f"| Version | {_stated(about, 'version')} |",
         "",
         "Tasks, as instructions in words:",
         "",
         *[f"- {task}" for task in dataset.tasks],
-        "",
-        "## Robot",
-        "",
+    ]
+
+
+def _robot(dataset: Dataset) -> list[str]:
+    layout = dataset.layout
+    rows = [
+        f"| {arm} | {robot} | {tool} | {joints} | {'yes' if arm in layout.commanded else 'no'} |"
+        for arm, robot, tool, joints in zip(
+            layout.arms, layout.robots, layout.instruments, layout.joints, strict=True
+        )
+    ]
+    return [
         "| arm | robot | instrument | joints | commanded |",
         "|---|---|---|---|---|",
-    ]
-    layout = dataset.layout
-    for arm, robot, tool, joints in zip(
-        layout.arms, layout.robots, layout.instruments, layout.joints, strict=True
-    ):
-        commanded = "yes" if arm in layout.commanded else "no"
-        lines.append(f"| {arm} | {robot} | {tool} | {joints} | {commanded} |")
-    lines += [
+        *rows,
         "",
         "Every instrument turns about a remote centre of motion (a trocar) that its controller"
         " holds.",
-        "",
-        "## Sensors and cameras",
-        "",
-        f"Models: {_said(about, 'cameras')}.",
+    ]
+
+
+def _sensors(dataset: Dataset, about: Mapping[str, Any]) -> list[str]:
+    rows = [
+        f"| `{video.name}` | {video.shape[1]} x {video.shape[0]} | {video.camera} |"
+        for video in schema.videos_of(dataset.features)
+    ]
+    return [
+        f"Models: {_stated(about, 'cameras')}.",
         "",
         "| feature | width x height | recorded as |",
         "|---|---|---|",
+        *rows,
     ]
-    for feature in schema.videos_of(dataset.features):
-        height, width = feature.shape[:2]
-        lines.append(f"| `{feature.name}` | {width} x {height} | {feature.camera} |")
-    lines += [
-        "",
-        "## Collection procedure",
-        "",
-        f"- Operators: {_said(about, 'operators')}; named in the recordings:"
+
+
+def _collection(dataset: Dataset, about: Mapping[str, Any]) -> list[str]:
+    parts = dataset.parts
+    kinds = {kind: sum(p.kind == kind for p in parts) for kind in (RECOVERY, FAILURE)}
+    dates = sorted(str(p.about["created"])[:10] for p in parts if p.about.get("created"))
+    return [
+        f"- Operators: {_stated(about, 'operators')}; named in the recordings:"
         f" {_each(dataset, 'operator')}",
         f"- Tasks: {_each(dataset, 'task')}; settings: {_each(dataset, 'setting')}",
         f"- Seeds: {_seeds(dataset)}",
         f"- Collected: {f'{dates[0]} to {dates[-1]}' if dates else 'not stated'}",
-        f"- Varied on purpose: {_said(about, 'varied')}",
+        f"- Varied on purpose: {_stated(about, 'varied')}",
         f"- Recovery demonstrations: {kinds[RECOVERY] or 'none'};"
         f" failures: {kinds[FAILURE] or 'none'}",
         f"- Software: {_each(dataset, 'software')}",
-        "",
-        "## Synchronization",
-        "",
-        _synchronization(dataset),
+    ]
+
+
+def _synchronization(dataset: Dataset) -> list[str]:
+    return [
+        _clocks(dataset),
         "",
         "Frame k stands at k / fps exactly. Pictures are the newest that are not later, at most"
         f" {dataset.options.max_image_age_s * 1000:g} ms old; measured values are interpolated"
@@ -123,9 +149,11 @@ def page(dataset: Dataset, format_name: str) -> str:
         " (integer nanoseconds) and ages stand beside every frame in the columns `timing.*`.",
         "",
         *_notes(dataset),
-        "",
-        "## Action and state",
-        "",
+    ]
+
+
+def _action_and_state(dataset: Dataset) -> list[str]:
+    lines = [
         "Positions in metres, angles in radians, quaternions x, y, z, w. The rcm frame has its"
         " origin at the trocar and z along the home shaft axis into the patient. Actions are"
         " absolute.",
@@ -135,31 +163,25 @@ def page(dataset: Dataset, format_name: str) -> str:
     ]
     for feature in schema.columns_of(dataset.features):
         units = ", ".join(dict.fromkeys(feature.units)) or "–"
-        names = ", ".join(feature.names)
         lines.append(
-            f"| `{feature.name}` | {feature.dtype} | {names} | {units} | {feature.frame or '–'} |"
-            f" {feature.method or '–'} |"
+            f"| `{feature.name}` | {feature.dtype} | {', '.join(feature.names)} | {units} |"
+            f" {feature.frame or '–'} | {feature.method or '–'} |"
         )
-    privileged = [f"`{f.name}`" for f in dataset.features if f.privileged]
+    privileged = ", ".join(f"`{f.name}`" for f in dataset.features if f.privileged)
     if privileged:
-        lines += [
-            "",
-            f"**Privileged** (ground truth that no robot can measure): {', '.join(privileged)}.",
-        ]
-    lines += ["", "## Splits", "", "| split | recordings |", "|---|---|"]
-    lines += [f"| {name} | {a} to {b - 1} |" for name, (a, b) in dataset.splits.items()]
-    lines += [
-        "",
-        "## Attribution",
-        "",
-        f"- Lead: {_said(about, 'lead')}",
-        f"- Institution: {_said(about, 'institution')}",
-        f"- Contact: {_said(about, 'contact')}",
-        f"- Citation: {_said(about, 'citation')}",
-    ]
-    if about.get("other"):
-        lines += ["", str(about["other"])]
-    return "\n".join(lines) + "\n"
+        note = "**Privileged** (ground truth that no robot can measure):"
+        lines += ["", f"{note} {privileged}."]
+    return lines
+
+
+def _splits(dataset: Dataset) -> list[str]:
+    rows = [f"| {name} | {a} to {b - 1} |" for name, (a, b) in dataset.splits.items()]
+    return ["| split | recordings |", "|---|---|", *rows]
+
+
+def _attribution(about: Mapping[str, Any]) -> list[str]:
+    keys = ("lead", "institution", "contact", "citation")
+    return [f"- {key.capitalize()}: {_stated(about, key)}" for key in keys]
 
 
 def missing_sections(text: str) -> list[str]:
@@ -167,14 +189,14 @@ def missing_sections(text: str) -> list[str]:
     return [f"README.md has no section '{name}'" for name in SECTIONS if f"## {name}" not in text]
 
 
-def _said(about: Mapping[str, Any], key: str) -> str:
+def _stated(about: Mapping[str, Any], key: str) -> str:
     return str(about.get(key) or "not stated").strip()
 
 
 def _each(dataset: Dataset, key: str) -> str:
     """All different values of a fact about the recordings."""
-    found = dict.fromkeys(str(part.about[key]) for part in dataset.parts if part.about.get(key))
-    return ", ".join(found) or "not stated"
+    values = dict.fromkeys(str(part.about[key]) for part in dataset.parts if part.about.get(key))
+    return ", ".join(values) or "not stated"
 
 
 def _seeds(dataset: Dataset) -> str:
@@ -197,18 +219,18 @@ def _data_type(simulated: int, total: int) -> str:
     return "real robot" if not simulated else f"{simulated} simulated, {total - simulated} real"
 
 
-def _synchronization(dataset: Dataset) -> str:
-    """What the recordings say about their clocks."""
+def _clocks(dataset: Dataset) -> str:
+    """What the recordings state about their clocks."""
     clocks = list(dict.fromkeys(str(p.about.get("clock") or "not stated") for p in dataset.parts))
     verdicts: dict[str, int] = {}
     for part in dataset.parts:
         report = part.about.get("sync")
         verdict = str(report.get("verdict")) if isinstance(report, Mapping) else "no report"
         verdicts[verdict] = verdicts.get(verdict, 0) + 1
-    said = ", ".join(f"{verdict}: {count}" for verdict, count in verdicts.items())
+    counts = ", ".join(f"{verdict}: {count}" for verdict, count in verdicts.items())
     return (
         f"Clock of the stamps: {', '.join(clocks)}. Every message and picture was stamped at its"
-        f" source and recorded with that stamp. Verdicts of the recordings' sync reports: {said}."
+        f" source and recorded with that stamp. Verdicts of the recordings' sync reports: {counts}."
     )
 
 

@@ -1,7 +1,7 @@
-"""What a recording was made with: the cell's files, their hashes, and software versions.
+"""Provenance of a recording: the cell's files, their hashes, and software versions.
 
-The YAML files are copied into the manifest as they are, so that a recording can be understood when
-the cell has changed since. Checking them is the schema's business in ``surg_core``.
+The manifest holds a copy of the YAML files, so a recording stays readable when the cell changes.
+``surg_core`` checks the files; this module does not.
 """
 
 from __future__ import annotations
@@ -24,66 +24,95 @@ _PACKAGES = ("numpy", "scipy", "mujoco", "av", "opencv-python", "surg_core", "su
 
 
 def describe_cell(cell: Path) -> dict[str, Any]:
-    """Everything a cell consists of.
+    """Everything that a cell consists of.
 
     Args:
-        cell: the cell's folder or its ``cell.yaml``.
+        cell: Folder of the cell, or its ``cell.yaml``.
 
     Returns:
         ``name``, ``folder``, ``files`` {path: SHA-256}, ``hash`` (SHA-256 over those), ``arms``
         {name: {robot, instrument, tool, trocar, limits, …}} with the contents of the YAML files and
-        the limits as tightened by the cell. What cannot be read is named under ``problems``.
+        the limits as tightened by the cell. ``problems`` lists files that could not be read.
     """
-    file = cell if cell.is_file() else cell / "cell.yaml"
-    files: dict[str, str] = {}
-    problems: list[str] = []
+    files = _CellFiles(cell if cell.is_file() else cell / "cell.yaml")
+    content = files.load(files.cell_file)
+    stated = content.get("arms")
+    arms = {
+        str(name): _describe_arm(str(name), arm if isinstance(arm, dict) else {}, files)
+        for name, arm in (stated if isinstance(stated, dict) else {}).items()
+    }
+    total = "".join(f"{path}:{digest}\n" for path, digest in sorted(files.hashes.items()))
+    return {
+        "name": content.get("name", files.cell_file.parent.name),
+        "folder": str(files.cell_file.parent),
+        "network": content.get("network"),
+        "files": files.hashes,
+        "hash": hashlib.sha256(total.encode()).hexdigest(),
+        "arms": arms,
+        "problems": files.problems,
+    }
 
-    def load(path: Path) -> dict[str, Any]:
+
+class _CellFiles:
+    """Reads the files of a cell and keeps their hashes.
+
+    Attributes:
+        cell_file: The ``cell.yaml``.
+        hashes: SHA-256 by path relative to the cell.
+        problems: What could not be read.
+    """
+
+    def __init__(self, cell_file: Path) -> None:
+        self.cell_file = cell_file
+        self.hashes: dict[str, str] = {}
+        self.problems: list[str] = []
+
+    def load(self, path: Path) -> dict[str, Any]:
+        """Content of a YAML file; empty if it cannot be read."""
+        data = self.add(path)
+        if data is None:
+            return {}
         try:
-            data = path.read_bytes()
-            files[_shown(path, file.parent)] = hashlib.sha256(data).hexdigest()
             content = yaml.safe_load(data)
-            if isinstance(content, dict):
-                return content
-            problems.append(f"{path}: no mapping")
-        except (OSError, yaml.YAMLError) as problem:
-            problems.append(f"{path}: {problem}")
+        except yaml.YAMLError as problem:
+            self.problems.append(f"{path}: {problem}")
+            return {}
+        if isinstance(content, dict):
+            return content
+        self.problems.append(f"{path}: no mapping")
         return {}
 
-    def remember(path: Path) -> None:
+    def add(self, path: Path) -> bytes | None:
+        """Note the hash of a file and return its content; None if it cannot be read."""
         try:
-            files[_shown(path, file.parent)] = hashlib.sha256(path.read_bytes()).hexdigest()
+            data = path.read_bytes()
         except OSError as problem:
-            problems.append(f"{path}: {problem}")
+            self.problems.append(f"{path}: {problem}")
+            return None
+        self.hashes[self.relative(path)] = hashlib.sha256(data).hexdigest()
+        return data
 
-    content = load(file)
-    arms: dict[str, Any] = {}
-    stated = content.get("arms")
-    for name, arm in (stated if isinstance(stated, dict) else {}).items():
-        entry: dict[str, Any] = dict(arm) if isinstance(arm, dict) else {}
-        for key in ("robot", "instrument"):
-            path = (file.parent / str(entry.get(key, ""))).resolve()
-            part = load(path)
-            if "urdf" in part:
-                remember((path.parent / str(part["urdf"])).resolve())
-            entry[f"{key}_file"] = _shown(path, file.parent)
-            entry[key] = part
-        for key in ("tool", "trocar"):
-            entry[key] = load(file.parent / "calibration" / f"{key}_{name}.yaml")
-        entry["limits"] = {**(entry["robot"].get("limits") or {}), **(entry.get("limits") or {})}
-        listed = "".join(f"{key}:{value!r}\n" for key, value in sorted(entry["limits"].items()))
-        entry["limits_hash"] = hashlib.sha256(listed.encode()).hexdigest()
-        arms[str(name)] = entry
-    total = hashlib.sha256("".join(f"{k}:{v}\n" for k, v in sorted(files.items())).encode())
-    return {
-        "name": content.get("name", file.parent.name),
-        "folder": str(file.parent),
-        "network": content.get("network"),
-        "files": files,
-        "hash": total.hexdigest(),
-        "arms": arms,
-        "problems": problems,
-    }
+    def relative(self, path: Path) -> str:
+        """A path as the manifest names it: relative to the cell."""
+        return os.path.relpath(path, self.cell_file.parent.resolve())
+
+
+def _describe_arm(name: str, arm: dict[str, Any], files: _CellFiles) -> dict[str, Any]:
+    entry: dict[str, Any] = dict(arm)
+    folder = files.cell_file.parent
+    for key in ("robot", "instrument"):
+        path = (folder / str(entry.get(key, ""))).resolve()
+        part = files.load(path)
+        if "urdf" in part:
+            files.add((path.parent / str(part["urdf"])).resolve())
+        entry[f"{key}_file"] = files.relative(path)
+        entry[key] = part
+    for key in ("tool", "trocar"):
+        entry[key] = files.load(folder / "calibration" / f"{key}_{name}.yaml")
+    entry["limits"] = {**(entry["robot"].get("limits") or {}), **(entry.get("limits") or {})}
+    listed = "".join(f"{key}:{value!r}\n" for key, value in sorted(entry["limits"].items()))
+    entry["limits_hash"] = hashlib.sha256(listed.encode()).hexdigest()
+    return entry
 
 
 def versions(source: Path | None = None) -> dict[str, str | None]:
@@ -128,8 +157,3 @@ def software_version(source: Path | None = None) -> str | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     return answer.stdout.strip() or None if answer.returncode == 0 else None
-
-
-def _shown(path: Path, base: Path) -> str:
-    """A path as the manifest names it: relative to the cell."""
-    return os.path.relpath(path, base.resolve())

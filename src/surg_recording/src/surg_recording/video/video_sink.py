@@ -94,27 +94,31 @@ class VideoSink:
         self._ending = self._counted = False
         self._ready = threading.Event()
         self._dropped_since = missed
-        self._process = subprocess.Popen(
-            [
-                *(sys.executable, video_encoder.__file__),
-                *(str(self.path), str(self.sidecar), preset, str(crf)),
-            ],
+        self._process = self._start_encoder(preset, crf, keep_open)
+        self._feeder = threading.Thread(target=self._feed, name=f"video_{name}", daemon=True)
+        self._listener = threading.Thread(target=self._listen, name=f"answers_{name}", daemon=True)
+        self._feeder.start()
+        self._listener.start()
+
+    def _start_encoder(
+        self, preset: str, crf: int, keep_open: tuple[int, ...]
+    ) -> subprocess.Popen[bytes]:
+        files = [str(self.path), str(self.sidecar)]
+        process = subprocess.Popen(
+            [sys.executable, video_encoder.__file__, *files, preset, str(crf)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=keep_open,
             start_new_session=True,
             bufsize=0,
         )
-        assert self._process.stdin is not None
-        with contextlib.suppress(OSError):  # only speed
-            fcntl.fcntl(self._process.stdin, fcntl.F_SETPIPE_SZ, _LARGE_PIPE)
-        self._feeder = threading.Thread(target=self._feed, name=f"video_{name}", daemon=True)
-        self._listener = threading.Thread(target=self._listen, name=f"answers_{name}", daemon=True)
-        self._feeder.start()
-        self._listener.start()
+        assert process.stdin is not None
+        with contextlib.suppress(OSError):  # a small pipe is only slower
+            fcntl.fcntl(process.stdin, fcntl.F_SETPIPE_SZ, _LARGE_PIPE)
+        return process
 
     def wait_ready(self, timeout_s: float) -> bool:
-        """Wait until the encoder takes frames, so that none has to wait in memory."""
+        """Wait until the encoder takes frames; until then they wait in memory."""
         return self._ready.wait(timeout_s)
 
     @property
