@@ -1,8 +1,17 @@
-"""A task in one file: touch a ball with the instrument's tip. See docs/guide/adding_a_task.md."""
+#!/usr/bin/env python3
+"""Step 4: a task of your own in one file: touch a ball with the tip of the instrument.
+
+You learn: how a task adds things to the scene, draws an episode, measures success and scripts an
+expert. docs/guide/adding_a_task.md explains every method.
+
+    ./surg shell -c "python3 examples/04_task.py"          # without ROS
+    ./surg run examples/04_task.py --episodes 3            # through the ROS graph, recorded
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -18,7 +27,7 @@ RADIUS = 0.004  # [m]
 
 
 class Touch(Task):
-    """Success: the tip has been inside the ball. Nothing else ends it but the time limit."""
+    """Success: the tip has been inside the ball. Otherwise the time limit ends the episode."""
 
     name = "touch"
     title = "Touch the ball"
@@ -26,7 +35,7 @@ class Touch(Task):
     home_cell = "sim_ur5e"
 
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-        """A ball that an episode can put anywhere: a mocap body."""
+        """Add a ball that each episode can place anywhere: a mocap body."""
         self._site = site
         ball = spec.worldbody.add_body(name="ball", mocap=True, pos=site.work.tolist())
         ball.add_geom(
@@ -38,42 +47,64 @@ class Touch(Task):
         )
 
     def bind(self, world: World) -> None:
-        """Where ball and tip are in the compiled scene."""
+        """Find ball and tip in the compiled scene."""
         self._data = world.data
         self._ball = int(world.model.body("ball").mocapid[0])
         self._tip = int(world.model.body("PSM1_tip").id)
 
     def reset(self, rng: np.random.Generator) -> None:
-        """The ball somewhere round the work point."""
+        """Place the ball 15 to 25 mm from the work point, where the tip is at home."""
         super().reset(rng)
-        self._data.mocap_pos[self._ball] = self._site.place(rng.uniform(-0.02, 0.02, 3))
+        direction = rng.normal(size=3)
+        offset = rng.uniform(0.015, 0.025) * direction / np.linalg.norm(direction)
+        self._data.mocap_pos[self._ball] = self._site.place(offset)
         self._touched = False
 
     def advance(self) -> None:
-        """In every tick: is the tip in the ball?"""
+        """Check in every tick whether the tip is in the ball."""
         super().advance()
         away = self._data.xpos[self._tip] - self._data.mocap_pos[self._ball]
         self._touched |= float(np.linalg.norm(away)) < RADIUS
 
     def state(self) -> State:
-        """Both in the world [m]."""
+        """Return the positions of ball and tip in the world frame [m]."""
         ball, tip = self._data.mocap_pos[self._ball], self._data.xpos[self._tip]
         return {"ball": np.array(ball), "tip": np.array(tip)}
 
     def verdict(self) -> Verdict:
-        """Touched, late, or going on."""
+        """Return success, the time limit, or that the episode goes on."""
         if self._touched:
             return Verdict(done=True, success=True, reward=1.0, phase="done")
         return self.late("reach") or Verdict(phase="reach")
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
-        """One sender, at the robot."""
+        """Return the one scripted sender, which moves the robot."""
         return {"expert": TouchExpert(cell, seed, "PSM1")}
 
 
 class TouchExpert(ArmExpert):
-    """Goes to the ball."""
+    """Moves the tip to the ball."""
 
     def script(self) -> Iterator[None]:
-        """See ``ArmExpert``."""
+        """Yield once per action; see ``ArmExpert``."""
         yield from self.move(self.observation.point("ball"), slowest=0.8)
+
+
+def main() -> None:
+    """Play three episodes."""
+    from surg_sim.envs.cell_session import Session
+    from surg_sim.envs.episode_runner import run_episode
+    from surg_sim.physics import cell_files
+
+    session = Session(cell_files.find(Touch.home_cell), str(Path(__file__).resolve()))
+    for seed in (10_000, 10_001, 10_002):
+        report = run_episode(session, seed)
+        deviation = 1e3 * report.arms["PSM1"].kinematic.max
+        outcome = "success" if report.success else report.reason
+        print(
+            f"seed {seed}: {outcome} in {report.duration:.2f} s, RCM deviation {deviation:.3f} mm"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -9,12 +9,9 @@ from __future__ import annotations
 import ast
 import inspect
 import re
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -369,17 +366,3 @@ def test_readings_reach_the_controller() -> None:
     assert readings.track_valid
     out = tracking.step(home, rest, readings=readings)
     np.testing.assert_allclose(out.p_BRcm, moved, atol=1e-12)
-
-
-def test_the_example_runs(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, str(paths.ROOT / "examples" / "core_in_python.py")],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        cwd=tmp_path,
-        check=False,
-    )
-    print(done.stdout)
-    assert done.returncode == 0, done.stderr
-    assert "deviation" in done.stdout

@@ -20,7 +20,7 @@ from surg_sim.physics import cell_files
 from surg_sim.physics.patient_settings import find_setting
 from surg_sim.tasks import TaskError, episode_seeds
 
-EXAMPLE = paths.ROOT / "examples/touch_task.py"
+EXAMPLE = paths.ROOT / "examples/04_task.py"
 
 
 def test_unknown_task_lists_what_exists() -> None:
