@@ -11,5 +11,5 @@ setuptools.setup(
     packages=["surg_description"],
     package_dir={"": "src"},
     package_data={"surg_description": ["py.typed"]},
-    install_requires=["numpy>=1.24", "pyyaml>=6"],
+    install_requires=["numpy>=1.24", "pyyaml>=6", "surg_core"],
 )

@@ -1,6 +1,6 @@
 """Numerical inverse kinematics over a box round the home tip: what an arm's home posture is worth.
 
-Independent of the core: the URDF reader, a Jacobian by finite differences, Newton's method.
+Independent of the core's solvers: a Jacobian by finite differences, Newton's method.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import yaml
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from surg_core import Chain, chain_from_urdf
 from surg_description.make_cell import home_pose
-from surg_description.urdf_chain import UrdfChain, read_chain
 
 Matrix = NDArray[np.float64]
 BOX = (0.035, 0.035, 0.030)
@@ -53,7 +53,9 @@ def sweep(robot_yaml: Path, instrument_yaml: Path, depth: float) -> Reach:
         np.array(joints[key], dtype=float)
         for key in ("home", "position_min", "position_max", "velocity", "acceleration")
     )
-    chain = read_chain(robot_yaml.parent / robot["urdf"], robot["base_link"], robot["flange_link"])
+    chain = chain_from_urdf(
+        robot_yaml.parent / robot["urdf"], robot["base_link"], robot["flange_link"], joints["names"]
+    )
     home = home_pose(robot_yaml, instrument_yaml, depth)
     x = np.array([1.0, 0.0, 0.0]) - home.s_B[0] * home.s_B
     x /= np.linalg.norm(x)
@@ -74,8 +76,8 @@ def sweep(robot_yaml: Path, instrument_yaml: Path, depth: float) -> Reach:
                     turn * Rotation.from_rotvec(share * roll * home.s_B)
                 ).as_matrix() @ home.X_BF[:3, :3]
                 p_BF = home.p_BRcm + R_BR @ p - R_BF @ home.p_FTip
-                q = _solve(chain, joints["names"], q, R_BF, p_BF, q_home)
-            J = _jacobian(chain, joints["names"], q)
+                q = _solve(chain, q, R_BF, p_BF, q_home)
+            J = _jacobian(chain, q)
             singular = min(singular, float(np.linalg.svd(J, compute_uv=False)[5]))
             margin = min(margin, float(np.minimum(q - low, high - q).min()))
             # Flange twists for unit tip velocities and for unit roll about the shaft.
@@ -93,32 +95,26 @@ def sweep(robot_yaml: Path, instrument_yaml: Path, depth: float) -> Reach:
     return Reach(tilt, margin, singular, speed, acceleration, flange)
 
 
-def _forward(chain: UrdfChain, names: list[str], q: Matrix) -> Matrix:
-    return chain.forward(dict(zip(names, q, strict=True)))
-
-
-def _jacobian(chain: UrdfChain, names: list[str], q: Matrix) -> Matrix:
+def _jacobian(chain: Chain, q: Matrix) -> Matrix:
     """(6, n) by central differences: linear, then angular, of the flange in the base."""
     J, h = np.empty((6, len(q))), 1e-6
     for i in range(len(q)):
         step = np.zeros(len(q))
         step[i] = h
-        plus, minus = _forward(chain, names, q + step), _forward(chain, names, q - step)
+        plus, minus = chain.forward(q + step), chain.forward(q - step)
         J[:3, i] = (plus[:3, 3] - minus[:3, 3]) / (2 * h)
         J[3:, i] = Rotation.from_matrix(plus[:3, :3] @ minus[:3, :3].T).as_rotvec() / (2 * h)
     return J
 
 
-def _solve(
-    chain: UrdfChain, names: list[str], q: Matrix, R_BF: Matrix, p_BF: Matrix, posture: Matrix
-) -> Matrix:
+def _solve(chain: Chain, q: Matrix, R_BF: Matrix, p_BF: Matrix, posture: Matrix) -> Matrix:
     for i in range(25):
-        X = _forward(chain, names, q)
+        X = chain.forward(q)
         turn = Rotation.from_matrix(R_BF @ X[:3, :3].T).as_rotvec()
         error = np.concatenate((p_BF - X[:3, 3], turn))
         if np.abs(error).max() < 1e-7:
             return q
-        J = _jacobian(chain, names, q)
+        J = _jacobian(chain, q)
         inverse = np.linalg.pinv(J)
         step = inverse @ error
         if i < 8:  # pull towards the posture first, then only converge

@@ -10,8 +10,9 @@ import yaml
 from helpers.control.reach import sweep
 from helpers.control.third_arm import write_third_arm
 from surg_cli.host import paths
+from surg_core import ConfigError
+from surg_core.urdf import fixed_transform
 from surg_description.make_cell import home_pose, make_cell
-from surg_description.urdf_chain import UrdfError, read_chain
 
 DESCRIPTION = paths.ROOT / "src/surg_description"
 GRASPER = DESCRIPTION / "instruments/grasper.yaml"
@@ -55,7 +56,7 @@ def test_core_reads_the_cell_and_the_shaft_meets_the_trocar(name: str, tmp_path:
     shaft = surg_core.shaft_state(X_BF, arm.tool.s_F, arm.tool.p_FTip, arm.trocar.p_BRcm)
     assert np.linalg.norm(shaft.e) < 1e-9
     assert abs(shaft.depth - DEPTH) < 1e-9
-    X_FTip = read_chain(arm.instrument_urdf, "mount", "tip").forward()
+    X_FTip = fixed_transform(arm.instrument_urdf, "mount", "tip")
     assert np.array_equal(arm.tool.p_FTip, X_FTip[:3, 3])
     assert np.array_equal(arm.tool.s_F, X_FTip[:3, 2])
 
@@ -135,8 +136,8 @@ def test_home_pose_puts_the_trocar_on_the_shaft() -> None:
     [
         (("name: ur5e\n", ""), None, ""),
         (("urdf: ../urdf/ur5e.urdf\n", ""), ValueError, "urdf: missing"),
-        (("flange_link: flange", "flange_link: hand"), UrdfError, "no link 'hand'"),
-        (("elbow_joint", "knee_joint"), UrdfError, "elbow_joint, knee_joint"),
+        (("flange_link: flange", "flange_link: hand"), ConfigError, "no link 'hand'"),
+        (("elbow_joint", "knee_joint"), ConfigError, "knee_joint"),
         (("  home: [", "  home: [0.0, "), ValueError, "7 values; allowed: 6"),
         (("joints:", "joints: ["), ValueError, "not valid YAML"),
     ],

@@ -17,13 +17,29 @@ _TURNING = ("revolute", "continuous")
 
 
 @dataclass(frozen=True)
-class _UrdfJoint:
+class UrdfJoint:
+    """One joint of a URDF.
+
+    Attributes:
+        name: Name in the URDF.
+        kind: ``revolute``, ``continuous`` or ``fixed``.
+        parent: Link it hangs on.
+        child: Link that hangs on it.
+        X_PJ: (4, 4) pose of the joint frame in the parent link at position 0 [m].
+        axis: (3,) unit rotation axis in the joint frame.
+    """
+
     name: str
     kind: str
     parent: str
     child: str
     X_PJ: FloatArray
     axis: FloatArray
+
+    @property
+    def turning(self) -> bool:
+        """True unless the joint is fixed."""
+        return self.kind in _TURNING
 
 
 def chain_from_urdf(
@@ -42,8 +58,8 @@ def chain_from_urdf(
         ConfigError: for a missing or malformed file, an unknown link, no way from base to flange, a
             joint of a kind other than revolute, continuous or fixed, or other joints than named.
     """
-    joints = _way(path, base_link, flange_link)
-    turning = [joint.name for joint in joints if joint.kind in _TURNING]
+    joints = read_joints(path, base_link, flange_link)
+    turning = [joint.name for joint in joints if joint.turning]
     if turning != list(joint_names):
         raise ConfigError(
             f"{path}: from link '{base_link}' to link '{flange_link}' the turning joints are "
@@ -54,7 +70,7 @@ def chain_from_urdf(
     X = np.eye(4)  # of the present link in the last turning joint's frame
     for joint in joints:
         X = X @ joint.X_PJ
-        if joint.kind in _TURNING:
+        if joint.turning:
             chain.append(Joint(joint.name, X, joint.axis))
             X = np.eye(4)
     try:
@@ -70,8 +86,8 @@ def fixed_transform(path: str | os.PathLike[str], parent_link: str, child_link: 
         ConfigError: as :func:`chain_from_urdf`, and for a joint on the way that is not fixed.
     """
     X = np.eye(4)
-    for joint in _way(path, parent_link, child_link):
-        if joint.kind != "fixed":
+    for joint in read_joints(path, parent_link, child_link):
+        if joint.turning:
             raise ConfigError(
                 f"{path}: joint '{joint.name}' between link '{parent_link}' and link "
                 f"'{child_link}' is {joint.kind}; it must be fixed"
@@ -80,8 +96,13 @@ def fixed_transform(path: str | os.PathLike[str], parent_link: str, child_link: 
     return X
 
 
-def _way(path: str | os.PathLike[str], start: str, end: str) -> list[_UrdfJoint]:
-    """The joints from link ``start`` down to link ``end``, in this order."""
+def read_joints(path: str | os.PathLike[str], start: str, end: str) -> list[UrdfJoint]:
+    """The joints from link ``start`` down to link ``end``, in this order, fixed ones included.
+
+    Raises:
+        ConfigError: for a missing or malformed file, an unknown link, no way from start to end, or
+            a joint of a kind other than revolute, continuous or fixed.
+    """
     root = _read(path)
     links = [link.get("name", "") for link in root.findall("link")]
     for link in (start, end):
@@ -93,7 +114,7 @@ def _way(path: str | os.PathLike[str], start: str, end: str) -> list[_UrdfJoint]
         if child in above:
             raise ConfigError(f"{path}: link '{child}' is the child of two joints")
         above[child] = element
-    way: list[_UrdfJoint] = []
+    way: list[UrdfJoint] = []
     link = end
     while link != start:
         if link not in above or len(way) > len(above):
@@ -116,7 +137,7 @@ def _read(path: str | os.PathLike[str]) -> ElementTree.Element:
     return root
 
 
-def _joint(path: str | os.PathLike[str], element: ElementTree.Element) -> _UrdfJoint:
+def _joint(path: str | os.PathLike[str], element: ElementTree.Element) -> UrdfJoint:
     name = element.get("name", "")
     kind = element.get("type", "")
     if kind not in (*_TURNING, "fixed"):
@@ -130,7 +151,7 @@ def _joint(path: str | os.PathLike[str], element: ElementTree.Element) -> _UrdfJ
     length = float(np.linalg.norm(axis))
     if kind != "fixed" and not length > 1e-9:
         raise ConfigError(f"{path}: joint '{name}': the axis has length zero")
-    return _UrdfJoint(
+    return UrdfJoint(
         name=name,
         kind=kind,
         parent=_attribute(path, element, "parent", "link"),

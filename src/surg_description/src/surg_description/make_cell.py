@@ -12,9 +12,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml  # type: ignore[import]
+from numpy.typing import NDArray
 
-from surg_description.urdf_chain import Matrix, UrdfError, read_chain
+from surg_core.urdf import chain_from_urdf, fixed_transform
+
+Matrix = NDArray[np.float64]
 
 CALIBRATION_DATE = "2026-11-21"
 """Date of a generated calibration: a constant, so that the same input gives the same file."""
@@ -84,7 +88,7 @@ def home_pose(
         The pose.
 
     Raises:
-        UrdfError: A URDF does not hold what the YAML names.
+        ConfigError: A URDF does not hold what the YAML names.
         ValueError: A YAML lacks a key, or depth is out of range, or the home posture does not fit.
     """
     if not 0.005 <= depth <= 0.5:
@@ -98,24 +102,18 @@ def home_pose(
         raise ValueError(
             f"{robot_yaml}: joints.home: {len(angles)} values; allowed: {len(names)}, one per name"
         )
-    arm = read_chain(
+    arm = chain_from_urdf(
         robot_yaml.parent / _get(robot_yaml, robot, "urdf"),
         _get(robot_yaml, robot, "base_link"),
         _get(robot_yaml, robot, "flange_link"),
+        names,
     )
-    unknown = sorted(set(arm.names) ^ set(names))
-    if unknown:
-        raise UrdfError(
-            f"{robot_yaml}: joints.names: {', '.join(unknown)} not both here and in the URDF's "
-            f"chain; allowed: exactly {', '.join(arm.names)}"
-        )
-    tool = read_chain(
+    X_FTip = fixed_transform(
         instrument_yaml.parent / _get(instrument_yaml, instrument, "urdf"),
         _get(instrument_yaml, instrument, "mount_link"),
         _get(instrument_yaml, instrument, "tip_link"),
     )
-    X_BF = arm.forward(dict(zip(names, angles, strict=True)))
-    X_FTip = tool.forward()
+    X_BF = np.asarray(arm.forward(np.array(angles)))
     X_BTip = X_BF @ X_FTip
     s_B = X_BTip[:3, 2]
     return HomePose(
@@ -148,7 +146,7 @@ def make_cell(
         The path of the written cell.yaml.
 
     Raises:
-        UrdfError: A URDF does not hold what the YAML names.
+        ConfigError: A URDF does not hold what the YAML names.
         ValueError: A YAML lacks a key, or depth is out of range.
         OSError: The folder cannot be written.
     """
@@ -167,7 +165,7 @@ def make_cell_of(out_dir: Path, plans: Mapping[str, ArmPlan], note: str = "") ->
         The path of the written cell.yaml.
 
     Raises:
-        UrdfError, ValueError, OSError: as ``make_cell``.
+        ConfigError, ValueError, OSError: as ``make_cell``.
     """
     if not plans:
         raise ValueError(f"{out_dir}: no arms; a cell needs at least one")
