@@ -31,7 +31,15 @@ from sensor_msgs.msg import Image, Joy
 from std_msgs.msg import Bool, String
 
 import surg_core
-from surg_core.contract import GRID, SECOND_NS, STATE_KEY, TASK_STATE_KEY, TICK_NS, image_key
+from surg_core.contract import (
+    ARM_ACTION,
+    GRID,
+    SECOND_NS,
+    STATE_KEY,
+    TASK_STATE_KEY,
+    TICK_NS,
+    image_key,
+)
 from surg_msgs.msg import PolicyAction, Ready
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.listen_address import BindError
@@ -483,7 +491,7 @@ class ModelServerNode:
 
     def _publish_judged(self, stamp_ns: int) -> None:
         judged, self._server.steps.judged = self._server.steps.judged, []
-        names = [f"{arm}/{name}" for arm in self._ports for name in cell_spec.ACTION]
+        names = [f"{arm}/{name}" for arm in self._ports for name in ARM_ACTION]
         for each in judged:
             message = PolicyAction(
                 session=each.session,
