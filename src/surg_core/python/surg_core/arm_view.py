@@ -1,0 +1,193 @@
+"""An arm as its clients see it: what it reports in a cycle, and what they may command.
+
+Values only: no ROS, no clock. Frames: B robot base, R trocar frame (rcm), W world of the cell; see
+docs/reference/conventions.md. Commands are in R.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_core._core import State as ArmState
+from surg_core._core import reason_name
+from surg_core.transforms import tip_quaternion
+
+if TYPE_CHECKING:
+    from surg_core._core import Outputs
+
+Array = npt.NDArray[np.float64]
+
+SECOND = 1_000_000_000
+"""[ns]"""
+PERIOD_NS = 2_000_000
+"""[ns] Control period. A command answers a cycle and is meant for the next one."""
+
+
+@dataclass(frozen=True)
+class ArmView:
+    """One control cycle of an arm. Every member is that of surg_msgs/Cycle, bit for bit.
+
+    Attributes:
+        stamp_ns: Stamp of the cycle [ns].
+        state: Operating state.
+        homed: The trocar frame is known.
+        busy: A move is under way.
+        reason: Why the arm is PAUSED, in FAULT or held; empty otherwise.
+        refused: Number of commands refused so far.
+        p_BTip: (3,) measured tip [m].
+        p_BSet: (3,) set-point of the tip [m].
+        s_B: (3,) shaft axis, from the flange to the tip.
+        roll: Measured roll [rad].
+        roll_set: Set-point of the roll [rad].
+        jaw: Measured jaw angle [rad]; NaN: unknown.
+        jaw_set: Set-point of the jaw [rad]; NaN: unknown.
+        rcm_error: Distance of the shaft from its pivot [m].
+        p_BRcm: (3,) pivot [m].
+        R_BR: (3, 3) orientation of the trocar frame; None: the source does not report it.
+        R_WB: (3, 3) orientation of the base.
+        holder: Caller id of the node that holds the arm; empty: none.
+        stream: Caller id of the node whose servo_cp the arm obeys; empty: none.
+        received: Receipt on the reader's steady clock [s].
+    """
+
+    stamp_ns: int
+    state: ArmState
+    homed: bool
+    busy: bool
+    reason: str
+    refused: int
+    p_BTip: Array
+    p_BSet: Array
+    s_B: Array = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    roll: float = 0.0
+    roll_set: float = 0.0
+    jaw: float = math.nan
+    jaw_set: float = math.nan
+    rcm_error: float = 0.0
+    p_BRcm: Array = field(default_factory=lambda: np.zeros(3))
+    R_BR: Array | None = None
+    R_WB: Array = field(default_factory=lambda: np.eye(3))
+    holder: str = ""
+    stream: str = ""
+    received: float = 0.0
+
+    @classmethod
+    def of(cls, out: Outputs) -> ArmView:
+        """The view of a controller in this process, which does not report ``R_BR``."""
+        return cls(
+            stamp_ns=0,
+            state=out.state,
+            homed=out.homed,
+            busy=out.busy,
+            reason=reason_name(out.reason) if int(out.reason) else "",
+            refused=out.refused,
+            p_BTip=np.array(out.p_BTip),
+            p_BSet=np.array(out.p_set),
+            s_B=np.array(out.s_B),
+            roll=out.roll,
+            roll_set=out.roll_set,
+            jaw=out.jaw,
+            jaw_set=out.jaw_set,
+            rcm_error=out.rcm_error,
+            p_BRcm=np.array(out.p_BRcm),
+        )
+
+    @property
+    def ready(self) -> bool:
+        """Whether the arm obeys motion commands."""
+        return self.homed and self.state == ArmState.ENABLED
+
+    @cached_property
+    def p_tip(self) -> Array:
+        """(3,) measured tip in R [m]."""
+        return self._in_rcm(self.p_BTip)
+
+    @cached_property
+    def p_set(self) -> Array:
+        """(3,) set-point of the tip in R [m]."""
+        return self._in_rcm(self.p_BSet)
+
+    @cached_property
+    def R_WR(self) -> Array:
+        """(3, 3) orientation of the trocar frame in the world."""
+        return np.asarray(self.R_WB @ self._R_BR())
+
+    def _R_BR(self) -> Array:
+        if self.R_BR is None:
+            raise ValueError("ArmView: R_BR is unknown, so nothing can be said in the trocar frame")
+        return self.R_BR
+
+    def _in_rcm(self, p_B: Array) -> Array:
+        return np.asarray(self._R_BR().T @ (p_B - self.p_BRcm))
+
+
+@dataclass(frozen=True)
+class TipPose:
+    """Where tip and shaft shall be; the shaft passes through the trocar.
+
+    Attributes:
+        p: (3,) tip in R [m], not above the trocar.
+        roll: Absolute roll about the shaft [rad].
+    """
+
+    p: Array
+    roll: float
+
+    @cached_property
+    def q(self) -> Array:
+        """(4,) orientation x, y, z, w: minimal rotation (z to p) · Rz(roll)."""
+        return tip_quaternion(self.p, self.roll)
+
+    @cached_property
+    def joints(self) -> Array:
+        """(4,) the same as yaw, pitch [rad], insertion [m], roll [rad].
+
+        The shaft is s = (sin yaw cos pitch, sin pitch, cos yaw cos pitch).
+        """
+        px, py, pz = self.p.tolist()
+        depth = math.hypot(px, py, pz)
+        return np.array([math.atan2(px, pz), math.asin(py / depth), depth, self.roll])
+
+
+@dataclass
+class ArmCommands:
+    """Commands to one arm in answer to one cycle. Empty members are not sent.
+
+    Attributes:
+        stamp_ns: Stamp of the commands: the cycle they are meant for [ns].
+        state: A state_command.
+        claim: True: from now on no other node may move the arm.
+        hold: True: stop.
+        move_cp: Pose to move to.
+        jaw: Jaw angle [rad].
+        servo_cp: Pose of the stream.
+        servo_jp: (4,) yaw, pitch [rad], insertion [m], roll [rad] of the stream.
+    """
+
+    stamp_ns: int = 0
+    state: str | None = None
+    claim: bool = False
+    hold: bool = False
+    move_cp: TipPose | None = None
+    jaw: float | None = None
+    servo_cp: TipPose | None = None
+    servo_jp: Array | None = None
+
+    def __bool__(self) -> bool:
+        """Whether there is anything to send."""
+        values = (self.state, self.move_cp, self.jaw, self.servo_cp, self.servo_jp)
+        return self.claim or self.hold or any(value is not None for value in values)
+
+
+@dataclass(frozen=True)
+class JawRange:
+    """Range of an instrument's jaw [rad]; ``min`` is closed."""
+
+    min: float
+    max: float

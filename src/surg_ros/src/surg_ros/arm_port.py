@@ -1,0 +1,129 @@
+"""The topics of an arm: cycles become `ArmView`, `ArmCommands` become messages."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import rospy
+from geometry_msgs.msg import PoseStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Empty
+
+from crtk_msgs.msg import StringStamped
+from surg_core import quaternion_xyzw_to_matrix
+from surg_core.arm_view import SECOND, Array, ArmCommands, ArmState, ArmView, TipPose
+from surg_msgs.msg import Cycle
+
+KINDS: dict[str, type] = {
+    "state_command": StringStamped,
+    "authority/claim": Empty,
+    "hold": Empty,
+    "move_cp": PoseStamped,
+    "jaw/servo_jp": JointState,
+    "servo_cp": PoseStamped,
+    "servo_jp": JointState,
+}
+"""Message class by topic below the arm."""
+SERVO_INSTRUMENT = ("servo_jp", "jaw/servo_jp")
+"""Topics of an instrument without a controller: the assistant's."""
+VIRTUAL_JOINTS = ("yaw", "pitch", "insertion", "roll")
+
+
+class ArmPort:
+    """Publishers of the commands to one arm.
+
+    Args:
+        arm: The arm's namespace, without slashes.
+        topics: Of `KINDS`; commands on other topics cannot be sent.
+
+    Attributes:
+        out: Publishers by topic below the arm.
+        sent: Number of messages sent so far.
+    """
+
+    def __init__(self, arm: str, topics: Sequence[str] = tuple(KINDS)) -> None:
+        self.out = {
+            name: rospy.Publisher(f"/{arm}/{name}", KINDS[name], queue_size=0, tcp_nodelay=True)
+            for name in topics
+        }
+        self.sent = 0
+
+    def send(self, commands: ArmCommands) -> None:
+        """Send all members that are not empty."""
+        stamp = rospy.Time(*divmod(commands.stamp_ns, SECOND))
+        if commands.state is not None:
+            self._send("state_command", StringStamped(string=commands.state), stamp)
+        if commands.claim:
+            self._send("authority/claim", Empty())
+        if commands.hold:
+            self._send("hold", Empty())
+        if commands.move_cp is not None:
+            self._send("move_cp", pose_message(commands.move_cp), stamp)
+        if commands.jaw is not None:
+            self._send("jaw/servo_jp", _joints(["jaw"], [commands.jaw]), stamp)
+        if commands.servo_cp is not None:
+            self._send("servo_cp", pose_message(commands.servo_cp), stamp)
+        if commands.servo_jp is not None:
+            self._send("servo_jp", _joints(VIRTUAL_JOINTS, commands.servo_jp.tolist()), stamp)
+
+    def _send(self, name: str, message: Any, stamp: rospy.Time | None = None) -> None:
+        if stamp is not None:
+            message.header.stamp = stamp
+        self.out[name].publish(message)
+        self.sent += 1
+
+
+def arm_view(cycle: Cycle, R_WB: Array | None = None, received: float = 0.0) -> ArmView:
+    """What a cycle message reports.
+
+    Args:
+        cycle: The message.
+        R_WB: (3, 3) orientation of the arm's base in the world; None: not needed.
+        received: Receipt on the reader's steady clock [s].
+    """
+    return ArmView(
+        stamp_ns=cycle.header.stamp.to_nsec(),
+        state=ArmState(cycle.state),
+        homed=cycle.homed,
+        busy=cycle.busy,
+        reason=cycle.reason,
+        refused=cycle.refused,
+        p_BTip=np.array(cycle.p_tip),
+        p_BSet=np.array(cycle.p_set),
+        s_B=np.array(cycle.s),
+        roll=cycle.roll,
+        roll_set=cycle.roll_set,
+        jaw=cycle.jaw,
+        jaw_set=cycle.jaw_set,
+        rcm_error=cycle.rcm_error,
+        p_BRcm=np.array(cycle.p_rcm),
+        R_BR=_rotation(tuple(cycle.q_br)),
+        R_WB=np.eye(3) if R_WB is None else R_WB,
+        holder=cycle.source,
+        stream=cycle.source if cycle.command == Cycle.SERVO_CP else "",
+        received=received,
+    )
+
+
+def pose_message(pose: TipPose) -> PoseStamped:
+    """A tip pose as a message; an empty frame_id means the trocar frame."""
+    message = PoseStamped()
+    position, orientation = message.pose.position, message.pose.orientation
+    position.x, position.y, position.z = pose.p.tolist()
+    orientation.x, orientation.y, orientation.z, orientation.w = pose.q.tolist()
+    return message
+
+
+def _joints(names: Sequence[str], position: list[float]) -> JointState:
+    return JointState(name=list(names), position=position)
+
+
+@functools.lru_cache(maxsize=8)
+def _rotation(q: tuple[float, float, float, float]) -> Array:
+    """Rotation matrix, read-only; the trocar frame of an arm seldom changes."""
+    R = quaternion_xyzw_to_matrix(np.array(q))
+    R.setflags(write=False)
+    return R
