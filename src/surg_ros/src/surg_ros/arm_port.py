@@ -14,7 +14,7 @@ from std_msgs.msg import Empty
 
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix
-from surg_core.arm_view import SECOND, Array, ArmCommands, ArmState, ArmView, TipPose
+from surg_core.arm_view import SECOND, ArmCommands, ArmState, ArmView, Array, TipPose
 from surg_msgs.msg import Cycle
 
 KINDS: dict[str, type] = {
