@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from conftest import FULL
+from surg_core.wilson import wilson_interval
 from surg_sim.envs.episode_runner import run_episode
-from surg_sim.envs.expert_evaluation import wilson
 from surg_sim.tasks import episode_seeds
 
 gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed: ./surg setup")
@@ -110,7 +110,7 @@ def test_policies_score_as_they_should(task: str) -> None:
     for policy, low, high in policies if FULL or task == "pick_and_place" else policies[::2]:
         env.action_space.seed(0)
         good = sum(play(env, policy, seed)["success"] for seed in episode_seeds.test_seeds(n))
-        interval = wilson(good, n)
+        interval = wilson_interval(good, n)
         print(f"{task}: {policy.__name__}: {good}/{n}, 95 % interval {interval}")
         assert low <= good / n <= high
         assert not FULL or policy is not expert or interval[0] >= 0.9

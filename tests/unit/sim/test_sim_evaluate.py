@@ -7,30 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from surg_core.wilson import wilson_interval
 from surg_sim import tasks
 from surg_sim.envs import expert_evaluation
 from surg_sim.envs.episode_runner import ArmReport, EpisodeReport, Spread
 from surg_sim.physics.patient_settings import SETTINGS, find_setting
 from surg_sim.physics.trocar import TrocarParameters
-
-
-@pytest.mark.parametrize(
-    ("good", "n", "low", "high"),
-    # Newcombe 1998, Statist. Med. 17:857, table I, method 3.
-    [
-        (81, 263, 0.2553, 0.3662),
-        (15, 148, 0.0624, 0.1605),
-        (0, 20, 0.0, 0.1611),
-        (1, 29, 0.0061, 0.1718),
-    ],
-)
-def test_the_interval_is_wilson_s(good: int, n: int, low: float, high: float) -> None:
-    assert expert_evaluation.wilson(good, n) == pytest.approx((low, high), abs=5e-5)
-
-
-def test_a_hundred_of_a_hundred_and_ninety_five_say_what_they_should() -> None:
-    assert expert_evaluation.wilson(100, 100)[0] > 0.96
-    assert expert_evaluation.wilson(95, 100)[0] < 0.90 < expert_evaluation.wilson(96, 100)[0]
 
 
 @pytest.mark.parametrize("name", SETTINGS)
@@ -85,7 +67,7 @@ def test_every_task_in_every_setting(tmp_path: Path) -> None:
         good = sum(report.success for report in reports)
         arms = [report.arms[tasks.load(series.task).commanded[0]] for report in reports]
         if "UR5e" in series.label:
-            assert expert_evaluation.wilson(good, len(reports))[0] >= 0.9, series.label
+            assert wilson_interval(good, len(reports))[0] >= 0.9, series.label
         assert max(arm.kinematic.max for arm in arms) < 1e-3, series.label
         if series.condition.name == "phantom":
             assert max(arm.kinematic.mean for arm in arms) < 0.05e-3, series.label

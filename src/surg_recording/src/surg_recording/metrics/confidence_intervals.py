@@ -8,43 +8,13 @@ from typing import Any
 
 import numpy as np
 
-Z_95 = 1.959963984540054
-"""Two-sided 95 % quantile of the normal distribution."""
-
-
-def wilson(k: int, n: int, z: float = Z_95) -> tuple[float, float]:
-    """Wilson's score interval of a proportion.
-
-    It holds near 0 and 1, where k/n ± z σ does not.
-
-    Args:
-        k: Successes.
-        n: Trials.
-        z: Quantile of the normal distribution.
-
-    Returns:
-        Lower and upper end in [0, 1]; (0, 1) without trials.
-
-    Raises:
-        ValueError: k is not within 0 … n.
-    """
-    if not 0 <= k <= n:
-        raise ValueError(f"{k} successes of {n} trials")
-    if n == 0:
-        return 0.0, 1.0
-    share = k / n
-    centre = share + z * z / (2 * n)
-    half = z * math.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    scale = 1 + z * z / n
-    low, high = (centre - half) / scale, (centre + half) / scale
-    # At the ends the formula gives 0 and 1 exactly; floating point almost does.
-    return (0.0 if k == 0 else low), (1.0 if k == n else high)
+from surg_core.wilson import wilson_interval
 
 
 def success_rate(successes: Sequence[bool]) -> dict[str, float | int]:
     """Number of trials and successes, and the ends of the 95 % interval."""
     k, n = sum(successes), len(successes)
-    low, high = wilson(k, n)
+    low, high = wilson_interval(k, n)
     return {"n": n, "k": k, "low": low, "high": high}
 
 

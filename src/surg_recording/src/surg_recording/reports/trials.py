@@ -14,19 +14,8 @@ from typing import Any
 import numpy as np
 
 from surg_recording.episode.episode_reader import Episode
-from surg_recording.metrics.confidence_intervals import Z_95, success_rate, wilson
+from surg_recording.metrics.confidence_intervals import success_rate
 from surg_recording.reports import run_summary
-
-__all__ = [
-    "Z_95",
-    "Outcome",
-    "describe",
-    "pick",
-    "success_rate",
-    "summarise",
-    "values",
-    "wilson",
-]
 
 
 @dataclasses.dataclass(frozen=True)

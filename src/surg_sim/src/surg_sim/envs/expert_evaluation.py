@@ -11,7 +11,6 @@ These are figures of a simulation.
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
@@ -21,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from surg_core.wilson import wilson_interval
 from surg_sim import tasks
 from surg_sim.envs.cell_session import Session
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
@@ -62,14 +62,6 @@ class Series:
         return [run_episode(session, seed) for seed in self.seeds]
 
 
-def wilson(successes: int, n: int, z: float = 1.959964) -> tuple[float, float]:
-    """95 % interval of a proportion after Wilson (1927)."""
-    share, square = successes / n, z * z
-    middle = (share + square / (2 * n)) / (1 + square / n)
-    half = z * math.sqrt(share * (1 - share) / n + square / (4 * n * n)) / (1 + square / n)
-    return max(0.0, middle - half), min(1.0, middle + half)
-
-
 def alone(setting: PatientSetting) -> dict[str, PatientSetting]:
     """The disturbances of a setting, each alone, then all together; drives are the robot's own.
 
@@ -97,7 +89,7 @@ def _line(series: Series, reports: Sequence[EpisodeReport]) -> str:
     label, arm = series.label, tasks.load(series.task).commanded[0]
     felt = series.condition.trocar is not GONE
     good = sum(report.success for report in reports)
-    low, high = wilson(good, len(reports))
+    low, high = wilson_interval(good, len(reports))
     parts = [report.arms[arm] for report in reports]
 
     def of(name: str, scale: float) -> str:
