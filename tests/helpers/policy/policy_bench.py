@@ -15,11 +15,12 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_cli.host import paths
+from surg_core.arm_view import ArmCommands, ArmState, ArmView
 from surg_core.contract import SECOND_NS, STATE_KEY, STEP_NS
 from surg_policy_bridge.server import cell_spec
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
 from surg_policy_bridge.server.observer import Observation
-from surg_policy_bridge.server.policy_arm import ArmCommand, ArmState, ArmView, Target
+from surg_policy_bridge.server.policy_arm import Target, arm_state
 from surg_policy_bridge.server.safety_controller import CLIPPED, ArmLimits, SafetyController
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client import wire
@@ -56,20 +57,22 @@ class FakeArm:
     """An arm that does what a controller would: states, authority, a set-point that jumps."""
 
     def __init__(self) -> None:
-        rest = {"p_tip": HOME, "roll": 0.0, "jaw": 0.3, "p_set": HOME, "roll_set": 0.0}
         self.view = ArmView(
             stamp_ns=0,
             state=ArmState.DISABLED,
             homed=False,
+            busy=False,
             reason="",
-            holder="",
+            refused=0,
+            p_BTip=HOME,
+            p_BSet=HOME,
+            jaw=0.3,
             jaw_set=0.3,
-            rcm_error=0.0,
-            **rest,  # type: ignore[arg-type]
+            R_BR=np.eye(3),
         )
         self.told: list[str] = []
 
-    def obey(self, command: ArmCommand, sender: str = NODE) -> None:
+    def obey(self, command: ArmCommands, sender: str = NODE) -> None:
         """Take a command."""
         view = self.view
         if command.hold:
@@ -84,8 +87,8 @@ class FakeArm:
                 view = replace(view, state=ArmState.PAUSED, reason="operator", holder="")
         if command.claim and view.holder in ("", sender):
             view = replace(view, holder=sender)
-        if command.servo is not None and view.holder == sender:
-            self.set(command.servo)
+        if command.servo_cp is not None and command.jaw is not None and view.holder == sender:
+            self.set(Target(command.servo_cp.p, command.servo_cp.roll, command.jaw))
             return
         self.view = view
 
@@ -93,8 +96,8 @@ class FakeArm:
         """The set-point is there."""
         self.view = replace(
             self.view,
-            p_tip=target.p,
-            p_set=target.p,
+            p_BTip=target.p,
+            p_BSet=target.p,
             roll=target.roll,
             roll_set=target.roll,
             jaw=target.jaw,
@@ -190,7 +193,7 @@ class Bench:
 
     def observe(self) -> None:
         """The observation of the present grid time."""
-        numbers = np.array(self.arm.view.numbers(), dtype="<f4")
+        numbers = np.array(arm_state(self.arm.view), dtype="<f4")
         seen = Observation(self.step, self.now, {STATE_KEY: numbers})
         self.server.observe(seen, self.now, self.now)
         self._hear()
@@ -202,7 +205,7 @@ class Bench:
         if not targets:
             return None
         self.sent.append((self.now, targets[ARM]))
-        self.arm.obey(ArmCommand(servo=targets[ARM]))
+        self.arm.obey(targets[ARM].commands())
         return targets[ARM]
 
     def period(self, rows: Any = None, ping: bool = True) -> Target | None:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from surg_core.arm_view import PERIOD_NS, SECOND, ArmCommands, ArmState, ArmView
+from surg_core.arm_view import ArmCommands, ArmState, ArmView
 from surg_core.bring_up import RETRY_NS, TIMEOUT_NS, BringUp
+from surg_core.contract import SECOND_NS, TICK_NS
 
 ME, OTHER = "/me", "/other"
 
@@ -60,7 +61,7 @@ class Arm:
 def run(bring_up: BringUp, arm: Arm, cycles: int) -> list[ArmCommands]:
     sent = []
     for cycle in range(cycles):
-        commands = bring_up.tick(arm.view(), cycle * PERIOD_NS)
+        commands = bring_up.tick(arm.view(), cycle * TICK_NS)
         arm.obey(commands)
         if commands:
             sent.append(commands)
@@ -105,7 +106,7 @@ def test_a_command_without_effect_is_sent_again_every_half_second_until_the_time
     bring_up.start(0)
     times = [
         now
-        for now in range(0, 2 * TIMEOUT_NS, PERIOD_NS)
+        for now in range(0, 2 * TIMEOUT_NS, TICK_NS)
         if bring_up.tick(arm.view(), now).state == "home"
     ]
     assert times == list(range(0, TIMEOUT_NS + 1, RETRY_NS))
@@ -130,7 +131,7 @@ def test_nothing_is_asked_after_an_operators_stop(first: ArmState, stopped: ArmS
     bring_up.start(0)
     bring_up.tick(view(first, homed=True), 0)
     for cycle in range(1, 2000):
-        assert not bring_up.tick(view(stopped, homed=True, reason="operator"), cycle * PERIOD_NS)
+        assert not bring_up.tick(view(stopped, homed=True, reason="operator"), cycle * TICK_NS)
     assert not bring_up.active and "operator" in bring_up.reason
 
 
@@ -150,11 +151,11 @@ def test_nothing_is_asked_before_start_nor_after_stop() -> None:
 
 
 def test_views_from_before_the_start_neither_complete_nor_fail_it() -> None:
-    settle = SECOND // 10
+    settle = SECOND_NS // 10
     for stale in (ArmState.ENABLED, ArmState.FAULT):
         bring_up = BringUp(resume=True, settle_ns=settle)
         bring_up.start(0)
-        for now in range(0, settle, PERIOD_NS):
+        for now in range(0, settle, TICK_NS):
             assert not bring_up.tick(view(stale, homed=True), now)
         assert bring_up.tick(view(ArmState.PAUSED, homed=True), settle).state == "resume"
 
@@ -172,7 +173,7 @@ def test_random_stories_keep_the_rules() -> None:
         now, ended, last = 0, True, (-RETRY_NS, "")
         states: list[ArmState] = []
         for _ in range(30):
-            now += int(rng.integers(1, SECOND // 2))
+            now += int(rng.integers(1, SECOND_NS // 2))
             if rng.random() < 0.05:
                 bring_up.start(now)
                 ended, last, states = False, (-RETRY_NS, ""), []

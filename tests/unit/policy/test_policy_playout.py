@@ -16,7 +16,7 @@ from surg_core import Motion, MotionCommand
 from surg_core.contract import SECOND_NS, STEP_NS, TICK_NS
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.playout import SEND, Piece
-from surg_policy_bridge.server.policy_arm import ArmCommand, Target
+from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.step_clock import StepClock
 
 
@@ -193,7 +193,7 @@ class RealTime:
             bench.act(rows, first=first, seq=head["seq"], stamp_ns=head["stamp_ns"])
         for target in self._free.play(bench.server, {ARM: bench.arm.view}, bench.now).values():
             self.sent[bench.now - self.begin] = target
-            bench.arm.obey(ArmCommand(servo=target))
+            bench.arm.obey(target.commands())
 
     def at_grid(self, behind: int = 0) -> tuple[np.ndarray, np.ndarray]:
         """What was sent at grid times (every fourth: 125 Hz), and the rows of them, both (n, 5).

@@ -10,9 +10,10 @@ import pytest
 
 from helpers.policy.policy_bench import ARM, HOME, Bench, arm_limits, cell
 from helpers.results.policy_results import note
+from surg_core.arm_view import ArmState, ArmView
 from surg_core.contract import SECOND_NS, STEP_NS
 from surg_policy_bridge.server.observer import CameraWatch, Observer, lagging_arm
-from surg_policy_bridge.server.policy_arm import ArmState, ArmView, Target
+from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import (
     CLIPPABLE,
     RULES,
@@ -31,7 +32,23 @@ JAW = (0.0, 0.8)
 def view(p: np.ndarray = HOME, roll: float = 0.0, jaw: float = 0.3, rcm: float = 0.0) -> ArmView:
     """An arm at rest."""
     p = np.array(p, dtype=float)
-    return ArmView(0, ArmState.ENABLED, True, "", "/policy", p, roll, jaw, p, roll, jaw, rcm)
+    return ArmView(
+        stamp_ns=0,
+        state=ArmState.ENABLED,
+        homed=True,
+        busy=False,
+        reason="",
+        refused=0,
+        p_BTip=p,
+        p_BSet=p,
+        roll=roll,
+        roll_set=roll,
+        jaw=jaw,
+        jaw_set=jaw,
+        rcm_error=rcm,
+        R_BR=np.eye(3),
+        holder="/policy",
+    )
 
 
 def safety(clip: tuple[str, ...] = ()) -> ArmSafety:

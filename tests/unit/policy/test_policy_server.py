@@ -10,9 +10,9 @@ import pytest
 
 from helpers.policy.policy_bench import ARM, HOME, MS, Bench, spec
 from helpers.results.policy_results import note
+from surg_core.arm_view import ArmState
 from surg_core.contract import SECOND_NS, STEP_NS
 from surg_policy_bridge.server.chunk_queue import LONGEST, ChunkQueue
-from surg_policy_bridge.server.policy_arm import ArmState
 from surg_policy_bridge.server.sessions import BURST, PEERS, RATE, RateLimiter
 from surg_policy_bridge.server.timers import MAX_OBS_AGE, SILENCE
 from surg_policy_client.spec import Spec
@@ -465,7 +465,7 @@ def test_waking_that_shows_no_effect_is_said_again_and_given_up(bench: Bench) ->
         words += [c.state for c in bench.server.tick(views, bench.now, bench.now).values()]
         bench.ping()
         bench.now += 2 * MS
-    assert words.count("home") == 11 and "not homed" in bench.server.reason
+    assert words.count("home") == 11 and "'home'" in bench.server.reason
     assert bench.now - begin == 5 * SECOND_NS + 4 * MS
 
 

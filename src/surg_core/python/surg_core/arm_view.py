@@ -23,11 +23,6 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-SECOND = 1_000_000_000
-"""[ns]"""
-PERIOD_NS = 2_000_000
-"""[ns] Control period. A command answers a cycle and is meant for the next one."""
-
 
 @dataclass(frozen=True)
 class ArmView:

@@ -22,11 +22,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from surg_core.arm_view import SECOND, ArmCommands, ArmState, ArmView
+from surg_core.arm_view import ArmCommands, ArmState, ArmView
+from surg_core.contract import SECOND_NS
 
-RETRY_NS = SECOND // 2
+RETRY_NS = SECOND_NS // 2
 """[ns] A command without effect is sent again after this."""
-TIMEOUT_NS = 5 * SECOND
+TIMEOUT_NS = 5 * SECOND_NS
 """[ns] Bring-up fails after this."""
 
 
@@ -84,7 +85,7 @@ class BringUp:
         command, problem = self._next(view), self._problem(view)
         if now_ns - self._started > self.timeout_ns and command and not problem:
             cause = view.reason or "no reason given"
-            problem = f"'{command}' had no effect in {self.timeout_ns / SECOND:g} s: {cause}"
+            problem = f"'{command}' had no effect in {self.timeout_ns / SECOND_NS:g} s: {cause}"
         if settled:
             self.active, self.reason = bool(command) and not problem, problem
             self._state = view.state

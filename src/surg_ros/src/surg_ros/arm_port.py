@@ -14,7 +14,8 @@ from std_msgs.msg import Empty
 
 from crtk_msgs.msg import StringStamped
 from surg_core import quaternion_xyzw_to_matrix
-from surg_core.arm_view import SECOND, ArmCommands, ArmState, ArmView, Array, TipPose
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
+from surg_core.contract import SECOND_NS
 from surg_msgs.msg import Cycle
 
 KINDS: dict[str, type] = {
@@ -53,7 +54,7 @@ class ArmPort:
 
     def send(self, commands: ArmCommands) -> None:
         """Send all members that are not empty."""
-        stamp = rospy.Time(*divmod(commands.stamp_ns, SECOND))
+        stamp = rospy.Time(*divmod(commands.stamp_ns, SECOND_NS))
         if commands.state is not None:
             self._send("state_command", StringStamped(string=commands.state), stamp)
         if commands.claim:

@@ -11,13 +11,8 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping, Sequence
 
-from surg_core.contract import SECOND_NS
-from surg_policy_bridge.server.policy_arm import ArmCommand, ArmState, ArmView
-
-RETRY = SECOND_NS // 2
-"""[ns] A state command that has shown no effect is sent again after this."""
-WAKING = 5 * SECOND_NS
-"""[ns] Longest time that homing, enabling and claiming may take."""
+from surg_core.arm_view import ArmCommands, ArmState, ArmView
+from surg_core.bring_up import BringUp
 
 
 class Phase(enum.Enum):
@@ -39,9 +34,8 @@ class Handover:
     def __init__(self, arms: Sequence[str], node: str) -> None:
         self._arms, self._node = tuple(arms), node
         self.phase = Phase.AWAY
-        self._since = 0
-        self._asked: dict[str, tuple[str, int]] = {}
-        self._parting: dict[str, ArmCommand] = {}
+        self._bring_ups = {name: BringUp(resume=True, claim_as=node) for name in self._arms}
+        self._parting: dict[str, ArmCommands] = {}
 
     def obstacle(self, views: Mapping[str, ArmView]) -> str:
         """Why the policy may not have the arms now, with the cure; empty: it may."""
@@ -58,30 +52,33 @@ class Handover:
 
     def ask(self, now: int) -> None:
         """The policy shall have the arms."""
-        self.phase, self._since, self._asked = Phase.WAKING, now, {}
-        self._parting = {}
+        self.phase, self._parting = Phase.WAKING, {}
+        for bring_up in self._bring_ups.values():
+            bring_up.start(now)
 
     def leave(self, views: Mapping[str, ArmView]) -> None:
         """The policy lets go: what is ours, or is about to be, comes to rest and is PAUSED."""
         if self.phase is not Phase.AWAY:
             self._parting = {
-                name: ArmCommand(state="pause", hold=True)
+                name: ArmCommands(state="pause", hold=True)
                 for name in self._arms
                 if name not in views or self._ours(views[name]) or self._woken(views[name], name)
             }
-        self.phase, self._asked = Phase.AWAY, {}
+        self.phase = Phase.AWAY
+        for bring_up in self._bring_ups.values():
+            bring_up.stop()
 
-    def commands(self, views: Mapping[str, ArmView], now: int) -> dict[str, ArmCommand]:
+    def commands(self, views: Mapping[str, ArmView], now: int) -> dict[str, ArmCommands]:
         """What the arms have to be told now, besides the steps."""
         if self._parting:
             parting, self._parting = self._parting, {}
             return parting
         if self.phase is not Phase.WAKING:
             return {}
-        told = {name: self._wake(name, views.get(name), now) for name in self._arms}
-        return {name: command for name, command in told.items() if command}
+        wanted = {name: self._bring_ups[name].tick(views[name], now) for name in self._arms}
+        return {name: commands for name, commands in wanted.items() if commands}
 
-    def look(self, views: Mapping[str, ArmView], now: int) -> str:
+    def look(self, views: Mapping[str, ArmView]) -> str:
         """Follow what the arms say.
 
         Returns:
@@ -95,32 +92,16 @@ class Handover:
         if self.phase is Phase.WAKING:
             if ready:
                 self.phase = Phase.HELD
-            elif now - self._since > WAKING:
-                return f"the arms did not become ready: {self._unready(views)}"
+            for name, bring_up in self._bring_ups.items():
+                if not bring_up.active and not self._ready(views[name]):
+                    why = bring_up.reason or self._unready(views)
+                    return f"the arms did not become ready: {name}: {why}"
         elif not ready:
             return self._unready(views)
         return ""
 
-    def _wake(self, name: str, view: ArmView | None, now: int) -> ArmCommand:
-        if view is None or self._ready(view):
-            return ArmCommand()
-        if not view.homed:
-            word = "home"
-        elif view.state != ArmState.ENABLED:
-            word = "resume" if view.state == ArmState.PAUSED else "enable"
-        else:
-            word = "claim"
-        before, at = self._asked.get(name, ("", 0))
-        if before == word and now - at < RETRY:
-            return ArmCommand()
-        self._asked[name] = (word, now)
-        if word == "claim":
-            return ArmCommand(claim=True)
-        # The claim goes with the word that enables: no cycle lies between them.
-        return ArmCommand(state=word, claim=word != "home")
-
     def _ready(self, view: ArmView) -> bool:
-        return view.homed and view.state == ArmState.ENABLED and view.holder == self._node
+        return view.ready and view.holder == self._node
 
     def _ours(self, view: ArmView) -> bool:
         """Whether pausing it takes nothing from another sender."""
@@ -128,8 +109,8 @@ class Handover:
 
     def _woken(self, view: ArmView, name: str) -> bool:
         """Whether it has been told to wake, and may do so in its next cycle."""
-        word, _ = self._asked.get(name, ("home", 0))
-        waking = self.phase is Phase.WAKING and word != "home"
+        last = self._bring_ups[name].last
+        waking = self.phase is Phase.WAKING and last not in ("", "home")
         return waking and view.holder in ("", self._node)
 
     def _unready(self, views: Mapping[str, ArmView]) -> str:

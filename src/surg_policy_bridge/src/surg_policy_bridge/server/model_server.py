@@ -25,12 +25,13 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import SECOND_NS, STEP_NS
 from surg_policy_bridge.server import server_replies
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.handover import Handover, Phase
 from surg_policy_bridge.server.observer import Observation
-from surg_policy_bridge.server.policy_arm import ArmCommand, ArmView, Target
+from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.sessions import SentObservation, Session, refusal, spec_for
 from surg_policy_bridge.server.step_executor import JudgedStep, StepExecutor
@@ -185,7 +186,7 @@ class ModelServer:
         now: int,
         obstacle: str = "",
         camera_problem: str = "",
-    ) -> dict[str, ArmCommand]:
+    ) -> dict[str, ArmCommands]:
         """Evaluate arms and timeouts; call it whenever there is anything new.
 
         Args:
@@ -212,7 +213,7 @@ class ModelServer:
             # Arms and cameras may still come up; what needs a person ends the pending start.
             coming_up = bool(camera_problem) or any(arm not in views for arm in self._settings.arms)
             self._start_pending = bool(refused) and not obstacle and coming_up
-        if lost := self._handover.look(views, at):
+        if lost := self._handover.look(views):
             self._stop(State.PAUSED, lost)
         elif self.state is State.WAKING and self._handover.phase is Phase.HELD:
             self._run()

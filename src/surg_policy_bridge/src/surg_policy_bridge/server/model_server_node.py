@@ -31,6 +31,7 @@ from sensor_msgs.msg import Image, Joy
 from std_msgs.msg import Bool, String
 
 import surg_core
+from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import (
     ARM_ACTION,
     GRID,
@@ -51,8 +52,7 @@ from surg_policy_bridge.server.observer import (
     Observer,
     lagging_arm,
 )
-from surg_policy_bridge.server.policy_arm import ArmCommand, ArmView
-from surg_policy_bridge.server.policy_ports_node import ArmPort, view_of
+from surg_policy_bridge.server.policy_arm import arm_state
 from surg_policy_bridge.server.router_node import Router
 from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
 from surg_policy_bridge.server.server_parameters import Settings, SettingsError
@@ -61,9 +61,12 @@ from surg_policy_bridge.server.timers import CAMERA_PERIODS, OperatorPresence
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
+from surg_ros.arm_port import ArmPort, arm_view
 from surg_ros.camera_topic import camera_topic
 from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
+COMMANDS = ("state_command", "authority/claim", "hold", "jaw/servo_jp", "servo_cp")
+"""Topics of an arm that the server publishes."""
 FRESH = SECOND_NS // 4
 """[ns] Free-run: an arm that has said nothing for longer is silent. (Its controller has a watchdog
 of its own for the link behind it; an observation is as old as the cycle in it.)"""
@@ -138,7 +141,7 @@ class ModelServerNode:
         self._refused = ""
         self._reported = -REPORT
         self._said: tuple[object, ...] = ()
-        self._ports = {name: ArmPort(name) for name in settings.arms}
+        self._ports = {name: ArmPort(name, COMMANDS) for name in settings.arms}
         self._advertise()
         self._inputs = self._subscribe()
         self._begin_serving()
@@ -305,7 +308,7 @@ class ModelServerNode:
             return None, "an arm is silent"
         if why := lagging_arm({arm: view.stamp_ns for arm, view in views.items()}):
             return None, why
-        numbers = np.array([n for arm in self._ports for n in views[arm].numbers()], dtype="<f4")
+        numbers = np.array([n for arm in self._ports for n in arm_state(views[arm])], dtype="<f4")
         if not np.isfinite(numbers).all():
             return None, "an arm does not know its jaw"
         stamp_ns = max(view.stamp_ns for view in views.values())
@@ -348,7 +351,9 @@ class ModelServerNode:
     def _beat(self, now: int) -> None:
         """Free-run: look, observe, send."""
         views = {
-            arm: view_of(raw.read()) for arm, (at, raw) in self._cycles.items() if now - at <= FRESH
+            arm: arm_view(raw.read())
+            for arm, (at, raw) in self._cycles.items()
+            if now - at <= FRESH
         }
         commands = self._server.tick(views, now, now, self._obstacle(), self._blind(now, views))
         step = self._clock.observe(now)
@@ -363,16 +368,17 @@ class ModelServerNode:
                 missing = "" if stamp_ns is None else self._observer.missing(stamp_ns, wanted)
                 self._server.observe_nothing(why or missing)
         for arm, target in self._clock.play(self._server, views, now).items():
-            commands[arm] = ArmCommand(servo=target)
+            commands[arm] = target.commands()
         self._send(commands, views)
         self._publish_judged(time.time_ns())
         self._answer()
 
-    def _send(self, commands: dict[str, ArmCommand], views: dict[str, ArmView]) -> None:
+    def _send(self, commands: dict[str, ArmCommands], views: dict[str, ArmView]) -> None:
         """Send; the stamp says which cycle is answered: it is meant for the next one."""
         for arm, command in commands.items():
             answered = views[arm].stamp_ns if arm in views else 0
-            self._ports[arm].send(command, answered + TICK_NS if answered else 0)
+            command.stamp_ns = answered + TICK_NS if answered else 0
+            self._ports[arm].send(command)
 
     # --- lock-step --------------------------------------------------------------------------------
 
@@ -423,7 +429,7 @@ class ModelServerNode:
         # In every state: what is served, and so when a policy begins, shall not depend on the time
         # that a picture takes.
         self._await(at, [image_key(camera) for camera in self._settings.cameras])
-        views = {arm: view_of(raw.read()) for arm, (_, raw) in self._cycles.items()}
+        views = {arm: arm_view(raw.read()) for arm, (_, raw) in self._cycles.items()}
         commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle())
         if self._server.state is State.RUNNING:
             seen = self._complete(views, number)
@@ -432,7 +438,7 @@ class ModelServerNode:
                 self._answer()
             self._await_answer()
             for arm, target in self._server.execute(number + 1, at).items():
-                commands[arm] = ArmCommand(servo=target)
+                commands[arm] = target.commands()
         self._send(commands, views)
         self._publish_judged(at + TICK_NS)
         self._answer()
@@ -522,7 +528,7 @@ class ModelServerNode:
         """No exit leaves an arm moving: whoever is connected is told, what is held is paused."""
         with self._lock:
             self._server.end("the model server has ended")
-            views = {arm: view_of(raw.read()) for arm, (_, raw) in self._cycles.items()}
+            views = {arm: arm_view(raw.read()) for arm, (_, raw) in self._cycles.items()}
             now = self._now()
             commands = self._server.tick(views, now, time.monotonic_ns())
             self._send(commands, views)

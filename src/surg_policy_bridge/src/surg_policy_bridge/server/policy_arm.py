@@ -1,8 +1,7 @@
-"""An arm as the model server sees it: what it says, and what is asked of it.
+"""A step of a policy for one arm, and what ``observation.state`` says of an arm.
 
-Values only: no ROS, no clock. Vectors are in the arm's rcm frame R
-(docs/reference/conventions.md); times are
-integer nanoseconds of the caller's clock.
+Values only: no ROS, no clock. Vectors are in the arm's trocar frame R
+(docs/reference/conventions.md).
 """
 
 from __future__ import annotations
@@ -13,48 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core import State as ArmState
+from surg_core.arm_view import ArmCommands, ArmView, TipPose
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class ArmView:
-    """One control cycle of an arm.
-
-    Attributes:
-        stamp_ns: Stamp of the cycle.
-        state: Operating state.
-        homed: Home is set.
-        reason: Why the arm is PAUSED, in FAULT or held; empty otherwise.
-        holder: Caller id of the node that holds the arm; empty: nobody does.
-        p_tip: Measured tip, (3,) [m].
-        roll: Measured roll [rad].
-        jaw: Measured jaw angle [rad]; not a number: the arm does not know it.
-        p_set: Set-point of the tip, (3,) [m].
-        roll_set: Set-point of the roll [rad].
-        jaw_set: Set-point of the jaw [rad].
-        rcm_error: Distance of the shaft from its pivot [m].
-        refused: Commands that the controller has refused so far.
-    """
-
-    stamp_ns: int
-    state: ArmState
-    homed: bool
-    reason: str
-    holder: str
-    p_tip: Array
-    roll: float
-    jaw: float
-    p_set: Array
-    roll_set: float
-    jaw_set: float
-    rcm_error: float
-    refused: int = 0
-
-    def numbers(self) -> list[float]:
-        """What ``observation.state`` says of this arm, in the order of `contract.ARM_STATE`."""
-        return [*self.p_tip, self.roll, self.jaw, *self.p_set, self.roll_set]
+def arm_state(view: ArmView) -> list[float]:
+    """What ``observation.state`` says of an arm, in the order of `contract.ARM_STATE`."""
+    return [*view.p_tip, view.roll, view.jaw, *view.p_set, view.roll_set]
 
 
 @dataclass(frozen=True)
@@ -90,23 +55,6 @@ class Target:
             self.jaw + share * (other.jaw - self.jaw),
         )
 
-
-@dataclass
-class ArmCommand:
-    """What to send to one arm; empty members are not sent.
-
-    Attributes:
-        state: A state_command.
-        claim: From now on nobody else may move the arm.
-        servo: A pose of the stream, and the jaw.
-        hold: Stop where you are.
-    """
-
-    state: str = ""
-    claim: bool = False
-    servo: Target | None = None
-    hold: bool = False
-
-    def __bool__(self) -> bool:
-        """Whether there is anything to send."""
-        return bool(self.state or self.claim or self.servo or self.hold)
+    def commands(self) -> ArmCommands:
+        """The commands that stream it."""
+        return ArmCommands(servo_cp=TipPose(self.p, self.roll), jaw=self.jaw)

@@ -15,8 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 
 import surg_core
+from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, STEP_NS
-from surg_policy_bridge.server.policy_arm import ArmView, Target
+from surg_policy_bridge.server.policy_arm import Target
 
 RULES = ("not_finite", "rcm_error", "workspace", "start", "step", "acceleration", "jaw")
 """In the order of evaluation."""

@@ -12,10 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from surg_core.arm_view import ArmView
 from surg_core.contract import ARM_ACTION, STEP_NS
 from surg_policy_bridge.server.model_server import ModelServer, State
 from surg_policy_bridge.server.playout import SEND, Piece
-from surg_policy_bridge.server.policy_arm import ArmView, Target
+from surg_policy_bridge.server.policy_arm import Target
 
 
 class StepClock:

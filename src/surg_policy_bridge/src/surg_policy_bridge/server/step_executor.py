@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.arm_view import ArmView
 from surg_core.contract import ARM_ACTION
 from surg_policy_bridge.server.chunk_queue import ChunkQueue, Step
 from surg_policy_bridge.server.counters import Counters
-from surg_policy_bridge.server.policy_arm import ArmView, Target
+from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.server_replies import AckTally, rejected_step
 from surg_policy_bridge.server.sessions import SentObservation, Session
