@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from helpers.graph.claims import Claims
+from helpers.graph import worker_groups
 from helpers.graph.ros import RosGraph, close_own_topics, forget_dead_nodes, private_master
 from surg_cli import __main__ as cli
 from surg_cli.graph import master
@@ -20,14 +20,14 @@ ON_REQUEST = ("oracle", "vm", "mutants")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Share the tests with other pytests where `./surg test` has started several."""
-    if claims := os.environ.pop("SURG_TEST_CLAIMS", ""):
-        first = os.environ.pop("SURG_TEST_WORKER") == "0"
-        config.pluginmanager.register(Claims(Path(claims), first, Path(__file__).parent), "claims")
+    """Give way to the worker that runs in real time."""
+    worker_groups.configure(config)
 
 
+@pytest.hookimpl(tryfirst=True)  # xdist appends the groups to the tests' ids
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out the tiers that run on request only, unless `-m` names one."""
+    """Group the tests for xdist; skip the tiers that run on request, unless `-m` names one."""
+    worker_groups.assign(config, items, Path(__file__).parent)
     chosen = config.getoption("-m")
     for item in items:
         for tier in ON_REQUEST:
@@ -57,7 +57,8 @@ def surg(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
 @pytest.fixture
 def rng(request: pytest.FixtureRequest) -> random.Random:
     """A generator seeded by the test's own name: the same numbers in every run."""
-    return random.Random(request.node.nodeid)
+    group = worker_groups.group(request.node)
+    return random.Random(request.node.nodeid.removesuffix(f"@{group}"))
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from surg_cli.commands import up
 from surg_cli.graph import follow, master, processes, roles, running, system, task_episode
 from surg_cli.graph.processes import Supervisor
 from surg_cli.graph.system import Plan
-from surg_cli.host import cells, option_types, paths, pytest_workers
+from surg_cli.host import cells, option_types, paths, pytest_run
 from surg_cli.host.terminal import Problem, table
 
 
@@ -217,14 +217,14 @@ def test_running_systems_forget_the_dead(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_counts_in_pytests_closing_line() -> None:
     line = "==== 1 failed, 20 passed, 3 skipped, 2 errors in 1.23s ===="
-    assert pytest_workers.parse_counts(line) == {
+    assert pytest_run.parse_counts(line) == {
         "failed": 1,
         "passed": 20,
         "skipped": 3,
         "errors": 2,
     }
     tail = f"SKIPPED [2] tests/e2e/test_vm_devices.py:40: missing: no kernel. Type:\n  do\n{line}"
-    assert pytest_workers.parse_counts(tail) == {**pytest_workers.parse_counts(line), "missing": 2}
+    assert pytest_run.parse_counts(tail) == {**pytest_run.parse_counts(line), "missing": 2}
 
 
 def test_tables_line_up() -> None:

@@ -3,46 +3,57 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 
-from surg_cli.host import cpp_tests, environment, paths, pytest_workers
-from surg_cli.host.terminal import say
+from surg_cli.host import coverage, cpp_tests, environment, paths, pytest_run
+from surg_cli.host.terminal import Problem, say
 
 TIERS = ("oracle", "vm", "mutants")
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
-    parser.add_argument(
-        "--full", action="store_true", help="long counts (SURG_TEST_FULL=1); rewrites docs/results"
-    )
-    parser.add_argument("--tier", choices=TIERS, help="run only the tests of one extra tier")
-    parser.add_argument(
-        "pytest", nargs="*", metavar="PATH", help="pytest arguments; put options behind --"
-    )
+    add = parser.add_argument
+    add("--full", action="store_true", help="long counts (SURG_TEST_FULL=1); writes docs/results")
+    add("--tier", choices=TIERS, help="run only the tests of one extra tier")
+    add("--coverage", action="store_true", help="print the coverage of surg_core and tests/unit")
+    add("pytest", nargs="*", metavar="PATH", help="pytest arguments; put options behind --")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Run the tests and print their counts."""
+    if options.coverage and (options.full or options.tier):
+        raise Problem("test --coverage: takes neither --full nor --tier", 2)
     env = environment.for_nodes()
     env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{env.get('PYTHONPATH', '')}".rstrip(":")
     if options.full:
         env["SURG_TEST_FULL"] = "1"
         env["SURG_RESULTS_DIR"] = str(paths.ROOT / "docs" / "results")
     whole = not options.pytest and options.tier is None
-    cpp_passed, cpp_failed = cpp_tests.run(env) if whole else (0, 0)
     argv = [str(paths.VENV_PYTHON), "-m", "pytest"]
-    argv += options.pytest or [str(paths.ROOT / "tests")]
-    if options.tier is not None:
-        argv += ["-m", options.tier]
-    # Long counts measure times too: nothing may run beside them.
-    shared = whole and not options.full
-    status, counts = pytest_workers.run(argv, env, shared)
-    passed = cpp_passed + counts["passed"]
-    failed = cpp_failed + counts["failed"] + counts["errors"] + counts["error"]
+    if options.coverage:
+        env["COVERAGE_FILE"] = str(coverage.DATA)
+        cpp = coverage.run_core_tests(env)
+        argv += [*coverage.pytest_options(), *(options.pytest or coverage.TESTS)]
+    else:
+        cpp = cpp_tests.run(env) if whole else (0, 0)
+        argv += options.pytest or [str(paths.ROOT / "tests")]
+        argv += ["-m", options.tier] if options.tier else []
+    # Long counts also measure times: nothing may run beside them.
+    status, counts = pytest_run.run(argv, env, parallel=whole and not options.full)
+    if options.coverage:
+        coverage.report()
+    return _print_counts(cpp, status, counts)
+
+
+def _print_counts(cpp: tuple[int, int], status: int, counts: Counter[str]) -> int:
+    """Print the closing lines; the exit status of the command."""
+    passed = cpp[0] + counts["passed"]
+    failed = cpp[1] + counts["failed"] + counts["errors"] + counts["error"]
     if status != 0 and failed == 0:
         failed = 1  # pytest could not even collect
-    say(f"C++ tests: {cpp_passed} passed, {cpp_failed} failed; with pytest:")
+    say(f"C++ tests: {cpp[0]} passed, {cpp[1]} failed; with pytest:")
     if missing := counts["missing"]:
-        say(f"{missing} could not run: what is missing, and how to get it, is said above")
+        say(f"{missing} could not run; the reasons above say what is missing and how to install it")
     say(f"{passed} passed, {failed} failed")
     return 0 if failed == 0 and not missing else 1

@@ -31,11 +31,17 @@ def run(env: Mapping[str, str]) -> tuple[int, int]:
     Raises:
         Problem: When something does not build.
     """
+    plain = plain_environment(env)
+    counts = [core_tests(plain), sanitized_tests(plain), control_tests(env)]
+    return sum(passed for passed, _ in counts), sum(failed for _, failed in counts)
+
+
+def plain_environment(env: Mapping[str, str]) -> dict[str, str]:
+    """An environment without the workspace, with the options of the tests."""
     plain = environment.clean()
     plain.update({k: v for k, v in env.items() if k.startswith(("SURG_TEST", "SURG_RESULTS"))})
     plain.pop("LD_LIBRARY_PATH", None)  # a sourced workspace would lend its own libsurg_core.so
-    counts = [core_tests(plain), sanitized_tests(plain), control_tests(env)]
-    return sum(passed for passed, _ in counts), sum(failed for _, failed in counts)
+    return plain
 
 
 def core_tests(env: Mapping[str, str]) -> tuple[int, int]:
