@@ -131,7 +131,7 @@ def test_beside_a_teleoperation_that_runs_only_the_page_is_started() -> None:
 def test_what_cannot_be_meant_is_refused() -> None:
     with pytest.raises(Problem, match="no cell 'nowhere'"):
         teleop._plan(options("nowhere"))
-    with pytest.raises(Problem, match="no task 'bowel': there are bgr"):
+    with pytest.raises(Problem, match=r"bowel: .*there are bgr"):
         teleop._plan(options("--task", "bowel"))
     with pytest.raises(Problem, match="'lunar'"):
         teleop._plan(options("--setting", "lunar"))

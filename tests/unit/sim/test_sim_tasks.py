@@ -26,7 +26,7 @@ EXAMPLE = paths.ROOT / "examples/04_task.py"
 def test_unknown_task_lists_what_exists() -> None:
     with pytest.raises(TaskError, match="bgr, endoscope_guidance, pick_and_place"):
         tasks.load("knitting")
-    with pytest.raises(TaskError, match="no task file"):
+    with pytest.raises(TaskError, match="no such file"):
         tasks.load("/nowhere/task.py")
 
 

@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-import importlib
 import importlib.util
-import inspect
 import json
-import sys
 from collections.abc import Callable, Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
-from types import ModuleType
 from typing import Any, ClassVar
 
+from surg_core.plugins import PluginError, PluginKind
 from surg_recording.datasets.inspection import Layout
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
@@ -41,6 +37,13 @@ _BUNDLED = {
     "diffusion_policy": "diffusion_policy",
 }
 """Name on the command line → module; ``lerobot`` is the default version."""
+_KIND = PluginKind(
+    noun="exporter",
+    group=GROUP,
+    bundled={name: f"surg_recording.datasets.{module}" for name, module in _BUNDLED.items()},
+    accepts=lambda kind: all(hasattr(kind, part) for part in ("name", "write", "validate")),
+    shape="one class with name, write and validate (see surg_recording.datasets.Exporter)",
+)
 
 Progress = Callable[[float | None, str], None]
 """Called with the done part in [0, 1] and a few words."""
@@ -224,15 +227,14 @@ class Exporter(abc.ABC):
 
 def names() -> tuple[str, ...]:
     """Names that ``load`` knows: the bundled formats, then those of installed packages."""
-    found = {point.name for point in metadata.entry_points(group=GROUP)}
-    return (*_BUNDLED, *sorted(found - set(_BUNDLED)))
+    return _KIND.names()
 
 
 def load(name_or_path: str) -> Any:
     """A new exporter.
 
     Args:
-        name_or_path: Of ``names``, or the path of a ``.py`` file that defines one. A file is
+        name_or_path: One of ``names``, or the path of a ``.py`` file that defines one. A file is
             executed: load none that you would not run.
 
     Returns:
@@ -241,54 +243,7 @@ def load(name_or_path: str) -> Any:
     Raises:
         ExportError: There is no such exporter; lists what exists.
     """
-    if name_or_path.endswith(".py"):
-        return _only_exporter(_module_of(Path(name_or_path)), name_or_path)()
-    if name_or_path in _BUNDLED:
-        module = importlib.import_module(f"surg_recording.datasets.{_BUNDLED[name_or_path]}")
-        return _only_exporter(module, name_or_path)()
-    for point in metadata.entry_points(group=GROUP):
-        if point.name == name_or_path:
-            kind = point.load()
-            if not inspect.isclass(kind) or not _looks_right(kind):
-                raise ExportError(f"entry point '{point.value}' of '{point.name}' is no exporter")
-            return kind()
-    raise ExportError(
-        f"no format '{name_or_path}': there are {', '.join(names())}, or the path of a .py file"
-    )
-
-
-def _looks_right(kind: type) -> bool:
-    """A class that can be used as an exporter."""
-    return all(hasattr(kind, name) for name in ("name", "write", "validate"))
-
-
-def _module_of(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise ExportError(f"no exporter file {path}: known names are {', '.join(names())}")
-    name = f"surg_recording_exporter_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None  # of a file that ends in .py
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
     try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise ExportError(f"{path}: {type(error).__name__}: {error}") from error
-    return module
-
-
-def _only_exporter(module: ModuleType, where: str) -> type:
-    found = [
-        kind
-        for _, kind in inspect.getmembers(module, inspect.isclass)
-        if kind.__module__ == module.__name__ and _looks_right(kind)
-    ]
-    if len(found) != 1:
-        raise ExportError(
-            f"{where} defines {len(found)} exporters: one class with name, write and validate is"
-            " needed (derive it from surg_recording.datasets.Exporter)"
-        )
-    missing = sorted(getattr(found[0], "__abstractmethods__", ()))
-    if missing:
-        raise ExportError(f"{where}: {found[0].__name__} lacks {', '.join(missing)}")
-    return found[0]
+        return _KIND.find(name_or_path)()
+    except PluginError as error:
+        raise ExportError(str(error)) from error

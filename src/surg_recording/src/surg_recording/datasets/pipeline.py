@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from surg_core.plugins import source_file
 from surg_recording.datasets import executors, inspection
 from surg_recording.datasets.exporter import (
     MANIFEST,
@@ -399,12 +400,7 @@ def _stretch(source: str, notes: Mapping[str, Any]) -> list[str]:
 
 def _locator(exporter: Exporter) -> str:
     """How another process finds the exporter: by name, or by its file."""
-    module = type(exporter).__module__
-    if module.startswith("surg_recording_exporter_"):
-        import sys
-
-        return str(sys.modules[module].__file__)
-    return exporter.name
+    return source_file(exporter) or exporter.name
 
 
 def _nothing_left(report: Report) -> None:

@@ -9,20 +9,17 @@ publishes CRTK topics instead (``leaders/crtk.py``).
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import inspect
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
-from types import ModuleType
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from surg_core.plugins import PluginError, PluginKind
 
 Array = NDArray[np.float64]
 
@@ -180,7 +177,7 @@ class Leader(Protocol):
 
 def names() -> tuple[str, ...]:
     """Names that :func:`load` knows: the bundled leaders, then those of installed packages."""
-    return (*_bundled(), *sorted(_entry_points().keys() - set(_bundled())))
+    return KIND.names()
 
 
 def load(name_or_path: str, settings: Mapping[str, object]) -> Leader:
@@ -194,7 +191,10 @@ def load(name_or_path: str, settings: Mapping[str, object]) -> Leader:
     Raises:
         LeaderError: There is no such leader, the file holds none, or a setting is not allowed.
     """
-    kind = _class_of(name_or_path)
+    try:
+        kind = KIND.find(name_or_path)
+    except PluginError as error:
+        raise LeaderError(error.what, error.where, error.cure) from error
     allowed = [key for key in inspect.signature(kind).parameters if key != "self"]
     unknown = sorted(set(settings) - set(allowed))
     if unknown:
@@ -204,82 +204,31 @@ def load(name_or_path: str, settings: Mapping[str, object]) -> Leader:
             f"allowed: {', '.join(allowed) or 'none'}",
         )
     try:
-        return kind(**settings)
+        leader: Leader = kind(**settings)
     except (TypeError, ValueError) as error:
         raise LeaderError(f"{error}", name_or_path, "correct this setting") from error
+    return leader
 
 
-def _bundled() -> tuple[str, ...]:
-    folder = Path(__file__).with_name("bundled")
-    return tuple(sorted(file.stem for file in folder.glob("*.py") if file.stem[0] != "_"))
-
-
-def _entry_points() -> dict[str, metadata.EntryPoint]:
-    return {point.name: point for point in metadata.entry_points(group=GROUP)}
-
-
-def _class_of(name_or_path: str) -> type[Leader]:
-    if name_or_path.endswith(".py"):
-        return _only_leader(_module_of(Path(name_or_path)), name_or_path)
-    if name_or_path in _bundled():
-        module = importlib.import_module(f"surg_teleop.leaders.bundled.{name_or_path}")
-        return _only_leader(module, name_or_path)
-    point = _entry_points().get(name_or_path)
-    if point is None:
-        raise LeaderError(
-            "there is no such leader",
-            name_or_path,
-            f"there are {', '.join(names())}, or the path of a .py file",
-        )
-    kind = point.load()
-    if not _is_leader(kind):
-        raise LeaderError(
-            f"entry point '{point.value}' is no leader",
-            name_or_path,
-            "it must name a class with name, open, read and close",
-        )
-    return kind
-
-
-def _module_of(path: Path) -> ModuleType:
-    if not path.is_file():
-        raise LeaderError("there is no such file", str(path), f"known are {', '.join(names())}")
-    name = f"surg_teleop_leader_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None  # of a file that ends in .py
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up
-    try:
-        spec.loader.exec_module(module)
-    except Exception as error:
-        raise LeaderError(
-            f"{type(error).__name__}: {error}", str(path), "the file must be importable"
-        ) from error
-    return module
-
-
-def _only_leader(module: ModuleType, where: str) -> type[Leader]:
-    found = [
-        kind
-        for _, kind in inspect.getmembers(module, inspect.isclass)
-        if kind.__module__ == module.__name__ and _is_leader(kind)
-    ]
-    if len(found) != 1:
-        raise LeaderError(
-            f"defines {len(found)} leaders",
-            where,
-            "one public class with name, open, read and close is needed",
-        )
-    return found[0]
-
-
-def _is_leader(kind: object) -> bool:
+def _is_leader(kind: type) -> bool:
     return (
-        inspect.isclass(kind)
-        and not kind.__name__.startswith("_")
+        not kind.__name__.startswith("_")
         and kind is not Leader
         and all(callable(getattr(kind, method, None)) for method in ("open", "read", "close"))
     )
+
+
+KIND = PluginKind(
+    noun="leader",
+    group=GROUP,
+    bundled={
+        file.stem: f"surg_teleop.leaders.bundled.{file.stem}"
+        for file in sorted(Path(__file__).with_name("bundled").glob("*.py"))
+        if file.stem[0] != "_"
+    },
+    accepts=_is_leader,
+    shape="one public class with name, open, read and close",
+)
 
 
 def _is_vector(value: Array) -> bool:
