@@ -17,7 +17,7 @@ from surg_teleop.console.session.console_session import Session
 from surg_teleop.console.session.episode_list import Entry
 from surg_teleop.console.session.system_state import Arm, Follower, Gauges, Robot
 from surg_teleop.console.web import access
-from surg_teleop.console.web.picture_streams import EYES, Shot, Stream
+from surg_teleop.console.web.picture_streams import EYES, CameraFrame, PictureStream
 from surg_teleop.console.web.web_server import Server
 
 LIMITS = {
@@ -90,7 +90,7 @@ class FakeCamera:
         self.running = True
         self.keys: list[tuple[str, str]] = []
         self.wanted: frozenset[tuple[str, str]] = frozenset()
-        self._streams: dict[tuple[str, str], Stream] = {}
+        self._streams: dict[tuple[str, str], PictureStream] = {}
         self._size, self._period = size, period
 
     def want(self, wanted: frozenset[tuple[str, str]]) -> None:
@@ -101,7 +101,7 @@ class FakeCamera:
         """See `server.Pictures`."""
         self.keys.append((layout, codec))
         if (layout, codec) in self._streams:
-            self._streams[layout, codec].ask_key()
+            self._streams[layout, codec].request_key()
 
     def picture(self, count: int) -> np.ndarray:
         """Grey, with a green bar that goes to the right."""
@@ -120,10 +120,10 @@ class FakeCamera:
                 continue
             count += 1
             now_us = time.time_ns() // 1000
-            shot = Shot(now_us, now_us, self.picture(count), "rgb8")
+            shot = CameraFrame(now_us, now_us, self.picture(count), "rgb8")
             for pair in self.wanted:
                 if pair not in self._streams:
-                    self._streams[pair] = Stream(*pair)
+                    self._streams[pair] = PictureStream(*pair)
                 packet = self._streams[pair].encode((shot,) * len(EYES[pair[0]]))
                 if packet is not None:
                     server.show(packet)

@@ -20,7 +20,8 @@ from helpers.teleop.console_page import Page, page, when
 from surg_cli.graph import master
 from surg_teleop.console.session.console_orders import Follow, Move, Present, Record, StateCommand
 from surg_teleop.console.web import picture_packet
-from surg_teleop.console.web.web_server import CLOSE_HELLO, MESSAGE_BURST, MOST_MISTAKES, Allowance
+from surg_teleop.console.web.page_connection import MESSAGE_BURST, MessageBudget
+from surg_teleop.console.web.web_server import CLOSE_HELLO, MAX_ERRORS
 
 TOKEN = "0123456789abcdef0123"
 
@@ -184,7 +185,7 @@ def test_nonsense_and_floods_are_cut_off() -> None:
     async def test() -> None:
         async with console() as made:
             async with page(made.port) as found:
-                for _ in range(MOST_MISTAKES):
+                for _ in range(MAX_ERRORS):
                     await found.socket.send_str("{}")
                 await when(lambda: found.socket.closed, "the end")
             async with page(made.port) as found:
@@ -202,7 +203,7 @@ def test_nonsense_and_floods_are_cut_off() -> None:
 
 
 def test_the_allowance_is_that_of_a_page_and_no_more() -> None:
-    steady, flood = Allowance(0.0), Allowance(0.0)
+    steady, flood = MessageBudget(0.0), MessageBudget(0.0)
     assert all(steady.spend(0.01 * step) for step in range(3000))  # 100 a second for ever
     taken = sum(flood.spend(0.001 * step) for step in range(3000))  # 1000 a second for 3 s
     assert MESSAGE_BURST <= taken <= MESSAGE_BURST + 3 * 200 + 1
@@ -231,7 +232,7 @@ def test_pictures_come_and_the_newest_wins() -> None:
             # A page that no longer draws is not sent more and more.
             await asyncio.sleep(0.6)
             (viewer,) = made.server._viewers
-            assert viewer.lane.dropped >= 3
+            assert viewer.queue.dropped >= 3
             await socket.close()
             await when(lambda: not made.camera.wanted, "nobody watches")
 

@@ -1,8 +1,8 @@
 """The console's encoder: subscribes to the endoscope, writes encoded pictures to standard output.
 
-A process of its own, started by the console node (`encoder_process`), so that neither a picture's
-arrival nor its encoding ever delays an input. Only the newest picture waits. Arguments: the ROS
-name, and the views that there are (``left`` or ``left,right``).
+A process of its own, started by the console node (`encoder_process`), so that pictures never delay
+an input. Only the newest picture waits. Arguments: the ROS name and the views (``left`` or
+``left,right``).
 """
 
 from __future__ import annotations
@@ -19,16 +19,22 @@ import rospy
 from sensor_msgs.msg import Image
 
 from surg_teleop.console.web.codec import CodecError
-from surg_teleop.console.web.picture_streams import EYES, Pairer, Shot, Stream, parse_line
+from surg_teleop.console.web.picture_streams import (
+    EYES,
+    CameraFrame,
+    PictureStream,
+    StereoPairer,
+    parse_line,
+)
 
 POLL = 0.2
 
 
 class Encoder:
-    """Encodes in the main thread what arrives in rospy's threads.
+    """Encodes in the main thread; pictures arrive in rospy's threads.
 
     Args:
-        views: The cameras that there are.
+        views: Cameras of the cell.
         out: File descriptor for the packets.
     """
 
@@ -38,10 +44,10 @@ class Encoder:
         self._keys: set[tuple[str, str]] = set()
         self._arrived = threading.Condition()
         self._pairers = {
-            layout: Pairer(eyes) for layout, eyes in EYES.items() if set(eyes) <= set(views)
+            layout: StereoPairer(eyes) for layout, eyes in EYES.items() if set(eyes) <= set(views)
         }
-        self._waiting: dict[str, tuple[Shot, ...]] = {}
-        self._streams: dict[tuple[str, str], Stream] = {}
+        self._waiting: dict[str, tuple[CameraFrame, ...]] = {}
+        self._streams: dict[tuple[str, str], PictureStream] = {}
         self._subscribers = [
             rospy.Subscriber(
                 f"/endoscope/{view}/image_raw",
@@ -60,7 +66,7 @@ class Encoder:
         if not self._wanted:
             return
         try:
-            shot = Shot.of(
+            frame = CameraFrame.of(
                 message.header.stamp.to_nsec() // 1000,
                 received,
                 message.data,
@@ -73,13 +79,13 @@ class Encoder:
             return
         with self._arrived:
             for layout, pairer in self._pairers.items():
-                shots = pairer.add(view, shot)
-                if shots is not None:
-                    self._waiting[layout] = shots
+                frames = pairer.add(view, frame)
+                if frames is not None:
+                    self._waiting[layout] = frames
                     self._arrived.notify()
 
-    def hear(self) -> None:
-        """Thread: the server's lines, until there are no more."""
+    def read_commands(self) -> None:
+        """Thread: read the server's commands until the end of the input."""
         for line in sys.stdin:
             if not line.strip():
                 continue
@@ -108,17 +114,17 @@ class Encoder:
             self._streams = {pair: s for pair, s in self._streams.items() if pair in wanted}
             for pair in wanted:
                 if pair not in self._streams:
-                    self._streams[pair] = Stream(*pair)
+                    self._streams[pair] = PictureStream(*pair)
                 stream = self._streams[pair]
                 if pair in keys:
-                    stream.ask_key()
-                shots = waiting.get(pair[0])
-                if shots is not None:
-                    self._encode(stream, shots)
+                    stream.request_key()
+                frames = waiting.get(pair[0])
+                if frames is not None:
+                    self._encode(stream, frames)
 
-    def _encode(self, stream: Stream, shots: tuple[Shot, ...]) -> None:
+    def _encode(self, stream: PictureStream, frames: tuple[CameraFrame, ...]) -> None:
         try:
-            packet = stream.encode(shots)
+            packet = stream.encode(frames)
         except CodecError as error:
             rospy.logwarn_throttle(10, f"console: {stream.layout}: {error}")
             return
@@ -134,15 +140,15 @@ def _write_all(fd: int, data: bytes) -> None:
 
 def main() -> int:
     """Run the encoder; returns the exit code."""
-    os.nice(3)  # a picture may come late, an input may not
+    os.nice(3)  # inputs go before pictures
     out = os.dup(1)
-    os.dup2(2, 1)  # whatever prints: the pipe is for packets
+    os.dup2(2, 1)  # the pipe is for packets only
     name, views = sys.argv[1], tuple(sys.argv[2].split(","))
     av.logging.set_level(av.logging.FATAL)
     rospy.init_node(name, disable_signals=True)
     encoder = Encoder(views, out)
-    threading.Thread(target=encoder.hear, name="server", daemon=True).start()
-    # A signal of the terminal reaches this process too: the end of the input is the only stop.
+    threading.Thread(target=encoder.read_commands, name="server", daemon=True).start()
+    # Signals of the terminal reach this process too; only the end of the input stops it.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     with contextlib.suppress(BrokenPipeError):

@@ -1,9 +1,8 @@
-"""Who may connect: where the console may listen, which Host and Origin it believes, the token.
+"""Access rules of the console: listen address, accepted Host and Origin headers, token.
 
-On this machine's loopback everybody who is logged in on it may open the page. Anywhere else it is
-served over TLS and with a token only. A web page from elsewhere must not reach the console through
-the operator's browser: not under another host name (DNS rebinding), not by a socket from a foreign
-origin.
+On loopback every user of this machine may open the page. Elsewhere it takes TLS and a token. Host
+and Origin checks keep foreign web pages in the operator's browser from reaching the console (DNS
+rebinding, cross-site sockets).
 """
 
 from __future__ import annotations
@@ -13,12 +12,12 @@ import ipaddress
 from dataclasses import dataclass
 from pathlib import Path
 
-SHORTEST_TOKEN = 16
+MIN_TOKEN = 16
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 
 
 class AccessError(ValueError):
-    """The console must not be started like this: what, and what is needed."""
+    """Unsafe or inconsistent options: what is wrong and what is needed."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +25,12 @@ class Access:
     """The rules of one console.
 
     Attributes:
-        bind: Address that it listens on.
+        bind: Listen address.
         port: TCP port.
         name: Host name or address that people open.
-        hosts: Values of the header Host that are answered.
-        token: What every page must name first; empty on loopback.
-        certificate: TLS certificate and key; None on loopback without TLS.
+        hosts: Accepted values of the header Host.
+        token: Secret that pages must send first; may be empty on loopback.
+        certificate: TLS certificate and key; None: no TLS, on loopback only.
     """
 
     bind: str
@@ -48,12 +47,12 @@ class Access:
 
     @property
     def url(self) -> str:
-        """Where the page is, without the token: this may stand in a log."""
+        """Address of the page without the token; safe to log."""
         return f"{self.scheme}://{self.name}:{self.port}/"
 
     @property
     def fragment(self) -> str:
-        """What a person opens has this behind `url`; the token stays in the browser, behind #."""
+        """To be appended to `url`: browsers do not send what follows the #."""
         return f"#token={self.token}" if self.token else ""
 
     def host_allowed(self, host: str | None) -> bool:
@@ -61,26 +60,26 @@ class Access:
         return host is not None and host.lower() in self.hosts
 
     def origin_allowed(self, origin: str | None) -> bool:
-        """Whether a socket's header Origin is a page of this console; missing: it is none."""
+        """Whether a socket's header Origin names a page of this console."""
         if origin is None:
             return False
         scheme, _, host = origin.lower().partition("://")
         return scheme == self.scheme and host in self.hosts
 
     def token_allowed(self, token: str) -> bool:
-        """Whether a page has named the token, compared in constant time."""
-        said = token.encode("utf-8", "surrogatepass")  # JSON can name half a character
-        return hmac.compare_digest(said, self.token.encode())
+        """Whether the token is right; compares in constant time."""
+        given = token.encode("utf-8", "surrogatepass")  # JSON allows lone surrogates
+        return hmac.compare_digest(given, self.token.encode())
 
 
 def is_loopback(bind: str) -> bool:
-    """Whether an address is this machine's own."""
+    """Whether an address is reachable from this machine only."""
     address = _address(bind)
     return bind == "localhost" or (address is not None and address.is_loopback)
 
 
 def _address(text: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """An address, or None where the text is a name."""
+    """The address; None if the text is a name."""
     try:
         return ipaddress.ip_address(text)
     except ValueError:
@@ -95,54 +94,38 @@ def rules(
     key: Path | None = None,
     token: str = "",
 ) -> Access:
-    """Check how a console shall be reached.
+    """Check the options and make the rules.
 
     Args:
         bind: Address to listen on, "127.0.0.1" or another of this machine.
         port: TCP port.
-        names: Further host names that lead to it, as people type them.
+        names: Further host names of the console, as people type them.
         certificate: File of the TLS certificate (PEM).
         key: File of its private key (PEM).
-        token: Secret that pages must name.
+        token: Secret that pages must send.
 
     Raises:
-        AccessError: It must not be reached like this.
+        AccessError: The options are unsafe or inconsistent.
     """
-    local = is_loopback(bind)
     if bind != "localhost" and _address(bind) is None:
         raise AccessError(
             f"--bind {bind}: not an IP address; allowed: 127.0.0.1, ::1, or an address of this "
             "machine"
         )
-    if (certificate is None) != (key is None):
-        raise AccessError("--cert and --key belong together: name both files, or neither")
-    for name, file in (("--cert", certificate), ("--key", key)):
-        if file is not None and not file.is_file():
-            raise AccessError(f"{name} {file}: no such file")
+    _check_files(certificate, key)
+    _check_token(token)
+    local = is_loopback(bind)
     if not local and (certificate is None or not token):
-        missing = " and ".join(
-            word
-            for word, there in (("--cert and --key", certificate), ("--token-file", token))
-            if not there
-        )
+        options = {"--cert and --key": certificate, "--token-file": token}
+        missing = " and ".join(option for option, value in options.items() if not value)
         raise AccessError(
-            f"--bind {bind}: off this machine the console is served over TLS and with a token "
-            f"only, or anybody on the network could move the arm; {missing} is missing"
+            f"--bind {bind}: on a network the console needs TLS and a token, or anybody there "
+            f"could move the arm; {missing} is missing"
         )
-    if token and len(token) < SHORTEST_TOKEN:
-        raise AccessError(
-            f"--token-file: the token has {len(token)} characters; at least {SHORTEST_TOKEN} are "
-            "needed (openssl rand -hex 16)"
-        )
-    if not token.isascii() or any(letter.isspace() for letter in token):
-        raise AccessError("--token-file: a token is one word of ASCII letters and digits")
-    address = ipaddress.ip_address("127.0.0.1" if bind == "localhost" else bind)
-    known = [*names, *(LOOPBACK_NAMES if local else ())]
-    if not address.is_unspecified:
-        known.append(f"[{address}]" if address.version == 6 else str(address))
+    known = [*names, *(LOOPBACK_NAMES if local else ()), *_own_address(bind)]
     if not known:
         raise AccessError(
-            f"--bind {bind}: say with --host-name under which name or address people open the page"
+            f"--bind {bind}: give --host-name, the name or address under which people open the page"
         )
     hosts = {f"{name.lower()}:{port}" for name in known}
     if port == (443 if certificate else 80):
@@ -151,11 +134,37 @@ def rules(
     return Access(bind, port, known[0], frozenset(hosts), token, pair)
 
 
+def _check_files(certificate: Path | None, key: Path | None) -> None:
+    if (certificate is None) != (key is None):
+        raise AccessError("--cert and --key belong together; give both files, or neither")
+    for option, file in (("--cert", certificate), ("--key", key)):
+        if file is not None and not file.is_file():
+            raise AccessError(f"{option} {file}: no such file")
+
+
+def _check_token(token: str) -> None:
+    if token and len(token) < MIN_TOKEN:
+        raise AccessError(
+            f"--token-file: the token has {len(token)} characters; at least {MIN_TOKEN} are "
+            "needed (openssl rand -hex 16)"
+        )
+    if not token.isascii() or any(letter.isspace() for letter in token):
+        raise AccessError("--token-file: a token is one word of ASCII letters and digits")
+
+
+def _own_address(bind: str) -> list[str]:
+    """The listen address as a host name, unless it stands for all addresses."""
+    address = ipaddress.ip_address("127.0.0.1" if bind == "localhost" else bind)
+    if address.is_unspecified:
+        return []
+    return [f"[{address}]" if address.version == 6 else str(address)]
+
+
 def read_token(file: Path) -> str:
-    """The first line of a file that only its owner can read.
+    """Read the token: the first line of a file that only its owner can read.
 
     Raises:
-        AccessError: There is no such file, or others can read it.
+        AccessError: The file cannot be read, or others can read it.
     """
     try:
         mode = file.stat().st_mode
@@ -163,5 +172,5 @@ def read_token(file: Path) -> str:
     except (OSError, UnicodeDecodeError) as error:
         raise AccessError(f"--token-file {file}: {error}") from error
     if mode & 0o077:
-        raise AccessError(f"--token-file {file}: others may read it; run chmod 600 {file}")
+        raise AccessError(f"--token-file {file}: others can read it; run chmod 600 {file}")
     return text.partition("\n")[0].strip()

@@ -1,4 +1,4 @@
-"""Pictures to H.264 and to JPEG, one in, one out: no look-ahead, no B frames, no delay."""
+"""Encodes pictures as H.264 and JPEG without delay: no look-ahead, no B frames."""
 
 from __future__ import annotations
 
@@ -12,33 +12,33 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]
 
-cv2.setNumThreads(1)  # beside a controller's loop a second core is not ours to take
+cv2.setNumThreads(1)  # leaves the other cores to the controller
 
 PIXELS = {"rgb8": ("rgb24", 3), "bgr8": ("bgr24", 3), "mono8": ("gray", 1)}
 """ROS image encoding → PyAV pixel format and channels."""
 _TO_YUV = {"rgb8": cv2.COLOR_RGB2YUV_I420, "bgr8": cv2.COLOR_BGR2YUV_I420}
-"""Done by OpenCV in a sixth of ffmpeg's time; both by ITU-R BT.601, 16 to 235."""
+"""OpenCV converts six times faster than ffmpeg; both use ITU-R BT.601, 16 to 235."""
 KEY_EVERY = 100
-"""Pictures between two key pictures; a page that joins or falls behind asks for one."""
+"""Pictures between two key pictures; a page that joins or falls behind requests one."""
 _MICROSECONDS = fractions.Fraction(1, 1_000_000)
 _LAMBDA = 118  # FF_QP2LAMBDA: ffmpeg counts qualities in 118ths
 
 
 class CodecError(ValueError):
-    """An image that cannot be encoded: why, and what is allowed."""
+    """An image that cannot be encoded: why and what is allowed."""
 
 
 class Codec(Protocol):
-    """Encodes the pictures of one size, one after another."""
+    """Encodes pictures of one size."""
 
     size: tuple[int, int]
 
     def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
-        """One picture; `key`: it must be decodable without the ones before."""
+        """Encode one picture; `key`: make it a key picture."""
 
 
 class H264:
-    """x264 for a live view: constrained baseline, Annex B, parameter sets with every key picture.
+    """Low-latency x264: constrained baseline, Annex B, parameter sets with every key picture.
 
     Args:
         width: [px], even.
@@ -74,7 +74,7 @@ class H264:
 
 
 class Jpeg:
-    """Motion JPEG: four to eight times as many bytes, decoded by every browser.
+    """Motion JPEG: four to eight times the bytes of H.264, decoded by every browser.
 
     Args:
         width: [px].
@@ -102,7 +102,7 @@ CODECS: dict[str, type[H264] | type[Jpeg]] = {"h264": H264, "jpeg": Jpeg}
 
 
 def image_of(data: bytes, width: int, height: int, step: int, encoding: str) -> Image:
-    """The pixels of a ROS image, without a copy where its rows are packed.
+    """Pixels of a ROS image, without a copy if its rows are packed.
 
     Args:
         data: Its bytes.
@@ -112,19 +112,19 @@ def image_of(data: bytes, width: int, height: int, step: int, encoding: str) -> 
         encoding: As in `sensor_msgs/Image`.
 
     Returns:
-        (height, width, channels), or (height, width) of a grey image; even sizes: an odd last row
-        or column is cut off, as H.264 needs it.
+        (height, width, channels), or (height, width) of a grey image. H.264 needs even sizes, so an
+        odd last row or column is cut off.
 
     Raises:
-        CodecError: It does not add up, or the encoding is not known.
+        CodecError: Size, step and data do not match, or the encoding is unknown.
     """
     if encoding not in PIXELS:
         raise CodecError(f"image encoding '{encoding}'; allowed: {', '.join(PIXELS)}")
     channels = PIXELS[encoding][1]
     if width < 16 or height < 16 or step < width * channels or len(data) != step * height:
         raise CodecError(
-            f"an image of {width} x {height} pixels, {step} bytes per row and {len(data)} bytes "
-            "does not add up"
+            f"an image of {width} x {height} pixels with {step} bytes per row cannot have "
+            f"{len(data)} bytes"
         )
     rows = np.frombuffer(data, np.uint8).reshape(height, step)[:, : width * channels]
     even_width, even_height = width & ~1, height & ~1
@@ -134,7 +134,7 @@ def image_of(data: bytes, width: int, height: int, step: int, encoding: str) -> 
 
 
 def frame_of(images: tuple[Image, ...], encoding: str) -> av.VideoFrame:
-    """One picture, or two side by side, for the encoder.
+    """Input of the encoder: one picture, or two side by side.
 
     Raises:
         CodecError: The two differ in size.
@@ -149,9 +149,9 @@ def frame_of(images: tuple[Image, ...], encoding: str) -> av.VideoFrame:
 
 
 def profile_of(data: bytes) -> tuple[int, int, int]:
-    """Profile, constraints and level of an H.264 key picture; zeros where it has no parameter set.
+    """Profile, constraints and level of an H.264 key picture; zeros if it has no parameter set.
 
-    A browser's decoder is set up with them (``avc1.PPCCLL``).
+    They configure the browser's decoder (``avc1.PPCCLL``).
     """
     at = data.find(b"\x00\x00\x01")
     while at >= 0 and at + 7 <= len(data):

@@ -1,12 +1,12 @@
-"""The server's end of the encoder: a child process that writes packets on its standard output.
+"""Runs the encoder, a child process that writes picture packets to its standard output.
 
-The child (`video_node`) receives and encodes the pictures, so that neither input nor status ever
-waits for them. It is told on standard input what is wanted, one line each:
+The child (`video_node`) receives and encodes the pictures, so input and status never wait for them.
+It reads commands from standard input, one per line:
 
     want left:h264 stereo:jpeg
     key left:h264
 
-It ends when its input ends, also when the server was killed.
+It exits when its input ends, so also when the server is killed.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from collections.abc import Callable, Sequence
 from surg_teleop.console.web import picture_packet
 
 RESTART = 1.0
-"""[s] before an encoder that has ended is started again."""
+"""[s] Pause before the encoder is restarted."""
 SILENT = 1.0
-"""[s] without a picture that are worth a word."""
+"""[s] Time without pictures after which a problem is reported."""
 
 
 class EncoderProcess:
-    """Keeps an encoder running, and passes its pictures on.
+    """Keeps the encoder running and forwards its pictures.
 
     Args:
-        argv: Its command line.
+        argv: Command line of the encoder.
         show: Called with every picture.
-        problem: Called with why there is none; empty: they come.
+        problem: Called with why there are no pictures; empty: there are.
     """
 
     def __init__(
@@ -45,28 +45,28 @@ class EncoderProcess:
         self._seen = time.monotonic()
 
     def want(self, wanted: frozenset[tuple[str, str]]) -> None:
-        """See `server.Pictures`."""
+        """See `web_server.Pictures`."""
         self._wanted = wanted
         self._seen = time.monotonic()
-        self._tell("want", *(f"{layout}:{codec}" for layout, codec in sorted(wanted)))
+        self._write("want", *(f"{layout}:{codec}" for layout, codec in sorted(wanted)))
 
     def key(self, layout: str, codec: str) -> None:
-        """See `server.Pictures`."""
-        self._tell("key", f"{layout}:{codec}")
+        """See `web_server.Pictures`."""
+        self._write("key", f"{layout}:{codec}")
 
     async def run(self) -> None:
-        """Start the encoder, and again when it ends; until cancelled."""
+        """Run the encoder, and restart it when it ends; until cancelled."""
         watch = asyncio.create_task(self._watch())
         try:
             while True:
                 code = await self._once()
-                self._problem(f"no pictures: the encoder ended with code {code}; it is restarted")
+                self._problem(f"no pictures: the encoder exited with code {code}; restarting it")
                 await asyncio.sleep(RESTART)
         finally:
             watch.cancel()
 
     async def _once(self) -> int:
-        """One life of the encoder; returns its exit code."""
+        """Run the encoder once; returns its exit code."""
         pipe = asyncio.subprocess.PIPE
         child = await asyncio.create_subprocess_exec(
             *self._argv, stdin=pipe, stdout=pipe, limit=picture_packet.LARGEST
@@ -75,7 +75,7 @@ class EncoderProcess:
         try:
             self.want(self._wanted)
             assert child.stdout is not None
-            with contextlib.suppress(asyncio.IncompleteReadError, picture_packet.WireError):
+            with contextlib.suppress(asyncio.IncompleteReadError, picture_packet.PacketError):
                 while True:
                     header = await child.stdout.readexactly(picture_packet.HEADER_BYTES)
                     data = await child.stdout.readexactly(picture_packet.size_of(header))
@@ -90,18 +90,18 @@ class EncoderProcess:
         return child.returncode
 
     async def _watch(self) -> None:
-        """Say so when no picture comes although somebody watches."""
+        """Report a problem when no pictures arrive although somebody watches."""
         while True:
             await asyncio.sleep(0.2)
             silent = time.monotonic() - self._seen > SILENT
             if self._child is not None:
                 self._problem(
-                    "no pictures come from the endoscope (./surg status shows its node)"
+                    "no pictures from the endoscope; check its node with ./surg status"
                     if silent and self._wanted
                     else ""
                 )
 
-    def _tell(self, *words: str) -> None:
+    def _write(self, *words: str) -> None:
         child = self._child
         if child is not None and child.stdin is not None and not child.stdin.is_closing():
             child.stdin.write((" ".join(words) + "\n").encode())

@@ -1,4 +1,4 @@
-"""What a page may say: JSON texts in, checked values out. Nothing else of a page is believed."""
+"""Messages of a page: JSON text in, checked values out."""
 
 from __future__ import annotations
 
@@ -8,30 +8,30 @@ from dataclasses import dataclass
 from typing import Any
 
 LONGEST = 4096
-"""[characters] of a message."""
+"""[characters] Longest message."""
 REACH = 10.0
-"""[m] largest coordinate of a handle; a page counts from zero."""
+"""[m] Largest coordinate of a handle; a page counts from zero."""
 FASTEST = 0.2
-"""[m/s] largest wanted speed of a tip, per axis."""
+"""[m/s] Largest speed of a tip, per axis."""
 ROLL_REACH, ROLL_FASTEST = 1e3, 10.0
 """[rad], [rad/s]."""
 SCALES = (0.05, 1.0)
-"""Smallest and largest scale that the console offers."""
+"""Smallest and largest scale of the console."""
 LAYOUTS = ("left", "stereo")
 CODECS = ("h264", "jpeg")
 HANDS = ("position", "rate")
 
 
 class ProtocolError(ValueError):
-    """A message that no page of ours sends: which key, what it was, what is allowed."""
+    """An invalid message: key, value and what is allowed."""
 
 
 @dataclass(frozen=True)
 class Hello:
-    """First words on every socket.
+    """First message on every socket.
 
     Attributes:
-        token: What the page was opened with; empty on loopback.
+        token: From the page's address; empty on loopback.
     """
 
     token: str
@@ -39,20 +39,20 @@ class Hello:
 
 @dataclass(frozen=True)
 class Input:
-    """What the hand does now. In the view frame V: x right, y down, z away from the viewer.
+    """State of the hand in the view frame V: x right, y down, z away from the viewer.
 
     Attributes:
-        seq: Counts up.
+        seq: Sequence number.
         at: The page's own steady clock [s].
-        picture_us: Exposure stamp of the picture that the operator sees [µs]; 0: none yet.
+        picture_us: Exposure stamp of the picture on the screen [µs]; 0: none yet.
         hand: "position" (mouse) or "rate" (keys, gamepad).
-        p: (3,) the handle [m].
+        p: (3,) handle [m].
         roll: Of the handle about z [rad].
-        v: (3,) wanted velocity of the tip [m/s].
+        v: (3,) velocity of the tip [m/s].
         roll_rate: [rad/s].
         grip: 0 closed to 1 open; None: never touched.
-        clutch: Whether it is held.
-        camera: Whether it is held.
+        clutch: The clutch is held.
+        camera: The camera pedal is held.
     """
 
     seq: int
@@ -83,14 +83,14 @@ class Press:
 
 @dataclass(frozen=True)
 class Scale:
-    """How much of the hand's motion the tip makes."""
+    """Motion scale."""
 
     value: float
 
 
 @dataclass(frozen=True)
 class Hidden:
-    """The page can no longer be seen, or has lost its device.
+    """The page is hidden, or has lost its input device.
 
     Attributes:
         why: One of `HIDDEN`.
@@ -101,10 +101,10 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Ping:
-    """Asks for the server's clock.
+    """Requests the server's clock.
 
     Attributes:
-        at: Given back as it came.
+        at: Returned unchanged.
     """
 
     at: float
@@ -112,7 +112,7 @@ class Ping:
 
 @dataclass(frozen=True)
 class Watch:
-    """Which pictures a page wants."""
+    """Selects the pictures of a page."""
 
     layout: str
     codec: str
@@ -129,91 +129,91 @@ class Shown:
     seq: int
 
 
-Said = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown
+PageMessage = Hello | Input | Press | Scale | Hidden | Ping | Watch | Shown
 
 PRESSES = ("take", "release", "enable", "stop", "record", "record_stop", "policy", "put_back")
 HIDDEN = ("hidden", "closed", "gamepad", "pointer")
 
 
-def parse(text: str) -> Said:
+def parse(text: str) -> PageMessage:
     """Read one message.
 
     Args:
-        text: As it came from a page.
+        text: From a page.
 
     Raises:
-        ProtocolError: It is none; says which key, the value and what is allowed.
+        ProtocolError: It is invalid; names key, value and what is allowed.
     """
     if len(text) > LONGEST:
         raise ProtocolError(f"a message of {len(text)} characters; allowed: {LONGEST}")
     try:
-        found = json.loads(text, parse_constant=_no_constant)
+        fields = json.loads(text, parse_constant=_no_constant)
     except (ValueError, RecursionError) as error:
-        raise ProtocolError(f"no JSON: {error}") from error
-    if not isinstance(found, dict):
+        raise ProtocolError(f"invalid JSON: {error}") from error
+    if not isinstance(fields, dict):
         raise ProtocolError("a message is a JSON object")
-    say = found.pop("say", None)
+    say = fields.pop("say", None)
     reader = _READERS.get(say) if isinstance(say, str) else None
     if reader is None:
         raise ProtocolError(f"say: {_short(say)}; allowed: {', '.join(_READERS)}")
-    said = reader(_Keys(found))
-    if found:
-        raise ProtocolError(f"{say}: unknown key {_short(next(iter(found)))}")
-    return said
+    message = reader(_Keys(fields))
+    if fields:
+        raise ProtocolError(f"{say}: unknown key {_short(next(iter(fields)))}")
+    return message
 
 
 class _Keys:
-    """Takes keys out of a message one by one."""
+    """Takes checked values out of a message."""
 
-    def __init__(self, found: dict[str, Any]) -> None:
-        self._found = found
+    def __init__(self, fields: dict[str, Any]) -> None:
+        self._fields = fields
 
     def number(self, key: str, low: float, high: float, default: float | None = None) -> float:
-        value = self._found.pop(key, default)
+        value = self._fields.pop(key, default)
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise ProtocolError(f"{key}: {_short(value)}; allowed: a number")
-        if not low <= value <= high:  # also what is no number, and whole ones beyond any float
+        if not low <= value <= high:  # also refuses NaN, and integers beyond any float
             raise ProtocolError(f"{key}: {_short(value)}; allowed: {low:g} to {high:g}")
         return float(value)
 
     def whole(self, key: str, high: int, default: int | None = None) -> int:
-        value = self._found.pop(key, default)
+        value = self._fields.pop(key, default)
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= high:
             raise ProtocolError(f"{key}: {_short(value)}; allowed: a whole number up to {high}")
         return value
 
     def vector(self, key: str, reach: float) -> tuple[float, float, float]:
-        value = self._found.pop(key, [0.0, 0.0, 0.0])
+        value = self._fields.pop(key, [0.0, 0.0, 0.0])
         if not isinstance(value, list) or len(value) != 3:
             raise ProtocolError(f"{key}: {_short(value)}; allowed: three numbers")
-        x, y, z = (_Keys({key: each}).number(key, -reach, reach) for each in value)
+        x, y, z = (_Keys({key: item}).number(key, -reach, reach) for item in value)
         return x, y, z
 
     def flag(self, key: str) -> bool:
-        value = self._found.pop(key, False)
+        value = self._fields.pop(key, False)
         if not isinstance(value, bool):
             raise ProtocolError(f"{key}: {_short(value)}; allowed: true or false")
         return value
 
     def word(self, key: str, allowed: tuple[str, ...]) -> str:
-        value = self._found.pop(key, None)
+        value = self._fields.pop(key, None)
         if value not in allowed:
             raise ProtocolError(f"{key}: {_short(value)}; allowed: {', '.join(allowed)}")
         return str(value)
 
     def text(self, key: str, longest: int) -> str:
-        value = self._found.pop(key, "")
+        value = self._fields.pop(key, "")
         if not isinstance(value, str) or len(value) > longest:
             raise ProtocolError(f"{key}: allowed: a text of up to {longest} characters")
         return value
 
     def grip(self) -> float | None:
-        value = self._found.pop("grip", None)
+        value = self._fields.pop("grip", None)
         return None if value is None else _Keys({"grip": value}).number("grip", 0.0, 1.0)
 
 
 _CLOCK = 1e10
-"""[s] largest reading of a page's clock."""
+"""[s] Largest reading of a page's clock."""
 _STAMP = 2**53
 
 
@@ -233,7 +233,7 @@ def _input(keys: _Keys) -> Input:
     )
 
 
-_READERS: dict[str, Callable[[_Keys], Said]] = {
+_READERS: dict[str, Callable[[_Keys], PageMessage]] = {
     "hello": lambda keys: Hello(keys.text("token", 256)),
     "input": _input,
     "press": lambda keys: Press(keys.word("button", PRESSES), keys.number("at", 0.0, _CLOCK)),
@@ -246,7 +246,7 @@ _READERS: dict[str, Callable[[_Keys], Said]] = {
 
 
 def _no_constant(name: str) -> float:
-    raise ProtocolError(f"{name} is no number that may be sent")
+    raise ProtocolError(f"{name} is not allowed; allowed: finite numbers")
 
 
 def _short(value: object) -> str:

@@ -1,6 +1,6 @@
-"""One encoded picture on its way: the same bytes from the encoder's pipe to the browser.
+"""Packet of one encoded picture, the same from the encoder's pipe to the browser.
 
-A header of 48 bytes, little-endian, and the encoded picture. `page/picture.js` reads it too.
+A little-endian header of 48 bytes, then the picture. `page/picture.js` reads it too.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ MAGIC = b"SPIC"
 _HEADER = struct.Struct("<4sBBBxBBBxHHIqqqI")
 HEADER_BYTES = _HEADER.size
 LARGEST = 16 << 20
-"""[bytes] of an encoded picture; more is no picture."""
+"""[bytes] Largest encoded picture."""
 LAYOUTS = ("left", "stereo")
 CODECS = ("h264", "jpeg")
 
 
-class WireError(ValueError):
-    """Bytes that are no picture."""
+class PacketError(ValueError):
+    """Bytes that are not a packet."""
 
 
 @dataclass(frozen=True)
@@ -28,15 +28,15 @@ class Packet:
     Attributes:
         layout: "left" or "stereo" (left and right eye side by side).
         codec: "h264" (Annex B) or "jpeg".
-        key: Whether it can be decoded without the one before.
+        key: It can be decoded without earlier pictures.
         profile: H.264's profile, constraints and level; zeros for JPEG.
         width: [px].
         height: [px].
-        seq: Counts the pictures of this layout and codec.
+        seq: Sequence number within layout and codec.
         exposed_us: Stamp of the picture, wall clock [µs].
-        received_us: When it reached the encoder [µs].
-        encoded_us: When it was encoded [µs].
-        data: The picture.
+        received_us: Receipt by the encoder [µs].
+        encoded_us: End of the encoding [µs].
+        data: The encoded picture.
     """
 
     layout: str
@@ -76,7 +76,7 @@ def size_of(header: bytes) -> int:
     """Number of bytes that follow a header.
 
     Raises:
-        WireError: It is no header.
+        PacketError: It is not a header.
     """
     return _unpack(header)[-1]
 
@@ -85,14 +85,14 @@ def unpack(data: bytes) -> Packet:
     """A packet from header and picture.
 
     Raises:
-        WireError: It is none.
+        PacketError: It is not a packet.
     """
     _, layout, codec, key, a, b, c, width, height, seq, exposed, received, encoded, size = _unpack(
         data[:HEADER_BYTES]
     )
     picture = data[HEADER_BYTES:]
     if len(picture) != size:
-        raise WireError(f"{len(picture)} bytes follow the header, which says {size}")
+        raise PacketError(f"{len(picture)} bytes follow the header; expected: {size}")
     return Packet(
         LAYOUTS[layout],
         CODECS[codec],
@@ -110,8 +110,8 @@ def unpack(data: bytes) -> Packet:
 
 def _unpack(header: bytes) -> tuple[int, ...]:
     if len(header) != HEADER_BYTES or header[:4] != MAGIC:
-        raise WireError(f"no picture header: {header[:8]!r}")
+        raise PacketError(f"not a picture header: {header[:8]!r}")
     fields = _HEADER.unpack(header)
     if fields[1] >= len(LAYOUTS) or fields[2] >= len(CODECS) or fields[-1] > LARGEST:
-        raise WireError("a picture header of another version")
+        raise PacketError("a picture header of another version")
     return fields

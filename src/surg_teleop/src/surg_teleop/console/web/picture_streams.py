@@ -1,4 +1,4 @@
-"""Which pictures are made of what the cameras send: pairs the eyes, feeds one codec per wish."""
+"""Picture streams of the console: pairs the two eyes and encodes each watched layout and codec."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ EYES = {"left": ("left",), "stereo": ("left", "right")}
 
 
 @dataclass(frozen=True)
-class Shot:
-    """One picture of one camera, as it came.
+class CameraFrame:
+    """One picture of one camera.
 
     Attributes:
         stamp_us: Exposure [µs].
-        received_us: [µs].
+        received_us: Receipt [µs].
         pixels: (height, width[, 3]).
         encoding: As in `sensor_msgs/Image`.
     """
@@ -46,34 +46,34 @@ class Shot:
         size: tuple[int, int],
         step: int,
         encoding: str,
-    ) -> Shot:
-        """A shot of a ROS image.
+    ) -> CameraFrame:
+        """From a ROS image.
 
         Raises:
-            CodecError: The image does not add up.
+            CodecError: Size, step and data do not match.
         """
         return cls(stamp_us, received_us, image_of(data, *size, step, encoding), encoding)
 
 
-class Pairer:
-    """Keeps the newest shot of each eye; gives a set out once all stamps agree."""
+class StereoPairer:
+    """Keeps the newest frame of each eye and returns a set once all stamps agree."""
 
     def __init__(self, eyes: tuple[str, ...]) -> None:
         self._eyes = eyes
-        self._newest: dict[str, Shot] = {}
+        self._newest: dict[str, CameraFrame] = {}
 
-    def add(self, eye: str, shot: Shot) -> tuple[Shot, ...] | None:
-        """Take a shot in; returns the whole set when it completes one."""
+    def add(self, eye: str, frame: CameraFrame) -> tuple[CameraFrame, ...] | None:
+        """Add a frame; returns the set that it completes, if any."""
         if eye not in self._eyes:
             return None
-        self._newest[eye] = shot
-        found = [self._newest.get(each) for each in self._eyes]
-        whole = tuple(each for each in found if each is not None and each.stamp_us == shot.stamp_us)
-        return whole if len(whole) == len(self._eyes) else None
+        self._newest[eye] = frame
+        newest = (self._newest.get(other) for other in self._eyes)
+        frames = tuple(f for f in newest if f is not None and f.stamp_us == frame.stamp_us)
+        return frames if len(frames) == len(self._eyes) else None
 
 
-class Stream:
-    """One layout in one codec; starts anew when the pictures change their size.
+class PictureStream:
+    """One layout in one codec; restarts when the pictures change their size.
 
     Args:
         layout: "left" or "stereo".
@@ -87,21 +87,21 @@ class Stream:
         self._encoder: Codec | None = None
         self._key, self._seq = True, 0
 
-    def ask_key(self) -> None:
-        """The next picture must be decodable by itself."""
+    def request_key(self) -> None:
+        """Make the next picture a key picture."""
         self._key = True
 
-    def encode(self, shots: tuple[Shot, ...]) -> Packet | None:
-        """One picture; None: the codec kept it back.
+    def encode(self, frames: tuple[CameraFrame, ...]) -> Packet | None:
+        """Encode one picture; None: the codec has kept it back.
 
         Raises:
-            CodecError: The shots do not fit together.
+            CodecError: The frames differ in size.
         """
-        frame = frame_of(tuple(shot.pixels for shot in shots), shots[0].encoding)
+        frame = frame_of(tuple(f.pixels for f in frames), frames[0].encoding)
         size = (frame.width, frame.height)
         if self._encoder is None or self._encoder.size != size:
             self._encoder, self._key = CODECS[self.codec](*size), True
-        data = self._encoder.encode(frame, shots[0].stamp_us, self._key)
+        data = self._encoder.encode(frame, frames[0].stamp_us, self._key)
         if not data:
             return None
         profile = profile_of(data) if self.codec == "h264" else (0, 0, 0)
@@ -114,21 +114,21 @@ class Stream:
             profile,
             *size,
             self._seq,
-            shots[0].stamp_us,
-            max(shot.received_us for shot in shots),
+            frames[0].stamp_us,
+            max(f.received_us for f in frames),
             self._wall_us(),
             data,
         )
 
 
 def parse_line(line: str) -> tuple[str, frozenset[tuple[str, str]]]:
-    """One line of the server: a word and the layouts and codecs that it is about.
+    """One command of the server: ``want`` or ``key``, and its layouts and codecs.
 
     Raises:
-        CodecError: It is none.
+        CodecError: It is not a command.
     """
-    word, *wishes = line.split()
-    pairs = frozenset((w.partition(":")[0], w.partition(":")[2]) for w in wishes)
+    word, *items = line.split()
+    pairs = frozenset((item.partition(":")[0], item.partition(":")[2]) for item in items)
     if word not in ("want", "key") or any(a not in EYES or b not in CODECS for a, b in pairs):
         raise CodecError(f"{line!r}; allowed: want or key, with layouts and codecs")
     return word, pairs

@@ -1,0 +1,65 @@
+"""Hands the messages of a page to the session."""
+
+from __future__ import annotations
+
+from surg_teleop.console.session import operator_messages
+from surg_teleop.console.session.console_session import Session
+from surg_teleop.console.session.system_state import Robot
+from surg_teleop.console.web.page_protocol import (
+    Hidden,
+    Input,
+    PageMessage,
+    Press,
+    ProtocolError,
+    Scale,
+)
+
+
+def dispatch(session: Session, message: PageMessage, page: str, robot: Robot, now: float) -> str:
+    """Hand one message of the control socket to the session.
+
+    Args:
+        session: Gets it.
+        message: Checked message, no `Ping`.
+        page: Name of the page.
+        robot: State of the system.
+        now: Steady clock [s].
+
+    Returns:
+        Why it is refused; empty: it is not.
+
+    Raises:
+        ProtocolError: It belongs on another socket.
+    """
+    if isinstance(message, Input):
+        session.receive(page, message, now)
+        return ""
+    if isinstance(message, Press):
+        return _press(session, message, page, robot, now)
+    if isinstance(message, Hidden):
+        session.hide(page, message.why)
+        return ""
+    if isinstance(message, Scale):
+        return session.scale(page, message.value)
+    raise ProtocolError(f"{type(message).__name__.lower()} does not belong on this socket")
+
+
+def _press(session: Session, message: Press, page: str, robot: Robot, now: float) -> str:
+    in_time = session.in_time(page, message.at, now)
+    if message.button == "stop":  # obeyed however late
+        session.stop(robot, page)
+        return ""
+    if message.button == "release":
+        session.release(page)
+        return ""
+    if not in_time:
+        return operator_messages.LATE
+    if message.button == "take":
+        return session.take(page, now)
+    if message.button == "enable":
+        return session.enable(page, robot, now)
+    if message.button == "put_back":
+        return session.put_back(page, robot)
+    if message.button == "policy":
+        return session.policy(page, robot, now)
+    return session.record(page, message.button == "record")
