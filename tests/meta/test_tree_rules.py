@@ -2,16 +2,13 @@
 
 import ast
 import re
-import shutil
-import subprocess
-from pathlib import Path
 
 import pytest
 
 from helpers.tree.layering import FUNCTIONAL
+from helpers.tree.source_tree import tracked
 from surg_cli.host import paths, provision
 
-CODE = ("src", "tools", "tests", "benchmarks", "examples")
 # module -> functions that run or build objects from what a file or a peer says
 FORBIDDEN_CALLS = {
     ("yaml", "load"): "yaml.safe_load",
@@ -23,19 +20,6 @@ FORBIDDEN_CALLS = {
 FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "marshal", "shelve", "joblib", "cloudpickle"}
 # Tiers of tests, and how many folders deep a test file of each is.
 TIERS = {"unit": 3, "ros": 3, "faults": 2, "e2e": 2, "meta": 2, "mutants": 2}
-
-
-def tracked() -> list[Path]:
-    """Files of the project: tracked, or new and not ignored."""
-    argv = ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"]
-    if shutil.which("git"):
-        done = subprocess.run(argv, cwd=paths.ROOT, capture_output=True, check=False)
-        names = done.stdout.decode().split("\0") if done.returncode == 0 else []
-        files = [paths.ROOT / name for name in names if name and (paths.ROOT / name).is_file()]
-        if files:
-            return files
-    folders = [paths.ROOT / name for name in (*CODE, "docs", "cells")]
-    return [file for folder in folders for file in folder.rglob("*") if file.is_file()]
 
 
 def dangers(source: str) -> list[str]:

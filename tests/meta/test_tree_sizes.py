@@ -1,0 +1,116 @@
+"""Folders, file names and functions stay small enough to find one's way."""
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from helpers.tree import function_lengths
+from helpers.tree.source_tree import product, tracked
+from surg_cli.host import paths
+
+MOST_FILES = 25
+MOST_LINES = 60
+
+REPEATED = {
+    "__init__.py", "CMakeLists.txt", "package.xml", "setup.py", "pyproject.toml", "py.typed",
+    "README.md",
+}  # fmt: skip
+"""File names that a tool or a habit dictates."""
+GENERATED = {"docs/results"}
+"""Folders of pages that the tests and benchmarks write."""
+TABLES = {
+    "src/surg_core/src/state/operating_state.cpp:text",
+}
+"""Functions that are one table: a case or a line for each entry."""
+OPEN = {
+    # Names and functions that are still being rewritten.
+    "arm_view.py",
+    "page.py",
+    "scene.py",
+    "benchmarks/control/src/streams.cpp:streams",
+    "examples/bgr/train_bgr.py:train",
+    "examples/bgr/train_bgr_images.py:train",
+    "src/surg_core/python/binding/bind_calibration.cpp:bind_calibration",
+    "src/surg_core/python/binding/bind_controller.cpp:bind_command",
+    "src/surg_core/python/binding/bind_controller.cpp:run",
+    "src/surg_core/python/binding/bind_controller.cpp:bind_controller",
+    "src/surg_core/python/binding/bind_kinematics.cpp:bind_kinematics",
+    "src/surg_core/python/binding/bind_limits.cpp:bind_parts",
+    "src/surg_core/python/binding/bind_limits.cpp:bind_limits",
+    "src/surg_core/python/binding/bind_rcm.cpp:bind_law",
+    "src/surg_core/src/kinematics/ur_inverse.cpp:UrInverse::solve",
+    "src/surg_sim/src/surg_sim/envs/recorded_episode.py:record",
+    "src/surg_sim/src/surg_sim/physics/base_placement.py:make_two_arm_cell",
+    "src/surg_sim/src/surg_sim/physics/tissue.py:add_bowel",
+    "src/surg_sim/src/surg_sim/physics/trocar.py:add_trocar",
+    "src/surg_teleop/src/surg_teleop/console/web/access.py:rules",
+}
+CPP = {".cpp", ".hpp", ".h"}
+
+
+def name(file: Path) -> str:
+    return str(file.relative_to(paths.ROOT))
+
+
+def crowded(files: list[Path]) -> dict[str, int]:
+    """Folders with too many files, and how many."""
+    counts = Counter(str(Path(name(file)).parent) for file in files)
+    return {folder: n for folder, n in counts.items() if n > MOST_FILES}
+
+
+def repeated(files: list[Path]) -> list[str]:
+    """Names that several files have; a start script is named after the node it starts."""
+    names = [file.name for file in files if file.parent.name != "scripts"]
+    return [each for each, n in Counter(names).items() if n > 1 and each not in REPEATED]
+
+
+def long_functions(file: Path, source: str) -> list[str]:
+    """Functions of a file that are too long, as `file:function`."""
+    if file.suffix == ".py":
+        functions = function_lengths.in_python(source)
+    elif file.suffix in CPP:
+        functions = function_lengths.in_cpp(source)
+    else:
+        return []
+    return [f"{name(file)}:{each.name}" for each in functions if each.lines > MOST_LINES]
+
+
+def test_no_folder_is_crowded() -> None:
+    assert set(crowded(tracked())) - GENERATED == set()
+
+
+def test_no_two_product_files_share_a_name() -> None:
+    assert set(repeated(product())) - OPEN == set()
+
+
+def test_no_function_is_long() -> None:
+    files = [file for file in product() if file.suffix in {".py", *CPP}]
+    found = {each for file in files for each in long_functions(file, file.read_text("utf-8"))}
+    assert found - TABLES - OPEN == set()
+    assert len(files) > 400
+
+
+def test_a_crowded_folder_and_a_repeated_name_are_noticed() -> None:
+    folder = paths.ROOT / "src" / "surg_sim" / "src"
+    many = [folder / f"file_{n}.py" for n in range(MOST_FILES + 1)]
+    assert crowded(many) == {"src/surg_sim/src": MOST_FILES + 1}
+    assert crowded(many[1:]) == {}
+    pair = [folder / "a" / "arm.py", folder / "b" / "arm.py"]
+    assert repeated([*pair, folder / "scripts" / "arm.py"]) == ["arm.py"]
+    assert repeated([pair[0], folder / "scripts" / "arm.py", folder / "__init__.py"]) == []
+
+
+@pytest.mark.parametrize("lines", [MOST_LINES, MOST_LINES + 1])
+def test_a_long_function_is_noticed(lines: int) -> None:
+    python = "class A:\n    def f(self):\n" + "        x = 1\n" * (lines - 1)
+    cpp = (
+        "namespace a {\n// int g() {\nA::A(int x)\n    : a_{x}, b_{2} {\n"
+        + '  if (x) { return f("}"); }\n' * (lines - 3)
+        + "}\nint h() { return 1; }\n}\n"
+    )
+    root = paths.ROOT / "src"
+    expected = int(lines > MOST_LINES)
+    assert len(long_functions(root / "a.py", python)) == expected
+    assert len(long_functions(root / "a.cpp", cpp)) == expected
+    assert [each.name for each in function_lengths.in_cpp(cpp)] == ["A::A", "h"]
