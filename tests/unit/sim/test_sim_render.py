@@ -7,7 +7,7 @@ import pytest
 
 import surg_core
 from surg_cli.host import paths
-from surg_sim.looks import anatomy, cell_picture, render
+from surg_sim.looks import anatomy, render
 from surg_sim.looks.render import Intrinsics, NoOpenGL, Renderer
 from surg_sim.physics import scene
 from surg_sim.physics.world import World
@@ -117,14 +117,6 @@ def test_intrinsics_formula() -> None:
     intrinsics = Intrinsics.from_fovy(640, 480, 90.0)
     assert intrinsics.f == pytest.approx(240)
     assert intrinsics.project(np.array([0, 0.1, 0.1])) == pytest.approx([319.5, 239.5 + 240])
-
-
-def test_png_has_the_pixels(tmp_path: object) -> None:
-    import cv2
-
-    pixels = np.random.default_rng(5).integers(0, 256, (17, 23, 3), dtype=np.uint8)
-    decoded = cv2.imdecode(np.frombuffer(cell_picture.png(pixels), np.uint8), cv2.IMREAD_COLOR)
-    assert np.array_equal(decoded[..., ::-1], pixels)
 
 
 def outward(mesh: anatomy.Mesh, middle: np.ndarray) -> float:

@@ -128,7 +128,7 @@ def test_the_tension_grows_with_the_pull(phantom: Phantom) -> None:
         pull(phantom, 18, force * LIFT)
         phantom.run(700)
         heights.append(phantom.bowel.nodes[18, 2])
-        tensions.append([phantom.bowel.tension(17), phantom.bowel.tension(18)])
+        tensions.append([phantom.bowel.tensions[17], phantom.bowel.tensions[18]])
     print("N:", np.round(tensions, 2).tolist())
     assert (np.diff(heights) > 0).all()
     assert (np.diff(tensions, axis=0) > 0).all()
@@ -153,7 +153,7 @@ def test_the_tension_is_what_statics_demands(phantom: Phantom) -> None:
         bent = np.linalg.norm(np.diff(nodes, axis=0), axis=1).sum() / straight - 1
         if bent < 0.005 and carried > 0.3:
             checked += 1
-            worst = max(worst, abs(bowel.tension(cut) / carried - 1))
+            worst = max(worst, abs(bowel.tensions[cut] / carried - 1))
             assert worst < 0.05
     note(
         "tension along the tube against statics",

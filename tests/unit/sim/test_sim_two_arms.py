@@ -24,8 +24,11 @@ from surg_description.make_cell import home_pose
 from surg_sim.looks import patient
 from surg_sim.looks.render import NoOpenGL, StereoRenderer, show_only
 from surg_sim.looks.render_speed import stereo_speed
-from surg_sim.physics import base_placement, endoscope_rig, scene
-from surg_sim.physics.base_placement import Files, Neighbours, Stand, reserve
+from surg_sim.physics import arm_reserve, base_placement, endoscope_rig, placement_search, scene
+from surg_sim.physics.arm_clearance import ClearanceModel
+from surg_sim.physics.arm_reserve import reserve
+from surg_sim.physics.base_placement import ArmFiles
+from surg_sim.physics.placement_search import Placement
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import wall_frame
 from surg_sim.physics.world import World
@@ -33,7 +36,7 @@ from surg_sim.physics.world import World
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 CELLS = ("sim_two_arms", "sim_two_arms_panda")
 DESCRIPTION = paths.ROOT / "src/surg_description"
-TASKS = {"PSM1": base_placement.INSTRUMENT, "ECM": base_placement.ENDOSCOPE}
+TASKS = {"PSM1": arm_reserve.INSTRUMENT, "ECM": arm_reserve.ENDOSCOPE}
 
 
 @pytest.fixture(scope="module", params=CELLS)
@@ -120,7 +123,7 @@ def test_looks_do_not_change_the_motion(cell: surg_core.Cell, seen: World) -> No
     assert hashes[0] == hashes[1]
 
 
-def stands(cell: surg_core.Cell) -> list[Stand]:
+def placements(cell: surg_core.Cell) -> list[Placement]:
     """The cell's arms as the search would have placed them."""
     site = scene.site_of(list(cell.arms.values()))
     X_WP = np.eye(4)
@@ -131,7 +134,7 @@ def stands(cell: surg_core.Cell) -> list[Stand]:
         q = np.asarray(arm.robot.home)
         left = reserve(arm, q, TASKS[name])
         assert left is not None, f"{name}: a corner of its box is out of reach"
-        found.append(Stand(X[:3, 3], float(np.arctan2(X[1, 0], X[0, 0])), q, left))
+        found.append(Placement(X[:3, 3], float(np.arctan2(X[1, 0], X[0, 0])), q, left))
     return found
 
 
@@ -147,20 +150,20 @@ def test_the_places_are_as_a_surgeon_would_have_them(cell: surg_core.Cell) -> No
     assert np.linalg.norm(to_work) == pytest.approx(0.100, abs=0.0005)
     assert abs(X_WC[2, 0]) < 1e-3, "the picture is upright"
     assert (X_WC[:3, :3].T @ to_work)[2] > 0.0999
-    first, second = stands(cell)
+    first, second = placements(cell)
     for stand in (first, second):
         table_edge = 0.32
         assert abs(stand.base[0]) > table_edge + 0.05 or abs(stand.base[1]) > 1.05
         assert stand.reserve.margin > 0.5
         assert stand.reserve.speed < 0.95
-    space = Neighbours(arms, [first, second])
-    home = space.clearance(first.q, second.q)
+    model = ClearanceModel(arms, [first.X_PB, second.X_PB])
+    home = model.clearance(first.q, second.q)
     corners = [(q, second.q) for q in first.reserve.postures]
     corners += [(first.q, q) for q in second.reserve.postures]
-    nearest = min(space.clearance(*pair) for pair in corners)
+    nearest = min(model.clearance(*pair) for pair in corners)
     print(f"{angle:.0f} degrees; {1000 * home:.0f} mm at home, {1000 * nearest:.0f} mm in corners")
-    assert home >= base_placement.CLEARANCE
-    assert nearest >= base_placement.CORNER_CLEARANCE
+    assert home >= placement_search.CLEARANCE
+    assert nearest >= placement_search.CORNER_CLEARANCE
 
 
 def test_the_wall_goes_through_both_ports(cell: surg_core.Cell) -> None:
@@ -178,7 +181,7 @@ def test_the_search_places_any_two_robots(robots: tuple[str, str], tmp_path: Pat
     names = {("ur5e", "ur5e"): "sim_two_arms", ("panda", "ur5e"): "sim_two_arms_panda"}
     out = tmp_path / names.get(robots, "cell")
     files = [
-        Files(DESCRIPTION / f"robots/{robot}.yaml", DESCRIPTION / f"instruments/{tool}.yaml")
+        ArmFiles(DESCRIPTION / f"robots/{robot}.yaml", DESCRIPTION / f"instruments/{tool}.yaml")
         for robot, tool in zip(robots, ("grasper", "endoscope"), strict=True)
     ]
     print(base_placement.make_two_arm_cell(out, *files))
@@ -195,11 +198,11 @@ def test_the_search_places_any_two_robots(robots: tuple[str, str], tmp_path: Pat
 def test_out_of_reach_is_seen_by_the_search() -> None:
     arm = surg_core.load_cell(paths.ROOT / "cells/sim_ur5e").arms["PSM1"]
     X = np.asarray(arm.chain.forward(arm.robot.home)).copy()
-    q = base_placement.inverse(arm.chain, np.asarray(arm.robot.home) + 0.3, X)
+    q = arm_reserve.inverse(arm.chain, np.asarray(arm.robot.home) + 0.3, X)
     assert q is not None
     assert np.abs(np.asarray(arm.chain.forward(q)) - X).max() < 1e-8
     X[0, 3] += 1.0
-    assert base_placement.inverse(arm.chain, np.asarray(arm.robot.home), X) is None
+    assert arm_reserve.inverse(arm.chain, np.asarray(arm.robot.home), X) is None
 
 
 # --- under control ----------------------------------------------------------------------------

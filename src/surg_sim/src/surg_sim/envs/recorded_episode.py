@@ -1,9 +1,8 @@
-"""Episodes played in this process, recorded as the recorder node would record them.
+"""Records episodes that run in this process, in the format of the recorder node.
 
-The episode folders that come out are those of a ROS graph (docs/reference/recording.md): the same
-tables with
-the same rows, so that whatever reads recordings reads these. What a wall clock would say is left
-out: the computing time of a control cycle is empty, and the stamps of reception are the ticks'.
+The episode folder has the same tables and rows as one from a ROS graph
+(docs/reference/recording.md), so the same readers work. Wall-clock values are left out: the compute
+time of a control cycle is empty, and the stamps of reception are those of the ticks.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from surg_core.contract import GRID, SECOND_NS, TICK_NS
 from surg_core.transforms import matrix_to_quaternion_xyzw
 from surg_sim.envs.cell_session import Command, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
-from surg_sim.physics import scene
 from surg_sim.physics.assistant_arm import AssistantCommand
+from surg_sim.physics.endoscope_rig import FRAMES
 from surg_sim.tasks import State
 
 try:
@@ -33,7 +32,7 @@ except ImportError as error:  # pragma: no cover - of an installation of surg_si
     ) from error
 
 if TYPE_CHECKING:
-    from surg_sim.looks.render import Renderer
+    from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
     from surg_sim.tasks.scripted_sender import Expert
 
 SENDER = "/expert"
@@ -43,7 +42,7 @@ _JAW = "jaw/servo_jp"
 
 
 class RecordedSession(Session):
-    """A session that writes what happens in it.
+    """A session that records every tick.
 
     Args:
         cell: As for ``Session``; a path, because the recording describes the cell's files.
@@ -66,8 +65,12 @@ class RecordedSession(Session):
         super().__init__(cell, task, setting, seed, looks=bool(cameras))
         self._described = provenance.describe_cell(cell)
         self._versions = provenance.versions()
-        self._cameras = {name: f"endoscope_{name}" for name in cameras}
-        self._eye = self._open_eye(size) if cameras else None
+        self._views = tuple(cameras)
+        self._renderer: EndoscopeRenderer | None = None
+        if cameras:
+            from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
+
+            self._renderer = EndoscopeRenderer(self.world, cameras, *size)
         self._recording: Recording | None = None
         self._orientations: dict[str, tuple[bytes, list[float]]] = {}
 
@@ -94,34 +97,7 @@ class RecordedSession(Session):
         Raises:
             EpisodeError: The folder cannot be written.
         """
-        arms = list(self.world.arms)
-        about = {
-            "task": self.task.name,
-            "title": self.task.title,
-            "instruction": self.task.title,
-            "operator": operator,
-            "robot": self.cell.arms[arms[0]].robot.name,
-            "mode": "cartesian",
-            "timing": "lockstep",
-            "seed": seed,
-            "setting": self.setting.name,
-            "law": self.law,
-            **run,
-        }
-        self._recording = Recording(
-            folder,
-            mode="lockstep",
-            arms=arms,
-            cameras=list(self._cameras.values()),
-            manifest={
-                "run": about,
-                **{key: about[key] for key in ("task", "operator", "seed")},
-                "clock": "simulator ticks",
-                "cell": self._described,
-                "versions": self._versions,
-                "host": provenance.host(),
-            },
-        )
+        self._recording = self._open(folder, self._describe_run(seed, operator, run))
         try:
             report = run_episode(self, seed, experts)
         except BaseException:
@@ -130,23 +106,60 @@ class RecordedSession(Session):
             raise
         finally:
             recording, self._recording = self._recording, None
-        verdict = {
-            "name": self.task.name,
-            "setting": self.setting.name,
-            "phase": self.task.verdict().phase,
-            "done": True,
-            "success": report.success,
-            "reason": report.reason,
-        }
         ticks = round(report.duration * SECOND_NS) // TICK_NS
-        sim: dict[str, Any] = {
+        recording.close({"sim": self._outcome(report, ticks)}, end_stamp_ns=ticks * TICK_NS)
+        return report
+
+    def _describe_run(self, seed: int, operator: str, run: Mapping[str, Any]) -> dict[str, Any]:
+        """The key ``run`` of the manifest."""
+        return {
+            "task": self.task.name,
+            "title": self.task.title,
+            "instruction": self.task.title,
+            "operator": operator,
+            "robot": self.cell.arms[self.world.arms[0]].robot.name,
+            "mode": "cartesian",
+            "timing": "lockstep",
+            "seed": seed,
+            "setting": self.setting.name,
+            "law": self.law,
+            **run,
+        }
+
+    def _open(self, folder: Path, run: Mapping[str, Any]) -> Recording:
+        return Recording(
+            folder,
+            mode="lockstep",
+            arms=list(self.world.arms),
+            cameras=[FRAMES[view] for view in self._views],
+            manifest={
+                "run": run,
+                **{key: run[key] for key in ("task", "operator", "seed")},
+                "clock": "simulator ticks",
+                "cell": self._described,
+                "versions": self._versions,
+                "host": provenance.host(),
+            },
+        )
+
+    def _outcome(self, report: EpisodeReport, ticks: int) -> dict[str, Any]:
+        """The key ``sim`` of the manifest."""
+        return {
             "tick": ticks,
             "sim_time_s": report.duration,
             "deterministic": True,
+            "state_hash": report.hash,
+            "done": True,
+            "aborted": None,
+            "task": {
+                "name": self.task.name,
+                "setting": self.setting.name,
+                "phase": self.task.verdict().phase,
+                "done": True,
+                "success": report.success,
+                "reason": report.reason,
+            },
         }
-        sim |= {"state_hash": report.hash, "done": True, "aborted": None, "task": verdict}
-        recording.close({"sim": sim}, end_stamp_ns=ticks * TICK_NS)
-        return report
 
     def tick(
         self,
@@ -161,8 +174,8 @@ class RecordedSession(Session):
         before = {name: (world.state(name), world.truth(name)) for name in world.arms}
         on_grid = world.tick % GRID == 0
         state = self.task.state() if on_grid or self.task.verdict().done else None
-        if self._eye is not None and on_grid:
-            self._look(recording, stamp)
+        if self._renderer is not None and on_grid:
+            self._record_pictures(recording, stamp)
         for arm, given in (commands or {}).items():
             for command in given:
                 if isinstance(command, surg_core.MotionCommand):
@@ -201,31 +214,14 @@ class RecordedSession(Session):
         return known[1]
 
     def close(self) -> None:
-        """Give the OpenGL context back."""
-        if self._eye is not None:
-            self._eye.close()
+        """Release the OpenGL context."""
+        if self._renderer is not None:
+            self._renderer.close()
 
-    def _open_eye(self, size: tuple[int, int]) -> Renderer:
-        from surg_sim.looks.render import Renderer, StereoRenderer, show_only
-
-        show_only(self.world.model, lamps=False)
-        shown: dict[str, Any] = {"hidden": [scene.OUTSIDE], "skins": self.task.skins}
-        if len(self._cameras) == 2:
-            return StereoRenderer(self.world.model, *size, vignette=True, **shown)
-        name = next(iter(self._cameras.values()))
-        return Renderer(self.world.model, name, *size, vignette=True, **shown)
-
-    def _look(self, recording: Recording, stamp: int) -> None:
-        """The pictures of the state that is there."""
-        from surg_sim.looks.render import StereoRenderer
-
-        qpos = self.world.data.qpos
-        if isinstance(self._eye, StereoRenderer):
-            pictures = dict(zip(("left", "right"), self._eye.pair(qpos), strict=True))
-        else:
-            assert self._eye is not None
-            pictures = {next(iter(self._cameras)): self._eye.render(qpos)}
-        for name, picture in pictures.items():
+    def _record_pictures(self, recording: Recording, stamp: int) -> None:
+        """Render and record the state that is there."""
+        assert self._renderer is not None
+        for view, picture in self._renderer.render(self.world.data.qpos).items():
             height, width, _ = picture.shape
             message = SimpleNamespace(
                 header=_header(stamp),
@@ -235,11 +231,10 @@ class RecordedSession(Session):
                 encoding="rgb8",
                 data=picture.tobytes(),
             )
-            recording.image(self._cameras[name], message, stamp)
+            recording.image(FRAMES[view], message, stamp)
 
 
-# --- messages without ROS: what surg_recording.episode.table_rows reads
-# -----------------------------------------
+# --- messages without ROS, as surg_recording.episode.table_rows reads them ---------------------
 
 
 def _header(stamp_ns: int) -> SimpleNamespace:

@@ -99,9 +99,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         looks = bool(images) or render_mode is not None
         path = cell_files.find(cell or load(task).home_cell)
         self.session = Session(path, task, setting, seed_look, looks, law)
-        self.render_mode, self._images = render_mode, tuple(images)
+        self.render_mode, self._images = render_mode, tuple(v for v in CAMERAS if v in images)
         self._size = (width, height)
-        self._eyes: dict[str, Any] = {}
+        self._renderers: dict[tuple[str, ...], Any] = {}
         self._qpos = self.session.world.data.qpos.copy()
         """What pictures show: the state that is observed."""
         self.arms = self.session.task.commanded
@@ -260,7 +260,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             "privileged": {key: np.asarray(truth[key], dtype=np.float64) for key in truth},
         }
         if self._images:
-            found["images"] = {name: self._picture(name) for name in self._images}
+            found["images"] = self._render(self._images)
         return found
 
     def _info(self) -> dict[str, Any]:
@@ -275,34 +275,22 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             "rcm_error": dict(self._worst),
         }
 
-    def _picture(self, name: str) -> NDArray[np.uint8]:
-        from surg_sim.looks.render import Renderer, show_only
+    def _render(self, views: tuple[str, ...]) -> dict[str, NDArray[np.uint8]]:
+        from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
 
-        if name not in self._eyes:
-            from surg_sim.physics.scene import OUTSIDE
-
-            session, (width, height) = self.session, self._size
-            show_only(session.world.model, lamps=False)
-            self._eyes[name] = Renderer(
-                session.world.model,
-                f"endoscope_{name}",
-                width,
-                height,
-                vignette=True,
-                hidden=[OUTSIDE],
-                skins=session.task.skins,
-            )
-        return self._eyes[name].render(self._qpos)
+        if views not in self._renderers:
+            self._renderers[views] = EndoscopeRenderer(self.session.world, views, *self._size)
+        return self._renderers[views].render(self._qpos)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """The left camera's picture in mode ``rgb_array``."""
-        return self._picture("left") if self.render_mode == "rgb_array" else None
+        return self._render(("left",))["left"] if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """Give the OpenGL contexts back."""
-        for eye in self._eyes.values():
-            eye.close()
-        self._eyes = {}
+        """Release the OpenGL contexts."""
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers = {}
 
     # --- the scripted policy ------------------------------------------------------------------
 

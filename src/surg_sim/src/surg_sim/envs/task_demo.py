@@ -20,9 +20,9 @@ from surg_core.contract import GRID, TICK
 from surg_sim import tasks
 from surg_sim.envs.cell_session import LAWS, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
-from surg_sim.looks.render import NoOpenGL, Renderer, show_only
+from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
+from surg_sim.looks.render import NoOpenGL
 from surg_sim.physics import cell_files, patient_settings
-from surg_sim.physics.scene import ENDOSCOPE, OUTSIDE
 from surg_sim.tasks import episode_seeds
 
 Picture = NDArray[np.uint8]
@@ -44,7 +44,7 @@ class Watch:
     """
 
     session: Session
-    camera: Renderer | None
+    camera: EndoscopeRenderer | None
     pictures: list[Picture] = field(default_factory=list)
     phases: list[tuple[float, str]] = field(default_factory=list)
     deviation: list[tuple[float, float, float]] = field(default_factory=list)
@@ -63,7 +63,7 @@ class Watch:
             self.deviation.append((t, out.rcm_error, session.world.truth(arm).deviation))
         self.numbers.append((t, *(float(tick.state[key]) for key in session.task.plotted)))
         if self.camera is not None:
-            self.pictures.append(self.camera.render(session.world.data.qpos))
+            self.pictures.append(self.camera.render(session.world.data.qpos)["left"])
 
 
 def write_video(pictures: Sequence[Picture], stem: Path) -> Path:
@@ -150,16 +150,7 @@ def main(words: Sequence[str] | None = None) -> int:
         session = Session(cell, options.task, options.setting, options.seed, looks, options.law)
         camera = None
         if looks:
-            show_only(session.world.model, lamps=False)
-            camera = Renderer(
-                session.world.model,
-                ENDOSCOPE,
-                width=options.size[0],
-                height=options.size[1],
-                vignette=True,
-                hidden=[OUTSIDE],
-                skins=session.task.skins,
-            )
+            camera = EndoscopeRenderer(session.world, ("left",), *options.size)
     except (ValueError, OSError, NoOpenGL) as error:
         hint = "; --no-video needs none" if isinstance(error, NoOpenGL) else ""
         print(f"surg_sim.envs.task_demo: {error}{hint}", file=sys.stderr)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import struct
 import sys
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from surg_sim import tasks
 from surg_sim.looks.render import NoOpenGL, Picture, Renderer, show_only
@@ -18,29 +17,6 @@ from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.world import World
 
 Array = NDArray[np.float64]
-
-
-def png(picture: Picture) -> bytes:
-    """An (h, w, 3) rgb8 picture as a PNG file."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        body = kind + data
-        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
-
-    height, width, _ = picture.shape
-    # Filter 4, Paeth: less whichever of the pixels left, above and above left is the best guess.
-    padded = np.pad(picture.astype(np.int16), ((1, 0), (1, 0), (0, 0)))
-    left, above, corner = padded[1:, :-1], padded[:-1, 1:], padded[:-1, :-1]
-    miss = [abs(above - corner), abs(left - corner), abs(left + above - 2 * corner)]
-    guess = np.choose(np.argmin(miss, axis=0), [left, above, corner])
-    rows = np.full((height, 1 + 3 * width), 4, dtype=np.uint8)
-    rows[:, 1:] = (picture - guess).astype(np.uint8).reshape(height, -1)
-    return (
-        b"\x89PNG\r\n\x1a\n"
-        + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
-        + chunk(b"IDAT", zlib.compress(rows.tobytes(), 9))
-        + chunk(b"IEND", b"")
-    )
 
 
 def take(world: World, camera: str, width: int, height: int) -> Picture:
@@ -122,7 +98,7 @@ def main(arguments: list[str] | None = None) -> int:
     except NoOpenGL as error:
         print(f"surg_sim.looks.cell_picture: {error}", file=sys.stderr)
         return 1
-    options.out.write_bytes(png(np.concatenate(pictures, axis=1)))
+    Image.fromarray(np.concatenate(pictures, axis=1)).save(options.out, "PNG", optimize=True)
     print(options.out)
     return 0
 

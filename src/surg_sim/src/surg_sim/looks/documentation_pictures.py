@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from surg_core.contract import GRID, TICK
 from surg_sim import tasks
@@ -172,7 +173,7 @@ def main(words: list[str] | None = None) -> int:
         return 1 if isinstance(error, NoOpenGL) else 2
     for name, content in pictures.items():
         file = options.out / f"{name}.png"
-        file.write_bytes(cell_picture.png(content))
+        Image.fromarray(content).save(file, optimize=True)
         print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
     return 0
 

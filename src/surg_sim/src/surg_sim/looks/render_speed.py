@@ -1,7 +1,7 @@
-"""How fast this machine renders: what the benchmark of the simulator reports.
+"""Measures how fast this machine renders stereo pairs; the simulator's benchmark reports it.
 
-Wall-clock figures mean something on an idle machine only; the processor time per pair beside them
-says what a busy one would have done.
+Wall-clock figures are valid on an idle machine only. Processor time per pair is also valid on a
+busy one.
 """
 
 from __future__ import annotations
@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surg_sim.looks.render import StereoRenderer, show_only
-from surg_sim.physics import scene
+from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
 
 if TYPE_CHECKING:
     from surg_sim.physics.world import World
@@ -51,24 +50,15 @@ def stereo_speed(
         NoOpenGL: No platform works.
         ValueError: The scene has one camera only, or the picture is too large.
     """
-    show_only(world.model, lamps=False)
-    task = getattr(world, "task", None)
-    renderer = StereoRenderer(
-        world.model,
-        width,
-        height,
-        vignette=True,
-        hidden=[scene.OUTSIDE],
-        skins=() if task is None else task.skins,
-    )
+    renderer = EndoscopeRenderer(world, ("left", "right"), width, height)
     rng = np.random.default_rng(seed)
     home = np.array(world.data.qpos)
     try:
         for _ in range(3):
-            renderer.pair(home)
+            renderer.render(home)
         wall, cpu = time.perf_counter(), time.process_time()
         for _ in range(pairs):
-            renderer.pair(home + rng.normal(scale=1e-3, size=len(home)))
+            renderer.render(home + rng.normal(scale=1e-3, size=len(home)))
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     finally:
         renderer.close()

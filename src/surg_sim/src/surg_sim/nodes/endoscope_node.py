@@ -16,14 +16,13 @@ from sensor_msgs.msg import CameraInfo, Image
 import surg_core
 from surg_msgs.msg import Ready, SimSnapshot
 from surg_sim import tasks
-from surg_sim.looks.render import Intrinsics, NoOpenGL, Picture, Renderer, StereoRenderer, show_only
+from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
+from surg_sim.looks.render import Intrinsics, NoOpenGL, Picture
 from surg_sim.nodes.exposure_schedule import RENDERER
 from surg_sim.nodes.sim_parameters import EndoscopeSettings, SettingsError
-from surg_sim.physics import endoscope_rig, patient_settings, scene
+from surg_sim.physics import patient_settings
+from surg_sim.physics.endoscope_rig import FRAMES
 from surg_sim.physics.world import World
-
-FRAMES = {"left": endoscope_rig.LEFT, "right": endoscope_rig.RIGHT}
-"""Optical frame of each view."""
 
 
 def camera_info(intrinsics: Intrinsics, frame: str, baseline: float = 0.0) -> CameraInfo:
@@ -68,7 +67,7 @@ class CameraTopics:
         )
         self._camera_info.publish(info)
 
-    def show(self, picture: Picture, stamp: rospy.Time) -> None:
+    def publish(self, picture: Picture, stamp: rospy.Time) -> None:
         """Publish a picture with its camera's model, both of this stamp."""
         height, width, _ = picture.shape
         image = Image(
@@ -88,22 +87,20 @@ class Endoscope:
         keep_all: True: every snapshot in order (lock-step); False: the newest only (free-run).
     """
 
-    def __init__(self, renderer: Renderer, keep_all: bool) -> None:
+    def __init__(self, renderer: EndoscopeRenderer, keep_all: bool) -> None:
         self._renderer, self._keep_all = renderer, keep_all
         self._waiting: deque[SimSnapshot] = deque(maxlen=None if keep_all else 1)
         self._arrived = threading.Condition()
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1000 if keep_all else 0.0
-        baselines = {"left": 0.0}
-        if isinstance(renderer, StereoRenderer):
-            baselines["right"] = renderer.baseline
-        self._views = [
-            CameraTopics(
-                name,
-                camera_info(renderer.intrinsics, FRAMES[name], baseline),
+        baselines = {"left": 0.0, "right": renderer.baseline}
+        self._cameras = {
+            view: CameraTopics(
+                view,
+                camera_info(renderer.intrinsics, FRAMES[view], baselines[view]),
                 0 if keep_all else 2,
             )
-            for name, baseline in baselines.items()
-        ]
+            for view in renderer.views
+        }
         self._ready = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         rospy.Subscriber("/sim/snapshot", SimSnapshot, self._on_snapshot, tcp_nodelay=True)
 
@@ -120,32 +117,27 @@ class Endoscope:
                     self._arrived.wait(0.2)
                     continue
                 snapshot = self._waiting.popleft()
-            self._show(snapshot)
+            self._render(snapshot)
 
-    def _show(self, snapshot: SimSnapshot) -> None:
-        qpos = np.asarray(snapshot.qpos)
-        pictures: tuple[Picture, ...]
-        if isinstance(self._renderer, StereoRenderer):
-            pictures = self._renderer.pair(qpos)
-        else:
-            pictures = (self._renderer.render(qpos),)
+    def _render(self, snapshot: SimSnapshot) -> None:
+        pictures = self._renderer.render(np.asarray(snapshot.qpos))
         if self._jitter:
             time.sleep(random.uniform(0.0, self._jitter))
-        drawn = Ready(tick=snapshot.tick, participant=RENDERER)
+        rendered = Ready(tick=snapshot.tick, participant=RENDERER)
         if not self._keep_all:  # the next exposure is made while this picture is sent
-            self._ready.publish(drawn)
-        for view, picture in zip(self._views, pictures, strict=True):
-            view.show(picture, snapshot.header.stamp)
+            self._ready.publish(rendered)
+        for view, picture in pictures.items():
+            self._cameras[view].publish(picture, snapshot.header.stamp)
         if self._keep_all:
-            self._ready.publish(drawn)
+            self._ready.publish(rendered)
 
 
-def make_renderer(settings: EndoscopeSettings) -> Renderer:
-    """The scene that the bridge has, with looks, and what draws it.
+def make_renderer(settings: EndoscopeSettings) -> EndoscopeRenderer:
+    """Build the bridge's scene with looks, and its renderer.
 
     Raises:
         ValueError: The scene cannot be built, or has no second camera.
-        NoOpenGL: No platform works.
+        NoOpenGL: No OpenGL platform works.
     """
     world = World(
         surg_core.load_cell(settings.cell),
@@ -155,12 +147,8 @@ def make_renderer(settings: EndoscopeSettings) -> Renderer:
         setting=patient_settings.find_setting(settings.setting) if settings.setting else None,
         task=tasks.load(settings.task) if settings.task else None,
     )
-    show_only(world.model, lamps=False)
     size = (settings.width, settings.height, settings.vignette)
-    skins = world.task.skins if world.task is not None else ()
-    if len(settings.views) == 2:
-        return StereoRenderer(world.model, *size, hidden=[scene.OUTSIDE], skins=skins)
-    return Renderer(world.model, endoscope_rig.LEFT, *size, hidden=[scene.OUTSIDE], skins=skins)
+    return EndoscopeRenderer(world, settings.views, *size)
 
 
 def main() -> int:

@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 LEFT, RIGHT = "endoscope_left", "endoscope_right"
 """Names of the cameras, and of their optical frames on the wire."""
+FRAMES = {"left": LEFT, "right": RIGHT}
+"""Camera and optical frame of each view."""
 LIGHT = "scope"
 """Name of the light."""
 FOVY = 56.0

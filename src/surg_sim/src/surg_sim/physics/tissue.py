@@ -1,17 +1,16 @@
-"""The bowel: a tube of point masses on springs, held by its mesentery, that instruments deform.
+"""The bowel: a deformable tube of point masses on springs, held by its mesentery.
 
-Every node slides along the three world axes. Tendon springs tie it to its neighbours 1, 2 and 4
-further on: together the stretch stiffness of the wall, the longer ones also its bending. A soft
-spring per node is the mesentery; at both ends, where the tube goes on out of sight, it is stiff.
-Weight and what lies below cancel at rest, so that a shape drawn at random is at rest exactly; a
-floor carries what is pressed down. Jaw pads meet a soft inner sphere (``grasp``).
+Every node slides along the three world axes. Tendon springs connect it to its neighbours 1, 2 and 4
+nodes away; together they are the stretch stiffness of the wall, and the longer ones also resist
+bending. A soft spring per node models the mesentery; it is stiff at both ends, where the tube
+continues out of view. Gravity and support cancel at rest, so every random shape is an equilibrium;
+a floor carries nodes that are pressed down. Jaw pads touch a soft inner sphere (``tissue_grasp``).
 
-An episode changes only joint positions, their spring references and the tendons' rest lengths.
+An episode changes only joint positions, spring references and the tendons' rest lengths.
 """
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -24,7 +23,6 @@ from surg_sim.physics.sim_arm import quaternion
 from surg_sim.physics.trocar_motion import MovingPoint
 
 if TYPE_CHECKING:
-    from surg_sim.looks.tissue_skin import BowelSkin
     from surg_sim.physics.scene import Site
 
 Array = NDArray[np.float64]
@@ -137,7 +135,7 @@ def _pairs(n: int) -> list[tuple[int, int, int]]:
 
 
 def add_bowel(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters, looks: bool) -> None:
-    """Put the bowel and the floor below it into the scene; contacts are switched on.
+    """Add the bowel and the floor below it to the scene; switches contacts on.
 
     Args:
         spec: The scene.
@@ -145,47 +143,15 @@ def add_bowel(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters, loo
         parameters: Mechanics.
         looks: Also add the skin that ``BowelSkin`` draws.
     """
-    p, n = parameters, parameters.nodes
     spec.option.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-    for i, place in enumerate(rest_shape(site, p)):
-        node = spec.worldbody.add_body(name=f"{NAME}_{i}", pos=place.tolist())
-        node.gravcomp = 1.0
-        node.mass = p.mass / n
-        node.inertia = [1e-6] * 3
-        node.explicitinertial = True
-        stiffness = p.anchor if min(i, n - 1 - i) < 2 else p.mesentery
-        for axis, letter in zip(np.eye(3), "xyz", strict=True):
-            node.add_joint(
-                name=f"{NAME}_{i}_{letter}",
-                type=mujoco.mjtJoint.mjJNT_SLIDE,
-                axis=axis.tolist(),
-                stiffness=[stiffness, 0, 0],
-                damping=[p.mesentery_damping, 0, 0],
-            )
-        node.add_site(name=f"{NAME}_{i}", size=[0.001] * 3, group=4)
-        for kind, radius, bits in (
-            ("outer", p.radius, FLOOR_BIT if min(i, n - 1 - i) >= 4 else 0),
-            ("inner", p.collision_radius, TOOL_BITS),
-        ):
-            node.add_geom(
-                name=f"{NAME}_{i}_{kind}",
-                type=mujoco.mjtGeom.mjGEOM_SPHERE,
-                size=[radius, 0, 0],
-                group=4,
-                mass=0.0,
-                contype=0,
-                conaffinity=bits,
-                condim=1,
-                solref=[0.02, 1.0],
-                solimp=[0.0, 0.95, 0.004, 0.5, 2.0],
-            )
-    springs = p.springs
-    for rank, a, b in _pairs(n):
-        stiffness = float(springs[rank])
+    for i, place in enumerate(rest_shape(site, parameters)):
+        _add_node(spec, i, place, parameters)
+    for rank, a, b in _pairs(parameters.nodes):
+        stiffness = float(parameters.springs[rank])
         spring = spec.add_tendon(
             name=f"{NAME}_{a}_{b}",
             stiffness=[stiffness, 0, 0],
-            damping=[p.damping * stiffness, 0, 0],
+            damping=[parameters.damping * stiffness, 0, 0],
             group=4,
         )
         spring.wrap_site(f"{NAME}_{a}")
@@ -193,7 +159,7 @@ def add_bowel(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters, loo
     floor = spec.worldbody.add_body(
         name=f"{NAME}_floor",
         mocap=True,
-        pos=_floor(site, p).tolist(),
+        pos=_floor(site, parameters).tolist(),
         quat=quaternion(site.R).tolist(),
     )
     floor.add_geom(
@@ -208,7 +174,42 @@ def add_bowel(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters, loo
     if looks:
         from surg_sim.looks.tissue_skin import add_skin
 
-        add_skin(spec, site, p)
+        add_skin(spec, site, parameters)
+
+
+def _add_node(spec: mujoco.MjSpec, i: int, place: Array, parameters: TissueParameters) -> None:
+    """A point mass on three slides, with a sphere for the floor and one for the jaw pads."""
+    p, to_end = parameters, min(i, parameters.nodes - 1 - i)
+    node = spec.worldbody.add_body(name=f"{NAME}_{i}", pos=place.tolist())
+    node.gravcomp = 1.0
+    node.mass = p.mass / p.nodes
+    node.inertia = [1e-6] * 3
+    node.explicitinertial = True
+    for axis, letter in zip(np.eye(3), "xyz", strict=True):
+        node.add_joint(
+            name=f"{NAME}_{i}_{letter}",
+            type=mujoco.mjtJoint.mjJNT_SLIDE,
+            axis=axis.tolist(),
+            stiffness=[p.anchor if to_end < 2 else p.mesentery, 0, 0],
+            damping=[p.mesentery_damping, 0, 0],
+        )
+    node.add_site(name=f"{NAME}_{i}", size=[0.001] * 3, group=4)
+    for kind, radius, bits in (
+        ("outer", p.radius, FLOOR_BIT if to_end >= 4 else 0),
+        ("inner", p.collision_radius, TOOL_BITS),
+    ):
+        node.add_geom(
+            name=f"{NAME}_{i}_{kind}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[radius, 0, 0],
+            group=4,
+            mass=0.0,
+            contype=0,
+            conaffinity=bits,
+            condim=1,
+            solref=[0.02, 1.0],
+            solimp=[0.0, 0.95, 0.004, 0.5, 2.0],
+        )
 
 
 def _floor(site: Site, parameters: TissueParameters) -> Array:
@@ -325,10 +326,6 @@ class Bowel:
         length = np.linalg.norm(nodes[self._to] - nodes[self._from], axis=1)
         return np.asarray(length - self._model.tendon_lengthspring[self._tendons, 0])
 
-    def tension(self, i: int) -> float:
-        """Elastic tension between node i and node i + 1 [N]."""
-        return float(self.tensions[i])
-
     @property
     def pulls(self) -> Array:
         """Force of mesentery and anchors on every node [N], world, (n, 3)."""
@@ -350,17 +347,6 @@ class Bowel:
         springs = self._stiffness @ self._stretch() ** 2
         held = self._model.jnt_stiffness[self._joints] @ moved**2
         return float(springs + held + mass * speed @ speed) / 2
-
-    def nearest(self, p_W: Array) -> int:
-        """The node nearest to a point in the world [m]."""
-        return int(np.argmin(np.linalg.norm(self.nodes - np.asarray(p_W), axis=1)))
-
-    @functools.cached_property
-    def skin(self) -> BowelSkin:
-        """What draws the bowel in pictures of this scene, which must have been built with looks."""
-        from surg_sim.looks.tissue_skin import BowelSkin
-
-        return BowelSkin(self._model, self._site, self.parameters)
 
     def free(self, node: int) -> bool:
         """Whether no tool holds this node."""

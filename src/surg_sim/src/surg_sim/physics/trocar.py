@@ -1,12 +1,12 @@
 """The compliant trocar: a sleeve that slides on the shaft, held by the abdominal wall's springs.
 
 The sleeve is a body on a slide joint along the shaft, with the seal's friction. A connect
-constraint between two *sites* ties it to a wall body on three spring-damper slides. (A body-based
-connect takes its anchor at qpos0 and throws the arm.) So the wall's displacement is read from its
-slides, and the force of the shaft on the wall from the constraint force on them.
+constraint between two *sites* ties it to a wall body on three spring-damper slides. (A connect
+between bodies takes its anchor at qpos0 and throws the arm.) The wall's displacement is therefore
+the position of its slides, and the force of the shaft on the wall is their constraint force.
 
-The hole may move by itself (``MovingPoint``). Its springs and dampers then act on the difference to
-the moving point, as if they were fixed to it.
+The trocar point may move by itself (``MovingPoint``). Springs and dampers then act relative to the
+moving point.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def add_trocar(
     parameters: TrocarParameters,
     error: ToolError | None = None,
 ) -> None:
-    """Put the sleeve, the wall and their connection into the scene.
+    """Add the sleeve, the wall and the constraint between them to the scene.
 
     The wall's axes are those of the arm's base, so that its slides are read in the base frame.
 
@@ -99,10 +99,24 @@ def add_trocar(
         parameters: Wall parameters.
         error: How the true tool differs from the URDF; the sleeve rides on the true shaft.
     """
-    prefix = f"{arm.name}_"
+    _add_wall(spec, arm, parameters)
+    _add_sleeve(spec, arm, parameters, error)
+    spec.add_equality(
+        name=f"{arm.name}_trocar",
+        type=mujoco.mjtEq.mjEQ_CONNECT,
+        objtype=mujoco.mjtObj.mjOBJ_SITE,
+        name1=f"{arm.name}_sleeve",
+        name2=f"{arm.name}_wall",
+        solref=[0.004, 1.0],
+        solimp=[0.99, 0.999, 1e-4, 0.5, 2.0],
+    )
+
+
+def _add_wall(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParameters) -> None:
+    """A body on three spring-damper slides at the taught trocar point."""
     p_WRcm, _ = wall_frame(arm)
     wall = spec.worldbody.add_body(
-        name=f"{prefix}wall", pos=p_WRcm.tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
+        name=f"{arm.name}_wall", pos=p_WRcm.tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
     )
     wall.gravcomp = 1.0
     wall.mass = parameters.mass
@@ -110,49 +124,48 @@ def add_trocar(
     wall.explicitinertial = True
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         wall.add_joint(
-            name=f"{prefix}wall_{name}",
+            name=f"{arm.name}_wall_{name}",
             type=mujoco.mjtJoint.mjJNT_SLIDE,
             axis=axis.tolist(),
             stiffness=[parameters.stiffness, 0, 0],
             damping=[parameters.damping, 0, 0],
         )
-    wall.add_site(name=f"{prefix}wall", size=[0.001] * 3, group=4)
+    wall.add_site(name=f"{arm.name}_wall", size=[0.001] * 3, group=4)
 
+
+def _add_sleeve(
+    spec: mujoco.MjSpec,
+    arm: surg_core.Arm,
+    parameters: TrocarParameters,
+    error: ToolError | None,
+) -> None:
+    """A light body that slides along the true shaft with the seal's dry friction."""
     p_FTip, s_F = shaft_in_flange(arm, error)
     X_BF = arm.chain.forward(np.asarray(arm.robot.home))
     depth = (X_BF[:3, :3] @ s_F) @ (
         X_BF[:3, :3] @ p_FTip + X_BF[:3, 3] - np.asarray(arm.trocar.p_BRcm)
     )
-    sleeve = spec.body(prefix + arm.robot.flange_link).add_body(
-        name=f"{prefix}sleeve", pos=(p_FTip - depth * s_F).tolist()
+    sleeve = spec.body(f"{arm.name}_{arm.robot.flange_link}").add_body(
+        name=f"{arm.name}_sleeve", pos=(p_FTip - depth * s_F).tolist()
     )
     sleeve.gravcomp = 1.0
     sleeve.mass = 0.01
     sleeve.inertia = [1e-6] * 3
     sleeve.explicitinertial = True
     sleeve.add_joint(
-        name=f"{prefix}sleeve",
+        name=f"{arm.name}_sleeve",
         type=mujoco.mjtJoint.mjJNT_SLIDE,
         axis=s_F.tolist(),
         frictionloss=parameters.friction,
-        # Stiff, so that it is dry friction; the default is viscous for a sleeve of few grams.
+        # Stiff, so that it acts as dry friction; the default is viscous for so light a sleeve.
         solref_friction=[0.002, 1.0],
         solimp_friction=[0.99, 0.999, 1e-4, 0.5, 2.0],
     )
-    sleeve.add_site(name=f"{prefix}sleeve", size=[0.001] * 3, group=4)
-    spec.add_equality(
-        name=f"{prefix}trocar",
-        type=mujoco.mjtEq.mjEQ_CONNECT,
-        objtype=mujoco.mjtObj.mjOBJ_SITE,
-        name1=f"{prefix}sleeve",
-        name2=f"{prefix}wall",
-        solref=[0.004, 1.0],
-        solimp=[0.99, 0.999, 1e-4, 0.5, 2.0],
-    )
+    sleeve.add_site(name=f"{arm.name}_sleeve", size=[0.001] * 3, group=4)
 
 
 class Trocar:
-    """The trocar of one arm in a compiled scene: what the wall feels.
+    """The trocar of one arm in a compiled scene: position, displacement and force.
 
     Args:
         model: The compiled scene.
@@ -176,10 +189,10 @@ class Trocar:
         self._R_BW = np.asarray(arm.X_WB[:3, :3], dtype=np.float64).T
         self._p_BRcm: Array = np.array(arm.trocar.p_BRcm, dtype=np.float64)
         self.point = MovingPoint(self._p_BRcm)
-        """The hole at rest: moves on command, otherwise stays where the trocar was taught."""
+        """The unloaded trocar point; moves on command, otherwise stays where it was taught."""
 
     def reset(self) -> None:
-        """The hole at its taught place; the wall where the shaft holds it, with no jerk to come.
+        """Put the trocar point where it was taught and the wall where the shaft holds it.
 
         The scene's kinematics must be up to date with the arm at its home posture.
         """
@@ -191,10 +204,10 @@ class Trocar:
         self._data.qpos[self._qpos] += self._R_BW @ (sleeve - wall)
 
     def advance(self) -> None:
-        """Move the hole to where it is one tick on; called before the physics of that tick.
+        """Move the trocar point by one tick; call it before the physics of that tick.
 
-        A spring and damper between wall and moving hole: m a = -k (x - x0) - c (v - v0). MuJoCo's
-        joint knows k (x - springref) and c v; c v0 is applied.
+        Spring and damper between wall and moving point: m a = -k (x - x0) - c (v - v0). MuJoCo's
+        joint computes k (x - springref) and c v; c v0 is added as an applied force.
         """
         point = self.point
         point.advance()
@@ -206,12 +219,12 @@ class Trocar:
 
     @property
     def undisturbed(self) -> Array:
-        """Where the wall's hole is when nothing pulls at it [m], base frame, (3,)."""
+        """Unloaded trocar point [m], base frame, (3,)."""
         return self.point.p_B
 
     @property
     def loaded(self) -> Array:
-        """Where the wall's hole is now [m], base frame, (3,)."""
+        """Trocar point under load [m], base frame, (3,)."""
         return self._p_BRcm + self._data.qpos[self._qpos]
 
     @property
