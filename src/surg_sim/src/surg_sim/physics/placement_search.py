@@ -176,9 +176,8 @@ def place_instrument(arm: surg_core.Arm, rng: np.random.Generator) -> Placement:
     q = np.asarray(arm.robot.home)
     X = np.asarray(arm.chain.forward(q))
     s, tip = X[:3, :3] @ s_F, X[:3, :3] @ p_FTip + X[:3, 3]
-    away = (
-        tip - workspace.depth * s
-    )  # patient x points from the base to the trocar, as in ``scene``
+    # The patient's x points from the base to the trocar, as in ``scene``.
+    away = tip - workspace.depth * s
     yaw = -float(np.arctan2(away[1], away[0]))
     R = turn(np.array([0.0, 0.0, 1.0]), yaw)
     own = reserve(arm, q, workspace)
