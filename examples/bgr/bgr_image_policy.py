@@ -1,10 +1,10 @@
-"""A learned policy for bowel grasping and retraction that looks through the endoscope; numpy only.
+"""A learned policy for bowel grasping and retraction from endoscope pictures; numpy only.
 
     python3 examples/bgr/bgr_image_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
 
-`train_bgr_images.py` makes the weights. The policy reads `observation.state` and the endoscope's
+`train_bgr_images.py` writes the weights. The policy reads `observation.state` and the endoscope's
 left picture: **what a robot can measure, and nothing else**. It answers each observation with a
-chunk of actions for the next steps, as `bgr_policy.py` does, which needs the simulator's truth.
+chunk of actions for the next steps. `bgr_policy.py` does the same from ground truth.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from bgr_policy import SET, STATE, Network, Policy, serve, state_columns
 
 PICTURE = "observation.images.endoscope.left"
 SIDE = 96
-"""Of what is looked at [px]."""
+"""Side of the input picture [px]."""
 EARLIER = (20, 40)
-"""Steps back at which the scene is looked at again, in grey: where the assistant pointed."""
+"""Steps back of the earlier grey pictures, which show where the assistant pointed."""
 CHANNELS = 3 + len(EARLIER)
 JAW_LAGS = (4, 8, 16)
-"""Steps back at which the jaws are looked at again: how long they have been closed."""
+"""Steps back of the earlier jaw angles, which show how long the jaws have been closed."""
 NUMBERS = 12
-"""Of `numbers`."""
+"""Columns of `numbers`."""
 HERE = slice(8, 12)
-"""Of `numbers`: the last command."""
+"""Columns of `numbers` with the last command."""
 CONVOLUTIONS = ((8, 4, 2), (3, 1, 1), (3, 1, 1))
-"""Size of the patches, their distance, and what is added at each edge [px]."""
+"""Patch size, stride and zero padding at each edge [px]."""
 
 Array = np.ndarray
 
@@ -38,16 +38,16 @@ Array = np.ndarray
 def small(picture: Array) -> Array:
     """The middle square of a picture, scaled down: each pixel is the mean of a block.
 
-    The same for the pictures that are learned from and for those that are acted on.
+    Training and acting use the same function.
 
     Args:
-        picture: (height, width, 3), uint8, wide enough; the height a multiple of `SIDE`.
+        picture: (height, width, 3), uint8; height a multiple of `SIDE`, width at least the height.
 
     Returns:
         (SIDE, SIDE, 3), uint8.
 
     Raises:
-        ValueError: It has another shape; says which.
+        ValueError: It has another shape.
     """
     shape = np.shape(picture)
     if len(shape) != 3 or shape[2] != 3 or shape[0] % SIDE or not 0 < shape[0] <= shape[1]:
@@ -63,11 +63,11 @@ def small(picture: Array) -> Array:
 
 
 def stacked(now: Array, earlier: Sequence[Array]) -> Array:
-    """What the network sees: the scene in colour, and earlier ones in grey.
+    """Input of the network: the present picture in colour, earlier ones in grey.
 
     Args:
         now: (B, SIDE, SIDE, 3), uint8.
-        earlier: Of each of `EARLIER`, the same.
+        earlier: One such array for each of `EARLIER`.
 
     Returns:
         (B, SIDE, SIDE, CHANNELS), float32, about -2 to 2.
@@ -82,16 +82,16 @@ def stacked(now: Array, earlier: Sequence[Array]) -> Array:
 
 
 def numbers(columns: Array, state: Array, last: Array) -> Array:
-    """What is measured beside the picture at each of T successive steps of one episode.
+    """Measured inputs beside the picture at each of T successive steps of one episode.
 
     Args:
-        columns: Of the state, see `state_columns`.
+        columns: Of `state_columns`.
         state: (T, 9) `observation.state`.
-        last: (T, 4) tip and roll of the last command; at first, the set-point.
+        last: (T, 4) tip and roll of the last command; at the first step, the set-point.
 
     Returns:
-        (T, NUMBERS): the tip from the last command, how far the roll is behind, the jaws now and
-        earlier; `HERE`, the last command.
+        (T, NUMBERS): tip and roll relative to the last command, the jaw angle now and earlier, and
+        the last command (`HERE`).
     """
     s = state[:, columns]
     row = np.arange(len(s))
@@ -100,13 +100,13 @@ def numbers(columns: Array, state: Array, last: Array) -> Array:
 
 
 def patches(x: Array, size: int, stride: int, pad: int) -> Array:
-    """The patches of pictures that a convolution multiplies with its weights.
+    """Patches of pictures, which a convolution multiplies by its weights.
 
     Args:
         x: (B, H, W, C).
-        size: Of a patch, both ways.
-        stride: From one to the next.
-        pad: Zeros around.
+        size: Side of a patch.
+        stride: From one patch to the next.
+        pad: Zeros at each edge.
 
     Returns:
         (B, H', W', size * size * C).
@@ -116,7 +116,7 @@ def patches(x: Array, size: int, stride: int, pad: int) -> Array:
     padded[:, pad : pad + H, pad : pad + W] = x
     h, w = ((n + 2 * pad - size) // stride + 1 for n in (H, W))
     b, r, c, one = padded.strides
-    # A row of a patch lies in one piece.
+    # A row of a patch is contiguous in memory.
     view = np.lib.stride_tricks.as_strided(
         padded, (B, h, w, size, size * C), (b, r * stride, c * stride, r, one), writeable=False
     )
@@ -124,27 +124,27 @@ def patches(x: Array, size: int, stride: int, pad: int) -> Array:
 
 
 def grid(h: int, w: int, dtype: Any) -> Array:
-    """Coordinates of the cells of a map, -1 to 1 both ways, (h * w, 2): down, right."""
+    """Coordinates of a map's cells, -1 to 1, (h * w, 2): down, right."""
     down, right = np.meshgrid(np.linspace(-1, 1, h), np.linspace(-1, 1, w), indexing="ij")
     return np.column_stack([down.ravel(), right.ravel()]).astype(dtype)
 
 
 def shares(maps: Array) -> Array:
-    """Each map as shares that add up to one (softmax over places), (B, h * w, C)."""
+    """Spatial softmax of each map, (B, h * w, C)."""
     flat = maps.reshape(len(maps), -1, maps.shape[3])
     powers = np.exp(flat - flat.max(axis=1, keepdims=True))
     return powers / powers.sum(axis=1, keepdims=True)
 
 
 def places(maps: Array, share: Array) -> Array:
-    """Where each map is high, and how high it is on the whole.
+    """Expected position under each map's spatial softmax, and each map's mean.
 
     Args:
         maps: (B, h, w, C).
         share: Of `shares`.
 
     Returns:
-        (B, 3 C): down, right of the expected place for each map, then the means.
+        (B, 3 C): expected position (down, then right) of each map, then the means.
     """
     where = np.matmul(share.transpose(0, 2, 1), grid(*maps.shape[1:3], maps.dtype))
     means = maps.mean(axis=(1, 2))
@@ -152,10 +152,10 @@ def places(maps: Array, share: Array) -> Array:
 
 
 class ImageNetwork:
-    """Convolutions, places of what they find, and a multilayer perceptron; float32.
+    """Convolutions, spatial softmax and a multilayer perceptron; float32.
 
-    Where something is comes out as coordinates (Levine et al. 2016), so that few weights are needed
-    behind the convolutions and a place is known to less than a cell of the map.
+    Spatial softmax gives positions as coordinates (Levine et al. 2016). Few weights are then needed
+    after the convolutions, and a position is finer than a cell of the map.
 
     Args:
         layers: Weights (n_in, n_out) and biases: of `CONVOLUTIONS`, then of the perceptron, whose
@@ -184,7 +184,7 @@ class ImageNetwork:
 
 
 class ImagePolicy(Policy):
-    """Weights and what they mean."""
+    """A policy that reads the endoscope's left picture and measured values."""
 
     format = "surg_bgr_image_policy/1"
     wants = (STATE, PICTURE)
@@ -199,12 +199,12 @@ class ImagePolicy(Policy):
         self._views: deque[Array] = deque(maxlen=max(EARLIER) + 1)
 
     def look(self, pictures: Array, measured: Array, last: Array) -> Array:
-        """Chunks for what is seen and measured.
+        """Chunks of actions for pictures and measured inputs.
 
         Args:
             pictures: (T, SIDE, SIDE, CHANNELS) of `stacked`.
             measured: (T, NUMBERS) of `numbers`.
-            last: (T, 4) tip and roll of the last command, which actions are learned relative to.
+            last: (T, 4) tip and roll of the last command; actions are relative to it.
 
         Returns:
             (T, K, 5) tip [m], roll [rad], jaw [rad]; absolute.

@@ -2,9 +2,9 @@
 
     python3 examples/bgr/bgr_policy.py --weights weights.npz --server tcp://127.0.0.1:5555
 
-`train_bgr.py` makes the weights. The policy reads `observation.state`, which a robot measures, and
+`train_bgr.py` writes the weights. The policy reads `observation.state`, which a robot measures, and
 `privileged.task_state`, the simulator's ground truth: **no robot can measure that**, so this policy
-works on the phantom only. It answers each observation with a chunk of actions for the next steps.
+works in the phantom only. It answers each observation with a chunk of actions for the next steps.
 """
 
 from __future__ import annotations
@@ -24,32 +24,32 @@ import numpy as np
 FORMAT = "surg_bgr_policy/1"
 STATE, TASK, ACTION = "observation.state", "privileged.task_state", "action"
 BESIDE = 8
-"""Nodes from the asked one to one that lies still, which tells how high the held one is."""
+"""Distance in nodes from the requested one to a resting one, which shows how far it was lifted."""
 LAGS = (0, 4, 8, 16)
-"""Steps back at which the slow features are looked at: when something happened is seen by this."""
+"""Steps back at which the slow features are sampled; they show when a state changed."""
 WEIGHTS = "SURG_BGR_WEIGHTS"
-"""Environment variable with the file of the weights, where the command line does not say it."""
+"""Environment variable with the path of the weights, if the command line has none."""
 ROBOT = "PSM1"
 NODES = 36
-"""Of the bowel."""
+"""Nodes of the bowel."""
 SET = slice(5, 9)
 """Set-point of tip and roll in `observation.state`."""
 PLACES, DISTANCE, HERE = slice(0, 9), 9, slice(-3, None)
-"""Of the features: vectors from the last command to the asked node, the assistant, a node that lies
-still; the distance of the first; the last command."""
+"""Columns of the features: vectors from the last command to the requested node, the assistant and a
+resting node; the length of the first; the last command."""
 REACH = 0.02
-"""A command that is farther from the set-point cannot be what the arm follows [m]."""
+"""The arm cannot be following a command farther than this from the set-point [m]."""
 
 
 class Columns:
-    """Finds numbers by their names, so that an order is never taken for granted.
+    """Finds columns by their names; no order is assumed.
 
     Args:
         state: Names of the numbers of `observation.state`.
         task: Names of the numbers of `privileged.task_state`.
 
     Raises:
-        ValueError: A name that is needed is not there.
+        ValueError: A required name is missing.
     """
 
     def __init__(self, state: Sequence[str], task: Sequence[str]) -> None:
@@ -65,13 +65,13 @@ class Columns:
 
 
 def state_columns(names: Sequence[str]) -> np.ndarray:
-    """Where tip, roll, jaw and the set-point (`SET`) of the robot are, (9,).
+    """Columns of tip, roll, jaw and set-point (`SET`) of the robot, (9,).
 
     Args:
         names: Of the numbers of `observation.state`.
 
     Raises:
-        ValueError: One is not there.
+        ValueError: One is missing.
     """
     wanted = [f"{ROBOT}/{n}" for n in ("tip_x", "tip_y", "tip_z", "roll", "jaw")]
     wanted += [f"{ROBOT}/{n}" for n in ("set_x", "set_y", "set_z", "roll_set")]
@@ -88,23 +88,23 @@ def _find(key: str, names: Sequence[str], wanted: Sequence[str]) -> np.ndarray:
 def features(
     columns: Columns, state: np.ndarray, task: np.ndarray, last: np.ndarray, X_RW: np.ndarray
 ) -> np.ndarray:
-    """What the network sees at each of T successive steps of one episode.
+    """Inputs of the network at each of T successive steps of one episode.
 
-    Everything in the rcm frame, as the actions are: vectors from the last command to places instead
-    of places, the holds as numbers, and how the slow things were a little earlier (`LAGS`; before
-    the first step: as at the first step). The origin is the last command and not the set-point: the
-    set-point goes ahead of a stream that moves, and who answers "stay there" makes it drift.
+    All are in the rcm frame, as the actions are: vectors from the last command to points, grasps as
+    numbers, and the slow features at earlier steps (`LAGS`; before the first step: those of the
+    first step). The origin is the last command and not the set-point. The set-point runs ahead of
+    a moving stream, so "stay at the set-point" would make the arm drift.
 
     Args:
-        columns: Where what is.
+        columns: Of the observations.
         state: (T, 9) `observation.state`.
         task: (T, 148) `privileged.task_state`.
-        last: (T, 4) tip and roll of the last command; at first, the set-point.
-        X_RW: (4, 4) the world in the rcm frame, see `world_in_rcm`.
+        last: (T, 4) tip and roll of the last command; at the first step, the set-point.
+        X_RW: (4, 4) pose of the world in the rcm frame, see `world_in_rcm`.
 
     Returns:
-        (T, F), of which `PLACES` are vectors from the last command, `DISTANCE` is the length of the
-        first and `HERE` the last command itself.
+        (T, F). `PLACES` are vectors from the last command, `DISTANCE` is the length of the first,
+        and `HERE` is the last command.
     """
     s = state[:, columns.state]
     z = {name: task[:, index] for name, index in columns.task.items()}
@@ -122,7 +122,7 @@ def features(
     target, helper = to(nodes[row, i]), to(z["assistant_tip"])
     held, assistant_held = (z[name] >= 0 for name in ("held", "assistant_held"))
     pointing = np.linalg.norm(helper - target, axis=1)
-    # What is held goes along: how it lies in the jaws is no place to go to.
+    # A held node moves with the jaws: it is no target.
     target[held], along[held], pointing[held] = 0.0, 0.0, 0.0
     now = [
         target,
@@ -144,11 +144,11 @@ def features(
 
 
 def world_in_rcm(p_R: np.ndarray, p_W: np.ndarray) -> np.ndarray:
-    """The rigid motion that best takes points of the world to the rcm frame (Kabsch 1976).
+    """The rigid motion that best maps world points to the rcm frame (Kabsch 1976).
 
     Args:
-        p_R: (N, 3) the tip as `observation.state` has it.
-        p_W: (N, 3) the tip as `privileged.task_state` has it.
+        p_R: (N, 3) tip of `observation.state` [m].
+        p_W: (N, 3) tip of `privileged.task_state` [m].
 
     Returns:
         (4, 4) X_RW.
@@ -176,12 +176,12 @@ class Network:
 
 
 class Policy:
-    """Weights and what they mean.
+    """A network with its scales, column names and provenance.
 
     Attributes:
-        wants: Observations that it needs.
+        wants: Observation keys.
         chunk: Actions per answer, K.
-        about: What the weights were made of and with.
+        about: Dataset, options and losses of the training.
     """
 
     format = FORMAT
@@ -204,10 +204,10 @@ class Policy:
         self.reset()
 
     def _find_columns(self) -> Any:
-        """Where what is in the observations.
+        """Columns of the observations.
 
         Raises:
-            ValueError: A number that is needed is not there.
+            ValueError: A required column is missing.
         """
         return Columns(self.names[STATE], self.names[TASK])
 
@@ -233,7 +233,7 @@ class Policy:
         """Read weights.
 
         Raises:
-            ValueError: The file holds something else.
+            ValueError: The file holds no weights of this policy.
         """
         try:
             with np.load(file, allow_pickle=False) as found:
@@ -250,7 +250,7 @@ class Policy:
 
     @property
     def hash(self) -> str:
-        """SHA-256 over weights and scales: the same for the same training."""
+        """SHA-256 over weights and scales; equal trainings give equal hashes."""
         found = hashlib.sha256()
         for array in [a for layer in self.network.layers for a in layer]:
             found.update(np.ascontiguousarray(array).tobytes())
@@ -261,17 +261,17 @@ class Policy:
     # --- acting -------------------------------------------------------------------------------
 
     def reset(self, instruction: str = "", seed: int | None = None) -> None:
-        """Forget the last episode. Nothing here is random, and there is one task."""
+        """Forget the last episode. The policy is deterministic and knows one task."""
         del instruction, seed
         self._said: np.ndarray | None = None
         self._past: deque[tuple[np.ndarray, ...]] = deque(maxlen=max(LAGS) + 1)
 
     def predict(self, inputs: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """Chunks for features.
+        """Chunks of actions for features.
 
         Args:
             inputs: (T, F) of `features`.
-            last: (T, 4) tip and roll of the last command, which actions are learned relative to.
+            last: (T, 4) tip and roll of the last command; actions are relative to it.
 
         Returns:
             (T, K, 5) tip [m], roll [rad], jaw [rad]; absolute.
@@ -281,7 +281,7 @@ class Policy:
         return self.actions(self.network(x.astype(np.float32)), last)
 
     def actions(self, outputs: np.ndarray, last: np.ndarray) -> np.ndarray:
-        """What the network's outputs (T, n_out) mean: see `predict`."""
+        """Actions from the network's outputs (T, n_out); see `predict`."""
         scales = self.scales
         y = outputs.astype(np.float64) * scales["output_std"] + scales["output_mean"]
         y = y.reshape(len(y), -1, 5)[:, : self.chunk]
@@ -293,19 +293,19 @@ class Policy:
         """Tip and roll of the command in force, (4,).
 
         Args:
-            held: The set-point, (4,): in its place where nothing was said, or was not taken.
+            held: The set-point, (4,); used if no command was sent or the last one was refused.
         """
         said = self._said
         return held if said is None or np.linalg.norm(said[:3] - held[:3]) > REACH else said
 
     def see(self, observation: Any) -> Mapping[str, np.ndarray]:
-        """The arrays of an observation, whose numbers are those of the training.
+        """The arrays of an observation, after a check that their columns are those of the training.
 
         Args:
             observation: A `surg_policy_client.Observation`, or arrays by key.
 
         Raises:
-            ValueError: Its numbers are others, or in another order.
+            ValueError: The columns differ, or their order does.
         """
         spec = getattr(observation, "spec", None)
         if spec is not None and not self._checked:
@@ -322,7 +322,7 @@ class Policy:
     def act(self, observation: Any) -> np.ndarray:
         """The next actions, (K, 5), from an observation (`surg_policy_client.Observation`).
 
-        Asked at every step: the first action of the chunk is what is executed.
+        The server executes the first action of the chunk and asks again at the next step.
         """
         arrays = self.see(observation)
         state, task = (np.asarray(arrays[key], np.float64).ravel() for key in (STATE, TASK))
@@ -336,10 +336,10 @@ class Policy:
 
 
 def serve(kind: type[Policy], about: str, words: Sequence[str] | None = None) -> int:
-    """The command line of a policy: connect, and answer until Ctrl-C.
+    """Command line of a policy: connect and answer until Ctrl-C.
 
     Args:
-        kind: Which policy.
+        kind: Class of the policy.
         about: One line of help.
         words: Of the command line.
 
@@ -352,12 +352,12 @@ def serve(kind: type[Policy], about: str, words: Sequence[str] | None = None) ->
         "--weights",
         type=Path,
         default=os.environ.get(WEIGHTS),
-        help=f"made by train_bgr.py (default: the variable {WEIGHTS})",
+        help=f"file of train_bgr.py (default: environment variable {WEIGHTS})",
     )
-    parser.add_argument("--keys", type=Path, help="folder of keys, where the server has keys")
+    parser.add_argument("--keys", type=Path, help="folder of keys, if the server requires keys")
     options = parser.parse_args(words)
     if options.weights is None:
-        parser.error("--weights FILE is needed; train_bgr.py makes one")
+        parser.error(f"--weights FILE or {WEIGHTS} is required; train_bgr.py writes the file")
     import surg_policy_client
 
     try:

@@ -1,4 +1,4 @@
-"""What the trainers of the learned policies share: files of a dataset, perceptron, optimiser.
+"""Shared by the trainers of the learned policies: dataset files, perceptron, optimiser.
 
 Used by `train_bgr.py` and `train_bgr_images.py`; plain numpy.
 """
@@ -9,7 +9,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
@@ -19,9 +19,9 @@ from bgr_policy import Network, Policy
 
 Array = np.ndarray
 Progress = Callable[[float, str], None]
-"""Told how much is done, 0 to 1, and words."""
+"""Called with the finished share, 0 to 1, and a note."""
 E = TypeVar("E")
-"""One recording, as a trainer keeps it."""
+"""One recording, in a trainer's own type."""
 
 
 # --- a LeRobot dataset (v2.1) ---------------------------------------------------------------------
@@ -29,7 +29,7 @@ E = TypeVar("E")
 
 @dataclass
 class Dataset(Generic[E]):
-    """Episodes by split, and the names of their numbers."""
+    """Episodes by split, and the column names of each feature."""
 
     episodes: dict[str, list[E]]
     names: dict[str, list[str]]
@@ -37,14 +37,14 @@ class Dataset(Generic[E]):
 
 
 def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
-    """What a dataset says of itself (`meta/info.json`).
+    """Metadata of a dataset (`meta/info.json`).
 
     Args:
         folder: Of the dataset.
-        needed: Features that must be there.
+        needed: Required features.
 
     Raises:
-        ValueError: It is none, or lacks one.
+        ValueError: The folder is no dataset, or a feature is missing.
     """
     try:
         info: dict[str, Any] = json.loads((folder / "meta" / "info.json").read_text("utf-8"))
@@ -59,7 +59,7 @@ def facts(folder: Path, needed: Sequence[str]) -> dict[str, Any]:
 
 
 def split_episodes(info: dict[str, Any]) -> Iterator[tuple[str, int]]:
-    """Split and number of every episode."""
+    """Split and index of every episode."""
     for split, ends in info["splits"].items():
         first, last = (int(number) for number in ends.split(":"))
         for index in range(first, last):
@@ -72,9 +72,9 @@ def file_of(folder: Path, info: dict[str, Any], path: str, index: int, **more: s
     Args:
         folder: Of the dataset.
         info: Of `facts`.
-        path: Key of its pattern, such as ``data_path``.
+        path: Key of the path pattern, such as ``data_path``.
         index: Of the episode.
-        **more: What else the pattern names.
+        **more: Further fields of the pattern.
     """
     chunk = index // info["chunks_size"]
     name: str = info[path].format(episode_chunk=chunk, episode_index=index, **more)
@@ -82,7 +82,7 @@ def file_of(folder: Path, info: dict[str, Any], path: str, index: int, **more: s
 
 
 def table(folder: Path, info: dict[str, Any], index: int, names: Sequence[str]) -> list[Array]:
-    """Numbers of an episode by feature, each (T, n)."""
+    """Arrays of an episode by feature, each (T, n)."""
     import pyarrow.parquet
 
     file = file_of(folder, info, "data_path", index)
@@ -91,22 +91,22 @@ def table(folder: Path, info: dict[str, Any], index: int, names: Sequence[str]) 
 
 
 def flat_names(names: Any) -> list[str]:
-    """Names of a feature's numbers: the format allows a list, or a dictionary with one."""
+    """Column names of a feature; the format allows a list, or a dictionary with one."""
     return list(next(iter(names.values()))) if isinstance(names, dict) else list(names)
 
 
-# --- what is learned ------------------------------------------------------------------------------
+# --- targets --------------------------------------------------------------------------------------
 
 
 class Steps(Protocol):
-    """An episode of T steps, as far as actions go."""
+    """The arrays of an episode of T steps that the targets need."""
 
     state: Array
     action: Array
 
 
 def last_commands(episode: Steps, held: Any) -> Array:
-    """Tip and roll of the command in force at each step, (T, 4); at first, the set-point.
+    """Tip and roll of the last command at each step, (T, 4); at the first step, the set-point.
 
     Args:
         episode: Of the dataset.
@@ -116,9 +116,9 @@ def last_commands(episode: Steps, held: Any) -> Array:
 
 
 def targets_of(episode: Steps, last: Array, chunk: int) -> Array:
-    """What is to be predicted at each step, (T, chunk, 5).
+    """Targets of the prediction at each step, (T, chunk, 5).
 
-    Relative to the last command, but for the jaw. Behind the end the last action stays.
+    They are relative to the last command, except for the jaw. After the end the last action holds.
 
     Args:
         episode: Of the dataset.
@@ -132,7 +132,7 @@ def targets_of(episode: Steps, last: Array, chunk: int) -> Array:
     return targets
 
 
-# --- how it is learned ----------------------------------------------------------------------------
+# --- optimiser and perceptron ---------------------------------------------------------------------
 
 
 class Adam:
@@ -140,7 +140,7 @@ class Adam:
 
     Args:
         parameters: (n,) float32; changed in place.
-        decay: Of weights, times the rate.
+        decay: Weight decay, multiplied by the learning rate.
     """
 
     def __init__(self, parameters: Array, decay: float) -> None:
@@ -149,7 +149,7 @@ class Adam:
         self._buffer = np.empty_like(parameters)
 
     def step(self, gradient: Array, rate: float) -> None:
-        """Go one step down."""
+        """Take one step."""
         self._t += 1
         b1, b2, buffer = 0.9, 0.999, self._buffer
         self._m *= b1
@@ -168,7 +168,7 @@ class Adam:
 
 
 def huber(error: Array) -> tuple[float, Array]:
-    """Mean Huber loss (linear from 0.5 on) of errors, and its slope by each of them."""
+    """Mean Huber loss (linear above 0.5) of errors, and its derivative by each error."""
     bounded = np.clip(error, -0.5, 0.5)
     loss = float(np.mean(bounded * (error - 0.5 * bounded)))
     return loss, bounded / error.dtype.type(error.size)
@@ -177,11 +177,11 @@ def huber(error: Array) -> tuple[float, Array]:
 def gradient_of(
     network: Network, grads: Sequence[tuple[Array, Array]], x: Array, target: Array
 ) -> float:
-    """Mean Huber loss of a batch; its gradient is written into ``grads``.
+    """Mean Huber loss of a batch; writes the gradient into ``grads``.
 
     Args:
-        network: Its layers are read.
-        grads: Of each layer, weight and bias; written.
+        network: Read only.
+        grads: Weight and bias of each layer; written.
         x: (B, n_in), normalised.
         target: (B, n_out), normalised.
     """
@@ -192,7 +192,7 @@ def gradient_of(
 
 
 def activations(network: Network, x: Array) -> list[Array]:
-    """Inputs of every layer, and the outputs."""
+    """Inputs of every layer, then the outputs."""
     kept = [x]
     for weight, bias in network.layers[:-1]:
         kept.append(np.maximum(kept[-1] @ weight + bias, 0.0))
@@ -206,13 +206,13 @@ def propagate(
     """Write the gradient of all layers.
 
     Args:
-        network: Its layers are read.
-        grads: Of each layer, weight and bias; written.
+        network: Read only.
+        grads: Weight and bias of each layer; written.
         kept: Inputs of each layer.
-        back: Slope of the loss by the outputs.
+        back: Derivative of the loss by the outputs.
 
     Returns:
-        Slope by the first layer's outputs, before its ReLU.
+        Derivative by the first layer's outputs, before its ReLU.
     """
     for i in range(len(network.layers) - 1, -1, -1):
         np.matmul(kept[i].T, back, out=grads[i][0])
@@ -223,13 +223,48 @@ def propagate(
 
 
 def flat_layers(shapes: Sequence[tuple[int, int]]) -> tuple[Array, list[tuple[Array, Array]]]:
-    """One vector of zeros, and layers (n_in, n_out) with their biases as views into it."""
+    """One vector of zeros, and weights (n_in, n_out) and biases as views into it."""
     flat, layers, at = np.zeros(sum((a + 1) * b for a, b in shapes), np.float32), [], 0
     for a, b in shapes:
         weight = flat[at : at + a * b].reshape(a, b)
         layers.append((weight, flat[at + a * b : at + (a + 1) * b]))
         at += (a + 1) * b
     return flat, layers
+
+
+def scales_of(inputs: Array, targets: Array) -> dict[str, Array]:
+    """Mean and standard deviation of inputs (N, F) and flat targets (N, K * 5)."""
+    flat = targets.reshape(len(targets), -1)
+    return {
+        "input_mean": inputs.mean(axis=0),
+        "input_std": np.maximum(inputs.std(axis=0), 1e-3),
+        "output_mean": flat.mean(axis=0),
+        "output_std": np.maximum(flat.std(axis=0), 1e-4),
+    }
+
+
+def jaw_range(targets: Array) -> Array:
+    """Smallest and largest jaw angle of targets (N, K, 5)."""
+    return np.array([targets[:, :, 4].min(), targets[:, :, 4].max()])
+
+
+def normalised(scales: Mapping[str, Array], inputs: Array, targets: Array) -> tuple[Array, Array]:
+    """Inputs (N, F) and flat targets (N, K * 5) with mean 0 and standard deviation 1, float32."""
+    x = (inputs - scales["input_mean"]) / scales["input_std"]
+    y = (targets.reshape(len(x), -1) - scales["output_mean"]) / scales["output_std"]
+    return x.astype(np.float32), y.astype(np.float32)
+
+
+def initialise(layers: Sequence[tuple[Array, Array]], rng: np.random.Generator) -> None:
+    """Draw the weights after He et al. (2015); the last layer starts small."""
+    for weight, _ in layers:
+        weight[:] = rng.standard_normal(weight.shape) * np.sqrt(2.0 / len(weight))
+    layers[-1][0][:] *= 0.1
+
+
+def half_cosine(part: float) -> float:
+    """Factor of the learning rate after a share of the training: from 1 to 0."""
+    return 0.5 * (1 + np.cos(np.pi * part))
 
 
 # --- the command line -----------------------------------------------------------------------------
@@ -241,23 +276,22 @@ def command_line(
     make: Callable[[Path, dict[str, Any], Progress], Policy],
     words: Sequence[str] | None,
 ) -> int:
-    """The command line of a trainer.
+    """Command line of a trainer.
 
     Args:
         name: Of the program.
         help_text: One line.
-        make: Trains, from the dataset's folder, the options that were given, and whom to tell how
-            far it is.
+        make: Trains; takes the dataset's folder, the given options and the progress callback.
         words: Of the command line.
 
     Returns:
-        Exit status: 0 done, 2 for a dataset that cannot be used.
+        Exit status: 0 done, 2 for an unusable dataset.
     """
     parser = argparse.ArgumentParser(prog=name, description=help_text)
-    parser.add_argument("dataset", type=Path, help="folder that ./surg export wrote")
-    parser.add_argument("--out", type=Path, required=True, help="weights (.npz)")
-    parser.add_argument("--seed", type=int, help="of the training (default 0)")
-    parser.add_argument("--steps", type=int, help="of the optimiser")
+    parser.add_argument("dataset", type=Path, help="folder written by ./surg export")
+    parser.add_argument("--out", type=Path, required=True, help="file for the weights (.npz)")
+    parser.add_argument("--seed", type=int, help="seed of the training (default 0)")
+    parser.add_argument("--steps", type=int, help="optimiser steps")
     parser.add_argument("--chunk", type=int, help="actions predicted at once")
     parser.add_argument("--json", action="store_true", help="progress as JSON lines")
     options = parser.parse_args(words)

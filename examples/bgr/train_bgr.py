@@ -1,10 +1,10 @@
-"""Trains the policy of `bgr_policy.py` on a LeRobot dataset (v2.1) that `./surg export` wrote.
+"""Trains the policy of `bgr_policy.py` on a LeRobot dataset (v2.1) of `./surg export`.
 
     python3 examples/bgr/train_bgr.py datasets/bgr --out weights.npz --seed 0
 
 Behaviour cloning of action chunks with a small multilayer perceptron, in plain numpy: the same
-dataset, options and seed give the same weights. Reads the split `train`; says what the loss is on
-it and on `val`.
+dataset, options and seed give the same weights. It trains on the split `train` and prints the
+losses on `train` and `val`.
 """
 
 from __future__ import annotations
@@ -41,48 +41,53 @@ from bgr_training import (
     flat_layers,
     flat_names,
     gradient_of,
+    half_cosine,
+    initialise,
+    jaw_range,
     last_commands,
+    normalised,
+    scales_of,
     split_episodes,
     table,
     targets_of,
 )
 
 OPEN, NEAR = 0.6, 0.03
-"""Jaws that are less open [rad] so near to the asked node [m] are about to hold it."""
+"""Jaws less open than this [rad] and nearer to the requested node than this [m] will grasp."""
 THERE = 0.0015
-"""Jaws may close when they are so near to where they were to close [m]."""
+"""Jaws may close within this distance of their target [m]."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What may be chosen; chosen with tuning seeds."""
+    """Training options; their values were chosen on tuning seeds."""
 
     chunk: int = 16
     """Actions predicted at once."""
     hidden: tuple[int, ...] = (256, 256)
     steps: int = 5000
-    """Of the optimiser."""
+    """Optimiser steps."""
     batch: int = 256
     rate: float = 1.5e-3
-    """Of learning, at first; falls to nothing along half a cosine."""
+    """Initial learning rate; falls to zero along half a cosine."""
     decay: float = 1e-4
-    """Of weights."""
+    """Weight decay."""
     noise: float = 0.02
-    """Added to normalised inputs,"""
+    """Standard deviation of the noise on normalised inputs."""
     noise_place: float = 0.3
-    """and to the last command: what is learned shall not depend on the place."""
+    """The same for the last command, so that the policy does not depend on absolute position."""
     push: float = 0.004
-    """Spread of what every second sample of a free arm is moved aside by, per axis [m],"""
+    """Standard deviation of the offset of every second sample without a grasp, per axis [m]."""
     back: float = 0.25
-    """and time constant of its way back [s]."""
+    """Time constant of the return from that offset [s]."""
     behind: int = 2
-    """Steps by which what is seen may be behind what was said, 0 to this: in real time it is."""
+    """Largest lag of the observation behind the last command [steps], as in real time."""
     seed: int = 0
 
 
 @dataclass
 class Episode:
-    """One recording of the dataset: T steps."""
+    """One recording of T steps."""
 
     state: Array
     task: Array
@@ -93,7 +98,7 @@ def read(folder: Path) -> Dataset[Episode]:
     """Read the tables of a dataset.
 
     Raises:
-        ValueError: It is none, or lacks a feature that is needed.
+        ValueError: The folder is no dataset, or a required feature is missing.
     """
     needed = (STATE, TASK, ACTION)
     info = facts(folder, needed)
@@ -107,13 +112,12 @@ def read(folder: Path) -> Dataset[Episode]:
 
 @dataclass
 class Samples:
-    """Steps to learn from, N in all; SI.
+    """N training steps; SI.
 
     Attributes:
         inputs: (N, F) of `features`.
         targets: (N, K, 5) of `targets_of`.
-        free: (N,) whether the arm might as well be a little beside where it is: nothing is held or
-            about to be.
+        free: (N,) whether the arm may be displaced: it holds nothing and is not about to grasp.
         jaw: (N,) jaw angle [rad].
     """
 
@@ -131,15 +135,15 @@ class Samples:
         chunk: int,
         behind: int = 0,
     ) -> Samples:
-        """The steps of episodes, one after another.
+        """The steps of all episodes, in order.
 
         Args:
             episodes: Of the dataset.
-            columns: Where what is in the observations.
-            X_RW: (4, 4) the world in the rcm frame.
+            columns: Of the observations.
+            X_RW: (4, 4) pose of the world in the rcm frame.
             chunk: Actions ahead.
-            behind: Each step is there with its own observation and with each of as many before it;
-                what was said last and what is to be said are those of the step itself.
+            behind: Each step appears with its own observation and with each of the ``behind``
+                earlier ones. Last command and target are those of the step itself.
         """
         parts = []
         for episode in episodes:
@@ -156,15 +160,15 @@ class Samples:
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
-        """Some steps as they would be with the arm beside where it was, and on its way back.
+        """Steps with the arm displaced, and the chunk that returns.
 
-        An arm that is free goes where it is told, so that what it should do there is known: close
-        the gap. Its jaws do not close before that.
+        A free arm follows its commands, so the correct chunk is known: it closes the gap. The jaws
+        do not close before.
 
         Args:
-            rows: (B,) of the samples.
-            push: (B, 3) by how much they are aside [m].
-            left: (K,) share of it that is left at each step of the chunk.
+            rows: (B,) indices of samples.
+            push: (B, 3) displacement [m].
+            left: (K,) remaining share of it at each step of the chunk.
 
         Returns:
             Inputs (B, F) and targets (B, K, 5).
@@ -188,42 +192,28 @@ def train(
     """Train on the split ``train``.
 
     Raises:
-        ValueError: There is nothing to train on.
+        ValueError: The split is empty.
     """
     columns = Columns(dataset.names[STATE], dataset.names[TASK])
     shown = dataset.episodes.get("train")
     if not shown:
         raise ValueError("the dataset has no episode in its split 'train'")
-    tips = [episode.state[:, columns.state[:3]] for episode in shown]
-    tips_W = [episode.task[:, columns.task["tip"]] for episode in shown]
-    X_RW = world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
+    X_RW = _world_in_rcm(shown, columns)
     parts = {
         split: Samples.of(episodes, columns, X_RW, options.chunk, options.behind)
         for split, episodes in dataset.episodes.items()
     }
     known = parts["train"]
-    flat_targets = known.targets.reshape(len(known.targets), -1)
     scales = {
-        "input_mean": known.inputs.mean(axis=0),
-        "input_std": np.maximum(known.inputs.std(axis=0), 1e-3),
-        "output_mean": flat_targets.mean(axis=0),
-        "output_std": np.maximum(flat_targets.std(axis=0), 1e-4),
+        **scales_of(known.inputs, known.targets),
         "X_RW": X_RW,
-        "jaw_range": np.array([known.targets[:, :, 4].min(), known.targets[:, :, 4].max()]),
+        "jaw_range": jaw_range(known.targets),
     }
-
-    def normal(inputs: Array, targets: Array) -> tuple[Array, Array]:
-        x = (inputs - scales["input_mean"]) / scales["input_std"]
-        y = (targets.reshape(len(x), -1) - scales["output_mean"]) / scales["output_std"]
-        return x.astype(np.float32), y.astype(np.float32)
-
     rng = np.random.default_rng(options.seed)
     sizes = [known.inputs.shape[1], *options.hidden, 5 * options.chunk]
     shapes = list(itertools.pairwise(sizes))
     flat, layers = flat_layers(shapes)
-    for weight, _ in layers:
-        weight[:] = rng.standard_normal(weight.shape) * np.sqrt(2.0 / len(weight))
-    layers[-1][0][:] *= 0.1
+    initialise(layers, rng)
     network, adam = Network(layers), Adam(flat, options.decay)
     slope, grads = flat_layers(shapes)
     noise = np.full(sizes[0], options.noise, np.float32)
@@ -233,14 +223,15 @@ def train(
         rows = rng.integers(0, len(known.inputs), options.batch)
         push = options.push * rng.standard_normal((options.batch, 3))
         push[::2] = 0.0
-        x, y = normal(*known.pushed(rows, push, left))
+        x, y = normalised(scales, *known.pushed(rows, push, left))
         x += noise * rng.standard_normal(x.shape, np.float32)
         loss = gradient_of(network, grads, x, y)
-        adam.step(slope, options.rate * 0.5 * (1 + np.cos(np.pi * step / options.steps)))
+        adam.step(slope, options.rate * half_cosine(step / options.steps))
         if step % 50 == 0:
             progress(step / options.steps, f"step {step} of {options.steps}, loss {loss:.4f}")
     losses = {
-        split: _loss(network, *normal(part.inputs, part.targets)) for split, part in parts.items()
+        split: _loss(network, *normalised(scales, part.inputs, part.targets))
+        for split, part in parts.items()
     }
     about = {
         "options": asdict(options),
@@ -255,13 +246,20 @@ def train(
     return Policy(network, scales, dataset.names, options.chunk, about)
 
 
+def _world_in_rcm(episodes: Sequence[Episode], columns: Columns) -> Array:
+    """X_RW (4, 4) from the tips of all episodes."""
+    tips = [episode.state[:, columns.state[:3]] for episode in episodes]
+    tips_W = [episode.task[:, columns.task["tip"]] for episode in episodes]
+    return world_in_rcm(np.concatenate(tips), np.concatenate(tips_W))
+
+
 def _loss(network: Network, x: Array, y: Array) -> float:
     """Mean absolute error in units of each output's standard deviation."""
     return float(np.mean(np.abs(network(x) - y)))
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Entry point: 0 done, 2 for a dataset that cannot be used."""
+    """Entry point; returns 0, or 2 for an unusable dataset."""
 
     def make(folder: Path, given: dict[str, Any], show: Progress) -> Policy:
         return train(read(folder), Options(**given), show)

@@ -2,9 +2,9 @@
 
     python3 examples/bgr/train_bgr_images.py datasets/bgr --out weights.npz --seed 0
 
-As `train_bgr.py`, with small convolutions in front, in plain numpy: the same dataset, options and
-seed give the same weights. It reads `observation.state`, `action` and the left endoscope's video
-(PyAV), and nothing of the simulator's truth.
+Like `train_bgr.py`, with convolutions before the perceptron, in plain numpy: the same dataset,
+options and seed give the same weights. It reads `observation.state`, `action` and the left
+endoscope's video (PyAV), and no ground truth.
 """
 
 from __future__ import annotations
@@ -47,49 +47,54 @@ from bgr_training import (
     file_of,
     flat_layers,
     flat_names,
+    half_cosine,
     huber,
+    initialise,
+    jaw_range,
     last_commands,
+    normalised,
     propagate,
+    scales_of,
     split_episodes,
     table,
     targets_of,
 )
 
 OPEN = 0.6
-"""Jaws that are more open hold nothing [rad]."""
+"""Jaws more open than this hold nothing [rad]."""
 
 
 @dataclass(frozen=True)
 class Options:
-    """What may be chosen; chosen with tuning seeds."""
+    """Training options; their values were chosen on tuning seeds."""
 
     chunk: int = 16
     """Actions predicted at once."""
     ahead: tuple[int, ...] = (24, 32, 48, 64)
-    """Steps of actions that are predicted, too: where all this leads to is learned from them."""
+    """Further steps whose actions are predicted during training only; they show the goal."""
     maps: tuple[int, ...] = (32, 32, 32)
-    """Of each convolution."""
+    """Outputs of each convolution."""
     hidden: tuple[int, ...] = (256, 256)
     steps: int = 0
-    """Of the optimiser; 0: so many that every sample comes ``passes`` times."""
+    """Optimiser steps; 0: enough for ``passes`` passes over all samples."""
     passes: int = 18
     batch: int = 64
     rate: float = 1e-3
-    """Of learning, at first; falls to nothing along half a cosine."""
+    """Initial learning rate; falls to zero along half a cosine."""
     decay: float = 1e-3
-    """Of weights."""
+    """Weight decay."""
     noise: float = 0.02
-    """Added to normalised numbers."""
+    """Standard deviation of the noise on normalised measured inputs."""
     push: float = 0.003
-    """Spread of what every second command of open jaws is moved aside by, per axis [m],"""
+    """Standard deviation of the offset of every second command with open jaws, per axis [m]."""
     back: float = 0.25
-    """and time constant of the way back [s]: what is seen says where to go, not what was said."""
+    """Time constant of the return [s]: the goal comes from the picture, not from the command."""
     seed: int = 0
 
 
 @dataclass
 class Episode:
-    """One recording of the dataset: T steps."""
+    """One recording of T steps."""
 
     state: Array
     action: Array
@@ -101,7 +106,7 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
     """Read the tables and the videos of a dataset.
 
     Raises:
-        ValueError: It is none, or lacks a feature that is needed.
+        ValueError: The folder is no dataset, or a required feature is missing.
     """
     needed = (STATE, ACTION)
     info = facts(folder, (*needed, PICTURE))
@@ -123,10 +128,10 @@ def read(folder: Path, progress: Progress = lambda part, note: None) -> Dataset[
 
 
 def views_of(file: Path) -> Array:
-    """All pictures of a video as `small` makes them.
+    """All pictures of a video, scaled by `small`.
 
     Raises:
-        ValueError: It cannot be read.
+        ValueError: The video cannot be read.
     """
     try:
         import av
@@ -142,14 +147,14 @@ def views_of(file: Path) -> Array:
 
 @dataclass
 class Samples:
-    """Steps to learn from, N in all; SI.
+    """N training steps; SI.
 
     Attributes:
         views: (N, SIDE, SIDE, 3), uint8.
-        before: (N, len(EARLIER)) rows of the earlier views.
+        before: (N, len(EARLIER)) indices of the earlier views.
         numbers: (N, NUMBERS) of `numbers`.
-        targets: (N, outputs, 5), relative to the last command but for the jaw.
-        free: (N,) whether the jaws are open: nothing is held.
+        targets: (N, outputs, 5), relative to the last command except for the jaw.
+        free: (N,) whether the jaws are open and hold nothing.
     """
 
     views: Array
@@ -160,7 +165,7 @@ class Samples:
 
     @classmethod
     def of(cls, episodes: Sequence[Episode], columns: Array, options: Options) -> Samples:
-        """The steps of episodes, one after another."""
+        """The steps of all episodes, in order."""
         parts, begin = [], 0
         outputs = [*range(options.chunk), *options.ahead]
         for episode in episodes:
@@ -180,16 +185,16 @@ class Samples:
         return cls(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
     def pictures(self, rows: Array) -> Array:
-        """What the network sees at some steps, of `stacked`."""
+        """Pictures of samples as `stacked` returns them."""
         return stacked(self.views[rows], [self.views[b] for b in self.before[rows].T])
 
     def pushed(self, rows: Array, push: Array, left: Array) -> tuple[Array, Array]:
-        """Some steps as they would be, had the last command been another.
+        """Steps with another last command, and the chunk that returns.
 
         Args:
-            rows: (B,) of the samples.
-            push: (B, 3) by how much it is aside [m]; where something is held, it is not.
-            left: (outputs,) share of it that is left at each step.
+            rows: (B,) indices of samples.
+            push: (B, 3) displacement of the command [m]; ignored if the jaws may hold something.
+            left: (outputs,) remaining share of it at each step.
 
         Returns:
             Numbers (B, NUMBERS) and targets (B, outputs, 5).
@@ -203,7 +208,7 @@ class Samples:
 
 
 def shapes_of(options: Options) -> list[tuple[int, int]]:
-    """Inputs and outputs of every layer."""
+    """Input and output size of every layer."""
     found, channels = [], CHANNELS
     for (size, _, _), maps in zip(CONVOLUTIONS, options.maps, strict=True):
         found.append((size * size * channels, maps))
@@ -219,11 +224,11 @@ def gradient_of(
     numbers: Array,
     target: Array,
 ) -> float:
-    """Mean Huber loss of a batch; its gradient is written into ``grads``.
+    """Mean Huber loss of a batch; writes the gradient into ``grads``.
 
     Args:
-        network: Its layers are read.
-        grads: Of each layer, weight and bias; written.
+        network: Read only.
+        grads: Weight and bias of each layer; written.
         pictures: (B, SIDE, SIDE, CHANNELS) of `stacked`.
         numbers: (B, NUMBERS), normalised.
         target: (B, n_out), normalised.
@@ -253,13 +258,13 @@ def gradient_of(
 
 
 def slope_of_places(shape: tuple[int, ...], share: Array, seen: Array, back: Array) -> Array:
-    """Slope of the loss by maps, from that by their `places`.
+    """Derivative of the loss by the maps, from that by their `places`.
 
     Args:
         shape: Of the maps.
         share: Of `shares`.
         seen: Of `places`.
-        back: Slope by these, (B, 3 C).
+        back: Derivative by the places, (B, 3 C).
     """
     B, h, w, C = shape
     down, right, means = np.split(back, 3, axis=1)
@@ -270,9 +275,9 @@ def slope_of_places(shape: tuple[int, ...], share: Array, seen: Array, back: Arr
 
 
 def slope_of_patches(back: Array, weight: Array, shape: tuple[int, int, int]) -> Array:
-    """Slope of the loss by a convolution's inputs, from that by its outputs.
+    """Derivative of the loss by a convolution's inputs, from that by its outputs.
 
-    A convolution, too, where patches are one apart: with the weights turned round.
+    At stride 1 this is a convolution with the flipped weights.
 
     Args:
         back: (B, h, w, n_out).
@@ -291,7 +296,7 @@ def train(
     """Train on the split ``train``.
 
     Raises:
-        ValueError: There is nothing to train on.
+        ValueError: The split is empty.
     """
     columns = state_columns(dataset.names[STATE])
     if not dataset.episodes.get("train"):
@@ -301,27 +306,15 @@ def train(
         for split, episodes in dataset.episodes.items()
     }
     known = parts["train"]
-    flat_targets = known.targets.reshape(len(known.targets), -1)
     scales = {
-        "input_mean": known.numbers.mean(axis=0),
-        "input_std": np.maximum(known.numbers.std(axis=0), 1e-3),
-        "output_mean": flat_targets.mean(axis=0),
-        "output_std": np.maximum(flat_targets.std(axis=0), 1e-4),
-        "jaw_range": np.array([known.targets[:, :, 4].min(), known.targets[:, :, 4].max()]),
+        **scales_of(known.numbers, known.targets),
+        "jaw_range": jaw_range(known.targets),
     }
-
-    def normal(inputs: Array, targets: Array) -> tuple[Array, Array]:
-        x = (inputs - scales["input_mean"]) / scales["input_std"]
-        y = (targets.reshape(len(x), -1) - scales["output_mean"]) / scales["output_std"]
-        return x.astype(np.float32), y.astype(np.float32)
-
     steps = options.steps or options.passes * math.ceil(len(known.numbers) / options.batch)
     rng = np.random.default_rng(options.seed)
     shapes = shapes_of(options)
     flat, layers = flat_layers(shapes)
-    for weight, _ in layers:
-        weight[:] = rng.standard_normal(weight.shape) * np.sqrt(2.0 / len(weight))
-    layers[-1][0][:] *= 0.1
+    initialise(layers, rng)
     network, adam = ImageNetwork(layers), Adam(flat, options.decay)
     slope, grads = flat_layers(shapes)
     steps_ahead = np.array([*range(options.chunk), *options.ahead]) + 1
@@ -330,10 +323,10 @@ def train(
         rows = rng.integers(0, len(known.numbers), options.batch)
         push = options.push * rng.standard_normal((options.batch, 3))
         push[::2] = 0.0
-        x, y = normal(*known.pushed(rows, push, left))
+        x, y = normalised(scales, *known.pushed(rows, push, left))
         x += options.noise * rng.standard_normal(x.shape, np.float32)
         loss = gradient_of(network, grads, known.pictures(rows), x, y)
-        adam.step(slope, options.rate * 0.5 * (1 + np.cos(np.pi * step / steps)))
+        adam.step(slope, options.rate * half_cosine(step / steps))
         if step % 50 == 0:
             note = f"step {step} of {steps}, loss {loss:.4f}"
             progress(0.2 + 0.8 * step / steps, note)
@@ -345,7 +338,7 @@ def train(
         "parameters": int(flat.size),
         "network": "three convolutions and a multilayer perceptron",
         "loss": {
-            split: _loss(network, part, *normal(part.numbers, part.targets))
+            split: _loss(network, part, *normalised(scales, part.numbers, part.targets))
             for split, part in parts.items()
         },
         "observation": [STATE, PICTURE],
@@ -365,7 +358,7 @@ def _loss(network: ImageNetwork, part: Samples, x: Array, y: Array) -> float:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Entry point: 0 done, 2 for a dataset that cannot be used."""
+    """Entry point; returns 0, or 2 for an unusable dataset."""
 
     def make(folder: Path, given: dict[str, Any], show: Progress) -> ImagePolicy:
         return train(read(folder, show), Options(**given), show)
