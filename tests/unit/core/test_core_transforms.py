@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
+from conftest import FULL
 from surg_core import transforms
 
 
@@ -85,3 +86,85 @@ def test_poses_compose_and_invert() -> None:
     np.testing.assert_allclose(X @ transforms.inverse_pose(X), np.eye(4), atol=1e-15)
     assert X.flags.c_contiguous
     assert X.dtype == np.float64
+
+
+FAMILIES = 2000 if FULL else 40
+
+
+def test_minimal_rotation_takes_one_axis_to_another_by_the_shortest_way() -> None:
+    rng = np.random.default_rng(11)
+    for a, b in rng.normal(size=(FAMILIES, 2, 3)):
+        a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+        R = transforms.minimal_rotation(a, b)
+        np.testing.assert_allclose(R @ a, b, atol=1e-12)
+        shortest = np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b)
+        assert Rotation.from_matrix(R).magnitude() == pytest.approx(shortest, abs=1e-7)
+
+
+def test_virtual_joints_turn_the_axis_about_y_then_about_minus_x() -> None:
+    """The definition by scipy: yaw about y, then pitch about the turned -x."""
+    rng = np.random.default_rng(12)
+    yaw, pitch, insertion = rng.uniform(-1.5, 1.5, (3, FAMILIES))
+    turns = Rotation.from_euler("YX", np.column_stack([yaw, -pitch]))
+    expected = turns.apply([0.0, 0.0, 1.0]) * insertion[:, None]
+    found = transforms.virtual_tip(yaw, pitch, insertion)
+    np.testing.assert_allclose(found, expected, atol=1e-14)
+    one = transforms.virtual_tip(yaw[0], pitch[0], insertion[0])
+    np.testing.assert_array_equal(one, found[0])
+
+
+def test_the_twist_is_what_was_put_in_whatever_the_swing() -> None:
+    rng = np.random.default_rng(13)
+    twist = rng.uniform(-math.pi, math.pi, FAMILIES)
+    swing = rng.uniform(-1.8, 1.8, (FAMILIES, 3)) * [1.0, 1.0, 0.0]
+    turns = Rotation.from_rotvec(swing) * Rotation.from_rotvec(np.outer(twist, [0, 0, 1]))
+    found, quality = transforms.twist_angle(turns.as_matrix())
+    np.testing.assert_allclose(found, twist, atol=1e-9)
+    np.testing.assert_allclose(
+        quality, np.abs(np.cos(np.linalg.norm(swing, axis=1) / 2)), atol=1e-12
+    )
+    assert transforms.twist_angle(np.diag([1.0, -1.0, -1.0]))[1] == 0.0, "half a turn of swing"
+
+
+def test_rows_multiply_and_rotate_as_scipy_does() -> None:
+    rng = np.random.default_rng(14)
+    a, b = Rotation.random(FAMILIES, random_state=1), Rotation.random(FAMILIES, random_state=2)
+    v = rng.normal(size=(FAMILIES, 3))
+    product = transforms.multiply_quaternions(a.as_quat(), b.as_quat())
+    assert (Rotation.from_quat(product).inv() * (a * b)).magnitude().max() < 1e-7
+    turned = transforms.rotate(a.as_quat(), v)
+    np.testing.assert_allclose(turned, a.apply(v), atol=1e-12)
+    np.testing.assert_allclose(transforms.rotate_back(a.as_quat(), turned), v, atol=1e-12)
+
+
+def test_tool_orientations_are_those_of_single_poses() -> None:
+    rng = np.random.default_rng(15)
+    p = rng.normal(size=(FAMILIES, 3))
+    p[:, 2] = np.abs(p[:, 2])  # into the patient
+    roll = rng.uniform(-4, 4, FAMILIES)
+    s = p / np.linalg.norm(p, axis=1, keepdims=True)
+    found = transforms.tip_quaternions(s, roll)
+    one_by_one = [transforms.tip_quaternion(*each) for each in zip(p, roll, strict=True)]
+    np.testing.assert_allclose(found, one_by_one, atol=1e-12)
+    np.testing.assert_allclose(Rotation.from_quat(found).apply([0, 0, 1]), s, atol=1e-12)
+
+
+def test_slerp_is_scipys_whatever_the_signs() -> None:
+    rng = np.random.default_rng(16)
+    a, b = Rotation.random(FAMILIES, random_state=3), Rotation.random(FAMILIES, random_state=4)
+    part, sign = rng.uniform(size=FAMILIES), rng.choice([-1.0, 1.0], (FAMILIES, 1))
+    found = transforms.slerp(a.as_quat(), sign * b.as_quat(), part)
+    for i in range(FAMILIES):
+        expected = Slerp([0.0, 1.0], Rotation.concatenate([a[i], b[i]]))(part[i])
+        assert (Rotation.from_quat(found[i]).inv() * expected).magnitude() < 1e-7
+    same = transforms.slerp(a.as_quat(), a.as_quat(), part)
+    np.testing.assert_allclose(same, a.as_quat(), atol=1e-15)
+
+
+def test_continuous_quaternions_are_the_same_rotations() -> None:
+    turns = Rotation.random(50, random_state=3).as_quat()
+    found = transforms.continuous_quaternions(turns)
+    np.testing.assert_allclose(np.abs(np.sum(found * turns, axis=1)), 1.0)
+    assert found[0, 3] >= 0.0
+    assert (np.sum(found[1:] * found[:-1], axis=1) >= 0.0).all()
+    assert transforms.continuous_quaternions(turns[:0]).shape == (0, 4)

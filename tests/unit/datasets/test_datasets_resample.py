@@ -10,11 +10,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from helpers.results.dataset_results import note
 from surg_core.contract import SECOND_NS
-from surg_recording.datasets import rotations
 from surg_recording.datasets.resample import (
     Grid,
     ages_s,
-    continuous,
     linear,
     offsets_ns,
     previous,
@@ -156,34 +154,3 @@ def test_slerp_refuses_what_is_no_rotation() -> None:
     for broken in (turns[:2], turns[[0, 2]]):
         with pytest.raises(EpisodeError, match="line 3: this quaternion is none"):
             slerp(np.array([0, 10]), broken, np.array([5]), "x", GAP)
-
-
-def test_rotations_follow_the_conventions(full: bool) -> None:
-    """Tool orientation and turns, against scipy and the page's definition."""
-    for seed in families(full):
-        rng = np.random.default_rng(seed)
-        axis = rng.normal(size=(1, 3))
-        axis[0, 2] = abs(axis[0, 2])  # into the patient
-        axis /= np.linalg.norm(axis)
-        roll = rng.uniform(-4, 4, 1)
-        found = Rotation.from_quat(rotations.tool_quaternion(axis, roll))
-        np.testing.assert_allclose(found.apply([0, 0, 1])[0], axis[0], atol=1e-12)
-        swing = np.cross([0, 0, 1], axis[0])
-        angle = np.arctan2(np.linalg.norm(swing), axis[0, 2])
-        swing = swing / max(np.linalg.norm(swing), 1e-12) * angle
-        expected = Rotation.from_rotvec(swing) * Rotation.from_rotvec([0, 0, roll[0]])
-        assert (found.inv() * expected).magnitude()[0] < 1e-7
-        a, b = Rotation.random(4, random_state=seed), Rotation.random(4, random_state=seed + 1)
-        product = rotations.multiply(a.as_quat(), b.as_quat())
-        assert (Rotation.from_quat(product).inv() * (a * b)).magnitude().max() < 1e-7
-        v = rng.normal(size=(4, 3))
-        np.testing.assert_allclose(
-            rotations.turn_back(a.as_quat(), v), a.inv().apply(v), atol=1e-12
-        )
-
-
-def test_continuous_keeps_rotations() -> None:
-    turns = Rotation.random(50, random_state=3).as_quat()
-    found = continuous(turns)
-    assert np.allclose(np.abs(np.sum(found * turns, axis=1)), 1.0)
-    assert continuous(turns[:0]).shape == (0, 4)

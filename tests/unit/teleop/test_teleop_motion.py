@@ -9,7 +9,6 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from surg_cli.host import paths
-from surg_teleop.leaders.handle_roll import twist_angle
 from surg_teleop.playback.make_motion import DURATION, bundled_script, write_motion
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import JUMP_SPEED, Motion, read_motion
@@ -182,28 +181,6 @@ def test_spline_meets_the_samples_and_is_smooth(tmp_path: Path) -> None:
         assert np.abs(left - right).max() < 1e-6
     fine = np.linspace(0.1, 0.9, 997)
     assert np.abs(spline(fine)[:, 0] - 0.02 * np.cos(fine)).max() < 1e-7
-
-
-def test_roll_by_swing_twist_ignores_the_swing() -> None:
-    """Any swing about an axis across the handle leaves the twist that was put in."""
-    rng = np.random.default_rng(3)
-    families = 2_000 if FULL else 200
-    worst = 0.0
-    for _ in range(families):
-        twist = np.cumsum(rng.uniform(-0.4, 0.4, 60))
-        twist -= twist[0]
-        swing = np.cumsum(rng.uniform(-0.03, 0.03, (60, 3)), axis=0)
-        swing[:, 2] = 0.0
-        swing -= swing[0]
-        start = Rotation.random(random_state=int(rng.integers(1 << 30)))
-        turns = (
-            start * Rotation.from_rotvec(swing) * Rotation.from_rotvec(np.outer(twist, [0, 0, 1]))
-        )
-        roll, quality = twist_angle(turns.as_matrix())
-        worst = max(worst, float(np.abs(roll - twist).max()))
-        assert quality.min() > 0.5
-    print(f"{families} random handles: worst roll error {worst:.1e} rad")
-    assert worst < 1e-9
 
 
 def test_roll_beyond_half_a_turn_is_unwrapped(tmp_path: Path) -> None:

@@ -96,7 +96,7 @@ def _leader(leader: str) -> dict[str, object]:
 
 def _assistant_frame(plan: Plan, loaded: Any) -> list[float]:
     """Orientation x, y, z, w in the world of the assistant's trocar frame."""
-    from scipy.spatial.transform import Rotation
+    from surg_core.transforms import matrix_to_quaternion_xyzw
 
     world = _world(loaded, plan.task)
     assistant = None if world.task is None else world.task.assistant
@@ -107,22 +107,22 @@ def _assistant_frame(plan: Plan, loaded: Any) -> list[float]:
             "bgr has one",
             2,
         )
-    return _numbers(Rotation.from_matrix(assistant.X_WRcm[:3, :3]).as_quat())
+    return _numbers(matrix_to_quaternion_xyzw(assistant.X_WRcm[:3, :3]))
 
 
 def _standing_view(loaded: Any) -> list[float]:
     """Orientation x, y, z, w in the world of the phantom's camera that no arm holds."""
     import mujoco
     import numpy as np
-    from scipy.spatial.transform import Rotation
 
+    from surg_core.transforms import matrix_to_quaternion_xyzw
     from surg_sim.physics.endoscope_rig import LEFT
 
     world = _world(loaded)
     mujoco.mj_forward(world.model, world.data)
     # A MuJoCo camera looks along -z with y up.
     R_WV = world.data.camera(LEFT).xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
-    return _numbers(Rotation.from_matrix(R_WV).as_quat())
+    return _numbers(matrix_to_quaternion_xyzw(R_WV))
 
 
 def _world(loaded: Any, task: str = "") -> Any:

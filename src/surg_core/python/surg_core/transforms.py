@@ -2,7 +2,7 @@
 
 Poses ``X_AB`` are ``(4, 4)`` homogeneous float64 arrays: the pose of frame B in frame A.
 Quaternions are ``(x, y, z, w)``, as on the wire. Roll, pitch, yaw are those of URDF: turns about
-the fixed axes x, y, z, in this order.
+the fixed axes x, y, z, in this order. Functions of whole series take one rotation per row.
 """
 
 from __future__ import annotations
@@ -11,6 +11,8 @@ import math
 
 import numpy as np
 import numpy.typing as npt
+
+from surg_core._core import minimal_rotation as minimal_rotation
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -177,3 +179,114 @@ def tip_quaternion(p: npt.ArrayLike, roll: float) -> FloatArray:
     x, y, w = x / length, y / length, w / length
     c, n = math.cos(roll / 2.0), math.sin(roll / 2.0)
     return np.array([x * c + y * n, y * c - x * n, w * n, w * c])
+
+
+def virtual_tip(yaw: npt.ArrayLike, pitch: npt.ArrayLike, insertion: npt.ArrayLike) -> FloatArray:
+    """Tip ``(…, 3)`` [m] in the rcm frame from virtual joints.
+
+    p = insertion * (sin yaw cos pitch, sin pitch, cos yaw cos pitch), see
+    docs/reference/conventions.md.
+
+    Args:
+        yaw: [rad].
+        pitch: [rad].
+        insertion: [m].
+    """
+    across = np.cos(pitch)
+    s = np.stack([np.sin(yaw) * across, np.sin(pitch), np.cos(yaw) * across], axis=-1)
+    return np.asarray(s * np.asarray(insertion, dtype=np.float64)[..., None])
+
+
+def twist_angle(rotations: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Twist of rotations about z, by swing and twist: R = swing * Rz(twist).
+
+    The swing is the part whose axis is perpendicular to z: pitch and yaw of a handle.
+
+    Args:
+        rotations: ``(…, 3, 3)`` rotation matrices.
+
+    Returns:
+        The twist ``(…)`` within ±pi [rad] and its quality ``(…)``: ``|cos(swing / 2)|``. At 0, a
+        swing of half a turn, the twist is undefined.
+    """
+    R = np.asarray(rotations, dtype=np.float64)
+    # twist = 2 atan2(q_z, q_w) of the quaternion of R. From the matrix, without normalising:
+    # (r21 - r12, r11 + r22) = (1 + cos swing) (sin twist, cos twist).
+    sine = R[..., 1, 0] - R[..., 0, 1]
+    cosine = R[..., 0, 0] + R[..., 1, 1]
+    return np.arctan2(sine, cosine), np.sqrt(np.hypot(sine, cosine) / 2.0)
+
+
+def multiply_quaternions(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Products of quaternions x, y, z, w, ``(N, 4)``, row by row: first b, then a."""
+    ax, ay, az, aw = a.T
+    bx, by, bz, bw = b.T
+    return np.column_stack(
+        [
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+            aw * bw - ax * bx - ay * by - az * bz,
+        ]
+    )
+
+
+def rotate(q_AB: FloatArray, v_B: FloatArray) -> FloatArray:
+    """Vectors ``(N, 3)`` in the axes of B, in those of A; ``q_AB`` ``(N, 4)`` unit quaternions."""
+    u, w = q_AB[:, :3], q_AB[:, 3:]
+    t = 2.0 * np.cross(u, v_B)
+    return np.asarray(v_B + w * t + np.cross(u, t))
+
+
+def rotate_back(q_AB: FloatArray, v_A: FloatArray) -> FloatArray:
+    """Vectors ``(N, 3)`` in the axes of A, in those of B: the inverse of :func:`rotate`."""
+    return rotate(q_AB * [-1.0, -1.0, -1.0, 1.0], v_A)
+
+
+def tip_quaternions(s_R: FloatArray, roll: FloatArray) -> FloatArray:
+    """Orientations ``(N, 4)`` of a tool, as :func:`tip_quaternion`.
+
+    Args:
+        s_R: ``(N, 3)`` unit shaft axes in the rcm frame.
+        roll: ``(N,)`` absolute roll [rad].
+    """
+    x, y, z = s_R.T
+    # Minimal rotation: axis z x s, half the angle.
+    swing = np.column_stack([-y, x, np.zeros_like(x), 1.0 + z])
+    swing /= np.linalg.norm(swing, axis=1, keepdims=True)
+    zero = np.zeros_like(roll)
+    twist = np.column_stack([zero, zero, np.sin(roll / 2), np.cos(roll / 2)])
+    return multiply_quaternions(swing, twist)
+
+
+def slerp(a: FloatArray, b: FloatArray, part: FloatArray) -> FloatArray:
+    """Spherical linear interpolation of unit quaternions along the shorter arc (Shoemake 1985).
+
+    Args:
+        a: ``(N, 4)`` where part is 0.
+        b: ``(N, 4)`` where part is 1, of either sign.
+        part: ``(N,)`` in [0, 1].
+
+    Returns:
+        ``(N, 4)`` unit quaternions.
+    """
+    part = part[:, None]
+    b = np.where(np.sum(a * b, axis=1, keepdims=True) < 0.0, -b, b)
+    # The angle from chord and sum is exact for small angles, where acos of the dot is not.
+    angle = 2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
+    angle = angle[:, None]
+    small = angle < 1e-9
+    safe = np.where(small, 1.0, np.sin(angle))
+    near = np.where(small, 1.0 - part, np.sin((1.0 - part) * angle) / safe)
+    far = np.where(small, part, np.sin(part * angle) / safe)
+    found = near * a + far * b
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+
+def continuous_quaternions(quaternions: FloatArray) -> FloatArray:
+    """The same rotations ``(N, 4)``, signed so that neighbours are near; the first has w >= 0."""
+    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
+    sign = np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]).cumprod()[: len(quaternions)]
+    if len(quaternions) and quaternions[0, 3] < 0.0:
+        sign = -sign
+    return quaternions * sign[:, None]

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from surg_core.transforms import virtual_tip
 from surg_recording.clock import clock_segments, clock_sync
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.episode import episode_reader as episodes
@@ -441,18 +442,11 @@ def _paths(
         with contextlib.suppress(EpisodeError):  # it only helps
             table = within(episode.table(ASSISTANT_TABLE), ASSISTANT_TABLE)
             yaw, pitch, insertion = (table[name] for name in ("yaw", "pitch", "insertion"))
-            tip = spherical(yaw, pitch, insertion)
+            tip = virtual_tip(yaw, pitch, insertion)
             path = _tip_path(table["stamp_ns"] - origin, tip)
             if path is not None:
                 paths["assistant"] = path
     return origin, paths, problems
-
-
-def spherical(yaw: Column, pitch: Column, insertion: Column) -> Column:
-    """(N, 3) where virtual joints put a tip, about its trocar [m]."""
-    across = np.cos(pitch)
-    direction = [np.sin(yaw) * across, -np.sin(pitch), np.cos(yaw) * across]
-    return np.asarray(np.stack(direction, axis=1) * insertion[:, None])
 
 
 def _tip_path(ns: Stamps, p: Column) -> video_lag.TipPath | None:

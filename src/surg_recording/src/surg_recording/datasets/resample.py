@@ -12,6 +12,7 @@ import dataclasses
 import numpy as np
 import numpy.typing as npt
 
+from surg_core import transforms
 from surg_core.contract import SECOND_NS
 from surg_recording.recording_errors import EpisodeError
 
@@ -138,7 +139,7 @@ def slerp(
 ) -> tuple[Array, Stamps]:
     """Spherical linear interpolation of unit quaternions x, y, z, w, along the shorter arc.
 
-    Shoemake 1985. Successive results are in one hemisphere (no sign flips), so that the series is
+    Successive results are in one hemisphere (no sign flips), so that the series is
     continuous; the first has w ≥ 0.
 
     Args:
@@ -160,27 +161,8 @@ def slerp(
         line = int(np.flatnonzero(~(length > 0.5))[0]) + 2
         raise EpisodeError(f"{what}, line {line}: this quaternion is none (its length is no 1)")
     unit = quaternions / length[:, None]
-    a, b = unit[before], unit[after]
-    b = np.where(np.sum(a * b, axis=1, keepdims=True) < 0.0, -b, b)
-    # The angle from chord and sum is exact for small angles, where acos of the dot is not.
-    angle = 2.0 * np.arctan2(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))
-    sine = np.sin(angle)
-    small = angle < 1e-9
-    safe = np.where(small, 1.0, sine)
-    near = np.where(small, 1.0 - part, np.sin((1.0 - part) * angle) / safe)
-    far = np.where(small, part, np.sin(part * angle) / safe)
-    found = near[:, None] * a + far[:, None] * b
-    found /= np.linalg.norm(found, axis=1, keepdims=True)
-    return continuous(found), before
-
-
-def continuous(quaternions: Array) -> Array:
-    """The same rotations with signs chosen so that neighbours are near; the first has w ≥ 0."""
-    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
-    sign = np.concatenate([[1.0], np.where(flips, -1.0, 1.0)]).cumprod()[: len(quaternions)]
-    if len(quaternions) and quaternions[0, 3] < 0.0:
-        sign = -sign
-    return quaternions * sign[:, None]
+    found = transforms.slerp(unit[before], unit[after], part)
+    return transforms.continuous_quaternions(found), before
 
 
 def ages_s(stamps: Stamps, index: Stamps, times: Stamps) -> Array:

@@ -27,13 +27,13 @@ from surg_core.contract import (
     TASK_STATE_KEY,
     image_key,
 )
+from surg_core.transforms import multiply_quaternions, rotate_back, tip_quaternions
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.frame_columns import Columns
 from surg_recording.datasets.inspection import Candidate
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.reading import checked_cycle, checked_table, checked_video
 from surg_recording.datasets.resample import Grid, Stamps, linear, offsets_ns, previous, slerp
-from surg_recording.datasets.rotations import multiply, tool_quaternion, turn_back
 from surg_recording.datasets.schema import Feature
 from surg_recording.episode import episode_reader, table_columns
 from surg_recording.episode.episode_reader import Episode, Table
@@ -159,15 +159,15 @@ def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
     q_BR = cycle.vector("q_br", "xyzw")
     p_BRcm = cycle.vector("p_rcm")
     p_BTip = cycle.vector("p_tip")
-    tip = turn_back(q_BR, p_BTip - p_BRcm)
-    p_set = turn_back(q_BR, cycle.vector("p_set") - p_BRcm)
-    goal = turn_back(q_BR, cycle.vector("p_goal") - p_BRcm)
+    tip = rotate_back(q_BR, p_BTip - p_BRcm)
+    p_set = rotate_back(q_BR, cycle.vector("p_set") - p_BRcm)
+    goal = rotate_back(q_BR, cycle.vector("p_goal") - p_BRcm)
     roll, roll_set = np.unwrap(cycle["roll"]), np.unwrap(cycle["roll_set"])
     posed = np.isin(cycle["command"], POSE_COMMANDS)
     p_action = np.where(posed[:, None], goal, p_set)
     roll_action = np.where(posed, cycle["roll_goal"], roll_set)
     began = np.diff(cycle["accepted"], prepend=-1) != 0
-    s_R = turn_back(q_BR, cycle.vector("s"))
+    s_R = rotate_back(q_BR, cycle.vector("s"))
     state = np.column_stack([tip, roll, cycle["jaw"], p_set, roll_set])
     return _Arm(
         name=name,
@@ -177,7 +177,7 @@ def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
         goal=np.column_stack([p_action, np.unwrap(roll_action), cycle["jaw_set"]]),
         goal_row=np.maximum.accumulate(np.where(began, np.arange(len(cycle)), 0)),
         p_BTip=p_BTip,
-        q_BTool=multiply(q_BR, tool_quaternion(s_R, roll)),
+        q_BTool=multiply_quaternions(q_BR, tip_quaternions(s_R, roll)),
     )
 
 

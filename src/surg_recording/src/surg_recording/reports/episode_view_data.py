@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.contract import STATE_NAMES
+from surg_core.transforms import rotate_back
 from surg_recording import metrics
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports.run_figures import EXECUTED, TRUE
-from surg_recording.reports.run_summary import rotate
 from surg_recording.video import video_embed
 
 MAX_ROWS = 20_000
@@ -157,7 +157,7 @@ def _arm(
     """Path and curves of one arm, thinned out."""
     tip, pivot = cycle.vector("p_tip"), cycle.vector("p_rcm")
     deviation = metrics.rcm_deviation(tip, cycle.vector("s"), pivot)
-    in_rcm = rotate(cycle.vector("q_br", "xyzw") * [-1.0, -1.0, -1.0, 1.0], tip - pivot)
+    in_rcm = rotate_back(cycle.vector("q_br", "xyzw"), tip - pivot)
     in_rcm[cycle["homed"] == 0] = np.nan  # there is no rcm frame before
     depth = cycle["depth"]
     rows = kept_rows([deviation, depth, *in_rcm.T], limit)

@@ -14,8 +14,9 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from surg_core.transforms import rotate
 from surg_recording import metrics
-from surg_recording.reports.run_summary import Run, rotate
+from surg_recording.reports.run_summary import Run
 
 Array = npt.NDArray[np.float64]
 

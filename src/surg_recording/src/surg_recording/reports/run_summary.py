@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_core.contract import ENABLED, FAULT, STREAMS
+from surg_core.transforms import rotate, virtual_tip
 from surg_recording import metrics
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError, NoMotionError
@@ -406,19 +407,6 @@ def _track(t: Array, executed: Array, t_input: Array, target: Array) -> metrics.
 
 
 # --- the input ----------------------------------------------------------------------------------
-
-
-def virtual_tip(yaw: Array, pitch: Array, insertion: Array) -> Array:
-    """(N, 3) tip in the rcm frame from the virtual joints [rad, rad, m]."""
-    s = np.stack([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)], axis=1)
-    return np.asarray(s * insertion[:, None])
-
-
-def rotate(q_xyzw: Array, v: Array) -> Array:
-    """(N, 3) vectors rotated by (N, 4) unit quaternions x, y, z, w."""
-    xyz, w = q_xyzw[:, :3], q_xyzw[:, 3:]
-    cross = 2.0 * np.cross(xyz, v)
-    return np.asarray(v + w * cross + np.cross(xyz, cross))
 
 
 def _input(episode: Episode, arm: str, cycle: Table, start: int) -> tuple[Array, Array, str]:

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_core.contract import TICK
+from surg_core.transforms import minimal_rotation
 from surg_sim.physics.sim_arm import quaternion
 
 if TYPE_CHECKING:
@@ -90,9 +91,7 @@ class AssistantPort:
 def swing(yaw: float, pitch: float) -> Array:
     """Smallest rotation from z to the shaft axis of these virtual joints, (3, 3)."""
     s = np.array([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)])
-    axis = np.array([-s[1], s[0], 0.0])  # z x s
-    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    return np.asarray(np.eye(3) + K + K @ K / (1.0 + s[2]))
+    return minimal_rotation([0.0, 0.0, 1.0], s)
 
 
 def twist(yaw: float, pitch: float) -> float:

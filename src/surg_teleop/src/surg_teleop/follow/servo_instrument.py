@@ -14,17 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.transforms import virtual_tip
 from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, virtual_joints
 from surg_teleop.follow.teleop_types import SILENCE
 
 Array = NDArray[np.float64]
-
-
-def tip(joints: Array) -> Array:
-    """Tip (3,) [m] in the trocar frame, of yaw, pitch [rad], insertion [m], roll [rad]."""
-    yaw, pitch, insertion, _ = joints.tolist()
-    s = [math.sin(yaw) * math.cos(pitch), math.sin(pitch), math.cos(yaw) * math.cos(pitch)]
-    return insertion * np.array(s)
 
 
 @dataclass
@@ -68,8 +62,8 @@ class ServoInstrument:
             busy=False,
             reason="",
             refused=0,
-            p_set=tip(set_point),
-            p_tip=tip(self._joints),
+            p_set=virtual_tip(*set_point[:3]),
+            p_tip=virtual_tip(*self._joints[:3]),
             roll_set=float(set_point[3]),
             jaw_set=self._jaw,
             holder=self.node,

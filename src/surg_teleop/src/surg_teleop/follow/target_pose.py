@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.transforms import virtual_tip
 from surg_teleop.follow.arm_view import ArmView, Pose, tip_pose, virtual_joints
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.leaders.handle_roll import Handle
@@ -197,9 +198,7 @@ class TargetPose:
             step: Array = R_RV @ v_V * dt
             return step
         yaw, pitch, insertion, _ = virtual_joints(self.wanted, 0.0) + dt * np.append(spherical, 0.0)
-        s = [math.sin(yaw) * math.cos(pitch), math.sin(pitch), math.cos(yaw) * math.cos(pitch)]
-        to: Array = insertion * np.array(s)
-        return to - self.wanted
+        return virtual_tip(yaw, pitch, insertion) - self.wanted
 
     def _check_jump(self, move: Array, turn: float, since: float) -> None:
         length = float(np.linalg.norm(move))

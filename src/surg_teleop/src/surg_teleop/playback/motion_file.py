@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from surg_teleop.leaders.handle_roll import MIN_TWIST, twist_angle
+from surg_core.transforms import twist_angle
+from surg_teleop.leaders.handle_roll import MIN_TWIST
 from surg_teleop.playback.motion_errors import MotionError
 
 Array = NDArray[np.float64]
@@ -280,11 +281,12 @@ def _handle_roll(path: Path, rotations: Array, lines: list[int]) -> Array:
             f"{defect[i]:.3g}, determinant {np.linalg.det(rotations[i]):.3g}); allowed: "
             f"{ROTATION_TOLERANCE} and a positive determinant"
         )
-    roll, quality = twist_angle(rotations)
+    relative = np.einsum("ji,njk->nik", rotations[0], rotations)
+    twist, quality = twist_angle(relative)
     lost = np.flatnonzero(quality < MIN_TWIST)
     if lost.size:
         raise MotionError(
             f"{path}: line {lines[int(lost[0])]}: the handle points against its direction in the "
             "first sample, so its roll is undefined; allowed: any smaller turn"
         )
-    return roll
+    return np.unwrap(twist)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_core.contract import STEP
+from surg_core.transforms import minimal_rotation
 from surg_sim.physics.assistant_arm import AssistantCommand, inverse
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH
 from surg_sim.tasks.bgr.bgr_definition import PHASES, ROBOT, TAUT
@@ -83,7 +84,7 @@ class RobotExpert(ArmExpert):
         place = self.observation.point("nodes")[node]
         direction = place - self.X_WR[:3, 3]
         s = direction / np.linalg.norm(direction)
-        y = swing_to(self.X_WR[:3, 2], s) @ self.X_WR[:3, 1]
+        y = minimal_rotation(self.X_WR[:3, 2], s) @ self.X_WR[:3, 1]
         self.roll.go(np.array([roll_across(s, y, along(self.observation.point("nodes"), node))]))
         grip = GRIP_HEIGHT * UP + GRIP_DEPTH * s + self._error
         yield from self.move(place + grip - ABOVE * s, 1.0)
@@ -116,13 +117,6 @@ class RobotExpert(ArmExpert):
         """Wait for a phase, or a later one."""
         while PHASES.index(self.observation.phase) < PHASES.index(phase):
             yield
-
-
-def swing_to(a: Array, b: Array) -> Array:
-    """Smallest rotation that takes a unit vector to another, (3, 3)."""
-    w = np.cross(a, b)
-    K = np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
-    return np.eye(3) + K + K @ K / (1.0 + float(a @ b))
 
 
 class AssistantExpert(Expert):
@@ -165,7 +159,7 @@ class AssistantExpert(Expert):
         nodes = self.observation.point("nodes")
         p = into(self._X, nodes[mine])
         s = p / np.linalg.norm(p)
-        y = swing_to(np.array([0.0, 0.0, 1.0]), s) @ np.array([0.0, 1.0, 0.0])
+        y = minimal_rotation(np.array([0.0, 0.0, 1.0]), s) @ np.array([0.0, 1.0, 0.0])
         self.roll.go(np.array([roll_across(s, y, self._X[:3, :3].T @ along(nodes, mine))]))
         grip = GRIP_HEIGHT * UP + GRIP_DEPTH * (self._X[:3, :3] @ s) + self._error[1]
         above = grip - ABOVE * (self._X[:3, :3] @ s)
