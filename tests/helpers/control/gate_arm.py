@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from surg_teleop.follow.arm_view import ArmState, ArmView, Commands
+from surg_core.arm_view import ArmCommands, ArmState, ArmView
 
 TICK = 0.002
 SPEED, SLACK, ROLL_SPEED, ROLL_SLACK = 0.25, 0.002, 2.0, math.radians(2.0)
@@ -46,7 +46,7 @@ class GateArm:
     since: float = 0.0
     held: float = math.inf  # since a hold, or a command refused for it
 
-    def step(self, commands: Commands) -> None:
+    def step(self, commands: ArmCommands) -> None:
         """One cycle."""
         self.tick += 1
         self.since += TICK
@@ -126,12 +126,13 @@ class GateArm:
             busy=False,
             reason=self.reason,
             refused=len(self.refusals),
-            p_set=self.p,
-            p_tip=self.p,
+            p_BSet=self.p,
+            p_BTip=self.p,
+            R_BR=np.eye(3),
             roll_set=self.roll,
             jaw_set=self.jaw,
             holder=self.holder,
             stream=self.holder if self.goal is not None else "",
-            R_WR=self.R_WR,
+            R_WB=self.R_WR,
             received=self.tick * TICK,
         )

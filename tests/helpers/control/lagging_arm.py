@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, Jaw
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import make_plan
 from surg_teleop.playback.motion_player import Mode, Operator, Stage
@@ -34,7 +34,7 @@ class Run:
     Attributes:
         stage: How the operator ended.
         reason: Why it gave up.
-        refused: Commands that the controller refused.
+        refused: ArmCommands that the controller refused.
         rcm_error: (n,) distance of the shaft from the trocar [m].
         tip_error: (n,) distance of the tip from the plan, lag removed [m].
         lag: The lag that was removed [s].
@@ -87,7 +87,7 @@ class LaggingArm:
         self._q, self._q_before = self._servo.copy(), self._servo.copy()
         self._pending = deque([np.zeros_like(self._q)] * DELAY)
 
-    def step(self, commands: Commands, source: int = SOURCE) -> surg_core.Outputs:
+    def step(self, commands: ArmCommands, source: int = SOURCE) -> surg_core.Outputs:
         """One cycle with the commands of one sender, then one tick of the plant."""
         q, self.tick = self._q, self.tick + 1
         asked = _decode(commands, self.controller, source)
@@ -112,13 +112,15 @@ class LaggingArm:
             busy=out.busy,
             reason=surg_core.reason_name(out.reason),
             refused=out.refused,
-            p_set=R_BR.T @ (out.p_set - out.p_BRcm),
-            p_tip=R_BR.T @ (out.p_BTip - out.p_BRcm),
+            p_BSet=out.p_set,
+            p_BTip=out.p_BTip,
+            p_BRcm=out.p_BRcm,
+            R_BR=R_BR,
             roll_set=out.roll_set,
             jaw_set=out.jaw_set,
             holder=holder,
             stream=holder if out.motion == surg_core.Motion.SERVO_CP else "",
-            R_WR=np.asarray(self.arm.X_WB)[:3, :3] @ R_BR,
+            R_WB=np.asarray(self.arm.X_WB)[:3, :3],
             received=self.tick * TICK,
         )
 
@@ -140,10 +142,10 @@ def play(
         1.0,
         duration,
     )
-    operator = Operator(plan, mode, Jaw(arm.instrument.jaw_min, arm.instrument.jaw_max))
+    operator = Operator(plan, mode, JawRange(arm.instrument.jaw_min, arm.instrument.jaw_max))
     plant = LaggingArm(arm, law, feedback_gain)
     rcm_error, tips, times, scales, limited = [], [], [], [], set()
-    commands = Commands()
+    commands = ArmCommands()
     for _ in range(1, 200_000):
         out = plant.step(commands)
         view = plant.view()
@@ -172,7 +174,7 @@ def play(
 
 
 def _decode(
-    commands: Commands, controller: surg_core.Controller, source: int
+    commands: ArmCommands, controller: surg_core.Controller, source: int
 ) -> list[surg_core.MotionCommand]:
     motion, command = surg_core.Motion, surg_core.MotionCommand
     if commands.state is not None:

@@ -20,8 +20,8 @@ from evdev import AbsInfo, UInput, ecodes
 
 import surg_core
 from helpers.control.lagging_arm import TICK, LaggingArm
+from surg_core.arm_view import ArmCommands, JawRange
 from surg_teleop.follow.arm_switch import ArmSwitch
-from surg_teleop.follow.arm_view import Commands, Jaw
 from surg_teleop.follow.pedal_monitor import PedalMonitor as Feet
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_setup import Hand
@@ -147,7 +147,7 @@ def bench(cell: Path) -> Bench:
     arm = surg_core.load_cell(cell).arms["PSM1"]
     limits, instrument = arm.limits, arm.instrument
     plant = LaggingArm(arm)
-    plant.step(Commands())
+    plant.step(ArmCommands())
     step = StepLimits(
         limits.tip_velocity,
         limits.step_slack,
@@ -162,7 +162,7 @@ def bench(cell: Path) -> Bench:
         workspace=Workspace(limits.depth_slow, limits.depth_max, limits.cone),
         step=step,
         quiet=arm.robot.tuning.servo_timeout + 0.05,
-        jaw=Jaw(instrument.jaw_min, instrument.jaw_max),
+        jaw=JawRange(instrument.jaw_min, instrument.jaw_max),
         mode=ControlMode.RATE,
     )
     teleop = Teleop(settings)

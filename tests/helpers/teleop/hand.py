@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from surg_teleop.follow.arm_view import Jaw
+from surg_core.arm_view import JawRange
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_types import ControlMode, TeleopSettings
 from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
@@ -16,7 +16,7 @@ from surg_teleop.playback.workspace_fit import Workspace
 
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)
 STEP = StepLimits(0.25, 0.002, 2.0, math.radians(2.0), 0.1)
-JAW = Jaw(0.0, 0.7)
+JAW = JawRange(0.0, 0.7)
 
 
 def settings(**changes: object) -> TeleopSettings:

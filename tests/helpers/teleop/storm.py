@@ -26,7 +26,7 @@ from helpers.control.gate_arm import (
     GateArm,
 )
 from helpers.teleop.hand import Hand, settings
-from surg_teleop.follow.arm_view import ArmState
+from surg_core.arm_view import ArmState
 from surg_teleop.follow.teleop_types import REQUEST_LIFETIME, CameraView, ControlMode, State
 from surg_teleop.follow.teleoperation import Teleop
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from helpers.control.gate_arm import SPEED, TICK, GateArm
-from surg_teleop.follow.arm_view import ArmState, ArmView, Commands
+from surg_core.arm_view import ArmCommands, ArmState, ArmView
 from surg_teleop.frames.frame_check import STILL_S, FramesCheck, Pair, Stage, split
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS
 from surg_teleop.frames.probe_moves import SPEED as SLOW
@@ -35,7 +35,7 @@ class Bench:
     late: float = 0.04
     pair: Pair | None = None
     tips: dict[int, Array] = field(default_factory=dict)
-    log: list[Commands] = field(default_factory=list)
+    log: list[ArmCommands] = field(default_factory=list)
     change: Callable[[ArmView], ArmView] = lambda view: view
 
     def tick(self) -> None:

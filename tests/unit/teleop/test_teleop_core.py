@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from helpers.control.gate_arm import TICK, US, GateArm
 from helpers.teleop.hand import Hand, settings
-from surg_teleop.follow.arm_view import ArmState
+from surg_core.arm_view import ArmState
 from surg_teleop.follow.teleop_types import (
     ABANDONED,
     REQUEST_LIFETIME,

@@ -12,11 +12,11 @@ import surg_core
 from helpers.control.gate_arm import TICK, GateArm
 from helpers.teleop.hand import JAW, WORKSPACE, Hand, settings
 from surg_cli.host import paths
+from surg_core.arm_view import ArmCommands, ArmState, TipPose
 from surg_core.contract import PRESENCE_TIMEOUT
 from surg_core.transforms import virtual_tip
 from surg_teleop.follow import camera_file
 from surg_teleop.follow.arm_switch import ArmSwitch
-from surg_teleop.follow.arm_view import ArmState, Commands, tip_pose, virtual_joints
 from surg_teleop.follow.endoscope_pose import held_camera
 from surg_teleop.follow.jaw_follower import MET, SLOW, JawFollower
 from surg_teleop.follow.message_lateness import Arrivals
@@ -652,15 +652,15 @@ def test_a_virtual_arm_is_the_simulators_assistant() -> None:
         view = arm.view()
         assert view.p_set == pytest.approx(assistant.forward(joints)[:3, 3])
         assert (view.state, view.stream) == (ArmState.ENABLED, "/teleop")
-        pose = tip_pose(view.p_set, joints[3] + 0.1)
-        asked = arm.convert(Commands(servo_cp=pose, jaw=0.3, state="pause", claim=True))
+        pose = TipPose(view.p_set, joints[3] + 0.1)
+        asked = arm.convert(ArmCommands(servo_cp=pose, jaw=0.3, state="pause", claim=True))
         assert asked.servo_jp == pytest.approx(
-            [*virtual_joints(view.p_set, 0)[:3], joints[3] + 0.1]
+            [*TipPose(view.p_set, 0.0).joints[:3], joints[3] + 0.1]
         )
         R = Rotation.from_quat(pose.q).as_matrix()
         assert assistant.forward(asked.servo_jp)[:3, :3] == pytest.approx(R)
         assert (asked.jaw, asked.state, asked.claim, asked.servo_cp) == (0.3, None, False, None)
-        assert arm.convert(Commands(hold=True)).servo_jp == pytest.approx(joints)
+        assert arm.convert(ArmCommands(hold=True)).servo_jp == pytest.approx(joints)
     arm.joints(2.0, 0, np.full(4, np.nan))
     assert arm.view().received == 1.0
 
@@ -671,7 +671,7 @@ def test_a_virtual_arm_that_was_silent_is_where_it_is() -> None:
     arm = ServoInstrument("/teleop", np.eye(3))
     arm.joints(1.0, 0, home)
     arm.jaw(0.2)
-    arm.convert(Commands(servo_cp=tip_pose(np.array([0.0, 0.0, 0.1]), 0.0), jaw=0.5))
+    arm.convert(ArmCommands(servo_cp=TipPose(np.array([0.0, 0.0, 0.1]), 0.0), jaw=0.5))
     for now, silent in ((1.0999, False), (1.1998, False), (1.3, True)):
         arm.joints(now, 0, there)
         view = arm.view()

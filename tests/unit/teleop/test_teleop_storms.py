@@ -18,7 +18,7 @@ from helpers.control.lagging_arm import SOURCE, TICK, LaggingArm
 from helpers.teleop.hand import Hand, settings
 from helpers.teleop.storm import EVENTS, Event, Storm
 from surg_cli.host import paths
-from surg_teleop.follow.arm_view import ArmState, Commands
+from surg_core.arm_view import ArmCommands, ArmState
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_types import CameraView, ControlMode, State
 from surg_teleop.follow.teleoperation import Teleop
@@ -106,8 +106,8 @@ def test_storms_on_the_real_controller(kind: ControlMode) -> None:
             Hand(),
             Teleop(made, scale=float(rng.uniform(0.2, 1))),
         )
-        plant.step(Commands())
-        commands = Commands(state="home")
+        plant.step(ArmCommands())
+        commands = ArmCommands(state="home")
         teleop.enable()
         v, w, p, before, refused = np.zeros(3), 0.0, [], ArmState.DISABLED, 0
         qd = np.asarray(plant.out.qd_command)

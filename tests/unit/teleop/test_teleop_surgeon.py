@@ -17,7 +17,7 @@ import surg_core
 from helpers.control.lagging_arm import SOURCE, TICK, LaggingArm
 from helpers.teleop.hand import settings
 from surg_cli.host import paths
-from surg_teleop.follow.arm_view import ArmState, Commands, tip_pose
+from surg_core.arm_view import ArmCommands, ArmState, TipPose
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.follow.teleop_types import CameraView, State
 from surg_teleop.follow.teleoperation import Teleop
@@ -43,7 +43,7 @@ class Chain:
         tip_lag: From the set-point to the tip [s].
         tip_rms: Of what is left then [m].
         let_go: What ended following; empty: nothing did.
-        refused: Commands that the arm refused.
+        refused: ArmCommands that the arm refused.
     """
 
     lag: float
@@ -78,14 +78,14 @@ def run(file: Path, seconds: float) -> Chain:
     motion = read_motion(file)
     box = motion.cut(seconds).p
     start = np.array([0.0, 0.0, CENTRE_DEPTH]) + box[0] - box_centre(box)
-    commands = Commands()
+    commands = ArmCommands()
     for state in ("home", "enable"):
         plant.step(commands)
-        commands = Commands(state=state)
+        commands = ArmCommands(state=state)
     plant.step(commands)
-    plant.step(Commands(move_cp=tip_pose(start, 0.0)))
+    plant.step(ArmCommands(move_cp=TipPose(start, 0.0)))
     for _ in range(3000):
-        plant.step(Commands())
+        plant.step(ArmCommands())
         if not plant.out.busy:
             break
 
@@ -102,7 +102,7 @@ def run(file: Path, seconds: float) -> Chain:
     leader = MotionLeader(str(file), rate=RATE, delay=1.0)
     leader.open()
     began = (plant.tick + 1) * TICK
-    commands, times, goals, tips, let_go = Commands(), [], [], [], ""
+    commands, times, goals, tips, let_go = ArmCommands(), [], [], [], ""
     while plant.tick * TICK < began + 1.0 + min(seconds, motion.duration):
         plant.step(commands)
         now = plant.tick * TICK

@@ -28,6 +28,8 @@ KINDS: dict[str, type] = {
     "servo_jp": JointState,
 }
 """Message class by topic below the arm."""
+MOTION = tuple(name for name in KINDS if name != "authority/claim")
+"""What a sender needs that claims no arm."""
 SERVO_INSTRUMENT = ("servo_jp", "jaw/servo_jp")
 """Topics of an instrument without a controller: the assistant's."""
 VIRTUAL_JOINTS = ("yaw", "pitch", "insertion", "roll")
@@ -45,7 +47,7 @@ class ArmPort:
         sent: Number of messages sent so far.
     """
 
-    def __init__(self, arm: str, topics: Sequence[str] = tuple(KINDS)) -> None:
+    def __init__(self, arm: str, topics: Sequence[str] = MOTION) -> None:
         self.out = {
             name: rospy.Publisher(f"/{arm}/{name}", KINDS[name], queue_size=0, tcp_nodelay=True)
             for name in topics

@@ -31,6 +31,26 @@ CONNECT_TIMEOUT = 60.0
 """[s] wall clock: longest wait for everybody to connect."""
 
 
+def wait_for_all(
+    missing: Callable[[], str], timeout: float, over: Callable[[], bool] = rospy.is_shutdown
+) -> None:
+    """Wait until nobody is missing.
+
+    Args:
+        missing: States who is missing; empty: nobody.
+        timeout: [s]
+        over: Whether there is nothing left to wait for.
+
+    Raises:
+        TimeoutError: Somebody is missing; states who.
+    """
+    deadline = time.monotonic() + timeout
+    while text := missing():
+        if time.monotonic() > deadline or over():
+            raise TimeoutError(f"no connection after {timeout:.0f} s: {text}")
+        time.sleep(0.02)
+
+
 @dataclass(frozen=True)
 class Seen:
     """What a participant sees of one tick; messages are read when they are asked for.

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from surg_teleop.follow.arm_view import ArmView, Commands, Pose
+from surg_core.arm_view import ArmCommands, ArmView, TipPose
 from surg_teleop.follow.jaw_follower import JawFollower
 from surg_teleop.follow.target_pose import HandJumpError, TargetPose
 from surg_teleop.follow.teleop_types import (
@@ -51,7 +51,7 @@ class Engagement:
         self._jaw: JawFollower | None = None
         self._target = TargetPose(settings.workspace, settings.step, arm, sample, now)
 
-    def first_command(self) -> Pose:
+    def first_command(self) -> TipPose:
         """The set-point."""
         return self._target.command(self._began)
 
@@ -67,7 +67,7 @@ class Engagement:
         scale: float,
         lock_rotation: bool,
         lock_translation: bool,
-        commands: Commands,
+        commands: ArmCommands,
     ) -> Notice:
         """Follow the leader for one tick.
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from surg_teleop.follow.arm_view import ArmState, ArmView
+from surg_core.arm_view import ArmState, ArmView
 from surg_teleop.follow.teleop_types import (
     NEUTRAL,
     CameraView,

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 
-from surg_teleop.follow.arm_view import Jaw
+from surg_core.arm_view import JawRange
 
 SLOW = 0.5
 """[rad/s] Rate until jaw and grip have met; from open to closed in one or two seconds."""
@@ -28,7 +28,7 @@ class JawFollower:
         grip: Present grip, 0 closed to 1 open.
     """
 
-    def __init__(self, jaw: Jaw, fast: float, angle: float, grip: float) -> None:
+    def __init__(self, jaw: JawRange, fast: float, angle: float, grip: float) -> None:
         self._jaw, self._fast = jaw, fast
         self.angle = min(max(angle, jaw.min), jaw.max)
         """Set-point of the jaw [rad]."""

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
 from surg_core.transforms import virtual_tip
-from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, virtual_joints
 from surg_teleop.follow.teleop_types import SILENCE
 
 Array = NDArray[np.float64]
@@ -62,28 +62,29 @@ class ServoInstrument:
             busy=False,
             reason="",
             refused=0,
-            p_set=virtual_tip(*set_point[:3]),
-            p_tip=virtual_tip(*self._joints[:3]),
+            p_BSet=virtual_tip(*set_point[:3]),
+            p_BTip=virtual_tip(*self._joints[:3]),
             roll_set=float(set_point[3]),
             jaw_set=self._jaw,
             holder=self.node,
             stream=self.node,
-            R_WR=self.R_WR,
+            R_BR=np.eye(3),
+            R_WB=self.R_WR,
             received=self._received,
         )
 
-    def convert(self, commands: Commands) -> Commands:
+    def convert(self, commands: ArmCommands) -> ArmCommands:
         """Arm commands as servo commands: joints instead of a pose, and nothing else."""
         joints = None
         before = self._joints if self._target is None else self._target
         if commands.servo_cp is not None and before is not None:
-            # A tip pose is a swing without rotation about z, times the roll about z.
-            roll = 2.0 * math.atan2(commands.servo_cp.q[2], commands.servo_cp.q[3])
-            roll = float(before[3]) + math.remainder(roll - float(before[3]), math.tau)
-            joints = self._target = virtual_joints(commands.servo_cp.p, roll)
+            # The nearest of the equal rolls.
+            turn = math.remainder(commands.servo_cp.roll - float(before[3]), math.tau)
+            joints = TipPose(commands.servo_cp.p, float(before[3]) + turn).joints
+            self._target = joints
         if commands.hold:
             # The servos would run on to their target.
             joints = self._target = self._joints
         if commands.jaw is not None:
             self._jaw = commands.jaw
-        return Commands(stamp_ns=commands.stamp_ns, servo_jp=joints, jaw=commands.jaw)
+        return ArmCommands(stamp_ns=commands.stamp_ns, servo_jp=joints, jaw=commands.jaw)

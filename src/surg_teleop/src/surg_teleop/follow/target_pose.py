@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.arm_view import ArmView, TipPose
 from surg_core.transforms import virtual_tip
-from surg_teleop.follow.arm_view import ArmView, Pose, tip_pose, virtual_joints
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.leaders.handle_roll import Handle
 from surg_teleop.leaders.leader import LeaderSample
@@ -176,7 +176,7 @@ class TargetPose:
         """Whether a command is due."""
         return self._new or now - self._sent_at >= KEEP_ALIVE
 
-    def command(self, now: float) -> Pose:
+    def command(self, now: float) -> TipPose:
         """The next command, as near to the target as one step may go."""
         step, turn = self._limits.allowed(now - self._sent_at)
         left, left_roll = self.wanted - self._sent, self.roll - self._sent_roll
@@ -188,7 +188,7 @@ class TargetPose:
             self._sent = self.wanted
         self._sent_roll += min(max(left_roll, -turn), turn)
         self._sent_at, self._new = now, False
-        return tip_pose(self._sent, self._sent_roll)
+        return TipPose(self._sent, self._sent_roll)
 
     def _set_target(self, p: Array) -> None:
         self.wanted, self.wall = self._workspace.nearest(p)
@@ -197,7 +197,7 @@ class TargetPose:
         if spherical is None:
             step: Array = R_RV @ v_V * dt
             return step
-        yaw, pitch, insertion, _ = virtual_joints(self.wanted, 0.0) + dt * np.append(spherical, 0.0)
+        yaw, pitch, insertion, _ = TipPose(self.wanted, 0.0).joints + dt * np.append(spherical, 0.0)
         return virtual_tip(yaw, pitch, insertion) - self.wanted
 
     def _check_jump(self, move: Array, turn: float, since: float) -> None:

@@ -33,17 +33,18 @@ from std_msgs.msg import Bool, Float64, String
 
 from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
+from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import Cycle, Ready
+from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
+from surg_ros.participant import wait_for_all
+from surg_ros.peers import publishers, subscribers
 from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_ros.transport.raw_message import RawCycle
-from surg_teleop.follow.arm_view import ArmView
 from surg_teleop.follow.endoscope_pose import HeldCamera
 from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.pedal_monitor import PedalMonitor
-from surg_teleop.follow.peers import publishers, subscribers
 from surg_teleop.follow.picture_watch import PictureWatch
-from surg_teleop.follow.teleop_ports_node import ArmPort, arm_view, wait_for_all
 from surg_teleop.follow.teleop_setup import ASSISTANT, Hand, TeleopSetup, read_setup
 from surg_teleop.follow.teleop_types import CameraView, State, TeleopOutput
 from surg_teleop.follow.teleoperation import Teleop
@@ -91,9 +92,9 @@ class TeleopNode:
         self._latched: dict[tuple[str, str], rospy.Publisher] = {}
         self._said: dict[tuple[str, str], object] = {}
         self._warned: dict[str, float] = {}
-        self._ports = {name: ArmPort(name, claims=True) for name in system.bases}
+        self._ports = {name: ArmPort(name, tuple(KINDS)) for name in system.bases}
         if system.assistant is not None:
-            self._ports[ASSISTANT] = ArmPort(ASSISTANT, only=("servo_jp", "jaw/servo_jp"))
+            self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
         self._warning = rospy.Publisher("~warning", String, queue_size=10)
         self._report = rospy.Publisher("~status", String, queue_size=2, latch=True)
         self._record = rospy.Publisher("/record/record", Bool, queue_size=2)

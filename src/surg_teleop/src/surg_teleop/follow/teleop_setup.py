@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_core import ConfigError
+from surg_core.arm_view import JawRange
 from surg_teleop.follow.arm_switch import ArmSwitch
-from surg_teleop.follow.arm_view import Jaw
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
 from surg_teleop.follow.servo_instrument import ServoInstrument
 from surg_teleop.follow.target_pose import StepLimits
@@ -210,7 +210,7 @@ def _teleop(
         workspace = Workspace(*ASSISTANT_RANGE)
     jaw = None
     if instrument.camera is None and instrument.jaw_max > instrument.jaw_min:
-        jaw = Jaw(instrument.jaw_min, instrument.jaw_max)
+        jaw = JawRange(instrument.jaw_min, instrument.jaw_max)
     settings = TeleopSettings(
         leader=leader.name,
         arm=arm,

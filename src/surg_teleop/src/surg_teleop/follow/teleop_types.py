@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_teleop.follow.arm_view import ArmView, Commands, Jaw
+from surg_core.arm_view import ArmCommands, ArmView, JawRange
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
 from surg_teleop.playback.workspace_fit import Workspace
@@ -146,7 +146,7 @@ class TeleopSettings:
     workspace: Workspace
     step: StepLimits
     quiet: float = 0.15
-    jaw: Jaw | None = None
+    jaw: JawRange | None = None
     jaw_velocity: float = 3.0
     mode: ControlMode = ControlMode.POSITION
     need_present: bool = False
@@ -179,12 +179,12 @@ class TeleopOutput:
 
     Attributes:
         state: The new state.
-        commands: Commands for the arm.
+        commands: ArmCommands for the arm.
         message: Why the arm does not follow, or what limits it, and what to do; may be empty.
         reason: Code of the message.
     """
 
     state: State
-    commands: Commands
+    commands: ArmCommands
     message: str
     reason: Reason = Reason.NONE

@@ -26,9 +26,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from surg_core.contract import TICK_NS
+from surg_core.arm_view import ArmCommands, ArmState, ArmView
+from surg_core.bring_up import BringUp
+from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.follow import interlocks
-from surg_teleop.follow.arm_view import ArmState, ArmView, Commands
 from surg_teleop.follow.engagement import AGAIN, DisengagedError, Engagement
 from surg_teleop.follow.teleop_types import (
     ABANDONED,
@@ -64,8 +65,8 @@ class History:
         leader: Stamp of the last good sample.
         buttons: Those that were down in it; None: there is a gap between it and now.
         requested: The operator's last request to follow.
-        enabled: The last ``enable`` that is still bringing the arm up.
-        state_command: When the last state command was sent.
+        enabled: The last ``enable``.
+        paused: When the last ``pause`` was sent.
         held: When the last engagement ended.
     """
 
@@ -74,7 +75,7 @@ class History:
     buttons: frozenset[str] | None = None
     requested: float = NEVER
     enabled: float = NEVER
-    state_command: float = NEVER
+    paused: float = NEVER
     held: float = NEVER
 
     def heard(self, sample: LeaderSample, need_present: bool) -> History:
@@ -120,10 +121,13 @@ class Teleop:
     _history: History = field(default_factory=History, init=False, repr=False)
     _notice: Notice = field(default_factory=Notice, init=False, repr=False)
     _engagement: Engagement | None = field(default=None, init=False, repr=False)
+    _bring_up: BringUp = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Start in the mode of the settings."""
         self.mode = self.settings.mode
+        # A view may be as old as SILENCE when it is read.
+        self._bring_up = BringUp(resume=True, clear_fault=True, settle_ns=_ns(2.0 * SILENCE))
 
     def enable(self) -> None:
         """Home, enable or resume the arm as needed, then follow."""
@@ -162,7 +166,7 @@ class Teleop:
         Returns:
             State, commands and message.
         """
-        commands = Commands(stamp_ns=arm.stamp_ns + TICK_NS if arm else 0)
+        commands = ArmCommands(stamp_ns=arm.stamp_ns + TICK_NS if arm else 0)
         last = self._history.ticked
         dt = now - last if math.isfinite(last) else 0.0
         valid = sample is not None and sample.finite()
@@ -206,13 +210,15 @@ class Teleop:
     def _enable(self, now: float) -> None:
         leader_there = self._history.buttons is not None
         requested = now if leader_there else NEVER
-        self._remember(enabled=now, requested=requested, state_command=NEVER)
+        self._remember(enabled=now, requested=requested)
+        self._bring_up.start(_ns(now))
         if self.state in (State.DISABLED, State.FAULT):
             self.state = State.WAITING
 
-    def _disable(self, now: float, arm: ArmView | None, commands: Commands) -> None:
+    def _disable(self, now: float, arm: ArmView | None, commands: ArmCommands) -> None:
         self._leave(now, State.DISABLED, Notice(), commands)
-        self._remember(requested=NEVER, enabled=NEVER)
+        self._remember(requested=NEVER)
+        self._bring_up.stop()
         if arm is not None and self._is_ours(arm):
             commands.state = "pause"
 
@@ -221,18 +227,17 @@ class Teleop:
 
         A state that the arm reported right after ``enable`` may predate it.
         """
-        is_up = arm is not None and arm.homed and arm.state == ArmState.ENABLED
-        if arm is not None and is_up and arm.received - self._history.enabled > SILENCE:
-            self._remember(enabled=NEVER)
+        if arm is not None and arm.ready and arm.received - self._history.enabled > SILENCE:
+            self._bring_up.stop()
 
     def _is_ours(self, arm: ArmView) -> bool:
         return arm.holder == self.settings.node and arm.state == ArmState.ENABLED
 
     # The states.
 
-    def _step(self, inputs: TeleopInputs, commands: Commands) -> None:
+    def _step(self, inputs: TeleopInputs, commands: ArmCommands) -> None:
         sample, arm, camera = inputs.sample, inputs.arm, inputs.camera
-        blocked = interlocks.following(inputs, self.settings, self.mode, self._enabling(inputs.now))
+        blocked = interlocks.following(inputs, self.settings, self.mode, self._bring_up.active)
         if blocked is not None or sample is None or arm is None or camera is None:
             self._wait(inputs.now, blocked or Notice(), arm, commands)
         elif self.state is State.FOLLOWING:
@@ -240,10 +245,7 @@ class Teleop:
         elif self.state is not State.FAULT:
             self._begin(inputs.now, sample, arm, commands)
 
-    def _enabling(self, now: float) -> bool:
-        return now - self._history.enabled <= REQUEST_LIFETIME
-
-    def _wait(self, now: float, notice: Notice, arm: ArmView | None, commands: Commands) -> None:
+    def _wait(self, now: float, notice: Notice, arm: ArmView | None, commands: ArmCommands) -> None:
         """A condition is not met: let go, then bring the arm up or release it."""
         if self.state is State.FAULT:
             return
@@ -251,18 +253,14 @@ class Teleop:
         if arm is None or self.state is State.FAULT or not fresh(now, arm.received):
             return
         if self._is_ours(arm) and older_than(ABANDONED, now, self._history.leader):
-            self._send_state(now, "pause", commands)
-            self._remember(enabled=NEVER)
-        elif self._enabling(now):
-            command = {ArmState.ENABLED: "", ArmState.PAUSED: "resume"}.get(arm.state, "enable")
-            self._send_state(now, command if arm.homed else "home", commands)
+            self._bring_up.stop()
+            if commands.state is None and now - self._history.paused >= RETRY:
+                commands.state = "pause"
+                self._remember(paused=now)
+        elif commands.state is None:
+            commands.state = self._bring_up.tick(arm, _ns(now)).state
 
-    def _send_state(self, now: float, command: str, commands: Commands) -> None:
-        if command and commands.state is None and now - self._history.state_command >= RETRY:
-            commands.state = command
-            self._remember(state_command=now)
-
-    def _begin(self, now: float, sample: LeaderSample, arm: ArmView, commands: Commands) -> None:
+    def _begin(self, now: float, sample: LeaderSample, arm: ArmView, commands: ArmCommands) -> None:
         """WAITING or CLUTCHED, and all conditions are met."""
         since_hold = now - self._history.held
         if "clutch" in sample.buttons:
@@ -275,9 +273,12 @@ class Teleop:
         else:
             self._engage(now, sample, arm, commands)
 
-    def _engage(self, now: float, sample: LeaderSample, arm: ArmView, commands: Commands) -> None:
+    def _engage(
+        self, now: float, sample: LeaderSample, arm: ArmView, commands: ArmCommands
+    ) -> None:
         self.state, self._notice = State.FOLLOWING, Notice()
-        self._remember(requested=NEVER, enabled=NEVER)
+        self._remember(requested=NEVER)
+        self._bring_up.stop()
         self.engagements += 1
         self._engagement = Engagement(self.settings, now, sample, arm)
         commands.claim = True
@@ -289,7 +290,7 @@ class Teleop:
         sample: LeaderSample,
         arm: ArmView,
         camera: CameraView,
-        commands: Commands,
+        commands: ArmCommands,
     ) -> None:
         assert self._engagement is not None
         if "clutch" in sample.buttons:
@@ -311,9 +312,13 @@ class Teleop:
         except DisengagedError as error:
             self._leave(inputs.now, State.CLUTCHED, error.notice, commands)
 
-    def _leave(self, now: float, state: State, notice: Notice, commands: Commands) -> None:
+    def _leave(self, now: float, state: State, notice: Notice, commands: ArmCommands) -> None:
         if self.state is State.FOLLOWING:
             commands.hold = True
             self._remember(held=now, requested=NEVER)
         self._engagement = None
         self.state, self._notice = state, notice
+
+
+def _ns(seconds: float) -> int:
+    return round(seconds * SECOND_NS)

@@ -26,12 +26,13 @@ from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
 from surg_core import ConfigError
+from surg_core.arm_view import ArmCommands
 from surg_msgs.msg import Ready
+from surg_ros.arm_port import ArmPort, arm_view
+from surg_ros.participant import wait_for_all
+from surg_ros.peers import publishers, subscribers
 from surg_ros.transport.raw_message import RawCycle
-from surg_teleop.follow.arm_view import Commands
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
-from surg_teleop.follow.peers import publishers, subscribers
-from surg_teleop.follow.teleop_ports_node import ArmPort, arm_view, wait_for_all
 from surg_teleop.frames.frame_check import FramesCheck, Pair, Stage, split
 from surg_teleop.frames.probe_moves import REST, WORDS
 from surg_teleop.frames.registration_verdict import Lens, Verdict, judge, not_seen
@@ -194,7 +195,7 @@ class CheckNode:
         if self.check.done and not self.task.lockstep:
             self.finished.set()
 
-    def _send(self, commands: Commands) -> None:
+    def _send(self, commands: ArmCommands) -> None:
         self._port.send(commands)
 
     def _tell(self) -> None:

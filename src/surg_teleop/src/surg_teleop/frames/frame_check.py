@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
+from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, tip_pose
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step, between
 from surg_teleop.frames.tip_tracker import Picture
 from surg_teleop.playback.workspace_fit import Workspace
@@ -32,8 +33,6 @@ THERE = 0.0007
 """[m] Nearer than that to where it was sent, the tip is there."""
 CLOCKS_S = 7.0
 """Largest difference of a picture's stamp from the arm's: beyond, nobody knows what it shows."""
-ASK_S = 0.5
-"""A state command that has shown no effect is sent again after this."""
 SCOPE_MOVED = np.radians(0.5)
 """Largest turn of the camera during the check [rad]."""
 
@@ -94,7 +93,7 @@ class FramesCheck:
     _since: int = field(default=0, repr=False)
     _still_since: int = field(default=0, repr=False)
     _refused: int = field(default=0, repr=False)
-    _asked: int = field(default=-SECOND_NS, repr=False)
+    _bring_up: BringUp | None = field(default=None, repr=False)
 
     @property
     def done(self) -> bool:
@@ -107,7 +106,7 @@ class FramesCheck:
         left = [step for step in STEPS if step not in self.pictures]
         return left[0] if left else REST
 
-    def stop(self, reason: str) -> Commands:
+    def stop(self, reason: str) -> ArmCommands:
         """End it from outside, wherever it is.
 
         Args:
@@ -116,12 +115,12 @@ class FramesCheck:
         Returns:
             What to send now: hold, if the arm may be moving.
         """
-        commands = Commands(hold=self.stage in (Stage.GO, Stage.LOOK, Stage.BACK))
+        commands = ArmCommands(hold=self.stage in (Stage.GO, Stage.LOOK, Stage.BACK))
         if not self.done:
             self.stage, self.reason = Stage.FAILED, reason
         return commands
 
-    def tick(self, arm: ArmView, R_WV: Array | None, pair: Pair | None) -> Commands:
+    def tick(self, arm: ArmView, R_WV: Array | None, pair: Pair | None) -> ArmCommands:
         """One control cycle.
 
         Args:
@@ -132,7 +131,7 @@ class FramesCheck:
         Returns:
             What to send for the next cycle.
         """
-        commands = Commands(stamp_ns=arm.stamp_ns + TICK_NS)
+        commands = ArmCommands(stamp_ns=arm.stamp_ns + TICK_NS)
         if self.done or self._prepare(arm, commands):
             return commands
         if problem := self._problem(arm, R_WV):
@@ -147,23 +146,24 @@ class FramesCheck:
             self._look(arm, pair, commands)
         return commands
 
-    def _fail(self, reason: str, commands: Commands) -> Commands:
+    def _fail(self, reason: str, commands: ArmCommands) -> ArmCommands:
         commands.hold = self.stop(reason).hold
         commands.servo_cp = None
         return commands
 
-    def _prepare(self, arm: ArmView, commands: Commands) -> bool:
+    def _prepare(self, arm: ArmView, commands: ArmCommands) -> bool:
         """Home and enable the arm where that is wanted; whether it is still under way."""
         if not self.enable or self.stage is not Stage.WAIT:
             return False
-        if arm.homed and arm.state == ArmState.ENABLED:
+        if arm.ready:
             return arm.busy
         if arm.state not in (ArmState.DISABLED, ArmState.ENABLED):
             return False
-        if arm.stamp_ns - self._asked >= ASK_S * SECOND_NS:
-            commands.state = "home" if not arm.homed else "enable"
-            self._asked = arm.stamp_ns
-        return True
+        if self._bring_up is None:
+            self._bring_up = BringUp()
+            self._bring_up.start(arm.stamp_ns)
+        commands.state = self._bring_up.tick(arm, arm.stamp_ns).state
+        return self._bring_up.active
 
     def _problem(self, arm: ArmView, R_WV: Array | None) -> str:
         """Why the check must end, or may not begin; empty: nothing."""
@@ -192,7 +192,7 @@ class FramesCheck:
         """The view in the rcm frame, (3, 3): the registration that is being checked."""
         return np.asarray(arm.R_WR.T @ R_WV)
 
-    def _begin(self, arm: ArmView, R_WV: Array, commands: Commands) -> None:
+    def _begin(self, arm: ArmView, R_WV: Array, commands: ArmCommands) -> None:
         self._R_RV = self._view(arm, R_WV)
         self._rest = self._from = np.array(arm.p_set)
         self._roll, self._refused = arm.roll_set, arm.refused
@@ -215,12 +215,12 @@ class FramesCheck:
         self.stage = stage
         self._since = self._still_since = arm.stamp_ns
 
-    def _go(self, arm: ArmView, commands: Commands) -> None:
+    def _go(self, arm: ArmView, commands: ArmCommands) -> None:
         """On the way, and arriving."""
         target = self._place(REST if self.stage is Stage.BACK else self.step)
         seconds = (arm.stamp_ns - self._since) / SECOND_NS
         place, end = between(self._from, target, seconds)
-        commands.servo_cp = tip_pose(place, self._roll)
+        commands.servo_cp = TipPose(place, self._roll)
         if not end:
             self._still_since = arm.stamp_ns
             return
@@ -238,9 +238,9 @@ class FramesCheck:
             return
         self._enter(Stage.LOOK, arm)
 
-    def _look(self, arm: ArmView, pair: Pair | None, commands: Commands) -> None:
+    def _look(self, arm: ArmView, pair: Pair | None, commands: ArmCommands) -> None:
         """At rest, until a picture of it has come."""
-        commands.servo_cp = tip_pose(self._from, self._roll)
+        commands.servo_cp = TipPose(self._from, self._roll)
         apart = 0.0 if pair is None else (arm.stamp_ns - pair.stamp_ns) / SECOND_NS
         if pair is not None and abs(apart) > CLOCKS_S:
             self._fail(

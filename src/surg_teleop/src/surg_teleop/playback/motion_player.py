@@ -12,14 +12,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, TipPose
+from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_teleop.follow.arm_view import ArmState, ArmView, Commands, Jaw, tip_pose, virtual_joints
 from surg_teleop.playback.motion_plan import Plan
 
-READY_TIMEOUT = 5 * SECOND_NS
-"""Longest wait for each of: homed, enabled."""
-RETRY = SECOND_NS // 2
-"""A state command that has shown no effect is sent again after this."""
 MOVE_TIMEOUT = 15 * SECOND_NS
 """Longest wait for the arm at the start of the motion."""
 MOVE_MIN = SECOND_NS // 20
@@ -66,16 +63,17 @@ class Operator:
         stage: What the operator is doing.
         reason: Why it gave up; empty otherwise.
         started_ns: Stamp at which the stream began, 0 before.
-        refused: Commands that the arm refused during the stream.
+        refused: ArmCommands that the arm refused during the stream.
     """
 
     plan: Plan
     mode: Mode
-    jaw: Jaw
+    jaw: JawRange
     stage: Stage = Stage.CONNECT
     reason: str = ""
     started_ns: int = 0
     refused: int = 0
+    _bring_up: BringUp = field(default_factory=BringUp, repr=False)
     _since: int = field(default=0, repr=False)
     _sent: int = field(default=-1, repr=False)
     _ticks: int = field(default=0, repr=False)
@@ -95,7 +93,7 @@ class Operator:
             self.started_ns + round(last * SECOND_NS),
         )
 
-    def tick(self, feedback: ArmView) -> Commands:
+    def tick(self, feedback: ArmView) -> ArmCommands:
         """One control cycle.
 
         Args:
@@ -104,13 +102,14 @@ class Operator:
         Returns:
             What to send for the next cycle.
         """
-        commands = Commands(stamp_ns=feedback.stamp_ns + TICK_NS)
+        commands = ArmCommands(stamp_ns=feedback.stamp_ns + TICK_NS)
         if self.stage is Stage.CONNECT:
             self._enter(Stage.HOME, feedback)
+            self._bring_up.start(feedback.stamp_ns)
         if not self.done and self._usable(feedback):
             step = {
-                Stage.HOME: self._home,
-                Stage.ENABLE: self._enable,
+                Stage.HOME: self._bring_arm_up,
+                Stage.ENABLE: self._bring_arm_up,
                 Stage.MOVE: self._move,
                 Stage.SETTLE: self._settle,
                 Stage.PLAY: self._play,
@@ -138,37 +137,23 @@ class Operator:
             self._fail(f"the arm was disabled{why} (while: {self.stage.value})")
         return not self.done
 
-    def _ask(self, command: str, feedback: ArmView, commands: Commands) -> None:
-        """Sends a state command now, and again every RETRY until it shows; gives up in the end."""
-        now = feedback.stamp_ns
-        if now - self._since > READY_TIMEOUT:
-            why = feedback.reason or "it gave no reason"
-            self._fail(f"the arm did not obey '{command}' in {READY_TIMEOUT // SECOND_NS} s: {why}")
-        elif self._sent < 0 or now - self._sent >= RETRY:
-            self._sent = now
-            commands.state = command
-
-    def _home(self, feedback: ArmView, commands: Commands) -> None:
-        if feedback.homed:
-            self._enter(Stage.ENABLE, feedback)
-            self._enable(feedback, commands)
-        else:
-            self._ask("home", feedback, commands)
-
-    def _enable(self, feedback: ArmView, commands: Commands) -> None:
-        if feedback.state == ArmState.ENABLED:
+    def _bring_arm_up(self, feedback: ArmView, commands: ArmCommands) -> None:
+        commands.state = self._bring_up.tick(feedback, feedback.stamp_ns).state
+        if self._bring_up.reason:
+            self._fail(self._bring_up.reason)
+        elif not self._bring_up.active:
             self._enter(Stage.MOVE, feedback)
             self._move(feedback, commands)
-        else:
-            self._ask("enable", feedback, commands)
+        elif feedback.homed and self.stage is Stage.HOME:
+            self._enter(Stage.ENABLE, feedback)
 
-    def _move(self, feedback: ArmView, commands: Commands) -> None:
+    def _move(self, feedback: ArmView, commands: ArmCommands) -> None:
         now = feedback.stamp_ns
         target, roll = self.plan.at(0.0)
         away = float(np.linalg.norm(feedback.p_set - target))
         if self._sent < 0:
             self._sent = now
-            commands.move_cp = tip_pose(target, roll)
+            commands.move_cp = TipPose(target, roll)
         elif now - self._sent < MOVE_MIN or feedback.busy:
             pass
         elif away <= START_TOLERANCE:
@@ -181,21 +166,21 @@ class Operator:
                 f"its set-point is {1e3 * away:.1f} mm away{why}"
             )
 
-    def _settle(self, feedback: ArmView, commands: Commands) -> None:
+    def _settle(self, feedback: ArmView, commands: ArmCommands) -> None:
         if feedback.stamp_ns - self._since >= SETTLE:
             self._enter(Stage.PLAY, feedback)
             self.started_ns = commands.stamp_ns
             self._refused_before = feedback.refused
             self._play(feedback, commands)
 
-    def _play(self, feedback: ArmView, commands: Commands) -> None:
+    def _play(self, feedback: ArmView, commands: ArmCommands) -> None:
         self.refused = feedback.refused - self._refused_before
         t = (commands.stamp_ns - self.started_ns) / SECOND_NS
         self._stream(t, commands)
         if t >= self.plan.duration:
             self._enter(Stage.HOLD, feedback)
 
-    def _hold(self, feedback: ArmView, commands: Commands) -> None:
+    def _hold(self, feedback: ArmView, commands: ArmCommands) -> None:
         self.refused = feedback.refused - self._refused_before
         if feedback.stamp_ns - self._since < HOLD:
             self._stream(self.plan.duration, commands)
@@ -203,12 +188,12 @@ class Operator:
             commands.hold = True
             self._enter(Stage.DONE, feedback)
 
-    def _stream(self, t: float, commands: Commands) -> None:
+    def _stream(self, t: float, commands: ArmCommands) -> None:
         p, roll = self.plan.at(t)
         if self.mode is Mode.CARTESIAN:
-            commands.servo_cp = tip_pose(p, roll)
+            commands.servo_cp = TipPose(p, roll)
         else:
-            commands.servo_jp = virtual_joints(p, roll)
+            commands.servo_jp = TipPose(p, roll).joints
         opening = self.plan.opening(t)
         if opening is not None and self._ticks % JAW_EVERY == 0:
             commands.jaw = min(self.jaw.min + opening, self.jaw.max)

@@ -21,10 +21,11 @@ import rospy
 from std_msgs.msg import String
 
 from surg_core import ConfigError, load_cell
+from surg_core.arm_view import JawRange
 from surg_msgs.msg import Cycle, Ready
-from surg_teleop.follow.arm_view import Jaw
-from surg_teleop.follow.peers import publishers, subscribers
-from surg_teleop.follow.teleop_ports_node import ArmPort, arm_view, wait_for_all
+from surg_ros.arm_port import ArmPort, arm_view
+from surg_ros.participant import wait_for_all
+from surg_ros.peers import publishers, subscribers
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import ConstantMotionError, Plan, make_plan
@@ -194,7 +195,7 @@ def load(parameters: dict[str, object]) -> tuple[Operator, str, bool]:
         number(parameters, "scale", 1.0),
         number(parameters, "duration", 0.0) or None,
     )
-    operator = Operator(plan, Mode(mode), Jaw(instrument.jaw_min, instrument.jaw_max))
+    operator = Operator(plan, Mode(mode), JawRange(instrument.jaw_min, instrument.jaw_max))
     return operator, name, bool(parameters.get("lockstep", False))
 
 
