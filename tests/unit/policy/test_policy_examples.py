@@ -147,7 +147,7 @@ def test_a_program_serves_until_it_is_ended_and_says_how_it_went() -> None:
         assert server.ask(0).arrays["chunk"].shape == (10, 5)
         process.terminate()
         out, err = process.communicate(timeout=60.0)
-        assert server.wait("BYE").head["reason"] == "stopped by its user"
+        assert server.wait("BYE").head["reason"] == "stopped by the user"
     assert (process.returncode, err) == (0, "")
     assert "connected to tcp://127.0.0.1" in out
     assert "1 observations answered in 0 episodes" in out
@@ -158,7 +158,7 @@ def test_a_program_without_a_server_ends_with_what_to_do() -> None:
     process = program("surg_policy_client.policies.hold", *words)
     out, err = process.communicate(timeout=60.0)
     assert process.returncode == 1
-    assert "nobody listens there" in err
+    assert "no server listens there" in err
     assert "Traceback" not in out + err
 
 

@@ -301,7 +301,7 @@ def test_a_flood_of_frames_is_let_go() -> None:
         client.send_multipart([b"x"] * 20_000)
         client.send_multipart(encode(policy_messages.draw(random.Random(3), "ACT")))
         given = []
-        flood = wire.receive(server, give_way=lambda: given.append(1))
+        flood = wire.receive(server, yield_cpu=lambda: given.append(1))
         assert len(flood) == wire.MAX_PARTS + 2
         assert len(given) > 20_000 // 300, "nobody else had a turn meanwhile"
         with pytest.raises(WireError, match="frames"):

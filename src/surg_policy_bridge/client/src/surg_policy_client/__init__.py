@@ -1,10 +1,10 @@
-"""Connects a policy to the platform's model server: no ROS, Python 3.8 to 3.13.
+"""Connects a policy to the platform's model server; no ROS, Python 3.8 to 3.13.
 
-`serve` answers observations with a policy's actions; `RemoteEnv` is the same as reset and step.
-docs/guide/policy_client.md tells the story, docs/reference/protocol.md every byte.
+`serve` answers observations with a policy's actions. `RemoteEnv` offers the same as reset and step.
+Guide: docs/guide/policy_client.md. Protocol: docs/reference/protocol.md.
 """
 
-# Before all else: the messages of a connection name it.
+# First, because modules below use it.
 __version__ = "0.1.0"
 
 from surg_policy_client.chunks import ChunkBlender, RecedingHorizon

@@ -1,6 +1,6 @@
-"""Chunks of actions over time: when to ask a policy again, and how overlapping chunks blend.
+"""Action chunking: when to query a policy again, and how overlapping chunks blend.
 
-Everything is keyed by the absolute step, so that nothing is shifted by how long a policy took.
+Rows are keyed by absolute step, so the computing time of a policy shifts nothing.
 """
 
 from __future__ import annotations
@@ -13,26 +13,26 @@ from surg_policy_client.observation import Chunk, Observation
 
 
 class ChunkBlender:
-    """Predictions of several chunks for the same step, as one.
+    """Blends the predictions of several chunks for the same step.
 
     Args:
-        decay: A prediction's weight is exp(-decay · n), n counting from the oldest for its step (as
-            in ACT's temporal ensemble: the oldest weighs most). None: the newest alone counts.
-            Angles are blended as numbers: they have to continue over ±π, as the platform's do.
+        decay: The weight of a prediction is exp(-decay · n), n counting from the oldest one for
+            its step, as in ACT's temporal ensemble. None: only the newest counts. Angles are
+            blended as numbers, so they must not wrap at ±π; the platform's do not.
     """
 
     def __init__(self, decay: float | None = None) -> None:
         if decay is not None and not 0.0 <= decay < np.inf:
-            raise ValueError(f"decay is None or a number from 0, not {decay!r}")
+            raise ValueError(f"decay: {decay!r}; allowed: None, or a number of at least 0")
         self._decay = decay
         self._chunks: list[tuple[int, np.ndarray]] = []
 
     def clear(self) -> None:
-        """Forget everything: a new episode begins."""
+        """Forget all chunks; a new episode begins."""
         self._chunks.clear()
 
     def add(self, step0: int, rows: np.ndarray) -> None:
-        """Take a chunk.
+        """Add a chunk.
 
         Args:
             step0: Step of its first row.
@@ -40,66 +40,68 @@ class ChunkBlender:
         """
         rows = np.asarray(rows, dtype=np.float64)
         if rows.ndim != 2 or (self._chunks and rows.shape[1] != self._chunks[0][1].shape[1]):
-            raise ValueError(f"rows are [K, A], the same A every time, not {rows.shape}")
+            raise ValueError(
+                f"rows of shape {rows.shape}; allowed: [K, A], with the same A every time"
+            )
         self._chunks.append((step0, rows))
 
     def rows_from(self, step: int) -> np.ndarray:
-        """Blended rows [n, A] for `step` and on, as far as there are any; earlier ones are let go.
+        """Blended rows [n, A] from `step` on; forgets chunks that end before it.
 
         Args:
-            step: First step wanted.
+            step: First step.
         """
         self._chunks = [(s, rows) for s, rows in self._chunks if s + len(rows) > step]
-        found: list[np.ndarray] = []
+        blended: list[np.ndarray] = []
         while True:
-            at = step + len(found)
-            said = [rows[at - s] for s, rows in self._chunks if s <= at < s + len(rows)]
-            if not said:
+            at = step + len(blended)
+            predictions = [rows[at - s] for s, rows in self._chunks if s <= at < s + len(rows)]
+            if not predictions:
                 break
             if self._decay is None:
-                found.append(said[-1])
+                blended.append(predictions[-1])
             else:
-                weights = np.exp(-self._decay * np.arange(len(said)))
-                found.append(weights @ np.array(said) / weights.sum())
+                weights = np.exp(-self._decay * np.arange(len(predictions)))
+                blended.append(weights @ np.array(predictions) / weights.sum())
         width = self._chunks[0][1].shape[1] if self._chunks else 0
-        return np.array(found).reshape(len(found), width)
+        return np.array(blended).reshape(len(blended), width)
 
 
 class RecedingHorizon:
-    """Asks a policy every few steps, and sends what it said; in between nothing new.
+    """Queries a policy every few steps and sends nothing new in between.
 
-    The server executes a chunk only while its observation is young (WELCOME: ``max_obs_age_s``,
-    0.6 s by default: 12 steps of 20 Hz), so `every` has to stay below that.
+    The server executes a chunk only while its observation is not older than ``max_obs_age_s`` of
+    WELCOME (0.6 s by default: 12 steps at 20 Hz). Keep `every` below that.
 
     Args:
-        policy: Its ``act`` returns a `Chunk` or rows [K, A].
-        every: Steps between two questions.
-        decay: As of `ChunkBlender`.
+        policy: With an ``act`` that returns a `Chunk` or rows [K, A].
+        every: Steps between two queries.
+        decay: See `ChunkBlender`.
     """
 
     def __init__(self, policy: Any, every: int, decay: float | None = None) -> None:
         if every < 1:
-            raise ValueError(f"every is 1 or more, not {every!r}")
+            raise ValueError(f"every: {every!r}; allowed: 1 or more")
         self._policy, self._every = policy, every
         self._blender = ChunkBlender(decay)
-        self._asked: int | None = None
+        self._queried: int | None = None
         self.wants = getattr(policy, "wants", None)
         self.name = getattr(policy, "name", type(policy).__name__)
 
     def reset(self, instruction: str, seed: int | None) -> None:
         """A new episode."""
         self._blender.clear()
-        self._asked = None
+        self._queried = None
         if hasattr(self._policy, "reset"):
             self._policy.reset(instruction, seed)
 
     def act(self, observation: Observation) -> Chunk | None:
-        """Rows from the next step on where the policy was asked; None in between."""
+        """Rows from the next step on if the policy was queried, else None."""
         step = observation.step
-        # Steps can be missed where the policy is slow: what counts is how many have passed.
-        if self._asked is not None and 0 <= step - self._asked < self._every:
+        # A slow policy misses steps, so count those that have passed.
+        if self._queried is not None and 0 <= step - self._queried < self._every:
             return None
-        self._asked = step
+        self._queried = step
         answer = self._policy.act(observation)
         chunk = answer if isinstance(answer, Chunk) else Chunk(np.asarray(answer))
         self._blender.add(step + 1 if chunk.step0 is None else chunk.step0, chunk.rows)

@@ -1,4 +1,4 @@
-"""What a client says and when, without sockets, clocks and threads: time is an argument."""
+"""Protocol state of a client, without sockets, clocks or threads; time is an argument."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from surg_policy_client.spec import Spec
 from surg_policy_client.wire import VERSION, Message
 
 HELLO_S = 0.25
-"""Between two HELLOs, until a server answers."""
+"""[s] Interval of HELLO until a server answers."""
 LEAST_PING_S = 0.01
-"""Between two PINGs, whatever a server asks for."""
+"""[s] Shortest interval of PING, whatever the server asks for."""
 LOST_S = 1.0
-"""Without a word of the server: it is gone, or has another session now."""
+"""[s] Timeout of the server: it has ended, or serves another session."""
 
 
 class State(enum.Enum):
-    """Of a conversation."""
+    """State of a conversation."""
 
     GREETING = "greeting"
     LIVE = "live"
@@ -26,18 +26,18 @@ class State(enum.Enum):
 
 
 class Conversation:
-    """Greets, pings, and knows when the other side is gone.
+    """Sends HELLO and PING, and detects the loss of the server.
 
     Args:
-        address: Of the server, for messages.
-        hello: Fields of HELLO but `versions`.
+        address: Of the server, for error messages.
+        hello: Fields of HELLO except `versions`.
 
     Attributes:
         session: Number of the session; None before WELCOME.
         welcome: Fields of WELCOME.
-        generation: Counts the connections: a new number asks for a new socket.
-        failure: Why it cannot go on; None while it can.
-        busy: Another policy holds the server.
+        generation: Number of the connection; a new one needs a new socket.
+        failure: Final error; None: there is none.
+        busy: Why the server is busy with another policy; may be empty.
     """
 
     def __init__(self, address: str, hello: dict[str, Any]) -> None:
@@ -55,7 +55,7 @@ class Conversation:
         self._pings = 0
 
     def due(self) -> float:
-        """When `tick` has something to do [s]."""
+        """Time of the next call of `tick` [s]."""
         if self.state is State.FAILED:
             return float("inf")
         if self.state is State.LIVE:
@@ -63,7 +63,7 @@ class Conversation:
         return self._next
 
     def reached(self) -> None:
-        """Somebody can hear now: a greeting need not wait for its turn."""
+        """The connection is up: send HELLO at once."""
         if self.state is State.GREETING:
             self._next = self._earliest
 
@@ -74,22 +74,22 @@ class Conversation:
             now: [s]
         """
         if self.state is State.LIVE and now >= self._heard + LOST_S:
-            self._start_again()
+            self._restart()
         if now < self._next or self.state is State.FAILED:
             return []
         if self.state is State.GREETING:
             self._next = now + HELLO_S
             return [Message("HELLO", dict(self._hello))]
-        # From now on, not from when it was due: a process that was stopped sends no salvo.
+        # Counted from now, so that a process that was stopped sends no burst.
         self._next = now + self._ping_s
         self._pings = (self._pings + 1) % 2**31
         return [Message("PING", {"session": self.session, "n": self._pings})]
 
     def take(self, message: Message, now: float) -> Message | None:
-        """A message of the server; returns what the policy has to know of.
+        """Take in a message of the server; returns it if the policy needs it.
 
         Args:
-            message: Decoded.
+            message: The message.
             now: [s]
         """
         if self.state is State.FAILED:
@@ -99,24 +99,24 @@ class Conversation:
         if message.kind == "WELCOME":
             return self._welcomed(message, now)
         if self.state is not State.LIVE or message.head.get("session") != self.session:
-            return None  # a message to an earlier session, or no message of a server
+            return None  # of an earlier session
         self._heard = now
         if message.kind == "BYE":
-            # A server that ends is not greeted at once: its successor needs its place.
-            self._start_again(now + HELLO_S)
+            # Wait a moment: a new server needs the address of the old one.
+            self._restart(now + HELLO_S)
         return None if message.kind == "PONG" else message
 
     def _welcomed(self, message: Message, now: float) -> Message | None:
         if self.state is State.LIVE and message.head["session"] == self.session:
-            return None  # a HELLO that was repeated; a newer session would replace the first
+            return None  # answer to a repeated HELLO
         if message.head["version"] != VERSION:
-            self._fail(VersionMismatch(self._versions(f"version {message.head['version']}")))
+            self._fail(VersionMismatch(self._version_text(f"version {message.head['version']}")))
             return None
         wants = self._hello["wants"]
         served = Spec.from_map(message.head["spec"])
         wrong = Spec.from_map(wants).mismatches(served) if wants is not None else []
         if wrong:
-            self._fail(SpecMismatch(self._differs("\n".join(wrong))))
+            self._fail(SpecMismatch(self._mismatch("\n".join(wrong))))
             return None
         self.state, self.session, self.welcome = State.LIVE, message.head["session"], message.head
         self._ping_s = max(message.head["ping_s"], LEAST_PING_S)
@@ -125,21 +125,21 @@ class Conversation:
 
     def _error(self, code: str, text: str, message: Message) -> Message | None:
         if code == "version":
-            self._fail(VersionMismatch(self._versions(text)))
+            self._fail(VersionMismatch(self._version_text(text)))
         elif code == "spec":
-            self._fail(SpecMismatch(self._differs(text)))
+            self._fail(SpecMismatch(self._mismatch(text)))
         elif code == "session":
             if self.state is State.LIVE:
-                self._start_again()
+                self._restart()
         elif code == "busy":
             self.busy = text
         elif self.state is State.LIVE:
-            return message  # the policy's to judge: a refused reset, a message that was wrong
+            return message  # for the policy: a refused reset or message
         else:
             self._fail(Refused(code, f"the server at {self.address} refused: {text}"))
         return None
 
-    def _start_again(self, earliest: float = float("-inf")) -> None:
+    def _restart(self, earliest: float = float("-inf")) -> None:
         self.state, self.session = State.GREETING, None
         self.generation += 1
         self._next = self._earliest = earliest
@@ -147,16 +147,16 @@ class Conversation:
     def _fail(self, failure: PolicyClientError) -> None:
         self.state, self.failure = State.FAILED, failure
 
-    def _versions(self, theirs: str) -> str:
+    def _version_text(self, theirs: str) -> str:
         return (
-            f"the server at {self.address} speaks another protocol: this client speaks version "
-            f"{VERSION}, the server says: {theirs}. Install the surg-policy-client that belongs to "
-            "the server's checkout (src/surg_policy_bridge/client)."
+            f"the server at {self.address} uses another protocol; this client has version "
+            f"{VERSION}, the server reports: {theirs}. Install the surg-policy-client of the "
+            "server's checkout (src/surg_policy_bridge/client)."
         )
 
-    def _differs(self, what: str) -> str:
+    def _mismatch(self, what: str) -> str:
         return (
             f"the policy does not fit the server at {self.address}:\n{what}\n"
-            "Start the server with the task and cell the policy was trained for, or give `wants` "
-            "what the server has."
+            "Start the server with the task and cell that the policy was trained for, or change "
+            "`wants`."
         )

@@ -1,4 +1,4 @@
-"""The robot as an environment: `reset` and `step`, over the wire. Needs no gymnasium."""
+"""The robot as an environment with `reset` and `step`, over the wire; without gymnasium."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from surg_policy_client.serving import ADDRESS, Wants, wanted
 from surg_policy_client.spec import Spec
 from surg_policy_client.wire import Message
 
-BROKEN_OFF = "the server began another session or episode without the end of this one"
+BROKEN_OFF = "the server began another session or episode before the end of this one"
 
 
 class RemoteEnv:
-    """A task on the other side of the wire, in the manner of Gymnasium.
+    """A task on a model server, with the interface of Gymnasium.
 
-    Time does not wait for `step` unless the server runs in lock-step: in real time a slow caller
-    gets the newest observation, and `info["skipped"]` counts what it missed. There is no reward on
-    the wire; ``info["success"]`` is the task's verdict when the episode is over.
+    In lock-step time waits for `step`. In real time a slow caller gets the newest observation, and
+    `info["skipped"]` counts those it missed. There is no reward on the wire; ``info["success"]`` is
+    the task's verdict at the end of the episode.
 
     Args:
         address: Of the server.
-        wants: Observations to get, as keys or as a `Spec`.
-        keys: Folder of `./surg keys`, where the server was started with keys.
+        wants: Observations, as keys or as a `Spec`; None: everything served.
+        keys: Folder of `./surg keys`, if the server was started with keys.
         timeout_s: Longest wait for the server, an episode or an observation [s].
     """
 
@@ -46,7 +46,7 @@ class RemoteEnv:
         self._acted: tuple[int, int] | None = None
         self._broken_off = False
         self._acks: dict[str, Any] = {}
-        self._said = ""
+        self._note = ""
         try:
             if not self._link.wait_for_welcome(timeout_s):
                 raise self._link.no_server(timeout_s)
@@ -57,55 +57,54 @@ class RemoteEnv:
     def reset(self) -> tuple[Observation, dict[str, Any]]:
         """First observation of an episode, and info.
 
-        An episode that was not acted in is taken, or waited for. After one that was, the server is
-        asked for a new one; where it begins its episodes itself, as under `./surg run`, the next is
-        waited for.
+        An episode without actions so far is used; otherwise the server is asked for a new one. If
+        the server begins its episodes itself, as under `./surg run`, this waits for the next one.
 
         Raises:
-            Refused: When the episode is not over, and the server does not end it for this: it can
-                go on; NoServer: when none begins in time.
+            Refused: The present episode is not over and the server does not end it; it can go on.
+            NoServer: No episode begins in time.
         """
         before = self._last, self._over, self._acted
         going_on = self._acted if self._over is None else None
         if self._acted is not None:
-            self._ask()
+            self._request_episode()
         try:
             observation = self._last or self._wait(self._timeout, going_on)
         except Refused:
             self._last, self._over, self._acted = before
             raise
         if observation is None:
-            raise self._silence("began no episode")
+            raise self._timeout_error("began no episode")
         self._broken_off = False
         return observation, self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Send an action, wait for the next observation.
+        """Send an action and wait for the next observation.
 
         Args:
             action: One row [A], rows [K, A] or a `Chunk`, from the next grid time on.
 
         Returns:
-            Observation, reward (always 0.0), terminated, truncated, info. Truncated where the
-            server began another session or episode without the end of this one: the observation
-            is then the last of this one, and `reset` gives the first of the other.
+            Observation, reward (always 0.0), terminated, truncated, info. Truncated means that the
+            server began another session or episode before the end of this one. The observation is
+            then the last of this one, and `reset` returns the first of the other.
         """
         if self._last is None or self._over is not None or self._broken_off:
-            raise RuntimeError("no episode: call reset() first")
+            raise RuntimeError("there is no episode; call reset() first")
         self._link.send(as_message(action, self._last))
         self._acted = self._last.session, self._last.episode
         before, self._last = self._last, None
         observation = self._wait(self._timeout)
         if observation is None and self._over is None:
-            raise self._silence("sent no observation")
+            raise self._timeout_error("sent no observation")
         if observation is not None and (observation.session, observation.episode) != self._acted:
-            self._acted, self._broken_off = None, True  # not acted in: `reset` takes it
+            self._acted, self._broken_off = None, True  # without actions: `reset` uses it
             return before, 0.0, False, True, {**self._info(), "reason": BROKEN_OFF}
         self._last = observation or before
         return self._last, 0.0, self._over is not None, False, self._info()
 
     def close(self) -> None:
-        """Say goodbye."""
+        """Close the connection."""
         self._link.close("the environment was closed")
 
     def __enter__(self) -> RemoteEnv:
@@ -114,7 +113,7 @@ class RemoteEnv:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _ask(self) -> None:
+    def _request_episode(self) -> None:
         session = self._link.session
         if session is None and self._link.wait_for_welcome(self._timeout):
             session = self._link.session
@@ -124,11 +123,11 @@ class RemoteEnv:
         self._link.send(Message("RESET", {"session": session}))
 
     def _wait(self, timeout_s: float, former: tuple[int, int] | None = None) -> Observation | None:
-        """The next observation; None when the episode ended, or after the time.
+        """The next observation; None: the episode has ended, or timeout.
 
         Args:
             timeout_s: Longest wait [s].
-            former: Session and episode that shall be over: what still comes of them is passed by.
+            former: Session and episode whose observations are ignored.
         """
         until = time.monotonic() + timeout_s
         while (left := until - time.monotonic()) > 0:
@@ -138,29 +137,29 @@ class RemoteEnv:
             if message.kind == "WELCOME":
                 self.spec = Spec.from_map(message.head["spec"])
             elif message.kind == "OBS":
-                seen = Observation.of(message, self.spec)
-                if (seen.session, seen.episode) != former:
-                    self._last = seen
-                    return seen
+                observation = Observation.of(message, self.spec)
+                if (observation.session, observation.episode) != former:
+                    self._last = observation
+                    return observation
             elif message.kind == "ACK":
                 self._acks = message.head
             elif message.kind == "ERR":
                 code, text = message.head["code"], message.head["text"]
                 if code != "reset" or (former is not None and former[0] == self._link.session):
                     raise Refused(code, text)
-                self._said = f"It says: {text}. "  # no reason not to wait for the next one
+                self._note = f"It reports: {text}. "  # the next episode may still begin
             elif message.kind == "EPISODE":
                 event, reason = message.head["event"], message.head["reason"]
-                self._said = f"the episode was {event}: {reason}. " if event == "paused" else ""
+                self._note = f"the episode was {event}: {reason}. " if event == "paused" else ""
                 if event == "end" and self._acted is not None:
                     self._over = message
                     return None
         return None
 
-    def _silence(self, what: str) -> NoServer:
+    def _timeout_error(self, what: str) -> NoServer:
         return NoServer(
-            f"the server at {self._link.address} {what} within {self._timeout:g} s. {self._said}"
-            "Is the policy enabled there, and is nobody else at the controls?"
+            f"the server at {self._link.address} {what} within {self._timeout:g} s. {self._note}"
+            "Check that the policy is enabled there and that nobody else is at the controls."
         )
 
     def _info(self) -> dict[str, Any]:

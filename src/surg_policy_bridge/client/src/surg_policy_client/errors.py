@@ -1,4 +1,4 @@
-"""What can go wrong between a policy and its server: each error says what to do."""
+"""Errors of the client; each message states what to do."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ class PolicyClientError(Exception):
 
 
 class NoServer(PolicyClientError):
-    """Nobody answered at the address in the time given."""
+    """No server has answered within the timeout."""
 
 
 class VersionMismatch(PolicyClientError):
-    """Client and server share no version of the protocol."""
+    """Client and server have no protocol version in common."""
 
 
 class SpecMismatch(PolicyClientError):
-    """What the policy wants and what the server has differ; the text names both."""
+    """The policy needs what the server does not serve; the message names both."""
 
 
 class Refused(PolicyClientError):
     """The server refused a request or a message.
 
     Attributes:
-        code: The server's word for it.
+        code: Reason code of the server.
     """
 
     def __init__(self, code: str, text: str) -> None:
@@ -32,8 +32,8 @@ class Refused(PolicyClientError):
 
 
 class BadKeys(PolicyClientError):
-    """Keys that are missing, unreadable, open to others or of the wrong kind."""
+    """Keys are missing, unreadable, of the wrong kind, or readable by others."""
 
 
 class BadAction(PolicyClientError):
-    """What a policy returned is no chunk of actions; nothing was sent."""
+    """A policy returned no valid chunk of actions; nothing was sent."""

@@ -1,8 +1,7 @@
-"""A header's map, read with limits on everything.
+"""Reads the map of a header with limits on everything.
 
-msgpack reads what cannot contain anything; lists and maps are put together here. Its own C reader
-never frees those that it has begun when a message turns out wrong (before msgpack-python's pull
-request 671 of 2026): 100 kB for each such message, and anybody may send one.
+msgpack reads the scalars; lists and maps are assembled here. Before pull request 671 of
+msgpack-python its C reader leaked unfinished lists and maps of invalid messages, 100 kB each.
 """
 
 from __future__ import annotations
@@ -14,33 +13,33 @@ import msgpack
 Buffer = Union[bytes, memoryview]
 
 MAX_TEXT = 1 << 16
-"""Bytes of a text."""
+"""[bytes] Longest text."""
 MAX_LIST = 1024
 MAX_MAP = 256
 MAX_DEPTH = 16
-"""Lists and maps within one another."""
+"""Nesting of lists and maps."""
 MAX_VALUES = 1 << 14
-"""All in all; reading so many takes some 10 ms, and meanwhile nothing else is read."""
+"""Values in total; reading so many takes about 10 ms."""
 
 
 def read_map(data: Buffer) -> dict[str, Any]:
-    """The map that these bytes are.
+    """Read one map.
 
     Raises:
-        ValueError: They are no map, are cut off or go on behind it, hold a key twice or one that is
-            no text, bytes or an extension type, a text that is not UTF-8, or exceed a limit.
+        ValueError: It is not a map, is truncated or has trailing bytes; it has a duplicate key or
+            one that is not a text, bytes, an extension type or invalid UTF-8; or exceeds a limit.
     """
-    found = _Reader(data).all()
-    if type(found) is not dict:
-        raise ValueError(f"a map, not {type(found).__name__}")
-    return found
+    value = _Reader(data).all()
+    if type(value) is not dict:
+        raise ValueError(f"a {type(value).__name__}, not a map")
+    return value
 
 
 class _Reader:
-    """Reads values one behind the other.
+    """Reads values in sequence.
 
     Args:
-        data: All of them.
+        data: The bytes.
     """
 
     def __init__(self, data: Buffer) -> None:
@@ -58,15 +57,15 @@ class _Reader:
         self._left = MAX_VALUES
 
     def all(self) -> Any:
-        """The one value that there is."""
+        """The only value."""
         try:
-            found = self._value(0)
+            value = self._value(0)
         except (IndexError, msgpack.OutOfData):
-            raise ValueError("it is cut off") from None
+            raise ValueError("it is truncated") from None
         rest = len(self._data) - self._plain.tell()
         if rest:
-            raise ValueError(f"{rest} bytes stand behind it")
-        return found
+            raise ValueError(f"{rest} trailing bytes")
+        return value
 
     def _value(self, depth: int) -> Any:
         first = self._data[self._plain.tell()]
@@ -81,15 +80,15 @@ class _Reader:
 
     def _map(self, depth: int) -> dict[str, Any]:
         count = _at_most(self._plain.read_map_header(), MAX_MAP, depth)
-        found: dict[str, Any] = {}
+        fields: dict[str, Any] = {}
         for _ in range(count):
             key = self._value(depth)
             if type(key) is not str:
-                raise ValueError(f"a key is a text, not {type(key).__name__}")
-            if key in found:
-                raise ValueError(f"the key {key[:100]!r} stands twice")
-            found[key] = self._value(depth)
-        return found
+                raise ValueError(f"a key of type {type(key).__name__}; allowed: text")
+            if key in fields:
+                raise ValueError(f"the key {key[:100]!r} is there twice")
+            fields[key] = self._value(depth)
+        return fields
 
     def _list(self, depth: int) -> list[Any]:
         count = _at_most(self._plain.read_array_header(), MAX_LIST, depth)

@@ -1,15 +1,15 @@
-"""CURVE keys: who may talk to a model server, and which server a policy talks to.
+"""CURVE keys: which policies may connect to a model server, and which server they trust.
 
-A folder made by `make` has one part for each machine::
+A folder made by `make` has a part for each machine::
 
     DIR/server/server.key_secret    stays with the model server
     DIR/server/server.key
     DIR/server/clients/NAME.key     policies that may connect
     DIR/NAME/NAME.key_secret        goes to the policy's machine, with
-    DIR/NAME/server.key             the server it trusts
+    DIR/NAME/server.key             public key of the server
 
-Files are ZeroMQ certificates. Secret ones are readable by their owner alone (0600), and are not
-loaded otherwise. Nothing is ever overwritten.
+Files are ZeroMQ certificates. Secret ones must be readable by their owner only (0600). Nothing is
+ever overwritten.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ Folder = Union[str, "os.PathLike[str]"]
 
 @dataclass(frozen=True)
 class ClientKeys:
-    """What a policy needs (Z85, 40 bytes each).
+    """Keys of a policy (Z85, 40 bytes each).
 
     Attributes:
-        public: Its own.
-        secret: Its own.
-        server: The server's public key: no other server is believed.
+        public: Public key of the policy.
+        secret: Secret key of the policy.
+        server: Public key of the trusted server.
     """
 
     public: bytes
@@ -48,12 +48,12 @@ class ClientKeys:
 
 @dataclass(frozen=True)
 class ServerKeys:
-    """What a server needs (Z85, 40 bytes each).
+    """Keys of a server (Z85, 40 bytes each).
 
     Attributes:
-        public: Its own.
-        secret: Its own.
-        clients: Public keys that may connect, by name of the policy.
+        public: Public key of the server.
+        secret: Secret key of the server.
+        clients: Public keys of the allowed policies, by name.
     """
 
     public: bytes
@@ -62,35 +62,35 @@ class ServerKeys:
 
 
 def make(folder: Folder, policy: str = POLICY) -> list[Path]:
-    """Make key pairs of a server and a policy; of the policy alone where the server has one.
+    """Make key pairs of a server and a policy; of the policy only, if the server has one.
 
     Args:
-        folder: Made when missing.
+        folder: Created if missing.
         policy: Name of the policy's machine or user.
 
     Returns:
         The files made.
 
     Raises:
-        BadKeys: When the policy's keys are there already, the server's only by half, or the name
-            is no name.
+        BadKeys: The policy has keys already, one of the server's keys is missing, or the name is
+            invalid.
     """
     root = Path(folder)
     if not _NAME.fullmatch(policy) or policy == SERVER:
-        raise BadKeys(f"a name of letters, digits, - and _ (not {SERVER!r}), not {policy!r}")
+        raise BadKeys(f"name {policy!r}; allowed: letters, digits, - and _, and not {SERVER!r}")
     server, mine = root / SERVER, root / policy
     if mine.exists() or (server / "clients" / f"{policy}.key").exists():
         raise BadKeys(
-            f"{mine} has keys already, and nothing is overwritten: "
+            f"{mine} has keys already, and nothing is overwritten; "
             "choose another name, or move that folder away"
         )
-    halves = [(server / name).exists() for name in ("server.key", "server.key_secret")]
-    if any(halves) and not all(halves):
-        raise BadKeys(f"{server} has one half of the server's keys only: move it away")
+    present = [(server / name).exists() for name in ("server.key", "server.key_secret")]
+    if any(present) and not all(present):
+        raise BadKeys(f"{server} lacks one of the server's two keys; move that folder away")
     made = []
     for place in (root, server, server / "clients", mine):
         place.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if all(halves):
+    if all(present):
         server_public = _read(server / "server.key")["public-key"]
     else:
         server_public, secret = zmq.curve_keypair()
@@ -108,10 +108,10 @@ def make(folder: Folder, policy: str = POLICY) -> list[Path]:
 
 
 def client_keys(folder: Folder) -> ClientKeys:
-    """Keys of a policy, from its own part of the folder or from the whole one.
+    """Keys of a policy, from its own part of the folder or the whole one.
 
     Raises:
-        BadKeys: With the file that is wrong, and what to do.
+        BadKeys: Names the file and what to do.
     """
     root = Path(folder)
     if not (root / "server.key").is_file() and (root / POLICY / "server.key").is_file():
@@ -119,8 +119,8 @@ def client_keys(folder: Folder) -> ClientKeys:
     secrets = sorted(root.glob("*.key_secret"))
     if len(secrets) != 1 or secrets[0].name == "server.key_secret":
         raise BadKeys(
-            f"{root}: exactly one policy's *.key_secret is wanted, "
-            f"there are {[path.name for path in secrets]}; `./surg keys` makes one"
+            f"{root} has {[path.name for path in secrets]}; exactly one policy's *.key_secret is "
+            "needed; `./surg keys` makes one"
         )
     own = _read_secret(secrets[0])
     return ClientKeys(
@@ -132,7 +132,7 @@ def server_keys(folder: Folder) -> ServerKeys:
     """Keys of a server with its allow-list, from its own part of the folder or the whole one.
 
     Raises:
-        BadKeys: With the file that is wrong, and what to do; also when nobody may connect.
+        BadKeys: Names the file and what to do; also if no policy may connect.
     """
     root = Path(folder)
     if not (root / "server.key_secret").is_file() and (root / SERVER).is_dir():
@@ -142,12 +142,14 @@ def server_keys(folder: Folder) -> ServerKeys:
         path.stem: _read(path)["public-key"] for path in sorted((root / "clients").glob("*.key"))
     }
     if not clients:
-        raise BadKeys(f"{root / 'clients'} has no *.key: no policy could connect; `./surg keys`")
+        raise BadKeys(
+            f"{root / 'clients'} has no *.key, so no policy could connect; `./surg keys` makes one"
+        )
     return ServerKeys(own["public-key"], own["secret-key"], clients)
 
 
 def _write(path: Path, public: bytes, secret: bytes | None = None) -> Path:
-    """A certificate; fails where the file exists."""
+    """Write a certificate; fails if the file exists."""
     text = 'metadata\ncurve\n    public-key = "' + public.decode("ascii") + '"\n'
     if secret is not None:
         text += '    secret-key = "' + secret.decode("ascii") + '"\n'
@@ -155,7 +157,7 @@ def _write(path: Path, public: bytes, secret: bytes | None = None) -> Path:
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
     except FileExistsError:
-        raise BadKeys(f"{path} is there already, and nothing is overwritten") from None
+        raise BadKeys(f"{path} exists already, and nothing is overwritten") from None
     with os.fdopen(handle, "w", encoding="ascii") as stream:
         stream.write(text)
     path.chmod(mode)  # whatever the umask is
@@ -168,16 +170,16 @@ def _read(path: Path) -> dict[str, bytes]:
         text = path.read_text("ascii")
     except (OSError, UnicodeDecodeError) as error:
         raise BadKeys(f"{path}: {error}; `./surg keys` makes keys") from None
-    found = {name: key.encode("ascii") for name, key in _LINE.findall(text)}
-    if "public-key" not in found:
+    keys = {name: key.encode("ascii") for name, key in _LINE.findall(text)}
+    if "public-key" not in keys:
         raise BadKeys(f"{path}: no public-key of 40 characters; `./surg keys` makes keys")
-    return found
+    return keys
 
 
 def _read_secret(path: Path) -> dict[str, bytes]:
-    found = _read(path)
+    keys = _read(path)
     if os.name == "posix" and path.stat().st_mode & 0o077:
-        raise BadKeys(f"{path} can be read by others: chmod 600 {path}")
-    if "secret-key" not in found:
+        raise BadKeys(f"{path} can be read by others; run chmod 600 {path}")
+    if "secret-key" not in keys:
         raise BadKeys(f"{path}: no secret-key of 40 characters; `./surg keys` makes keys")
-    return found
+    return keys

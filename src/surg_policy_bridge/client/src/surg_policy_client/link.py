@@ -1,4 +1,4 @@
-"""One connection to a model server: a thread that owns the socket, pings and listens."""
+"""Connection to a model server: a thread owns the socket, pings and receives."""
 
 from __future__ import annotations
 
@@ -24,17 +24,16 @@ from surg_policy_client.wire import MAX_PART, Message, decode, encode, receive
 
 _LINGER_MS = 200
 _RENEW_S = 1.0
-"""After a handshake that failed: the server may be another one by then."""
+"""[s] Time after a failed handshake until a new socket is opened."""
 _HINTS = {
-    "": "nobody listens there. Start a server (./surg run TASK --policy ADDRESS), or look at the "
-    "address, and at the firewall between the machines.",
-    "connected": "somebody listens there, but no model server answered. Is the address the one the "
-    "server prints when it starts?",
-    "protocol": "the server there and this client do not agree about keys: give `keys` the "
-    "policy's folder of `./surg keys` if the server was started with keys, and leave it out "
-    "otherwise.",
-    "denied": "the server there does not know this client's key. Copy the policy's *.key into the "
-    "server's folder `server/clients` (./surg keys), and start the server again.",
+    "": "no server listens there. Start one (./surg run TASK --policy ADDRESS), or check the "
+    "address and the firewall between the machines.",
+    "connected": "a process listens there, but it is not a model server. Check that the address is "
+    "the one that the server prints when it starts.",
+    "protocol": "only one of server and client uses keys. If the server was started with keys, set "
+    "`keys` to the policy's folder of `./surg keys`; otherwise omit it.",
+    "denied": "the server does not know this client's key. Copy the policy's *.key to the "
+    "server's folder `server/clients` (./surg keys) and restart the server.",
 }
 
 
@@ -43,9 +42,9 @@ class Link:
 
     Args:
         address: Such as ``tcp://127.0.0.1:5555`` or ``ipc:///tmp/policy``.
-        wants: What the policy needs; None: whatever there is.
-        policy: Its name, for the server's log.
-        keys: Keys, or the folder that `./surg keys` made.
+        wants: What the policy needs; None: everything served.
+        policy: Name of the policy, for the server's log.
+        keys: Keys, or a folder made by `./surg keys`.
     """
 
     def __init__(
@@ -60,7 +59,7 @@ class Link:
         if keys is not None and not isinstance(keys, ClientKeys):
             keys = client_keys(Path(keys))
         self._keys = keys
-        self._talk = Conversation(
+        self._conversation = Conversation(
             address,
             {
                 "client": f"{socket.gethostname()}:{os.getpid()}"[:128],
@@ -79,11 +78,11 @@ class Link:
         self._closed = False
         self._broken: Exception | None = None
         self.skipped = 0
-        """Observations that a newer one replaced before the policy was ready."""
+        """Observations replaced by a newer one before the policy was ready."""
         self.dropped = 0
-        """Messages that could not be sent, and frames that were no messages."""
+        """Messages that could not be sent, and invalid frames."""
         try:
-            self._first: Any = self._socket()  # here, so that a bad address fails here
+            self._first: Any = self._socket()  # a bad address fails here
         except ValueError:
             self._context.term()
             raise
@@ -96,49 +95,50 @@ class Link:
 
     @property
     def session(self) -> int | None:
-        """Number of the session; None while there is none."""
-        return self._talk.session
+        """Number of the session; None: there is none."""
+        return self._conversation.session
 
     def wait_for_welcome(self, timeout_s: float) -> bool:
-        """Wait until a session stands.
+        """Wait for a session.
 
         Args:
             timeout_s: Longest wait [s].
 
         Returns:
-            Whether it does.
+            Whether there is one.
 
         Raises:
-            PolicyClientError: When server and policy do not fit.
+            PolicyClientError: Server and policy do not match.
         """
         with self._news:
             self._news.wait_for(
-                lambda: self._talk.state is not State.GREETING or self._stop, timeout_s
+                lambda: self._conversation.state is not State.GREETING or self._stop, timeout_s
             )
             self._raise_failure()
-            return self._talk.state is State.LIVE
+            return self._conversation.state is State.LIVE
 
     def no_server(self, timeout_s: float) -> NoServer:
-        """The error of a wait that was too long."""
+        """The error for a timeout."""
         return NoServer(f"no answer from {self.address} within {timeout_s:g} s: {self.hint()}")
 
     def hint(self) -> str:
-        """Why there is no session, as far as can be seen from here, and what to do."""
-        if self._talk.busy:
-            return f"another policy holds the server: {self._talk.busy}"
+        """Why there is probably no session, and what to do."""
+        if self._conversation.busy:
+            return f"the server is busy: {self._conversation.busy}"
         return _HINTS[self._hint]
 
     def next(self, timeout_s: float) -> Message | None:
-        """The server's next word: WELCOME, OBS, ACK, EPISODE, BYE or ERR; None after the time.
+        """Next message of the server: WELCOME, OBS, ACK, EPISODE, BYE or ERR; None: timeout.
 
-        Of observations only the newest waits here.
+        Only the newest observation is kept.
 
         Raises:
-            PolicyClientError: When server and policy do not fit.
+            PolicyClientError: Server and policy do not match.
         """
         with self._news:
             self._news.wait_for(
-                lambda: self._inbox or self._talk.state is State.FAILED or self._stop, timeout_s
+                lambda: self._inbox or self._conversation.state is State.FAILED or self._stop,
+                timeout_s,
             )
             if self._inbox:
                 return self._inbox.popleft()
@@ -146,25 +146,25 @@ class Link:
             return None
 
     def send(self, message: Message) -> None:
-        """Hand a message to the connection; it is dropped (and counted) while there is none."""
+        """Send a message; it is dropped (and counted) while there is no connection."""
         parts = encode(message)
-        self._hand_over(parts)
+        self._post(parts)
 
     def close(self, reason: str = "the policy ended") -> None:
-        """Say goodbye and end the thread."""
+        """Send BYE and end the thread."""
         if self._closed:
             return
         session = self.session
         if session is not None:
             self.send(Message("BYE", {"session": session, "reason": reason[:1024]}))
-        self._hand_over([b""])
+        self._post([b""])
         self._closed = True
         self._thread.join()
         self._outbox.close(0)
         self._context.term()
 
-    def _hand_over(self, parts: list[Any]) -> None:
-        """To the thread; dropped where it has ended, for nobody would ever take it."""
+    def _post(self, parts: list[Any]) -> None:
+        """Pass frames to the thread; dropped if it has ended."""
         with self._sending:
             try:
                 if not self._closed:
@@ -173,7 +173,7 @@ class Link:
                 self.dropped += 1
 
     def _raise_failure(self) -> None:
-        failure = self._talk.failure or self._broken
+        failure = self._conversation.failure or self._broken
         if failure is not None:
             raise failure
 
@@ -185,7 +185,7 @@ class Link:
         try:
             while self._one_connection(out):
                 pass
-        except Exception as error:  # whoever waits for news has to hear of it
+        except Exception as error:  # reported to whoever waits
             self._broken = error
         finally:
             out.close(0)
@@ -194,19 +194,20 @@ class Link:
                 self._news.notify_all()
 
     def _one_connection(self, out: Any) -> bool:
-        """One socket's life; returns whether another shall follow."""
-        talk, generation = self._talk, self._talk.generation
+        """Serve one socket; returns whether another one is needed."""
+        conversation = self._conversation
+        generation = conversation.generation
         self._renew = math.inf
         wire, self._first = self._first or self._socket(), None
         watch = wire.get_monitor_socket()  # the same as in _socket
         poller = zmq.Poller()
-        for each in (wire, out, watch):
-            poller.register(each, zmq.POLLIN)
+        for source in (wire, out, watch):
+            poller.register(source, zmq.POLLIN)
         try:
-            while talk.generation == generation and time.monotonic() < self._renew:
-                for message in talk.tick(time.monotonic()):
+            while conversation.generation == generation and time.monotonic() < self._renew:
+                for message in conversation.tick(time.monotonic()):
                     self._put(wire, encode(message))
-                wait = min(talk.due(), self._renew) - time.monotonic()
+                wait = min(conversation.due(), self._renew) - time.monotonic()
                 wait_ms = None if math.isinf(wait) else max(0, math.ceil(1e3 * wait))
                 ready = dict(poller.poll(wait_ms))
                 if wire in ready:
@@ -229,14 +230,14 @@ class Link:
         wire.setsockopt(zmq.MAXMSGSIZE, MAX_PART)
         wire.setsockopt(zmq.RCVHWM, 64)
         wire.setsockopt(zmq.SNDHWM, 8)
-        wire.setsockopt(zmq.IMMEDIATE, 1)  # nothing waits for a server that is not there
+        wire.setsockopt(zmq.IMMEDIATE, 1)  # queue nothing without a connection
         wire.setsockopt(zmq.RECONNECT_IVL, 100)
         wire.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
         if self._keys is not None:
             wire.curve_publickey = self._keys.public
             wire.curve_secretkey = self._keys.secret
             wire.curve_serverkey = self._keys.server
-        # Before the first attempt: after a handshake that failed ZeroMQ may not try again.
+        # Before the first attempt: ZeroMQ may not retry after a failed handshake.
         watch = wire.get_monitor_socket()
         try:
             wire.connect(self.address)
@@ -245,8 +246,8 @@ class Link:
             watch.close(0)
             wire.close(0)
             raise ValueError(
-                f"{self.address!r} is no address ({error}); "
-                "tcp://HOST:PORT and ipc://PATH are, such as tcp://127.0.0.1:5555"
+                f"{self.address!r} is not an address ({error}); allowed: tcp://HOST:PORT and "
+                "ipc://PATH, such as tcp://127.0.0.1:5555"
             ) from None
         return wire
 
@@ -257,7 +258,7 @@ class Link:
             self.dropped += 1
 
     def _listen(self, wire: Any) -> None:
-        """Everything that has come."""
+        """Receive all messages."""
         while True:
             try:
                 parts = receive(wire, zmq.NOBLOCK)
@@ -265,33 +266,33 @@ class Link:
                 return
             try:
                 message = decode(parts)
-            except Exception:  # WireError, or what the codec may have overlooked
+            except Exception:  # WireError, or an oversight in the codec
                 self.dropped += 1
                 continue
             with self._news:
-                told = self._talk.take(message, time.monotonic())
-                if told is not None:
-                    self._keep(told)
+                kept = self._conversation.take(message, time.monotonic())
+                if kept is not None:
+                    self._keep(kept)
                 self._news.notify_all()
 
     def _keep(self, message: Message) -> None:
         if message.kind == "OBS":
-            older = next((n for n, each in enumerate(self._inbox) if each.kind == "OBS"), None)
+            older = next((n for n, m in enumerate(self._inbox) if m.kind == "OBS"), None)
             if older is not None:
                 del self._inbox[older]
                 self.skipped += 1
         self._inbox.append(message)
 
     def _note(self, event: dict[str, Any]) -> None:
-        """What the connection's events say about a server that does not answer."""
+        """Derive the hint from a socket event."""
         kind = event["event"]
         if kind == zmq.EVENT_CONNECTED:
             self._hint = self._hint or "connected"
         elif kind == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             self._hint = "connected"
-            self._talk.reached()
+            self._conversation.reached()
         elif kind == zmq.EVENT_CLOSED and self._hint == "connected":
-            self._hint = ""  # an attempt that reached nobody; what a handshake told stays true
+            self._hint = ""  # reached nobody; a handshake's result stays valid
         elif kind == zmq.EVENT_HANDSHAKE_FAILED_AUTH:
             self._hint = "denied"
             self._renew = time.monotonic() + _RENEW_S

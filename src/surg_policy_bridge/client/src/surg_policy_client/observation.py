@@ -1,4 +1,4 @@
-"""What a policy sees, and what it answers."""
+"""Observations and actions of a policy."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from surg_policy_client.wire import Message
 
 STATE = "observation.state"
 _HELD = {"x": "set_x", "y": "set_y", "z": "set_z", "roll": "roll_set", "jaw": "jaw"}
-"""Column of the state that an action keeps where it is."""
+"""Column of the state that holds the present value of an action."""
 
 
 @dataclass(frozen=True)
 class Observation:
-    """One observation. Arrays are read-only views: copy what is to be changed.
+    """One observation. Arrays are read-only views; copy before you change them.
 
     Attributes:
         arrays: By key of the spec, such as ``observation.state``.
-        step: Number of the grid time it stands at.
+        step: Number of its grid time.
         stamp_ns: Its time on the server's clock [ns].
         episode: Number of the episode.
         instruction: The task in words.
-        spec: What the numbers mean.
-        seq: The server's number of it.
-        session: Of the session it belongs to.
+        spec: Names, units and shapes.
+        seq: Sequence number of the server.
+        session: Number of its session.
     """
 
     arrays: Mapping[str, np.ndarray]
@@ -42,13 +42,15 @@ class Observation:
 
     @classmethod
     def of(cls, message: Message, spec: Spec) -> Observation:
-        """Of an OBS.
+        """From an OBS message.
 
         Raises:
-            SpecMismatch: It is not what the server said that it serves.
+            SpecMismatch: It does not match the server's specification.
         """
         if wrong := spec.check_observation(message.arrays):
-            raise SpecMismatch(f"an observation is not as the server's spec: {'; '.join(wrong)}")
+            raise SpecMismatch(
+                f"an observation does not match the server's spec: {'; '.join(wrong)}"
+            )
         head = message.head
         return cls(
             message.arrays,
@@ -62,14 +64,14 @@ class Observation:
         )
 
     def __getitem__(self, key: str) -> np.ndarray:
-        """An array by its key."""
+        """Array by key."""
         return self.arrays[key]
 
     def named(self, name: str, key: str = STATE) -> float:
         """One number of a vector by its name, such as ``PSM1/tip_x``.
 
         Raises:
-            KeyError: When the spec names no such number.
+            KeyError: The spec has no such name.
         """
         names = self.spec.observation[key].names or ()
         if name not in names:
@@ -77,19 +79,19 @@ class Observation:
         return float(self.arrays[key][names.index(name)])
 
     def held_action(self) -> np.ndarray:
-        """The action [A] that leaves set-point, roll and jaw where they are.
+        """The action [A] that keeps set-point, roll and jaw.
 
         Raises:
-            KeyError: When `observation.state` is not served, or does not say it.
+            KeyError: `observation.state` is not served, or lacks a column.
         """
         if STATE not in self.arrays or self.spec.action is None:
             raise KeyError(f"holding needs {STATE}: name it in `wants`")
-        found = []
+        values = []
         for name in self.spec.action.names:
             arm, _, part = name.rpartition("/")
             column = _HELD.get(part, part)
-            found.append(self.named(f"{arm}/{column}" if arm else column))
-        return np.array(found)
+            values.append(self.named(f"{arm}/{column}" if arm else column))
+        return np.array(values)
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,8 @@ class Chunk:
     """Actions for consecutive grid times.
 
     Attributes:
-        rows: [K, A]; row i is where set-point and jaw shall be at grid time step0 + i.
-        step0: Default: the grid time after the observation's.
+        rows: [K, A]; row i holds the targets of grid time step0 + i.
+        step0: Default: one after the observation's.
     """
 
     rows: np.ndarray
@@ -106,14 +108,14 @@ class Chunk:
 
 
 def as_message(answer: Any, observation: Observation) -> Message:
-    """What a policy returned as an ACT.
+    """The ACT message of a policy's answer.
 
     Args:
-        answer: A `Chunk`; rows [K, A]; one row [A]; None: what was sent before goes on.
-        observation: What it answers.
+        answer: A `Chunk`, rows [K, A], one row [A], or None (earlier rows stay valid).
+        observation: The observation that it answers.
 
     Raises:
-        BadAction: When it is no chunk of the spec's actions: nothing may be sent.
+        BadAction: It is not a chunk of the spec's actions.
     """
     action = observation.spec.action
     width = len(action.names) if action is not None else 0
@@ -122,12 +124,12 @@ def as_message(answer: Any, observation: Observation) -> Message:
     chunk = answer if isinstance(answer, Chunk) else Chunk(np.asarray(answer))
     rows = np.asarray(chunk.rows)
     if rows.dtype.kind not in "fiu":
-        raise BadAction(f"actions are numbers, not {rows.dtype}")
+        raise BadAction(f"an action of type {rows.dtype}; allowed: numbers")
     rows = rows.astype(np.float32 if rows.dtype == np.float32 else np.float64, copy=False)
     rows = rows[np.newaxis] if rows.ndim == 1 else rows
     wrong = observation.spec.check_chunk(rows)
     if wrong:
-        raise BadAction(f"the answer to step {observation.step} is no chunk: {'; '.join(wrong)}")
+        raise BadAction(f"the answer to step {observation.step} is invalid: {'; '.join(wrong)}")
     head = {
         "session": observation.session,
         "seq": observation.seq,

@@ -1,4 +1,4 @@
-"""`serve`: answers a model server's observations with a policy's actions, until told to stop."""
+"""`serve`: answers the observations of a model server with the actions of a policy."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ _REMIND_S = 5.0
 
 @dataclass
 class Served:
-    """What happened, in numbers.
+    """Statistics of `serve`.
 
     Attributes:
-        sessions: WELCOMEs; more than one after a lost connection.
+        sessions: Number of sessions; more than one after a lost connection.
         episodes: Episodes that ended.
-        successes: Of them, those that the task calls solved.
-        observations: Answered.
-        skipped: Observations that a newer one replaced while the policy was busy.
-        accepted: Rows, in the server's count; so the next four.
-        clipped: Rows that a limit changed.
+        successes: Of them, those with success.
+        observations: Observations answered.
+        skipped: Observations replaced by a newer one while the policy was busy.
+        accepted: Rows accepted, counted by the server as are the next four.
+        clipped: Rows that a limit has changed.
         late: Rows whose time had passed.
-        stale: Rows of an observation that was too old.
-        rejected: Rows refused.
+        stale: Rows whose observation was too old.
+        rejected: Rows rejected.
     """
 
     sessions: int = 0
@@ -48,7 +48,7 @@ class Served:
 
 
 def wanted(wants: Wants) -> Spec | None:
-    """A wish as a spec: keys alone ask for these observations, whatever they are like."""
+    """Observations as a spec; keys alone match any shape and type."""
     return wants if wants is None or isinstance(wants, Spec) else Spec.of_keys(list(wants))
 
 
@@ -64,32 +64,31 @@ def serve(
     timeout_s: float | None = None,
     say: Callable[[str], None] = print,
 ) -> Served:
-    """Connect a policy to a model server and answer until Ctrl-C.
+    """Connect a policy to a model server and answer its observations until Ctrl-C.
 
-    Lost connections are made again by themselves; the policy is `reset` for every episode it
-    enters, also for one it comes back into. What the server refuses is said, once per rule and
-    episode.
+    Lost connections are restored. The policy is `reset` whenever it enters an episode, also when it
+    returns to one. Rejected steps are reported once per rule and episode.
 
     Args:
-        policy: Has ``act(observation)`` and, if it likes, ``reset(instruction, seed)``,
-            ``acknowledged(fields_of_ACK)`` and ``wants``; or is itself the function ``act``. It
-            returns a `Chunk`, rows [K, A], one row [A], or None (what was sent before goes on).
+        policy: Has ``act(observation)`` and optionally ``reset(instruction, seed)``,
+            ``acknowledged(fields_of_ACK)`` and ``wants``; or is the function ``act`` itself. It
+            returns a `Chunk`, rows [K, A], one row [A], or None (earlier rows stay valid).
         address: Of the server.
-        wants: Observations the policy needs, as keys or as a `Spec`; default: ``policy.wants``,
-            else everything there is. Only these are sent.
-        keys: Folder of `./surg keys`, where the server was started with keys.
+        wants: Observations that the policy needs, as keys or as a `Spec`; default:
+            ``policy.wants``, else everything served. Only these are sent.
+        keys: Folder of `./surg keys`, if the server was started with keys.
         name: Of the policy, for the server's log.
-        seed: ``reset`` gets this plus the number of the episode; None: None.
-        episodes: End after so many.
-        timeout_s: Longest wait for a server [s]; None: for ever.
-        say: Takes lines of text for a person.
+        seed: ``reset`` gets this plus the number of the episode; None: no seed.
+        episodes: Number of episodes; None: no end.
+        timeout_s: Longest wait for a server [s]; None: no limit.
+        say: Gets lines of text for the user.
 
     Returns:
-        Counts.
+        Statistics.
 
     Raises:
-        PolicyClientError: When server and policy do not fit, nobody answers in time, or the policy
-            returned something that is no action. The arm holds from then on.
+        PolicyClientError: Server and policy do not match, no server answers in time, or the policy
+            returned no valid action. The arm holds from then on.
     """
     spec = wanted(getattr(policy, "wants", None) if wants is None else wants)
     label = name or getattr(policy, "name", None) or getattr(policy, "__name__", None)
@@ -101,7 +100,7 @@ def serve(
             raise link.no_server(timeout_s)
         serving.until(episodes)
     except KeyboardInterrupt:
-        reason = "stopped by its user"
+        reason = "stopped by the user"
     except Exception as error:
         reason = f"the policy failed: {type(error).__name__}: {error}"
         raise
@@ -122,10 +121,10 @@ class _Serving:
         self._act = policy.act if hasattr(policy, "act") else policy
         self._spec = Spec()
         self._entered: tuple[int, int] | None = None
-        self._told: set[str] = set()
+        self._reported: set[str] = set()
 
     def until(self, episodes: int | None) -> None:
-        """Answer; until so many episodes have ended."""
+        """Answer until so many episodes have ended."""
         waiting_since, reminded = time.monotonic(), 0.0
         while episodes is None or self.served.episodes < episodes:
             message = self._link.next(0.5)
@@ -155,7 +154,7 @@ class _Serving:
         elif message.kind == "ERR":
             raise Refused(head["code"], f"the server at {self._link.address}: {head['text']}")
         elif message.kind == "BYE":
-            self._say(f"the server said goodbye: {head['reason']}")
+            self._say(f"the server has ended the session: {head['reason']}")
 
     def _answer(self, observation: Observation) -> None:
         self._enter(observation.session, observation.episode, observation.instruction)
@@ -163,11 +162,11 @@ class _Serving:
         self.served.observations += 1
 
     def _enter(self, session: int, episode: int, instruction: str) -> None:
-        """Reset the policy where it enters an episode."""
+        """Reset the policy when it enters an episode."""
         if self._entered == (session, episode):
             return
         self._entered = (session, episode)
-        self._told.clear()
+        self._reported.clear()
         if hasattr(self._policy, "reset"):
             seed = None if self._seed is None else self._seed + episode
             self._policy.reset(instruction, seed)
@@ -187,13 +186,13 @@ class _Serving:
         self._say(f"episode {number}: {event}: {head['reason']}")
 
     def _acknowledged(self, head: dict[str, Any]) -> None:
-        for part in ("accepted", "clipped", "late", "stale"):
-            setattr(self.served, part, getattr(self.served, part) + head[part])
+        for count in ("accepted", "clipped", "late", "stale"):
+            setattr(self.served, count, getattr(self.served, count) + head[count])
         self.served.rejected += len(head["rejected"])
-        for each in head["rejected"]:
-            if each["rule"] not in self._told:
-                self._told.add(each["rule"])
-                self._say(f"the server refused step {each['step']}: {each['text']}")
+        for rejection in head["rejected"]:
+            if rejection["rule"] not in self._reported:
+                self._reported.add(rejection["rule"])
+                self._say(f"the server rejected step {rejection['step']}: {rejection['text']}")
         if hasattr(self._policy, "acknowledged"):
             self._policy.acknowledged(head)
 

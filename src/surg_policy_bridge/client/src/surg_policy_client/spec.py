@@ -1,8 +1,7 @@
-"""What a server observes and commands: the specification both sides agree on before anything moves.
+"""Specification of observations and actions, which both sides agree on before anything moves.
 
-A `Spec` that is *served* says everything. A `Spec` that is *wanted* (a policy's) may leave out
-what the policy does not care about: None matches anything there. `mismatches` compares the two, in
-words.
+The `Spec` of a server is complete. The `Spec` of a policy may leave out what the policy does not
+need; None matches anything. `mismatches` compares the two.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any, Callable, Mapping, Sequence
 import numpy as np
 
 DTYPES = {"u1": np.uint8, "i8": np.int64, "f4": np.float32, "f8": np.float64, "b1": np.bool_}
-"""Element types on the wire, little-endian; nothing else passes."""
+"""Element types of the wire, little-endian."""
 MAX_NDIM = 4
 MAX_SIDE = 1 << 16
 MAX_NAMES = 1024
@@ -24,24 +23,24 @@ HOW = {
     "observation.images.": "pictures are served with ./surg run TASK --cameras, or ~cameras",
     "privileged.": "simulator truth is served with ./surg run TASK --privileged, or ~privileged",
 }
-"""What to do for observations that a server leaves out unless it is asked for them."""
+"""How to get observations that a server leaves out by default."""
 
 
 class SpecError(ValueError):
-    """A specification that is not well formed; the text names the place and what is allowed."""
+    """An invalid specification; the message names the place and what is allowed."""
 
 
 @dataclass(frozen=True)
 class Feature:
-    """One observation. None: not said (served: there is none; wanted: any will do).
+    """One observation. None: the server has none, or any matches.
 
     Attributes:
-        dtype: Of `DTYPES`.
+        dtype: One of `DTYPES`.
         shape: Sides; pictures are height, width, 3 (RGB).
-        unit: SI, such as ``m``; where numbers differ, comma-separated in their order.
+        unit: SI, such as ``m``; comma-separated if the numbers differ.
         frame: Frame of the numbers, such as ``rcm``.
         names: Of the numbers of a vector, in order.
-        privileged: Whether it is simulator truth, which no robot can measure.
+        privileged: Ground truth of the simulator, which no robot can measure.
     """
 
     dtype: str | None = None
@@ -54,14 +53,14 @@ class Feature:
 
 @dataclass(frozen=True)
 class ActionSpec:
-    """What one row of a chunk is: absolute targets for one grid time.
+    """One row of a chunk: absolute targets for one grid time.
 
     Attributes:
         names: Of the columns, such as ``PSM1/x``.
         units: Of the columns (SI).
         frame: ``rcm``: each arm's own trocar frame.
-        low: Least values that can be in the workspace; None: not said.
-        high: Largest values.
+        low: Smallest values in the workspace; None: unknown.
+        high: Largest values in the workspace.
     """
 
     names: tuple[str, ...]
@@ -79,7 +78,7 @@ class Spec:
         task: Name of the task; None: any.
         period_s: Grid period: row i of a chunk is due i periods after row 0 [s]; None: any.
         observation: Features by key; the keys are the dataset's (docs/reference/datasets.md).
-        action: None only in what a policy wants: any.
+        action: None: any (policy only).
     """
 
     task: str | None = None
@@ -89,11 +88,11 @@ class Spec:
 
     @classmethod
     def of_keys(cls, keys: Sequence[str]) -> Spec:
-        """A wish for these observations, whatever they are like."""
+        """A policy's spec for these observations, of any shape and type."""
         return cls(observation={key: Feature() for key in keys})
 
     def to_map(self) -> dict[str, Any]:
-        """Plain dicts and lists, as they go onto the wire."""
+        """As dicts and lists, for the wire."""
         action = self.action
         return {
             "task": self.task,
@@ -121,10 +120,10 @@ class Spec:
 
     @classmethod
     def from_map(cls, value: Any) -> Spec:
-        """Read what `to_map` wrote; every key must be there and no other.
+        """From the result of `to_map`, with exactly its keys.
 
         Raises:
-            SpecError: With the place and what is allowed there.
+            SpecError: Names the place and what is allowed.
         """
         top = _keys(value, "spec", ("task", "period_s", "observation", "action"))
         observation = top["observation"]
@@ -137,17 +136,17 @@ class Spec:
             task=_maybe(_text)(top["task"], "spec.task"),
             period_s=period,
             observation={
-                _text(key, "spec.observation"): _feature(each, f"spec.observation.{key}")
-                for key, each in observation.items()
+                _text(key, "spec.observation"): _feature(feature, f"spec.observation.{key}")
+                for key, feature in observation.items()
             },
             action=_maybe(_action)(top["action"], "spec.action"),
         )
 
     def served(self) -> Spec:
-        """This specification, if it says all that a server has to say.
+        """This specification, checked to be complete.
 
         Raises:
-            SpecError: With what is missing.
+            SpecError: Names what is missing.
         """
         missing = [key for key in ("task", "period_s", "action") if getattr(self, key) is None]
         for key, feature in self.observation.items():
@@ -159,20 +158,20 @@ class Spec:
         if not self.observation:
             missing.append("observation")
         if missing:
-            raise SpecError(f"a served spec has to say: {', '.join(missing)}")
+            raise SpecError(f"the spec of a server lacks: {', '.join(missing)}")
         return self
 
     def only(self, keys: Sequence[str]) -> Spec:
         """The same with these observations only, in their own order."""
-        kept = {key: each for key, each in self.observation.items() if key in set(keys)}
+        kept = {key: feature for key, feature in self.observation.items() if key in set(keys)}
         return Spec(self.task, self.period_s, kept, self.action)
 
     def mismatches(self, served: Spec) -> list[str]:
-        """Where what is wanted (this) and what is served differ: one sentence each, both named.
+        """Differences between this (a policy's) and a server's spec, one sentence each.
 
-        Limits (``low``, ``high``) are the server's to say and are not compared.
+        Limits (``low``, ``high``) are not compared.
         """
-        found = [
+        differences = [
             f"{name}: the policy wants {_shown(mine)}, the server has {_shown(theirs)}"
             for name, mine, theirs in self._pairs(served)
             if mine is not None and mine != theirs
@@ -181,8 +180,10 @@ class Spec:
             if key not in served.observation:
                 there = ", ".join(served.observation) or "none"
                 how = next((f" ({HOW[kind]})" for kind in HOW if key.startswith(kind)), "")
-                found.append(f"observation {key}: the policy wants it, the server has {there}{how}")
-        return found
+                differences.append(
+                    f"observation {key}: the policy wants it, the server has {there}{how}"
+                )
+        return differences
 
     def _pairs(self, served: Spec) -> list[tuple[str, Any, Any]]:
         pairs: list[tuple[str, Any, Any]] = [("task", self.task, served.task)]
@@ -202,22 +203,22 @@ class Spec:
         return pairs
 
     def check_observation(self, arrays: Mapping[str, np.ndarray]) -> list[str]:
-        """What is wrong with observations that claim to follow this: one sentence each."""
-        found = [f"{key} is missing" for key in self.observation if key not in arrays]
+        """What is wrong with observations of this spec, one sentence each."""
+        problems = [f"{key} is missing" for key in self.observation if key not in arrays]
         for key, array in arrays.items():
             feature = self.observation.get(key)
             if feature is None:
-                found.append(f"{key} is not of the spec")
+                problems.append(f"{key} is not in the spec")
                 continue
             dtype = array.dtype.str[1:]
             if feature.dtype is not None and dtype != feature.dtype:
-                found.append(f"{key} is {dtype}, the spec says {feature.dtype}")
+                problems.append(f"{key} is {dtype}, the spec says {feature.dtype}")
             if feature.shape is not None and array.shape != feature.shape:
-                found.append(f"{key} has shape {array.shape}, the spec says {feature.shape}")
-        return found
+                problems.append(f"{key} has shape {array.shape}, the spec says {feature.shape}")
+        return problems
 
     def check_chunk(self, chunk: np.ndarray) -> list[str]:
-        """What is wrong with a chunk of actions [K, A], K from 0: one sentence each."""
+        """What is wrong with a chunk of actions [K, A], one sentence each."""
         if self.action is None:
             return ["the spec has no actions"]
         width = len(self.action.names)
@@ -228,7 +229,7 @@ class Spec:
         if len(bad):
             row, column = (int(i) for i in bad[0])
             name = self.action.names[column]
-            return [f"row {row}, {name} is {chunk[row, column]}: not a number"]
+            return [f"row {row}, {name} is {chunk[row, column]}; allowed: finite numbers"]
         return []
 
 
@@ -252,20 +253,20 @@ def _feature(value: Any, where: str) -> Feature:
 
 def _action(value: Any, where: str) -> ActionSpec:
     top = _keys(value, where, ("names", "units", "frame", "low", "high"))
-    found = ActionSpec(
+    action = ActionSpec(
         names=_texts(top["names"], f"{where}.names"),
         units=_texts(top["units"], f"{where}.units"),
         frame=_maybe(_text)(top["frame"], f"{where}.frame"),
         low=_maybe(_numbers)(top["low"], f"{where}.low"),
         high=_maybe(_numbers)(top["high"], f"{where}.high"),
     )
-    if not found.names or len(set(found.names)) != len(found.names):
+    if not action.names or len(set(action.names)) != len(action.names):
         raise SpecError(f"{where}.names: at least one, and each once")
     for part in ("units", "low", "high"):
-        values = getattr(found, part)
-        if values is not None and len(values) != len(found.names):
-            raise SpecError(f"{where}.{part}: {len(values)} for {len(found.names)} names")
-    return found
+        values = getattr(action, part)
+        if values is not None and len(values) != len(action.names):
+            raise SpecError(f"{where}.{part}: {len(values)} for {len(action.names)} names")
+    return action
 
 
 def _keys(value: Any, where: str, keys: Sequence[str]) -> dict[str, Any]:
@@ -278,7 +279,7 @@ def _keys(value: Any, where: str, keys: Sequence[str]) -> dict[str, Any]:
 
 
 def _maybe(check: Callable[[Any, str], Any]) -> Callable[[Any, str], Any]:
-    """None passes; all else is checked."""
+    """Check the value unless it is None."""
     return lambda value, where: None if value is None else check(value, where)
 
 
@@ -289,7 +290,7 @@ def _text(value: Any, where: str) -> str:
 
 
 def _texts(value: Any, where: str) -> tuple[str, ...]:
-    return tuple(_text(each, where) for each in _list(value, where))
+    return tuple(_text(item, where) for item in _list(value, where))
 
 
 def _number(value: Any, where: str) -> float:
@@ -299,7 +300,7 @@ def _number(value: Any, where: str) -> float:
 
 
 def _numbers(value: Any, where: str) -> tuple[float, ...]:
-    return tuple(_number(each, where) for each in _list(value, where))
+    return tuple(_number(item, where) for item in _list(value, where))
 
 
 def _shape(value: Any, where: str) -> tuple[int, ...]:
@@ -320,6 +321,6 @@ def _listed(values: Sequence[Any] | None) -> list[Any] | None:
 
 
 def _shown(value: Any) -> str:
-    """A value in an error's text, cut short."""
+    """A value for an error message, shortened."""
     text = "any" if value is None else repr(value)
     return text if len(text) <= 200 else text[:200] + "…"

@@ -1,9 +1,9 @@
-"""The messages between a policy and the model server, byte for byte (docs/reference/protocol.md).
+"""Encodes and decodes the messages of policy and model server (docs/reference/protocol.md).
 
-A message is a header and up to seven buffers, each a frame of ZeroMQ. The header is ``SPB1``, one
-byte for the kind, and a msgpack map; a buffer is an array's bytes as they lie in memory, so that
-pictures are neither copied nor encoded. `decode` believes nothing: sizes before contents, every
-key and type, and a buffer's length against its shape, before anything is allocated for it.
+A message is a header and up to seven buffers, each a ZeroMQ frame. The header is ``SPB1``, one byte
+for the kind, and a msgpack map. A buffer is the memory of an array, so pictures are neither copied
+nor encoded. `decode` checks sizes, every key and type, and the length of each buffer against its
+shape, before it allocates anything.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from surg_policy_client.spec import DTYPES, MAX_NDIM, Spec, SpecError
 
 MAGIC = b"SPB1"
 VERSION = 1
-"""Of the protocol; HELLO offers a range, WELCOME names the one both know."""
+"""Version of the protocol; HELLO offers a range, WELCOME selects one."""
 KINDS = {
     "HELLO": 1,
     "WELCOME": 2,
@@ -35,25 +35,25 @@ KINDS = {
     "ERR": 11,
 }
 EVENTS = ("begin", "end", "paused", "resumed")
-"""Of EPISODE."""
+"""Events of EPISODE."""
 
 MAX_HEADER = 1 << 20
-"""Bytes of a header."""
+"""[bytes] Largest header."""
 MAX_PART = 8 << 20
-"""Bytes of a frame; both sides give it to ZeroMQ as MAXMSGSIZE, so that larger ones never come."""
+"""[bytes] Largest frame; both sides set it as ZeroMQ's MAXMSGSIZE."""
 MAX_PARTS = 8
 MAX_ROWS = MAX_LIST
-"""Of a chunk. One without any says: nothing new, what was sent before goes on."""
+"""Rows of a chunk. An empty chunk means that earlier rows stay valid."""
 MAX_KEY = 128
 MAX_SENTENCE = 1024
-"""Characters of an instruction, or of a reason."""
+"""[characters] Longest instruction or reason."""
 
 
 class WireError(ValueError):
-    """A message that is refused.
+    """An invalid message.
 
     Attributes:
-        code: One word for counting: parts, size, magic, kind, header, keys, field, spec, dtype,
+        code: One of parts, size, magic, kind, header, keys, field, spec, dtype,
             shape, length, finite.
     """
 
@@ -67,9 +67,9 @@ class Message:
     """One message.
 
     Attributes:
-        kind: Of `KINDS`.
-        head: Fields of the kind, plain values; ``wants`` and ``spec`` are `Spec.to_map`'s maps.
-        arrays: By key. Decoded ones are views of the frames and read-only.
+        kind: One of `KINDS`.
+        head: Fields of the kind; ``wants`` and ``spec`` are maps of `Spec.to_map`.
+        arrays: By key; decoded ones are read-only views of the frames.
     """
 
     kind: str
@@ -80,7 +80,7 @@ class Message:
 # --- fields ---------------------------------------------------------------------------------------
 
 Check = Callable[[Any], Optional[str]]
-"""None: good; else what is allowed."""
+"""Returns what is allowed; None: the value is valid."""
 
 
 def _integer(low: int, high: int) -> Check:
@@ -194,10 +194,10 @@ _WITH_ARRAYS = ("OBS", "ACT")
 
 
 def _wrong_field(head: Any, fields: Mapping[str, Check]) -> tuple[str, str] | None:
-    """What is wrong with a map (code, text); None when nothing is."""
+    """Code and text of what is wrong with a map; None: nothing."""
     if type(head) is not dict or head.keys() != fields.keys():
         there = sorted(map(str, head)) if type(head) is dict else type(head).__name__
-        return "keys", f"exactly {', '.join(fields)}, not {str(there)[:200]}"
+        return "keys", f"fields {str(there)[:200]}; allowed: exactly {', '.join(fields)}"
     for name, check in fields.items():
         allowed = check(head[name])
         if allowed is not None:
@@ -209,14 +209,13 @@ def _wrong_field(head: Any, fields: Mapping[str, Check]) -> tuple[str, str] | No
 
 
 def encode(message: Message) -> list[Buffer]:
-    """Frames of a message, for `send_multipart`. Buffers share the arrays' memory.
+    """Frames of a message, for `send_multipart`; buffers share the memory of the arrays.
 
     Raises:
-        WireError: When the message is not of the protocol: what a peer would refuse never goes
-            out.
+        WireError: The message is invalid; a peer would refuse it.
     """
     if message.kind not in KINDS:
-        raise WireError("kind", f"no kind {message.kind!r}")
+        raise WireError("kind", f"unknown kind {message.kind!r}")
     wrong = _wrong_field(message.head, _FIELDS[message.kind])
     if wrong:
         raise WireError(wrong[0], f"{message.kind}: {wrong[1]}")
@@ -232,7 +231,7 @@ def encode(message: Message) -> list[Buffer]:
         _check_arrays(message.kind, head["arrays"], buffers)
         _check_values(message.kind, kept)
     elif message.arrays:
-        raise WireError("keys", f"{message.kind} carries no arrays")
+        raise WireError("keys", f"{message.kind} has no arrays")
     packed = MAGIC + bytes([KINDS[message.kind]]) + msgpack.packb(head)
     if len(packed) > MAX_HEADER:
         raise WireError("size", f"a header of {len(packed)} bytes; at most {MAX_HEADER}")
@@ -240,31 +239,31 @@ def encode(message: Message) -> list[Buffer]:
 
 
 def decode(parts: Sequence[Any]) -> Message:
-    """Message of frames (bytes, memoryviews, or frames of pyzmq).
+    """Message of frames (bytes, memoryviews, or pyzmq frames).
 
     Raises:
-        WireError: When anything is not as the protocol says.
+        WireError: The message is invalid.
     """
     if not 1 <= len(parts) <= MAX_PARTS:
         raise WireError("parts", f"{len(parts)} frames; a message has 1 to {MAX_PARTS}")
     views = [memoryview(getattr(part, "buffer", part)) for part in parts]
     if views[0].nbytes > MAX_HEADER or any(v.nbytes > MAX_PART for v in views):
-        raise WireError("size", f"at most {MAX_HEADER} bytes of header, {MAX_PART} of a buffer")
+        raise WireError("size", f"allowed: {MAX_HEADER} bytes of header, {MAX_PART} of a buffer")
     start = bytes(views[0][: len(MAGIC) + 1])
     if start[: len(MAGIC)] != MAGIC:
-        raise WireError("magic", f"a header begins with {MAGIC!r}, not {start[:4]!r}")
+        raise WireError("magic", f"a header that begins with {start[:4]!r}, not {MAGIC!r}")
     kind = _NAMES.get(start[4]) if len(start) == 5 else None
     if kind is None:
-        raise WireError("kind", f"no kind {list(start[4:])}")
+        raise WireError("kind", f"unknown kind {list(start[4:])}")
     head = _unpacked(views[0][len(start) :])
     described = head.pop("arrays", None)
     wrong = _wrong_field(head, _FIELDS[kind])
     if wrong:
         raise WireError(wrong[0], f"{kind}: {wrong[1]}")
     if (described is not None) != (kind in _WITH_ARRAYS):
-        raise WireError("keys", f"{kind}: `arrays` is of {' and '.join(_WITH_ARRAYS)}, no others")
+        raise WireError("keys", f"{kind}: only {' and '.join(_WITH_ARRAYS)} have `arrays`")
     if described is None and len(views) > 1:
-        raise WireError("parts", f"{kind} is one frame, not {len(views)}")
+        raise WireError("parts", f"{kind} has {len(views)} frames; allowed: one")
     arrays: dict[str, np.ndarray] = {}
     if described is not None:
         _check_arrays(kind, described, views[1:])
@@ -273,27 +272,27 @@ def decode(parts: Sequence[Any]) -> Message:
     return Message(kind, head, arrays)
 
 
-def receive(socket: Any, flags: int = 0, give_way: Callable[[], None] = lambda: None) -> list[Any]:
-    """Frames of the next message of a ZeroMQ socket (a ROUTER's first is the peer's identity).
+def receive(socket: Any, flags: int = 0, yield_cpu: Callable[[], None] = lambda: None) -> list[Any]:
+    """Frames of the next message of a ZeroMQ socket; a ROUTER's first is the peer's identity.
 
-    Never keeps more than `MAX_PARTS` + 1: of a message with more, the rest is read and let go, and
-    `decode` refuses what is left.
+    Keeps at most `MAX_PARTS` + 2 frames. The rest of a longer message is read and discarded, and
+    `decode` refuses it.
 
     Args:
         socket: A pyzmq socket.
-        flags: As of its ``recv``, such as ``zmq.NOBLOCK``.
-        give_way: Called now and then while the rest is let go.
+        flags: Of its ``recv``, such as ``zmq.NOBLOCK``.
+        yield_cpu: Called every 256 discarded frames.
     """
     parts = [socket.recv(flags, copy=False)]
     while parts[-1].more and len(parts) < MAX_PARTS + 2:
         parts.append(socket.recv(copy=False))
-    left, let_go = parts[-1].more, 0
-    while left:  # without an object for each it takes half the time
+    left, discarded = parts[-1].more, 0
+    while left:  # recv with copy is twice as fast as an object for each frame
         socket.recv()
         left = socket.getsockopt(zmq.RCVMORE)
-        let_go += 1
-        if let_go % 256 == 0:
-            give_way()
+        discarded += 1
+        if discarded % 256 == 0:
+            yield_cpu()
     return parts
 
 
@@ -301,23 +300,24 @@ def _unpacked(data: memoryview) -> dict[str, Any]:
     """The header's map."""
     try:
         return read_map(data)
-    # Of msgpack: ValueError and its kinds, also for bad UTF-8; whatever else it may raise for a
-    # stranger's bytes must not end a server either.
+    # msgpack raises ValueErrors; whatever else it raises must not end a server either.
     except Exception as error:
-        raise WireError("header", f"no msgpack map: {type(error).__name__} {error}"[:300]) from None
+        raise WireError(
+            "header", f"not a msgpack map: {type(error).__name__} {error}"[:300]
+        ) from None
 
 
 def _check_arrays(kind: str, described: Any, buffers: Sequence[Any]) -> None:
-    """Descriptions against the buffers' lengths; nothing is allocated."""
+    """Check the descriptions against the lengths of the buffers, without allocating."""
     if type(described) is not list or len(described) != len(buffers):
         raise WireError("parts", f"{kind}: a description for each of {len(buffers)} buffers")
     if len(described) > MAX_PARTS - 1:
         raise WireError("parts", f"{kind}: {len(described)} arrays; at most {MAX_PARTS - 1}")
     seen = set()
-    for each, buffer in zip(described, buffers):
-        if type(each) is not dict or each.keys() != {"key", "dtype", "shape"}:
+    for item, buffer in zip(described, buffers):
+        if type(item) is not dict or item.keys() != {"key", "dtype", "shape"}:
             raise WireError("keys", f"{kind}: an array has exactly key, dtype, shape")
-        key, dtype, shape = each["key"], each["dtype"], each["shape"]
+        key, dtype, shape = item["key"], item["dtype"], item["shape"]
         if type(key) is not str or not 0 < len(key) <= MAX_KEY or key in seen:
             raise WireError("field", f"{kind}: keys of 1 to {MAX_KEY} characters, each once")
         seen.add(key)
@@ -329,13 +329,13 @@ def _check_arrays(kind: str, described: Any, buffers: Sequence[Any]) -> None:
             or any(type(side) is not int or not 0 <= side <= MAX_PART for side in shape)
         ):
             raise WireError("shape", f"{key}: at most {MAX_NDIM} sides of 0 to {MAX_PART}")
-        # A side of 0 leaves no bytes to count, but numpy multiplies the others all the same.
+        # With a side of 0 the size is 0, but numpy still multiplies the other sides.
         size = room = np.dtype(DTYPES[dtype]).itemsize
         for side in shape:
             size, room = size * side, room * max(side, 1)
         length = memoryview(buffer).nbytes
         if size != length:
-            raise WireError("length", f"{key}: {dtype} {shape} is {size} bytes, {length} came")
+            raise WireError("length", f"{key}: {dtype} {shape} has {size} bytes, not {length}")
         if room > MAX_PART:
             raise WireError("size", f"{key}: {dtype} {shape}: {room} bytes; at most {MAX_PART}")
     if kind == "ACT":
@@ -346,7 +346,7 @@ def _check_arrays(kind: str, described: Any, buffers: Sequence[Any]) -> None:
 
 
 def _check_values(kind: str, arrays: Mapping[str, np.ndarray]) -> None:
-    """What only contents can show: numbers in actions, truth values that are 0 or 1."""
+    """Check the values: finite actions, booleans of 0 or 1."""
     for key, array in arrays.items():
         if kind == "ACT" and not np.isfinite(array).all():
             raise WireError("finite", f"{key}: actions are finite numbers")
@@ -358,12 +358,12 @@ def _dtype_name(key: str, array: np.ndarray) -> str:
     name = array.dtype.str[1:]
     if name not in DTYPES:
         allowed = ", ".join(np.dtype(each).name for each in DTYPES.values())
-        raise WireError("dtype", f"{key}: {array.dtype} does not go onto the wire; {allowed} do")
+        raise WireError("dtype", f"{key}: type {array.dtype}; allowed: {allowed}")
     return name
 
 
 def _bytes_of(array: np.ndarray) -> Buffer:
-    """The array's own memory, little-endian."""
+    """Memory of the array, little-endian."""
     if array.dtype.byteorder == ">" or (array.dtype.byteorder == "=" and not _LITTLE):
         array = array.astype(array.dtype.newbyteorder("<"))
     return array.data.cast("B") if array.size else b""
@@ -372,7 +372,7 @@ def _bytes_of(array: np.ndarray) -> Buffer:
 def _array(described: Mapping[str, Any], view: memoryview) -> np.ndarray:
     dtype = np.dtype(DTYPES[described["dtype"]]).newbyteorder("<")
     flat = np.frombuffer(view, dtype) if view.nbytes else np.empty(0, dtype)
-    # ZeroMQ puts small frames at odd addresses, which some libraries cannot read.
+    # ZeroMQ puts small frames at unaligned addresses, which some libraries cannot read.
     flat = flat if flat.flags.aligned else flat.copy()
     shaped = flat.reshape(described["shape"])
     shaped.flags.writeable = False

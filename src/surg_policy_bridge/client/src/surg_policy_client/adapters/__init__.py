@@ -1,1 +1,1 @@
-"""Adapters for policies of other projects; docs/guide/policy_client.md says what was tested."""
+"""Adapters for policies of other projects; docs/guide/policy_client.md lists what is tested."""

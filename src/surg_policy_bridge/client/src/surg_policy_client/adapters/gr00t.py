@@ -1,4 +1,4 @@
-"""A policy behind a server in the manner of GR00T's inference service (ZeroMQ REQ/REP).
+"""A policy behind GR00T's inference service or a compatible server (ZeroMQ REQ/REP).
 
 Each request is a msgpack map {endpoint, data}; arrays are maps with the bytes of an .npy file.
 """
@@ -17,12 +17,12 @@ from surg_policy_client.observation import Observation
 
 
 class Gr00tPolicy:
-    """Asks a server for every chunk.
+    """Requests every chunk from a server.
 
     Args:
         address: Of the server, such as ``tcp://gpu-host:5555``.
-        inputs: Makes the request's data of an observation, as the checkpoint's embodiment has it.
-        rows: Makes the chunk [K, A] of the reply.
+        inputs: Converts an observation to the request of the checkpoint's embodiment.
+        rows: Converts the reply to a chunk [K, A].
         wants: Observations that `inputs` uses.
         timeout_s: Longest wait for an answer [s].
     """

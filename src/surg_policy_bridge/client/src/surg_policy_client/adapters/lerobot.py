@@ -1,7 +1,7 @@
 """A policy trained with LeRobot on a dataset of `./surg export`.
 
-The dataset's keys are the wire's, so nothing has to be renamed. Needs lerobot (0.4 or later) and
-torch in the policy's environment; nothing else of this library does.
+Dataset and wire use the same keys. Needs lerobot (0.4 or later) and torch, as no other module of
+this library does.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ Step = Callable[[Any], Any]
 
 
 class LeRobotPolicy:
-    """A pre-trained LeRobot policy, asked for its whole chunk.
+    """A pre-trained LeRobot policy; returns its whole chunks.
 
     Args:
         policy: Has ``predict_action_chunk(batch)`` and ``reset()``, and a ``config`` with
             ``input_features``.
-        preprocess: Of a batch; default: none.
-        postprocess: Of actions; default: none.
+        preprocess: Applied to a batch; default: none.
+        postprocess: Applied to the actions; default: none.
         device: Of the policy's tensors.
     """
 

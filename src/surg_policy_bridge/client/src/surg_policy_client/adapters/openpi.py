@@ -1,4 +1,4 @@
-"""A policy of openpi: in this process, or behind its websocket server.
+"""A policy of openpi, in this process or behind its websocket server.
 
 ::
 
@@ -23,9 +23,9 @@ class OpenPiPolicy:
 
     Args:
         policy: openpi's policy or its websocket client.
-        inputs: The policy's name of each of our observations, name to key.
-        prompt: Its name of the instruction; empty: none.
-        columns: Columns of the result that are our actions, in our order; default: the first ones.
+        inputs: Observation key for each input name of the policy.
+        prompt: Input name of the instruction; empty: none.
+        columns: Columns of the result that are the actions, in their order; default: the first.
     """
 
     def __init__(

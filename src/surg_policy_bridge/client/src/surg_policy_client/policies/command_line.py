@@ -1,4 +1,4 @@
-"""What every policy's program shares: where the server is, and how it ends."""
+"""Command line shared by the example policies."""
 
 from __future__ import annotations
 
@@ -19,25 +19,30 @@ def run(
     add_arguments: Arguments = lambda parser: None,
     argv: Sequence[str] | None = None,
 ) -> int:
-    """Parse the command line, make the policy, serve it.
+    """Parse the command line, make the policy and serve it.
 
     Args:
-        make: Takes the parsed options, returns the policy.
-        description: The program's docstring.
-        add_arguments: Declares the policy's own options.
-        argv: Words of the command line; default: the process's.
+        make: Makes the policy from the parsed options.
+        description: Docstring of the program.
+        add_arguments: Adds the policy's own options.
+        argv: Arguments; default: those of the process.
 
     Returns:
-        Exit status: 0 when it ended as it should, 1 after an error, 2 for wrong input.
+        Exit status: 0, 1 after an error, 2 for invalid input.
     """
     lines = (description or "").strip().splitlines() or [""]
     parser = argparse.ArgumentParser(description=lines[0])
     add = parser.add_argument
-    add("--server", default=ADDRESS, metavar="ADDRESS", help=f"of the server (default {ADDRESS})")
+    add(
+        "--server",
+        default=ADDRESS,
+        metavar="ADDRESS",
+        help=f"address of the server (default {ADDRESS})",
+    )
     add("--keys", metavar="DIR", help="the policy's folder of ./surg keys")
-    add("--episodes", type=int, metavar="N", help="end after so many (default: never)")
-    add("--timeout", type=float, metavar="S", help="longest wait for a server (default: for ever)")
-    add("--seed", type=int, default=0, metavar="N", help="of policies that draw (default 0)")
+    add("--episodes", type=int, metavar="N", help="end after N episodes (default: no end)")
+    add("--timeout", type=float, metavar="S", help="longest wait for a server (default: no limit)")
+    add("--seed", type=int, default=0, metavar="N", help="seed of random policies (default 0)")
     add_arguments(parser)
     options = parser.parse_args(argv)
     # A supervisor ends programs by SIGTERM: the server is to hear of it as of Ctrl-C.

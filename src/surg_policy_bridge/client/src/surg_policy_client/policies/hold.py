@@ -1,4 +1,4 @@
-"""Holds still: every answer is the set-point that is there already."""
+"""Holds still: every action is the present set-point."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Hold:
         self._held: np.ndarray | None = None
 
     def reset(self, instruction: str, seed: int | None) -> None:
-        """A new episode: what is there then is held."""
+        """A new episode; hold its first set-point."""
         self._held = None
 
     def act(self, observation: Observation) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Walks at random: tip and roll by small normal steps from where they are; the jaw stays."""
+"""Random walk: small normal steps of tip and roll; the jaw stays."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from surg_policy_client.policies.command_line import run
 
 
 class RandomWalk:
-    """Seeded: the same seed walks the same way.
+    """Random walk; the same seed gives the same walk.
 
     Args:
         step: Standard deviation of a step of x, y, z [m] per grid time.
-        turn: Of the roll [rad].
+        turn: Standard deviation of the roll [rad] per grid time.
     """
 
     wants = (STATE,)
@@ -27,14 +27,14 @@ class RandomWalk:
         self._at: np.ndarray | None = None
 
     def reset(self, instruction: str, seed: int | None) -> None:
-        """A new episode: the walk begins where the arm is."""
+        """A new episode; the walk begins at the present pose."""
         self._draw = np.random.default_rng(seed)
         self._at = None
 
     def act(self, observation: Observation) -> np.ndarray:
-        """One row: the next step of the walk, inside the limits that the server names."""
+        """One row: the next step of the walk, within the server's limits."""
         action = observation.spec.action
-        assert action is not None  # of every server
+        assert action is not None  # every server has one
         at = observation.held_action() if self._at is None else self._at
         sigma = [self._sigma.get(name.rpartition("/")[2], 0.0) for name in action.names]
         at = at + self._draw.normal(size=len(sigma)) * sigma

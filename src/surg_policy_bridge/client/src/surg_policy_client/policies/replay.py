@@ -1,7 +1,7 @@
-"""Replays the actions of one recorded episode, blind: it looks at nothing.
+"""Replays the actions of one recorded episode open loop.
 
-The episode is one of a LeRobot dataset that `./surg export` wrote (needs pyarrow), or a CSV file: a
-head with the names of the actions, such as ``PSM1/x``, and one row per grid time.
+The episode is part of a LeRobot dataset of `./surg export` (needs pyarrow), or a CSV file with a
+header of action names, such as ``PSM1/x``, and one row per grid time.
 """
 
 from __future__ import annotations
@@ -22,10 +22,9 @@ ROWS = 10
 
 
 class Replay:
-    """Sends row k of an episode for the k-th grid time after the first observation.
+    """Sends row k for the k-th grid time after the first observation, and holds the last row.
 
-    At the end the last row is held. The columns are found by their names; a recording that lacks
-    one is refused.
+    Columns are matched by name; a recording that lacks one is refused.
 
     Args:
         names: Of the columns.

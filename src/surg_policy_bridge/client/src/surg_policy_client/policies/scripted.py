@@ -1,4 +1,4 @@
-"""Draws a circle with the tip of every arm: a known motion, to see that all is connected."""
+"""Draws a circle with the tip of every arm, to check the connection."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ ROWS = 10
 
 
 class Circle:
-    """A circle in the rcm frame's x and y through where the tip is, begun and left at rest.
+    """A circle in x and y of the rcm frame through the present tip, from rest to rest.
 
     Args:
         radius: [m]
-        period: For one turn [s].
+        period: Of one turn [s].
     """
 
     wants = (STATE,)
@@ -30,13 +30,13 @@ class Circle:
         self._start: tuple[int, np.ndarray] | None = None
 
     def reset(self, instruction: str, seed: int | None) -> None:
-        """A new episode: the circle begins where the tip is."""
+        """A new episode; the circle begins at the present tip."""
         self._start = None
 
     def act(self, observation: Observation) -> np.ndarray:
         """The next rows of the circle."""
         spec = observation.spec
-        assert spec.action is not None  # of every server
+        assert spec.action is not None  # every server has one
         assert spec.period_s is not None
         if self._start is None:
             self._start = observation.step, observation.held_action()
