@@ -1,9 +1,9 @@
-"""Who has the arms: how a policy gets them, and how it gives them up.
+"""How a policy gets the arms, and how it gives them up.
 
-An arm comes to a policy from PAUSED or DISABLED, or ENABLED and free, never from the hand of
-another sender, and is claimed before the first step. It goes back through PAUSED, whatever the
-reason was: then nobody holds it, and the next sender begins at its set-point (F30). Nothing resumes
-by itself: it takes `Handover.ask`.
+A policy takes an arm that is PAUSED, DISABLED, or ENABLED and free, never one that another sender
+holds, and claims it before the first step. It always returns an arm through PAUSED: then nobody
+holds it, and the next sender starts at its set-point (F30). Nothing resumes by itself; it takes
+`ArmAuthority.acquire`.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from surg_core.bring_up import BringUp
 
 
 class Phase(enum.Enum):
-    """Of the arms."""
+    """State of the authority over all arms."""
 
-    AWAY = "away"
-    WAKING = "waking"
+    RELEASED = "released"
+    ACQUIRING = "acquiring"
     HELD = "held"
 
 
-class Handover:
-    """The arms that a policy commands.
+class ArmAuthority:
+    """Authority over the arms that a policy commands.
 
     Args:
         arms: Their names.
@@ -33,85 +33,81 @@ class Handover:
 
     def __init__(self, arms: Sequence[str], node: str) -> None:
         self._arms, self._node = tuple(arms), node
-        self.phase = Phase.AWAY
+        self.phase = Phase.RELEASED
         self._bring_ups = {name: BringUp(resume=True, claim_as=node) for name in self._arms}
-        self._parting: dict[str, ArmCommands] = {}
+        self._pending: dict[str, ArmCommands] = {}
 
     def obstacle(self, views: Mapping[str, ArmView]) -> str:
-        """Why the policy may not have the arms now, with the cure; empty: it may."""
+        """Why the policy may not have the arms now, and what to do; empty: it may."""
         for name in self._arms:
             view = views.get(name)
             if view is None:
-                return f"{name} is silent: is its controller running?"
+                return f"{name} is silent; check that its controller is running"
             why = f" ({view.reason})" if view.reason else ""
             if view.state == ArmState.FAULT:
-                return f"{name} is in FAULT{why}: enable it when the cause is gone"
+                return f"{name} is in FAULT{why}; remove the cause, then enable it"
             if view.holder not in ("", self._node):
-                return f"{name} is held by {view.holder}: end that, or pause {name}, and try again"
+                return f"{name} is held by {view.holder}; end that, or pause {name}, and try again"
         return ""
 
-    def ask(self, now: int) -> None:
-        """The policy shall have the arms."""
-        self.phase, self._parting = Phase.WAKING, {}
+    def acquire(self, now: int) -> None:
+        """Start to bring up and claim the arms; ``now`` in [ns]."""
+        self.phase, self._pending = Phase.ACQUIRING, {}
         for bring_up in self._bring_ups.values():
             bring_up.start(now)
 
-    def leave(self, views: Mapping[str, ArmView]) -> None:
-        """The policy lets go: what is ours, or is about to be, comes to rest and is PAUSED."""
-        if self.phase is not Phase.AWAY:
-            self._parting = {
+    def release(self, views: Mapping[str, ArmView]) -> None:
+        """Hold and pause every arm that is ours, or is about to be."""
+        if self.phase is not Phase.RELEASED:
+            self._pending = {
                 name: ArmCommands(state="pause", hold=True)
                 for name in self._arms
-                if name not in views or self._ours(views[name]) or self._woken(views[name], name)
+                if name not in views or self._pausable(views[name], name)
             }
-        self.phase = Phase.AWAY
+        self.phase = Phase.RELEASED
         for bring_up in self._bring_ups.values():
             bring_up.stop()
 
-    def commands(self, views: Mapping[str, ArmView], now: int) -> dict[str, ArmCommands]:
-        """What the arms have to be told now, besides the steps."""
-        if self._parting:
-            parting, self._parting = self._parting, {}
-            return parting
-        if self.phase is not Phase.WAKING:
-            return {}
-        wanted = {name: self._bring_ups[name].tick(views[name], now) for name in self._arms}
-        return {name: commands for name, commands in wanted.items() if commands}
+    def monitor(self, views: Mapping[str, ArmView], now: int) -> str:
+        """Follow the state of the arms.
 
-    def look(self, views: Mapping[str, ArmView]) -> str:
-        """Follow what the arms say.
+        Args:
+            views: Newest cycle of every arm that is not silent.
+            now: Time on the clock of ``acquire`` [ns].
 
         Returns:
-            Why the policy has to let go of them; empty: it has not.
+            Why the policy has lost the arms; empty: it has not.
         """
-        if self.phase is Phase.AWAY:
+        if self.phase is Phase.RELEASED:
             return ""
         if obstacle := self.obstacle(views):
             return obstacle
         ready = all(self._ready(views[name]) for name in self._arms)
-        if self.phase is Phase.WAKING:
-            if ready:
-                self.phase = Phase.HELD
-            for name, bring_up in self._bring_ups.items():
-                if not bring_up.active and not self._ready(views[name]):
-                    why = bring_up.reason or self._unready(views)
-                    return f"the arms did not become ready: {name}: {why}"
-        elif not ready:
-            return self._unready(views)
+        if self.phase is Phase.HELD:
+            return "" if ready else self._unready(views)
+        self._pending = {name: self._bring_ups[name].tick(views[name], now) for name in self._arms}
+        if ready:
+            self.phase = Phase.HELD
+        for name, bring_up in self._bring_ups.items():
+            if not bring_up.active and not self._ready(views[name]):
+                why = bring_up.reason or self._unready(views)
+                return f"the arms did not become ready: {name}: {why}"
         return ""
+
+    def take_commands(self) -> dict[str, ArmCommands]:
+        """Commands to send now besides the steps, by arm."""
+        pending, self._pending = self._pending, {}
+        return {name: commands for name, commands in pending.items() if commands}
 
     def _ready(self, view: ArmView) -> bool:
         return view.ready and view.holder == self._node
 
-    def _ours(self, view: ArmView) -> bool:
-        """Whether pausing it takes nothing from another sender."""
-        return view.state == ArmState.ENABLED and view.holder in ("", self._node)
-
-    def _woken(self, view: ArmView, name: str) -> bool:
-        """Whether it has been told to wake, and may do so in its next cycle."""
+    def _pausable(self, view: ArmView, name: str) -> bool:
+        """Whether pausing takes the arm from no other sender: it is up, or is being enabled."""
         last = self._bring_ups[name].last
-        waking = self.phase is Phase.WAKING and last not in ("", "home")
-        return waking and view.holder in ("", self._node)
+        enabling = self.phase is Phase.ACQUIRING and last not in ("", "home")
+        ours_or_free = view.holder in ("", self._node)
+        return ours_or_free and (view.state == ArmState.ENABLED or enabling)
 
     def _unready(self, views: Mapping[str, ArmView]) -> str:
         for name in self._arms:

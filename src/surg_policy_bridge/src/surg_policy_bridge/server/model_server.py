@@ -28,8 +28,8 @@ from typing import Any
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import SECOND_NS, STEP_NS
 from surg_policy_bridge.server import server_replies
+from surg_policy_bridge.server.arm_authority import ArmAuthority, Phase
 from surg_policy_bridge.server.counters import Counters
-from surg_policy_bridge.server.handover import Handover, Phase
 from surg_policy_bridge.server.observer import Observation
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
@@ -106,7 +106,7 @@ class ModelServer:
         new_session: Callable[[], int],
     ) -> None:
         self._settings, self._new_session = settings, new_session
-        self._handover = Handover(settings.arms, settings.node)
+        self._authority = ArmAuthority(settings.arms, settings.node)
         self._spec: Spec | None = None
         self._early_hello: tuple[bytes, dict[str, Any]] | None = None
         self._obstacle = ""
@@ -157,9 +157,9 @@ class ModelServer:
             return ""
         if self.session is None:
             return "no policy is connected; start one, it connects by itself"
-        if obstacle := self._obstacle or self._handover.obstacle(self._views):
+        if obstacle := self._obstacle or self._authority.obstacle(self._views):
             return obstacle
-        self._handover.ask(at)
+        self._authority.acquire(at)
         self.state, self.reason = State.WAKING, "the arms are being enabled"
         return ""
 
@@ -213,11 +213,11 @@ class ModelServer:
             # Arms and cameras may still come up; what needs a person ends the pending start.
             coming_up = bool(camera_problem) or any(arm not in views for arm in self._settings.arms)
             self._start_pending = bool(refused) and not obstacle and coming_up
-        if lost := self._handover.look(views):
+        if lost := self._authority.monitor(views, at):
             self._stop(State.PAUSED, lost)
-        elif self.state is State.WAKING and self._handover.phase is Phase.HELD:
+        elif self.state is State.WAKING and self._authority.phase is Phase.HELD:
             self._run()
-        return self._handover.commands(views, at)
+        return self._authority.take_commands()
 
     # --- observations and steps -------------------------------------------------------------------
 
@@ -322,7 +322,7 @@ class ModelServer:
     def _stop(self, state: State, reason: str) -> None:
         """Execute nothing that is queued, and pause the arms that are held."""
         self.steps.stop()
-        self._handover.leave(self._views)
+        self._authority.release(self._views)
         self.state, self.reason = state, reason
         if self.session is not None and self.steps.has_unreported_rejections:
             self._acknowledge(self.session.answered)
