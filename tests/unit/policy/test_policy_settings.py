@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,19 +11,15 @@ import surg_core
 from surg_cli.host import paths
 from surg_core.contract import TASK_STATE_KEY, image_key
 from surg_policy_bridge.server import cell_spec, listen_address
-from surg_policy_bridge.server.server_parameters import Settings, SettingsError
+from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_client.wire import MAX_PARTS, Message, encode
+from surg_ros.params import ParamError, read
 
 GOOD: dict[str, Any] = {"cell": "cells/sim_ur5e"}
 
 
-def reader(values: dict[str, Any]) -> Callable[[str, Any], Any]:
-    """Parameters as a node looks them up."""
-    return lambda key, default: values.get(key, default)
-
-
 def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() -> None:
-    settings = Settings.read(reader(GOOD))
+    settings = read(Settings, GOOD)
     assert settings.bind == "tcp://127.0.0.1:5555" and settings.arms == ("PSM1",)
     assert not (settings.autostart or settings.privileged or settings.lockstep)
     assert settings.clip == ("jaw",)
@@ -36,7 +31,7 @@ def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() 
         ("cell", "", "~cell"),
         ("mode", "freerunn", "lockstep, freerun"),
         ("arms", [1], "~arms"),
-        ("clip", ["jaw", "rcm_error"], "rcm_error"),
+        ("clip", ["jaw", "rcm_error"], "each once"),
         ("camera_rate", 0, "1 to 240"),
         ("answer_timeout", True, "0.1 to 9"),
         ("privileged", "yes", "true or false"),
@@ -46,19 +41,19 @@ def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() 
         pytest.param("task", "x" * 257, "at most 256", id="task"),
         pytest.param("instruction", "x" * 1025, "at most 1024", id="instruction"),
         ("cameras", list("abcdefg"), "at most 6"),
-        ("cameras", "left,right,left", "left twice"),
-        ("arms", ["PSM1", "PSM1"], "PSM1 twice"),
+        ("cameras", "left,right,left", "each once"),
+        ("arms", ["PSM1", "PSM1"], "each once"),
     ],
 )
 def test_what_must_not_be_used_is_said(name: str, value: Any, said: str) -> None:
-    with pytest.raises(SettingsError, match=f"(?s).*{said}") as error:
-        Settings.read(reader({**GOOD, name: value}))
+    with pytest.raises(ParamError, match=f"(?s).*{said}") as error:
+        read(Settings, {**GOOD, name: value})
     assert f"~{name}" in str(error.value)
 
 
 def test_what_is_served_fits_onto_the_wire() -> None:
     most = {"task": "x" * 256, "instruction": "x" * 1024, "cameras": list("abcdef")}
-    settings = Settings.read(reader({**GOOD, **most}))
+    settings = read(Settings, {**GOOD, **most})
     sizes = dict.fromkeys(settings.cameras, (3, 4))
     cell = surg_core.load_cell(paths.ROOT / "cells" / "sim_ur5e")
     spec = cell_spec.make(cell, settings.arms, settings.task, sizes, None)
@@ -66,18 +61,18 @@ def test_what_is_served_fits_onto_the_wire() -> None:
     numbers = {"session": 1, "seq": 1, "stamp_ns": 0, "episode": 0, "step": 0}
     head = {**numbers, "instruction": settings.instruction}
     assert len(encode(Message("OBS", head, arrays))) == MAX_PARTS
-    with pytest.raises(SettingsError, match="at most 5"):
-        Settings.read(reader({**GOOD, **most, "privileged": True}))
+    with pytest.raises(ParamError, match="at most 5"):
+        read(Settings, {**GOOD, **most, "privileged": True})
     assert cell_spec.too_large(1080, 1920) == ""
     assert "at most 8388608" in cell_spec.too_large(2160, 3840)
 
 
 def test_ground_truth_is_of_a_simulator_only() -> None:
-    settings = Settings.read(reader({**GOOD, "privileged": True}))
+    settings = read(Settings, {**GOOD, "privileged": True})
     settings.check_arms(["PSM1"], ["simulator"])
-    with pytest.raises(SettingsError, match="not simulated"):
+    with pytest.raises(ParamError, match="not simulated"):
         settings.check_arms(["PSM1"], ["ur_driver"])
-    with pytest.raises(SettingsError, match="the cell has ECM"):
+    with pytest.raises(ParamError, match="the cell has ECM"):
         settings.check_arms(["ECM"], ["simulator"])
 
 

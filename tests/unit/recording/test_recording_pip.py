@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[3] / "src" / "surg_recording"
 
 _USE = """
 import importlib, pkgutil, sys
-HIDDEN = {"rospy", "rosgraph", "genpy", "surg_msgs", "crtk_msgs"}
+HIDDEN = {"rospy", "rosgraph", "genpy", "surg_msgs", "crtk_msgs", "surg_ros"}
 class NoRos:
     def find_spec(self, name, path=None, target=None):
         if name.split(".")[0] in HIDDEN:
@@ -23,7 +23,7 @@ sys.meta_path.insert(0, NoRos())
 import surg_recording
 found = [m.name for m in pkgutil.walk_packages(surg_recording.__path__, "surg_recording.")]
 for name in found:
-    if not name.endswith("_node"):
+    if not (name.endswith("_node") or ".nodes." in name):
         importlib.import_module(name)
 from importlib import metadata
 from surg_recording import datasets

@@ -13,8 +13,8 @@ from helpers.tree import installed_core as core
 from surg_cli.host import paths
 
 HIDDEN = {
-    "rospy", "rosgraph", "genpy", "crtk_msgs", "surg_msgs", "surg_description", "surg_teleop",
-    "surg_recording", "surg_cli",
+    "rospy", "rosgraph", "genpy", "crtk_msgs", "surg_msgs", "surg_ros", "surg_description",
+    "surg_teleop", "surg_recording", "surg_cli",
 }  # fmt: skip
 
 _USE = f"""
@@ -27,8 +27,8 @@ sys.meta_path.insert(0, NoRos())
 import surg_sim
 found = [m.name for m in pkgutil.walk_packages(surg_sim.__path__, "surg_sim.")]
 for name in found:
-    # Environments need gymnasium, and what writes recordings surg_recording.
-    if name.endswith(
+    # Nodes need ROS, environments gymnasium, and what writes recordings surg_recording.
+    if ".nodes." in name or name.endswith(
         ("_node", ".surg_env", ".policy_rollouts", ".recorded_episode", ".demonstrations")
     ):
         continue

@@ -10,11 +10,12 @@ import pytest
 
 from surg_core.contract import SECOND_NS
 from surg_sim.nodes import bridge_messages
-from surg_sim.nodes.sim_parameters import BridgeSettings, EndoscopeSettings, SettingsError
+from surg_sim.nodes.sim_parameters import BridgeSettings, EndoscopeSettings
 from surg_sim.physics.ground_truth import ArmTruth
 
 rospy = pytest.importorskip("rospy")
 
+from surg_ros import params  # noqa: E402
 from surg_ros.participant import ReadyLayout  # noqa: E402
 
 STAMP_NS = 1_795_000_000_123_456_789
@@ -119,11 +120,10 @@ def test_garbage_is_refused_with_one_kind_of_error() -> None:
 
 
 def test_settings_are_checked() -> None:
-    def read(kind: type, **given: object) -> object:
-        values = {"cell": "cells/sim_ur5e", **given}
-        return kind.read(lambda name, default: values.get(name, default))
+    def checked(kind: type, **given: object) -> object:
+        return params.read(kind, {"cell": "cells/sim_ur5e", **given})
 
-    settings = read(BridgeSettings, participants="operator, expert", mode="freerun")
+    settings = checked(BridgeSettings, participants="operator, expert", mode="freerun")
     assert settings.participants == ("operator", "expert")
     assert settings.mode == "freerun" and settings.arms == ()
     for kind, wrong in (
@@ -140,8 +140,8 @@ def test_settings_are_checked() -> None:
         (EndoscopeSettings, {"width": 4000}),
         (EndoscopeSettings, {"vignette": 1}),
     ):
-        with pytest.raises(SettingsError, match=f"~{next(iter(wrong))}"):
-            read(kind, **wrong)
+        with pytest.raises(params.ParamError, match=f"~{next(iter(wrong))}"):
+            checked(kind, **wrong)
 
 
 def test_task_state_round_trip() -> None:

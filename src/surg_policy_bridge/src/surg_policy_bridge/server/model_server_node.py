@@ -55,7 +55,7 @@ from surg_policy_bridge.server.observer import (
 from surg_policy_bridge.server.policy_arm import arm_state
 from surg_policy_bridge.server.router_node import Router
 from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
-from surg_policy_bridge.server.server_parameters import Settings, SettingsError
+from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_bridge.server.step_clock import StepClock
 from surg_policy_bridge.server.timers import CAMERA_PERIODS, OperatorPresence
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
@@ -63,6 +63,7 @@ from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import ServerKeys, server_keys
 from surg_ros.arm_port import ArmPort, arm_view
 from surg_ros.camera_topic import camera_topic
+from surg_ros.params import ParamError, read
 from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
 COMMANDS = ("state_command", "authority/claim", "hold", "jaw/servo_jp", "servo_cp")
@@ -548,12 +549,12 @@ def main() -> int:
         AUTOGROUP.write_text(str(NICE), "ascii")
     rospy.init_node("policy", disable_signals=True)
     try:
-        settings = Settings.read(lambda key, default: rospy.get_param(f"~{key}", default))
+        settings = read(Settings, rospy.get_param("~", {}))
         cell = surg_core.load_cell(settings.cell)
         settings.check_arms(list(cell.arms), [arm.link for arm in cell.arms.values()])
         keys = server_keys(settings.keys) if settings.keys else None
         node = ModelServerNode(settings, cell, keys)
-    except (SettingsError, surg_core.ConfigError, BadKeys, BindError, OSError) as error:
+    except (ParamError, surg_core.ConfigError, BadKeys, BindError, OSError) as error:
         print(f"policy: {error}", file=sys.stderr, flush=True)
         return 2
     # rospy's own handler would close the topics before the arms have been told to stop.

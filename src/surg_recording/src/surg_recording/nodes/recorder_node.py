@@ -40,6 +40,7 @@ from surg_recording.episode.recovery import recover
 from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES, TopicChoice
 from surg_recording.nodes.recorder_parameters import Settings
 from surg_recording.recording_errors import EpisodeError
+from surg_ros.params import read
 
 COMMANDS: dict[str, type] = {
     "servo_cp": PoseStamped,
@@ -100,7 +101,7 @@ class RecorderNode:
         self._info: dict[str, Any] = {}
         self._duplicate_filters: dict[tuple[str, str], DuplicateFilter] = {}
         self._clock = SteppedClock(self._on_clock_step)
-        taken = frozenset((*self._own_topics(), *settings.cameras.values()))
+        taken = frozenset((*self._own_topics(), *settings.camera_topics.values()))
         self.choice = TopicChoice(list(settings.topics), taken)
         self._classes: dict[tuple[str, str], Any] = {}
         self._status = rospy.Publisher("/record/status", String, queue_size=10, latch=True)
@@ -235,7 +236,7 @@ class RecorderNode:
         if self.lockstep:
             # In lock-step cameras may be many frames behind the ticks: wait for the frame that
             # belongs to the last tick.
-            for camera in self.settings.cameras:
+            for camera in self.settings.camera_topics:
                 self._await_frames(recording, camera, self._ticks() * TICK_NS)
 
     def _await_frames(self, recording: Recording, camera: str, end_ns: int) -> None:
@@ -280,7 +281,7 @@ class RecorderNode:
         for name in ASSISTANT:
             on(f"/assistant/{name}", JointState, self._on_assistant, name)
         on("/sim/status", String, self._on_sim_status)
-        for camera, topic in self.settings.cameras.items():
+        for camera, topic in self.settings.camera_topics.items():
             on(topic, rospy.AnyMsg, self._on_image, camera)
         on(CLOCK_TOPIC, ClockSync, self._on_clock_sync)
         on("/record/record", Bool, self._on_record)
@@ -386,7 +387,7 @@ class RecorderNode:
         recording = self.recording
         if recording is None:
             return
-        received, topic = self._clock.now_ns(), self.settings.cameras[camera]
+        received, topic = self._clock.now_ns(), self.settings.camera_topics[camera]
         found, why = self._installed(message)
         if found is not None and found._type not in IMAGES:
             why = f"its type is {found._type}; images are {' and '.join(IMAGES)}"
@@ -508,7 +509,7 @@ class RecorderNode:
         messages = {topic: entry["messages"] for topic, entry in recording.topics().items()}
         cameras = [
             topic
-            for name, topic in self.settings.cameras.items()
+            for name, topic in self.settings.camera_topics.items()
             if not recording.newest_image(name)[0]
         ]
         return [*cameras, *self.choice.silent(messages)]
@@ -551,7 +552,7 @@ class RecorderNode:
         The simulator waits for this connection before its first tick, so no tick is missed.
         """
         needed = [f"/{arm}/cycle" for arm in self.settings.arms]
-        needed += ["/sim/ground_truth/state", *self.settings.cameras.values()]
+        needed += ["/sim/ground_truth/state", *self.settings.camera_topics.values()]
         commands = [f"/{arm}/{name}" for arm in self.settings.arms for name in COMMANDS]
         complete_since = None
         while not rospy.is_shutdown():
@@ -664,7 +665,7 @@ def main() -> int:
     """Run the node; returns the exit code (2: broken parameters)."""
     rospy.init_node("recorder")
     try:
-        RecorderNode(Settings.read(rospy.get_param))
+        RecorderNode(read(Settings, rospy.get_param("~", {})))
     except ValueError as problem:
         print(f"recorder: {problem}", file=sys.stderr)
         return 2

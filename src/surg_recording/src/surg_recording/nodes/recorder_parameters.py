@@ -1,103 +1,58 @@
-"""The recorder's parameters: read once, checked, and never looked at again."""
+"""Parameters of the recorder. No ROS."""
 
 from __future__ import annotations
 
-import dataclasses
-import json
-from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from surg_recording.episode.episode_writer import MIN_FREE_BYTES
 from surg_ros.camera_topic import camera_topic
+from surg_ros.params import ParamError, flag, mapping, names, one_of, path, whole
 
 MODES = ("lockstep", "freerun")
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class Settings:
-    """What the recorder is told at its start."""
+    """Parameters of the node ``/recorder``.
 
-    out: Path
-    cell: Path | None
-    mode: str
-    arms: tuple[str, ...]
-    cameras: dict[str, str]
-    """Name → topic."""
-    topics: tuple[str, ...]
-    """Names and patterns of further topics."""
-    run_info: dict[str, Any]
-    autostart: bool
-    min_free_bytes: int
-    video_preset: str
+    Attributes:
+        out: Folder that the episode is written to.
+        cell: Path of the cell; None: no cell is described.
+        mode: ``lockstep`` or ``freerun``.
+        arms: Names of the recorded arms.
+        cameras: Names or topics of the recorded cameras.
+        topics: Names and patterns of further topics.
+        run_info: Facts about the run, for the manifest.
+        autostart: Record from the start.
+        min_free_bytes: Stop with less free space on the disk [bytes].
+        video_preset: Encoder preset.
+    """
 
-    @classmethod
-    def read(cls, get: Callable[[str, Any], Any]) -> Settings:
-        """Read and check.
+    out: Path = path()
+    cell: Path | None = path(None)
+    mode: str = one_of(MODES, "lockstep")
+    arms: tuple[str, ...] = names(("PSM1",), least=1)
+    cameras: tuple[str, ...] = names(())
+    topics: tuple[str, ...] = names(())
+    run_info: dict[str, Any] = mapping()
+    autostart: bool = flag(True)
+    min_free_bytes: int = whole(0, 10**19, MIN_FREE_BYTES)
+    video_preset: str = one_of(PRESETS, "ultrafast")
 
-        Args:
-            get: gives a parameter (``~name``) or, where it is not set, the default.
+    def __post_init__(self) -> None:
+        """Takes the slashes off the arms' names.
 
         Raises:
-            ValueError: parameter, value and what is allowed.
+            ParamError: A camera is named twice.
         """
-        out = str(get("~out", ""))
-        if not out:
-            raise ValueError("parameter ~out is missing: the folder the episode is written to")
-        arms = names(get("~arms", ["PSM1"]), "~arms")
-        if not arms:
-            raise ValueError("parameter ~arms is empty: at least one arm, e.g. [PSM1]")
-        cameras = [camera_topic(name) for name in names(get("~cameras", []), "~cameras")]
-        if len(dict(cameras)) != len(cameras):
-            said = ", ".join(f"{name} ({topic})" for name, topic in cameras)
-            raise ValueError(f"parameter ~cameras names a camera twice: {said}")
-        cell = get("~cell", "")
-        return cls(
-            out=Path(out).resolve(),
-            cell=Path(str(cell)).resolve() if cell else None,
-            mode=_one_of(get("~mode", "lockstep"), "~mode", MODES),
-            arms=tuple(name.strip("/") for name in arms),
-            cameras=dict(cameras),
-            topics=tuple(names(get("~topics", []), "~topics")),
-            run_info=_object(get("~run_info", {}), "~run_info"),
-            autostart=bool(get("~autostart", True)),
-            min_free_bytes=_bytes(get("~min_free_bytes", MIN_FREE_BYTES), "~min_free_bytes"),
-            video_preset=_one_of(get("~video_preset", "ultrafast"), "~video_preset", PRESETS),
-        )
+        object.__setattr__(self, "arms", tuple(name.strip("/") for name in self.arms))
+        if len(self.camera_topics) != len(self.cameras):
+            raise ParamError("cameras", list(self.cameras), "each camera once, by name or by topic")
 
-
-def names(value: Any, parameter: str) -> list[str]:
-    """A list parameter; also taken from a command line as ``a,b`` or ``[a, b]``.
-
-    Raises:
-        ValueError: it is none.
-    """
-    if isinstance(value, str):
-        whole = value.startswith("[") and value.endswith("]")
-        value = (value[1:-1] if whole else value).split(",")
-    if not isinstance(value, list):
-        raise ValueError(f"parameter {parameter} is {value!r}, must be a list of names")
-    return [name for name in (str(item).strip(" '\"") for item in value) if name]
-
-
-def _one_of(value: Any, parameter: str, allowed: tuple[str, ...]) -> str:
-    if value not in allowed:
-        raise ValueError(f"parameter {parameter} is {value!r}, allowed are {', '.join(allowed)}")
-    return str(value)
-
-
-def _object(value: Any, parameter: str) -> dict[str, Any]:
-    try:
-        value = json.loads(value) if isinstance(value, str) and value else value or {}
-    except ValueError as problem:
-        raise ValueError(f"parameter {parameter} is no valid JSON ({problem})") from problem
-    if not isinstance(value, dict):
-        raise ValueError(f"parameter {parameter} must be a JSON object")
-    return value
-
-
-def _bytes(value: Any, parameter: str) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value < 1e19:
-        raise ValueError(f"parameter {parameter} is {value!r}, must be a number >= 0")
-    return int(value)
+    @property
+    def camera_topics(self) -> dict[str, str]:
+        """Topic of each camera, by name."""
+        return dict(camera_topic(name) for name in self.cameras)

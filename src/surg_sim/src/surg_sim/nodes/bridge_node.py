@@ -35,6 +35,7 @@ from surg_msgs.msg import (
     Ready,
     SimSnapshot,
 )
+from surg_ros.params import read
 from surg_ros.transport.direct_publisher import DirectPublisher, listeners, speakers
 from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_ros.transport.raw_message import RawJointState, RawTwist
@@ -43,7 +44,7 @@ from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.exposure_schedule import RENDERER, ExposureSchedule
 from surg_sim.nodes.latest_value import LatestValue
 from surg_sim.nodes.lockstep import OBSERVER_WINDOWS, Action, Lockstep
-from surg_sim.nodes.sim_parameters import BridgeSettings, SettingsError
+from surg_sim.nodes.sim_parameters import BridgeSettings
 from surg_sim.nodes.task_topics_node import AssistantTopics, TaskTopics
 from surg_sim.physics import faults, patient_settings
 from surg_sim.physics.fault_injector import Injector, tool_errors
@@ -546,7 +547,7 @@ def _only_here(settings: BridgeSettings) -> None:
     host = urlparse(os.environ.get("ROS_MASTER_URI", "")).hostname or ""
     here = host == "localhost" or host.startswith("127.")
     if (settings.inject or settings.faults) and not here:
-        raise SettingsError(
+        raise ValueError(
             f"parameters ~inject and ~faults need a ROS master on this machine's loopback "
             f"(localhost or 127.x.x.x); ROS_MASTER_URI names {host!r}"
         )
@@ -558,7 +559,7 @@ def main() -> int:
     # MuJoCo's own way is a file in whatever folder the node was started from.
     mujoco.set_mju_user_warning(lambda text: rospy.logwarn(f"MuJoCo: {text}"))
     try:
-        settings = BridgeSettings.read(lambda name, default: rospy.get_param(f"~{name}", default))
+        settings = read(BridgeSettings, rospy.get_param("~", {}))
         _only_here(settings)
         cell = surg_core.load_cell(settings.cell)
         known = faults.parse(settings.faults, settings.arms or tuple(cell.arms))
@@ -572,7 +573,7 @@ def main() -> int:
             task=tasks.load(settings.task) if settings.task else None,
         )
         injector = Injector(world, known, settings.seed, settings.mode == "lockstep")
-    except (SettingsError, faults.FaultError, surg_core.ConfigError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2
     # Hand the interpreter over quickly: answers arrive on threads of their own.

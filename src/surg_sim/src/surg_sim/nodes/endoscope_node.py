@@ -15,11 +15,12 @@ from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
 from surg_msgs.msg import Ready, SimSnapshot
+from surg_ros.params import read
 from surg_sim import tasks
 from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
 from surg_sim.looks.render import Intrinsics, NoOpenGL, Picture
 from surg_sim.nodes.exposure_schedule import RENDERER
-from surg_sim.nodes.sim_parameters import EndoscopeSettings, SettingsError
+from surg_sim.nodes.sim_parameters import EndoscopeSettings
 from surg_sim.physics import patient_settings
 from surg_sim.physics.endoscope_rig import FRAMES
 from surg_sim.physics.world import World
@@ -155,11 +156,9 @@ def main() -> int:
     """Entry point; returns the exit code (0 done, 1 no OpenGL, 2 broken configuration)."""
     rospy.init_node("endoscope")
     try:
-        settings = EndoscopeSettings.read(
-            lambda name, default: rospy.get_param(f"~{name}", default)
-        )
+        settings = read(EndoscopeSettings, rospy.get_param("~", {}))
         renderer = make_renderer(settings)
-    except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
+    except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2
     except NoOpenGL as error:

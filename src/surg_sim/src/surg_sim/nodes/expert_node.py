@@ -23,9 +23,10 @@ from std_msgs.msg import Empty, String
 import surg_core
 from crtk_msgs.msg import StringStamped
 from surg_msgs.msg import Cycle
+from surg_ros.params import read
 from surg_ros.participant import ASSISTANT, Participant, Seen
 from surg_sim.nodes import bridge_messages
-from surg_sim.nodes.sim_parameters import SenderSettings, SettingsError
+from surg_sim.nodes.sim_parameters import SenderSettings
 from surg_sim.physics.assistant_arm import JOINTS, AssistantCommand
 from surg_sim.tasks import load
 from surg_sim.tasks.scripted_sender import ArmAction, ArmView, Expert, Observation
@@ -122,13 +123,13 @@ def main() -> int:
     rospy.init_node("expert")
     name = rospy.get_name().lstrip("/")
     try:
-        settings = SenderSettings.read(lambda key, default: rospy.get_param(f"~{key}", default))
+        settings = read(SenderSettings, rospy.get_param("~", {}))
         task = load(settings.task)
         experts = task.experts(surg_core.load_cell(settings.cell), settings.seed)
         if name not in experts:
             known = ", ".join(sorted(experts)) or "none"
-            raise SettingsError(f"task '{task.name}' has no sender '{name}'; there are: {known}")
-    except (SettingsError, surg_core.ConfigError, ValueError, OSError) as error:
+            raise ValueError(f"task '{task.name}' has no sender '{name}'; there are: {known}")
+    except (ValueError, OSError) as error:
         print(f"surg_sim: {error}", file=sys.stderr, flush=True)
         return 2
     node = ExpertNode(experts[name], assistant=name == ASSISTANT)

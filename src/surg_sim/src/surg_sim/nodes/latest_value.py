@@ -1,15 +1,8 @@
 """A mailbox for one value: the receiver puts, the tick takes, and neither takes a lock.
 
-<<<<<<< HEAD
 A lock would delay commands. A free-running simulator that is behind ticks without a pause and
 holds its lock almost all the time; receivers would queue for it, and the arm would follow commands
 that are half a second old.
-=======
-In lock-step a thread of the connection receives, in free-run the tick itself
-(`surg_ros.transport.polled_subscriber`). In free-run a simulator that falls behind ticks without a
-pause and holds its lock nearly all the time. A receiver that wanted the same lock would seldom get
-it, messages would queue in front of it, and the arm would obey commands that are half a second old.
->>>>>>> c234272 (surg_ros: a ROS library for what every node needs)
 """
 
 from __future__ import annotations

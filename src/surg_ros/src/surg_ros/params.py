@@ -1,0 +1,244 @@
+"""Parameters of a node: declared as a dataclass, checked once, then frozen. No ROS.
+
+::
+
+    @dataclass(frozen=True)
+    class Settings:
+        cell: str = text()                         # must be given
+        mode: str = one_of(("lockstep", "freerun"), default="lockstep")
+        rate: float = real(20.0, 500.0, default=100.0)
+
+    settings = read(Settings, rospy.get_param("~", {}))
+
+Whatever must not be used is a :class:`ParamError`: which parameter, its value, what is allowed.
+Rules between parameters stand in ``__post_init__`` and raise the same error.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
+from pathlib import Path
+from typing import Any, TypeVar
+
+Kind = TypeVar("Kind")
+_KEY = "surg_ros.params"
+
+
+class ParamError(ValueError):
+    """A parameter that must not be used.
+
+    Attributes:
+        name: Of the parameter, without ``~``.
+        value: As given; None: it is missing.
+        allowed: What is allowed.
+    """
+
+    def __init__(self, name: str, value: object, allowed: str, problem: str = "") -> None:
+        """Joins the parts to one sentence; ``problem`` takes the place of the value."""
+        stated = problem or ("is missing" if value is None else f"is {value!r}")
+        super().__init__(f"parameter ~{name} {stated}; allowed: {allowed}")
+        self.name, self.value, self.allowed = name, value, allowed
+
+
+@dataclass(frozen=True)
+class _Check:
+    convert: Callable[[Any], Any]  # raises ValueError for what is not allowed
+    allowed: str
+
+
+def read(kind: type[Kind], given: Mapping[str, Any]) -> Kind:
+    """The parameters of a node.
+
+    Args:
+        kind: A dataclass whose fields are declared by this module's functions.
+        given: Values by name without ``~``, as ``rospy.get_param("~", {})`` returns them.
+            Namespaces below the node's are ignored.
+
+    Raises:
+        ParamError: A parameter is unknown, missing or out of range.
+    """
+    declared: dict[str, _Check] = {
+        each.name: each.metadata[_KEY]
+        for each in fields(kind)  # type: ignore[arg-type]
+        if _KEY in each.metadata
+    }
+    for name, value in given.items():
+        if name not in declared and not isinstance(value, dict):
+            known = ", ".join(f"~{each}" for each in declared)
+            raise ParamError(name, value, known, "is unknown")
+    values = {
+        name: _converted(name, check, given[name])
+        for name, check in declared.items()
+        if name in given
+    }
+    for each in fields(kind):  # type: ignore[arg-type]
+        required = each.default is MISSING and each.default_factory is MISSING
+        if each.name in declared and required and each.name not in values:
+            raise ParamError(each.name, None, declared[each.name].allowed)
+    return kind(**values)
+
+
+def text(
+    default: Any = MISSING, *, empty: bool = False, longest: int | None = None, allowed: str = ""
+) -> Any:
+    """A text.
+
+    Args:
+        default: Without one, the parameter must be given.
+        empty: Whether it may be empty.
+        longest: Most characters.
+        allowed: What it is, for the error.
+    """
+
+    def convert(value: Any) -> str:
+        if not isinstance(value, str) or not (value or empty):
+            raise ValueError
+        if longest is not None and len(value) > longest:
+            raise ValueError
+        return value
+
+    size = "" if longest is None else f" of at most {longest} characters"
+    return _declare(convert, allowed or f"a {'' if empty else 'non-empty '}text{size}", default)
+
+
+def one_of(options: tuple[str, ...], default: Any = MISSING) -> Any:
+    """One of some words."""
+
+    def convert(value: Any) -> str:
+        if value not in options:
+            raise ValueError
+        return str(value)
+
+    return _declare(convert, ", ".join(options), default)
+
+
+def flag(default: Any = MISSING) -> Any:
+    """True or false."""
+
+    def convert(value: Any) -> bool:
+        if not isinstance(value, bool):
+            raise ValueError
+        return value
+
+    return _declare(convert, "true or false", default)
+
+
+def whole(low: int, high: int, default: Any = MISSING) -> Any:
+    """A whole number from low to high."""
+
+    def convert(value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int | float) or value != int(value):
+            raise ValueError
+        if not low <= value <= high:
+            raise ValueError
+        return int(value)
+
+    return _declare(convert, f"a whole number from {low} to {high}", default)
+
+
+def real(low: float = -math.inf, high: float = math.inf, default: Any = MISSING) -> Any:
+    """A finite number from low to high."""
+
+    def convert(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ValueError
+        if not (low <= value <= high and math.isfinite(value)):
+            raise ValueError
+        return float(value)
+
+    bounds = {(True, True): f" from {low:g} to {high:g}", (True, False): f" from {low:g}"}
+    return _declare(
+        convert, f"a number{bounds.get((low > -math.inf, high < math.inf), '')}", default
+    )
+
+
+def vector(size: int, default: Any = MISSING, *, meaning: str = "") -> Any:
+    """Some finite numbers, not all zero; ``meaning`` names them for the error."""
+
+    def convert(value: Any) -> tuple[float, ...]:
+        numbers = tuple(float(each) for each in value)
+        if len(numbers) != size or not all(map(math.isfinite, numbers)) or not any(numbers):
+            raise ValueError
+        return numbers
+
+    return _declare(convert, f"{size} numbers{meaning and ': '}{meaning}", default)
+
+
+def names(
+    default: Any = MISSING,
+    *,
+    options: tuple[str, ...] | None = None,
+    most: int | None = None,
+    least: int = 0,
+) -> Any:
+    """Names, each once: a list, or one string such as ``a,b`` (what a rosrun line can pass).
+
+    Args:
+        default: Without one, the parameter must be given.
+        options: Allowed names; None: any.
+        most: Largest number of names.
+        least: Smallest number of names.
+    """
+
+    def convert(value: Any) -> tuple[str, ...]:
+        items = _items(value) if isinstance(value, str) else value
+        if not isinstance(items, list | tuple) or not all(isinstance(each, str) for each in items):
+            raise ValueError
+        found = tuple(each for each in (item.strip(" '\"") for item in items) if each)
+        if len(set(found)) != len(found) or not least <= len(found) <= (most or len(found)):
+            raise ValueError
+        if options is not None and not set(found) <= set(options):
+            raise ValueError
+        return found
+
+    size = f"at least {least} " if least else f"at most {most} " if most is not None else ""
+    choice = f" of {', '.join(options)}" if options else ""
+    return _declare(convert, f"{size}names{choice}, each once: a list, or 'a,b'", default)
+
+
+def _items(value: str) -> list[str]:
+    """The parts of ``a,b`` or ``[a, b]``; a pattern such as ``/PSM[12]`` keeps its bracket."""
+    whole = value.startswith("[") and value.endswith("]")
+    return (value[1:-1] if whole else value).split(",")
+
+
+def mapping() -> Any:
+    """A dictionary, or one as JSON; empty by default."""
+
+    def convert(value: Any) -> dict[str, Any]:
+        found = json.loads(value) if isinstance(value, str) and value else value or {}
+        if not isinstance(found, dict):
+            raise ValueError
+        return found
+
+    return _declare(convert, "a dictionary, or a JSON object", MISSING, dict)
+
+
+def path(default: Any = MISSING) -> Any:
+    """A path, made absolute; None as the default: an empty text stands for none."""
+
+    def convert(value: Any) -> Path | None:
+        if not isinstance(value, str) or not (value or default is None):
+            raise ValueError
+        return Path(value).resolve() if value else None
+
+    return _declare(convert, "a path", default)
+
+
+def _declare(
+    convert: Callable[[Any], Any], allowed: str, default: Any, factory: Any = MISSING
+) -> Any:
+    options = {"default": default} if factory is MISSING else {"default_factory": factory}
+    if options.get("default", 0) is MISSING:
+        options = {}
+    return field(kw_only=True, metadata={_KEY: _Check(convert, allowed)}, **options)
+
+
+def _converted(name: str, check: _Check, value: Any) -> Any:
+    try:
+        return check.convert(value)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise ParamError(name, value, check.allowed) from error
