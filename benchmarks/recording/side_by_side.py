@@ -53,18 +53,13 @@ def measure(task: str, robot: str, views: str, seconds: float, out: Path) -> dic
     )
     plan = replace(episode_plans.for_episode(plan, condition, 0, out), lockstep=False)
     env = environment.for_nodes(ros_home=out / "logs" / "ros")
-    processes.adopt_orphans()
-    try:
-        with processes.Supervisor(env, out / "logs") as supervisor:
-            master.start(supervisor, master.free_port())
-            for node in system.nodes(plan):
-                system.start(supervisor, node)
-            os.environ.update(supervisor.env)
-            with Watch(plan.arms) as watch:
-                return _measure(plan, supervisor, watch, seconds)
-    finally:
-        with processes.signals_ignored():
-            processes.end_orphans()
+    with processes.orphans_adopted(), processes.Supervisor(env, out / "logs") as supervisor:
+        master.start(supervisor, master.free_port())
+        for node in system.nodes(plan):
+            system.start(supervisor, node)
+        os.environ.update(supervisor.env)
+        with Watch(plan.arms) as watch:
+            return _measure(plan, supervisor, watch, seconds)
 
 
 def topics(plan: system.Plan) -> list[str]:

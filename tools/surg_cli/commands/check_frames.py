@@ -118,20 +118,15 @@ def _alone(cell: Path, config: Any, params: dict[str, object], out: Path) -> Non
     )
     say(f"check-frames: {cell.name}, simulated")
     env = environment.for_nodes(ros_home=out / "logs" / "ros")
-    processes.adopt_orphans()
-    try:
-        with processes.Supervisor(env, out / "logs") as supervisor:
-            master.start(supervisor, master.free_port())
-            sim, *others = system.nodes(plan)
-            patient: dict[str, object] = {**sim.params, "connect_timeout": CONNECT_S}
-            for node in (replace(sim, params=patient), *others):
-                system.start(supervisor, node)
-            os.environ.update(supervisor.env)
-            child = system.start(supervisor, _node({**params, "enable": True, "lockstep": True}))
-            _await(child, supervisor)
-    finally:
-        with processes.signals_ignored():
-            processes.end_orphans()
+    with processes.orphans_adopted(), processes.Supervisor(env, out / "logs") as supervisor:
+        master.start(supervisor, master.free_port())
+        sim, *others = system.nodes(plan)
+        patient: dict[str, object] = {**sim.params, "connect_timeout": CONNECT_S}
+        for node in (replace(sim, params=patient), *others):
+            system.start(supervisor, node)
+        os.environ.update(supervisor.env)
+        child = system.start(supervisor, _node({**params, "enable": True, "lockstep": True}))
+        _await(child, supervisor)
 
 
 def _node(params: dict[str, object]) -> Node:

@@ -13,8 +13,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import join, master, network, operator_nodes, processes, roles, running, system
-from surg_cli.graph.follow import death_notice
+from surg_cli.graph import (
+    follow,
+    join,
+    master,
+    network,
+    operator_nodes,
+    processes,
+    roles,
+    running,
+    system,
+)
 from surg_cli.graph.operator_nodes import BROWSER, WEB_PORT
 from surg_cli.graph.system import Node, Plan
 from surg_cli.graph.watch import Watch
@@ -68,21 +77,16 @@ def main(options: argparse.Namespace, command: str) -> int:
     plan = _plan(options) if attached is None else _plan_of(attached)
     logs = paths.SYSTEMS / f"{options.port}_teleop_logs"
     nodes = _operator_nodes(options, plan, web, [] if attached is None else _there(attached))
-    processes.adopt_orphans()
-    try:
-        env = environment.for_nodes(ros_home=logs / "ros")
-        if place is not None:
-            env = place.environment(env, network.GUARD)
-        with processes.Supervisor(env, logs) as supervisor:
-            if attached is not None:
-                supervisor.env["ROS_MASTER_URI"] = attached.master_uri
-                return _keep(plan, supervisor, nodes, fragment, None, place)
-            master.start(supervisor, options.port)
-            with running.announced(command, options.port, plan.cell, logs) as entry:
-                return _keep(plan, supervisor, [*_phantom(plan), *nodes], fragment, entry)
-    finally:
-        with processes.signals_ignored():
-            processes.end_orphans()
+    env = environment.for_nodes(ros_home=logs / "ros")
+    if place is not None:
+        env = place.environment(env, network.GUARD)
+    with processes.orphans_adopted(), processes.Supervisor(env, logs) as supervisor:
+        if attached is not None:
+            supervisor.env["ROS_MASTER_URI"] = attached.master_uri
+            return _keep(plan, supervisor, nodes, fragment, None, place)
+        master.start(supervisor, options.port)
+        with running.announced(command, options.port, plan.cell, logs) as entry:
+            return _keep(plan, supervisor, [*_phantom(plan), *nodes], fragment, entry)
 
 
 def _place(attached: running.System, options: argparse.Namespace) -> roles.Link | None:
@@ -265,8 +269,7 @@ def _keep(
         with Progress("teleop") as progress:
             address = _await_page(plan, watch, supervisor, progress)
         if entry is not None:
-            entry.nodes = {child.name: child.process.pid for child in supervisor.children}
-            entry.save()
+            entry.list_nodes(supervisor.children)
         if place is not None:
             network.refuse_foreign_ports(supervisor.children, place.address)
         say(f"Open {address}{fragment} in a browser (Chromium, Chrome, Edge, Firefox, Safari).")
@@ -275,22 +278,8 @@ def _keep(
         say(f"Logs: {supervisor.logs}. Ctrl-C ends everything started here.")
         while True:
             time.sleep(0.1)
-            _check(watch, supervisor)
-            for origin, text in watch.news():
-                say(f"{origin}: {text}")
-                arm, _, kind = origin.partition(" ")
-                if entry is not None and kind == "error":
-                    entry.last_errors[arm] = text
-                    entry.save()
-
-
-def _check(watch: Watch, supervisor: processes.Supervisor) -> None:
-    """Raise Problem when a node has died or the simulator has given up."""
-    dead = supervisor.first_dead()
-    if dead is not None:
-        raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
-    if watch.sim.get("aborted"):
-        raise Problem(f"the simulator gave up: {watch.sim['aborted']}")
+            follow.raise_if_failed(watch, supervisor)
+            follow.pass_on_news(watch, entry)
 
 
 def _await_page(
@@ -300,7 +289,7 @@ def _await_page(
     console = supervisor.children[-1]
     deadline = time.monotonic() + START_TIMEOUT_S
     while True:
-        _check(watch, supervisor)
+        follow.raise_if_failed(watch, supervisor)
         address = next(
             (
                 line.removeprefix("console: ")

@@ -10,8 +10,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from surg_cli.graph import join, master, network, processes, roles, running, system
-from surg_cli.graph.follow import death_notice
+from surg_cli.graph import follow, join, master, network, processes, roles, running, system
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, paths
@@ -96,14 +95,10 @@ def main(options: argparse.Namespace, command: str) -> int:
     if options.print:
         return _print_lines(plan, link, leader)
     logs = paths.SYSTEMS / f"{running.tag(options.port, options.role or '')}_logs"
-    processes.adopt_orphans()
-    try:
+    with processes.orphans_adopted():
         if link is not None and link.role is not roles.Role.ROBOT:
             return join.keep(plan, link, logs, leader)
         return _keep(plan, options.port, logs, link)
-    finally:
-        with processes.signals_ignored():
-            processes.end_orphans()
 
 
 def recorded_too(
@@ -163,36 +158,14 @@ def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> int:
                     _await_arms(plan, watch, supervisor, progress)
                 for arm in plan.arms:
                     system.start(supervisor, system.robot_state_publisher(arm))
-                entry.nodes = {child.name: child.process.pid for child in supervisor.children}
-                entry.save()
+                entry.list_nodes(supervisor.children)
                 if link is not None:
                     network.refuse_foreign_ports(supervisor.children, link.address)
                 _greet(plan, port, logs, link)
                 while True:
-                    _stay(watch, supervisor, entry)
-
-
-def _stay(watch: Watch, supervisor: processes.Supervisor, entry: running.System) -> None:
-    """Pass on what the arms complain about, for a tenth of a second.
-
-    Raises:
-        Problem: When a node has died or the simulator has given up.
-    """
-    time.sleep(0.1)
-    dead = supervisor.first_dead()
-    if dead is not None:
-        raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
-    aborted = watch.sim.get("aborted")
-    if aborted:
-        raise Problem(f"the simulator gave up: {aborted}")
-    news = watch.news()
-    for origin, text in news:
-        say(f"{origin}: {text}")
-        arm, _, kind = origin.partition(" ")
-        if kind == "error":
-            entry.last_errors[arm] = text
-    if news:
-        entry.save()
+                    time.sleep(0.1)
+                    follow.raise_if_failed(watch, supervisor)
+                    follow.pass_on_news(watch, entry)
 
 
 def _await_arms(
@@ -215,9 +188,7 @@ def _await_arms(
         )
         if not missing and described:
             return
-        dead = supervisor.first_dead()
-        if dead is not None:
-            raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+        follow.raise_if_dead(supervisor)
         if time.monotonic() > deadline:
             raise Problem(
                 f"waited {START_TIMEOUT_S:.0f} s for {', '.join(missing) or 'robot_description'}; "

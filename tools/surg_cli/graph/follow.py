@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection
 
-from surg_cli.graph import processes, system
+from surg_cli.graph import processes, running, system
 from surg_cli.graph.watch import Watch
-from surg_cli.host.terminal import Problem
+from surg_cli.host.terminal import Problem, say
 
 START_TIMEOUT_S = 60.0
 STALL_TIMEOUT_S = 30.0
@@ -36,7 +36,7 @@ def failure(
     """
     sim = watch.sim
     if sim.get("aborted"):
-        return [f"the simulator gave up: {sim['aborted']}"]
+        return [f"the simulator aborted: {sim['aborted']}"]
     if sim.get("done"):
         return []
     dead = supervisor.first_dead()
@@ -82,6 +82,40 @@ def death_notice(child: processes.Child) -> str:
     return text
 
 
+def raise_if_dead(supervisor: processes.Supervisor) -> None:
+    """Check that all essential nodes run.
+
+    Raises:
+        Problem: One has ended, with its exit status if that is 2 (wrong input).
+    """
+    dead = supervisor.first_dead()
+    if dead is not None:
+        raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+
+
+def raise_if_failed(watch: Watch, supervisor: processes.Supervisor) -> None:
+    """Check that all essential nodes run and the simulator has not aborted.
+
+    Raises:
+        Problem: One has ended, or the simulator names the reason why it aborted.
+    """
+    raise_if_dead(supervisor)
+    if aborted := watch.sim.get("aborted"):
+        raise Problem(f"the simulator aborted: {aborted}")
+
+
+def pass_on_news(watch: Watch, entry: running.System | None) -> None:
+    """Print new errors and warnings of the arms, and list the errors for `./surg status`."""
+    news = watch.news()
+    for origin, text in news:
+        say(f"{origin}: {text}")
+        arm, _, kind = origin.partition(" ")
+        if entry is not None and kind == "error":
+            entry.last_errors[arm] = text
+    if entry is not None and news:
+        entry.save()
+
+
 def wait_for(
     condition: Callable[[], bool],
     supervisor: processes.Supervisor,
@@ -101,9 +135,7 @@ def wait_for(
     """
     deadline = time.monotonic() + START_TIMEOUT_S
     while not condition():
-        dead = supervisor.first_dead()
-        if dead is not None:
-            raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+        raise_if_dead(supervisor)
         if time.monotonic() > deadline:
             raise Problem(f"waited {START_TIMEOUT_S:.0f} s for {what}; see {supervisor.logs}")
         progress(0.0, f"waiting for {what}")

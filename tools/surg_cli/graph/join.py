@@ -9,8 +9,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import master, network, operator_nodes, processes, roles, running, system
-from surg_cli.graph.follow import death_notice
+from surg_cli.graph import (
+    follow,
+    master,
+    network,
+    operator_nodes,
+    processes,
+    roles,
+    running,
+    system,
+)
 from surg_cli.graph.system import Node, Plan
 from surg_cli.host import environment
 from surg_cli.host.terminal import Problem, Progress, say
@@ -117,8 +125,7 @@ def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
         with running.announced("up", place.port, cell, logs, role, place.uri) as entry:
             for node in nodes(plan, place, leader):
                 system.start(supervisor, node)
-            entry.nodes = {child.name: child.process.pid for child in supervisor.children}
-            entry.save()
+            entry.list_nodes(supervisor.children)
             say(f"{cell.name}: this machine, {place.address}, is its {role}; master {place.uri}")
             if any(node == operator_nodes.CONSOLE for node in entry.nodes):
                 say(f"Open http://localhost:{operator_nodes.WEB_PORT}/ in a browser.")
@@ -155,9 +162,7 @@ def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
     """
     heard = time.monotonic()
     while True:
-        dead = supervisor.first_dead()
-        if dead is not None:
-            raise Problem(death_notice(dead), 2 if dead.exit_code == 2 else 1)
+        follow.raise_if_dead(supervisor)
         network.refuse_foreign_ports(supervisor.children, place.address)
         if master.alive(place.uri):
             heard = time.monotonic()

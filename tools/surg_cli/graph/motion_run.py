@@ -31,13 +31,8 @@ def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
         Problem: When the system does not come up, or nothing was recorded.
     """
     env = environment.for_nodes(ros_home=plan.out / "logs" / "ros")
-    processes.adopt_orphans()
-    try:
-        with processes.Supervisor(env, plan.out / "logs") as supervisor:
-            return _supervise(plan, duration_s, port, supervisor)
-    finally:
-        with processes.signals_ignored():
-            processes.end_orphans()
+    with processes.orphans_adopted(), processes.Supervisor(env, plan.out / "logs") as supervisor:
+        return _supervise(plan, duration_s, port, supervisor)
 
 
 def _supervise(
@@ -64,8 +59,7 @@ def _follow(
             lambda: watch.recording is True, supervisor, progress.update, "the recorder"
         )
         operator = system.start(supervisor, system.operator_node(plan))
-        entry.nodes = {child.name: child.process.pid for child in supervisor.children}
-        entry.save()
+        entry.list_nodes(supervisor.children)
         fault_at: float | None = None
         while not (watch.sim.get("done") or operator.exit_code == 0):
             time.sleep(0.05)

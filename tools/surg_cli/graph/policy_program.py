@@ -78,9 +78,7 @@ def connect(
         client = supervisor.start(CLIENT, argv, essential=False)
     deadline = time.monotonic() + CLIENT_TIMEOUT_S
     while not watch.policy.get("waiting"):
-        dead = supervisor.first_dead()
-        if dead is not None:
-            raise Problem(follow.death_notice(dead), 2 if dead.exit_code == 2 else 1)
+        follow.raise_if_dead(supervisor)
         if client is not None:
             _check(client, deadline)
         progress(0.0, f"waiting for a policy at {policy.address}")

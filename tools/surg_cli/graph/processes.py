@@ -282,19 +282,26 @@ def wait_until(condition: Callable[[], bool], timeout_s: float, period_s: float 
         time.sleep(period_s)
 
 
-def adopt_orphans() -> None:
-    """Become the parent of orphaned descendants, so that `end_orphans` finds them."""
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+@contextlib.contextmanager
+def orphans_adopted(grace_s: float = 5.0) -> Iterator[None]:
+    """Be the parent of orphaned descendants, and end them with the context.
 
-
-def end_orphans(grace_s: float = 5.0) -> None:
-    """Wait for adopted processes (a video encoder that finishes its file), then kill them.
-
-    For a program that has no other children left: every child counts as adopted.
+    An orphan is, for example, a video encoder that completes its file. The context must end without
+    other children: every child counts as adopted.
 
     Args:
-        grace_s: How long they may take.
+        grace_s: Longest wait for them to end by themselves; then they are killed.
     """
+    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    try:
+        yield
+    finally:
+        with signals_ignored():
+            _end_orphans(grace_s)
+
+
+def _end_orphans(grace_s: float) -> None:
+    """Wait for adopted processes, then kill them."""
     deadline = time.monotonic() + grace_s
     while pids := _children_of(os.getpid()):
         late = time.monotonic() > deadline

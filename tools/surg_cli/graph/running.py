@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -55,6 +55,11 @@ class System:
     def alive(self) -> bool:
         """Whether the supervising process still runs."""
         return processes.start_time(self.pid) == self.start_time
+
+    def list_nodes(self, children: Iterable[processes.Child]) -> None:
+        """Write the names and process ids of the running nodes."""
+        self.nodes = {child.name: child.process.pid for child in children}
+        self.save()
 
     def save(self) -> None:
         """Write or renew the file."""

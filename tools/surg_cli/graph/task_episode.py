@@ -78,26 +78,20 @@ def play(plan: Plan) -> Ended:
         Problem: The graph does not come up.
     """
     env = environment.for_nodes(ros_home=plan.out / "logs" / "ros")
-    processes.adopt_orphans()
-    try:
-        with processes.Supervisor(env, plan.out / "logs") as supervisor:
-            port = master.free_port()
-            master.start(supervisor, port)
-            with running.announced("run", port, plan.cell, supervisor.logs) as entry:
-                os.environ.update(supervisor.env)
-                senders = [name for name in plan.senders if name != system.POLICY]
-                with Watch(plan.arms, senders=senders) as watch:
-                    if plan.policy is not None:
-                        policy_program.connect(plan, supervisor, watch, _progress)
-                    watch.begin()
-                    for node in [*system.nodes(plan), *system.senders(plan)]:
-                        system.start(supervisor, node)
-                    entry.nodes = {child.name: child.process.pid for child in supervisor.children}
-                    entry.save()
-                    return _follow(plan, supervisor, watch)
-    finally:
-        with processes.signals_ignored():
-            processes.end_orphans()
+    with processes.orphans_adopted(), processes.Supervisor(env, plan.out / "logs") as supervisor:
+        port = master.free_port()
+        master.start(supervisor, port)
+        with running.announced("run", port, plan.cell, supervisor.logs) as entry:
+            os.environ.update(supervisor.env)
+            senders = [name for name in plan.senders if name != system.POLICY]
+            with Watch(plan.arms, senders=senders) as watch:
+                if plan.policy is not None:
+                    policy_program.connect(plan, supervisor, watch, _progress)
+                watch.begin()
+                for node in [*system.nodes(plan), *system.senders(plan)]:
+                    system.start(supervisor, node)
+                entry.list_nodes(supervisor.children)
+                return _follow(plan, supervisor, watch)
 
 
 def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended:
