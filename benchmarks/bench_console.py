@@ -103,12 +103,14 @@ class Listener:
         import rospy
         from std_msgs.msg import String
 
+        from surg_msgs.msg import SimStatus
+
         os.environ["ROS_MASTER_URI"] = f"http://localhost:{port}"
         if not rospy.core.is_initialized():
             rospy.init_node("bench_console", anonymous=True, disable_signals=True)
         self.begin()
         self._subscribers = [
-            rospy.Subscriber("/sim/status", String, self._on_status),
+            rospy.Subscriber("/sim/status", SimStatus, self._on_status),
             *(rospy.Subscriber(f"/{arm}/error", String, self._on_error, arm) for arm in arms),
         ]
 
@@ -121,8 +123,7 @@ class Listener:
         self.faults.setdefault(arm, []).append(message.data)
 
     def _on_status(self, message: Any) -> None:
-        status = json.loads(message.data)
-        self.seen.append((time.monotonic(), status["tick"], status["overruns"]))
+        self.seen.append((time.monotonic(), message.tick, message.overruns))
 
     def stop(self) -> None:
         """Look no longer."""

@@ -12,14 +12,14 @@ from helpers.teleop import chromium
 from helpers.teleop.chromium import Chromium, until
 from helpers.teleop.console import Console, console
 from surg_teleop.console.session.console_orders import Follow, Policy
+from surg_teleop.console.session.system_state import PolicyServer
 
 pytestmark = pytest.mark.skipif(bool(chromium.missing()), reason=chromium.missing())
 
 
 def say(made: Console, state: str) -> None:
     """The model server says its state."""
-    policy = {"state": state, "policy": "Circle", "reason": "", "refused": ""}
-    made.system.now = replace(made.system.now, policy=policy if state else {})
+    made.system.now = replace(made.system.now, policy=PolicyServer(state, "Circle"))
 
 
 async def press_and_look(picture: Path) -> None:

@@ -81,7 +81,7 @@ def test_f04_f29_a_policy_that_is_killed_and_its_successor(
     """And, in the same system, its topics are those that docs/reference/topics.yaml promises."""
     rig.policy("first")
     rig.run()
-    first = int(rig.status["session"])
+    first = int(rig.status.session)
     assert rig.now.source == "/policy"
     assert own_topics(rig) == promised_topics()
     _kill(rig, reactions)
@@ -92,7 +92,7 @@ def test_f04_f29_a_policy_that_is_killed_and_its_successor(
     time.sleep(0.3)
     assert rig.speed() == 0.0, "nothing resumes by itself"
     rig.run()
-    assert rig.status["session"] != first
+    assert rig.status.session != first
     _judge(rig)
 
 
@@ -157,7 +157,7 @@ def _flood(rig: PolicyRig, full: bool) -> None:
         start = len(rig.cycles)
         time.sleep(15.0 if full else 1.0)
         periods["calm"] += [seen.period_us for seen in rig.cycles[start:]]
-        accepted, start = int(rig.status["accepted"]), len(rig.cycles)
+        accepted, start = int(rig.status.accepted), len(rig.cycles)
         peer = rig.graph.supervisor.start(f"hostile{k}", script, essential=False)
         rig.graph.wait_for(lambda peer=peer: peer.exit_code is not None, 40.0, "the flood to end")
         periods["flooded"] += [seen.period_us for seen in rig.cycles[start:]]
@@ -165,7 +165,7 @@ def _flood(rig: PolicyRig, full: bool) -> None:
         sent = {key: sent[key] + n for key, n in json.loads(peer.log_tail(1)).items()}
         rig.run()
         rig.graph.wait_for(
-            lambda wanted=accepted + 15: rig.status["accepted"] > wanted, 5.0, "good steps"
+            lambda wanted=accepted + 15: rig.status.accepted > wanted, 5.0, "good steps"
         )
         growth = max(growth, resident(pid) - before)
     calm, flooded = (1e-3 * float(np.percentile(each, 99)) for each in periods.values())
@@ -176,9 +176,9 @@ def _flood(rig: PolicyRig, full: bool) -> None:
         f"by {growth / 2**20:.0f} MiB, control period p99 {calm:.2f} ms without and {flooded:.2f} "
         f"ms in it ({len(periods['flooded'])} cycles), and the good policy's steps were taken",
     )
-    print(f"refused by kind {rig.status['malformed']}, not looked into {rig.status['flooded']}")
-    assert rig.status["state"] == "RUNNING" and rig.server.exit_code is None
-    assert growth < GROWTH and sum(rig.status["malformed"].values()) > FLOOD / 3
+    print(f"refused by kind {rig.status.malformed}, not looked into {rig.status.flooded}")
+    assert rig.state == "RUNNING" and rig.server.exit_code is None
+    assert growth < GROWTH and sum(rig.status.malformed) > FLOOD / 3
     if full:
         assert flooded < calm + 0.3, "the control felt the flood"
 
@@ -190,7 +190,7 @@ def _kill(rig: PolicyRig, reactions: Reactions) -> None:
     os.kill(pid, signal.SIGKILL)
     took = 1e3 * rig.standstill_after(moment)
     rig.wait_state("IDLE")
-    print(f"killed: standstill after {took:.0f} ms; {rig.status['reason']}")
+    print(f"killed: standstill after {took:.0f} ms; {rig.status.detail}")
     rig.graph.wait_for(lambda: rig.now.state == Cycle.PAUSED, 2.0, "PAUSED")
     assert rig.now.source == "", "free for others"
     reactions.add("F04", "policy killed at 50 mm/s", "standstill", [took], STANDSTILL_MS, "ms")
@@ -216,33 +216,28 @@ def _freeze_the_camera(rig: PolicyRig, reactions: Reactions) -> None:
     rig.camera.fault = "frozen"  # type: ignore[attr-defined]
     took = 1e3 * rig.standstill_after(moment)
     rig.wait_state("PAUSED")
-    print(f"frozen camera: standstill after {took:.0f} ms; {rig.status['reason']}")
-    assert "same picture" in rig.status["reason"]
+    print(f"frozen camera: standstill after {took:.0f} ms; {rig.status.detail}")
+    assert "same picture" in rig.status.detail
     reactions.add("F08", "camera frozen under a policy", "standstill", [took], FROZEN_MS, "ms")
     rig.enable.publish(True)
-    rig.graph.wait_for(lambda: "same picture" in rig.status["refused"], 3.0, "the refusal")
+    rig.graph.wait_for(lambda: "same picture" in rig.status.refused, 3.0, "the refusal")
     rig.camera.fault = ""  # type: ignore[attr-defined]
     time.sleep(0.3)
-    assert rig.status["state"] == "PAUSED"
+    assert rig.state == "PAUSED"
 
 
 def _hand_over(rig: PolicyRig) -> None:
     """F30: an operator reaches for the arm, has it, and gives it back."""
-
-    def hands(state: str) -> None:
-        hand = {"leader": "hand", "arm": "PSM1", "state": state}
-        rig.teleop.publish(json.dumps({"hands": [hand], "picture": ""}))
-
-    hands("WAITING")
+    rig.teleop.say("WAITING")
     rig.wait_state("PAUSED")
-    assert "operator wants PSM1" in rig.status["reason"]
+    assert rig.reason == "OPERATOR"
     rig.graph.wait_for(lambda: rig.now.source == "", 3.0, "the arm to be free")
     rig.say("resume")
     rig.graph.wait_for(lambda: rig.now.state == Cycle.ENABLED, 3.0, "the operator to have it")
     rig.enable.publish(True)
-    rig.graph.wait_for(lambda: "operator" in rig.status["refused"], 3.0, "the refusal")
+    rig.graph.wait_for(lambda: "operator" in rig.status.refused, 3.0, "the refusal")
     rig.say("pause")
-    hands("DISABLED")
+    rig.teleop.say("DISABLED")
     rig.graph.wait_for(lambda: rig.now.state == Cycle.PAUSED, 3.0, "PAUSED")
     rig.run()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import subprocess
 import threading
 import time
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rospy
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 
 from faults.test_faults_ros import System
 from helpers.graph.ros import RosGraph
@@ -23,7 +22,7 @@ from surg_cli.graph import episode_plans, system
 from surg_cli.graph.episode_plans import Condition
 from surg_cli.graph.processes import Child
 from surg_cli.host import cells, paths
-from surg_msgs.msg import Cycle
+from surg_msgs.msg import Cycle, RecordStatus, SimStatus
 from surg_recording.episode import episode_reader
 from surg_sim.envs.cell_session import Session
 from surg_sim.envs.episode_runner import run_episode
@@ -62,19 +61,19 @@ class Recorder:
 
     def __init__(self, graph: RosGraph, out: Path, env: dict[str, str] | None = None) -> None:
         self.graph = graph
-        self.status: dict[str, Any] = {}
+        self.status = RecordStatus()
         self._switch = rospy.Publisher("/record/record", Bool, queue_size=1)
-        self._ear = rospy.Subscriber("/record/status", String, self._on_status)
+        self._ear = rospy.Subscriber("/record/status", RecordStatus, self._on_status)
         params = {"out": str(out), "mode": "freerun", "arms": ["PSM1"], "min_free_bytes": 0}
         self.node = graph.node("surg_recording", "recorder_node", "/recorder", params, env)
         self.wait(lambda: self.rows() > 200, "rows in the recording", 90.0)
 
-    def _on_status(self, message: String) -> None:
-        self.status = json.loads(message.data)
+    def _on_status(self, message: RecordStatus) -> None:
+        self.status = message
 
     def rows(self) -> int:
         """Cycles written so far."""
-        return int((self.status.get("rows") or {}).get("cycle_PSM1", 0))
+        return sum(one.received for one in self.status.streams if one.name == "cycle_PSM1")
 
     def wait(self, condition: Callable[[], bool], what: str, limit: float = 10.0) -> float:
         """Wait; how long it took [s]."""
@@ -85,8 +84,8 @@ class Recorder:
     def stop(self) -> Path:
         """End the recording; its folder."""
         self._switch.publish(False)
-        self.wait(lambda: bool(self.status.get("finished")), "the finished episode", 30.0)
-        return Path(self.status["finished"])
+        self.wait(lambda: bool(self.status.finished), "the finished episode", 30.0)
+        return Path(self.status.finished)
 
     def close(self) -> None:
         """Leave the graph."""
@@ -139,7 +138,7 @@ def test_f09_a_clock_that_is_set_is_said_and_the_arm_goes_on(
                 set_at.append(time.time_ns() + seconds * 10**9)  # by the clock that is set
                 clock.set(seconds * 10**9)
                 count = len(set_at) + 1
-                recorder.wait(lambda n=count: recorder.status.get("segments") == n, "a step", 60)
+                recorder.wait(lambda n=count: recorder.status.segments == n, "a step", 60)
                 time.sleep(0.5)
             clean = went_on(arm, first)
         folder = recorder.stop()
@@ -191,8 +190,10 @@ def test_f12_a_disk_that_fills_up_does_not_reach_the_arm(
         time.sleep(0.5)
         first = len(arm.cycles)
         fill(disk)
-        took = recorder.wait(lambda: bool(recorder.status.get("problem")), "the full disk")
-        recorder.wait(lambda: recorder.status.get("recording") is False, "the recording's end")
+        took = recorder.wait(lambda: bool(recorder.status.detail), "the full disk")
+        recorder.wait(
+            lambda: recorder.status.state == RecordStatus.STATE_IDLE, "the recording's end"
+        )
         time.sleep(0.5)
         print(f"the full disk was said after {took:.2f} s")
         if not went_on(arm, first):
@@ -212,21 +213,20 @@ class Listener:
     """Counts the cycles of arms and keeps what simulator and recorder say."""
 
     def __init__(self, arms: tuple[str, ...]) -> None:
-        self.sim: dict[str, Any] = {}
-        self.record: dict[str, Any] = {}
+        self.sim, self.record = SimStatus(), RecordStatus()
         self.ticks: dict[str, list[int]] = {arm: [] for arm in arms}
         self._lock = threading.Lock()
         keys = {"queue_size": None, "tcp_nodelay": True}
         self._ears = [
-            rospy.Subscriber("/sim/status", String, self._on, "sim"),
-            rospy.Subscriber("/record/status", String, self._on, "record"),
+            rospy.Subscriber("/sim/status", SimStatus, self._on, "sim"),
+            rospy.Subscriber("/record/status", RecordStatus, self._on, "record"),
         ]
         for arm in arms:
             ear = rospy.Subscriber(f"/{arm}/cycle", Cycle, self._on_cycle, arm, **keys)
             self._ears.append(ear)
 
-    def _on(self, message: String, name: str) -> None:
-        setattr(self, name, json.loads(message.data))
+    def _on(self, message: Any, name: str) -> None:
+        setattr(self, name, message)
 
     def _on_cycle(self, message: Cycle, arm: str) -> None:
         with self._lock:
@@ -259,15 +259,19 @@ def test_f12_a_full_disk_changes_no_tick_of_a_run_in_lock_step(
                 )
             else:
                 system.start(ros_graph.supervisor, node)
-        ros_graph.wait_for(lambda: bool(heard.sim.get("done")), 300.0, "the end of the run")
-        ros_graph.wait_for(lambda: heard.record.get("recording") is False, 60.0, "the recorder")
+        ros_graph.wait_for(
+            lambda: heard.sim.state == SimStatus.STATE_DONE, 300.0, "the end of the run"
+        )
+        ros_graph.wait_for(
+            lambda: heard.record.state == RecordStatus.STATE_IDLE, 60.0, "the recorder"
+        )
         assert recorder is not None and recorder.exit_code is None, "the recorder lives"
     finally:
         heard.close()
     expected = run_episode(Session(cell, SHORT, "phantom", SEED), SEED)
     ticks = round(expected.duration / 0.002)
-    assert heard.sim["state_hash"] == expected.hash
-    assert (heard.sim["tick"], heard.sim["deterministic"]) == (ticks, True)
+    assert heard.sim.state_hash == expected.hash
+    assert (heard.sim.tick, heard.sim.deterministic) == (ticks, True)
     for arm, seen in heard.ticks.items():
         # The first ones may come before this listener is connected: nobody waits for it.
         assert seen == list(range(seen[0], ticks + 1)), arm

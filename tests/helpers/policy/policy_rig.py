@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import rospy
 from sensor_msgs.msg import Image
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 
 from crtk_msgs.msg import StringStamped
 from helpers.graph.ros import RosGraph
+from helpers.graph.statuses import TeleopSpeaker
 from surg_cli.graph import master, system
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
-from surg_msgs.msg import Cycle, PolicyAction
+from surg_core.status_check import value_name
+from surg_msgs.msg import Cycle, PolicyAction, PolicyStatus
 
 CELL = paths.ROOT / "cells" / "sim_ur5e"
 CIRCLE = Path(__file__).with_name("circle_policy.py")
@@ -76,21 +76,26 @@ class PolicyRig:
         self.graph, self.cell = graph, cell
         self.address = address or f"tcp://127.0.0.1:{master.free_port()}"
         (nodes or self._simulator)(graph)
-        params: dict[str, object] = {"cell": cell, "bind": self.address, **server}
+        params: dict[str, object] = {
+            "cell": cell,
+            "bind": self.address,
+            "need_teleop": False,
+            **server,
+        }
         self.server = graph.node("surg_policy_bridge", "model_server_node", "/policy", params)
         self.cycles: list[Seen] = []
-        self.status: dict[str, Any] = {}
+        self.status = PolicyStatus()
         self.actions: list[PolicyAction] = []
         self.rejected: list[PolicyAction] = []
         self._lock = threading.Lock()
         self._ears = [
             rospy.Subscriber("/PSM1/cycle", Cycle, self._on_cycle, tcp_nodelay=True),
-            rospy.Subscriber("/policy/status", String, self._on_status),
+            rospy.Subscriber("/policy/status", PolicyStatus, self._on_status),
             rospy.Subscriber("/policy/action", PolicyAction, self.actions.append),
             rospy.Subscriber("/policy/rejected", PolicyAction, self.rejected.append),
         ]
         self.enable = rospy.Publisher("/policy/enable", Bool, queue_size=1)
-        self.teleop = rospy.Publisher("/teleop/status", String, queue_size=1)
+        self.teleop = TeleopSpeaker()
         self.state_command = rospy.Publisher("/PSM1/state_command", StringStamped, queue_size=1)
         graph.wait_for(self._connected, 40.0, "the arm and the model server")
 
@@ -100,9 +105,9 @@ class PolicyRig:
             system.start(graph.supervisor, node)  # as `./surg up` does
 
     def _connected(self) -> bool:
-        mouths = (self.enable, self.teleop, self.state_command)
+        mouths = (self.enable, self.teleop.publisher, self.state_command)
         heard = all(mouth.get_num_connections() for mouth in mouths)
-        return heard and bool(self.cycles) and bool(self.status)
+        return heard and bool(self.cycles) and bool(self.status.state)
 
     def _on_cycle(self, cycle: Cycle) -> None:
         seen = Seen(
@@ -118,8 +123,18 @@ class PolicyRig:
         with self._lock:
             self.cycles.append(seen)
 
-    def _on_status(self, message: String) -> None:
-        self.status = json.loads(message.data)
+    def _on_status(self, message: PolicyStatus) -> None:
+        self.status = message
+
+    @property
+    def state(self) -> str:
+        """Of the server, such as RUNNING."""
+        return value_name(self.status, "state")
+
+    @property
+    def reason(self) -> str:
+        """Why it is not RUNNING, such as OPERATOR."""
+        return value_name(self.status, "reason")
 
     # --- hands --------------------------------------------------------------------------------
 
@@ -131,7 +146,7 @@ class PolicyRig:
     def wait_state(self, *states: str, timeout: float = 10.0) -> None:
         """Wait for a state of the server."""
         self.graph.wait_for(
-            lambda: self.status.get("state") in states,
+            lambda: self.state in states,
             timeout,
             f"the policy to be {' or '.join(states)} (it is {self.status})",
         )
@@ -145,11 +160,11 @@ class PolicyRig:
 
         def moves() -> bool:
             nonlocal asked
-            idle = self.status.get("state") in ("READY", "PAUSED")
+            idle = self.state in ("READY", "PAUSED")
             if idle and time.monotonic() - asked > 0.7:
                 asked = time.monotonic()
                 self.enable.publish(True)
-            return self.status.get("state") == "RUNNING" and self.speed() > 0.045
+            return self.state == "RUNNING" and self.speed() > 0.045
 
         self.graph.wait_for(moves, 20.0, f"the arm to move ({self.status})")
 
@@ -203,7 +218,8 @@ class PolicyRig:
 
     def close(self) -> None:
         """Leave the graph."""
-        for end in (*self._ears, self.enable, self.teleop, self.state_command):
+        self.teleop.close()
+        for end in (*self._ears, self.enable, self.state_command):
             end.unregister()
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
 import rospy
-from std_msgs.msg import String
 
 from helpers.graph.ros import RosGraph
 from helpers.policy.policy_rig import CELL, PolicyRig
 from helpers.results.policy_results import note
 from helpers.teleop.moving_hand import MovingHand
+from surg_core.status_check import value_name
+from surg_msgs.msg import TeleopStatus
 
 pytestmark = [pytest.mark.ros, pytest.mark.full]
 
@@ -27,11 +27,11 @@ class Hand(MovingHand):
     def __init__(self) -> None:
         super().__init__()
         self.state = ""
-        self.inputs.append(rospy.Subscriber("/teleop/status", String, self._on_status))
+        self.inputs.append(rospy.Subscriber("/teleop/status", TeleopStatus, self._on_status))
 
-    def _on_status(self, message: String) -> None:
-        (hand,) = json.loads(message.data)["hands"]
-        self.state = hand["state"]
+    def _on_status(self, message: TeleopStatus) -> None:
+        (hand,) = message.hands
+        self.state = value_name(hand, "state")
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def hand(ros_graph: RosGraph, rospy_node: str) -> Iterator[Hand]:
 
 
 def test_f30_operator_policy_operator_without_a_jump(ros_graph: RosGraph, hand: Hand) -> None:
-    rig = PolicyRig(ros_graph)
+    rig = PolicyRig(ros_graph, need_teleop=True)
     rig.policy("circle")
     ros_graph.wait_for(lambda: hand.state == "DISABLED", 20.0, "the teleoperation")
     rig.wait_state("READY")
@@ -61,7 +61,7 @@ def test_f30_operator_policy_operator_without_a_jump(ros_graph: RosGraph, hand: 
 
     # While the operator has the arm, the policy does not get it.
     rig.enable.publish(True)
-    ros_graph.wait_for(lambda: "operator" in rig.status["refused"], 5.0, "the refusal")
+    ros_graph.wait_for(lambda: "operator" in rig.status.refused, 5.0, "the refusal")
     assert rig.now.source == "/teleop"
     hand.enable.publish(False)
     ros_graph.wait_for(lambda: hand.state == "DISABLED", 5.0, "the operator to let go")
@@ -72,7 +72,7 @@ def test_f30_operator_policy_operator_without_a_jump(ros_graph: RosGraph, hand: 
     # One press: the policy lets go in mid-motion, and the hand has the arm.
     moment = time.monotonic()
     _lead(ros_graph, rig, hand)
-    assert rig.status["state"] == "PAUSED" and "operator wants PSM1" in rig.status["reason"]
+    assert (rig.state, rig.reason) == ("PAUSED", "OPERATOR")
     states = {(seen.state, seen.source) for seen in rig.cycles if seen.at > moment}
     assert (2, "") in states, "through PAUSED, in nobody's hands"
     hand.enable.publish(False)

@@ -35,6 +35,6 @@ def test_f08_a_scene_at_rest_is_no_frozen_camera(ros_graph: RosGraph, rospy_node
 
     ros_graph.wait_for(looked, 40.0, f"pictures at rest and in motion ({rig.status})")
     assert "(480, 640, 3) uint8" in client.log_tail(40)
-    assert rig.status["state"] == "RUNNING" and not rig.rejected
-    print(client.log_tail(8), rig.status["obs_age_ms"], rig.status["round_trip_ms"])
+    assert rig.state == "RUNNING" and not rig.rejected
+    print(client.log_tail(8), rig.status.obs_age_p50, rig.status.round_trip_p50)
     rig.close()

@@ -54,14 +54,14 @@ def test_f04_a_restart_within_the_episode_recovers_and_completes(
     took = rig.standstill_after(moment)
     rig.wait_state("IDLE")
     left = rig.now.p_tip
-    assert rig.status["episode"] == 1
+    assert rig.status.episode == 1
 
     second = rig.policy("second", script=GOAL)
     ros_graph.wait_for(
         lambda: "episode 1: success" in second.log_tail(20), 40.0, "the episode to be completed"
     )
-    assert "resumed" in second.log_tail(20) and rig.status["episode"] == 1
-    assert rig.status["sessions"] == 2
+    assert "resumed" in second.log_tail(20) and rig.status.episode == 1
+    assert rig.status.sessions == 2
     way = float(np.linalg.norm(rig.now.p_tip - left))
     note(
         7,

@@ -24,7 +24,7 @@ rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
-from std_msgs.msg import Bool, String  # noqa: E402
+from std_msgs.msg import Bool  # noqa: E402
 
 from surg_cli.commands import ptp  # noqa: E402
 from surg_cli.graph.processes import Supervisor, wait_until  # noqa: E402
@@ -153,8 +153,8 @@ def daemons(tmp_path: Path, asymmetry_ns: int) -> Iterator[Path]:
 
 def record(ears: Ears, graph: RosGraph, folder: Path, socket: Path, looks: int) -> Path:
     """Record what the monitor says of a clock, as an episode of two machines."""
-    status: list[dict[str, Any]] = []
-    ear = rospy.Subscriber("/record/status", String, lambda m: status.append(json.loads(m.data)))
+    status: list[surg_msgs.RecordStatus] = []
+    ear = rospy.Subscriber("/record/status", surg_msgs.RecordStatus, status.append)
     start = rospy.Publisher("/record/record", Bool, queue_size=1)
     graph.node("surg_recording", "clock_sync_node", "/clock_sync", {"socket": str(socket)})
     parameters = {"out": str(folder), "mode": "freerun", "min_free_bytes": 0}
@@ -163,14 +163,15 @@ def record(ears: Ears, graph: RosGraph, folder: Path, socket: Path, looks: int) 
     begun = len(ears.said)
 
     def heard() -> bool:
-        rows = (status[-1].get("rows") or {}) if status else {}
-        return rows.get("clock_sync", 0) >= looks and len(ears.said) >= begun + looks
+        streams = status[-1].streams if status else []
+        rows = sum(one.received for one in streams if one.name == "clock_sync")
+        return rows >= looks and len(ears.said) >= begun + looks
 
     graph.wait_for(heard, 30, "the monitor's looks in the recording")
     start.publish(False)
-    graph.wait_for(lambda: bool(status and status[-1].get("finished")), 30, "the episode")
+    graph.wait_for(lambda: bool(status and status[-1].finished), 30, "the episode")
     ear.unregister()
-    return Path(status[-1]["finished"])
+    return Path(status[-1].finished)
 
 
 def possible() -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +22,7 @@ rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")
 
 from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
-from std_msgs.msg import Bool, Int64, String  # noqa: E402
+from std_msgs.msg import Bool, Int64  # noqa: E402
 
 from surg_recording.episode import episode_reader  # noqa: E402
 from surg_recording.video import video_file  # noqa: E402
@@ -45,11 +44,15 @@ class Bench:
         ]
         self.cycle = rospy.Publisher("/PSM1/cycle", surg_msgs.Cycle, queue_size=0)
         self.record = rospy.Publisher("/record/record", Bool, queue_size=0)
-        self.status: dict[str, Any] = {}
-        self._ear = rospy.Subscriber("/record/status", String, self._on_status)
+        self.status = surg_msgs.RecordStatus()
+        self._ear = rospy.Subscriber("/record/status", surg_msgs.RecordStatus, self._on_status)
 
     def _on_status(self, message: Any) -> None:
-        self.status = json.loads(message.data)
+        self.status = message
+
+    def frames(self) -> set[int]:
+        camera = surg_msgs.RecordStream.KIND_CAMERA
+        return {one.received for one in self.status.streams if one.kind == camera}
 
     def connected(self) -> bool:
         ends = [*self.cameras, self.cycle, self.record]
@@ -112,15 +115,15 @@ def test_any_image_topic_is_recorded_raw_or_compressed(
             twin.send(bench.send(number))
             time.sleep(0.03)
         ros_graph.wait_for(
-            lambda: set((bench.status.get("frames") or {}).values()) == {0, FRAMES - 1, FRAMES},
+            lambda: bench.frames() == {0, FRAMES - 1, FRAMES},
             60,
             "every frame",
         )
     finally:
         twin.close()
     bench.record.publish(False)
-    ros_graph.wait_for(lambda: bool(bench.status.get("finished")), 20, "the episode")
-    recorded = episode_reader.read(bench.status["finished"])
+    ros_graph.wait_for(lambda: bool(bench.status.finished), 20, "the episode")
+    recorded = episode_reader.read(bench.status.finished)
     assert recorded.cameras == ["any_name", "raw", "scope"]
     for recording, camera in enumerate(("raw", "scope", "any_name")):
         video = recorded.video(camera)

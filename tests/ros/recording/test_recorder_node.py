@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from helpers.graph.ros import RosGraph
+from helpers.graph.statuses import sim_status
 
 rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")
@@ -42,23 +43,23 @@ class Bench:
         self.servo = pub("/PSM1/servo_cp", PoseStamped)
         self.state = pub("/PSM1/operating_state", OperatingState, latch=True)
         self.warning = pub("/PSM1/warning", String)
-        self.sim = pub("/sim/status", String, latch=True)
+        self.sim = pub("/sim/status", surg_msgs.SimStatus, latch=True)
         self.image = pub("/endoscope/left/image_raw", Image)
         self.record = pub("/record/record", Bool)
         self.ready: list[int] = []
         self.recording: bool | None = None
-        self.status: dict[str, Any] = {}
+        self.status = surg_msgs.RecordStatus()
         self._subscribers = [
             rospy.Subscriber("/sim/ready", surg_msgs.Ready, lambda m: self.ready.append(m.tick)),
             rospy.Subscriber("/record/recording", Bool, self._on_recording),
-            rospy.Subscriber("/record/status", String, self._on_status),
+            rospy.Subscriber("/record/status", surg_msgs.RecordStatus, self._on_status),
         ]
 
     def _on_recording(self, message: Any) -> None:
         self.recording = message.data
 
     def _on_status(self, message: Any) -> None:
-        self.status = json.loads(message.data)
+        self.status = message
 
     @property
     def publishers(self) -> list[Any]:
@@ -158,17 +159,17 @@ def test_lockstep_episode_is_complete_to_the_tick(
     bench.run(1, ticks)
     print(f"{ticks} ticks in {time.monotonic() - begun:.2f} s")
     bench.warning.publish('late, "quoted"\nand long')
-    final = {"tick": ticks, "state_hash": "ff", "deterministic": True, "done": True}
-    bench.sim.publish(json.dumps({**final, "aborted": None}))
+    final = {"tick": ticks, "state_hash": "ff", "deterministic": True}
+    bench.sim.publish(sim_status("DONE", **final))
     _until(lambda: bench.ready[-1] == ticks, "Ready for the last tick")
     assert bench.ready == sorted(set(bench.ready)), "Ready goes forward only"
     bench.record.publish(False)
-    _until(lambda: bool(bench.status.get("finished")), "the finished episode")
+    _until(lambda: bool(bench.status.finished), "the finished episode")
     assert bench.recording is False
-    assert bench.status["problem"] is None
+    assert bench.status.problem == surg_msgs.RecordStatus.PROBLEM_NONE
     assert not list(tmp_path.glob("*.partial"))
 
-    recorded = episode_reader.read(bench.status["finished"])
+    recorded = episode_reader.read(bench.status.finished)
     assert recorded.complete, recorded.manifest["reason"]
     assert recorded.manifest["sim"]["state_hash"] == "ff"
     assert recorded.manifest["task"] == "test"
@@ -270,7 +271,9 @@ def test_a_disk_without_room_is_said_and_the_node_lives(
     _start(ros_graph, tmp_path, min_free_bytes=1e18)
     ros_graph.wait_for(bench.ready_link, 20, "the recorder on /sim/ready")
     bench.run(1, 100)
-    _until(lambda: "MiB free" in str(bench.status.get("problem")), "the reason")
+    problem = surg_msgs.RecordStatus.PROBLEM_NOT_STARTED
+    _until(lambda: bench.status.problem == problem, "the reason")
+    assert "MiB free" in bench.status.detail
     _until(lambda: bench.ready[-1] == 100, "Ready: the simulation is not held up")
     assert bench.recording is False
 

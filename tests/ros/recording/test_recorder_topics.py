@@ -52,17 +52,17 @@ class Bench:
             *(self.record, self.tag, self.info),
         ]
         self.recording: bool | None = None
-        self.status: dict[str, Any] = {}
+        self.status = surg_msgs.RecordStatus()
         self._subscribers = [
             rospy.Subscriber("/record/recording", Bool, self._on_recording),
-            rospy.Subscriber("/record/status", String, self._on_status),
+            rospy.Subscriber("/record/status", surg_msgs.RecordStatus, self._on_status),
         ]
 
     def _on_recording(self, message: Any) -> None:
         self.recording = message.data
 
     def _on_status(self, message: Any) -> None:
-        self.status = json.loads(message.data)
+        self.status = message
 
     def start(self, folder: Path, env: dict[str, str] | None = None, **params: Any) -> Any:
         child = self.graph.node(
@@ -139,8 +139,8 @@ def test_any_topic_tags_and_facts_are_recorded(bench: Bench, tmp_path: Path) -> 
     bench.tag.publish("{broken")
     bench.tag.publish("slipped")
     bench.tag.publish('{"success": true}')
-    _until(lambda: bench.status.get("stage") == "approach", "the stage in the status")
-    assert set(bench.status["waiting_for"]) == {"/tool/pose", "/never", "/nobody/*"}
+    _until(lambda: bench.status.stage == "approach", "the stage in the status")
+    assert set(bench.status.waiting_for) == {"/tool/pose", "/never", "/nobody/*"}
     bench.end()
     recorded = episode_reader.read(tmp_path / "episode")
     assert recorded.complete, recorded.manifest["reason"]
@@ -269,7 +269,7 @@ def test_f09_a_step_of_the_clock_is_marked_at_once_and_at_its_row(
         send()
         set_at.append(time.time_ns() + hours * 3600 * 10**9)
         clock.set(hours * 3600 * 10**9)
-    _until(lambda: bench.status.get("segments") == 11, "the last step")
+    _until(lambda: bench.status.segments == 11, "the last step")
     send()
     bench.end()
     recorded = episode_reader.read(tmp_path / "episode")
@@ -302,9 +302,9 @@ def test_f08_f09_a_stalled_camera_and_stamps_of_the_future_are_said(
         bench.tick(k)
         send()
         time.sleep(0.05)
-    _until(lambda: bench.status.get("silent_cameras") == ["endoscope_left"], "the stall")
+    _until(lambda: bench.status.silent_cameras == ["endoscope_left"], "the stall")
     send(200_000_000)
-    _until(lambda: bench.status.get("silent_cameras") == [], "the camera's return")
+    _until(lambda: bench.status.silent_cameras == [], "the camera's return")
     bench.end()
     recorded = episode_reader.read(tmp_path / "episode")
     events = list(recorded.table("events")["topic"])

@@ -32,16 +32,15 @@ class Controller:
     def __init__(self, velocity: float, last: int, jaw: bool = True) -> None:
         import rospy
         from sensor_msgs.msg import JointState
-        from std_msgs.msg import String
 
-        from surg_msgs.msg import GroundTruth, LinkStatus, Ready
+        from surg_msgs.msg import GroundTruth, LinkStatus, Ready, SimStatus
 
         self.velocity, self.last, self.jaw, self.silent = velocity, last, jaw, False
         self.stamps: list[int] = []
         self.truths: list[int] = []
         self.links: list[LinkStatus] = []
         self.repeats = 0
-        self.status: dict[str, object] = {}
+        self.status = SimStatus()
         keys = {"queue_size": 0, "tcp_nodelay": True}
         self.robot = rospy.Publisher("/PSM1/robot/servo_jv", JointState, **keys)
         self.tool = rospy.Publisher("/PSM1/tool/servo_jp", JointState, **keys)
@@ -55,7 +54,7 @@ class Controller:
             ),
             rospy.Subscriber("/PSM1/tool/measured_js", JointState, lambda _: None),
             rospy.Subscriber("/PSM1/robot/status", LinkStatus, self.links.append),
-            rospy.Subscriber("/sim/status", String, self.on_status),
+            rospy.Subscriber("/sim/status", SimStatus, self.on_status),
         ]
         self.watchers = [rospy.Subscriber("/sim/ground_truth/state", GroundTruth, self.on_truth)]
         """Subscribers that must be connected before the first tick is answered."""
@@ -63,8 +62,12 @@ class Controller:
     def on_truth(self, message: object) -> None:
         self.truths.append(message.tick)
 
+    @property
+    def done(self) -> bool:
+        return bool(self.status.state == self.status.STATE_DONE)
+
     def on_status(self, message: object) -> None:
-        self.status = json.loads(message.data)
+        self.status = message
 
     def on_state(self, state: object) -> None:
         from sensor_msgs.msg import JointState
@@ -111,11 +114,11 @@ def running(
 
 def lockstep(
     graph: RosGraph, velocity: float, last: int, jitter_ms: float = 0.0, **params: object
-) -> dict:
+) -> object:
     controller = Controller(velocity, last)
     env = {"SURG_TEST_JITTER_MS": str(jitter_ms)} if jitter_ms else None
     with running(graph, controller, env, **params):
-        graph.wait_for(lambda: bool(controller.status.get("done")), 60.0, "the end of the run")
+        graph.wait_for(lambda: controller.done, 60.0, "the end of the run")
     assert controller.stamps == [TICK_NS * k for k in range(1, last + 1)]
     assert controller.truths == list(range(controller.truths[0], last + 1))
     assert controller.truths[0] <= 2
@@ -132,15 +135,15 @@ def test_two_runs_have_one_hash(ros_graph: RosGraph, rospy_node: str) -> None:
     second = lockstep(ros_graph, 0.05, 500)
     other = lockstep(ros_graph, 0.0, 500)
     print(f"3 x 500 ticks in {time.monotonic() - began:.1f} s")
-    assert first["tick"] == 500
-    assert first["deterministic"] is True and first["aborted"] is None
-    assert first["state_hash"] == second["state_hash"] != other["state_hash"]
+    assert first.tick == 500
+    assert first.deterministic is True and first.state == first.STATE_DONE
+    assert first.state_hash == second.state_hash != other.state_hash
 
 
 def test_jitter_changes_nothing(ros_graph: RosGraph, rospy_node: str) -> None:
     calm = lockstep(ros_graph, 0.05, 50)
     nervous = lockstep(ros_graph, 0.05, 50, jitter_ms=5.0)
-    assert calm["state_hash"] == nervous["state_hash"]
+    assert calm.state_hash == nervous.state_hash
 
 
 def test_the_package_steps_as_the_node_does(ros_graph: RosGraph, rospy_node: str) -> None:
@@ -153,7 +156,7 @@ def test_the_package_steps_as_the_node_does(ros_graph: RosGraph, rospy_node: str
     world = World(surg_core.load_cell(CELL))
     for _ in range(50):
         world.step({"PSM1": ArmCommand(velocity=np.array([0.05, 0, 0, 0, 0, 0]), jaw=0.3)})
-    assert lockstep(ros_graph, 0.05, 50)["state_hash"] == world.hash
+    assert lockstep(ros_graph, 0.05, 50).state_hash == world.hash
 
 
 def test_abort_names_who_is_missing(ros_graph: RosGraph, rospy_node: str) -> None:
@@ -164,7 +167,8 @@ def test_abort_names_who_is_missing(ros_graph: RosGraph, rospy_node: str) -> Non
     assert child.exit_code == 1
     assert "the controller of PSM1 has not answered tick 1 with tool/servo_jp" in log
     assert controller.repeats >= 3  # state 1 again, five times per time-out
-    assert "PSM1" in controller.status["aborted"]
+    status = controller.status
+    assert status.state == status.STATE_ABORTED and "PSM1" in status.detail
 
 
 def test_a_stranger_is_not_taken_for_the_controller(ros_graph: RosGraph, rospy_node: str) -> None:
@@ -173,7 +177,7 @@ def test_a_stranger_is_not_taken_for_the_controller(ros_graph: RosGraph, rospy_n
     (jaws,) = [topic for topic in controller.topics if topic.name == "/PSM1/tool/measured_js"]
     jaws.unregister()
     with running(ros_graph, controller, connect_timeout=6.0) as child:
-        ros_graph.wait_for(lambda: bool(controller.status), 20.0, "the simulator")
+        ros_graph.wait_for(lambda: bool(controller.status.state), 20.0, "the simulator")
         node = master.call(ros_graph.uri, "lookupNode", "/sim")
         stranger, _ = graph_probe.connect(node, "/PSM1/tool/measured_js")
         with stranger:
@@ -216,7 +220,7 @@ def test_free_run_keeps_its_rate_and_its_dead_man(ros_graph: RosGraph, rospy_nod
         assert not controller.links[-1].dead_man and not controller.links[-1].lockstep
         controller.silent = True
         ros_graph.wait_for(lambda: controller.links[-1].dead_man, 5.0, "the dead-man")
-        assert controller.status["deterministic"] is False
+        assert controller.status.deterministic is False
 
 
 def test_faults_are_taken_on_the_loopback_only(ros_graph: RosGraph, rospy_node: str) -> None:
@@ -256,7 +260,7 @@ def test_faults_in_lockstep_are_one_hash_and_the_package_agrees(
         {"fault": "trocar_jump", "at": 90, "offset": [0.001, 0, 0]},
     ]
     text = json.dumps(faults)
-    hashes = [lockstep(ros_graph, 0.05, 120, faults=text)["state_hash"] for _ in range(2)]
+    hashes = [lockstep(ros_graph, 0.05, 120, faults=text).state_hash for _ in range(2)]
     world = World(surg_core.load_cell(CELL))
     injector = Injector(world, parse(text, world.arms))
     for tick in range(1, 121):
@@ -265,7 +269,7 @@ def test_faults_in_lockstep_are_one_hash_and_the_package_agrees(
         injector.states("PSM1", tick)
         world.step(injector.commands({"PSM1": (tick, command)}))
     assert hashes == [world.hash] * 2
-    assert lockstep(ros_graph, 0.05, 120, faults="")["state_hash"] != world.hash
+    assert lockstep(ros_graph, 0.05, 120, faults="").state_hash != world.hash
 
 
 def test_inject_freezes_the_link_and_loses_the_tool_in_free_run(
@@ -284,10 +288,10 @@ def test_inject_freezes_the_link_and_loses_the_tool_in_free_run(
         inject.publish(String('{"fault": "gremlin"}'))
         inject.publish(String('[{"fault": "freeze", "ticks": 200}, {"fault": "tool_lost"}]'))
         ros_graph.wait_for(
-            lambda: controller.status.get("faults") == ["freeze", "tool_lost"], 5.0, "the faults"
+            lambda: controller.status.faults == ["freeze", "tool_lost"], 5.0, "the faults"
         )
         ros_graph.wait_for(
-            lambda: controller.status.get("faults") == ["tool_lost"], 5.0, "the link's return"
+            lambda: controller.status.faults == ["tool_lost"], 5.0, "the link's return"
         )
         seen = len(jaws)
         count = len(controller.stamps) + 50
@@ -327,7 +331,7 @@ def test_the_trocar_is_tracked_on_request(
     controller.watchers += subscribers[:2]
     motion = '{"fault": "trocar_motion", "amplitude": 0.005, "frequency": 0.25}'
     with running(ros_graph, controller, faults=motion, track_stale=stale):
-        ros_graph.wait_for(lambda: bool(controller.status.get("done")), 30.0, "the end")
+        ros_graph.wait_for(lambda: controller.done, 30.0, "the end")
         last = max(truth)
         newest = last - round(stale * 1e9)
         ros_graph.wait_for(lambda: newest in seen, 5.0, "the last sample")

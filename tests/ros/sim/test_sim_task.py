@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import time
 
 import numpy as np
 import pytest
 import rospy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 
 from helpers.graph.ros import RosGraph
 from surg_cli.graph.graph_probe import observe
 from surg_cli.graph.topic_contract import compare, load
 from surg_cli.host import paths
-from surg_msgs.msg import TaskState
+from surg_msgs.msg import SimStatus, TaskState
 from surg_sim.nodes import bridge_messages
 
 pytestmark = pytest.mark.ros
@@ -29,13 +27,13 @@ def test_a_person_drives_the_assistant_and_the_task_ends(
 ) -> None:
     states: list[TaskState] = []
     joints: list[np.ndarray] = []
-    status: dict[str, object] = {}
+    statuses: list[SimStatus] = []
     topics = [
         rospy.Subscriber("/sim/task_state", TaskState, states.append),
         rospy.Subscriber(
             "/assistant/measured_js", JointState, lambda m: joints.append(np.array(m.position))
         ),
-        rospy.Subscriber("/sim/status", String, lambda m: status.update(json.loads(m.data))),
+        rospy.Subscriber("/sim/status", SimStatus, statuses.append),
         rospy.Publisher("/assistant/servo_jp", JointState, queue_size=0),
         rospy.Publisher("/assistant/jaw/servo_jp", JointState, queue_size=0),
     ]
@@ -64,20 +62,20 @@ def test_a_person_drives_the_assistant_and_the_task_ends(
         print(f"from {start} to {joints[-1]}, asked for {goal}")
         assert np.allclose(joints[-1], goal, atol=[0.01, 0.01, 0.002, 0.02])
 
-        ros_graph.wait_for(lambda: bool(status.get("done")), 20.0, "the end of the episode")
+        ros_graph.wait_for(
+            lambda: bool(statuses) and statuses[-1].state == SimStatus.STATE_DONE,
+            20.0,
+            "the end of the episode",
+        )
         log = child.log_tail(100)
     finally:
         ros_graph.supervisor.stop([child])
         for topic in topics:
             topic.unregister()
-    assert status["task"] == {
-        "name": "short_bgr",
-        "setting": "ex_vivo",
-        "phase": states[-1].phase,
-        "done": True,
-        "success": False,
-        "reason": states[-1].reason,
-    }
+    task = statuses[-1].task
+    assert task.state == task.STATE_FAILURE
+    assert (task.name, task.setting) == ("short_bgr", "ex_vivo")
+    assert (task.phase, task.detail) == (states[-1].phase, states[-1].reason)
     assert "time limit of 3.5 s" in states[-1].reason
     assert [m.done for m in states] == [False] * (len(states) - 1) + [True]
     assert {m.tick % 25 for m in states[:-1]} == {0}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import time
 from collections.abc import Callable, Coroutine
 from pathlib import Path
@@ -15,6 +14,7 @@ import pytest
 
 import surg_core
 from helpers.graph.ros import RosGraph
+from helpers.graph.statuses import record_status, sim_status, teleop_status
 from helpers.graph.surg import surg
 from helpers.teleop.console_page import page, when
 from surg_cli.graph import master
@@ -57,17 +57,17 @@ class Bench:
             return rospy.Publisher(topic, kind, queue_size=10, tcp_nodelay=True, latch=latch)
 
         self.state = pub("/PSM1/operating_state", OperatingState, True)
-        self.error = pub("/PSM1/error", String, True)
+        self.cycle = pub("/PSM1/cycle", surg_msgs.Cycle)
         self.warning = pub("/PSM1/warning", String)
         self.deviation = pub("/PSM1/rcm/error", surg_msgs.ScalarStamped)
         self.joints = pub("/PSM1/measured_js", JointState)
         self.trocar = pub("/PSM1/trocar/measured_cf", WrenchStamped)
-        self.teleop = pub("/teleop/status", String, True)
-        self.record = pub("/record/status", String, True)
-        self.sim = pub("/sim/status", String, True)
+        self.teleop = pub("/teleop/status", surg_msgs.TeleopStatus, True)
+        self.record = pub("/record/status", surg_msgs.RecordStatus, True)
+        self.sim = pub("/sim/status", surg_msgs.SimStatus, True)
         self.images = {eye: pub(f"/endoscope/{eye}/image_raw", Image) for eye in ("left", "right")}
         self.said: list[tuple[float, str, Any]] = []
-        self.hand = {"state": "DISABLED", "mapping": "position", "scale": 0.2, "message": ""}
+        self.hand = {"state": "DISABLED", "mapping": "position"}
         self._ears = [
             rospy.Subscriber(topic, kind, self._hear, topic, tcp_nodelay=True)
             for topic, kind in HEARD.items()
@@ -81,7 +81,7 @@ class Bench:
             self.hand["mapping"] = {"position": "rate", "rate": "position"}[self.hand["mapping"]]
         elif topic == "/console/clutch" and self.hand["state"] != "DISABLED":
             self.hand["state"] = "CLUTCHED" if message.buttons[0] else "FOLLOWING"
-        self.teleop.publish(json.dumps({"hands": [self.hand], "picture": ""}))
+        self.teleop.publish(teleop_status(**self.hand))
 
     def of(self, topic: str) -> list[Any]:
         return [message for _, name, message in self.said if name == topic]
@@ -101,7 +101,7 @@ class Bench:
             force = WrenchStamped()
             force.wrench.force.x, force.wrench.force.z = 3.0, 4.0
             self.trocar.publish(force)
-            self.teleop.publish(json.dumps({"hands": [self.hand], "picture": ""}))
+            self.teleop.publish(teleop_status(**self.hand))
             for shade, publisher in zip((50, 200), self.images.values(), strict=True):
                 image = Image(width=64, height=48, encoding="rgb8", step=192)
                 image.header.stamp = stamp
@@ -177,8 +177,8 @@ def test_a_page_is_a_leader_on_topics(ros_graph: RosGraph, rospy_node: str, tmp_
             await when(lambda: bench.of("/record/record"), "the recording")
             assert bench.of("/record/record")[-1].data
             assert bench.of("/console/teleop/set_scale")[-1].data == 0.4
-            bench.record.publish(json.dumps({"recording": True}))
-            bench.sim.publish(json.dumps({"task": {"name": "bgr", "phase": "point"}}))
+            bench.record.publish(record_status("RECORDING"))
+            bench.sim.publish(sim_status(task="RUNNING", name="bgr", phase="point"))
             bench.warning.publish("PSM1: servo_cp refused: too far")
             await when(lambda: found.status["record"]["on"], "the recorder's answer")
             await when(lambda: found.status["task"] == "bgr: point", "the task")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Iterator
@@ -36,14 +35,14 @@ class CrtkHand(MovingHand):
         from sensor_msgs.msg import Joy
         from std_msgs.msg import Float64, String
 
-        from surg_msgs.msg import Cycle
+        from surg_msgs.msg import Cycle, TeleopStatus
 
         super().__init__()
         self.teleop, self.cell = teleop, surg_core.load_cell(TWO_ARMS)
         self.cycles: dict[str, Cycle] = {}
         self.states: dict[str, str] = {}
         self.warnings: list[str] = []
-        self.status: dict[str, object] = {}
+        self.status: TeleopStatus | None = None
         self.scale = rospy.Publisher("/console/teleop/set_scale", Float64, queue_size=1)
         self.pedals = {
             name: rospy.Publisher(f"/console/{name}", Joy, queue_size=1)
@@ -67,18 +66,18 @@ class CrtkHand(MovingHand):
             ]
         self.inputs += [
             rospy.Subscriber("/teleop/warning", String, lambda m: self.warnings.append(m.data)),
-            rospy.Subscriber("/teleop/status", String, self._on_status),
+            rospy.Subscriber("/teleop/status", TeleopStatus, self._on_status),
         ]
 
     def _on_status(self, message: object) -> None:
-        self.status = json.loads(message.data)
+        self.status = message
 
     def outputs(self) -> list[object]:
         return [*super().outputs(), self.scale, *self.pedals.values()]
 
     def connected(self) -> bool:
         """Whether everybody speaks and is heard."""
-        said = len(self.cycles) == 2 and len(self.states) == 2 and bool(self.status)
+        said = len(self.cycles) == 2 and len(self.states) == 2 and self.status is not None
         return said and all(end.get_num_connections() for end in self.outputs())
 
     def press(self, pedal: str, down: bool) -> None:
@@ -305,10 +304,12 @@ def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
     import rospy
     from std_msgs.msg import String
 
-    status: dict[str, object] = {}
+    from surg_msgs.msg import SimStatus
+
+    statuses: list[SimStatus] = []
     states: list[str] = []
     topics = [
-        rospy.Subscriber("/sim/status", String, lambda m: status.update(json.loads(m.data))),
+        rospy.Subscriber("/sim/status", SimStatus, statuses.append),
         rospy.Subscriber("/motion_PSM1/current_state", String, lambda m: states.append(m.data)),
     ]
     start(graph, ONE_ARM, ("PSM1",), lockstep=True)
@@ -325,12 +326,16 @@ def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
     }
     env = {"SURG_TEST_JITTER_MS": str(jitter_ms)}
     child = graph.node("surg_teleop", "teleop_node", "/teleop", params, env)
-    graph.wait_for(lambda: bool(status.get("done")), 60.0, "the end of the run")
+    graph.wait_for(
+        lambda: bool(statuses) and statuses[-1].state == SimStatus.STATE_DONE,
+        60.0,
+        "the end of the run",
+    )
     assert child.process.wait(60) == 0
     for topic in topics:
         topic.unregister()
-    assert status["deterministic"] is True
-    return str(status["state_hash"]), states
+    assert statuses[-1].deterministic is True
+    return statuses[-1].state_hash, states
 
 
 def test_lockstep_is_the_same_under_jitter(ros_graph: RosGraph, rospy_node: str) -> None:

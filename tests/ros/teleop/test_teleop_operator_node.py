@@ -1,6 +1,5 @@
 """The operator as a process, against a scripted arm: lock-step, free-run, exit codes."""
 
-import json
 import threading
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 
 from helpers.graph.ros import RosGraph
+from helpers.graph.statuses import sim_status
 from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
@@ -38,10 +38,10 @@ class ScriptedArm:
         import rospy
         from geometry_msgs.msg import PoseStamped
         from sensor_msgs.msg import JointState
-        from std_msgs.msg import Empty, String
+        from std_msgs.msg import Empty
 
         from crtk_msgs.msg import StringStamped
-        from surg_msgs.msg import Cycle, Ready
+        from surg_msgs.msg import Cycle, Ready, SenderStatus, SimStatus
 
         kinds = dict(
             zip(
@@ -54,17 +54,15 @@ class ScriptedArm:
         self.p = np.array([0.0, 0.0, 0.12])
         self.cycle = rospy.Publisher("/PSM1/cycle", Cycle, queue_size=0)
         self.link = rospy.Publisher("/PSM1/robot/measured_js", JointState, queue_size=0)
-        self.status = rospy.Publisher("/sim/status", String, queue_size=0, latch=True)
+        self.status = rospy.Publisher("/sim/status", SimStatus, queue_size=0, latch=True)
         self.subscribers = [
             rospy.Subscriber(f"/PSM1/{name}", kind, self.hear, callback_args=name)
             for name, kind in kinds.items()
         ]
         self.subscribers.append(rospy.Subscriber("/sim/ready", Ready, self.on_ready))
-        self.reports: list[dict[str, Any]] = []
+        self.reports: list[SenderStatus] = []
         self.subscribers.append(
-            rospy.Subscriber(
-                "/operator/status", String, lambda m: self.reports.append(json.loads(m.data))
-            )
+            rospy.Subscriber("/operator/status", SenderStatus, self.reports.append)
         )
 
     def hear(self, message: Any, name: str) -> None:
@@ -151,7 +149,7 @@ def start(ros_graph: RosGraph, env: dict[str, str] | None = None, **parameters: 
 def run_lockstep(ros_graph: RosGraph, arm: ScriptedArm, ticks: int = 5_000) -> int:
     for k in range(1, ticks):
         if arm.step(k):
-            arm.status.publish(json.dumps({"done": True, "aborted": None}))
+            arm.status.publish(sim_status("DONE"))
             return k
     raise AssertionError(f"not done after {ticks} ticks; last report {arm.reports[-1:]}")
 
@@ -182,8 +180,8 @@ def test_lockstep_from_connection_to_done(ros_graph: RosGraph, arm: ScriptedArm)
     assert names[-1] == "hold"
     assert arm.ready[last].done
     report = arm.reports[-1]
-    assert report["stage"] == "done"
-    first, end = report["window_ns"]
+    assert report.stage == report.STAGE_DONE
+    first, end = report.begin.to_nsec(), report.end.to_nsec()
     assert end - first == pytest.approx(1.2e9, abs=2)
     assert first > streamed[0][0] * PERIOD_NS
 
@@ -207,7 +205,7 @@ def test_a_fault_is_the_end(ros_graph: RosGraph, arm: ScriptedArm) -> None:
     assert run_lockstep(ros_graph, arm) == 301
     assert child.process.wait(10) == 1
     assert "the arm is in FAULT: rcm_error" in child.log_tail(5)
-    assert arm.reports[-1]["stage"] == "failed"
+    assert arm.reports[-1].stage == arm.reports[-1].STAGE_FAILED
 
 
 @pytest.mark.parametrize("arm", [False], indirect=True)

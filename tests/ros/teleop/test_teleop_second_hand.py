@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ from helpers.graph.ros import RosGraph
 from surg_cli.graph import operator_nodes, system
 from surg_cli.graph.processes import Child
 from surg_cli.host import cells, paths
+from surg_core.status_check import value_name
 from surg_sim.physics.assistant_arm import forward
 
 pytestmark = pytest.mark.ros
@@ -32,14 +32,14 @@ class Pair:
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Bool, String
 
-        from surg_msgs.msg import Cycle
+        from surg_msgs.msg import Cycle, TeleopStatus
 
         self._R_VA, self._R_VW = R_WV.T @ R_WA, R_WV.T
         self._R_WB = cells.load(CELL).arms["PSM1"].X_WB[:3, :3]
         self.v = {name: np.zeros(3) for name in HANDS}
         self.grip = dict.fromkeys(HANDS, 0.0)
         self.speaks = dict.fromkeys(HANDS, True)
-        self.status: dict[str, dict[str, object]] = {}
+        self.status: dict[str, str] = {}
         self.warnings: list[str] = []
         self.joints, self.jaw, self.cycle = np.zeros(0), 0.0, None
         self._stop = threading.Event()
@@ -56,7 +56,7 @@ class Pair:
             rospy.Subscriber("/assistant/measured_js", JointState, self._on_joints, **keys),
             rospy.Subscriber("/assistant/jaw/measured_js", JointState, self._on_jaw, **keys),
             rospy.Subscriber("/PSM1/cycle", Cycle, lambda m: setattr(self, "cycle", m), **keys),
-            rospy.Subscriber("/teleop/status", String, self._on_status),
+            rospy.Subscriber("/teleop/status", TeleopStatus, self._on_status),
             rospy.Subscriber("/teleop/warning", String, lambda m: self.warnings.append(m.data)),
         ]
         self._thread = threading.Thread(target=self._run)
@@ -69,7 +69,7 @@ class Pair:
         self.jaw = float(message.position[0])
 
     def _on_status(self, message: object) -> None:
-        self.status = {hand["arm"]: hand for hand in json.loads(message.data)["hands"]}
+        self.status = {hand.arm: value_name(hand, "state") for hand in message.hands}
 
     def _run(self) -> None:
         import rospy
@@ -97,11 +97,11 @@ class Pair:
 
     def follows(self, arm: str) -> bool:
         """Whether the arm follows. A starved machine may have let go: the operator acts again."""
-        if self.status[arm]["state"] in ("DISABLED", "WAITING", "FAULT"):
+        if self.status[arm] in ("DISABLED", "WAITING", "FAULT"):
             self.v = {name: np.zeros(3) for name in HANDS}  # a stick that is pushed engages nothing
             self.enable.publish(True)
             time.sleep(0.3)
-        return self.status[arm]["state"] == "FOLLOWING"
+        return self.status[arm] == "FOLLOWING"
 
     def tip(self, arm: str) -> np.ndarray:
         """(3,) tip of an arm in the axes of the picture [m]."""
@@ -174,7 +174,7 @@ def test_two_hands_move_two_instruments_as_the_picture_shows_it(
 
     def opens() -> bool:
         # A jaw never opens by itself: a hand that was let go on the way closes and opens again.
-        if pair.status["assistant"]["state"] != "FOLLOWING":
+        if pair.status["assistant"] != "FOLLOWING":
             pair.grip["second"] = 0.0
             time.sleep(0.1)
         if pair.follows("assistant"):
@@ -190,14 +190,14 @@ def test_two_hands_move_two_instruments_as_the_picture_shows_it(
     time.sleep(0.3)
     pair.speaks["second"] = False
     silent = time.monotonic()
-    wait(lambda: pair.status["assistant"]["state"] == "WAITING", 5.0, "the silence to be noticed")
+    wait(lambda: pair.status["assistant"] == "WAITING", 5.0, "the silence to be noticed")
     print(f"silence of the second hand noticed after {1e3 * (time.monotonic() - silent):.0f} ms")
     assert any("second on assistant: second is silent" in text for text in pair.warnings)
     wait(pair.rests, 20.0, "the assistant's instrument to rest")
     rest, first = pair.joints, pair.tip("PSM1")
 
     def goes_on() -> bool:
-        if pair.status["PSM1"]["state"] == "FOLLOWING":
+        if pair.status["PSM1"] == "FOLLOWING":
             pair.v["first"] = 0.02 * axes["first"]
         return bool(np.linalg.norm(pair.tip("PSM1") - first) > 2e-3)
 

@@ -66,18 +66,21 @@ def test_record_refuses_in_words(
 
 
 def test_the_status_is_readable(capsys: pytest.CaptureFixture[str]) -> None:
-    record._show(
-        {
-            "recording": True,
-            "folder": "/e",
-            "rows": {"cycle_PSM1": 7},
-            "frames": {"cam": 3},
-            "drops": {"cam": 2},
-            "waiting_for": ["/never"],
-            "warnings": ["cam: silent"],
-            "problem": "disk full",
-        }
+    messages = pytest.importorskip("surg_msgs.msg")
+    stream, kind = messages.RecordStream, messages.RecordStatus
+    status = kind(
+        state=kind.STATE_RECORDING,
+        folder="/e",
+        streams=[
+            stream("cycle_PSM1", stream.KIND_TABLE, 7, 0, 0),
+            stream("cam", stream.KIND_CAMERA, 3, 2, 0),
+        ],
+        waiting_for=["/never"],
+        warnings=["cam: silent"],
+        problem=kind.PROBLEM_INCOMPLETE,
+        detail="disk full",
     )
+    record._show(status)
     assert capsys.readouterr().out.splitlines() == [
         "recording /e",
         "  cycle_PSM1: 7 rows",

@@ -9,6 +9,7 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
+from surg_msgs.msg import HandStatus
 from surg_teleop.console.ros.ros_system_node import _follower, depth, force
 
 
@@ -36,9 +37,9 @@ def test_they_are_what_the_messages_say() -> None:
 
 
 def test_a_scale_is_a_number_or_none() -> None:
-    assert [_follower({"scale": x}).scale for x in (0.2, 1)] == [0.2, 1.0]
-    strange = (10**400, math.inf, math.nan, "0.2", None)
-    assert [_follower({"scale": x}).scale for x in strange] == [None] * 5
+    assert [_follower(HandStatus(scale=x)).scale for x in (0.2, 1)] == [0.2, 1.0]
+    strange = (math.inf, -math.inf, math.nan)
+    assert [_follower(HandStatus(scale=x)).scale for x in strange] == [None] * 3
 
 
 def test_what_is_no_such_message_says_nothing() -> None:

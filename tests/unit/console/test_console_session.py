@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+from surg_core import Reason
 from surg_teleop.console.session import operator_messages
 from surg_teleop.console.session.console_orders import (
     Camera,
@@ -32,7 +33,7 @@ from surg_teleop.console.session.console_session import (
     Session,
 )
 from surg_teleop.console.session.page_status import report
-from surg_teleop.console.session.system_state import Arm, Follower, Gauges, Robot
+from surg_teleop.console.session.system_state import Arm, Follower, Gauges, PolicyServer, Robot
 from surg_teleop.console.web.page_protocol import HIDDEN, Input
 from surg_teleop.follow.message_lateness import Lateness
 
@@ -181,7 +182,7 @@ def test_a_simulated_arm_in_fault_is_put_back_and_stays_disabled(bench: Bench) -
     assert bench.session.put_back("a", torn) == operator_messages.NOTHING_ASTRAY, (
         "a real arm is not ours"
     )
-    simulated = replace(torn, sim={"task": None})
+    simulated = replace(torn, simulated=True)
     assert report(bench.session, simulated, {}, bench.now)["astray"] == ["PSM1"]
     assert bench.session.put_back("nobody", simulated) == operator_messages.NO_CONTROL
     bench.session.take_orders()
@@ -196,7 +197,7 @@ def test_a_simulated_arm_in_fault_is_put_back_and_stays_disabled(bench: Bench) -
 
 def with_policy(bench: Bench, state: str, **more: object) -> Robot:
     """The robot with a model server that is in a state."""
-    return replace(bench.robot, policy={"state": state, "policy": "Circle", **more})
+    return replace(bench.robot, policy=PolicyServer(state, "Circle", **more))
 
 
 def test_f30_the_policy_gets_the_arm_when_the_hand_is_off_it(bench: Bench) -> None:
@@ -407,7 +408,8 @@ def test_stop_is_obeyed_from_every_page_and_pauses(bench: Bench) -> None:
         bench.session.join("b", bench.now)
         bench.session.stop(bench.robot, who)
         orders = bench.flush()
-        assert orders == [Present(False), Follow(False), StateCommand("PSM1", "pause")]
+        pause = StateCommand("PSM1", "pause")
+        assert orders == [Present(False), Follow(False), pause, Policy(False)]
         assert ("on b" in bench.session.reason) == (who == "b")
 
 
@@ -446,7 +448,7 @@ def test_a_page_that_does_not_lead_enables_and_clutches_only(bench: Bench) -> No
 def test_what_does_not_become_ready_is_named(bench: Bench) -> None:
     cases = {
         "PSM1 did not become ready within 6 s and is FAULT: the shaft": (
-            Arm("PSM1", "FAULT", True, because="the shaft is off the trocar"),
+            Arm("PSM1", "FAULT", True, reason=Reason.RCM_ERROR),
             Follower("WAITING"),
         ),
         "PSM1 does not speak": (Arm("PSM1"), Follower("WAITING")),
@@ -534,15 +536,12 @@ def test_random_lives_never_move_without_an_operator(full: bool) -> None:
     assert holds > 100
 
 
-def test_reasons_are_read_off_what_a_controller_says() -> None:
-    said = "PSM1: FAULT(link): no joint state from the robot link: check that it runs"
-    why = "no joint state from the robot link: check that it runs"
-    assert operator_messages.reason_of(said, "PSM1", "FAULT") == why
-    assert operator_messages.reason_of(said, "PSM1", "PAUSED") is None
-    assert operator_messages.reason_of(said, "PSM2", "FAULT") is None
-    assert operator_messages.reason_of("PSM1: ENABLED", "PSM1", "ENABLED") == ""
-    assert operator_messages.reason_of("PSM1: homed", "PSM1", "ENABLED") is None
-    assert operator_messages.state_sentence(Arm("PSM1", "FAULT", because=why)).endswith(why)
+def test_every_reason_of_a_cycle_has_a_sentence() -> None:
+    for name, reason in Reason.__members__.items():
+        arm = Arm("PSM1", "FAULT", reason=reason)
+        assert bool(operator_messages.reason_sentence(arm)) == (name != "NONE"), name
+    for reason in (None, Reason.NONE):
+        assert "no reason" in operator_messages.state_sentence(Arm("PSM1", "FAULT", reason=reason))
 
 
 def test_the_report_is_json_in_words(bench: Bench) -> None:

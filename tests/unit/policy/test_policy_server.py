@@ -59,12 +59,12 @@ def test_who_was_refused_does_not_count_as_waiting(early: bool) -> None:
     bench = Bench()
     bench.server._spec = None if early else spec()
     bench.hello(wants=replace(spec(), task="suturing").to_map())
-    assert bench.server.report()["waiting"] is early
+    assert bench.server.waiting is early
     bench.server.serve(spec(), bench.now)
     bench._hear()
-    assert bench.errors[-1][1] == "spec" and bench.server.report()["waiting"] is False
+    assert bench.errors[-1][1] == "spec" and bench.server.waiting is False
     bench.hello(b"b")
-    assert bench.server.report()["waiting"] is True
+    assert bench.server.waiting is True
 
 
 @pytest.mark.parametrize("versions", [[2, 3], [9, 9]])

@@ -184,7 +184,7 @@ def test_patterns_find_what_appears_and_leave_the_rest() -> None:
         "/PSM1/measured_js": "sensor_msgs/JointState",
         "/PSM1/jaw/measured_js": "sensor_msgs/JointState",
         "/PSM2/measured_image": "sensor_msgs/Image",
-        "/record/status": "std_msgs/String",
+        "/record/status": "surg_msgs/RecordStatus",
     }
     assert choice.look(published) == ["/PSM1/measured_js"]
     assert choice.look(published) == []

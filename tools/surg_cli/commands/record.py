@@ -61,10 +61,11 @@ def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:
     """One action on a recorder that has been found."""
     if action == "start":
         return _start(recorder, options)
+    status = recorder.status
     if action == "status":
-        _show(recorder.status)
-        return 1 if recorder.status.get("problem") else 0
-    if not recorder.status.get("recording"):
+        _show(status)
+        return 0 if status.problem == status.PROBLEM_NONE else 1
+    if status.state != status.STATE_RECORDING:
         raise Problem(f"record {action}: nothing is being recorded (./surg record start)")
     if action == "stop":
         return _stop(recorder, options)
@@ -74,21 +75,21 @@ def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:
 
 
 def _start(recorder: Recorder, options: argparse.Namespace) -> int:
-    if recorder.status.get("recording"):
-        raise Problem(f"record start: {recorder.status.get('folder')} is being recorded already")
+    status = recorder.status
+    if status.state == status.STATE_RECORDING:
+        raise Problem(f"record start: {status.folder} is being recorded already")
     facts = {k: getattr(options, k) for k in ("operator", "task", "setting", "seed")}
     known = {key: value for key, value in facts.items() if value is not None}
     if known:
         recorder.say("info", json.dumps(known))
         time.sleep(0.2)  # another topic: it must be there before the start
-    before = recorder.status.get("starts")
     recorder.switch(True)
     with Progress("record"):
-        processes.wait_until(lambda: recorder.status.get("starts") != before, START_S)
-    status = recorder.status
-    if not status.get("recording"):
-        raise Problem(f"record start: {status.get('problem') or 'the recorder does not answer'}")
-    say(f"recording {status.get('folder')}")
+        processes.wait_until(lambda: recorder.valid.starts not in (0, status.starts), START_S)
+    begun = recorder.status
+    if begun.state != begun.STATE_RECORDING:
+        raise Problem(f"record start: {begun.detail or 'the recorder does not answer'}")
+    say(f"recording {begun.folder}")
     return 0
 
 
@@ -99,37 +100,41 @@ def _stop(recorder: Recorder, options: argparse.Namespace) -> int:
         time.sleep(0.2)
     recorder.switch(False)
     with Progress("record"):
-        done = processes.wait_until(lambda: not recorder.status.get("recording"), STOP_S)
+        done = processes.wait_until(lambda: _idle(recorder.valid), STOP_S)
     if not done:
         raise Problem(f"record stop: not finished after {STOP_S:g} s; ./surg record status")
     status = recorder.status
-    for text in status.get("warnings") or []:
+    for text in status.warnings:
         warn(f"surg: {text}")
-    say(str(status.get("finished")))
-    if status.get("problem"):
-        warn(f"surg: incomplete: {status['problem']}")
+    say(status.finished)
+    if status.problem != status.PROBLEM_NONE:
+        warn(f"surg: incomplete: {status.detail}")
         return 1
     return 0
 
 
-def _show(status: dict[str, Any]) -> None:
+def _idle(status: Any) -> bool:
+    return bool(status.state == status.STATE_IDLE)
+
+
+def _show(status: Any) -> None:
     """The status in words."""
-    if not status.get("recording"):
-        said = "nothing is being recorded"
-        last = status.get("finished")
-        say(f"record: {said}" + (f"; the last one is {last}" if last else ""))
+    if status.state == status.STATE_IDLE:
+        last = f"; the last one is {status.finished}" if status.finished else ""
+        say(f"record: nothing is being recorded{last}")
     else:
-        say(f"recording {status.get('folder')}")
-        for key in ("rows", "frames"):
-            for name, count in (status.get(key) or {}).items():
-                dropped = (status.get("drops") or {}).get(name, 0)
-                say(f"  {name}: {count} {key}" + (f", {dropped} DROPPED" if dropped else ""))
-        for topic in status.get("waiting_for") or []:
+        finishing = status.state == status.STATE_FINISHING
+        say(f"{'finishing' if finishing else 'recording'} {status.folder}")
+        for stream in status.streams:
+            unit = "rows" if stream.kind == stream.KIND_TABLE else "frames"
+            lost = f", {stream.dropped} DROPPED" if stream.dropped else ""
+            say(f"  {stream.name}: {stream.received} {unit}{lost}")
+        for topic in status.waiting_for:
             say(f"  nothing yet on {topic}")
-    for text in status.get("warnings") or []:
+    for text in status.warnings:
         say(f"  warning: {text}")
-    if status.get("problem"):
-        say(f"  problem: {status['problem']}")
+    if status.problem != status.PROBLEM_NONE:
+        say(f"  problem: {status.detail}")
 
 
 def _port(given: int | None) -> int:
@@ -157,28 +162,49 @@ class Recorder:
         import rospy
         from std_msgs.msg import Bool, String
 
+        from surg_core.status_check import Newest
+        from surg_msgs.msg import RecordStatus
+
         rospy.init_node("surg_record", anonymous=True, disable_signals=True)
         self._lock = threading.Lock()
-        self._status: dict[str, Any] = {}
+        self._newest, self._kind = Newest("/record/status"), RecordStatus
         self._bool, self._string = Bool, String
         self._switch = rospy.Publisher("/record/record", Bool, queue_size=1)
         self._said = {
             name: rospy.Publisher(f"/record/{name}", String, queue_size=10)
             for name in ("tag", "info")
         }
-        self._ear = rospy.Subscriber("/record/status", String, self._hear)
+        self._ear = rospy.Subscriber("/record/status", RecordStatus, self._hear)
         ends = [self._switch, *self._said.values()]
         if not processes.wait_until(
-            lambda: bool(self.status) and all(e.get_num_connections() > 0 for e in ends), CONNECT_S
+            lambda: not self._problem() and all(e.get_num_connections() > 0 for e in ends),
+            CONNECT_S,
         ):
             self.close()
-            raise Problem(f"no recorder runs beside the ROS master at {uri}")
+            why = f" ({problem})" if (problem := self._problem()) else ""
+            raise Problem(f"no recorder runs beside the ROS master at {uri}{why}")
 
     @property
-    def status(self) -> dict[str, Any]:
-        """The newest /record/status."""
+    def status(self) -> Any:
+        """The newest surg_msgs/RecordStatus.
+
+        Raises:
+            Problem: There is none that is valid and fresh.
+        """
+        if problem := self._problem():
+            raise Problem(f"the recorder's status must not be acted on: {problem}")
         with self._lock:
-            return dict(self._status)
+            return self._newest.valid
+
+    @property
+    def valid(self) -> Any:
+        """The newest valid one, however old; a default one, which is in no state: none."""
+        with self._lock:
+            return self._newest.valid or self._kind()
+
+    def _problem(self) -> str:
+        with self._lock:
+            return str(self._newest.problem(time.monotonic()))
 
     def switch(self, on: bool) -> None:
         """Start or stop."""
@@ -196,9 +222,5 @@ class Recorder:
         rospy.signal_shutdown("surg is done")
 
     def _hear(self, message: Any) -> None:
-        try:
-            status = json.loads(message.data)
-        except ValueError:
-            return
         with self._lock:
-            self._status = status if isinstance(status, dict) else {}
+            self._newest.take(message, time.monotonic())

@@ -181,7 +181,7 @@ def _await_arms(
     while True:
         states = watch.states
         missing = [arm for arm in plan.arms if arm not in states]
-        if not plan.lockstep and watch.sim.get("tick", 0) < SPOKEN_TICKS:
+        if not plan.lockstep and watch.sim.tick < SPOKEN_TICKS:
             missing.append("the simulator")  # "enable" would be refused
         described = all(
             master.call(uri, "hasParam", f"/{arm}/robot_description") for arm in plan.arms

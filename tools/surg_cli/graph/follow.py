@@ -15,6 +15,8 @@ FIRST_TICK_TIMEOUT_S = system.CAMERA_START_S + 15.0
 """The simulator waits for everybody, gives up itself before that, and names who is missing."""
 RECORDER_TIMEOUT_S = 120.0
 FAULT_GRACE_S = 1.0
+STATUS_TIMEOUT_S = 5.0
+"""The status comes on a connection of its own, perhaps after the flag."""
 
 
 def failure(
@@ -35,9 +37,9 @@ def failure(
         Sentences; empty while all is well.
     """
     sim = watch.sim
-    if sim.get("aborted"):
-        return [f"the simulator aborted: {sim['aborted']}"]
-    if sim.get("done"):
+    if sim.state == sim.STATE_ABORTED:
+        return [f"the simulator aborted: {sim.detail}"]
+    if sim.state == sim.STATE_DONE:
         return []
     dead = supervisor.first_dead()
     if dead is not None and not (dead.name in may_end and dead.exit_code == 0):
@@ -45,8 +47,10 @@ def failure(
     if fault_at is not None and time.monotonic() - fault_at > FAULT_GRACE_S:
         arm = watch.faulted[0]
         return [f"{arm} went into FAULT: {watch.last_error(arm) or 'it gave no reason'}"]
-    tick = sim.get("tick", "none")
+    tick = sim.tick
     limit = FIRST_TICK_TIMEOUT_S if tick == 1 else STALL_TIMEOUT_S
+    if watch.stalled_s > limit and not sim.state:
+        return [f"the simulator's status is missing: {watch.problem('/sim/status')}"]
     if watch.stalled_s > limit:
         return [f"the simulator has stood still for {limit:.0f} s at tick {tick}"]
     return []
@@ -61,8 +65,20 @@ def finish_recording(watch: Watch, supervisor: processes.Supervisor) -> list[str
     )
     if not ended or watch.recording is not False:
         return ["the recorder did not finish its files"]
-    problem = watch.record_status.get("problem")
-    return [f"the recording is incomplete: {problem}"] if problem else []
+    processes.wait_until(lambda: recorder_idle(watch), STATUS_TIMEOUT_S)
+    status = watch.record_status
+    if not recorder_idle(watch):
+        problem = watch.problem("/record/status") or "the recorder is not idle"
+        return [f"nobody knows whether the recording is complete: {problem}"]
+    if status.problem != status.PROBLEM_NONE:
+        return [f"the recording is incomplete: {status.detail}"]
+    return []
+
+
+def recorder_idle(watch: Watch) -> bool:
+    """Whether the recorder states, in a valid and fresh message, that it is idle."""
+    status = watch.record_status
+    return bool(status.state == status.STATE_IDLE)
 
 
 def death_notice(child: processes.Child) -> str:
@@ -100,8 +116,9 @@ def raise_if_failed(watch: Watch, supervisor: processes.Supervisor) -> None:
         Problem: One has ended, or the simulator names the reason why it aborted.
     """
     raise_if_dead(supervisor)
-    if aborted := watch.sim.get("aborted"):
-        raise Problem(f"the simulator aborted: {aborted}")
+    sim = watch.sim
+    if sim.state == sim.STATE_ABORTED:
+        raise Problem(f"the simulator aborted: {sim.detail}")
 
 
 def pass_on_news(watch: Watch, entry: running.System | None) -> None:

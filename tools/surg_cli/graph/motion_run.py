@@ -61,9 +61,9 @@ def _follow(
         operator = system.start(supervisor, system.operator_node(plan))
         entry.list_nodes(supervisor.children)
         fault_at: float | None = None
-        while not (watch.sim.get("done") or operator.exit_code == 0):
+        while (sim := watch.sim).state != sim.STATE_DONE and operator.exit_code != 0:
             time.sleep(0.05)
-            seconds = float(watch.sim.get("sim_time_s") or 0.0)
+            seconds = sim.sim_time
             note = " ".join(f"{name} {state}" for name, state in watch.states.items())
             fraction = seconds / (duration_s + AROUND_MOTION_S)
             progress.update(fraction, f"{seconds:5.1f} s simulated, {note}")

@@ -77,7 +77,7 @@ def connect(
         argv += ["--keys", policy.keys] if policy.keys else []
         client = supervisor.start(CLIENT, argv, essential=False)
     deadline = time.monotonic() + CLIENT_TIMEOUT_S
-    while not watch.policy.get("waiting"):
+    while not watch.policy.waiting:
         follow.raise_if_dead(supervisor)
         if client is not None:
             _check(client, deadline)
@@ -98,7 +98,7 @@ def _check(client: Child, deadline: float) -> None:
 
 def absent(supervisor: Supervisor, watch: Watch) -> list[str]:
     """Why nobody will play: the script has ended without ever a session; empty: somebody may."""
-    if watch.policy.get("sessions"):
+    if watch.policy.sessions:
         return []
     return [
         f"no policy has played: the script ended ({child.exit_code}) before it had a session"
@@ -111,8 +111,8 @@ def complaints(supervisor: Supervisor, watch: Watch) -> list[str]:
     """Why a policy may have failed, in sentences."""
     found = []
     status = watch.policy
-    if status.get("state") in ("IDLE", "PAUSED"):
-        found.append(f"policy: {status.get('reason')}")
+    if status.state in (status.STATE_IDLE, status.STATE_PAUSED):
+        found.append(f"policy: {status.detail}")
     for child in supervisor.children:
         if child.name == CLIENT and child.exit_code not in (None, 0):
             found.append(f"the policy's script ended ({child.exit_code}):\n{child.log_tail(5)}")

@@ -258,6 +258,7 @@ def model_server(plan: Plan) -> Node:
         "privileged": policy.privileged,
         "cameras": plan.streams,
         "autostart": True,
+        "need_teleop": False,  # a roll-out has no operator
     }
     return Node(f"/{POLICY}", "surg_policy_bridge", "model_server_node.py", params)
 

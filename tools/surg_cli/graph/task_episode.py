@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_cli.graph import follow, master, policy_program, processes, running, system
+from surg_cli.graph.status_records import policy_record
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import environment, paths
@@ -40,7 +41,7 @@ class Ended:
         duration_s: Simulated time.
         played: It came to an end of its own, and all of it is recorded.
         real_time_factor: Simulated by wall time without start and end; None for a very short one.
-        policy: The last `/policy/status`; None without a policy.
+        policy: The last `/policy/status` as `status_records.policy_record`; None without one.
     """
 
     success: bool
@@ -102,12 +103,10 @@ def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended
     broken: list[str] = []
     fault = ""
     rate = _Rate()
-    while not watch.sim.get("done"):
+    while (sim := watch.sim).state != sim.STATE_DONE:
         time.sleep(0.02)
-        sim = watch.sim
-        seconds = float(sim.get("sim_time_s") or 0.0)
-        rate.look(seconds)
-        _progress(seconds, str((sim.get("task") or {}).get("phase", "")))
+        rate.look(sim.sim_time)
+        _progress(sim.sim_time, sim.task.phase)
         if watch.faulted and fault_at is None:
             fault_at = time.monotonic()
         if fault_at is not None and time.monotonic() - fault_at > follow.FAULT_GRACE_S:
@@ -120,23 +119,25 @@ def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended
         if broken:
             break
     sim = watch.sim
-    rate.look(float(sim.get("sim_time_s") or 0.0))
+    rate.look(sim.sim_time)
     broken += follow.finish_recording(watch, supervisor)
-    verdict = sim.get("task") or {}
-    reason = fault or str(verdict.get("reason") or "")
-    if not fault and not verdict.get("done"):
+    task = sim.task
+    success = task.state == task.STATE_SUCCESS
+    over = success or task.state == task.STATE_FAILURE
+    reason = fault or task.detail
+    if not fault and not over:
         reason = "the simulation ended before the task did"
     gave_up = [f"{name}: {why}" for name, why in watch.gave_up.items()]
-    if plan.policy is not None and not verdict.get("success"):
+    if plan.policy is not None and not success:
         gave_up += policy_program.complaints(supervisor, watch)
     return Ended(
-        success=bool(verdict.get("success")) and not broken and not fault,
+        success=success and not broken and not fault,
         reason="; ".join([*broken, *([reason] if reason else []), *gave_up]),
-        phase=str(verdict.get("phase", "")),
-        duration_s=float(sim.get("sim_time_s") or 0.0),
-        played=not broken and (bool(fault) or bool(verdict.get("done"))),
+        phase=task.phase,
+        duration_s=sim.sim_time,
+        played=not broken and (bool(fault) or over),
         real_time_factor=rate.factor,
-        policy=watch.policy if plan.policy is not None else None,
+        policy=policy_record(watch.policy) if plan.policy is not None else None,
     )
 
 

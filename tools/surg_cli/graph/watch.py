@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import deque
@@ -36,32 +35,33 @@ class Watch:
         from std_msgs.msg import Bool, String
 
         from crtk_msgs.msg import OperatingState
+        from surg_core.status_check import Newest
+        from surg_msgs.msg import PolicyStatus, RecordStatus, SenderStatus, SimStatus
 
         rospy.init_node(name, anonymous=True, disable_signals=True)
         self._lock = threading.Lock()
-        self._sim: dict[str, Any] = {}
+        self._kinds = {
+            "/sim/status": SimStatus,
+            "/record/status": RecordStatus,
+            "/policy/status": PolicyStatus,
+            **{f"/{sender}/status": SenderStatus for sender in senders},
+        }
+        self._statuses = {topic: Newest(topic) for topic in self._kinds}
         self._sim_changed = time.monotonic()
         self._recording: bool | None = None
-        self._record: dict[str, Any] = {}
         self._states: dict[str, str] = {}
         self._faulted: list[str] = []
         self._errors: dict[str, str] = {}
         self._gave_up: dict[str, str] = {}
-        self._policy: dict[str, Any] = {}
         self._news: deque[tuple[str, str]] = deque(maxlen=self.KEPT)
         self._bool = Bool
         self._record_switch = rospy.Publisher("/record/record", Bool, queue_size=1, latch=True)
         subscribe = rospy.Subscriber
         self._subscribers = [
-            subscribe("/sim/status", String, self._on_sim),
             subscribe("/record/recording", Bool, self._on_recording),
-            subscribe("/record/status", String, self._on_record),
-            subscribe("/policy/status", String, self._on_policy),
         ]
-        for sender in senders:
-            self._subscribers.append(
-                subscribe(f"/{sender}/status", String, self._on_sender, sender)
-            )
+        for topic, kind in self._kinds.items():
+            self._subscribers.append(subscribe(topic, kind, self._on_status, topic))
         for arm in arms:
             topic = f"/{arm}/operating_state"
             self._subscribers.append(subscribe(topic, OperatingState, self._on_state, arm))
@@ -89,10 +89,9 @@ class Watch:
         self._record_switch.publish(self._bool(on))
 
     @property
-    def sim(self) -> dict[str, Any]:
-        """The newest `/sim/status`, empty before the first."""
-        with self._lock:
-            return dict(self._sim)
+    def sim(self) -> Any:
+        """The newest valid `surg_msgs/SimStatus`; all fields default before the first."""
+        return self._valid("/sim/status")
 
     @property
     def stalled_s(self) -> float:
@@ -107,16 +106,26 @@ class Watch:
             return self._recording
 
     @property
-    def record_status(self) -> dict[str, Any]:
-        """The newest `/record/status`, empty before the first."""
-        with self._lock:
-            return dict(self._record)
+    def record_status(self) -> Any:
+        """The newest `surg_msgs/RecordStatus`; all fields default: no valid and fresh one."""
+        return self._valid("/record/status", fresh=True)
 
     @property
-    def policy(self) -> dict[str, Any]:
-        """The newest `/policy/status`, empty before the first."""
+    def policy(self) -> Any:
+        """The newest valid `surg_msgs/PolicyStatus`; all fields default before the first."""
+        return self._valid("/policy/status")
+
+    def problem(self, topic: str) -> str:
+        """Why the status on a topic may not be acted on now; empty: it may."""
         with self._lock:
-            return dict(self._policy)
+            return str(self._statuses[topic].problem(time.monotonic()))
+
+    def _valid(self, topic: str, fresh: bool = False) -> Any:
+        """The newest valid status; a default message decides nothing, since 0 is no state."""
+        with self._lock:
+            newest = self._statuses[topic]
+            found = newest.at(time.monotonic()) if fresh else newest.valid
+            return self._kinds[topic]() if found is None else found
 
     @property
     def states(self) -> dict[str, str]:
@@ -151,32 +160,25 @@ class Watch:
         with self._lock:
             return self._errors.get(arm, "")
 
-    def _on_sim(self, message: Any) -> None:
-        status = _parse(message.data, "/sim/status")
+    def _on_status(self, message: Any, topic: str) -> None:
+        now = time.monotonic()
         with self._lock:
-            if status.get("tick") != self._sim.get("tick"):
-                self._sim_changed = time.monotonic()
-            self._sim = status
+            newest = self._statuses[topic]
+            before = newest.valid
+            newest.take(message, now)
+            complaint = newest.complaint(now)
+            if newest.valid is None:
+                pass
+            elif topic == "/sim/status" and (before is None or message.tick != before.tick):
+                self._sim_changed = now
+            elif hasattr(message, "STAGE_FAILED") and message.stage == message.STAGE_FAILED:
+                self._gave_up[topic.split("/")[1]] = message.detail or "it gave no reason"
+        if complaint:
+            warn(f"surg: {complaint}")
 
     def _on_recording(self, message: Any) -> None:
         with self._lock:
             self._recording = bool(message.data)
-
-    def _on_record(self, message: Any) -> None:
-        status = _parse(message.data, "/record/status")
-        with self._lock:
-            self._record = status
-
-    def _on_policy(self, message: Any) -> None:
-        status = _parse(message.data, "/policy/status")
-        with self._lock:
-            self._policy = status
-
-    def _on_sender(self, message: Any, sender: str) -> None:
-        reason = _parse(message.data, f"/{sender}/status").get("reason")
-        if reason:
-            with self._lock:
-                self._gave_up[sender] = str(reason)
 
     def _on_state(self, message: Any, arm: str) -> None:
         with self._lock:
@@ -190,15 +192,3 @@ class Watch:
             self._news.append((" ".join(origin), message.data))
             if origin[1] == "error":
                 self._errors[origin[0]] = message.data
-
-
-def _parse(text: str, topic: str) -> dict[str, Any]:
-    """Read a JSON object; anything else is said and taken as empty."""
-    try:
-        value = json.loads(text)
-    except ValueError:
-        value = None
-    if not isinstance(value, dict):
-        warn(f"surg: {topic} does not hold a JSON object: {text[:80]!r}")
-        return {}
-    return value

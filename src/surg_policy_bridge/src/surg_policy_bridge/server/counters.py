@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter, deque
 from dataclasses import dataclass, field
 
@@ -21,12 +22,13 @@ class Spread:
         """Add a value."""
         self.values.append(value)
 
-    def ms(self) -> dict[str, float | None]:
-        """Median and 99th percentile [ms]; None before the first."""
+    @property
+    def percentiles(self) -> tuple[float, float]:
+        """Median and 99th percentile [s]; NaN before the first."""
         if not self.values:
-            return {"p50": None, "p99": None}
+            return math.nan, math.nan
         p50, p99 = np.percentile(np.array(self.values), [50, 99])
-        return {"p50": round(float(p50) * 1e-6, 3), "p99": round(float(p99) * 1e-6, 3)}
+        return 1e-9 * float(p50), 1e-9 * float(p99)
 
 
 @dataclass
@@ -65,23 +67,3 @@ class Counters:
     sessions: int = 0
     obs_age: Spread = field(default_factory=Spread)
     round_trip: Spread = field(default_factory=Spread)
-
-    def report(self) -> dict[str, object]:
-        """Content of the status topic."""
-        return {
-            "accepted": self.accepted,
-            "clipped": self.clipped,
-            "rejected": sum(self.rejected.values()),
-            "rejected_by_rule": dict(sorted(self.rejected.items())),
-            "late": self.late,
-            "stale": self.stale,
-            "empty": self.empty,
-            "waited": self.waited,
-            "messages": self.messages,
-            "malformed": dict(sorted(self.malformed.items())),
-            "flooded": self.flooded,
-            "strangers": self.strangers,
-            "sessions": self.sessions,
-            "obs_age_ms": self.obs_age.ms(),
-            "round_trip_ms": self.round_trip.ms(),
-        }

@@ -26,7 +26,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from surg_core.arm_view import ArmCommands, ArmView
-from surg_core.contract import SECOND_NS, STEP_NS
+from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server import server_replies
 from surg_policy_bridge.server.arm_authority import ArmAuthority, Phase
 from surg_policy_bridge.server.counters import Counters
@@ -35,6 +35,7 @@ from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.sessions import SentObservation, Session, refusal, spec_for
 from surg_policy_bridge.server.step_executor import JudgedStep, StepExecutor
+from surg_policy_bridge.server.stop_reason import StopReason
 from surg_policy_bridge.server.timers import EMPTY, MAX_OBS_AGE, REJECTS, SILENCE, Timeout
 from surg_policy_client import wire
 from surg_policy_client.spec import Spec
@@ -91,7 +92,8 @@ class ModelServer:
 
     Attributes:
         state: What the policy does to the arms.
-        reason: Why it is not RUNNING; empty while it is.
+        cause: Why it is neither RUNNING nor WAKING.
+        reason: The same in words; empty while it is RUNNING.
         session: Of the connected policy; None: no policy is connected.
         waiting: A policy is in session or waits for the specification; it was not refused.
         counters: Statistics.
@@ -116,7 +118,7 @@ class ModelServer:
         self._start_pending = False
         self._episode_open = False
         self.state = State.IDLE
-        self.reason = "no policy is connected"
+        self.cause, self.reason = StopReason.NO_POLICY, "no policy is connected"
         self.session: Session | None = None
         self.waiting = False
         self.counters = Counters()
@@ -149,9 +151,9 @@ class ModelServer:
         self._start_pending = False
         if not on:
             if self.state in ACTIVE:
-                self._stop(State.READY, "not enabled")
+                self._stop(State.READY, StopReason.NOT_ENABLED, "not enabled")
             elif self.state is State.PAUSED:
-                self.state, self.reason = State.READY, "not enabled"
+                self._set_state(State.READY, StopReason.NOT_ENABLED, "not enabled")
             return ""
         if self.state in ACTIVE:
             return ""
@@ -160,7 +162,7 @@ class ModelServer:
         if obstacle := self._obstacle or self._authority.obstacle(self._views):
             return obstacle
         self._authority.acquire(at)
-        self.state, self.reason = State.WAKING, "the arms are being enabled"
+        self._set_state(State.WAKING, StopReason.NONE, "the arms are being enabled")
         return ""
 
     def episode_over(self, success: bool | None, reason: str) -> None:
@@ -169,15 +171,15 @@ class ModelServer:
             self._episode_open = False
             self._send_episode("end", success, reason)
         if self.state in ACTIVE:
-            self._stop(State.READY, "the episode is over")
+            self._stop(State.READY, StopReason.EPISODE_OVER, "the episode is over")
 
     def end(self, reason: str) -> None:
         """End the server: pause the arms and tell the policy."""
         if self.state in ACTIVE:
-            self._stop(State.PAUSED, reason)
+            self._stop(State.PAUSED, StopReason.SERVER_ENDED, reason)
         if self.session is not None:
             self._send(self.session.peer, server_replies.goodbye(self.session, reason))
-        self._forget_session("the server has ended")
+        self._forget_session(StopReason.SERVER_ENDED, "the server has ended")
 
     def tick(
         self,
@@ -186,6 +188,7 @@ class ModelServer:
         now: int,
         obstacle: str = "",
         camera_problem: str = "",
+        cause: StopReason = StopReason.OPERATOR,
     ) -> dict[str, ArmCommands]:
         """Evaluate arms and timeouts; call it whenever there is anything new.
 
@@ -197,24 +200,29 @@ class ModelServer:
                 controls. Clearing it starts nothing.
             camera_problem: Which camera shows nothing new. It stops a policy, but a pending start
                 waits for it, as it waits for an arm that has not sent yet.
+            cause: Of the obstacle.
 
         Returns:
             Commands besides the steps, by arm.
         """
         self._views, self._at, self._obstacle = views, at, obstacle or camera_problem
+        cause = cause if obstacle else StopReason.CAMERA
         if self._obstacle and self.state in ACTIVE:
-            self._stop(State.PAUSED, self._obstacle)
+            self._stop(State.PAUSED, cause, self._obstacle)
         if self.session is not None and self.session.silence.exceeded(now):
             limit_ms = 1e-6 * self._settings.silence
-            self._lose_session(f"the policy has been silent for more than {limit_ms:.0f} ms")
+            silent = f"the policy has been silent for more than {limit_ms:.0f} ms"
+            self._lose_session(StopReason.POLICY_SILENT, silent)
         if self._start_pending and self.session is not None:
             refused = self.enable(True, at)
-            self.reason = refused or self.reason
+            if refused:
+                cause = cause if self._obstacle else StopReason.ARM
+                self._set_state(self.state, cause, refused)
             # Arms and cameras may still come up; what needs a person ends the pending start.
             coming_up = bool(camera_problem) or any(arm not in views for arm in self._settings.arms)
             self._start_pending = bool(refused) and not obstacle and coming_up
         if lost := self._authority.monitor(views, at):
-            self._stop(State.PAUSED, lost)
+            self._stop(State.PAUSED, StopReason.ARM, lost)
         elif self.state is State.WAKING and self._authority.phase is Phase.HELD:
             self._run()
         return self._authority.take_commands()
@@ -281,7 +289,7 @@ class ModelServer:
         step = self.steps.take(number, past, at)
         if step is None:
             if self.steps.starved(at):
-                self._stop(State.PAUSED, self._starvation())
+                self._stop(State.PAUSED, *self._starvation())
             return {}
         targets = self.steps.judge(session, step, self._views, at)
         if not targets:
@@ -293,22 +301,23 @@ class ModelServer:
         """Targets of a future grid time, by arm; None: unknown."""
         return self.steps.coming(number)
 
-    def _starvation(self) -> str:
+    def _starvation(self) -> tuple[StopReason, str]:
         limit = self._settings.empty / SECOND_NS
-        if self._observation_problem:
-            return f"no observation for more than {limit:g} s: {self._observation_problem}"
-        return f"the policy has sent no action for more than {limit:g} s"
+        if problem := self._observation_problem:
+            text = f"no observation for more than {limit:g} s: {problem}"
+            return StopReason.NO_OBSERVATION, text
+        return StopReason.NO_ACTION, f"the policy has sent no action for more than {limit:g} s"
 
     def _pause_after_rejects(self) -> None:
         if self.steps.rejected_in_a_row >= REJECTS and self.state is State.RUNNING:
-            text = self.steps.judged[-1].text
-            self._stop(State.PAUSED, f"{REJECTS} rejected steps in a row; the last: {text}")
+            text = f"{REJECTS} rejected steps in a row; the last: {self.steps.judged[-1].text}"
+            self._stop(State.PAUSED, StopReason.REJECTED, text)
 
     # --- states -----------------------------------------------------------------------------------
 
     def _run(self) -> None:
         """The arms are held; answers to earlier observations are too late."""
-        self.state, self.reason = State.RUNNING, ""
+        self._set_state(State.RUNNING, StopReason.NONE, "")
         if self.session is not None:
             self.session.answered = self.session.seq
         self.steps.start(self._at)
@@ -319,24 +328,27 @@ class ModelServer:
             self.episode += 1
             self._send_episode("begin", None, "")
 
-    def _stop(self, state: State, reason: str) -> None:
+    def _set_state(self, state: State, cause: StopReason, reason: str) -> None:
+        self.state, self.cause, self.reason = state, cause, reason
+
+    def _stop(self, state: State, cause: StopReason, reason: str) -> None:
         """Execute nothing that is queued, and pause the arms that are held."""
         self.steps.stop()
         self._authority.release(self._views)
-        self.state, self.reason = state, reason
+        self._set_state(state, cause, reason)
         if self.session is not None and self.steps.has_unreported_rejections:
             self._acknowledge(self.session.answered)
         if self._episode_open:
             self._send_episode("paused", None, reason)
 
-    def _lose_session(self, reason: str) -> None:
+    def _lose_session(self, cause: StopReason, reason: str) -> None:
         if self.state in ACTIVE:
-            self._stop(State.PAUSED, reason)
-        self._forget_session(reason)
+            self._stop(State.PAUSED, cause, reason)
+        self._forget_session(cause, reason)
 
-    def _forget_session(self, reason: str) -> None:
+    def _forget_session(self, cause: StopReason, reason: str) -> None:
         self.session, self._start_pending = None, False
-        self.state, self.reason = State.IDLE, f"{reason}; no policy is connected"
+        self._set_state(State.IDLE, cause, f"{reason}; no policy is connected")
 
     # --- messages of the policy -------------------------------------------------------------------
 
@@ -365,7 +377,8 @@ class ModelServer:
             self._reset(session)
         elif message.kind == "BYE":
             reason = message.head["reason"] or "no reason given"
-            self._lose_session(f"the policy has disconnected: {reason}")
+            left = f"the policy has disconnected: {reason}"
+            self._lose_session(StopReason.POLICY_LEFT, left)
         else:
             self._refuse(peer, "kind", f"{message.kind} is a message of the server")
 
@@ -393,7 +406,7 @@ class ModelServer:
             self._refuse(peer, "busy", f"{name} is connected; one policy at a time")
             return
         if session is not None:
-            self._lose_session("the policy is silent")
+            self._lose_session(StopReason.POLICY_SILENT, "the policy is silent")
         if self._spec is None:
             self._early_hello, self.waiting = (peer, head), True
         elif refused := refusal(head, VERSIONS, self._spec):
@@ -414,7 +427,7 @@ class ModelServer:
         self.counters.sessions += 1
         self.steps.take_tally()
         if self.state is State.IDLE:
-            self.state, self.reason = State.READY, "not enabled"
+            self._set_state(State.READY, StopReason.NOT_ENABLED, "not enabled")
         self._start_pending = self._settings.autostart
         self._welcome(self.session)
 
@@ -471,19 +484,3 @@ class ModelServer:
             number = self.episode
             reply = server_replies.episode(session, number, event, instruction, success, reason)
             self._send(session.peer, reply)
-
-    def report(self) -> dict[str, object]:
-        """Content of the status topic."""
-        session = self.session
-        return {
-            "state": self.state.value,
-            "reason": self.reason,
-            "waiting": self.waiting,
-            "session": session.number if session else None,
-            "client": session.client if session else "",
-            "policy": session.policy if session else "",
-            "episode": self.episode,
-            "queue": len(self.steps.queue),
-            "period_ms": 1e3 * STEP_NS / SECOND_NS,
-            **self.counters.report(),
-        }

@@ -3,14 +3,14 @@
 Parameters: ``~bind`` (tcp://127.0.0.1:5555), ``~keys`` (folder of ./surg keys), ``~cell``,
 ``~arms`` ([PSM1]), ``~mode`` (freerun | lockstep), ``~task``, ``~instruction``, ``~privileged``
 (false: the simulator's truth is not served), ``~cameras`` ([]), ``~camera_rate`` (20), ``~clip``
-([jaw]), ``~autostart`` (false), ``~need_present`` (false), ``~answer_timeout`` (5 s). Exit code 2:
-a parameter or file that must not be used.
+([jaw]), ``~autostart`` (false), ``~need_teleop`` (true: no policy runs without the status of a
+teleoperation node), ``~need_present`` (false), ``~answer_timeout`` (5 s). Exit code 2: a parameter
+or file that must not be used.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import secrets
 import signal
@@ -28,7 +28,7 @@ import rosgraph
 import rospy
 import zmq
 from sensor_msgs.msg import Image, Joy
-from std_msgs.msg import Bool, String
+from std_msgs.msg import Bool
 
 import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
@@ -41,8 +41,9 @@ from surg_core.contract import (
     TICK_NS,
     image_key,
 )
-from surg_msgs.msg import PolicyAction, Ready
-from surg_policy_bridge.server import cell_spec
+from surg_core.status_check import Newest
+from surg_msgs.msg import PolicyAction, PolicyStatus, Ready, TeleopStatus
+from surg_policy_bridge.server import cell_spec, operator_first
 from surg_policy_bridge.server.listen_address import BindError
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
 from surg_policy_bridge.server.observer import (
@@ -53,10 +54,12 @@ from surg_policy_bridge.server.observer import (
     lagging_arm,
 )
 from surg_policy_bridge.server.policy_arm import arm_state
+from surg_policy_bridge.server.policy_status_node import policy_status
 from surg_policy_bridge.server.router_node import Router
 from surg_policy_bridge.server.safety_controller import ArmLimits, SafetyController
 from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_bridge.server.step_clock import StepClock
+from surg_policy_bridge.server.stop_reason import StopReason
 from surg_policy_bridge.server.timers import CAMERA_PERIODS, OperatorPresence
 from surg_policy_bridge.server.wire_endpoint import WireEndpoint
 from surg_policy_client.errors import BadKeys
@@ -136,7 +139,7 @@ class ModelServerNode:
         self._due: int | None = None
         self._connected = False
         self._over = False
-        self._operator = ""
+        self._teleop = Newest("/teleop/status")
         self._homed = False
         self._presence = OperatorPresence()
         self._refused = ""
@@ -154,7 +157,7 @@ class ModelServerNode:
         self._action = out("/policy/action", PolicyAction, queue_size=0, tcp_nodelay=True)
         self._rejected = out("/policy/rejected", PolicyAction, queue_size=0, tcp_nodelay=True)
         self._enabled = out("/policy/enabled", Bool, queue_size=2, latch=True)
-        self._status = out("/policy/status", String, queue_size=2, latch=True)
+        self._status = out("/policy/status", PolicyStatus, queue_size=2, latch=True)
         self._ready: Any = None
         if self._settings.lockstep:
             self._ready = out("/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True)
@@ -174,7 +177,7 @@ class ModelServerNode:
             topic = camera_topic(camera)[1]
             found.append(rospy.Subscriber(topic, Image, self._on_image, camera, **keys))
         listen("/policy/enable", Bool, self._on_enable)
-        listen("/teleop/status", String, self._on_teleop)
+        listen("/teleop/status", TeleopStatus, self._on_teleop)
         if settings.need_present:
             for source in ("/console", "/footpedals"):
                 listen(f"{source}/operator_present", Joy, self._on_present, source)
@@ -242,16 +245,9 @@ class ModelServerNode:
             self._reported = -REPORT
             self._rouse()
 
-    def _on_teleop(self, message: String) -> None:
-        """An operator whose hand is on an arm of ours, or reaches for it, comes first."""
-        try:
-            hands = json.loads(message.data)["hands"]
-            wants = [h for h in hands if h["arm"] in self._ports and h["state"] != "DISABLED"]
-            words = [f"the operator wants {h['arm']} ({h['leader']})" for h in wants]
-        except (ValueError, KeyError, TypeError):
-            return
+    def _on_teleop(self, message: TeleopStatus) -> None:
         with self._lock:
-            self._operator = words[0] if words else ""
+            self._teleop.take(message, time.monotonic())
             self._rouse()
 
     def _on_present(self, message: Joy, source: str) -> None:
@@ -278,13 +274,16 @@ class ModelServerNode:
         self._server.serve(spec, time.monotonic_ns())
         self._rouse()
 
-    def _obstacle(self) -> str:
-        """Why nobody wants a policy to run now."""
-        if self._operator:
-            return self._operator
-        if self._settings.need_present and not self._presence.detected(time.monotonic_ns()):
-            return "nobody is at the controls (operator_present)"
-        return ""
+    def _refusal(self) -> operator_first.Refusal:
+        """Why the policy may not have the arms now."""
+        settings, now = self._settings, time.monotonic()
+        present = not settings.need_present or self._presence.detected(time.monotonic_ns())
+        found = operator_first.refusal(
+            settings.arms, self._teleop, now, settings.need_teleop, present
+        )
+        if found[0] is StopReason.TELEOP_STATUS and (complaint := self._teleop.complaint(now)):
+            rospy.logwarn("no arm is given to a policy: %s", complaint)
+        return found
 
     def _blind(self, now: int, views: dict[str, ArmView]) -> str:
         """Which camera no policy may look at now; in lock-step its picture is waited for."""
@@ -356,7 +355,8 @@ class ModelServerNode:
             for arm, (at, raw) in self._cycles.items()
             if now - at <= FRESH
         }
-        commands = self._server.tick(views, now, now, self._obstacle(), self._blind(now, views))
+        cause, obstacle = self._refusal()
+        commands = self._server.tick(views, now, now, obstacle, self._blind(now, views), cause)
         step = self._clock.observe(now)
         if step is not None:
             (stamp_ns, why), wanted = self._put_state(views), self._server.wanted
@@ -431,7 +431,8 @@ class ModelServerNode:
         # that a picture takes.
         self._await(at, [image_key(camera) for camera in self._settings.cameras])
         views = {arm: arm_view(raw.read()) for arm, (_, raw) in self._cycles.items()}
-        commands = self._server.tick(views, at, time.monotonic_ns(), self._obstacle())
+        cause, obstacle = self._refusal()
+        commands = self._server.tick(views, at, time.monotonic_ns(), obstacle, cause=cause)
         if self._server.state is State.RUNNING:
             seen = self._complete(views, number)
             if seen is not None:
@@ -522,8 +523,7 @@ class ModelServerNode:
             self._enabled.publish(Bool(server.state is State.RUNNING))
             rospy.loginfo("policy %s %s", server.state.value, server.reason)
         self._said, self._reported = said, now
-        report = {**server.report(), "refused": self._refused, "address": self._settings.bind}
-        self._status.publish(json.dumps(report))
+        self._status.publish(policy_status(server, self._refused, self._settings.bind))
 
     def stop(self) -> None:
         """No exit leaves an arm moving: whoever is connected is told, what is held is paused."""

@@ -32,6 +32,8 @@ class Settings:
         camera_rate: Pictures per second [1/s].
         clip: Rules that clip a step instead of rejecting it.
         autostart: Enable every new session at once.
+        need_teleop: Run only while the teleoperation's status is fresh and states that no hand
+            wants an arm. False: a system without an operator, such as a roll-out.
         need_present: Run only while the operator is at the controls (operator_present of the
             console or the foot pedals, repeated 20 times per second).
         answer_timeout: Longest wall-clock wait for an answer in lock-step [s].
@@ -49,6 +51,7 @@ class Settings:
     camera_rate: float = real(1.0, 240.0, 20.0)
     clip: tuple[str, ...] = names(tuple(CLIPPED), options=tuple(CLIPPABLE))
     autostart: bool = flag(False)
+    need_teleop: bool = flag(True)
     need_present: bool = flag(False)
     answer_timeout: float = real(0.1, 9.0, 5.0)
 

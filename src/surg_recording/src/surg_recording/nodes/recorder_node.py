@@ -29,7 +29,16 @@ from std_msgs.msg import Bool, Empty, String
 
 from crtk_msgs.msg import OperatingState
 from surg_core.contract import GRID, TICK_NS
-from surg_msgs.msg import ClockSync, Cycle, GroundTruth, Ready, TaskState
+from surg_core.status_check import Newest
+from surg_msgs.msg import (
+    ClockSync,
+    Cycle,
+    GroundTruth,
+    Ready,
+    RecordStatus,
+    SimStatus,
+    TaskState,
+)
 from surg_recording.clock.clock_steps import SteppedClock
 from surg_recording.episode import annotations, provenance, table_rows
 from surg_recording.episode.duplicate_filter import DuplicateFilter
@@ -39,6 +48,7 @@ from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.recovery import recover
 from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES, TopicChoice
 from surg_recording.nodes.recorder_parameters import Settings
+from surg_recording.nodes.status_messages_node import describe_recording, simulation_outcome
 from surg_recording.recording_errors import EpisodeError
 from surg_ros.params import read
 
@@ -90,8 +100,10 @@ class RecorderNode:
         self.finished: str | None = None
         self.finishing = False
         self.starts = 0
+        self._started = False  # the last start succeeded
         self.warnings: list[str] = []
         self.sim_status: dict[str, Any] = {}
+        self._sim = Newest("/sim/status")
         self._switch = threading.RLock()
         self._received: dict[str, int] = {}
         for arm in settings.arms:
@@ -104,7 +116,7 @@ class RecorderNode:
         taken = frozenset((*self._own_topics(), *settings.camera_topics.values()))
         self.choice = TopicChoice(list(settings.topics), taken)
         self._classes: dict[tuple[str, str], Any] = {}
-        self._status = rospy.Publisher("/record/status", String, queue_size=10, latch=True)
+        self._status = rospy.Publisher("/record/status", RecordStatus, queue_size=10, latch=True)
         self._recording = rospy.Publisher("/record/recording", Bool, queue_size=10, latch=True)
         _recover(settings.out.parent, settings.out.name)
         self._recording.publish(False)
@@ -144,8 +156,9 @@ class RecorderNode:
                     video_preset=s.video_preset,
                 )
                 self.problem = self.finished = None
+                self._started = True
             except EpisodeError as problem:
-                self.problem = str(problem)
+                self.problem, self._started = str(problem), False
                 rospy.logerr("recording does not start: %s", problem)
             self.starts += 1
             for arm, text in self._states.items():
@@ -280,7 +293,7 @@ class RecorderNode:
         on(TASK_TOPIC, TaskState, self._on_task_state)
         for name in ASSISTANT:
             on(f"/assistant/{name}", JointState, self._on_assistant, name)
-        on("/sim/status", String, self._on_sim_status)
+        on("/sim/status", SimStatus, self._on_sim_status)
         for camera, topic in self.settings.camera_topics.items():
             on(topic, rospy.AnyMsg, self._on_image, camera)
         on(CLOCK_TOPIC, ClockSync, self._on_clock_sync)
@@ -368,19 +381,18 @@ class RecorderNode:
         if not self._repeated(topic, message, message.data):
             self._event(topic, _sender(message), message.data)
 
-    def _on_sim_status(self, message: String) -> None:
-        try:
-            status = json.loads(message.data)
-        except ValueError:
-            status = None
-        if not isinstance(status, dict):
-            rospy.logwarn_throttle(10, "/sim/status is no JSON object: %s", message.data[:200])
+    def _on_sim_status(self, message: SimStatus) -> None:
+        now = time.monotonic()
+        self._sim.take(message, now)
+        if complaint := self._sim.complaint(now):
+            rospy.logwarn("recorder: not in the manifest: %s", complaint)
+        if self._sim.at(now) is None:
             return
-        ended = bool(status.get("done") or status.get("aborted"))
-        news = ended and not (self.sim_status.get("done") or self.sim_status.get("aborted"))
-        self.sim_status = status
-        if news:
-            self._event("/sim/status", _sender(message), message.data)
+        before, self.sim_status = self.sim_status, simulation_outcome(message)
+        ended = message.state != SimStatus.STATE_RUNNING
+        if ended and not (before.get("done") or before.get("aborted")):
+            text = json.dumps(self.sim_status)
+            self._event("/sim/status", _sender(message), text)
 
     def _on_image(self, camera: str, message: Any) -> None:
         """A picture still in its wire form: raw or compressed is its sender's choice."""
@@ -585,18 +597,31 @@ class RecorderNode:
 
     def _publish_status(self) -> None:
         recording = self.recording
-        status: dict[str, Any] = {
-            "recording": recording is not None,
-            "finishing": self.finishing,
-            "finished": self.finished,
-            "problem": self.problem,
-            "warnings": self.warnings,
-            "starts": self.starts,
-            "tick": self._ticks(),
-        }
+        state = RecordStatus.STATE_IDLE if recording is None else RecordStatus.STATE_RECORDING
+        message = RecordStatus(
+            version=RecordStatus.VERSION,
+            state=RecordStatus.STATE_FINISHING if self.finishing else state,
+            problem=self._problem_code(recording),
+            detail=self.problem or "",
+            starts=self.starts,
+            tick=self._ticks(),
+            finished=self.finished or "",
+            warnings=self.warnings,
+        )
+        message.header.stamp = rospy.Time(*divmod(time.time_ns(), 10**9))
         if recording is not None:
-            status.update(recording.status(), waiting_for=self._waiting_for(recording))
-        self._status.publish(json.dumps(status))
+            describe_recording(message, recording, self._waiting_for(recording))
+            message.detail = recording.problem or ""
+        self._status.publish(message)
+
+    def _problem_code(self, recording: Recording | None) -> int:
+        if recording is not None:
+            bad = bool(recording.problem)
+            return RecordStatus.PROBLEM_INCOMPLETE if bad else RecordStatus.PROBLEM_NONE
+        if not self.problem:
+            return RecordStatus.PROBLEM_NONE
+        started = self._started
+        return RecordStatus.PROBLEM_INCOMPLETE if started else RecordStatus.PROBLEM_NOT_STARTED
 
 
 def _sender(message: Any) -> str:

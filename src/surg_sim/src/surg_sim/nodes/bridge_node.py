@@ -8,7 +8,6 @@ they are taken where the ROS master is on this machine only.
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import struct
@@ -34,6 +33,8 @@ from surg_msgs.msg import (
     PointVelocityStamped,
     Ready,
     SimSnapshot,
+    SimStatus,
+    TaskStatus,
 )
 from surg_ros.params import read
 from surg_ros.transport.direct_publisher import DirectPublisher, listeners, speakers
@@ -200,7 +201,7 @@ class Bridge:
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if self.lockstep else 2, tcp_nodelay=True
         )
-        self._status = rospy.Publisher("/sim/status", String, queue_size=10, latch=True)
+        self._status = rospy.Publisher("/sim/status", SimStatus, queue_size=10, latch=True)
         self._ready = rospy.Subscriber("/sim/ready", Ready, self._on_ready, tcp_nodelay=True)
         rospy.Subscriber("/sim/undeclared", String, self._on_undeclared)
         # In lock-step a tracker takes part as any sender of commands does, under this node's name.
@@ -410,21 +411,26 @@ class Bridge:
             )
 
     def _publish_status(self) -> None:
-        tick = self._world.tick
         # At the end the last executed tick counts; while running, the one whose state is out.
-        status = {
-            "tick": tick - 1 if self._done else tick,
-            "sim_time_s": (tick - 1 if self._done else tick) * TICK_NS / SECOND_NS,
-            "mode": self._settings.mode,
-            "deterministic": self._deterministic,
-            "state_hash": self._world.hash if self.lockstep else None,
-            "done": self._done,
-            "aborted": self._aborted,
-            "overruns": self._overruns,
-            "faults": self._injector.active,
-            "task": None if self._task is None else self._task.status(),
-        }
-        self._status.publish(String(json.dumps(status)))
+        tick = self._world.tick - int(self._done)
+        state = SimStatus.STATE_RUNNING
+        if self._done or self._aborted:
+            state = SimStatus.STATE_ABORTED if self._aborted else SimStatus.STATE_DONE
+        message = SimStatus(
+            version=SimStatus.VERSION,
+            state=state,
+            mode=SimStatus.MODE_LOCKSTEP if self.lockstep else SimStatus.MODE_FREERUN,
+            detail=self._aborted or "",
+            tick=tick,
+            sim_time=tick * TICK_NS / SECOND_NS,
+            deterministic=self._deterministic,
+            state_hash=self._world.hash if self.lockstep else "",
+            overruns=self._overruns,
+            faults=self._injector.active,
+            task=self._task.status() if self._task else TaskStatus(state=TaskStatus.STATE_NONE),
+        )
+        message.header.stamp = rospy.Time(*divmod(time.time_ns(), SECOND_NS))
+        self._status.publish(message)
 
     # --- the two modes ----------------------------------------------------------------------
 

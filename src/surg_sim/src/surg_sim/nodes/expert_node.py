@@ -8,7 +8,6 @@ code 1: it could not connect; 2: a parameter that must not be used. What made it
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -18,11 +17,11 @@ import numpy as np
 import rospy
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty, String
+from std_msgs.msg import Empty
 
 import surg_core
 from crtk_msgs.msg import StringStamped
-from surg_msgs.msg import Cycle
+from surg_msgs.msg import Cycle, SenderStatus
 from surg_ros.params import read
 from surg_ros.participant import ASSISTANT, Participant, Seen
 from surg_sim.nodes import bridge_messages
@@ -68,7 +67,7 @@ class ExpertNode:
         commands = {f"/{arm}/{t}": kind for arm in expert.arms for t, kind in ARM_COMMANDS.items()}
         if assistant:
             commands.update({f"/{ASSISTANT}/{t}": k for t, k in ASSISTANT_COMMANDS.items()})
-        self._status = rospy.Publisher("~status", String, queue_size=10, latch=True)
+        self._status = rospy.Publisher("~status", SenderStatus, queue_size=10, latch=True)
         self._participant = Participant(expert.arms, commands, self._act, task=True)
         self.connect: Callable[[], None] = self._participant.connect
 
@@ -85,7 +84,10 @@ class ExpertNode:
             self._send_to_assistant(action.assistant, seen.stamp)
         if self._expert.reason != self._reason:
             self._reason = self._expert.reason
-            self._status.publish(json.dumps({"reason": self._reason}))
+            stage = SenderStatus.STAGE_FAILED if self._reason else SenderStatus.STAGE_PLAY
+            message = SenderStatus(version=SenderStatus.VERSION, stage=stage, detail=self._reason)
+            message.header.stamp = rospy.Time(*divmod(time.time_ns(), bridge_messages.NS))
+            self._status.publish(message)
         return False
 
     def _send_to_arm(self, arm: str, arm_action: ArmAction, stamp: rospy.Time) -> None:

@@ -13,7 +13,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 
 from surg_core.contract import GRID
-from surg_msgs.msg import TaskState
+from surg_msgs.msg import TaskState, TaskStatus
 from surg_ros.transport.direct_publisher import DirectPublisher
 from surg_ros.transport.raw_message import RawJointState
 from surg_sim.envs.cell_session import FORCE_TICKS
@@ -199,13 +199,15 @@ class TaskTopics:
             if not sensor.listeners & controllers[sensor.arm]
         ]
 
-    def status(self) -> dict[str, object]:
+    def status(self) -> TaskStatus:
         """For ``/sim/status``."""
-        return {
-            "name": self._task.name,
-            "setting": self._setting,
-            "phase": self.verdict.phase,
-            "done": self.verdict.done,
-            "success": self.verdict.success,
-            "reason": self.verdict.reason,
-        }
+        verdict, state = self.verdict, TaskStatus.STATE_RUNNING
+        if verdict.done:
+            state = TaskStatus.STATE_SUCCESS if verdict.success else TaskStatus.STATE_FAILURE
+        return TaskStatus(
+            state=state,
+            name=self._task.name,
+            setting=self._setting,
+            phase=verdict.phase,
+            detail=verdict.reason,
+        )

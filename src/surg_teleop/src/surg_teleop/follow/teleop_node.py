@@ -13,7 +13,6 @@ must not be used.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import random
@@ -35,7 +34,7 @@ from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_msgs.msg import Cycle, Ready
+from surg_msgs.msg import Cycle, HandStatus, Ready, TeleopStatus
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.participant import wait_for_all
 from surg_ros.peers import publishers, subscribers
@@ -85,7 +84,8 @@ class TeleopNode:
         self._cycles: dict[str, tuple[float, RawCycle]] = {}
         self._arrivals = {arm: Arrivals() for arm in system.heard}
         self._tick, self._recording = 0, False
-        self._status: dict[str, object] = {}
+        self._status: tuple[object, ...] = ()
+        self._picture_problem: str | None = None
         self._reported = -math.inf
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
         self._picture = PictureWatch(system.picture)
@@ -96,7 +96,7 @@ class TeleopNode:
         if system.assistant is not None:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
         self._warning = rospy.Publisher("~warning", String, queue_size=10)
-        self._report = rospy.Publisher("~status", String, queue_size=2, latch=True)
+        self._report = rospy.Publisher("~status", TeleopStatus, queue_size=2, latch=True)
         self._record = rospy.Publisher("/record/record", Bool, queue_size=2)
         self._ready = rospy.Publisher(
             "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
@@ -371,26 +371,30 @@ class TeleopNode:
 
     def _tell(self, now: float) -> None:
         picture = self._picture.problem(time.monotonic()) if not self._system.lockstep else ""
-        status = {
-            "hands": [
-                {
-                    "leader": hand.leader.name,
-                    "arm": arm,
-                    "state": one.state.value,
-                    "mapping": one.mode.value,
-                    "scale": one.scale,
-                    "message": self._said.get((arm, "message"), ""),
-                }
-                for hand in self._system.hands
-                for arm, one in hand.switch.arms.items()
-            ],
-            "picture": picture,
-        }
-        if picture and self._status.get("picture") == "":
+        hands = [
+            (
+                hand.leader.name,
+                arm,
+                one.state.name,
+                one.kind.name,
+                one.scale,
+                self._said.get((arm, "message"), ""),
+            )
+            for hand in self._system.hands
+            for arm, one in hand.seat.arms.items()
+        ]
+        if picture and self._picture_problem == "":
             self._warn(picture)
-        if status != self._status or now - self._reported >= REPORT:
+        self._picture_problem = picture
+        if (status := (picture, *hands)) != self._status or now - self._reported >= REPORT:
             self._status, self._reported = status, now
-            self._report.publish(json.dumps(status))
+            message = TeleopStatus(
+                version=TeleopStatus.VERSION,
+                hands=[_hand_status(*each) for each in hands],
+                picture=picture,
+            )
+            message.header.stamp = rospy.Time(*divmod(time.time_ns(), SECOND_NS))
+            self._report.publish(message)
 
     # Lock-step connections.
 
@@ -424,6 +428,19 @@ class TeleopNode:
             if not nodes <= present[topic]:
                 return f"{topic} does not reach {', '.join(sorted(nodes - present[topic]))}"
         return ""
+
+
+def _hand_status(
+    leader: str, arm: str, state: str, mapping: str, scale: float, detail: str
+) -> HandStatus:
+    return HandStatus(
+        leader=leader,
+        arm=arm,
+        state=getattr(HandStatus, f"STATE_{state}"),
+        mapping=getattr(HandStatus, f"MAPPING_{mapping}"),
+        scale=scale,
+        detail=detail,
+    )
 
 
 def _listen(topic: str, kind: type, callback: Any, arguments: Any = None) -> rospy.Subscriber:

@@ -8,7 +8,6 @@ Parameters: ``~cell`` (folder or cell.yaml), ``~arm`` (PSM1), ``~motion`` (CSV; 
 
 from __future__ import annotations
 
-import json
 import os
 import random
 import sys
@@ -18,11 +17,12 @@ from pathlib import Path
 
 import rosgraph
 import rospy
-from std_msgs.msg import String
 
 from surg_core import ConfigError, load_cell
 from surg_core.arm_view import JawRange
-from surg_msgs.msg import Cycle, Ready
+from surg_core.contract import SECOND_NS
+from surg_core.status_check import Newest
+from surg_msgs.msg import Cycle, Ready, SenderStatus, SimStatus
 from surg_ros.arm_port import ArmPort, arm_view
 from surg_ros.participant import wait_for_all
 from surg_ros.peers import publishers, subscribers
@@ -60,11 +60,12 @@ class OperatorNode:
         self._ready = rospy.Publisher(
             "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
         )
-        self._status = rospy.Publisher("~status", String, queue_size=10, latch=True)
+        self._sim = Newest("/sim/status")
+        self._status = rospy.Publisher("~status", SenderStatus, queue_size=10, latch=True)
         self._cycle = rospy.Subscriber(
             f"/{arm}/cycle", Cycle, self._on_cycle, queue_size=None, tcp_nodelay=True
         )
-        rospy.Subscriber("/sim/status", String, self._on_sim_status, queue_size=None)
+        rospy.Subscriber("/sim/status", SimStatus, self._on_sim_status, queue_size=None)
 
     def connect(self) -> None:
         """Waits for every connection, then answers tick 1, which has no cycle before it.
@@ -117,12 +118,12 @@ class OperatorNode:
                 if self.operator.done and not self._lockstep:
                     self.finished.set()
 
-    def _on_sim_status(self, message: String) -> None:
-        try:
-            status = json.loads(message.data)
-        except ValueError:
-            return
-        if isinstance(status, dict) and (status.get("done") or status.get("aborted")):
+    def _on_sim_status(self, message: SimStatus) -> None:
+        now = time.monotonic()
+        self._sim.take(message, now)
+        if complaint := self._sim.complaint(now):
+            rospy.logwarn("operator: the end of the run is not noticed: %s", complaint)
+        elif message.state != SimStatus.STATE_RUNNING:
             self.finished.set()
 
     def _say_ready(self, tick: int) -> None:
@@ -138,20 +139,25 @@ class OperatorNode:
 
     def _report(self) -> None:
         operator = self.operator
-        self._status.publish(
-            json.dumps(
-                {
-                    "stage": operator.stage.value,
-                    "reason": operator.reason,
-                    "refused": operator.refused,
-                    "motion": operator.plan.motion.file,
-                    "scale": operator.plan.mapping.scale,
-                    "mode": operator.mode.value,
-                    "duration_s": operator.plan.played,
-                    "window_ns": list(operator.window_ns) if operator.started_ns else None,
-                }
-            )
+        message = SenderStatus(
+            version=SenderStatus.VERSION,
+            stage=getattr(SenderStatus, f"STAGE_{operator.stage.name}"),
+            detail=operator.reason,
+            refused=operator.refused,
+            motion=str(operator.plan.motion.file),
+            scale=operator.plan.mapping.scale,
+            mode=operator.mode.value,
+            duration=operator.plan.played,
         )
+        message.header.stamp = rospy.Time(*divmod(time.time_ns(), SECOND_NS))
+        if operator.started_ns:
+            begin, end = operator.window_ns
+            message.begin, message.end = _time(begin), _time(end)
+        self._status.publish(message)
+
+
+def _time(nanoseconds: int) -> rospy.Time:
+    return rospy.Time(*divmod(nanoseconds, SECOND_NS))
 
 
 def load(parameters: dict[str, object]) -> tuple[Operator, str, bool]:

@@ -6,7 +6,6 @@ Fast topics are fetched as bytes, and read, only when somebody wants to know: a 
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 import threading
@@ -20,8 +19,18 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState, Joy
 from std_msgs.msg import Bool, Float64, String
 
+import surg_core
 from crtk_msgs.msg import OperatingState, StringStamped
 from surg_core.contract import STATE_NAMES
+from surg_core.status_check import Newest, value_name
+from surg_msgs.msg import (
+    Cycle,
+    HandStatus,
+    PolicyStatus,
+    RecordStatus,
+    SimStatus,
+    TeleopStatus,
+)
 from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_teleop.console.session import operator_messages
 from surg_teleop.console.session.console_orders import (
@@ -40,7 +49,15 @@ from surg_teleop.console.session.console_orders import (
 )
 from surg_teleop.console.session.episode_list import Entry, Episodes
 from surg_teleop.console.session.page_status import finite
-from surg_teleop.console.session.system_state import Arm, Follower, Gauges, Robot
+from surg_teleop.console.session.system_state import (
+    Arm,
+    Follower,
+    Gauges,
+    PolicyServer,
+    Recorder,
+    Robot,
+    SimTask,
+)
 from surg_teleop.console.web.page_protocol import Input
 
 FRESH = 1.0
@@ -54,8 +71,7 @@ FAST = {
     "tip": "tool/measured_cf",
 }
 """Topics of the driven arm with a figure in each message."""
-FOLLOWER_FRESH = 2.0
-"""[s] for which the teleoperation's status is believed; it says it every 0.5 s."""
+REASONS = {int(reason): reason for reason in surg_core.Reason.__members__.values()}
 
 
 class RosSystem:
@@ -73,13 +89,11 @@ class RosSystem:
     ) -> None:
         self._lock = threading.Lock()
         self._arms = {name: Arm(name) for name in arms}
-        self._because: dict[str, tuple[str, str]] = {}
-        self._hands: tuple[Follower, ...] = (Follower(),)
-        self._follower_heard = -1e9
-        self._record: dict[str, Any] = {}
-        self._sim: dict[str, Any] = {}
-        self._policy: dict[str, Any] = {}
-        self._policy_heard = -1e9
+        self._statuses = {
+            topic: Newest(topic)
+            for topic in (f"/{teleop}/status", "/record/status", "/sim/status", "/policy/status")
+        }
+        self._teleop = f"/{teleop}/status"
         self._newest: dict[str, tuple[float, bytes]] = {}
         self._peak = 0.0
         self._episodes = None if episodes is None else Episodes(episodes)
@@ -91,25 +105,24 @@ class RosSystem:
             what: PolledSubscriber(f"/{arms[0]}/{topic}", rospy.AnyMsg)
             for what, topic in FAST.items()
         }
-        self._subscribers = self._subscribe(arms, teleop)
+        self._cycles = {arm: PolledSubscriber(f"/{arm}/cycle", Cycle) for arm in arms}
+        self._subscribers = self._subscribe(arms)
 
     # --- what it hears ------------------------------------------------------------------------
 
-    def _subscribe(self, arms: tuple[str, ...], teleop: str) -> list[rospy.Subscriber]:
+    def _subscribe(self, arms: tuple[str, ...]) -> list[rospy.Subscriber]:
         def on(topic: str, kind: type, call: Any, *about: Any) -> rospy.Subscriber:
             keys = {"queue_size": 10, "tcp_nodelay": True}
             return rospy.Subscriber(topic, kind, lambda message: call(message, *about), **keys)
 
         found = [
-            on(f"/{teleop}/status", String, self._on_teleop),
-            on("/record/status", String, self._on_json, "_record"),
-            on("/sim/status", String, self._on_json, "_sim"),
-            on("/policy/status", String, self._on_policy),
+            on(self._teleop, TeleopStatus, self._on_status, self._teleop),
+            on("/record/status", RecordStatus, self._on_status, "/record/status"),
+            on("/sim/status", SimStatus, self._on_status, "/sim/status"),
+            on("/policy/status", PolicyStatus, self._on_status, "/policy/status"),
         ]
         for arm in arms:
             found.append(on(f"/{arm}/operating_state", OperatingState, self._on_state, arm))
-            found.append(on(f"/{arm}/error", String, self._on_change, arm))
-            found.append(on(f"/{arm}/status", String, self._on_change, arm))
             found.append(on(f"/{arm}/warning", String, self._on_warning, arm))
         return found
 
@@ -125,20 +138,14 @@ class RosSystem:
 
     def _on_state(self, message: OperatingState, arm: str) -> None:
         with self._lock:
+            before = self._arms[arm]
             self._arms[arm] = replace(
-                self._arms[arm],
+                before,
                 state=message.state,
                 homed=message.is_homed,
                 heard=time.monotonic(),
+                reason=before.reason if message.state == before.state else None,
             )
-
-    def _on_change(self, message: String, arm: str) -> None:
-        """FAULT on `error`, every other state on `status`; either may come before the state."""
-        for state in STATE_NAMES:
-            why = operator_messages.reason_of(message.data, arm, state)
-            if why is not None:
-                with self._lock:
-                    self._because[arm] = (state, why)
 
     def _on_warning(self, message: String, arm: str) -> None:
         with self._lock:
@@ -148,39 +155,39 @@ class RosSystem:
                 warned=time.monotonic(),
             )
 
-    def _on_teleop(self, message: String) -> None:
-        status = _object(message.data)
-        hands = status.get("hands")
-        said = hands if isinstance(hands, list) else []
-        found = [_follower(hand) for hand in said if isinstance(hand, dict)]
-        first = found[0] if found else Follower()
-        if not first.reason:
-            first = replace(first, reason=str(status.get("picture") or ""))
+    def _on_status(self, message: Any, topic: str) -> None:
         with self._lock:
-            self._follower_heard = time.monotonic()
-            self._hands = (first, *found[1:])
+            now = time.monotonic()
+            self._statuses[topic].take(message, now)
+            if complaint := self._statuses[topic].complaint(now):
+                rospy.logwarn("console: %s", complaint)
 
-    def _on_json(self, message: String, name: str) -> None:
-        with self._lock:
-            setattr(self, name, _object(message.data))
-
-    def _on_policy(self, message: String) -> None:
-        with self._lock:
-            self._policy, self._policy_heard = _object(message.data), time.monotonic()
+    def _hear_reasons(self) -> None:
+        """Keep why each arm is in its state; with the lock held."""
+        for name, polled in self._cycles.items():
+            messages = polled.fetch()
+            if not messages:
+                continue
+            state, reason = state_and_reason(messages[-1])
+            if state == self._arms[name].state:
+                self._arms[name] = replace(self._arms[name], reason=reason)
 
     def robot(self) -> Robot:
         """See `server.System`."""
         now = time.monotonic()
         with self._lock:
             self._hear_fast(now)
+            self._hear_reasons()
             newest = {
                 what: data for what, (heard, data) in self._newest.items() if now - heard < FRESH
             }
-            alive = now - self._follower_heard < FOLLOWER_FRESH
-            first, *others = self._hands if alive else (Follower(),)
+            hands = self._hands(now)
+            first, others = hands[0], hands[1:]
             own = [hand for hand in others if hand.leader == first.leader]
+            record, sim = self._at("/record/status", now), self._at("/sim/status", now)
+            policy = self._at("/policy/status", now)
             return Robot(
-                tuple(map(self._with_reason, self._arms.values())),
+                tuple(self._arms.values()),
                 first,
                 own[0] if own else Follower(),
                 tuple(hand for hand in others if hand.leader != first.leader),
@@ -191,14 +198,23 @@ class RosSystem:
                     trocar=force(newest.get("trocar")),
                     tip=force(newest.get("tip")),
                 ),
-                self._record,
-                self._sim,
-                policy=self._policy if now - self._policy_heard < FOLLOWER_FRESH else {},
+                _recorder(record) if record else Recorder(),
+                simulated=sim is not None,
+                task=_task(sim) if sim else SimTask(),
+                policy=_policy(policy) if policy else PolicyServer(),
             )
 
-    def _with_reason(self, arm: Arm) -> Arm:
-        state, why = self._because.get(arm.name, ("", ""))
-        return replace(arm, because=why) if state == arm.state else arm
+    def _at(self, topic: str, now: float) -> Any:
+        """The status of a topic; None: there is none that may be acted on."""
+        return self._statuses[topic].at(now)
+
+    def _hands(self, now: float) -> list[Follower]:
+        """What the teleoperation states of each hand; one empty one: nothing valid."""
+        status = self._at(self._teleop, now)
+        if status is None or not status.hands:
+            return [Follower()]
+        first, *others = map(_follower, status.hands)
+        return [replace(first, reason=first.reason or status.picture), *others]
 
     def told(self) -> None:
         """The pages have been told: the peak starts anew."""
@@ -304,16 +320,39 @@ def _publishers(arms: tuple[str, ...], leader: str) -> dict[str, rospy.Publisher
     return found
 
 
-def _follower(hand: dict[str, Any]) -> Follower:
-    """One entry of `hands` in the teleoperation's status."""
+def _follower(hand: HandStatus) -> Follower:
     return Follower(
-        state=str(hand.get("state", "")),
-        mapping=str(hand.get("mapping", "position")),
-        reason=str(hand.get("message") or ""),
-        scale=finite(hand.get("scale")),
-        leader=str(hand.get("leader", "")),
-        arm=str(hand.get("arm", "")),
+        state=value_name(hand, "state"),
+        mapping=value_name(hand, "mapping").lower(),
+        reason=hand.detail,
+        scale=finite(hand.scale),
+        leader=hand.leader,
+        arm=hand.arm,
     )
+
+
+def _recorder(status: RecordStatus) -> Recorder:
+    return Recorder(value_name(status, "state"), status.detail)
+
+
+def _task(status: SimStatus) -> SimTask:
+    task = status.task
+    return SimTask(value_name(task, "state"), task.name, task.phase, task.detail)
+
+
+def _policy(status: PolicyStatus) -> PolicyServer:
+    name = status.policy
+    return PolicyServer(value_name(status, "state"), name, status.detail, status.refused)
+
+
+def state_and_reason(data: bytes) -> tuple[str, surg_core.Reason | None]:
+    """Operating state and reason in a surg_msgs/Cycle; empty and None: unknown."""
+    try:  # header with its frame, tick, state, homed, busy, reason_code
+        (frame,) = struct.unpack_from("<I", data, 12)
+        state, _, _, reason = struct.unpack_from("<4B", data, 24 + frame)
+    except struct.error:
+        return "", None
+    return dict(enumerate(STATE_NAMES)).get(state, ""), REASONS.get(reason)
 
 
 def half_turn(angle: float) -> tuple[float, float]:
@@ -325,15 +364,6 @@ def _joy(on: bool) -> Joy:
     message = Joy(buttons=[int(on)])
     message.header.stamp = rospy.Time(*divmod(time.time_ns(), 10**9))
     return message
-
-
-def _object(text: str) -> dict[str, Any]:
-    """A JSON object; empty where the text is none."""
-    try:
-        found = json.loads(text)
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _last_double(data: bytes | None) -> float | None:

@@ -207,12 +207,11 @@ class Session:
         """
         if self.holder != name:
             return operator_messages.NO_CONTROL
-        state = robot.policy.get("state", "")
-        if state in operator_messages.POLICY_ACTIVE:
+        if robot.policy.active:
             self._orders.append(Policy(False))
             self.reason = operator_messages.POLICY_ENDED
             return ""
-        if state in ("", "IDLE"):
+        if robot.policy.state not in ("READY", "PAUSED"):
             return operator_messages.NO_POLICY
         self._hold(operator_messages.POLICY_ASKED)
         self.phase, self._promised = Phase.READY, now
@@ -243,7 +242,7 @@ class Session:
         self._orders += [
             StateCommand(arm.name, "pause") for arm in robot.arms if arm.state == "ENABLED"
         ]
-        if robot.policy.get("state") in operator_messages.POLICY_ACTIVE:
+        if not robot.policy.passive:
             self._orders.append(Policy(False))
 
     def hide(self, name: str, why: str) -> None:
@@ -329,11 +328,11 @@ class Session:
             self._hold(operator_messages.not_ready(robot, self._enabled, START_TIMEOUT))
 
     def _hand_over(self, robot: Robot, now: float) -> None:
-        """The policy gets the arm as soon as the hand is off it."""
+        """The policy gets the arm once the teleoperation states that no hand wants it."""
         since = now - self._promised
         if since > START_TIMEOUT:
             self._promised = -math.inf
-        elif since >= SETTLED and robot.follower.state in ("DISABLED", ""):
+        elif since >= SETTLED and robot.follower.state == "DISABLED":
             self._promised = -math.inf
             self._orders.append(Policy(True))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import surg_core
+from surg_core import Reason
 from surg_teleop.console.session.system_state import Arm, Robot
 
 NO_CONTROL = "another page has control: this one watches (Stop works from here too)"
@@ -23,14 +25,34 @@ PUT_BACK = "the arm is led home by hand; press Enable once it rests"
 NO_POLICY = "no policy is connected: start one, it connects by itself (docs/reference/policies.md)"
 POLICY_ASKED = "the arm goes to the policy"
 POLICY_ENDED = "the policy gives the arm up; press Enable to have it yourself"
-POLICY_ACTIVE = ("WAKING", "RUNNING")
-"""States of the model server in which the policy has the arm, or is about to."""
 HIDDEN = {
     "hidden": "the tab was hidden: the arm holds; press Enable to go on",
     "closed": CLOSED,
     "gamepad": "the gamepad was unplugged: the arm holds; plug it in and press Enable",
     "pointer": "the mouse or the keyboard was lost: the arm holds; press Enable to go on",
 }
+
+REASONS = {
+    Reason.STATE_NOT_FINITE: "the robot sends joint values that are not finite: check its link",
+    Reason.STALE: "the commands stopped coming; press Enable to go on",
+    Reason.LINK_LOST: "the robot sends no joint values: check that its link runs",
+    Reason.RCM_UNSET: "no trocar point is known: teach it on rcm/set_cp",
+    Reason.RCM_ERROR: "the shaft is off its trocar point: move the trocar or the arm, or teach the "
+    "point again on rcm/set_cp",
+    Reason.OVERRUN: "the control loop missed its deadlines: free the processor, then press Enable",
+    Reason.JOINT_LIMIT: "a joint is at its limit: move the tip back",
+    Reason.OPERATOR: "a person asked for it",
+    Reason.NOT_FOLLOWING: "the robot does not follow its commands: look for a protective stop or a "
+    "clamp, then press Enable",
+    Reason.TRACK_STALE: "the trocar's tracker is silent: start it again, then press Enable",
+    Reason.TOOL_LOST: "the tool sends no jaw angle: check the tool link",
+    Reason.UNREACHABLE: "the arm cannot go further without leaving a limit or the trocar: move the "
+    "tip back",
+    Reason.FORCE: "too much force at the tip or on the trocar: press Enable and move away from the "
+    "contact",
+    Reason.MASTER_LOST: "the ROS master is gone: start it and every node again",
+}
+"""Why an arm is paused or in FAULT, for the operator; the controller's own words for the rest."""
 
 
 def as_sentence(text: str) -> str:
@@ -88,7 +110,7 @@ def not_ready(robot: Robot, since: float, seconds: float) -> str:
     if not arm.state:
         return f"{arm.name} does not speak: see that its controller runs (./surg status)"
     warned = arm.warning if arm.warned >= since else ""
-    fault = arm.because if arm.state == "FAULT" else ""
+    fault = reason_sentence(arm) if arm.state == "FAULT" else ""
     said = fault or without_name(warned, arm.name) or robot.follower.reason
     because = f": {said}" if said else ""
     return f"{arm.name} did not become ready within {seconds:g} s and is {arm.state}{because}"
@@ -97,9 +119,10 @@ def not_ready(robot: Robot, since: float, seconds: float) -> str:
 def state_sentence(arm: Arm) -> str:
     """An arm's state as a sentence for somebody who does not know CRTK."""
     if arm.state == "FAULT":
-        return f"it stopped for a fault: {arm.because or 'it gave no reason'}"
+        return f"it stopped for a fault: {reason_sentence(arm) or 'it gave no reason'}"
     if arm.state == "PAUSED":
-        return f"it holds, paused: {arm.because}" if arm.because else "it holds, paused"
+        why = reason_sentence(arm)
+        return f"it holds, paused: {why}" if why else "it holds, paused"
     if arm.state == "DISABLED":
         return "it holds and obeys nothing; Enable wakes it"
     if arm.state == "ENABLED":
@@ -107,24 +130,11 @@ def state_sentence(arm: Arm) -> str:
     return "it has not spoken yet; see that its controller runs (./surg status)"
 
 
-def reason_of(text: str, name: str, state: str) -> str | None:
-    """Why an arm is in a state, of what its controller says: ``PSM1: FAULT(link): no joint state``.
-
-    Args:
-        text: What it said.
-        name: The arm.
-        state: The state.
-
-    Returns:
-        The reason in words, empty where it gave none; None: it speaks of something else.
-    """
-    head = f"{name}: {state}"
-    if not text.startswith(head):
-        return None
-    rest = text[len(head) :]
-    if rest.startswith("("):
-        rest = rest.partition("): ")[2]
-    return rest.strip()
+def reason_sentence(arm: Arm) -> str:
+    """Why an arm is PAUSED or in FAULT; empty: unknown."""
+    if arm.reason in (None, Reason.NONE):
+        return ""
+    return REASONS.get(arm.reason) or str(surg_core.sentence(arm.reason))
 
 
 def without_name(text: str, name: str) -> str:
@@ -134,39 +144,24 @@ def without_name(text: str, name: str) -> str:
 
 def task_sentence(robot: Robot) -> str:
     """How the phantom's task stands; empty: there is none."""
-    task = robot.sim.get("task")
-    if not isinstance(task, dict):
-        return ""
-    name = str(task.get("name", "task"))
-    if task.get("success"):
-        return f"{name}: done, success"
-    if task.get("done"):
-        return f"{name}: over, {task.get('reason') or 'no success'}"
-    return f"{name}: {task.get('phase', '')}"
+    task = robot.task
+    if task.state == "SUCCESS":
+        return f"{task.name}: done, success"
+    if task.state == "FAILURE":
+        return f"{task.name}: over, {task.detail or 'no success'}"
+    return f"{task.name}: {task.phase}" if task.state == "RUNNING" else ""
 
 
 def policy_sentence(robot: Robot) -> str:
     """What the policy does with the arm; empty: nothing is to be said."""
     policy = robot.policy
-    state, name = policy.get("state", ""), policy.get("policy") or "the policy"
-    if state == "RUNNING":
+    name = policy.name or "the policy"
+    if policy.state == "RUNNING":
         return f"{name} moves the arm: Enable takes it back, Stop pauses it"
-    if state == "WAKING":
+    if policy.state == "WAKING":
         return f"the arm is being enabled for {name}"
-    if policy.get("refused"):
-        return f"the policy does not get the arm: {policy['refused']}"
-    if state in ("PAUSED", "IDLE"):
-        return f"the policy stands: {policy.get('reason', '')}"
-    return ""
-
-
-def record_sentence(robot: Robot) -> str:
-    """What the recorder does; the problem first."""
-    record = robot.record
-    if record.get("problem"):
-        return f"recording: {record['problem']}"
-    if record.get("finishing"):
-        return "the recording is being finished"
-    if record.get("recording"):
-        return "recording"
+    if policy.refused:
+        return f"the policy does not get the arm: {policy.refused}"
+    if policy.state in ("PAUSED", "IDLE"):
+        return f"the policy stands: {policy.detail}"
     return ""

@@ -55,15 +55,15 @@ def report(
         "scale": finite(robot.follower.scale),
         "teleop": robot.follower.state,
         "record": {
-            "on": bool(robot.record.get("recording")),
-            "finishing": bool(robot.record.get("finishing")),
-            "problem": str(robot.record.get("problem") or ""),
+            "on": robot.recorder.recording,
+            "finishing": robot.recorder.state == "FINISHING",
+            "problem": robot.recorder.problem,
         },
         "task": operator_messages.task_sentence(robot),
         "astray": list(robot.astray),
         "policy": {
-            "state": str(robot.policy.get("state", "")),
-            "on": robot.policy.get("state") in operator_messages.POLICY_ACTIVE,
+            "state": robot.policy.state,
+            "on": robot.policy.active,
             "sentence": operator_messages.as_sentence(operator_messages.policy_sentence(robot)),
         },
     }
@@ -84,10 +84,7 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
         if arm is not None and now - arm.warned < RECENT:
             return arm.warning
         return "The tip follows your hand."
-    about = (
-        robot.policy.get("state") in operator_messages.POLICY_ACTIVE
-        or session.reason == operator_messages.POLICY_ASKED
-    )
+    about = robot.policy.active or session.reason == operator_messages.POLICY_ASKED
     if (
         session.phase is Phase.READY
         and about
@@ -133,7 +130,7 @@ def _helper(hand: Follower) -> dict[str, Any]:
 
 def _policy_headline(session: Session, robot: Robot) -> str:
     """Where a policy has the arm."""
-    running = robot.policy.get("state") == "RUNNING"
+    running = robot.policy.state == "RUNNING"
     return "Policy" if session.phase is Phase.READY and running else ""
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+
+from surg_core import Reason
 
 
 @dataclass(frozen=True)
@@ -16,7 +16,7 @@ class Arm:
         state: DISABLED, ENABLED, PAUSED, FAULT; empty: it has not spoken.
         homed: Whether it is homed.
         heard: When it last spoke, on the steady clock [s].
-        because: What it said when it came into this state, in words.
+        reason: Why it is PAUSED or in FAULT; None: unknown.
         warning: Its newest warning, in words.
         warned: When that came [s].
     """
@@ -25,7 +25,7 @@ class Arm:
     state: str = ""
     homed: bool = False
     heard: float = -1e9
-    because: str = ""
+    reason: Reason | None = None
     warning: str = ""
     warned: float = -1e9
 
@@ -82,8 +82,70 @@ class Gauges:
 
 
 @dataclass(frozen=True)
+class Recorder:
+    """What the recorder does.
+
+    Attributes:
+        state: IDLE, RECORDING, FINISHING; empty: no valid status.
+        problem: What is wrong with the recording, in words.
+    """
+
+    state: str = ""
+    problem: str = ""
+
+    @property
+    def recording(self) -> bool:
+        """Whether an episode is open; its files may be under way."""
+        return self.state in ("RECORDING", "FINISHING")
+
+
+@dataclass(frozen=True)
+class SimTask:
+    """How the phantom's task stands.
+
+    Attributes:
+        state: RUNNING, SUCCESS, FAILURE; NONE or empty: there is no task.
+        name: Its name.
+        phase: Where in the task the episode is.
+        detail: Why it failed, in words.
+    """
+
+    state: str = ""
+    name: str = ""
+    phase: str = ""
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class PolicyServer:
+    """What the model server does.
+
+    Attributes:
+        state: IDLE, READY, WAKING, RUNNING, PAUSED; empty: no valid status.
+        name: The policy's.
+        detail: Why it does not run, in words.
+        refused: Why the last enable was refused, in words.
+    """
+
+    state: str = ""
+    name: str = ""
+    detail: str = ""
+    refused: str = ""
+
+    @property
+    def active(self) -> bool:
+        """Whether it has the arm, or is about to."""
+        return self.state in ("WAKING", "RUNNING")
+
+    @property
+    def passive(self) -> bool:
+        """Whether it states that it does not have the arm."""
+        return self.state in ("IDLE", "READY", "PAUSED")
+
+
+@dataclass(frozen=True)
 class Robot:
-    """Everything at one moment.
+    """Everything at one moment. What has no valid, fresh status has its default value.
 
     Attributes:
         arms: The driven arm first, then what must be ready beside it.
@@ -91,9 +153,10 @@ class Robot:
         scope: The same hand on the endoscope's arm, where one holds it.
         helpers: Other hands on other arms.
         gauges: Of the driven arm.
-        record: The newest `/record/status`.
-        sim: The newest `/sim/status`; empty on a real system.
-        policy: The newest `/policy/status`; empty: no model server speaks.
+        recorder: The recorder.
+        simulated: Whether a simulator moves the arms.
+        task: Its task.
+        policy: The model server.
     """
 
     arms: tuple[Arm, ...] = ()
@@ -101,11 +164,12 @@ class Robot:
     scope: Follower = Follower()
     helpers: tuple[Follower, ...] = ()
     gauges: Gauges = Gauges()
-    record: Mapping[str, Any] = field(default_factory=dict)
-    sim: Mapping[str, Any] = field(default_factory=dict)
-    policy: Mapping[str, Any] = field(default_factory=dict)
+    recorder: Recorder = Recorder()
+    simulated: bool = False
+    task: SimTask = SimTask()
+    policy: PolicyServer = PolicyServer()
 
     @property
     def astray(self) -> tuple[str, ...]:
         """Simulated arms in FAULT: nobody stands beside them who could put them back."""
-        return tuple(a.name for a in self.arms if self.sim and a.state == "FAULT")
+        return tuple(a.name for a in self.arms if self.simulated and a.state == "FAULT")

@@ -1,0 +1,55 @@
+"""The model server's state as a surg_msgs/PolicyStatus."""
+
+from __future__ import annotations
+
+import rospy
+
+from surg_core.contract import STEP
+from surg_msgs.msg import PolicyStatus
+from surg_policy_bridge.server.model_server import ModelServer
+
+
+def policy_status(server: ModelServer, refused: str, address: str) -> PolicyStatus:
+    """What the server does now.
+
+    Args:
+        server: The server.
+        refused: Why the last enable was refused; empty: it was not.
+        address: Where the server listens.
+    """
+    session, counters = server.session, server.counters
+    rejected, malformed = sorted(counters.rejected.items()), sorted(counters.malformed.items())
+    message = PolicyStatus(
+        version=PolicyStatus.VERSION,
+        state=getattr(PolicyStatus, f"STATE_{server.state.name}"),
+        reason=getattr(PolicyStatus, f"REASON_{server.cause.name}"),
+        detail=server.reason,
+        refused=refused,
+        waiting=server.waiting,
+        session=session.number if session else 0,
+        client=session.client if session else "",
+        policy=session.policy if session else "",
+        address=address,
+        episode=server.episode,
+        queue=len(server.steps.queue),
+        period=STEP,
+        accepted=counters.accepted,
+        clipped=counters.clipped,
+        rejected=counters.rejected.total(),
+        rejected_rules=[rule for rule, _ in rejected],
+        rejected_by_rule=[count for _, count in rejected],
+        late=counters.late,
+        stale=counters.stale,
+        empty=counters.empty,
+        waited=counters.waited,
+        messages=counters.messages,
+        malformed_codes=[code for code, _ in malformed],
+        malformed=[count for _, count in malformed],
+        flooded=counters.flooded,
+        strangers=counters.strangers,
+        sessions=counters.sessions,
+    )
+    message.obs_age_p50, message.obs_age_p99 = counters.obs_age.percentiles
+    message.round_trip_p50, message.round_trip_p99 = counters.round_trip.percentiles
+    message.header.stamp = rospy.Time.now()
+    return message
