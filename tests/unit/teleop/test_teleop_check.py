@@ -87,7 +87,7 @@ def test_a_picture_counts_only_when_the_tip_has_rested() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda v: replace(v, state=ArmState.DISABLED), "is DISABLED: enable it first"),
+        (lambda v: replace(v, state=ArmState.DISABLED), "is DISABLED; enable it first"),
         (lambda v: replace(v, state=ArmState.FAULT, reason="link"), "is FAULT (link)"),
         (lambda v: replace(v, homed=False), "is not homed"),
         (lambda v: replace(v, holder="/operator"), "is held by /operator"),
@@ -104,7 +104,7 @@ def test_it_refuses_politely_and_moves_nothing(
 
 def test_it_refuses_where_there_is_no_room() -> None:
     bench = Bench(arm=GateArm(p=np.array([0.0, 0.0, 0.032]))).run(1.0)
-    assert "no room (depth_min" in bench.check.reason
+    assert "no room to move up (depth_min" in bench.check.reason
     assert all(c.servo_cp is None for c in bench.log)
 
 
@@ -147,7 +147,7 @@ def interrupted(bench: Bench) -> None:
         (refuse, "refused a command"),
         (scope_moves, "the endoscope has moved"),
         (camera_dies, "no picture for 5 s"),
-        (held_up, "is it held up?"),
+        (held_up, "check for an obstacle"),
         (interrupted, "interrupted"),
     ],
 )

@@ -99,7 +99,7 @@ WRONG = {
     "each picture turned": (np.eye(3), quarter, Cause.TURNED, "turned by itself"),
     "upside down": (about_view(180.0), straight, Cause.UPSIDE_DOWN, "camera head"),
     "each upside down": (np.eye(3), each_turned, Cause.UPSIDE_DOWN, "turned by itself"),
-    "eyes swapped": (np.eye(3), swapped, Cause.EYES_SWAPPED, "Swap the two cameras"),
+    "eyes swapped": (np.eye(3), swapped, Cause.EYES_SWAPPED, "Swap the cables"),
     "base turned": (turn(np.array([0.0, 1.0, 0.0]), 0.8), straight, Cause.TILTED, "base"),
 }
 

@@ -1,8 +1,8 @@
-"""Moves the tip along the camera's axes, step by step, and collects the pictures of each step.
+"""Moves the tip along the axes of the camera and collects the pictures of each step.
 
-Pure: cycles, camera and pictures in, commands out; the arm's own stamps are the clock. Whatever
-goes wrong ends the check with a reason and a ``hold``; nothing moves before the arm is ENABLED and
-homed, and nothing is sent after the end.
+Pure: cycles, camera and pictures in, commands out; the arm's stamps are the clock. Any problem ends
+the check with a reason and a ``hold``. Nothing moves before the arm is ENABLED and homed, and
+nothing is sent after the end.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from surg_teleop.playback.workspace_fit import Workspace
 Array = NDArray[np.float64]
 
 STILL_S = 0.25
-"""The tip is at rest that long before a picture counts: a lagging arm, a rolling shutter."""
+"""[s] The tip rests this long before a picture counts, because of lag and rolling shutters."""
 PICTURE_S = 5.0
-"""Longest wait for a picture of the tip at rest."""
+"""[s] Longest wait for a picture of the tip at rest."""
 ARRIVE_S = 3.0
-"""Longest wait for the tip to come where it was sent."""
+"""[s] Longest wait for the tip to arrive."""
 THERE = 0.0007
-"""[m] Nearer than that to where it was sent, the tip is there."""
+"""[m] Tolerance of the arrival."""
 CLOCKS_S = 7.0
-"""Largest difference of a picture's stamp from the arm's: beyond, nobody knows what it shows."""
+"""[s] Largest difference between the stamps of picture and arm."""
 SCOPE_MOVED = np.radians(0.5)
-"""Largest turn of the camera during the check [rad]."""
+"""[rad] Largest rotation of the camera during the check."""
 
 
 class Stage(enum.Enum):
-    """What the check is doing."""
+    """Stage of the check."""
 
     WAIT = "wait"
     GO = "go"
@@ -50,12 +50,12 @@ class Stage(enum.Enum):
 
 @dataclass(frozen=True)
 class Pair:
-    """Pictures of one moment.
+    """Pictures of one exposure.
 
     Attributes:
-        stamp_ns: When they were exposed [ns].
+        stamp_ns: Exposure [ns].
         left: (h, w, 3) rgb8.
-        right: The other eye's; None: there is one eye.
+        right: Of the right eye; None: there is one eye.
     """
 
     stamp_ns: int
@@ -68,14 +68,14 @@ class FramesCheck:
     """One check of one arm under one camera.
 
     Attributes:
-        arm: Its name, for messages.
+        arm: Name of the arm, for messages.
         node: Caller id under which the commands are sent.
-        workspace: Where the tip may go.
-        side: How far to either side of rest [m].
-        enable: Ask for ``home`` and ``enable`` where they are missing, instead of refusing.
-        stage: What is being done.
+        workspace: Where the tip may be commanded.
+        side: Distance from rest [m].
+        enable: Send ``home`` and ``enable`` if needed, instead of refusing.
+        stage: Present stage.
         reason: Why it failed; empty otherwise.
-        pictures: What has been collected, by step.
+        pictures: Collected pictures, by step.
     """
 
     arm: str
@@ -102,18 +102,18 @@ class FramesCheck:
 
     @property
     def step(self) -> Step:
-        """What is being looked at, or will be next."""
+        """Present step, or the next one."""
         left = [step for step in STEPS if step not in self.pictures]
         return left[0] if left else REST
 
     def stop(self, reason: str) -> ArmCommands:
-        """End it from outside, wherever it is.
+        """Abort the check.
 
         Args:
-            reason: For the person.
+            reason: Why, for the operator.
 
         Returns:
-            What to send now: hold, if the arm may be moving.
+            Commands to send now: hold, if the arm may be moving.
         """
         commands = ArmCommands(hold=self.stage in (Stage.GO, Stage.LOOK, Stage.BACK))
         if not self.done:
@@ -124,12 +124,12 @@ class FramesCheck:
         """One control cycle.
 
         Args:
-            arm: What it says.
-            R_WV: (3, 3) the view in the world as the cell has it; None: not known yet.
+            arm: The arm's cycle.
+            R_WV: (3, 3) the view in the world according to the cell; None: unknown yet.
             pair: The newest pictures; None: there are none yet.
 
         Returns:
-            What to send for the next cycle.
+            Commands for the next cycle.
         """
         commands = ArmCommands(stamp_ns=arm.stamp_ns + TICK_NS)
         if self.done or self._prepare(arm, commands):
@@ -152,7 +152,7 @@ class FramesCheck:
         return commands
 
     def _prepare(self, arm: ArmView, commands: ArmCommands) -> bool:
-        """Home and enable the arm where that is wanted; whether it is still under way."""
+        """Home and enable the arm if allowed; returns whether this is under way."""
         if not self.enable or self.stage is not Stage.WAIT:
             return False
         if arm.ready:
@@ -166,30 +166,30 @@ class FramesCheck:
         return self._bring_up.active
 
     def _problem(self, arm: ArmView, R_WV: Array | None) -> str:
-        """Why the check must end, or may not begin; empty: nothing."""
+        """Why the check must end, or must not begin; empty: it need not."""
         why = f" ({arm.reason})" if arm.reason else ""
         if arm.state != ArmState.ENABLED:
             return (
-                f"{self.arm} is {arm.state.name}{why}: enable it first, with "
+                f"{self.arm} is {arm.state.name}{why}; enable it first with "
                 f"'rostopic pub -1 /{self.arm}/state_command crtk_msgs/StringStamped \"string: "
                 "enable\"'"
             )
         if not arm.homed:
-            return f"{self.arm} is not homed: send it the state_command 'home' first"
+            return f"{self.arm} is not homed; send the state_command 'home' first"
         if arm.holder not in ("", self.node):
-            return f"{self.arm} is held by {arm.holder}: end that first"
+            return f"{self.arm} is held by {arm.holder}; end that first"
         if self.stage is Stage.WAIT:
             return ""
         if arm.refused > self._refused:
-            return f"{self.arm} refused a command{why}: see {self.arm}/warning"
+            return f"{self.arm} refused a command{why}; see {self.arm}/warning"
         if R_WV is not None:
             turned = float(np.linalg.norm(self._view(arm, R_WV) - self._R_RV)) / np.sqrt(2.0)
             if not turned < SCOPE_MOVED:
-                return "the endoscope has moved: let it rest during the check"
+                return "the endoscope has moved; keep it at rest during the check"
         return ""
 
     def _view(self, arm: ArmView, R_WV: Array) -> Array:
-        """The view in the rcm frame, (3, 3): the registration that is being checked."""
+        """The view in the rcm frame, (3, 3): the registration under test."""
         return np.asarray(arm.R_WR.T @ R_WV)
 
     def _begin(self, arm: ArmView, R_WV: Array, commands: ArmCommands) -> None:
@@ -200,7 +200,7 @@ class FramesCheck:
             place = self._place(step)
             if wall := self.workspace.nearest(place)[1]:
                 self._fail(
-                    f"{step} of here is no room ({wall} of the workspace): bring the tip "
+                    f"no room to move {step} ({wall} of the workspace); move the tip at least "
                     f"{1e3 * self.side:.0f} mm away from its limits and try again",
                     commands,
                 )
@@ -216,7 +216,7 @@ class FramesCheck:
         self._since = self._still_since = arm.stamp_ns
 
     def _go(self, arm: ArmView, commands: ArmCommands) -> None:
-        """On the way, and arriving."""
+        """Move to the target and check the arrival."""
         target = self._place(REST if self.stage is Stage.BACK else self.step)
         seconds = (arm.stamp_ns - self._since) / SECOND_NS
         place, end = between(self._from, target, seconds)
@@ -228,7 +228,7 @@ class FramesCheck:
             if arm.stamp_ns - self._still_since > ARRIVE_S * SECOND_NS:
                 off = 1e3 * float(np.linalg.norm(arm.p_tip - target))
                 self._fail(
-                    f"the tip stays {off:.1f} mm from where it was sent: is it held up?", commands
+                    f"the tip stops {off:.1f} mm from its target; check for an obstacle", commands
                 )
             return
         self._from = target
@@ -239,13 +239,13 @@ class FramesCheck:
         self._enter(Stage.LOOK, arm)
 
     def _look(self, arm: ArmView, pair: Pair | None, commands: ArmCommands) -> None:
-        """At rest, until a picture of it has come."""
+        """Rest until a picture has arrived."""
         commands.servo_cp = TipPose(self._from, self._roll)
         apart = 0.0 if pair is None else (arm.stamp_ns - pair.stamp_ns) / SECOND_NS
         if pair is not None and abs(apart) > CLOCKS_S:
             self._fail(
-                f"the picture's stamp is {apart:.1f} s behind the arm's: nobody knows what it "
-                "shows. Is it frozen, or is the clock of the camera's machine wrong?",
+                f"the picture's stamp is {apart:.1f} s behind the arm's; check for a frozen "
+                "picture, and the clock of the camera's machine",
                 commands,
             )
         elif pair is not None and pair.stamp_ns >= self._still_since + STILL_S * SECOND_NS:
@@ -253,14 +253,14 @@ class FramesCheck:
             self._enter(Stage.GO if len(self.pictures) < len(STEPS) else Stage.BACK, arm)
         elif arm.stamp_ns - self._still_since > (STILL_S + PICTURE_S) * SECOND_NS:
             self._fail(
-                f"no picture for {PICTURE_S:.0f} s: is the endoscope running, and are both eyes "
-                "sent?",
+                f"no picture for {PICTURE_S:.0f} s; check that the endoscope node runs and sends "
+                "both eyes",
                 commands,
             )
 
 
 def split(pictures: Mapping[Step, Pair]) -> tuple[dict[Step, Picture], dict[Step, Picture] | None]:
-    """The pictures of the left and of the right eye; None: there is one eye."""
+    """Pictures of the left and the right eye; None: there is one eye."""
     left = {step: pair.left for step, pair in pictures.items()}
     right = {step: pair.right for step, pair in pictures.items() if pair.right is not None}
     return left, right if len(right) == len(left) else None

@@ -1,4 +1,4 @@
-"""Where the tip goes: rest, and 5 mm to either side along each of the camera's axes.
+"""Probe motions: rest, and 5 mm to either side along each axis of the camera.
 
 View frame V: the optical axes of the left eye, x right, y down, z away from the viewer.
 """
@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SIDE = 0.005
-"""[m] To either side of rest."""
+"""[m] Distance from rest."""
 SPEED = 0.020
-"""[m/s] Largest speed of the tip: a person can follow it, and stop it."""
+"""[m/s] Largest speed of the tip; slow enough for a person to stop it."""
 AXES = (0, 1, 2)
 """x, y, z of V."""
 WORDS = {
@@ -26,17 +26,17 @@ WORDS = {
     (2, 1): "away",
     (2, -1): "nearer",
 }
-"""What a viewer calls the way along an axis."""
+"""The viewer's word for each direction."""
 
 
 class Step(NamedTuple):
-    """A place on the way: the axis and the side of it; side 0 is rest."""
+    """A probe position: an axis and a side of it; side 0 is rest."""
 
     axis: int
     side: int
 
     def __str__(self) -> str:
-        """The word for it."""
+        """Its word."""
         return WORDS.get((self.axis, self.side), "rest")
 
     def offset(self, side: float = SIDE) -> Array:
@@ -46,22 +46,23 @@ class Step(NamedTuple):
 
 REST = Step(0, 0)
 STEPS = (REST, *(Step(axis, side) for axis in AXES for side in (1, -1)))
-"""In the order in which they are visited; afterwards the tip goes back to rest."""
+"""In the order of visits; the tip returns to rest afterwards."""
 
 
 def between(start: Array, end: Array, t: float, speed: float = SPEED) -> tuple[Array, bool]:
-    """A place on the straight way from start to end, from rest to rest.
+    """Position on a straight line from start to end, from rest to rest.
 
-    The way's share is 3 s^2 - 2 s^3 of the time's share s: at most 1.5 times the mean speed.
+    The share of the path is 3 s^2 - 2 s^3 for a share s of the time, so the largest speed is 1.5
+    times the mean.
 
     Args:
         start: (3,) [m].
         end: (3,) [m].
-        t: Since the start [s].
-        speed: Largest on the way [m/s].
+        t: Time since the start [s].
+        speed: Largest speed [m/s].
 
     Returns:
-        The place (3,) [m], and whether it is the end.
+        Position (3,) [m], and whether it is the end.
     """
     duration = 1.5 * float(np.linalg.norm(end - start)) / speed
     if t >= duration:

@@ -1,9 +1,9 @@
-"""What the tip's motion in the pictures says about the registration of the camera.
+"""Judges the registration of the camera from the motion of the tip in the pictures.
 
-Pure geometry: places of the tip in one or two pictures in, a verdict in plain words out. With two
-eyes the tip is triangulated, the sign of the disparity kept apart; the matrix S then has in its
-columns how the tip was *seen* to move, in the camera's axes, per metre that it was *told* to move
-right, down and away. A right registration shows S = identity.
+Pure geometry: tip positions in one or two pictures in, a verdict out. With two eyes the tip is
+triangulated from the absolute disparity. The columns of the matrix S hold the observed motion, in
+the camera's axes, per metre of commanded motion right, down and away. A correct registration gives
+S = identity.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from surg_teleop.frames.tip_tracker import Place
 Array = NDArray[np.float64]
 
 ANGLE = np.radians(20.0)
-"""From which angle between hand and picture on a registration is wrong: less is not felt."""
+"""[rad] Largest rotation error between hand and picture that operators do not notice."""
 SIZES = (0.6, 1.6)
-"""Allowed lengths of what is seen, as shares of what was told."""
+"""Allowed ratio of observed to commanded motion."""
 MATCHED = 0.8
-"""[px] How well the difference of two disparities is known: far away it says little of depth."""
+"""[px] Accuracy of the difference of two disparities; it limits the depth far away."""
 LEAST = 3.0
-"""[px] Less than this between the two sides of an axis across the view is no motion."""
+"""[px] Smallest motion between the two sides of an axis across the view."""
 
 
 class Cause(enum.Enum):
-    """What is most likely wrong."""
+    """Most likely cause."""
 
     NONE = "none"
     MIRRORED = "mirrored"
@@ -44,7 +44,7 @@ class Cause(enum.Enum):
 
 
 class Outcome(enum.Enum):
-    """Whether the registration can be trusted. Only PASS allows teleoperation by this picture."""
+    """Result; only PASS allows teleoperation with this picture."""
 
     PASS = "pass"
     FAIL = "fail"
@@ -53,12 +53,12 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True)
 class Lens:
-    """The camera's model.
+    """Pinhole model of the camera.
 
     Attributes:
         f: Focal length [px].
         centre: (2,) principal point of the left picture [px].
-        baseline: Distance of the right eye to the right of the left one [m]; 0: one eye.
+        baseline: Distance from the left to the right eye [m]; 0: one eye.
     """
 
     f: float
@@ -67,18 +67,18 @@ class Lens:
 
 
 @dataclass(frozen=True)
-class Seen:
-    """One axis: what was told and what was seen.
+class AxisMotion:
+    """Commanded and observed motion along one axis.
 
     Attributes:
-        told: "right", "down" or "away".
-        pixels: (2,) motion in the left picture from the one side to the other [px].
-        disparity: Its change [px]; None with one eye.
-        metres: (3,) the same in the camera's axes, per metre told; with one eye only its direction
-            across the view counts, and z is not a number.
+        commanded: "right", "down" or "away".
+        pixels: (2,) motion in the left picture from one side to the other [px].
+        disparity: Change of the disparity [px]; None with one eye.
+        metres: (3,) observed motion in the camera's axes per metre commanded. With one eye only
+            the direction across the view counts, and z is NaN.
     """
 
-    told: str
+    commanded: str
     pixels: Array
     disparity: float | None
     metres: Array
@@ -86,51 +86,53 @@ class Seen:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The outcome.
+    """Verdict on the registration.
 
     Attributes:
-        outcome: Pass, fail, or cannot tell.
-        cause: What is most likely wrong.
-        text: The same for a person: what was seen, the likely cause, the cure.
-        seen: The axes, in the order right, down, away.
-        angle: Between hand and picture [rad]; not a number where nothing was seen.
+        outcome: Pass, fail, or undecided.
+        cause: Most likely cause.
+        text: What was observed, the likely cause, and what to do.
+        seen: Motions along the axes right, down, away.
+        angle: Rotation between hand and picture [rad]; NaN if the tip was not seen.
     """
 
     outcome: Outcome
     cause: Cause
     text: str
-    seen: tuple[Seen, ...] = ()
+    seen: tuple[AxisMotion, ...] = ()
     angle: float = float("nan")
 
 
 def not_seen(reason: str) -> Verdict:
-    """The verdict when the pictures show too little."""
+    """Verdict if the pictures do not show the tip."""
     return Verdict(Outcome.CANNOT_TELL, Cause.NOT_SEEN, f"cannot tell: {reason}")
 
 
 def judge(places: Mapping[Step, Place], lens: Lens, side: float = SIDE) -> Verdict:
-    """Compare what was seen with what was told.
+    """Compare observed with commanded motion.
 
     Args:
-        places: The tip at rest and at both sides of every axis.
+        places: Tip at rest and at both sides of every axis.
         lens: Of the left eye.
-        side: How far each side was from rest [m].
+        side: Distance of each side from rest [m].
     """
     rest = places[REST]
     two_eyes = rest.disparity is not None and lens.baseline > 0.0
     seen = tuple(_axis(places, axis, lens, side, two_eyes) for axis in AXES)
-    still = [s.told for s in seen[:2] if float(np.hypot(*s.pixels)) < LEAST]
+    still = [s.commanded for s in seen[:2] if float(np.hypot(*s.pixels)) < LEAST]
     if still:
         return not_seen(
-            f"told to go {' and '.join(still)}, the tip hardly moved in the picture. Is it held by "
-            "tissue, is the picture delayed or frozen, or does the endoscope move along?"
+            f"commanded to move {' and '.join(still)}, the tip hardly moved in the picture. Check "
+            "that no tissue holds it, that the picture is live, and that the endoscope is at rest"
         )
     if two_eyes:
         return _judge_pair(seen, rest, lens, side)
     return _judge_flat(seen)
 
 
-def _axis(places: Mapping[Step, Place], axis: int, lens: Lens, side: float, two_eyes: bool) -> Seen:
+def _axis(
+    places: Mapping[Step, Place], axis: int, lens: Lens, side: float, two_eyes: bool
+) -> AxisMotion:
     plus, minus = places[Step(axis, 1)], places[Step(axis, -1)]
     pixels, change = plus.left - minus.left, None
     metres = np.full(3, np.nan)
@@ -141,23 +143,23 @@ def _axis(places: Mapping[Step, Place], axis: int, lens: Lens, side: float, two_
         change = abs(sizes[0]) - abs(sizes[1])
     else:
         metres[:2] = pixels
-    return Seen(WORDS[axis, 1], pixels, change, metres)
+    return AxisMotion(WORDS[axis, 1], pixels, change, metres)
 
 
 def _signed(place: Place) -> float:
-    """Disparity along the direction it has: a picture turned by a quarter has it upright."""
+    """Disparity along its larger component; it is vertical in a picture turned by 90 degrees."""
     assert place.disparity is not None
     return float(max(place.disparity, key=abs))
 
 
 def _triangulate(place: Place, lens: Lens) -> Array:
-    """Where the tip seems to be, in the camera's axes [m], (3,), whichever eye is which."""
+    """Apparent tip in the camera's axes [m], (3,), whichever eye is which."""
     z = lens.f * lens.baseline / max(abs(_signed(place)), 1e-3)
     across = (place.left - lens.centre) * z / lens.f
     return np.array([across[0], across[1], z])
 
 
-def _judge_pair(seen: tuple[Seen, ...], rest: Place, lens: Lens, side: float) -> Verdict:
+def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens, side: float) -> Verdict:
     assert rest.disparity is not None
     S = np.column_stack([s.metres for s in seen])
     U, _, Vt = np.linalg.svd(S)
@@ -170,13 +172,13 @@ def _judge_pair(seen: tuple[Seen, ...], rest: Place, lens: Lens, side: float) ->
     if angle < ANGLE:
         if swapped or upright:
             text = (
-                "left and right eye are swapped: the tip stands farther left in the left picture "
-                "than in the right one, as nothing in front of the lenses can. Near and far are "
-                "exchanged for the viewer. Swap the two cameras' cables, devices or topics"
+                "left and right eye are swapped: the tip is farther left in the left picture than "
+                "in the right one. The viewer sees near and far exchanged. Swap the cables, "
+                "devices or topics of the two cameras"
             )
             return Verdict(Outcome.FAIL, Cause.EYES_SWAPPED, text, seen, angle)
         sizes = np.linalg.norm(S, axis=0)
-        # Of depth, the disparity changes by d^2 / (f b) per metre.
+        # The disparity changes by d^2 / (f b) per metre of depth.
         change = _signed(rest) ** 2 * 2.0 * side / (lens.f * lens.baseline)
         slack = np.array([0.0, 0.0, MATCHED / change])
         if (sizes < SIZES[0] - slack).any() or (sizes > SIZES[1] + slack).any():
@@ -186,8 +188,8 @@ def _judge_pair(seen: tuple[Seen, ...], rest: Place, lens: Lens, side: float) ->
     return _turned(seen, R, angle, swapped or upright)
 
 
-def _judge_flat(seen: tuple[Seen, ...]) -> Verdict:
-    """With one eye: only what is across the view."""
+def _judge_flat(seen: tuple[AxisMotion, ...]) -> Verdict:
+    """With one eye: only motion across the view."""
     S = np.column_stack([s.metres[:2] for s in seen[:2]])
     U, sizes, Vt = np.linalg.svd(S)
     R = np.eye(3)
@@ -200,30 +202,32 @@ def _judge_flat(seen: tuple[Seen, ...]) -> Verdict:
     if sizes.max() > sizes.min() * SIZES[1]:
         return _wrong_size(seen, sizes / sizes.max(), angle)
     text = (
-        f"hand and picture agree within {np.degrees(angle):.0f} degrees across the view; with one "
-        "eye near and far are not judged"
+        f"hand and picture agree within {np.degrees(angle):.0f} degrees across the view; "
+        "one eye cannot judge near and far"
     )
     return Verdict(Outcome.PASS, Cause.NONE, text, seen, angle)
 
 
-def _mirrored(seen: tuple[Seen, ...], R: Array, swapped: bool) -> Verdict:
-    """A hand that goes one way and a tip that goes the other, as in a mirror."""
+def _mirrored(seen: tuple[AxisMotion, ...], R: Array, swapped: bool) -> Verdict:
+    """One direction is reversed, as in a mirror."""
     _, vectors = np.linalg.eigh((R + R.T) / 2.0)
-    normal = np.abs(vectors[:, 0])  # of the mirror: the direction that is reversed
+    normal = np.abs(vectors[:, 0])  # the reversed direction
     axis = int(np.argmax(normal))
     pair = ("left and right", "up and down", "near and far")[axis]
     where = (
-        "each picture is flipped by itself: look for a mirror setting of capture or display"
+        "each picture is flipped by itself: check the mirror settings of capture and display"
         if swapped or axis == 1
         else "the pictures are flipped as in a mirror, or the camera's pose is left-handed"
     )
     if axis == 2:
         where = "the sign of the camera's z axis is wrong: z points away from the viewer"
-    text = f"the picture is mirrored: {pair} are exchanged ({_told(seen)}). Likely {where}"
+    text = (
+        f"the picture is mirrored: {pair} are exchanged ({_summary(seen)}). Likely cause: {where}"
+    )
     return Verdict(Outcome.FAIL, Cause.MIRRORED, text, seen, _angle(R))
 
 
-def _turned(seen: tuple[Seen, ...], R: Array, angle: float, each: bool) -> Verdict:
+def _turned(seen: tuple[AxisMotion, ...], R: Array, angle: float, each: bool) -> Verdict:
     """Hand and picture differ by a rotation."""
     turn = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     size = float(np.linalg.norm(turn))
@@ -237,41 +241,42 @@ def _turned(seen: tuple[Seen, ...], R: Array, angle: float, each: bool) -> Verdi
         cause, what = Cause.TURNED, f"the picture is turned by {degrees:.0f} degrees {way}"
     else:
         cause = Cause.TILTED
-        what = (
-            f"hand and picture differ by a turn of {degrees:.0f} degrees that is not about the view"
-        )
+        what = f"hand and picture differ by {degrees:.0f} degrees about an axis across the view"
     if each:
-        why = "each picture is turned by itself: look for a rotation setting of capture or display"
+        why = "each picture is turned by itself: check the rotation settings of capture and display"
     elif about_view:
         why = (
-            "the camera head is turned in its holder, or the camera's frame is, in the endoscope's "
-            "URDF or in calibration/camera_<arm>.yaml"
+            "the camera head is turned in its holder, or the camera's frame is wrong in the "
+            "endoscope's URDF or in calibration/camera_<arm>.yaml"
         )
     else:
         why = (
-            "the base of one of the two arms in cell.yaml (arms.….base), or the endoscope's tool "
-            "calibration"
+            "a wrong base of one of the two arms in cell.yaml (arms.….base), or a wrong tool "
+            "calibration of the endoscope"
         )
-    return Verdict(Outcome.FAIL, cause, f"{what} ({_told(seen)}). Likely {why}", seen, angle)
+    return Verdict(
+        Outcome.FAIL, cause, f"{what} ({_summary(seen)}). Likely cause: {why}", seen, angle
+    )
 
 
-def _wrong_size(seen: tuple[Seen, ...], sizes: Array, angle: float) -> Verdict:
+def _wrong_size(seen: tuple[AxisMotion, ...], sizes: Array, angle: float) -> Verdict:
     text = (
-        f"directions agree, sizes do not: seen were {sizes.min():.1f} to {sizes.max():.1f} times "
-        "what was told. Likely focal length or baseline of the camera, or the tip was held up"
+        f"directions agree, but the observed motion is {sizes.min():.1f} to {sizes.max():.1f} "
+        "times the commanded one. Likely cause: focal length or baseline of the camera, or an "
+        "obstacle at the tip"
     )
     return Verdict(Outcome.FAIL, Cause.SIZE, text, seen, angle)
 
 
-def _told(seen: tuple[Seen, ...]) -> str:
-    return ", ".join(f"told {s.told}, seen {direction(s.metres)}" for s in seen)
+def _summary(seen: tuple[AxisMotion, ...]) -> str:
+    return ", ".join(f"commanded {s.commanded}, seen {direction(s.metres)}" for s in seen)
 
 
 def direction(v: Array) -> str:
-    """The words for a direction in V, such as "right", or "left and up".
+    """Words for a direction in V, such as "right", or "left and up".
 
     Args:
-        v: (3,), z may be not a number: then only what is across the view is named.
+        v: (3,); z may be NaN, then only the direction across the view is named.
     """
     v = np.nan_to_num(v)
     size = float(np.linalg.norm(v))
@@ -288,6 +293,6 @@ def _angle(R: Array) -> float:
 
 
 def _half_turn_axis(R: Array) -> Array:
-    """The axis of a rotation by about half a turn."""
+    """Axis of a rotation by about 180 degrees."""
     _, vectors = np.linalg.eigh((R + R.T) / 2.0)
     return np.asarray(vectors[:, -1])

@@ -1,10 +1,10 @@
-"""Where the instrument's tip is in pictures: found by its motion, followed by its look.
+"""Finds the instrument's tip in pictures: segmented by its motion, tracked by its appearance.
 
-The pictures are taken with the tip at rest, and a little to either side of rest along three axes.
-What differs from the picture at rest on *both* sides of an axis is the instrument at rest
-(three-frame differencing): no model of instrument or tissue, and no knowledge of where the tip
-should be. The end of it that lies inside the picture is the tip; a patch round it is then found
-again in every picture by weighted normalised cross-correlation, to a fraction of a pixel.
+There is a picture at rest and one to either side of rest along three axes. Pixels that differ from
+the picture at rest on *both* sides of an axis show the instrument at rest (three-frame
+differencing). This needs no model and no expected position. The end of the instrument inside the
+picture is the tip. A patch around it is located in every picture by weighted normalised
+cross-correlation, to sub-pixel accuracy.
 """
 
 from __future__ import annotations
@@ -23,33 +23,34 @@ Smooth = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 REACH = 0.18
-"""How far a tip is looked for, as a share of the picture's height."""
+"""Search radius as a share of the picture's height."""
 PATCH = 0.075
-"""Radius of what is followed, as a share of the picture's height."""
+"""Radius of the patch as a share of the picture's height."""
 NEAR = 6.0
-"""[px] How far the other eye's picture may differ from the disparity at rest."""
+"""[px] Largest change of the disparity."""
 FINE = 0.25
-"""[px] Step of the search along the line of the disparity."""
+"""[px] Step of the search along the disparity."""
 LEAST = 80
-"""[px] Fewer changed pixels are no instrument."""
+"""[px] Smallest area of an instrument."""
 ALIKE = 0.6
-"""Correlation from which on a patch counts as found again."""
+"""Smallest correlation of a match."""
 CHANGED = 10.0
-"""[grey levels] Smallest change that counts, whatever the noise."""
+"""[grey levels] Smallest change above noise."""
 
 
 class NotSeen(ValueError):
-    """The tip could not be found; the message says what was missing and what to do."""
+    """The tip was not found; the message states why and what to do."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """Where the tip is in the pictures of one moment.
+    """Tip in the pictures of one exposure.
 
     Attributes:
         left: (2,) x right, y down, in the left picture [px].
-        disparity: (2,) place in the left less place in the right picture [px]; None with one eye.
-        likeness: Correlation with the tip at rest, 1: the same.
+        disparity: (2,) position in the left minus position in the right picture [px]; None with
+            one eye.
+        likeness: Correlation with the tip at rest; 1: identical.
     """
 
     left: Array
@@ -59,13 +60,13 @@ class Place:
 
 @dataclass(frozen=True)
 class Patch:
-    """A piece of a picture with a weight per pixel, and where it was.
+    """A piece of a picture with a weight per pixel.
 
     Attributes:
         look: (h, w, 3) smoothed colours.
         weight: (h, w) 1 on the instrument, 0 elsewhere.
-        corner: (2,) whole pixels x, y of its first pixel.
-        tip: (2,) the tip in the picture [px].
+        corner: (2,) x, y of its first pixel.
+        tip: (2,) tip in the picture [px].
     """
 
     look: Smooth
@@ -77,17 +78,17 @@ class Patch:
 def find_places(
     left: Mapping[Step, Picture], right: Mapping[Step, Picture] | None = None
 ) -> dict[Step, Place]:
-    """The tip in the pictures of all steps.
+    """Find the tip in the pictures of all steps.
 
     Args:
         left: (h, w, 3) rgb8 by step: ``REST`` and both sides of every axis.
-        right: The other eye's, taken at the same moments.
+        right: The same of the right eye, exposed at the same times.
 
     Returns:
-        A place by step.
+        Tip positions by step.
 
     Raises:
-        NotSeen: Nothing has moved, or the tip was not found again.
+        NotSeen: Nothing has moved, or the tip was not found.
     """
     smooth = {step: _smooth(picture) for step, picture in left.items()}
     rest = smooth[REST]
@@ -97,7 +98,7 @@ def find_places(
     across, _ = (
         (np.zeros(2), 1.0) if other is None else _find(patch, other[REST], np.zeros(2), reach)
     )
-    found = {}
+    places = {}
     for step, picture in smooth.items():
         shift, likeness = (
             (np.zeros(2), 1.0)
@@ -106,24 +107,24 @@ def find_places(
         )
         disparity = None
         if other is not None:
-            # The other eye sees the same moment: the same light, the same size, the same angle.
+            # The other eye has the same exposure: same light, size and angle.
             there = _moved(patch, picture, shift)
-            # No motion changes the direction of the disparity. Across it nothing is looked for:
-            # along a plain shaft everything looks alike, and the patch would slide.
+            # The direction of the disparity is fixed, so search along it only: otherwise the patch
+            # would slide along a plain shaft.
             apart, _ = _find(there, other[step], across, NEAR, on_line=True)
             disparity = -apart
-        found[step] = Place(patch.tip + shift, disparity, likeness)
-    return found
+        places[step] = Place(patch.tip + shift, disparity, likeness)
+    return places
 
 
 def _smooth(picture: Picture) -> Smooth:
-    """Less noise, and peaks of correlation that a parabola fits; single precision is plenty."""
-    seen = picture.astype(np.float32)
-    return np.asarray(ndimage.gaussian_filter(seen, (1.0, 1.0, 0.0), truncate=2.0))
+    """Reduce noise, and make correlation peaks parabolic."""
+    colours = picture.astype(np.float32)
+    return np.asarray(ndimage.gaussian_filter(colours, (1.0, 1.0, 0.0), truncate=2.0))
 
 
 def _tip_patch(rest: Smooth, all_: Mapping[Step, Smooth]) -> Patch:
-    """The patch round the tip at rest."""
+    """Patch around the tip at rest."""
     shape = rest.shape[:2]
     instrument = np.zeros(shape, dtype=bool)
     for axis in AXES:
@@ -135,8 +136,8 @@ def _tip_patch(rest: Smooth, all_: Mapping[Step, Smooth]) -> Patch:
     sizes = ndimage.sum_labels(instrument, parts, range(1, count + 1)) if count else []
     if not count or max(sizes) < LEAST:
         raise NotSeen(
-            "nothing has moved in the picture: is the instrument in view, is the picture live and "
-            "the lens clean? Bring the tip to the middle of the picture and try again"
+            "nothing has moved in the picture; check that the picture is live and the lens clean, "
+            "move the tip to the middle of the picture and try again"
         )
     instrument &= parts == 1 + int(np.argmax(sizes))
     tip = _inner_end(instrument, _lit(list(all_.values())))
@@ -153,24 +154,24 @@ def _tip_patch(rest: Smooth, all_: Mapping[Step, Smooth]) -> Patch:
 
 
 def _changed(a: Smooth, b: Smooth) -> NDArray[np.bool_]:
-    """Pixels that differ by more than the noise, which most pixels, at rest, show."""
+    """Pixels that differ by more than noise; its level is the median, as most pixels are at rest."""
     difference = np.abs(a - b).max(axis=2)
     return np.asarray(difference > max(CHANGED, 8.0 * float(np.median(difference))))
 
 
 def _lit(pictures: Sequence[Smooth]) -> NDArray[np.bool_]:
-    """What of a picture shows anything at all: an endoscope's is round."""
+    """Illuminated part of the picture; an endoscope's is round."""
     return np.asarray(ndimage.binary_fill_holes(np.max(pictures, axis=(0, 3)) > 12.0))
 
 
 def _inner_end(instrument: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Array:
-    """The end of an elongated thing that is farther from the edge of the picture, (2,) x, y."""
+    """The end of an elongated region that is farther from the edge of the picture, (2,) x, y."""
     y, x = np.nonzero(instrument)
     points = np.column_stack([x, y]).astype(np.float64)
     middle = points.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov((points - middle).T))
     along = (points - middle) @ axes[:, 1]
-    padded = np.pad(lit, 1)  # the picture's own edge counts too
+    padded = np.pad(lit, 1)  # the border of the picture counts as an edge
     inside = ndimage.distance_transform_edt(padded)[1:-1, 1:-1]
     ends = []
     for end in (along <= np.quantile(along, 0.03), along >= np.quantile(along, 0.97)):
@@ -180,7 +181,7 @@ def _inner_end(instrument: NDArray[np.bool_], lit: NDArray[np.bool_]) -> Array:
 
 
 def _moved(patch: Patch, picture: Smooth, shift: Array) -> Patch:
-    """The patch as another picture of the same eye shows it, whole pixels away."""
+    """The patch in another picture of the same eye, shifted by whole pixels."""
     whole = np.round(shift).astype(np.int64)
     corner = patch.corner + whole
     height, width = patch.weight.shape
@@ -203,21 +204,21 @@ def _find(
     where: str = "in the right picture",
     on_line: bool = False,
 ) -> tuple[Array, float]:
-    """Where a patch is in a picture.
+    """Locate a patch in a picture.
 
     Args:
-        patch: What is looked for.
+        patch: The patch.
         picture: (h, w, 3) smoothed.
-        guess: (2,) shift from its place at which the search is centred [px].
-        reach: How far from there to look [px].
-        where: For the error.
-        on_line: Look only on the line of the guess, longer or shorter.
+        guess: (2,) shift at the centre of the search [px].
+        reach: Radius of the search [px].
+        where: For the error message.
+        on_line: Search only along the direction of the guess.
 
     Returns:
         Its shift (2,) [px] and the correlation there.
 
     Raises:
-        NotSeen: Nothing looks like it.
+        NotSeen: There is no match.
     """
     height, width = patch.weight.shape
     span = int(np.ceil(reach))
@@ -226,7 +227,7 @@ def _find(
     limit = np.array([picture.shape[1], picture.shape[0]])
     first, last = np.maximum(low, 0), np.minimum(high, limit)
     if np.any(last - first < [width, height]):
-        raise NotSeen(f"the tip leaves the picture {where}; bring it to the middle and try again")
+        raise NotSeen(f"the tip leaves the picture {where}; move it to the middle and try again")
     window = picture[first[1] : last[1], first[0] : last[0]]
     score = _correlate(patch, window)
     if on_line and np.hypot(*guess) > 1.0:
@@ -238,32 +239,32 @@ def _find(
     best = float(score[row, column])
     if best < ALIKE:
         raise _not_recognised(where, best)
-    shift = first - patch.corner + np.array([column, row]) + _summit(score, row, column)
+    shift = first - patch.corner + np.array([column, row]) + _peak_offset(score, row, column)
     return np.asarray(shift, dtype=np.float64), best
 
 
 def _on_line(score: Array, guess: Array, at: Array, reach: float) -> tuple[Array, float]:
-    """The best shift on the line of the guess.
+    """Best shift along the direction of the guess.
 
     Args:
         score: Correlation at whole shifts, (rows, columns).
         guess: (2,) shift x, y [px].
-        at: (2,) where in ``score`` it lies, column, row.
-        reach: How far along the line [px].
+        at: (2,) column and row of the guess in ``score``.
+        reach: Length of the search [px].
     """
     along = guess / np.hypot(*guess)
     t = np.arange(-reach, reach + FINE, FINE)
     columns, rows = at[:, None] + along[:, None] * t
     line = ndimage.map_coordinates(score, [rows, columns], order=3, mode="constant", cval=-1.0)
     best = int(np.argmax(line))
-    further = FINE * _summit(line[None], 0, best)[0]
+    further = FINE * _peak_offset(line[None], 0, best)[0]
     return guess + (t[best] + further) * along, float(line[best])
 
 
 def _not_recognised(where: str, best: float) -> NotSeen:
     return NotSeen(
-        f"the tip was not recognised {where} (correlation {best:.2f}, needed {ALIKE}): is "
-        "something in front of it, or does the picture stutter?"
+        f"the tip was not recognised {where} (correlation {best:.2f}, needed {ALIKE}); check that "
+        "nothing hides it and that the picture does not stutter"
     )
 
 
@@ -284,8 +285,8 @@ def _slide(window: Smooth, weight: Smooth) -> Array:
     return np.asarray(signal.correlate(window, weight, mode="valid", method="fft"))
 
 
-def _summit(score: Array, row: int, column: int) -> Array:
-    """Offset (2,) x, y of a peak from its highest sample: parabolas through the neighbours."""
+def _peak_offset(score: Array, row: int, column: int) -> Array:
+    """Sub-pixel offset (2,) x, y of a peak, by parabolas through the neighbours."""
 
     def offset(before: float, here: float, after: float) -> float:
         bend = before - 2.0 * here + after
