@@ -124,7 +124,7 @@ def test_an_arm_that_is_not_enabled_is_left_alone(
     found = json.loads(out.read_text("utf-8"))
     assert child.exit_code == 1
     assert found["outcome"] == "cannot_tell"
-    assert "is DISABLED: enable it first" in found["text"]
+    assert "is DISABLED; enable it first" in found["text"]
 
 
 @pytest.mark.parametrize("arm", ["PSM1", "ECM"] if FULL else ["PSM1"])

@@ -154,7 +154,7 @@ def _tip_patch(rest: Smooth, all_: Mapping[Step, Smooth]) -> Patch:
 
 
 def _changed(a: Smooth, b: Smooth) -> NDArray[np.bool_]:
-    """Pixels that differ by more than noise; its level is the median, as most pixels are at rest."""
+    """Pixels that differ by more than noise, whose level is the median of all pixels."""
     difference = np.abs(a - b).max(axis=2)
     return np.asarray(difference > max(CHANGED, 8.0 * float(np.median(difference))))
 
