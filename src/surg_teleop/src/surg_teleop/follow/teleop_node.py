@@ -376,12 +376,12 @@ class TeleopNode:
                 hand.leader.name,
                 arm,
                 one.state.name,
-                one.kind.name,
+                one.mode.name,
                 one.scale,
                 self._said.get((arm, "message"), ""),
             )
             for hand in self._system.hands
-            for arm, one in hand.seat.arms.items()
+            for arm, one in hand.switch.arms.items()
         ]
         if picture and self._picture_problem == "":
             self._warn(picture)
