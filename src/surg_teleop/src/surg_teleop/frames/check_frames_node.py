@@ -296,7 +296,7 @@ def report(verdict: Verdict, places: dict[str, Place], task: Task) -> dict[str, 
         "angle_rad": None if math.isnan(verdict.angle) else round(verdict.angle, 4),
         "seen": [
             {
-                "told": seen.told,
+                "told": seen.commanded,
                 "pixels": [round(float(v), 2) for v in seen.pixels],
                 "disparity": None if seen.disparity is None else round(seen.disparity, 2),
             }
