@@ -15,7 +15,7 @@ from helpers.recording import recording_synthetic as synthetic
 from helpers.recording.recording_synthetic import Synthetic
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError, NoMotionError
-from surg_recording.reports import run_report, run_summary
+from surg_recording.reports import run_report, run_series, run_summary
 
 KEYS = {
     *("robot", "motion", "mode", "law", "link", "duration_s", "scale", "rcm_kinematic_mm"),
@@ -190,7 +190,7 @@ def test_no_motion_at_all(tmp_path: Path) -> None:
     folder = synthetic.record(tmp_path / "episode", Synthetic(seconds=0.0))
     recorded = episode_reader.read(folder)
     with pytest.raises(NoMotionError):
-        run_summary.load(recorded)
+        run_series.load(recorded)
     got = run_report.make(tmp_path)
     assert not got["ok"]
     assert "no motion" in got["reasons"][0]
@@ -202,7 +202,7 @@ def test_no_motion_at_all(tmp_path: Path) -> None:
 def test_the_wrong_arm_is_named(tmp_path: Path) -> None:
     recorded = episode_reader.read(synthetic.record(tmp_path / "episode", Synthetic(seconds=0.2)))
     with pytest.raises(EpisodeError, match="no arm 'PSM3'; there are PSM1"):
-        run_summary.load(recorded, "PSM3")
+        run_series.load(recorded, "PSM3")
 
 
 class _Page(html.parser.HTMLParser):

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from surg_core.transforms import rotate
 from surg_recording import metrics
-from surg_recording.reports.run_summary import Run
+from surg_recording.reports.run_series import Run
 
 Array = npt.NDArray[np.float64]
 
@@ -366,9 +366,7 @@ def save_all(
     folder.mkdir(parents=True, exist_ok=True)
     subject, drawn = Subject(run, summary, robot), []
     for name, (title, caption, draw) in FIGURES.items():
-        if (name == "trocar" and run.truth is None) or (
-            name == "tip_error" and run.tracking is None
-        ):
+        if not _has_data(name, run):
             continue
         path = folder / f"{name}.png"
         with matplotlib.rc_context(STYLE):
@@ -376,6 +374,16 @@ def save_all(
             figure.savefig(path, metadata={"Software": None})
         drawn.append(Drawn(name, title, caption, path))
     return drawn
+
+
+def _has_data(figure: str, run: Run) -> bool:
+    """Whether a run has what a figure shows; a recording made in process has no wall clock."""
+    needed = {
+        "trocar": run.truth is not None,
+        "tip_error": run.tracking is not None,
+        "timing": bool(np.isfinite(run.cycle["compute_us"]).any()),
+    }
+    return needed.get(figure, True)
 
 
 # --- helpers ------------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from surg_recording.clock import sync_page, sync_report
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.finishing import clean_json, write_json
 from surg_recording.recording_errors import EpisodeError, NoMotionError
-from surg_recording.reports import run_figures, run_summary
+from surg_recording.reports import run_figures, run_series, run_summary
 from surg_recording.reports.html_page import document, embed, figure_section, number, text
 from surg_recording.video import video_file
 
@@ -99,7 +99,7 @@ def make(
     folder = Path(run_dir)
     recorded = episodes.read(Path(episode) if episode is not None else folder / "episode")
     try:
-        run = run_summary.load(recorded, arm)
+        run = run_series.load(recorded, arm)
     except NoMotionError:
         run = None
     result = clean_json(run_summary.summarise(recorded, arm, run))

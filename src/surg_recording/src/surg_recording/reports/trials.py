@@ -15,7 +15,7 @@ import numpy as np
 
 from surg_recording.episode.episode_reader import Episode
 from surg_recording.metrics.confidence_intervals import success_rate
-from surg_recording.reports import run_summary
+from surg_recording.reports import run_limits, run_summary
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,7 +151,7 @@ def _condition(setting: str, law: str, episodes: Sequence[Mapping[str, Any]]) ->
         found[f"trocar_{name}"] = _spread(values(episodes, "trocar", name, "max"))
     for name in ("sparc", "ldlj"):
         found[name] = _spread(values(episodes, "smoothness", name))
-    bounds = run_summary.SETTING_BOUNDS.get(setting, run_summary.ANY_SETTING)
+    bounds = run_limits.SETTING_BOUNDS.get(setting, run_limits.ANY_SETTING)
     worst = {name: found["rcm_kinematic_mm"][name]["max"] for name in bounds}
     found["bounds"] = [
         {"metric": name, "value": value, "worst": worst[name], "met": _below(worst[name], value)}

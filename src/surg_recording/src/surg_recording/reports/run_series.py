@@ -1,0 +1,224 @@
+"""Time series of a run: what is measured and drawn, in one frame and on one time axis."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import numpy.typing as npt
+
+from surg_core.contract import SECOND_NS, STREAMS
+from surg_core.transforms import rotate, virtual_tip
+from surg_recording import metrics
+from surg_recording.episode.episode_reader import Episode, Table
+from surg_recording.recording_errors import EpisodeError, NoMotionError
+
+Array = npt.NDArray[np.float64]
+
+HELD_SPEED = 0.5e-3
+"""Set-point speed below which the arm counts as standing still [m/s]."""
+HELD_INPUT = 1e-3
+"""Diagonal of the input's bounding box above which a standing arm counts as held [m]."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Run:
+    """Time series of one arm over its commanded window.
+
+    Times are seconds from the window's first cycle; positions are in the arm's base frame [m].
+    """
+
+    arm: str
+    t: Array
+    """(N,) cycle times."""
+    cycle: Table
+    """The N cycles of the window."""
+    tip: Array
+    """(N, 3) measured tip."""
+    s: Array
+    """(N, 3) measured shaft axis."""
+    p_rcm: Array
+    """(N, 3) commanded pivot."""
+    rcm_kinematic: Array
+    """(N,) distance pivot to shaft line, from joint states."""
+    t_input: Array
+    """(M,) times of the input samples."""
+    input: Array
+    """(M, 3) input tip targets."""
+    input_source: str
+    t_truth: Array
+    """(K,) times of the ground truth; K = 0 without a simulator."""
+    truth: Table | None
+    """The K rows of ground truth."""
+    rcm_true: Array
+    """(K,) distance from the undisturbed trocar to the true shaft axis."""
+    tracking: metrics.Tracking | None
+    """Of the true tip, or of the measured one without a simulator."""
+    tracking_measured: metrics.Tracking | None
+
+    @property
+    def fs(self) -> float:
+        """Rate of the control loop [Hz]; a starved link may repeat a state."""
+        steps = np.diff(self.t)
+        return round(1.0 / float(np.median(steps[steps > 0])), 6)
+
+    @property
+    def t_executed(self) -> Array:
+        """Times of ``executed``."""
+        return self.t_truth if self.truth is not None else self.t
+
+    @property
+    def executed(self) -> Array:
+        """Path of the tip: the simulator's ground truth if there is one, else as measured."""
+        return self.truth.vector("tip") if self.truth is not None else self.tip
+
+    @property
+    def shaft(self) -> Array:
+        """Shaft directions along ``executed``."""
+        return self.truth.vector("axis") if self.truth is not None else self.s
+
+
+def load(episode: Episode, arm: str | None = None) -> Run:
+    """Read the commanded window of an episode, everything in the arm's base frame.
+
+    Args:
+        episode: The recording.
+        arm: Name of the arm; default: the first.
+
+    Raises:
+        NoMotionError: The arm accepted no servo command.
+        EpisodeError: There is no such arm, or it has no cycles.
+    """
+    arm = chosen_arm(episode, arm)
+    whole = episode.cycle(arm)
+    commanded = np.flatnonzero(np.isin(whole["command"], STREAMS))
+    if len(commanded) < 3:
+        raise NoMotionError(
+            f"{episode.folder}: {arm} accepted no servo command in {len(whole)} cycles"
+        )
+    cycle = whole.select(slice(int(commanded[0]), int(commanded[-1]) + 1))
+    stamps = cycle["stamp_ns"]
+    start = int(stamps[0])
+    t = _seconds(stamps, start)
+    tip, s, p_rcm = cycle.vector("p_tip"), cycle.vector("s"), cycle.vector("p_rcm")
+    t_input, target, source = _input(episode, arm, cycle, start)
+    truth = episode.ground_truth(arm)
+    t_truth, true = np.zeros(0), np.zeros(0)
+    if truth is not None:
+        inside = (truth["stamp_ns"] >= stamps[0]) & (truth["stamp_ns"] <= stamps[-1])
+        truth = truth.select(inside) if np.any(inside) else None
+    if truth is not None:
+        t_truth = _seconds(truth["stamp_ns"], start)
+        true = metrics.rcm_deviation(
+            truth.vector("shaft"), truth.vector("axis"), truth.vector("trocar")
+        )
+    run = Run(
+        arm=arm,
+        t=t,
+        cycle=cycle,
+        tip=tip,
+        s=s,
+        p_rcm=p_rcm,
+        rcm_kinematic=metrics.rcm_deviation(tip, s, p_rcm),
+        t_input=t_input,
+        input=target,
+        input_source=source,
+        t_truth=t_truth,
+        truth=truth,
+        rcm_true=true,
+        tracking=None,
+        tracking_measured=None,
+    )
+    measured = _track(t, tip, t_input, target)
+    return dataclasses.replace(
+        run,
+        tracking_measured=measured,
+        tracking=measured
+        if truth is None
+        else _track(t_truth, truth.vector("tip"), t_input, target),
+    )
+
+
+def _track(t: Array, executed: Array, t_input: Array, target: Array) -> metrics.Tracking | None:
+    try:
+        return metrics.tracking(t, executed, t_input, target)
+    except ValueError:  # too few samples: the limit on the tip error then fails
+        return None
+
+
+def _input(episode: Episode, arm: str, cycle: Table, start: int) -> tuple[Array, Array, str]:
+    """Input tip targets in the base frame: times, positions, and their source."""
+    name = f"command_{arm}"
+    if name in episode.tables:
+        table = episode.table(name)
+        t, p_R, topic = _targets(table, cycle, start)
+        if len(t) >= 2:
+            # The rcm frame of the cycle nearest in time.
+            stamps = _seconds(cycle["stamp_ns"], start)
+            nearest = np.clip(np.searchsorted(stamps, t), 0, len(stamps) - 1)
+            q_br = cycle.vector("q_br", "xyzw")[nearest]
+            return t, cycle.vector("p_rcm")[nearest] + rotate(q_br, p_R), topic
+    # Velocity commands have no target; the controller's goal is the best substitute.
+    goal = cycle.vector("p_goal")
+    return _seconds(cycle["stamp_ns"], start), goal, "cycle.p_goal"
+
+
+def _targets(table: Table, cycle: Table, start: int) -> tuple[Array, Array, str]:
+    """Times and rcm-frame positions of the pose stream that commanded this window."""
+    counts = {t: int(np.sum(table["topic"] == t)) for t in ("servo_cp", "servo_jp")}
+    topic = max(counts, key=lambda name: counts[name])
+    rows = table.select(table["topic"] == topic)
+    stamp = rows["stamp_ns"]
+    if not len(rows) or np.any(stamp <= 0):
+        return np.zeros(0), np.zeros((0, 3)), topic
+    if topic == "servo_cp":
+        position = rows.vector("", "xyz")
+    else:
+        position = virtual_tip(rows["yaw"], rows["pitch"], rows["insertion"])
+    # Some samples outside the window, so that interpolation reaches its ends.
+    first, last = int(cycle["stamp_ns"][0]), int(cycle["stamp_ns"][-1])
+    margin = SECOND_NS
+    good = np.isfinite(position).all(axis=1) & (stamp >= first - margin) & (stamp <= last + margin)
+    stamp, position = stamp[good], position[good]
+    order = np.argsort(stamp, kind="stable")
+    stamp, position = stamp[order], position[order]
+    newest = np.append(np.diff(stamp) > 0, True) if len(stamp) else np.zeros(0, dtype=bool)
+    return _seconds(stamp[newest], start), position[newest], topic
+
+
+def longest_hold(run: Run) -> tuple[float, float]:
+    """Longest time for which the set-point stood still while the input moved.
+
+    Returns:
+        Duration and start [s]; (0, 0) if there was none.
+    """
+    step = np.linalg.norm(np.diff(run.cycle.vector("p_set"), axis=0), axis=1)
+    still = np.concatenate([[False], step < HELD_SPEED * np.maximum(np.diff(run.t), 1e-9), [False]])
+    edges = np.flatnonzero(np.diff(still.astype(int)))
+    target = metrics.interpolate(run.t, run.t_input, run.input)
+    best = (0.0, 0.0)
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        duration = float(run.t[end] - run.t[begin])
+        box = np.ptp(target[begin : end + 1], axis=0)
+        if duration > best[0] and np.linalg.norm(box) > HELD_INPUT:
+            best = (duration, float(run.t[begin]))
+    return best
+
+
+def chosen_arm(episode: Episode, arm: str | None) -> str:
+    """Name of an arm; default: the first.
+
+    Raises:
+        EpisodeError: There is no such arm.
+    """
+    if arm is None:
+        if not episode.arms:
+            raise EpisodeError(f"{episode.folder}: the manifest names no arm")
+        return episode.arms[0]
+    if arm not in episode.arms:
+        raise EpisodeError(f"{episode.folder}: no arm {arm!r}; there are {', '.join(episode.arms)}")
+    return arm
+
+
+def _seconds(stamp_ns: npt.NDArray[np.int64], start_ns: int) -> Array:
+    return np.asarray((stamp_ns - start_ns) * 1e-9)
