@@ -1,5 +1,5 @@
-// The exact form of the law, for links that take joint velocities (docs/architecture.md, "The
-// law"): the next flange pose lies on the constraint by construction, and the joints go there in
+// The exact form of the law, for links that take joint velocities (docs/design/control_law.md):
+// the next flange pose lies on the constraint by construction, and the joints go there in
 // two stages, a prediction and one Newton correction. Fixed cost, nothing iterates, nothing
 // allocates.
 #pragma once

@@ -24,7 +24,7 @@ struct ShaftState {
 /// s = R s_F; L = s . (p_tip - p_rcm); e = p_rcm - p_tip + L s.
 ShaftState shaft_state(const Pose& X_BF, const Tool& tool, const Vector3& p_BRcm);
 
-/// Velocity form (docs/architecture.md, "The law"): flange twist (v, omega) in B for a tip
+/// Velocity form (docs/design/control_law.md): flange twist (v, omega) in B for a tip
 /// velocity, a roll rate about the shaft, pivot velocity v_rcm and lateral feedback k [1/s]. Exact
 /// tip velocity; |e| decays at rate k. 'depth_floor' > 0 bounds 1/L near the trocar.
 Vector6 rcm_twist(const ShaftState& shaft, const Vector3& v_BTip, double roll_rate,

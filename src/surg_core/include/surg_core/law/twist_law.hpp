@@ -20,7 +20,7 @@ struct Gains {
   double rcm, tip, roll;
 };
 
-/// The velocity form (docs/architecture.md, "The law") at the pose where the command will take
+/// The velocity form (docs/design/control_law.md) at the pose where the command will take
 /// effect. setpoint: now; next: after one period dt at full speed; X_BR: the rcm frame; v_BRcm: of
 /// a moving trocar;
 /// push: unit direction of the force on the tip, zero for none; the feedback does not pull against
