@@ -350,4 +350,4 @@ def test_what_must_not_be_used_ends_with_2(ros_graph: RosGraph, rospy_node: str)
     child = ros_graph.node("surg_teleop", "teleop_node", "/teleop", params)
     ros_graph.wait_for(lambda: child.exit_code is not None, 20.0, "the node to refuse")
     assert child.exit_code == 2
-    assert "teleop: ~scale: scale 5 is refused; allowed: 0.01 to 1" in child.log_tail(20)
+    assert "teleop: parameter ~scale is 5.0; allowed: a number from 0.01 to 1" in child.log_tail(20)

@@ -226,11 +226,11 @@ def test_free_run_follows_the_cycles_stamps(ros_graph: RosGraph, arm: ScriptedAr
 
 BAD = {
     "no cell": ({"cell": "/nowhere"}, 2, "nowhere"),
-    "no such arm": ({"arm": "PSM7"}, 2, "no arm 'PSM7'; the cell has PSM1"),
+    "no such arm": ({"arm": "PSM7"}, 2, "~arm is 'PSM7'; allowed: the cell's arms: PSM1"),
     "no such mode": ({"mode": "polar"}, 2, "allowed: cartesian, spherical"),
     "scale too large": ({"scale": 9.9, "motion": "bundled"}, 2, "largest scale that fits is"),
-    "scale no number": ({"scale": "big"}, 2, "~scale: 'big'"),
-    "unknown parameter": ({"speed": 2}, 2, "parameter speed is unknown"),
+    "scale no number": ({"scale": "big"}, 2, "~scale is 'big'"),
+    "unknown parameter": ({"speed": 2}, 2, "parameter ~speed is unknown"),
     "broken motion": ({"motion": "broken"}, 2, "line 3: x_m is nan"),
     "constant motion": ({"motion": "constant"}, 1, "the motion is constant"),
 }

@@ -26,7 +26,7 @@ class Settings:
     frame: tuple[float, ...] = params.vector(4, (0.0, 0.0, 0.0, 1.0), meaning="x, y, z, w")
     arms: tuple[str, ...] = params.names(("PSM1",), least=1)
     eyes: tuple[str, ...] = params.names((), options=("left", "right"), most=2)
-    about: dict[str, Any] = params.mapping()
+    about: dict[str, Any] = params.dictionary()
     out: Path | None = params.path(None)
     lowest: int = params.whole(0, 9, 0)
 

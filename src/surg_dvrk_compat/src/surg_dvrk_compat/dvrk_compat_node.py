@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import roslib.message
@@ -16,6 +17,7 @@ import rospy
 from std_msgs.msg import String
 
 from surg_dvrk_compat.interface import COMMANDS, FEEDBACK, Command, Throttle, answer
+from surg_ros.params import ParamError, names, read
 
 
 class Compatibility:
@@ -56,19 +58,20 @@ class Compatibility:
         return callback
 
 
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node."""
+
+    arms: tuple[str, ...] = names(least=1)
+
+
 def main() -> int:
     """Entry point; returns the exit code (0 ended, 2 parameter that must not be used)."""
     rospy.init_node("dvrk_compat")
-    names = rospy.get_param("~arms", "")
-    arms = names.split(",") if isinstance(names, str) else names
-    good = isinstance(arms, list) and arms and all(isinstance(a, str) and a.strip() for a in arms)
-    if not good:
-        print(
-            f"dvrk_compat: parameter ~arms is {names!r}: give the names of the arms, such as "
-            "_arms:=PSM1 or _arms:=PSM1,PSM2",
-            file=sys.stderr,
-            flush=True,
-        )
+    try:
+        arms = read(Parameters, rospy.get_param("~", {})).arms
+    except ParamError as error:
+        print(f"dvrk_compat: {error}", file=sys.stderr, flush=True)
         return 2
     held = [Compatibility(arm.strip().strip("/")) for arm in arms]
     rospy.loginfo(f"dvrk_compat: answers for {len(held)} arm(s); moves nothing")

@@ -94,6 +94,7 @@ def text(
     """
 
     def convert(value: Any) -> str:
+        value = str(value) if isinstance(value, Path) else value
         if not isinstance(value, str) or not (value or empty):
             raise ValueError
         if longest is not None and len(value) > longest:
@@ -205,7 +206,7 @@ def _items(value: str) -> list[str]:
     return (value[1:-1] if whole else value).split(",")
 
 
-def mapping() -> Any:
+def dictionary() -> Any:
     """A dictionary, or one as JSON; empty by default."""
 
     def convert(value: Any) -> dict[str, Any]:
@@ -221,7 +222,7 @@ def path(default: Any = MISSING) -> Any:
     """A path, made absolute; None as the default: an empty text stands for none."""
 
     def convert(value: Any) -> Path | None:
-        if not isinstance(value, str) or not (value or default is None):
+        if not isinstance(value, str | Path) or not (value or default is None):
             raise ValueError
         return Path(value).resolve() if value else None
 

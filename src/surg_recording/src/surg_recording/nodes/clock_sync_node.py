@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from dataclasses import dataclass
 from typing import Any
 
 import rospy
@@ -19,6 +20,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from surg_msgs.msg import ClockSync
 from surg_recording.clock import clock_sync, pmc
 from surg_recording.clock.clock_sync import ClockStatus
+from surg_ros.params import ParamError, read, real, text
 
 TOPIC = "/clock_sync/status"
 
@@ -79,23 +81,28 @@ def _microseconds(seconds: float) -> str:
     return "not measured" if math.isnan(seconds) else f"{seconds * 1e6:.3f}"
 
 
-def _positive(name: str, default: float) -> float:
-    """A parameter that must be a positive, finite number."""
-    value = rospy.get_param(name, default)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-        raise ValueError(f"parameter {name} is {value!r}, must be a number > 0")
-    return float(value)
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node.
+
+    Attributes:
+        socket: Path of ptp4l's socket.
+        bound: Largest offset of a clock that is in step [s].
+        rate: Of the reports [1/s].
+    """
+
+    socket: str = text(clock_sync.SOCKET)
+    bound: float = real(1e-9, 3600.0, clock_sync.OFFSET_BOUND)
+    rate: float = real(1e-3, 100.0, 1.0)
 
 
 def main() -> int:
     """Run the node; returns the exit code (2: broken parameters)."""
     rospy.init_node("clock_sync")
     try:
-        socket = str(rospy.get_param("~socket", clock_sync.SOCKET))
-        bound = _positive("~bound", clock_sync.OFFSET_BOUND)
-        rate = _positive("~rate", 1.0)
-    except ValueError as problem:
+        given = read(Parameters, rospy.get_param("~", {}))
+    except ParamError as problem:
         print(f"clock_sync: {problem}", file=sys.stderr)
         return 2
-    ClockSyncNode(socket, bound, rate).spin()
+    ClockSyncNode(given.socket, given.bound, given.rate).spin()
     return 0

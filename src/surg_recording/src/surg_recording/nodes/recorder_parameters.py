@@ -8,7 +8,7 @@ from typing import Any
 
 from surg_recording.episode.episode_writer import MIN_FREE_BYTES
 from surg_ros.camera_topic import camera_topic
-from surg_ros.params import ParamError, flag, mapping, names, one_of, path, whole
+from surg_ros.params import ParamError, dictionary, flag, names, one_of, path, whole
 
 MODES = ("lockstep", "freerun")
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow")
@@ -37,7 +37,7 @@ class Settings:
     arms: tuple[str, ...] = names(("PSM1",), least=1)
     cameras: tuple[str, ...] = names(())
     topics: tuple[str, ...] = names(())
-    run_info: dict[str, Any] = mapping()
+    run_info: dict[str, Any] = dictionary()
     autostart: bool = flag(True)
     min_free_bytes: int = whole(0, 10**19, MIN_FREE_BYTES)
     video_preset: str = one_of(PRESETS, "ultrafast")

@@ -36,6 +36,7 @@ from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import Cycle, HandStatus, Ready, TeleopStatus
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
+from surg_ros.params import ParamError
 from surg_ros.participant import wait_for_all
 from surg_ros.peers import publishers, subscribers
 from surg_ros.transport.polled_subscriber import PolledSubscriber
@@ -466,7 +467,7 @@ def main() -> int:
     rospy.init_node("teleop", disable_signals=True)
     try:
         system = read_setup(dict(rospy.get_param("~", {})), rospy.get_name())
-    except (ConfigError, LeaderError) as error:
+    except (ParamError, ConfigError, LeaderError) as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 2
     node = TeleopNode(system)

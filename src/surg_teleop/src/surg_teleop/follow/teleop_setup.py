@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,13 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_core import ConfigError
 from surg_core.arm_view import JawRange
+from surg_ros.params import ParamError, dictionary, flag, one_of, read, real, text, vector
 from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
 from surg_teleop.follow.servo_instrument import ServoInstrument
 from surg_teleop.follow.target_pose import StepLimits
-from surg_teleop.follow.teleop_types import CameraView, ControlMode, TeleopSettings
+from surg_teleop.follow.teleop_types import (
+    MAX_SCALE,
+    MIN_SCALE,
+    CameraView,
+    ControlMode,
+    TeleopSettings,
+)
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders import leader as leaders
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
@@ -33,11 +38,45 @@ ASSISTANT = "assistant"
 """Name of the instrument without a controller."""
 ASSISTANT_RANGE = (0.03, 0.23, 1.0)
 """Depth from, to [m] and cone [rad] of the assistant's instrument, inside the servos' range."""
-HAND_KEYS = ("leader", "settings", "arm", "mapping", "scale", "need_present")
-KEYS = {"cell", "view", "picture", "lockstep", "enabled", "duration", "assistant_frame"} | {
-    prefix + key for prefix in ("", "second_") for key in HAND_KEYS
-}
-"""Known parameters."""
+MODES = tuple(mode.value for mode in ControlMode)
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node; those of the second hand begin with ``second_``."""
+
+    cell: str = text()
+    view: tuple[float, ...] | None = vector(4, None, meaning="x, y, z, w")
+    picture: str = text("/endoscope/left/image_raw", empty=True)
+    lockstep: bool = flag(False)
+    enabled: bool = flag(False)
+    duration: float = real(default=0.0)
+    assistant_frame: tuple[float, ...] | None = vector(4, None, meaning="x, y, z, w")
+    leader: str = text()
+    settings: dict[str, Any] = dictionary()
+    arm: str = text("PSM1")
+    mapping: str = one_of(MODES, "")
+    scale: float | None = real(MIN_SCALE, MAX_SCALE, None)
+    need_present: bool = flag(False)
+    second_leader: str = text("", empty=True)
+    second_settings: dict[str, Any] = dictionary()
+    second_arm: str = text("", empty=True)
+    second_mapping: str = one_of(MODES, "")
+    second_scale: float | None = real(MIN_SCALE, MAX_SCALE, None)
+    second_need_present: bool = flag(False)
+
+    def __post_init__(self) -> None:
+        """Rules between parameters.
+
+        Raises:
+            ParamError: ``enabled`` without ``lockstep``.
+        """
+        if self.enabled and not self.lockstep:
+            raise ParamError("enabled", True, "true with ~lockstep: true only")
+
+    def of(self, prefix: str, name: str) -> Any:
+        """A parameter of one hand."""
+        return getattr(self, prefix + name)
 
 
 @dataclass
@@ -116,77 +155,67 @@ def read_setup(parameters: dict[str, Any], node: str) -> TeleopSetup:
     """Read the parameters, load the cell and make the leaders.
 
     Raises:
-        ConfigError: The cell or a parameter is invalid.
+        ParamError: A parameter is invalid.
+        ConfigError: The cell is invalid.
         LeaderError: There is no such leader.
     """
-    unknown = sorted(set(parameters) - KEYS)
-    if unknown:
-        raise ConfigError(
-            f"teleop: parameter {', '.join(unknown)} is unknown; allowed: {_names(KEYS)}"
-        )
-    for key in ("cell", "leader"):
-        if key not in parameters:
-            raise ConfigError(f"teleop: parameter ~{key} is missing")
-    cell = surg_core.load_cell(str(parameters["cell"]))
+    given = read(Parameters, parameters)
+    cell = surg_core.load_cell(given.cell)
     setup = TeleopSetup(
         hands=[],
         bases={},
-        camera=held_camera(cell) or _fixed_view(parameters, cell),
+        camera=held_camera(cell) or _fixed_view(given, cell),
         assistant=None,
-        picture=str(parameters.get("picture", "/endoscope/left/image_raw")),
-        lockstep=bool(parameters.get("lockstep", False)),
-        duration=_number(parameters, "duration", 0.0),
+        picture=given.picture,
+        lockstep=given.lockstep,
+        duration=given.duration,
     )
     for prefix in ("", "second_"):
-        if prefix + "leader" in parameters:
-            _add_hand(setup, parameters, prefix, cell, node)
-    enabled = bool(parameters.get("enabled"))
+        if given.of(prefix, "leader"):
+            _add_hand(setup, given, prefix, cell, node)
     if setup.lockstep and any(isinstance(hand.leader, CrtkLeader) for hand in setup.hands):
-        raise ConfigError("teleop: ~lockstep: true with a leader on topics; allowed: false")
-    if enabled and not setup.lockstep:
-        raise ConfigError("teleop: ~enabled: true; allowed with ~lockstep: true only")
-    for hand in setup.hands if enabled else ():
+        raise ParamError("lockstep", True, "false with a leader on topics")
+    for hand in setup.hands if given.enabled else ():
         hand.switch.enable()
     return setup
 
 
 def _add_hand(
-    setup: TeleopSetup, parameters: dict[str, Any], prefix: str, cell: surg_core.Cell, node: str
+    setup: TeleopSetup, given: Parameters, prefix: str, cell: surg_core.Cell, node: str
 ) -> None:
     """Add a leader; the first one also drives the endoscope, where an arm holds it."""
-    arm = str(parameters.get(prefix + "arm", "" if prefix else "PSM1"))
+    arm = given.of(prefix, "arm")
     if arm == ASSISTANT:
-        q = _numbers(parameters, "assistant_frame", 4)
-        setup.assistant = ServoInstrument(node, surg_core.quaternion_xyzw_to_matrix(q))
+        if given.assistant_frame is None:
+            raise ParamError("assistant_frame", None, "4 numbers: x, y, z, w")
+        R_WR = surg_core.quaternion_xyzw_to_matrix(given.assistant_frame)
+        setup.assistant = ServoInstrument(node, R_WR)
     elif arm not in cell.arms or cell.arms[arm].instrument.camera is not None:
         instruments = [a.name for a in cell.arms.values() if a.instrument.camera is None]
-        raise ConfigError(
-            f"teleop: ~{prefix}arm: '{arm}'; allowed: {_names([*instruments, ASSISTANT])}"
-        )
+        raise ParamError(prefix + "arm", arm, ", ".join(sorted([*instruments, ASSISTANT])))
     elif arm in setup.bases:
-        raise ConfigError(f"teleop: ~{prefix}arm: {arm} is driven by the first leader already")
+        raise ParamError(prefix + "arm", arm, "an arm that the first leader does not drive")
     else:
         setup.bases[arm] = cell.arms[arm].X_WB[:3, :3]
-    options = parameters.get(prefix + "settings", {})
-    if not isinstance(options, dict):
-        raise ConfigError(f"teleop: ~{prefix}settings: {options!r}; allowed: a mapping")
-    leader = leaders.load(str(parameters[prefix + "leader"]), options)
-    switch = ArmSwitch(_teleop(leader, cell, arm, node, parameters, prefix))
+    leader = leaders.load(given.of(prefix, "leader"), given.of(prefix, "settings"))
+    switch = ArmSwitch(_teleop(leader, cell, arm, node, given, prefix))
     camera = setup.camera
     if not prefix and isinstance(camera, HeldCamera):
-        switch.endoscope = _teleop(leader, cell, camera.arm, node, parameters, prefix)
+        switch.endoscope = _teleop(leader, cell, camera.arm, node, given, prefix)
         switch.endoscope.lock_rotation = True  # keeps the horizon
         setup.bases[camera.arm] = cell.arms[camera.arm].X_WB[:3, :3]
     setup.hands.append(Hand(leader, switch))
 
 
-def _fixed_view(parameters: dict[str, Any], cell: surg_core.Cell) -> CameraView:
-    if "view" not in parameters:
-        raise ConfigError(
-            f"teleop: no arm of cell {cell.config.name} holds an endoscope; ~view is needed: the "
-            "orientation x, y, z, w of the left eye (x right, y down, z away) in the world"
+def _fixed_view(given: Parameters, cell: surg_core.Cell) -> CameraView:
+    if given.view is None:
+        raise ParamError(
+            "view",
+            None,
+            f"the orientation x, y, z, w of the left eye (x right, y down, z away) in the world, "
+            f"because no arm of cell {cell.config.name} holds an endoscope",
         )
-    return CameraView(surg_core.quaternion_xyzw_to_matrix(_numbers(parameters, "view", 4)))
+    return CameraView(surg_core.quaternion_xyzw_to_matrix(given.view))
 
 
 def _teleop(
@@ -194,14 +223,10 @@ def _teleop(
     cell: surg_core.Cell,
     arm: str,
     node: str,
-    parameters: dict[str, Any],
+    given: Parameters,
     prefix: str,
 ) -> Teleop:
-    modes = [mode.value for mode in ControlMode]
-    default = getattr(leader, "mapping", ControlMode.POSITION.value)
-    mode = str(parameters.get(prefix + "mapping", default))
-    if mode not in modes:
-        raise ConfigError(f"teleop: ~{prefix}mapping: '{mode}'; allowed: {_names(modes)}")
+    mode = given.of(prefix, "mapping") or getattr(leader, "mapping", ControlMode.POSITION.value)
     # The assistant's servos are as fast as the arms' limits; its jaws are those of the first arm.
     model = cell.arms.get(arm) or next(iter(cell.arms.values()))
     limits, instrument = model.limits, model.instrument
@@ -227,32 +252,8 @@ def _teleop(
         jaw=jaw,
         jaw_velocity=instrument.jaw_velocity if jaw else 0.0,
         mode=ControlMode(mode),
-        need_present=bool(parameters.get(prefix + "need_present", False)),
+        need_present=given.of(prefix, "need_present"),
     )
     teleop = Teleop(settings)
-    if refused := teleop.set_scale(_number(parameters, prefix + "scale", teleop.scale)):
-        raise ConfigError(f"teleop: ~{prefix}scale: {refused}")
+    teleop.scale = given.of(prefix, "scale") or teleop.scale
     return teleop
-
-
-def _number(parameters: dict[str, Any], name: str, default: float) -> float:
-    value = parameters.get(name, default)
-    try:
-        return float(str(value))
-    except ValueError as error:
-        raise ConfigError(f"teleop: ~{name}: '{value}'; allowed: a number") from error
-
-
-def _numbers(parameters: dict[str, Any], name: str, n: int) -> Array:
-    value = parameters.get(name)
-    try:
-        numbers = np.asarray(value, dtype=np.float64)
-        if numbers.shape != (n,) or not np.isfinite(numbers).all() or not numbers.any():
-            raise ValueError
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"teleop: ~{name}: {value!r}; needed: {n} numbers, x, y, z, w") from error
-    return numbers
-
-
-def _names(names: Iterable[str]) -> str:
-    return ", ".join(sorted(names))

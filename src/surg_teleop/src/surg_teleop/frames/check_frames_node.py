@@ -29,6 +29,7 @@ from surg_core import ConfigError
 from surg_core.arm_view import ArmCommands
 from surg_msgs.msg import Ready
 from surg_ros.arm_port import ArmPort, arm_view
+from surg_ros.params import ParamError, flag, path, read, text
 from surg_ros.participant import wait_for_all
 from surg_ros.peers import publishers, subscribers
 from surg_ros.transport.raw_message import RawCycle
@@ -314,20 +315,26 @@ def report(verdict: Verdict, places: dict[str, Place], task: Task) -> dict[str, 
     }
 
 
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node."""
+
+    cell: str = text()
+    arm: str = text("", empty=True)
+    enable: bool = flag(False)
+    lockstep: bool = flag(False)
+    out: Path | None = path(None)
+
+
 def read_task(parameters: dict[str, Any]) -> Task:
     """Reads the cell and every parameter once.
 
     Raises:
-        ConfigError: One must not be used.
+        ParamError: A parameter must not be used.
+        ConfigError: The cell must not be used.
     """
-    allowed = {"cell", "arm", "enable", "lockstep", "out"}
-    unknown = sorted(set(parameters) - allowed)
-    if unknown or "cell" not in parameters:
-        raise ConfigError(
-            f"check_frames: parameter {', '.join(unknown) or '~cell'} "
-            f"{'is unknown' if unknown else 'is missing'}; allowed: ~{' ~'.join(sorted(allowed))}"
-        )
-    cell = surg_core.load_cell(str(parameters["cell"]))
+    given = read(Parameters, parameters)
+    cell = surg_core.load_cell(given.cell)
     camera = held_camera(cell)
     if camera is None:
         raise ConfigError(
@@ -335,20 +342,10 @@ def read_task(parameters: dict[str, Any]) -> Task:
             "camera), so there is no registration of a camera to check; cells/sim_two_arms has one"
         )
     others = [name for name in cell.arms if name != camera.arm]
-    arm = str(parameters.get("arm") or (others[0] if others else ""))
+    arm = given.arm or (others[0] if others else "")
     if arm not in others:
-        raise ConfigError(
-            f"check_frames: ~arm: '{arm}'; allowed: {', '.join(others) or 'none: there is one arm'}"
-        )
-    out = str(parameters.get("out", ""))
-    return Task(
-        cell,
-        arm,
-        camera,
-        bool(parameters.get("enable", False)),
-        bool(parameters.get("lockstep", False)),
-        Path(out) if out else None,
-    )
+        raise ParamError("arm", arm, ", ".join(others) or "none: the cell has one arm")
+    return Task(cell, arm, camera, given.enable, given.lockstep, given.out)
 
 
 def eyes_of(task: Task) -> tuple[str, ...]:
@@ -381,7 +378,7 @@ def main() -> int:
     rospy.init_node("check_frames", disable_signals=True)
     try:
         task = read_task(dict(rospy.get_param("~", {})))
-    except ConfigError as error:
+    except (ParamError, ConfigError) as error:
         print(f"{error}", file=sys.stderr)
         return 2
     ended = threading.Event()

@@ -18,7 +18,8 @@ from __future__ import annotations
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import rosgraph
 import rospy
@@ -28,6 +29,7 @@ from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
 from surg_core import matrix_to_quaternion_xyzw
+from surg_ros.params import ParamError, dictionary, flag, read, real, text
 from surg_teleop.leaders.bundled.keyboard import HELP, Keyboard
 from surg_teleop.leaders.crtk_leader_node import JOINTS
 from surg_teleop.leaders.evdev.device_leader import InputLeader
@@ -41,7 +43,6 @@ from surg_teleop.leaders.leader import (
     names,
 )
 
-ALLOWED = ("leader", "settings", "rate", "pedals")
 RATES = (20.0, 500.0)
 """[Hz] Slower than 10 Hz would read as silence."""
 STATE_EVERY = 0.1
@@ -198,28 +199,14 @@ def spherical_message(rate: HandRate, stamp: rospy.Time) -> JointState:
     return message
 
 
-def read_parameters(parameters: Mapping[str, object]) -> tuple[Leader, float, bool]:
-    """The leader, its rate [Hz], and whether its buttons are pedals.
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node."""
 
-    Raises:
-        LeaderError: A parameter must not be used.
-    """
-    unknown = sorted(set(parameters) - set(ALLOWED))
-    if unknown:
-        raise LeaderError(
-            f"parameter {', '.join(unknown)} is unknown", "~", f"allowed: {', '.join(ALLOWED)}"
-        )
-    settings = parameters.get("settings", {})
-    if not isinstance(settings, dict):
-        raise LeaderError(f"'{settings}'", "~settings", "allowed: a dictionary")
-    rate = parameters.get("rate", 100.0)
-    if not isinstance(rate, int | float) or not RATES[0] <= rate <= RATES[1]:
-        raise LeaderError(f"'{rate}'", "~rate", f"allowed: {RATES[0]:g} to {RATES[1]:g} [Hz]")
-    pedals = parameters.get("pedals", True)
-    if not isinstance(pedals, bool):
-        raise LeaderError(f"'{pedals}'", "~pedals", "allowed: true or false")
-    leader = load(str(parameters.get("leader", "gamepad")), settings)
-    return leader, float(rate), pedals
+    leader: str = text("gamepad")
+    settings: dict[str, Any] = dictionary()
+    rate: float = real(*RATES, 100.0)
+    pedals: bool = flag(True)
 
 
 def main() -> int:
@@ -240,8 +227,9 @@ def main() -> int:
     for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(name, lambda *_: sys.exit(0))
     try:
-        leader, rate, pedals = read_parameters(dict(rospy.get_param("~", {})))
-    except LeaderError as error:
+        given = read(Parameters, rospy.get_param("~", {}))
+        leader = load(given.leader, given.settings)
+    except (ParamError, LeaderError) as error:
         print(f"leader: {error}\nleader: there are {', '.join(names())}", file=sys.stderr)
         return 2
     if isinstance(leader, Keyboard):
@@ -249,7 +237,7 @@ def main() -> int:
         print(HELP, end="", flush=True)
     try:
         leader.open()
-        run(LeaderNode(leader, pedals), rate)
+        run(LeaderNode(leader, given.pedals), given.rate)
     except LeaderError as error:
         print(f"leader: {error}", file=sys.stderr)
         return 1

@@ -13,6 +13,7 @@ import random
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import rosgraph
@@ -24,6 +25,7 @@ from surg_core.contract import SECOND_NS
 from surg_core.status_check import Newest
 from surg_msgs.msg import Cycle, Ready, SenderStatus, SimStatus
 from surg_ros.arm_port import ArmPort, arm_view
+from surg_ros.params import ParamError, flag, one_of, path, read, real, text
 from surg_ros.participant import wait_for_all
 from surg_ros.peers import publishers, subscribers
 from surg_teleop.playback.motion_errors import MotionError
@@ -160,6 +162,19 @@ def _time(nanoseconds: int) -> rospy.Time:
     return rospy.Time(*divmod(nanoseconds, SECOND_NS))
 
 
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node."""
+
+    cell: str = text()
+    arm: str = text("PSM1")
+    motion: Path | None = path(None)
+    scale: float = real(default=1.0)
+    duration: float = real(default=0.0)
+    mode: str = one_of(tuple(mode.value for mode in Mode), "cartesian")
+    lockstep: bool = flag(False)
+
+
 def load(parameters: dict[str, object]) -> tuple[Operator, str, bool]:
     """Reads every file once and checks the motion before anything moves.
 
@@ -170,52 +185,27 @@ def load(parameters: dict[str, object]) -> tuple[Operator, str, bool]:
         The operator, its arm's name, and whether it runs in lock-step.
 
     Raises:
-        ConfigError: The cell or a parameter must not be used.
+        ParamError: A parameter must not be used.
+        ConfigError: The cell must not be used.
         MotionError: The motion must not be played.
     """
-    unknown = sorted(
-        set(parameters) - {"cell", "arm", "motion", "scale", "duration", "mode", "lockstep"}
-    )
-    if unknown or "cell" not in parameters:
-        raise ConfigError(
-            f"operator: parameter {', '.join(unknown) or '~cell'} "
-            f"{'is unknown' if unknown else 'is missing'}; allowed: ~cell ~arm ~motion ~scale "
-            "~duration ~mode ~lockstep"
-        )
-    cell = load_cell(str(parameters["cell"]))
-    name = str(parameters.get("arm", "PSM1"))
-    if name not in cell.arms:
-        raise ConfigError(f"operator: ~arm: no arm '{name}'; the cell has {', '.join(cell.arms)}")
-    modes = [mode.value for mode in Mode]
-    mode = str(parameters.get("mode", "cartesian"))
-    if mode not in modes:
-        raise ConfigError(f"operator: ~mode: '{mode}'; allowed: {', '.join(modes)}")
-    arm = cell.arms[name]
+    given = read(Parameters, parameters)
+    cell = load_cell(given.cell)
+    if given.arm not in cell.arms:
+        raise ParamError("arm", given.arm, f"the cell's arms: {', '.join(cell.arms)}")
+    arm = cell.arms[given.arm]
     limits, instrument = arm.limits, arm.instrument
-    motion = read_motion(Path(str(parameters.get("motion") or bundled_motion())))
+    motion = read_motion(given.motion or bundled_motion())
     if motion.ignored:
         rospy.logwarn("%s: columns ignored: %s", motion.file, ", ".join(motion.ignored))
     plan: Plan = make_plan(
         motion,
         Workspace(limits.depth_slow, limits.depth_max, limits.cone),
-        number(parameters, "scale", 1.0),
-        number(parameters, "duration", 0.0) or None,
+        given.scale,
+        given.duration or None,
     )
-    operator = Operator(plan, Mode(mode), JawRange(instrument.jaw_min, instrument.jaw_max))
-    return operator, name, bool(parameters.get("lockstep", False))
-
-
-def number(parameters: dict[str, object], name: str, default: float) -> float:
-    """A numeric parameter.
-
-    Raises:
-        ConfigError: It is not a number.
-    """
-    value = parameters.get(name, default)
-    try:
-        return float(str(value))
-    except ValueError as error:
-        raise ConfigError(f"operator: ~{name}: '{value}'; allowed: a number") from error
+    operator = Operator(plan, Mode(given.mode), JawRange(instrument.jaw_min, instrument.jaw_max))
+    return operator, given.arm, given.lockstep
 
 
 def bundled_motion() -> Path:
@@ -244,7 +234,7 @@ def main() -> int:
     except ConstantMotionError as error:
         print(f"operator: {error}", file=sys.stderr)
         return 1
-    except (ConfigError, MotionError) as error:
+    except (ParamError, ConfigError, MotionError) as error:
         print(f"operator: {error}", file=sys.stderr)
         return 2
     node = OperatorNode(operator, arm, lockstep)

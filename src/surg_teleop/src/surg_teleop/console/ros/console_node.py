@@ -14,6 +14,7 @@ import asyncio
 import contextlib
 import signal
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import rosgraph
 import rospy
 
 import surg_core
+from surg_ros.params import ParamError, names, path, read, text, whole
 from surg_teleop.console.ros.ros_system_node import RosSystem
 from surg_teleop.console.session.console_session import Session
 from surg_teleop.console.web import access
@@ -28,10 +30,6 @@ from surg_teleop.console.web.encoder_process import EncoderProcess
 from surg_teleop.console.web.web_server import Server
 
 PORT = 8090
-KEYS = (
-    *("cell", "arm", "arms", "leader", "teleop", "views", "episodes"),
-    *("bind", "port", "host_names", "cert", "key", "token_file"),
-)
 LIMITS = (
     *("rcm_error_warn", "rcm_error_fault", "trocar_force_warn", "trocar_force_fault"),
     *("tip_force_soft", "tip_force_hard", "depth_min", "depth_max"),
@@ -39,61 +37,59 @@ LIMITS = (
 """Limits of the driven arm that the page shows."""
 
 
-class ParameterError(ValueError):
-    """A parameter that must not be used: which, its value, what is allowed."""
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of the node."""
 
+    cell: str = text(allowed="the folder of the cell")
+    arm: str = text("", empty=True)
+    arms: tuple[str, ...] = names(())
+    leader: str = text("browser")
+    teleop: str = text("teleop")
+    views: tuple[str, ...] = names(("left",))
+    episodes: Path | None = path(None)
+    bind: str = text("127.0.0.1")
+    port: int = whole(1, 65535, PORT)
+    host_names: tuple[str, ...] = names(())
+    cert: Path | None = path(None)
+    key: Path | None = path(None)
+    token_file: Path | None = path(None)
 
-def names(value: Any) -> tuple[str, ...]:
-    """A list parameter, also as a rosrun line gives it: ``a,b``."""
-    items = value.split(",") if isinstance(value, str) else value
-    if not isinstance(items, list):
-        raise ParameterError(f"{value!r}; allowed: names, with commas between them")
-    return tuple(str(item).strip() for item in items if str(item).strip())
+    def __post_init__(self) -> None:
+        """Checks the views."""
+        if self.views not in ((), ("left",), ("left", "right")):
+            raise ParamError("views", list(self.views), "left, or left,right")
 
 
 class Settings:
     """The node's parameters, read once.
 
     Raises:
-        ParameterError, access.AccessError, surg_core.ConfigError: One must not be used.
+        ParamError, access.AccessError, surg_core.ConfigError: One must not be used.
     """
 
     def __init__(self, given: dict[str, Any]) -> None:
-        unknown = sorted(set(given) - set(KEYS))
-        if unknown:
-            raise ParameterError(f"~{unknown[0]} is unknown; allowed: ~{' ~'.join(KEYS)}")
-        if not given.get("cell"):
-            raise ParameterError("~cell is missing: the folder of the cell")
-        self.cell = surg_core.load_cell(str(given["cell"]))
+        parameters = read(Parameters, given)
+        self.cell = surg_core.load_cell(parameters.cell)
         instruments = [a.name for a in self.cell.arms.values() if a.instrument.camera is None]
-        self.arm = str(given.get("arm") or instruments[0] if instruments else "")
+        self.arm = parameters.arm or (instruments[0] if instruments else "")
         if self.arm not in instruments:
-            allowed = ", ".join(instruments) or "none of this cell"
-            raise ParameterError(f"~arm: '{self.arm}'; allowed: {allowed}")
-        others = names(given.get("arms", list(self.cell.arms)))
+            raise ParamError("arm", self.arm, ", ".join(instruments) or "none of this cell")
+        others = parameters.arms or tuple(self.cell.arms)
         self.arms = (self.arm, *(name for name in others if name != self.arm))
-        strangers = sorted(set(self.arms) - set(self.cell.arms))
-        if strangers:
-            raise ParameterError(f"~arms: no arm '{strangers[0]}' in this cell")
-        self.views = names(given.get("views", ["left"]))
-        if self.views not in ((), ("left",), ("left", "right")):
-            raise ParameterError(f"~views: {','.join(self.views)}; allowed: left, or left,right")
-        self.leader = str(given.get("leader", "browser")).strip("/")
-        self.teleop = str(given.get("teleop", "teleop")).strip("/")
-        self.episodes = Path(str(given["episodes"])) if given.get("episodes") else None
-        port = given.get("port", PORT)
-        if isinstance(port, bool) or not isinstance(port, int) or not 1 <= port <= 65535:
-            raise ParameterError(f"~port: {port!r}; allowed: 1 to 65535")
-        files = {
-            key: Path(str(given[key])) for key in ("cert", "key", "token_file") if given.get(key)
-        }
+        if not set(self.arms) <= set(self.cell.arms):
+            raise ParamError("arms", list(others), f"arms of the cell: {', '.join(self.cell.arms)}")
+        self.views = parameters.views
+        self.leader = parameters.leader.strip("/")
+        self.teleop = parameters.teleop.strip("/")
+        self.episodes = parameters.episodes
         self.access = access.rules(
-            str(given.get("bind", "127.0.0.1")),
-            port,
-            names(given.get("host_names", [])),
-            files.get("cert"),
-            files.get("key"),
-            access.read_token(files["token_file"]) if "token_file" in files else "",
+            parameters.bind,
+            parameters.port,
+            parameters.host_names,
+            parameters.cert,
+            parameters.key,
+            access.read_token(parameters.token_file) if parameters.token_file else "",
         )
 
     @property
@@ -157,7 +153,7 @@ def main() -> int:
     rospy.init_node("console", disable_signals=True)
     try:
         settings = Settings(dict(rospy.get_param("~", {})))
-    except (ParameterError, access.AccessError, surg_core.ConfigError) as error:
+    except (ParamError, access.AccessError, surg_core.ConfigError) as error:
         print(f"console: {error}", file=sys.stderr)
         return 2
     # Hand the interpreter over quickly: an input must not wait for a status.
