@@ -40,7 +40,7 @@ def test_export_check_and_again(
     assert f"report: {out}.report.json" in said
     assert json.loads((tmp_path / "set.report.json").read_text())["ok"]
     assert surg_export(folder / "a", *words) == 0
-    assert "up to date: nothing was done" in capsys.readouterr().out
+    assert "up to date" in capsys.readouterr().out
     assert surg_export("--check", "--format", "act", "--out", out) == 0
     (out / "episode_0.hdf5").write_bytes(b"")
     assert surg_export("--check", "--format", "act", "--out", out) == 1
@@ -63,13 +63,13 @@ def test_a_dry_run_names_features_and_writes_nothing(
 def test_shards_and_merge(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "set"
     words = (folder / "a", "--format", "act", "--out", out, "--executor", "serial")
-    with pytest.raises(Problem, match="no shard has run yet"):
+    with pytest.raises(Problem, match=r"set\.parts"):
         surg_export(*words, "--merge")
     assert surg_export(*words, "--shard", "0/1") == 0
     assert not out.exists()
     assert surg_export(*words, "--merge") == 0
     assert out.is_dir()
-    with pytest.raises(Problem, match="one of the two"):
+    with pytest.raises(Problem, match="--merge"):
         surg_export(*words, "--merge", "--shard", "0/1")
 
 
@@ -90,7 +90,7 @@ def test_what_only_people_know(folder: Path, tmp_path: Path) -> None:
     ("words", "said"),
     [
         (["--out", "x"], "name recordings"),
-        (["a"], "--out DIR is needed"),
+        (["a"], "--out"),
         (["a", "--out", "x", "--format", "cd"], "there are lerobot"),
         (["a", "--out", "x", "--fps", "0"], "--fps: 0 is not allowed; allowed: 1 to 1000"),
         (["a", "--out", "x", "--size", "641x480"], "even numbers of pixels"),
@@ -109,7 +109,9 @@ def test_wrong_input_is_named(
 
 
 @pytest.mark.parametrize("word", ["--size=big", "--shard=4/4", "--shard=x", "--splits=train"])
-def test_words_that_cannot_be_read(word: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unreadable_value_names_its_option(
+    word: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit):
         surg_export("a", "--out", "x", word)
-    assert "needed" in capsys.readouterr().err
+    assert word.partition("=")[0] in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""./surg ptp: what it writes, what it refuses, and how it says how a clock is."""
+"""./surg ptp: its configuration, what it refuses, and the status of a clock."""
 
 from __future__ import annotations
 
@@ -52,10 +52,9 @@ def test_the_only_live_interface_is_taken(network: Path) -> None:
     assert "needs root" in refusal("master")
 
 
-def test_several_live_interfaces_are_a_question(network: Path) -> None:
+def test_several_live_interfaces_are_listed(network: Path) -> None:
     (network / "enp2" / "operstate").write_text("up\n")
     said = refusal("master")
-    assert "which network?" in said
     assert "enp1 (up), enp2 (up)" in said
     assert "lo" not in said.split(":")[-1].split()
 
@@ -63,13 +62,13 @@ def test_several_live_interfaces_are_a_question(network: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("eth9", "no such interface; there are: enp1 (up), enp2 (down)"),
+        ("eth9", "enp1 (up), enp2 (down)"),
         ("lo", "PTP does not run on loopback"),
         ("enp2", "sudo ip link set enp2 up"),
         ("../enp1", "no such interface"),
     ],
 )
-def test_an_interface_that_will_not_do(network: Path, name: str, words: str) -> None:
+def test_an_unusable_interface_is_refused(network: Path, name: str, words: str) -> None:
     assert words in refusal("master", "--interface", name)
 
 
@@ -81,16 +80,16 @@ def test_a_missing_package_is_told_with_the_cure(
 
 
 def test_a_master_is_never_free_running(network: Path) -> None:
-    assert "slave's" in refusal("master", "--free-running")
+    assert "--free-running" in refusal("master", "--free-running")
 
 
-def test_a_clock_with_another_hand_on_it_is_refused(
+def test_a_clock_that_another_program_steers_is_refused(
     monkeypatch: pytest.MonkeyPatch, network: Path
 ) -> None:
     name = Path("/proc/self/comm").read_text().strip()
     monkeypatch.setattr(ptp, "RIVALS", (name,))
     monkeypatch.setattr(os, "geteuid", lambda: 0)
-    assert f"{name} steers this machine's clock already" in refusal("slave")
+    assert name in refusal("slave")
 
 
 def settings(text: str) -> dict[str, str]:
@@ -119,7 +118,7 @@ def test_the_configuration_of_both_roles() -> None:
         (ClockStatus("MASTER", 0.0, math.nan, "a", "a"), "master, clock a"),
         (
             ClockStatus("SLAVE", 12.34e-6, 40e-6, "a", "b"),
-            "in step, offset +12.3 µs, path delay 40.0 µs, master a",
+            "synchronised, offset +12.3 µs, path delay 40.0 µs, master a",
         ),
         (ClockStatus("SLAVE", -5e-3, 40e-6, "a", "b"), "the clock is -5.000 ms off its master"),
         (ClockStatus("LISTENING"), "no PTP master is heard"),

@@ -31,7 +31,7 @@ def test_recover_finds_what_lies_below_a_folder(
         assert f"{tmp_path / name}: 1 rows, 0 frames; the recorder was killed" in said
         assert len(episode_reader.read(tmp_path / name).table("events")) == 1
     assert surg("recover", tmp_path) == 0
-    assert "nothing is unfinished" in capsys.readouterr().out
+    assert "no interrupted recordings" in capsys.readouterr().out
 
 
 def test_recover_says_what_it_cannot_do_and_goes_on(

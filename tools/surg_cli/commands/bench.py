@@ -1,4 +1,4 @@
-"""`./surg bench [NAME]`: runs the programs in `benchmarks/`."""
+"""`./surg bench [NAME]`: runs a program in `benchmarks/`."""
 
 from __future__ import annotations
 

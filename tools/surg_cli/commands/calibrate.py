@@ -20,15 +20,19 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("cell", metavar="CELL", help="name in cells/, or a cell's folder")
-    add("what", choices=("collect", "tool", "trocar"), help="record poses, or solve for one of two")
+    add(
+        "what",
+        choices=("collect", "tool", "trocar"),
+        help="record poses, or solve for tool or trocar",
+    )
     add("--arm", metavar="NAME", help="of the cell (default: its only arm)")
     add("--from", dest="source", type=Path, metavar="FILE", help="the recording, CSV")
-    add("--date", metavar="DAY", help="written into the file (default: today)")
-    add("--dry-run", action="store_true", help="solve and say it, write nothing")
+    add("--date", metavar="DAY", help="date of the calibration (default: today)")
+    add("--dry-run", action="store_true", help="solve and print, write nothing")
     collect = parser.add_argument_group("collect")
-    collect.add_argument("--to", type=Path, metavar="FILE", help="the recording, rows are appended")
+    collect.add_argument("--to", type=Path, metavar="FILE", help="the recording; rows are appended")
     collect.add_argument(
-        "--motion", choices=("tip", "roll", "second", "trocar"), help="what is being done"
+        "--motion", choices=("tip", "roll", "second", "trocar"), help="kind of motion"
     )
     collect.add_argument("--count", type=int, default=12, metavar="N", help="poses (default 12)")
     collect.add_argument("--port", type=tcp_port, default=11311, metavar="P", help="of the master")
@@ -46,51 +50,51 @@ def main(options: argparse.Namespace, command: str) -> int:
         from surg_cli.graph.collect import collect
 
         if options.to is None or options.motion is None:
-            raise Problem("calibrate collect: --to FILE and --motion WHAT are needed", 2)
+            raise Problem("calibrate collect: --to FILE and --motion WHAT are missing", 2)
         if options.count < 1:
-            raise Problem(f"calibrate collect: --count {options.count}: at least 1", 2)
+            raise Problem(f"calibrate collect: --count {options.count}: 1 or more is allowed", 2)
         return collect(arm, options.to, options.motion, options.count, options)
     if options.source is None:
-        raise Problem(f"calibrate {options.what}: --from FILE is needed", 2)
+        raise Problem(f"calibrate {options.what}: --from FILE is missing", 2)
     date = options.date or datetime.date.today().isoformat()
     if not re.fullmatch(r"\d{4}-\d{2}-\d{2}", date):
-        raise Problem(f"--date {date}: a day such as 2026-11-21 is needed", 2)
+        raise Problem(f"--date {date}: expected a date such as 2026-11-21", 2)
     solve(folder, arm, options.what, options.source, date, options.dry_run)
     return 0
 
 
 def choose_arm(cell: Any, name: str | None) -> Any:
-    """The arm that is meant.
+    """The arm to calibrate.
 
     Args:
         cell: A loaded cell.
-        name: Its CRTK name, or None where the cell has one arm only.
+        name: Its CRTK name; None if the cell has one arm.
 
     Raises:
-        Problem: When it is not there, or not said and needed.
+        Problem: There is no such arm, or the cell has several and none is named.
     """
     arms = dict(cell.arms)
     if name is None and len(arms) == 1:
         return next(iter(arms.values()))
     if name not in arms:
-        said = "--arm is needed" if name is None else f"--arm {name}: no such arm"
-        raise Problem(f"{said}; the cell has {', '.join(arms)}", 2)
+        reason = "--arm is missing" if name is None else f"--arm {name}: no such arm"
+        raise Problem(f"{reason}; the cell has {', '.join(arms)}", 2)
     return arms[name]
 
 
 def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: bool) -> None:
-    """Solve a recording, say how well it went, write the file.
+    """Solve a recording, print the residuals, write the file.
 
     Args:
         folder: The cell's folder.
         arm: One of its arms.
         what: `tool` or `trocar`.
         source: The recording.
-        date: Goes into the file.
+        date: Of the calibration.
         dry_run: Write nothing.
 
     Raises:
-        Problem: When the recording cannot be read or does not carry the result.
+        Problem: The recording cannot be read, or its poses do not determine the result.
     """
     import numpy as np
 
@@ -112,18 +116,18 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
                 f"condition {axis.condition:.1f}"
             )
             moved = 1e3 * np.linalg.norm(found.tool.p_FTip - before)
-            say(f"change {moved:.3f} mm and {angle:.3f} deg from {path.name} as it was")
+            say(f"change {moved:.3f} mm and {angle:.3f} deg from the previous {path.name}")
             if not dry_run:
                 calibration.write_tool(path, found.tool, note)
         else:
             point = calibration.solve_trocar(recording, arm.tool, date)
             say(f"trocar {_mm(point.trocar.p_BRcm)} mm in the robot base; {_fit(point.point)}")
             moved = 1e3 * np.linalg.norm(point.trocar.p_BRcm - arm.trocar.p_BRcm)
-            say(f"change {moved:.3f} mm from {path.name} as it was")
+            say(f"change {moved:.3f} mm from the previous {path.name}")
             if not dry_run:
                 calibration.write_trocar(path, point.trocar, note)
     except (calibration.CalibrationError, OSError) as error:
-        raise Problem(f"calibrate {what}: {error}; {path} is as it was", 1) from error
+        raise Problem(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
     say("nothing written (--dry-run)" if dry_run else f"written: {path}; restart the system")
 
 

@@ -1,4 +1,4 @@
-"""`./surg check-frames [CELL]`: do hand and picture agree? The tip moves, the pictures decide."""
+"""`./surg check-frames [CELL]`: compares the commanded tip motion with the endoscope's images."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ NODE = "check_frames"
 DEFAULT_CELL = "sim_two_arms"
 TIMEOUT_S = 600.0
 CONNECT_S = 180.0
-"""Longest wait of the simulator for two renderers on a busy machine."""
+"""Longest wait of the simulator for two renderers on a busy machine [s]."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("cell", metavar="CELL", nargs="?", default=DEFAULT_CELL, help="name in cells/, or a folder")
-    add("--arm", metavar="ARM", help="the arm that is moved (default: the first without a camera)")
+    add("--arm", metavar="ARM", help="the arm that moves (default: the first without a camera)")
     add("--port", type=tcp_port, metavar="P", help="of the ROS master of a running system")
-    add("--out", type=Path, metavar="DIR", help="for verdict and picture (default: runs/<time>)")
+    add("--out", type=Path, metavar="DIR", help="folder for the result (default: runs/<time>)")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Check a running system, or a simulated one that is started for it."""
+    """Check a running system, or start a simulated one."""
     cell = cells.find(options.cell)
     config = cells.load(cell)
     _refuse(config, cell, options.arm)
@@ -49,39 +49,39 @@ def main(options: argparse.Namespace, command: str) -> int:
             _attached(found, config, params, out)
         else:
             _alone(cell, config, params, out)
-        return _tell(out)
+        return _print_result(out)
     finally:
         if not any(out.iterdir()):
             out.rmdir()
 
 
 def _refuse(config: Any, cell: Path, arm: str | None) -> None:
-    """Say what is missing before anything starts.
+    """Check cell and arm before anything starts.
 
     Raises:
-        Problem: The cell has no endoscope that an arm holds, or no such arm.
+        Problem: No arm holds an endoscope, or there is no such arm.
     """
     scopes = [a.name for a in config.arms.values() if a.instrument.camera is not None]
     if not scopes:
         raise Problem(
-            f"{cell.name}: no arm holds an endoscope, so there is no registration of a camera to "
-            f"check; the bundled cell {DEFAULT_CELL} has one",
+            f"{cell.name}: no arm holds an endoscope, so there is no camera registration to check; "
+            f"the bundled cell {DEFAULT_CELL} has one",
             2,
         )
     others = [name for name in config.arms if name != scopes[0]]
     if not others:
         raise Problem(
-            f"{cell.name}: {scopes[0]} holds the endoscope and there is no arm with an instrument "
-            "whose tip could be looked at",
+            f"{cell.name}: {scopes[0]} holds the endoscope, and no other arm holds an instrument "
+            "whose tip it could see",
             2,
         )
     if arm not in (None, *others):
-        why = "holds the endoscope and is not moved" if arm in scopes else "is no arm of the cell"
-        raise Problem(f"--arm {arm}: it {why}; allowed: {', '.join(others)}", 2)
+        why = "it holds the endoscope" if arm in scopes else "no such arm in the cell"
+        raise Problem(f"--arm {arm}: {why}; allowed: {', '.join(others)}", 2)
 
 
 def _running(cell: Path, port: int | None) -> running.System | None:
-    """The running system that is meant, if there is one."""
+    """The running system of the cell, if there is one."""
     systems = [s for s in running.systems() if port in (None, s.port)]
     if port is not None and not systems:
         raise Problem(f"no system of this checkout runs on port {port}; see ./surg status")
@@ -92,7 +92,7 @@ def _running(cell: Path, port: int | None) -> running.System | None:
 
 
 def _attached(found: running.System, config: Any, params: dict[str, object], out: Path) -> None:
-    """Check a running system; nothing is enabled for the person."""
+    """Check a running system; the operator enables the arms."""
     say(f"check-frames: the running system on port {found.port}")
     env = environment.for_nodes(found.port, out / "logs" / "ros")
     if found.role:  # one machine of several: the others must reach the node
@@ -104,7 +104,7 @@ def _attached(found: running.System, config: Any, params: dict[str, object], out
 
 
 def _alone(cell: Path, config: Any, params: dict[str, object], out: Path) -> None:
-    """Check a simulation of the cell, in lock-step, that lives as long as the check."""
+    """Simulate the cell in lock-step for the time of the check."""
     arms = tuple(str(name) for name in config.arms)
     camera = next(a.instrument.camera for a in config.arms.values() if a.instrument.camera)
     plan = Plan(
@@ -134,10 +134,10 @@ def _node(params: dict[str, object]) -> Node:
 
 
 def _await(child: processes.Child, supervisor: processes.Supervisor) -> None:
-    """Wait for the node's end, and pass on what it tells a viewer.
+    """Wait for the node's end and show its instructions to the operator.
 
     Raises:
-        Problem: It could not begin, a node died, or it takes too long.
+        Problem: The check could not start, a node ended, or it takes too long.
     """
     deadline = time.monotonic() + TIMEOUT_S
     with Progress("check-frames") as progress:
@@ -157,28 +157,28 @@ def _last_line(text: str) -> str:
     return text if text.startswith("the tip must") else "looking"
 
 
-def _tell(out: Path) -> int:
-    """Print the verdict; 0 only when hand and picture agree."""
+def _print_result(out: Path) -> int:
+    """Print the result; 0 only if commanded and observed motion agree."""
     file = out / "check_frames.json"
     if not file.is_file():
-        raise Problem(f"the check left no verdict; see {out / 'logs'}")
-    found = json.loads(file.read_text("utf-8"))
-    rows = [["told", "seen in the left picture", "disparity"]]
-    for seen in found["seen"]:
+        raise Problem(f"the check wrote no result; see {out / 'logs'}")
+    result = json.loads(file.read_text("utf-8"))
+    rows = [["commanded", "observed in the left image", "disparity"]]
+    for seen in result["seen"]:
         x, y = seen["pixels"]
         depth = "–" if seen["disparity"] is None else f"{seen['disparity']:+.1f} px"
-        rows.append([seen["told"], f"{_way(x, y)}", depth])
-    if found["seen"]:
+        rows.append([seen["told"], _motion_text(x, y), depth])
+    if result["seen"]:
         say(terminal.table(rows))
     picture = frames_picture.draw(out)
     if picture is not None:
         say(f"picture: {picture}")
-    say(f"check-frames: {found['outcome'].replace('_', ' ')}: {found['text']}")
-    return 0 if found["outcome"] == "pass" else 1
+    say(f"check-frames: {result['outcome'].replace('_', ' ')}: {result['text']}")
+    return 0 if result["outcome"] == "pass" else 1
 
 
-def _way(x: float, y: float) -> str:
-    """A motion in a picture in words."""
+def _motion_text(x: float, y: float) -> str:
+    """A motion in an image in words."""
     parts = [f"{abs(x):.0f} px {'right' if x > 0 else 'left'}"] if abs(x) >= 0.5 else []
     parts += [f"{abs(y):.0f} px {'down' if y > 0 else 'up'}"] if abs(y) >= 0.5 else []
     return ", ".join(parts) or "still"

@@ -1,4 +1,4 @@
-"""`./surg doctor`: what is installed, missing, running; with the cure for what is not right."""
+"""`./surg doctor`: lists what is installed, missing and running, and how to repair it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surg_cli.host import environment, paths, provision, workspace
 from surg_cli.host.terminal import Problem, say
 
 FREE_GIB = 3.0
-# One triangle's worth of off-screen OpenGL, in a process of its own: a broken driver may crash it.
+# Renders one image off-screen, in a process of its own: a broken driver may crash it.
 RENDER = (
     "import mujoco\n"
     "xml = '<mujoco><worldbody><geom size=\".1\"/></worldbody></mujoco>'\n"
@@ -29,13 +29,13 @@ RENDER = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the diagnosis.
+    """One line of the report.
 
     Attributes:
-        good: True, False, or None for mere information.
-        what: What was looked at.
-        text: What was found.
-        cure: What to do about it; empty when nothing.
+        good: Whether it is in order; None for information.
+        what: What was checked.
+        text: The result.
+        to do: What to do; empty for nothing.
     """
 
     good: bool | None
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Print all findings; exit status 1 when one is bad."""
+    """Print all findings; exit status 1 if one is bad."""
     findings = [
         _system(),
         _packages(),
@@ -64,7 +64,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         sign = {True: "ok  ", False: "BAD ", None: "    "}[finding.good]
         say(f"{sign} {finding.what}: {finding.text}")
         if finding.cure:
-            say(f"       cure: {finding.cure}")
+            say(f"       to do: {finding.cure}")
     return 1 if any(finding.good is False for finding in findings) else 0
 
 
@@ -140,14 +140,14 @@ def _rendering() -> list[Finding]:
 
 
 def _space() -> Finding:
-    """Room for recordings."""
+    """Disk space for recordings."""
     free = shutil.disk_usage(paths.ROOT).free / 2**30
     good = free >= FREE_GIB
     return Finding(good, "disk", f"{free:.1f} GiB free", "" if good else "remove old runs/ folders")
 
 
 def _default_port() -> Finding:
-    """Whether `up` can have ROS's usual port."""
+    """Whether ROS's default port is free for `up`."""
     taken = master.port_in_use(11311)
     ours = any(system.port == 11311 for system in running.systems())
     if taken and not ours:

@@ -11,7 +11,7 @@ from surg_cli.graph import processes, running
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, say
 
-# Interrupt lets it stop its nodes in order; its children die with it when it must be killed.
+# SIGINT lets it stop its nodes in order; after SIGKILL its children end with it.
 STAGES = ((signal.SIGINT, 20.0), (signal.SIGKILL, 5.0))
 
 
@@ -33,12 +33,14 @@ def main(options: argparse.Namespace, command: str) -> int:
             if _gone(system, grace):
                 break
         else:
-            raise Problem(f"process {system.pid} (port {system.port}) does not end")
+            raise Problem(
+                f"process {system.pid} (port {system.port}) does not end; kill it by hand"
+            )
         system.file.unlink(missing_ok=True)
         say(f"down: ended {system.command} of {system.cell} on port {system.port}")
     return 0
 
 
 def _gone(system: running.System, grace_s: float) -> bool:
-    """Wait for a system's end; whether it came."""
+    """Whether a system has ended within the given time."""
     return processes.wait_until(lambda: not system.alive, grace_s)

@@ -9,8 +9,8 @@ from typing import Any
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem, Progress, say, table, warn
 
-MAKE_SOME = "./surg run bgr --setting all --episodes 10"
-# Told by --help, which runs without the workspace; a test holds them against surg_recording's.
+RECORD_SOME = "./surg run bgr --setting all --episodes 10"
+# --help runs without the workspace; a test compares these with surg_recording.
 PRESETS = ("reference", "paper")
 REFERENCES = "jigsaws:DIR, motion:CSV_OR_DIR"
 
@@ -23,17 +23,17 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         nargs="*",
         type=Path,
         metavar="EPISODES",
-        help="episode folders, runs, or folders that hold some (default: runs/)",
+        help="episode folders, runs, or folders with some (default: runs/)",
     )
     add("--reference", metavar="KIND:PATH", help=f"compare the smoothness with {REFERENCES}")
     add("--preset", default=PRESETS[0], metavar="P", help="smoothness: " + ", ".join(PRESETS))
     add("--arm", metavar="ARM", help="whose motion (default: the first arm of each episode)")
-    add("--incomplete", action="store_true", help="take incomplete recordings too, marked")
+    add("--incomplete", action="store_true", help="include incomplete recordings, marked")
     add("--out", type=Path, metavar="DIR", help="new or empty folder (default runs/<UTC time>)")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Find, measure, draw; the last line printed is the path of summary.json."""
+    """Find, measure, report; the last line printed is the path of summary.json."""
     from surg_recording.episode import provenance
     from surg_recording.recording_errors import EpisodeError, ReferenceSetError
     from surg_recording.reports import evaluation, evaluation_report
@@ -73,10 +73,10 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def _find(wanted: list[Path]) -> list[Path]:
-    """The episodes that are meant.
+    """The episodes to evaluate.
 
     Raises:
-        Problem: There is none, with what makes some.
+        Problem: There is none; names a command that records some.
     """
     from surg_recording.recording_errors import EpisodeError
     from surg_recording.reports import evaluation
@@ -86,11 +86,11 @@ def _find(wanted: list[Path]) -> list[Path]:
     except EpisodeError as problem:
         if wanted:
             raise Problem(str(problem), 2) from problem
-        raise Problem(f"runs/ holds no episode yet; make some: {MAKE_SOME}", 2) from problem
+        raise Problem(f"runs/ holds no episode yet; record some with {RECORD_SOME}", 2) from problem
 
 
 def _print_summary(summary: dict[str, Any]) -> None:
-    """A line per condition with the figures a person looks for first."""
+    """Print the main figures, one line per condition."""
     from surg_recording.reports.trial_report import interval
 
     rows = [["condition", "n", "success", "RCM mean [mm]", "RCM max [mm]", "SPARC", "LDLJ"]]

@@ -1,4 +1,4 @@
-"""`./surg export EPISODES…`: recordings as a dataset in a format that training programs read."""
+"""`./surg export EPISODES…`: writes recordings as a dataset for training programs."""
 
 from __future__ import annotations
 
@@ -18,16 +18,22 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.epilog = (
         "Exit status: 0 all recordings are in the dataset, 1 some were refused or the dataset is"
-        " bad, 2 wrong input. docs/reference/datasets.md says what comes out."
+        " invalid, 2 wrong input. Formats: docs/reference/datasets.md"
     )
     add = parser.add_argument
-    add("episodes", nargs="*", type=Path, metavar="EPISODES", help="recordings, or folders of some")
+    add(
+        "episodes",
+        nargs="*",
+        type=Path,
+        metavar="EPISODES",
+        help="recordings, or folders with some",
+    )
     known = ", ".join(FORMATS)
     add("--format", default="lerobot", help=f"{known}, an installed one, or a .py file")
     add("--out", type=Path, metavar="DIR", help="the dataset; a new folder")
     add("--dry-run", action="store_true", help="read and check everything, write nothing")
-    add("--check", action="store_true", help="read the dataset in --out again, whole")
-    content = parser.add_argument_group("what is exported")
+    add("--check", action="store_true", help="read and check the whole dataset in --out")
+    content = parser.add_argument_group("content")
     add = content.add_argument
     add("--fps", type=int, default=20, metavar="N", help="frames per second (default 20)")
     add("--cameras", nargs="+", metavar="NAME", help="default: all of the first recording")
@@ -39,36 +45,40 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add("--crf", type=int, default=18, metavar="Q", help="video quality, 0 best to 51 (18)")
     add("--gop", type=int, default=2, metavar="N", help="distance of key frames (2)")
     add("--preset", default="veryfast", help="of x264 (veryfast)")
-    add("--allow-incomplete", action="store_true", help="also recordings that were cut off")
-    add("--allow-unsynchronised", action="store_true", help="also where the sync report fails")
-    content = parser.add_argument_group("how it is put together")
+    add("--allow-incomplete", action="store_true", help="include interrupted recordings")
+    add(
+        "--allow-unsynchronised",
+        action="store_true",
+        help="include recordings whose sync report fails",
+    )
+    content = parser.add_argument_group("dataset")
     add = content.add_argument
     shares = "default: train=0.8,val=0.1,test=0.1"
     add("--splits", type=_splits, metavar="NAME=SHARE,…", help=shares)
-    add("--about", type=Path, metavar="FILE", help="YAML: what only people know, for the page")
-    add("--replace", action="store_true", help="take the place of an earlier export")
-    add("--keep-parts", action="store_true", help="so that a later, larger export is quick")
-    content = parser.add_argument_group("who does the work")
+    add("--about", type=Path, metavar="FILE", help="YAML file with facts for the dataset card")
+    add("--replace", action="store_true", help="replace an earlier export")
+    add("--keep-parts", action="store_true", help="keep converted parts for a later, larger export")
+    content = parser.add_argument_group("processes")
     add = content.add_argument
     add("--executor", choices=("process", "serial", "dask"), default="process")
     add("--workers", type=int, metavar="N", help="processes (default: one per processor)")
     add("--scheduler", metavar="ADDRESS", help="of a Dask cluster that sees the same disk")
-    add("--shard", type=_shard, metavar="i/n", help="only convert every n-th recording, from the i")
-    add("--merge", action="store_true", help="put together what the shards have converted")
+    add("--shard", type=_shard, metavar="i/n", help="convert only shard i of n")
+    add("--merge", action="store_true", help="merge the converted shards")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Export, dry-run or check; say what was done."""
+    """Export, dry-run or check; print the result."""
     from surg_recording import datasets
 
     try:
         exporter = datasets.load(options.format)
         if options.out is None and not options.dry_run:
-            raise Problem("export: --out DIR is needed (or --dry-run)", 2)
+            raise Problem("export: --out DIR is missing (or --dry-run)", 2)
         if options.check:
             return _say(datasets.check(options.out, exporter), options)
         if not options.episodes:
-            raise Problem("export: name recordings, or folders that hold some", 2)
+            raise Problem("export: name recordings, or folders with some", 2)
         chosen = choices(options, datasets.ExportOptions)
         title = "export: dry run" if options.dry_run else f"export to {options.out}"
         with Progress(title) as progress:
@@ -85,15 +95,15 @@ def choices(options: argparse.Namespace, kind: Any) -> Any:
     """The export's options from the command line's.
 
     Raises:
-        Problem: names the option, its value and what is allowed.
+        Problem: Names the option, its value and what is allowed.
     """
     if options.scheduler is not None:
         options.executor = "dask"
     if options.merge:
         if options.shard is not None:
-            raise Problem("export: --shard converts, --merge puts together: one of the two", 2)
+            raise Problem("export: --shard and --merge exclude each other", 2)
         if not options.out.with_name(options.out.name + ".parts").is_dir():
-            raise Problem(f"export: {options.out}.parts is missing: no shard has run yet", 2)
+            raise Problem(f"export: {options.out}.parts is missing; convert the shards first", 2)
     given: dict[str, Any] = {
         "max_image_age_s": options.max_image_age,
         "max_gap_s": options.max_gap,
@@ -120,7 +130,7 @@ def _say(report: Any, options: argparse.Namespace) -> int:
         rows[1] = ["content", f"{report.recordings} recordings of this shard are converted"]
     facts = report.facts
     if facts.get("up_to_date"):
-        rows.append(["state", "up to date: nothing was done"])
+        rows.append(["state", "up to date"])
     for key in ("splits", "kinds", "files"):
         if facts.get(key):
             shown = facts[key]
@@ -138,7 +148,7 @@ def _say(report: Any, options: argparse.Namespace) -> int:
     for text in report.errors:
         warn(f"  wrong: {text}")
     if report.errors:
-        warn("surg: the dataset is bad" + ("" if options.check else ": it was not put in place"))
+        warn("surg: the dataset is invalid" + ("" if options.check else "; it was not kept"))
     elif report.refused:
         warn(f"surg: {len(report.refused)} recordings are not in the dataset")
     if not options.dry_run and not options.check:
@@ -147,19 +157,19 @@ def _say(report: Any, options: argparse.Namespace) -> int:
 
 
 def _write_report(report: Any, out: Path) -> None:
-    """Beside the dataset, so that the dataset holds what its format knows and nothing else."""
+    """Write the report beside the dataset, which holds only files of its format."""
     path = out.with_name(out.name + ".report.json")
     paths.write_text(path, json.dumps(report.to_json(), indent=1, default=str) + "\n")
     say(f"  report: {path}")
 
 
 def _about(path: Path) -> dict[str, Any]:
-    """What only people know of the dataset.
+    """Facts for the dataset card.
 
     Raises:
-        Problem: the file cannot be read, or has an unknown key.
+        Problem: The file cannot be read, or has an unknown key.
     """
-    import yaml  # not there before the first setup
+    import yaml  # missing before the first setup
 
     from surg_recording.datasets.readme import KNOWN
 
@@ -176,14 +186,14 @@ def _about(path: Path) -> dict[str, Any]:
 def _size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
     if not (width.isdigit() and height.isdigit()):
-        raise argparse.ArgumentTypeError(f"{text}: a size such as 640x480 is needed")
+        raise argparse.ArgumentTypeError(f"{text}: expected a size such as 640x480")
     return (int(width), int(height))
 
 
 def _shard(text: str) -> tuple[int, int]:
     index, _, count = text.partition("/")
     if not (index.isdigit() and count.isdigit() and int(index) < int(count)):
-        raise argparse.ArgumentTypeError(f"{text}: i/n with 0 ≤ i < n, such as 0/4, is needed")
+        raise argparse.ArgumentTypeError(f"{text}: i/n with 0 ≤ i < n, such as 0/4, is expected")
     return (int(index), int(count))
 
 
@@ -193,5 +203,5 @@ def _splits(text: str) -> dict[str, float]:
         return {name.strip(): float(share) for name, share in pairs}
     except ValueError:
         raise argparse.ArgumentTypeError(
-            f"{text}: shares such as train=0.9,val=0.1 are needed"
+            f"{text}: expected shares such as train=0.9,val=0.1"
         ) from None

@@ -41,7 +41,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     folder = options.out
     say(
         f"Server: ./surg run TASK --policy ADDRESS --policy-keys {folder}\n"
-        f"Policy: copy {folder / options.policy} to its machine (it holds a secret), there "
-        f"`--keys {options.policy}`, or serve(..., keys='{options.policy}')"
+        f"Policy: copy {folder / options.policy} to its machine (it holds a secret) and use "
+        f"`--keys {options.policy}` or serve(..., keys='{options.policy}')"
     )
     return 0

@@ -1,7 +1,7 @@
-"""`./surg ptp master|slave`: one clock for two machines, by linuxptp's `ptp4l`.
+"""`./surg ptp master|slave`: synchronises the clocks of two machines with linuxptp's `ptp4l`.
 
-The controller's machine is the master: its clock is left alone and told to the network. A slave
-sets its own clock to it. The daemon runs until Ctrl-C, together with one line on how far it is.
+The controller's machine is the master: it sends its time and does not change its clock. A slave
+sets its own clock. The daemon runs until Ctrl-C, with a status line.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from surg_cli.graph import processes
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem, is_interactive, say, warn
 
-# As root on a machine where nothing has been built: from the source tree.
+# Runs as root, also where nothing has been built: import from the source tree.
 sys.path.append(str(paths.ROOT / "src" / "surg_recording" / "src"))
 
 from surg_recording.clock import clock_sync, pmc
@@ -29,24 +29,24 @@ NETWORK = Path("/sys/class/net")
 START_TIMEOUT_S = 10.0
 LOOK_S = 1.0
 QUIET_S = 10.0
-# Programs that steer the same clock: two hands on one wheel.
+# Programs that steer the same clock.
 RIVALS = ("chronyd", "ntpd", "systemd-timesyn", "openntpd", "ptp4l", "phc2sys")
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     parser.description = (
-        "Keep the clocks of two machines together by PTP (linuxptp, software stamps). The machine"
-        " of the controllers is the master: its clock is not touched. On a slave the clock is SET"
-        " to the master's: by a step at the start, then steered. Start it before you record, on"
-        " the interface of the isolated network. Ctrl-C ends it. More: docs/guide/clock_sync.md"
+        "Synchronise the clocks of two machines by PTP (linuxptp, software stamps). The machine of"
+        " the controllers is the master; its clock is not changed. The clock of a slave is SET to"
+        " the master's: one step at the start, then steering. Start it before you record, on the"
+        " interface of the isolated network. Ctrl-C ends it. More: docs/guide/clock_sync.md"
     )
-    parser.add_argument("role", choices=("master", "slave"), help="who this machine is")
+    parser.add_argument("role", choices=("master", "slave"), help="role of this machine")
     parser.add_argument("--interface", metavar="IF", help="network interface, e.g. enp3s0")
     parser.add_argument(
         "--free-running",
         action="store_true",
-        help="slave: measure the offset, leave the clock alone",
+        help="slave: measure the offset without setting the clock",
     )
     parser.add_argument(
         "--folder",
@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 def main(options: argparse.Namespace, command: str) -> int:
     """Check, write the configuration, run the daemon until Ctrl-C."""
     if options.role == "master" and options.free_running:
-        raise Problem("--free-running is a slave's: a master's clock is never touched", 2)
+        raise Problem("--free-running is for a slave; a master's clock is never changed", 2)
     daemon = _program("ptp4l")
     _program("pmc")
     interface = _interface(options.interface)
@@ -71,7 +71,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     folder = options.folder.absolute()
     socket = folder / "ptp4l"
     if socket.exists() and not pmc.ask(socket).problem:
-        raise Problem(f"a PTP daemon runs already: it answers at {socket}; end that one first")
+        raise Problem(f"a PTP daemon runs already and answers at {socket}; end it first")
     _make_folder(folder)
     file = folder / "ptp4l.conf"
     paths.write_text(file, configuration(options.role, interface, socket, options.free_running))
@@ -82,7 +82,7 @@ def main(options: argparse.Namespace, command: str) -> int:
             child = supervisor.start("ptp4l", [daemon, "-f", file, "-m"])
             _watch(child, socket, steers)
     except KeyboardInterrupt:
-        say("ptp: ended; the clock runs on by itself")
+        say("ptp: ended; the clock runs on freely")
         return 0
     finally:
         for left in (socket, folder / "ptp4lro", file):
@@ -96,8 +96,8 @@ def configuration(role: str, interface: str, socket: Path, free_running: bool) -
     Args:
         role: `master` or `slave`.
         interface: Name of the network interface.
-        socket: Where the daemon can be asked.
-        free_running: Measure only.
+        socket: Control socket of the daemon.
+        free_running: Whether the clock is only measured.
     """
     lines = [
         f"# Written by ./surg ptp {role}; docs/guide/clock_sync.md explains it.",
@@ -110,10 +110,10 @@ def configuration(role: str, interface: str, socket: Path, free_running: bool) -
         f"slaveOnly               {int(role == 'slave')}",
         # Another PTP clock on this network must not take over.
         f"priority1               {100 if role == 'master' else 255}",
-        "logSyncInterval         -2",  # four times a second: the median is quick to settle
+        "logSyncInterval         -2",  # four times a second, so that the median settles quickly
         "logMinDelayReqInterval  -2",
         f"free_running            {int(free_running)}",
-        # A slave steps once, at the start; later a step would tear recordings apart.
+        # A slave steps once, at the start; a later step would break recordings.
         "first_step_threshold    0.00002",
         "step_threshold          0.0",
         "summary_interval        4",  # a line of statistics in the log every 16 s
@@ -143,21 +143,20 @@ def _interface(wanted: str | None) -> str:
         live = [name for name in others if _state(name) == "up"]
         if len(live) != 1:
             raise Problem(
-                f"which network? --interface IF names the one that joins the two machines:"
-                f" {listed}",
+                f"--interface IF is missing: name the one that connects the two machines: {listed}",
                 2,
             )
         wanted = live[0]
     if wanted not in others:
         hint = " (PTP does not run on loopback)" if wanted == "lo" else ""
-        raise Problem(f"--interface {wanted}: no such interface{hint}; there are: {listed}", 2)
+        raise Problem(f"--interface {wanted}: no such interface{hint}; available: {listed}", 2)
     if _state(wanted) == "down":
         raise Problem(f"--interface {wanted}: it is down: sudo ip link set {wanted} up", 2)
     return wanted
 
 
 def _state(interface: str) -> str:
-    """Whether the kernel calls it up, down or unknown."""
+    """State of an interface: up, down or unknown."""
     try:
         return (NETWORK / interface / "operstate").read_text(encoding="ascii").strip()
     except OSError:
@@ -165,7 +164,7 @@ def _state(interface: str) -> str:
 
 
 def _check_permission(options: argparse.Namespace) -> None:
-    """PTP's ports are below 1024, and setting the clock is root's."""
+    """PTP needs root, for its ports and to set the clock."""
     if os.geteuid() == 0:
         return
     words = [options.role]
@@ -179,10 +178,10 @@ def _check_permission(options: argparse.Namespace) -> None:
 
 
 def _check_rivals() -> None:
-    """Refuse to steer a clock that another program steers.
+    """Check that no other program steers the clock.
 
     Raises:
-        Problem: Names the programs and how to stop them.
+        Problem: One does; names it and how to stop it.
     """
     found = set()
     for comm in Path("/proc").glob("[0-9]*/comm"):
@@ -193,14 +192,14 @@ def _check_rivals() -> None:
     if found:
         names = ", ".join(sorted(found))
         raise Problem(
-            f"{names} steers this machine's clock already: stop it first (for the time service of"
-            " Debian: sudo systemctl stop systemd-timesyncd), or measure with --free-running",
+            f"{names} already steers this machine's clock: stop it first (Debian's time service:"
+            " sudo systemctl stop systemd-timesyncd), or measure with --free-running",
             2,
         )
 
 
 def _same_network(process: Path) -> bool:
-    """Whether a process is one of this machine, not of a container's or test's network."""
+    """Whether a process is in this network namespace, not in that of a container or a test."""
     try:
         return os.readlink(process / "ns" / "net") == os.readlink("/proc/self/ns/net")
     except OSError:
@@ -217,23 +216,23 @@ def _make_folder(folder: Path) -> None:
 
 def _announcement(role: str, interface: str, free_running: bool, file: Path) -> str:
     if role == "master":
-        what = "tells its time to the network; its clock is left alone"
+        what = "sends its time to the network; its clock is not changed"
     elif free_running:
-        what = "measures how far it is off the master; its clock is left alone"
+        what = "measures its offset from the master; its clock is not changed"
     else:
-        what = "SETS its clock to the master's: one step at the start, then steered"
+        what = "SETS its clock to the master's: one step at the start, then steering"
     return f"ptp: this machine {what}\n  interface {interface}, configuration {file}\n  Ctrl-C ends"
 
 
 def _watch(child: processes.Child, socket: Path, steers: bool) -> None:
-    """Say how it goes until the daemon ends.
+    """Print the status until the daemon ends.
 
     Raises:
         Problem: The daemon has ended.
     """
     processes.wait_until(lambda: socket.exists() or child.exit_code is not None, START_TIMEOUT_S)
-    _let_ask(socket)
-    said, said_at = "", -math.inf
+    _share_socket(socket)
+    printed, printed_at = "", -math.inf
     while child.exit_code is None:
         line = describe(pmc.ask(socket))
         now = time.monotonic()
@@ -241,30 +240,30 @@ def _watch(child: processes.Child, socket: Path, steers: bool) -> None:
             width = shutil.get_terminal_size().columns - 1
             sys.stderr.write("\r\033[K" + f"  {line}"[:width])
             sys.stderr.flush()
-        elif line.split(",")[0] != said or now - said_at > QUIET_S:
+        elif line.split(",")[0] != printed or now - printed_at > QUIET_S:
             say(f"  {line}")
-            said, said_at = line.split(",")[0], now
+            printed, printed_at = line.split(",")[0], now
         processes.wait_until(lambda: child.exit_code is not None, LOOK_S)
     if steers:
-        warn("ptp: the clock runs on by itself")
+        warn("ptp: the clock runs on freely")
     raise Problem(f"ptp4l ended ({child.exit_code}); the end of {child.log}:\n{child.log_tail()}")
 
 
 def describe(status: clock_sync.ClockStatus) -> str:
-    """One line on a clock, for a person."""
+    """One line on the state of a clock."""
     if status.port_state == clock_sync.MASTER and not status.problem:
         return f"master, clock {status.clock}"
     fault = status.fault()
     if math.isnan(status.offset):
         return fault
-    words = fault or "in step"
+    words = fault or "synchronised"
     return (
         f"{words}, offset {status.offset * 1e6:+.1f} µs,"
         f" path delay {status.path_delay * 1e6:.1f} µs, master {status.grandmaster}"
     )
 
 
-def _let_ask(socket: Path) -> None:
-    """Let the user who called sudo ask the daemon: the monitor node need not be root."""
+def _share_socket(socket: Path) -> None:
+    """Give the user of sudo access to the daemon: the monitor node does not run as root."""
     with contextlib.suppress(KeyError, ValueError, OSError):
         os.chown(socket, int(os.environ["SUDO_UID"]), int(os.environ["SUDO_GID"]))

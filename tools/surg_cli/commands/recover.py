@@ -1,4 +1,4 @@
-"""`./surg recover FOLDER`: finish recordings that a kill or a power cut has left unfinished."""
+"""`./surg recover FOLDER`: completes recordings that a kill or a power cut interrupted."""
 
 from __future__ import annotations
 
@@ -15,52 +15,52 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         nargs="+",
         type=Path,
         metavar="FOLDER",
-        help="an unfinished recording (….partial), or a folder with some anywhere below it",
+        help="an interrupted recording (….partial), or a folder with some below it",
     )
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Recover each; exit status 1 when one could not be."""
+    """Recover each; exit status 1 if one could not be."""
     from surg_recording.episode import episode_reader, recovery
     from surg_recording.recording_errors import EpisodeError
 
-    found: list[Path] = []
+    partial: list[Path] = []
     for folder in options.folders:
         if not folder.is_dir():
             raise Problem(f"recover {folder}: no such folder", 2)
-        found += [folder] if folder.name.endswith(episode_reader.PARTIAL) else _below(folder)
-    if not found:
+        partial += [folder] if folder.name.endswith(episode_reader.PARTIAL) else _below(folder)
+    if not partial:
         names = ", ".join(map(str, options.folders))
         say(
-            f"recover: nothing is unfinished in {names} "
+            f"recover: no interrupted recordings in {names} "
             f"(no folder ends in {episode_reader.PARTIAL})"
         )
         return 0
     failed = 0
-    told: list[str] = []
+    lines: list[str] = []
     with Progress("recover") as progress:
-        for number, folder in enumerate(found):
-            progress.update(number / len(found), str(folder))
+        for number, folder in enumerate(partial):
+            progress.update(number / len(partial), str(folder))
             try:
                 final = recovery.recover_one(folder.absolute(), recovery.BY_HAND)
-                told.append(_summary(final))
+                lines.append(_summary(final))
             except EpisodeError as problem:
                 warn(f"surg: {problem}")
                 failed += 1
-    for line in told:
+    for line in lines:
         say(line)
     return 1 if failed else 0
 
 
 def _below(folder: Path) -> list[Path]:
-    """Unfinished recordings anywhere below a folder."""
+    """Interrupted recordings anywhere below a folder."""
     from surg_recording.episode.episode_reader import PARTIAL
 
     return sorted(path for path in folder.rglob(f"*{PARTIAL}") if path.is_dir())
 
 
 def _summary(folder: Path) -> str:
-    """What a recovered recording holds, in a line."""
+    """One line on the content of a recovered recording."""
     from surg_recording.episode import episode_reader
 
     manifest = episode_reader.read(folder).manifest

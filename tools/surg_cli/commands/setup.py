@@ -15,7 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Set the machine up; build when asked to."""
+    """Set up the machine; build for `build`."""
     logs = paths.STATE / "logs"
     done = provision.install_packages(logs / "apt.log")
     done |= provision.install_python(logs / "pip.log")

@@ -28,7 +28,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     env.pop("SURG_READY", None)
     if options.line is not None:
         os.execve("/bin/bash", ["/bin/bash", "-c", options.line], env)
-    # The person's own start-up file may put another Python first: ours is set once more after it.
+    # The user's start-up file may put another Python first: set ours again after it.
     rc = paths.STATE / "shellrc"
     kept = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "ROS_MASTER_URI", "CMAKE_PREFIX_PATH")
     lines = ["[ -r ~/.bashrc ] && . ~/.bashrc"]

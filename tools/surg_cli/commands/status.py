@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Describe one system; exit status 1 when there is none or a node is missing."""
+    """Describe one system; exit status 1 if there is none or a node is missing."""
     systems = [s for s in running.systems() if options.port in (None, s.port)]
     if not systems and options.port is None:
         say("status: no system of this checkout is running (./surg up CELL starts one)")
@@ -39,7 +39,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def _nodes(system: running.System | None, registered: list[str], uri: str) -> bool:
-    """Print every node; return whether all that were started are there."""
+    """Print every node; return whether all started nodes run."""
     rows = []
     healthy = True
     started = dict(system.nodes) if system else {}
@@ -52,13 +52,13 @@ def _nodes(system: running.System | None, registered: list[str], uri: str) -> bo
         else:
             state = "running" if name in registered else "not registered yet"
         rows.append([name, state, "" if pid is None else f"pid {pid}"])
-    title = f"{system.command} of {system.cell}" if system else "a system of somebody else"
+    title = f"{system.command} of {system.cell}" if system else "a system of another checkout"
     say(f"{title}, ROS master {uri}\nnodes:\n{table(rows)}")
     return healthy
 
 
 def _topics(uri: str) -> None:
-    """Listen to every topic for two seconds and print its rate."""
+    """Count the messages of every topic for two seconds and print the rates."""
     os.environ["ROS_MASTER_URI"] = uri
     import rospy
 
@@ -72,7 +72,7 @@ def _topics(uri: str) -> None:
 
     rospy.init_node("surg_status", anonymous=True, disable_signals=True)
     for topic in publications:
-        # Not decoded: only counted.
+        # AnyMsg: counted without decoding.
         rospy.Subscriber(topic, rospy.AnyMsg, count, topic, queue_size=None, tcp_nodelay=True)
     time.sleep(0.5)  # connections and latched messages
     with lock:

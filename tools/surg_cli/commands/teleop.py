@@ -1,7 +1,7 @@
-"""`./surg teleop [CELL]`: the phantom in real time under an operator's hands, with the console.
+"""`./surg teleop [CELL]`: teleoperation of the phantom in real time, with the browser console.
 
-Starts simulator, controllers, endoscope, recorder, teleoperation and console, or attaches the last
-two to a system of `./surg up`, also to one machine's part of it.
+Starts simulator, controllers, endoscope, recorder, teleoperation and console. Beside a system of
+`./surg up`, also one machine's part of it, only teleoperation and console are started.
 """
 
 from __future__ import annotations
@@ -40,37 +40,47 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
     add("cell", nargs="?", metavar="CELL", help=f"name in cells/, or a folder ({DEFAULT_CELL})")
-    add("--task", metavar="T", help="task of the phantom, or none (bgr in a cell of two arms)")
+    add(
+        "--task",
+        metavar="T",
+        help="task of the phantom, or none (default: bgr in a cell with two arms)",
+    )
     add("--setting", default="phantom", metavar="W", help="phantom, ex_vivo or in_vivo")
-    add("--seed", type=int, default=0, metavar="N", help="of the phantom's random numbers")
-    add("--stereo", action="store_true", help="both eyes of the endoscope")
-    add("--scale", type=float, default=0.2, metavar="K", help="tip metres per metre of the hand")
+    add("--seed", type=int, default=0, metavar="N", help="seed of the phantom")
+    add("--stereo", action="store_true", help="both views of the endoscope")
+    add("--scale", type=float, default=0.2, metavar="K", help="tip motion per hand motion")
     add(
         "--leader",
         default=BROWSER,
         metavar="L",
-        help="what the hand holds: browser (default), a bundled leader, or a leader's .py file",
+        help="input device: browser (default), a bundled leader, or a leader's .py file",
     )
     add(
         "--second-leader",
         default="",
         metavar="L",
-        help="what a second hand holds, which moves the assistant's instrument of the task",
+        help="second input device; it moves the assistant's instrument of the task",
     )
     add("--out", type=Path, metavar="DIR", help="folder of the episodes (runs/<UTC time>)")
     add("--port", type=tcp_port, default=master.DEFAULT_PORT, metavar="P", help="of the ROS master")
-    web = parser.add_argument_group("who may open the page (docs/guide/console.md)")
+    web = parser.add_argument_group("access to the page (docs/guide/console.md)")
     add = web.add_argument
     add("--web-port", type=tcp_port, default=WEB_PORT, metavar="P", help=f"default {WEB_PORT}")
     add("--bind", default="127.0.0.1", metavar="ADDRESS", help="default: this machine only")
-    add("--host-name", action="append", default=[], metavar="NAME", help="name people type")
+    add(
+        "--host-name",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="host name in the page's address",
+    )
     add("--cert", type=Path, metavar="PEM", help="TLS certificate")
     add("--key", type=Path, metavar="PEM", help="its private key")
-    add("--token-file", type=Path, metavar="FILE", help="the secret that pages must name")
+    add("--token-file", type=Path, metavar="FILE", help="file with the secret that pages must send")
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Check, start or attach, say the address, wait."""
+    """Check, start or attach, print the address, wait."""
     attached = next((s for s in running.systems() if s.port == options.port), None)
     place = None if attached is None else _place(attached, options)
     web, fragment = _web(options)
@@ -90,15 +100,15 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def _place(attached: running.System, options: argparse.Namespace) -> roles.Link | None:
-    """This machine's place in a running cell of several machines; None: there is one machine.
+    """This machine's place in a running cell of several machines; None for a single machine.
 
     Raises:
         Problem: It is another cell's, or ROS ports may not be opened here.
     """
     if options.cell and cells.find(options.cell) != Path(attached.cell):
         raise Problem(
-            f"port {options.port} has {attached.command} of {attached.cell}; end it with "
-            f"./surg down, or start another system with --port",
+            f"port {options.port}: {attached.command} of {attached.cell} runs there; end it with "
+            "./surg down, or choose another --port",
             2,
         )
     if not attached.role:
@@ -108,12 +118,12 @@ def _place(attached: running.System, options: argparse.Namespace) -> roles.Link 
 
 
 def _there(attached: running.System) -> list[str]:
-    """Names of the nodes that run already, on whatever machine."""
+    """Names of the nodes that run already, on any machine."""
     found = master.nodes(attached.master_uri)
     if operator_nodes.CONSOLE in found:
         raise Problem(
-            f"{attached.master_uri} has a console already: open its page, or end the one that "
-            "runs (Ctrl-C where it was started)",
+            f"a console runs already at {attached.master_uri}: open its page, or end it with "
+            "Ctrl-C where it was started",
             2,
         )
     return found
@@ -122,7 +132,7 @@ def _there(attached: running.System) -> list[str]:
 def _operator_nodes(
     options: argparse.Namespace, plan: Plan, web: dict[str, object], there: list[str]
 ) -> list[Node]:
-    """Teleoperation and console, or the console alone where a teleoperation runs already.
+    """Teleoperation and console, or the console alone if a teleoperation runs already.
 
     Args:
         options: Of the command line.
@@ -133,8 +143,8 @@ def _operator_nodes(
     if operator_nodes.TELEOP in there:
         if options.leader != BROWSER or options.second_leader:
             raise Problem(
-                "a teleoperation runs already, with leaders of its own: leave --leader and "
-                "--second-leader out, and the page shows, enables, stops and records",
+                "a teleoperation with its own leaders runs already: omit --leader and "
+                "--second-leader to start the console alone",
                 2,
             )
         return [operator_nodes.console(plan, False, web)]
@@ -147,10 +157,10 @@ def _operator_nodes(
 
 
 def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
-    """The console's parameters about who may connect, checked before anything starts.
+    """Check the console's access parameters.
 
     Returns:
-        The parameters, and what belongs behind the page's address for people only: the token.
+        The parameters, and the fragment of the page's address: the token.
     """
     from surg_teleop.console.web import access
 
@@ -167,7 +177,9 @@ def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
     except access.AccessError as error:
         raise Problem(str(error), 2) from error
     if master.port_in_use(rules.port) and access.is_loopback(rules.bind):
-        raise Problem(f"port {rules.port} is in use on this machine: choose another: --web-port")
+        raise Problem(
+            f"port {rules.port} is in use on this machine; choose another with --web-port"
+        )
     files = {"cert": options.cert, "key": options.key, "token_file": options.token_file}
     params = {
         "bind": options.bind,
@@ -207,7 +219,7 @@ def _plan(options: argparse.Namespace) -> Plan:
 
 
 def _check_task(loaded: Any, task: str, setting: str) -> None:
-    """Refuse what the simulator would refuse, before anything starts."""
+    """Check task and setting as the simulator does later."""
     from surg_sim import tasks
     from surg_sim.physics.patient_settings import find_setting
 
@@ -218,7 +230,7 @@ def _check_task(loaded: Any, task: str, setting: str) -> None:
 
 
 def _plan_of(attached: running.System) -> Plan:
-    """What a system of `./surg up` runs, as far as the operator's nodes must know it."""
+    """The plan of a running system, as far as the operator's nodes need it."""
     uri = attached.master_uri
     cell = Path(attached.cell)
     cameras = tuple(
@@ -227,7 +239,7 @@ def _plan_of(attached: running.System) -> Plan:
         if f"/endoscope/{view}/image_raw" in master.publications(uri)
     )
     records = bool(master.call(uri, "hasParam", "/recorder/out"))
-    # The recorder may be another machine's: its folder is listed where it is this one's as well.
+    # The recorder's folder may be on another machine: then its episodes are not listed.
     out = Path(master.call(uri, "getParam", "/recorder/out")).parent if records else Path()
     task = ""
     if master.call(uri, "hasParam", "/sim/task"):
@@ -245,7 +257,7 @@ def _plan_of(attached: running.System) -> Plan:
 
 
 def _phantom(plan: Plan) -> list[Node]:
-    """The nodes of the phantom, which goes on when its task is over: people try again."""
+    """The nodes of the phantom, which runs on when its task has ended."""
     found = system.nodes(plan)
     sim = found[0]
     if plan.task:
@@ -285,7 +297,7 @@ def _keep(
 def _await_page(
     plan: Plan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
 ) -> str:
-    """Wait until every arm speaks and the page is served; returns its address."""
+    """Wait until every arm has a state and the page is served; returns its address."""
     console = supervisor.children[-1]
     deadline = time.monotonic() + START_TIMEOUT_S
     while True:

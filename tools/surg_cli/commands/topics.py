@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Start the reference graph, compare, and print or write the page."""
+    """Start the reference graph, compare, and check or write the page."""
     contract = load()
     with reference_graph(contract) as seen:
         wrong = compare(contract, seen, ARM, NODES, lockstep=False)
@@ -43,7 +43,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         say(
             "docs/reference/topics.md is up to date"
             if same
-            else "docs/reference/topics.md is old: --write renews it"
+            else "docs/reference/topics.md is out of date; --write renews it"
         )
         return 0 if same else 1
     return 1 if wrong else 0
@@ -54,10 +54,10 @@ def reference_graph(contract: Contract) -> Iterator[list[Seen]]:
     """Simulator, controller with everything on, and the dVRK node, in free-run on a private master.
 
     Args:
-        contract: Tells when everything is up.
+        contract: The graph is up when it is complete.
 
     Yields:
-        What they offer.
+        Topics and services of the graph.
 
     Raises:
         Problem: When it does not come up.
@@ -73,7 +73,7 @@ def reference_graph(contract: Contract) -> Iterator[list[Seen]]:
 
 
 def reference_nodes(mode: str) -> list[system.Node]:
-    """The nodes of the reference graph, every optional topic switched on."""
+    """The nodes of the reference graph, with every optional topic."""
     cell = str(paths.ROOT / "cells" / "sim_ur5e")
     shared = {"cell": cell, "mode": mode}
     return [
@@ -91,7 +91,7 @@ def reference_nodes(mode: str) -> list[system.Node]:
 
 
 def await_graph(supervisor: Supervisor, contract: Contract) -> list[Seen]:
-    """What the graph offers as soon as it is what was promised, or after a time-out."""
+    """Topics and services of the graph once it fulfils the contract, or after a time-out."""
     uri = supervisor.env["ROS_MASTER_URI"]
     seen: list[Seen] = []
 

@@ -1,4 +1,4 @@
-"""`./surg up CELL`: a whole system, or one machine's part of it, kept until Ctrl-C."""
+"""`./surg up CELL`: runs a whole system, or one machine's part of it, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say
 
 START_TIMEOUT_S = 60.0
-SPOKEN_TICKS = 100
-"""Of the simulator in real time: by then every controller has heard its link."""
+READY_TICKS = 100
+"""Ticks of the simulator after which every controller has received its link's state."""
 RECORDED = (
     ("--record-topics", "TOPIC", "record these too: names or patterns, such as '/PSM1/measured_*'"),
     ("--record-cameras", "TOPIC", "record these image topics too, raw or compressed"),
 )
-"""Option, name of its words, help."""
+"""Option, metavar, help."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     add(
         "--role",
         choices=[role.value for role in roles.Role],
-        help="what this machine does in a cell of several machines (docs/guide/two_machines.md)",
+        help="role of this machine in a cell of several machines (docs/guide/two_machines.md)",
     )
     add(
         "--leader",
@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="lock-step: a node whose commands every step waits for (may be repeated)",
     )
     add("--law", choices=("ours", "velocity", "paper"), default="ours", help="the control law")
-    add("--link", choices=("joint", "twist"), help="what the robot obeys (default: its YAML)")
-    add("--seed", type=int, default=0, metavar="N", help="of the simulator's random numbers")
+    add("--link", choices=("joint", "twist"), help="command of the robot link (default: its YAML)")
+    add("--seed", type=int, default=0, metavar="N", help="seed of the simulator")
     add("--no-video", action="store_true", help="without the endoscope camera")
     add("--stereo", action="store_true", help="both eyes of a stereo endoscope")
     add("--view", action="store_true", help="open the simulator's window (needs a display)")
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 
 def main(options: argparse.Namespace, command: str) -> int:
-    """Start everything, say what is there, wait."""
+    """Start everything, print how to reach it, wait."""
     if options.leader is not None and options.role != roles.Role.OPERATOR:
         raise Problem("--leader: only with --role operator; see ./surg teleop for one machine", 2)
     cell = cells.find(options.cell)
@@ -104,15 +104,15 @@ def main(options: argparse.Namespace, command: str) -> int:
 def recorded_too(
     topics: Sequence[str], cameras: Sequence[str], link: roles.Link | None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Further topics and cameras of the recording, checked before anything is started.
+    """Check the further topics and cameras of the recording.
 
     Args:
         topics: Names and patterns.
         cameras: Names of image topics.
-        link: This machine's place among several; None: it is the only one.
+        link: This machine's place among several; None for a single machine.
 
     Raises:
-        Problem: One is no topic, or another machine records.
+        Problem: One is not a topic name, or another machine records.
     """
     if (topics or cameras) and link is not None and link.role is not roles.Role.ROBOT:
         raise Problem("--record-topics, --record-cameras: only the robot's machine records", 2)
@@ -125,7 +125,7 @@ def recorded_too(
             good = topic.startswith("/") and not any(c.isspace() or c == "," for c in topic)
             if not good or (wild & set(topic) and not patterns):
                 shape = "name or pattern" if patterns else "name"
-                raise Problem(f"{option} {topic!r}: a {shape} that begins with / is needed", 2)
+                raise Problem(f"{option} {topic!r}: expected a {shape} that begins with /", 2)
     return tuple(dict.fromkeys(topics)), tuple(dict.fromkeys(cameras))
 
 
@@ -171,7 +171,7 @@ def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> int:
 def _await_arms(
     plan: Plan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
 ) -> None:
-    """Wait until every arm has published its state and its robot_description, and heard its link.
+    """Wait until every arm has a state and a robot_description, and its controller has its link.
 
     Raises:
         Problem: When a node ends meanwhile, or after a minute.
@@ -181,7 +181,7 @@ def _await_arms(
     while True:
         states = watch.states
         missing = [arm for arm in plan.arms if arm not in states]
-        if not plan.lockstep and watch.sim.tick < SPOKEN_TICKS:
+        if not plan.lockstep and watch.sim.tick < READY_TICKS:
             missing.append("the simulator")  # "enable" would be refused
         described = all(
             master.call(uri, "hasParam", f"/{arm}/robot_description") for arm in plan.arms
@@ -199,14 +199,14 @@ def _await_arms(
 
 
 def _greet(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> None:
-    """Say what runs and how to reach it."""
+    """Print what runs and how to reach it."""
     arm = plan.arms[0]
     say(f"{plan.cell.name} is up: {', '.join(plan.arms)}; every arm is DISABLED and not homed.")
     if link is not None:
         say(f"ROS ports are open on {link.address} alone. The other machines join with:")
         for role in link.others:
             say(f"  ./surg up {plan.cell.name} --role {role} --port {port}")
-        join.say_about_clocks(link)
+        join.warn_without_ptp(link)
     say("In another terminal: ./surg status, ./surg shell, or by hand:")
     say(f"  export ROS_MASTER_URI={link.uri if link else f'http://localhost:{port}'}")
     for word in ("enable", "home"):

@@ -1,4 +1,4 @@
-"""`./surg view EPISODE`: one page with video, tip path, curves and events under one cursor."""
+"""`./surg view EPISODE`: one page with video, tip path, curves and events."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         recorded = episodes.read(folder)
         out = options.out or folder.absolute().with_name(f"{folder.absolute().name}_view.html")
         if not os.access(out.parent, os.W_OK):
-            raise Problem(f"{out.parent}: cannot be written; --out FILE names another place", 2)
+            raise Problem(f"{out.parent}: is not writable; name another file with --out", 2)
         with Progress("view") as progress:
             sync_report.ensure(recorded, lambda words: progress.update(None, words))
             episode_view.write(recorded, out, lambda words: progress.update(None, words))
@@ -41,6 +41,6 @@ def main(options: argparse.Namespace, command: str) -> int:
         raise Problem(str(problem), 2) from problem
     can_show = bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
     if not options.no_open and not (can_show and webbrowser.open(out.absolute().as_uri())):
-        say("view: there is no display here: open this file in a browser")
+        say("view: no display; open this file in a browser")
     say(str(out))
     return 0

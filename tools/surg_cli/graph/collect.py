@@ -16,17 +16,17 @@ from surg_cli.host.terminal import Problem, say
 
 
 def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Namespace) -> int:
-    """Write one row each time the arm has come to rest at a new place.
+    """Write one row whenever the arm has come to rest in a new pose.
 
     Args:
         arm: The cell's arm.
-        to: The recording; made when missing, otherwise rows are appended.
+        to: The recording; created if missing, otherwise rows are appended.
         motion: First column of the rows.
         count: Rows to write.
         options: `port` of the ROS master and `timeout` for one pose [s].
 
     Raises:
-        Problem: When the file does not fit, no system runs, or nothing comes to rest.
+        Problem: The file has other columns, no system runs, or the arm does not come to rest.
     """
     names = list(arm.robot.joint_names)
     header = ",".join(["motion", *names])
@@ -51,7 +51,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
 
     topic = f"/{arm.name}/robot/measured_js"
     listener = rospy.Subscriber(topic, JointState, hear, queue_size=1000, tcp_nodelay=True)
-    say(f"{topic}: {count} poses of '{motion}' -> {to}; hold the arm still for half a second each")
+    say(f"{topic}: {count} poses of '{motion}' -> {to}; hold the arm still for 0.5 s in each")
     try:
         for done in range(1, count + 1):
             try:
@@ -73,11 +73,11 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
 
 
 def _check(to: Path, header: str) -> None:
-    """A file that is there must have the same columns."""
+    """An existing file must have the same columns."""
     if not to.exists():
         if not to.parent.is_dir():
             raise Problem(f"--to {to}: no folder {to.parent}", 2)
         return
     lines = [line for line in to.read_text(encoding="utf-8").splitlines() if line[:1] != "#"]
     if lines and lines[0] != header:
-        raise Problem(f"--to {to}: its header is {lines[0]}; needed is {header}", 2)
+        raise Problem(f"--to {to}: its header is {lines[0]}; expected {header}", 2)

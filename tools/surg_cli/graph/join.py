@@ -1,4 +1,4 @@
-"""`./surg up CELL --role …`: one machine's part of a cell that is spread over several."""
+"""`./surg up CELL --role …`: one machine's part of a cell with several machines."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from surg_cli.host.terminal import Problem, Progress, say
 LEADER = "crtk"
 """Any leader that speaks CRTK on topics."""
 ASK_S = 0.5
-"""Time between two questions to the ROS master."""
+"""Period of the checks whether the ROS master answers [s]."""
 
 
 def link(config: Any, role: roles.Role, port: int) -> roles.Link:
-    """Check this machine's network, and put this process behind the port guard.
+    """Check this machine's network, and restrict the ports of this process to it.
 
-    Starts this command anew with the guard in its environment: it is a ROS node itself.
+    This command is a ROS node itself, so it restarts with the port guard in its environment.
 
     Args:
         config: A ``surg_core`` CellConfig.
@@ -40,7 +40,7 @@ def link(config: Any, role: roles.Role, port: int) -> roles.Link:
         port: Of the ROS master.
 
     Raises:
-        Problem: ROS ports may not be opened here; with the cure.
+        Problem: ROS ports may not be opened here; says what to do.
     """
     found = roles.link_of(config, role, port)
     network.check(found.address, role)
@@ -52,12 +52,12 @@ def link(config: Any, role: roles.Role, port: int) -> roles.Link:
 
 
 def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[Node]:
-    """The nodes of this machine, without the publishers of the robots' links for rviz.
+    """The nodes of this machine, without the robot_state_publishers.
 
     Args:
         plan: The whole system.
-        place: Of this machine; None: it is the only one.
-        leader: What the operator's hand holds.
+        place: Of this machine; None for a single machine.
+        leader: The operator's input device.
     """
     every = system.nodes(plan)
     if place is None:
@@ -79,11 +79,11 @@ def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[No
 
 
 def clock_monitor(role: roles.Role, daemon: Path | None = None) -> list[Node]:
-    """The node that says how well this machine's clock is kept, where a PTP daemon keeps it.
+    """The node that monitors this machine's clock, if a PTP daemon runs here.
 
     Args:
         role: Of this machine, for the node's name.
-        daemon: Socket of the daemon of `./surg ptp`; None: where that puts it.
+        daemon: Socket of the daemon of `./surg ptp`; None for its default.
     """
     from surg_recording.clock import clock_sync
 
@@ -96,27 +96,27 @@ def clock_monitor(role: roles.Role, daemon: Path | None = None) -> list[Node]:
     ]
 
 
-def say_about_clocks(place: roles.Link) -> None:
-    """Say so where nobody keeps this machine's clock."""
+def warn_without_ptp(place: roles.Link) -> None:
+    """Print a warning if no PTP daemon synchronises this machine's clock."""
     if not clock_monitor(place.role):
         kind = "master" if place.role is roles.Role.ROBOT else "slave"
         say(
-            "No PTP daemon keeps this machine's clock: recordings will not be able to tell how far "
-            f"the machines' stamps are apart. sudo ./surg ptp {kind}, then start this role again"
+            "No PTP daemon runs on this machine, so the offset between the machines' stamps is "
+            f"unknown. Run sudo ./surg ptp {kind}, then start this role again."
         )
 
 
 def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
-    """Join the robot's machine and stay until a signal arrives, a node dies or the robot is gone.
+    """Join the robot's machine; return on a signal, or when a node or the robot is lost.
 
     Args:
         plan: The whole system.
         place: Of this machine.
         logs: Folder of the nodes' output.
-        leader: What the operator's hand holds.
+        leader: The operator's input device.
 
     Raises:
-        Problem: The master does not answer, or is gone; a node has died.
+        Problem: The master does not answer any more, or a node has ended.
     """
     env = place.environment(environment.for_nodes(ros_home=logs / "ros"), network.GUARD)
     with processes.Supervisor(env, logs) as supervisor:
@@ -129,7 +129,7 @@ def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
             say(f"{cell.name}: this machine, {place.address}, is its {role}; master {place.uri}")
             if any(node == operator_nodes.CONSOLE for node in entry.nodes):
                 say(f"Open http://localhost:{operator_nodes.WEB_PORT}/ in a browser.")
-            say_about_clocks(place)
+            warn_without_ptp(place)
             say(f"Logs: {logs}. Ctrl-C or ./surg down ends it.")
             _stay(place, supervisor)
     return 0
@@ -139,7 +139,7 @@ def _await_master(place: roles.Link) -> None:
     """Wait for the robot's machine.
 
     Raises:
-        Problem: It does not answer in the role's time.
+        Problem: It does not answer within the role's time-out.
     """
     deadline = time.monotonic() + place.waits.master
     with Progress("up") as progress:
@@ -147,7 +147,7 @@ def _await_master(place: roles.Link) -> None:
             if time.monotonic() > deadline:
                 raise Problem(
                     f"no ROS master answered at {place.uri} within {place.waits.master:.0f} s: "
-                    "start the robot's machine with --role robot, and look at the cable and at "
+                    "start the robot's machine with --role robot, and check the cable and "
                     f"machines.robot = {place.robot}"
                 )
             progress.update(None, f"waiting for the robot's machine, {place.uri}")
@@ -155,7 +155,7 @@ def _await_master(place: roles.Link) -> None:
 
 
 def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
-    """Watch the nodes, their ports, and whether the robot's machine is there.
+    """Watch the nodes, their ports and the connection to the robot's machine.
 
     Raises:
         Problem: Always, in the end.
@@ -169,7 +169,7 @@ def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
         elif time.monotonic() - heard > place.waits.gone:
             raise Problem(
                 f"the robot's machine, {place.robot}, has been silent for "
-                f"{place.waits.gone:.0f} s: this role ends. The arms hold by themselves. When the "
-                "link is back, start it again: nothing resumes by itself"
+                f"{place.waits.gone:.0f} s: this role ends. The arms hold by themselves. Start the "
+                "role again when the link is back; nothing resumes by itself"
             )
         time.sleep(ASK_S)

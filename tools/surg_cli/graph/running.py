@@ -15,19 +15,19 @@ from surg_cli.host import paths
 
 @dataclass
 class System:
-    """What a running `up` or `demo` says of itself.
+    """A running `up`, `demo`, `run` or `teleop`.
 
     Attributes:
         port: Port of its ROS master.
         pid: The supervising process.
-        start_time: Of that process: a reused id is told apart by it.
+        start_time: Of that process; distinguishes a reused process id.
         command: `up` or `demo`.
         cell: Folder of the cell.
         logs: Folder of the nodes' output.
         nodes: Node name -> process id.
         last_errors: Arm -> its newest error.
-        role: Of this machine in a cell of several; empty: there is one machine.
-        uri: ROS_MASTER_URI; empty: the port on this machine.
+        role: Of this machine in a cell of several machines; empty with one machine.
+        uri: ROS_MASTER_URI; empty for the port on this machine.
     """
 
     port: int
@@ -67,7 +67,7 @@ class System:
 
 
 def tag(port: int, role: str = "") -> str:
-    """What a system's files are called: its port, and its role where it has one."""
+    """Name of a system's files: its port, with its role if it has one."""
     return f"{port}_{role}" if role else str(port)
 
 

@@ -1,4 +1,4 @@
-"""Recognises an arm at rest in a stream of joint states, averaged over half a second. No ROS."""
+"""Detects standstill in a stream of joint states and averages the pose over 0.5 s."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 REST_S = 0.5
-"""How long the arm must stand [s]."""
+"""Time that the arm must stand still [s]."""
 STILL_RAD = 0.0005
 """Spread of every joint within that time [rad]: 0.5 mm at 1 m, sensor noise included."""
 MOVED_RAD = 0.02
@@ -18,9 +18,9 @@ MOVED_RAD = 0.02
 
 
 class Standstill:
-    """Feed it joint states; it returns the mean of each new standstill once.
+    """Detector: takes joint states and returns the mean pose of each new standstill once.
 
-    The first standstill counts too. To be new, one joint must have moved by ``MOVED_RAD``.
+    The first standstill counts. Another is new if one joint has moved by ``MOVED_RAD``.
     """
 
     def __init__(self) -> None:
@@ -28,10 +28,10 @@ class Standstill:
         self._last: FloatArray | None = None
 
     def add(self, time: float, q: FloatArray) -> FloatArray | None:
-        """A joint state.
+        """Add a joint state.
 
         Args:
-            time: [s], rising; a step back starts anew.
+            time: [s], increasing; a step back resets the detector.
             q: (n,) [rad].
 
         Returns:
@@ -43,7 +43,7 @@ class Standstill:
             return None
         self._window.append((time, q))
         while time - self._window[0][0] > REST_S:
-            # One sample at least as old as REST_S stays, so that the window spans it.
+            # Keep one sample at least as old as REST_S, so that the window spans it.
             if len(self._window) > 1 and time - self._window[1][0] >= REST_S:
                 self._window.popleft()
             else:

@@ -1,9 +1,8 @@
-"""Short turns on the processor for what must answer soon, where the kernel knows them (Linux 6.12).
+"""Short scheduler slices for processes that must react quickly (Linux 6.12 and later).
 
-A process that asks for turns of a quarter of a millisecond instead of about three gets no more of
-the processor, but gets it sooner after it has woken up: it goes before whoever is in the middle of
-a longer turn. No privilege is needed. An older kernel takes the wish and forgets it; there, and
-wherever the wish is refused, everything goes on as without it.
+A process with slices of 0.25 ms instead of about 3 ms gets no more processor time, but it is
+scheduled sooner after it wakes up: it preempts processes with longer slices. No privilege is
+needed. An older kernel ignores the request, and a refusal changes nothing.
 """
 
 from __future__ import annotations
@@ -14,16 +13,16 @@ import platform
 from collections.abc import Iterator
 
 SHORT_NS = 250_000
-"""Length of a short turn [ns]."""
+"""Length of a short slice [ns]."""
 
 _SET, _GET = {"x86_64": (314, 315), "aarch64": (274, 275)}.get(platform.machine(), (0, 0))
 """Numbers of the system calls sched_setattr and sched_getattr."""
 _ORDINARY = (0, 3)
-"""SCHED_OTHER and SCHED_BATCH: the policies that have turns."""
+"""SCHED_OTHER and SCHED_BATCH: the policies that have slices."""
 
 
 class _Attributes(ctypes.Structure):
-    """The kernel's struct sched_attr; `runtime` is the length of a turn, 0: the usual one."""
+    """The kernel's struct sched_attr; `runtime` is the slice [ns], 0: the default."""
 
     _fields_ = (
         ("size", ctypes.c_uint32),
@@ -38,14 +37,14 @@ class _Attributes(ctypes.Structure):
 
 
 def turn_ns() -> int:
-    """Length of the calling thread's turns [ns]; 0: the kernel does not say."""
+    """Length of the calling thread's slices [ns]; 0: unknown to the kernel."""
     attributes = _attributes()
     return int(attributes.runtime) if attributes is not None else 0
 
 
 @contextlib.contextmanager
 def short() -> Iterator[None]:
-    """What the calling thread starts meanwhile has short turns, and so has what that starts."""
+    """Give short slices to the processes that the calling thread starts in this context."""
     attributes = _attributes()
     if attributes is None:
         yield
@@ -58,7 +57,7 @@ def short() -> Iterator[None]:
 
 
 def _attributes() -> _Attributes | None:
-    """Of the calling thread; None: they cannot be had, or it is no ordinary thread."""
+    """Of the calling thread; None: unavailable, or its scheduling policy has no slices."""
     attributes = _Attributes()
     size = ctypes.sizeof(attributes)
     if not _GET or _libc().syscall(_GET, 0, ctypes.byref(attributes), size, 0) != 0:
@@ -67,7 +66,7 @@ def _attributes() -> _Attributes | None:
 
 
 def _set(attributes: _Attributes, turn: int) -> None:
-    """Change the turn and leave everything else; a refusal changes nothing."""
+    """Change the slice and nothing else; a refusal is ignored."""
     attributes.runtime = turn
     _libc().syscall(_SET, 0, ctypes.byref(attributes), 0)
 
