@@ -150,7 +150,7 @@ class RecorderNode:
                     s.out,
                     mode=s.mode,
                     arms=s.arms,
-                    cameras=list(s.cameras),
+                    cameras=list(s.camera_topics),
                     manifest=manifest,
                     min_free_bytes=s.min_free_bytes,
                     video_preset=s.video_preset,
