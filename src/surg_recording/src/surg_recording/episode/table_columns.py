@@ -1,8 +1,9 @@
-"""Columns of the CSV tables of an episode, format version 1, and the kind of each.
+"""The fields of an episode's CSV tables, format version 1: columns, kinds, units and sources.
 
-The tables are written by ``rows`` and read by ``episode``; docs/reference/recording.md lists the
-columns with
-unit and frame. Vectors are in the arm's base frame unless the name or that page says otherwise.
+Everything that lists fields is made from these tables: the heads of the CSV files, the rows
+(``table_rows``), the kinds with which ``episode_reader`` reads them, and the messages of episodes
+that are played without ROS (``surg_sim.envs.recorded_episode``). Vectors are in the arm's base
+frame unless docs/reference/recording.md says otherwise.
 """
 
 from __future__ import annotations
@@ -10,56 +11,235 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 
-def _xyz(prefix: str) -> list[str]:
-    return [f"{prefix}_{axis}" for axis in "xyz"]
+@dataclass(frozen=True)
+class Field:
+    """One field of a message and the columns it fills.
+
+    Attributes:
+        source: Attribute of the message, with dots; empty: not from the message.
+        columns: Names of its columns; with ``{}`` for the number of a joint.
+        kind: What the columns hold: ``int``, ``float`` or ``str``.
+        unit: SI; empty for numbers without a unit and for texts.
+        members: Attributes of the value, one per column; empty: a scalar, or an array.
+        truth_value: True for a bool, recorded as 0 or 1.
+        optional: True where a number that is not finite leaves the column empty.
+        first: True for an array of which the first value counts.
+    """
+
+    source: str
+    columns: tuple[str, ...]
+    kind: type = float
+    unit: str = ""
+    members: tuple[str, ...] = ()
+    truth_value: bool = False
+    optional: bool = False
+    first: bool = False
+
+    @property
+    def per_joint(self) -> bool:
+        """Whether there is one column per joint."""
+        return "{}" in self.columns[0]
+
+    @property
+    def is_array(self) -> bool:
+        """Whether the value is an array without member names."""
+        return self.first or (not self.members and (self.per_joint or len(self.columns) > 1))
+
+    @property
+    def is_scalar(self) -> bool:
+        """Whether the value is recorded as it is, in one column."""
+        plain = not (self.members or self.truth_value or self.optional)
+        return plain and not self.is_array
+
+    def expanded(self, joints: int) -> tuple[str, ...]:
+        """Names of the columns for an arm with this many joints."""
+        if not self.per_joint:
+            return self.columns
+        return tuple(self.columns[0].format(i) for i in range(joints))
 
 
-def _numbered(prefix: str, n: int) -> list[str]:
-    return [f"{prefix}{i}" for i in range(n)]
+Fields = tuple[Field, ...]
+
+
+def _scalar(source: str, unit: str = "", kind: type = float, column: str = "") -> Field:
+    return Field(source, (column or source,), kind, unit)
+
+
+def _flag(source: str) -> Field:
+    return Field(source, (source,), int, truth_value=True)
+
+
+def _array(source: str, unit: str = "", axes: str = "xyz") -> Field:
+    return Field(source, tuple(f"{source}_{axis}" for axis in axes), unit=unit)
+
+
+def _joints(source: str, unit: str) -> Field:
+    return Field(source, (source + "{}",), unit=unit)
+
+
+def _point(source: str, columns: Iterable[str], unit: str) -> Field:
+    return Field(source, tuple(columns), unit=unit, members=("x", "y", "z"))
+
+
+_STAMPS: Fields = (
+    Field("", ("stamp_ns",), int, "ns"),
+    Field("", ("receive_ns",), int, "ns"),
+)
+"""First columns of every table of messages: the header's stamp, and when it was received."""
+
+_TICK = _scalar("tick", kind=int)
+
+CYCLE: Fields = (
+    *_STAMPS,
+    _TICK,
+    _scalar("state", kind=int),
+    _flag("homed"),
+    _flag("busy"),
+    _scalar("reason", kind=str),
+    _scalar("command", kind=int),
+    _scalar("source", kind=str),
+    _scalar("accepted", kind=int),
+    _scalar("refused", kind=int),
+    _joints("q", "rad"),
+    _joints("qd", "rad/s"),
+    _array("p_goal", "m"),
+    _scalar("roll_goal", "rad"),
+    _array("p_tip", "m"),
+    _array("s"),
+    _array("p_rcm", "m"),
+    _array("q_br", axes="xyzw"),
+    _scalar("roll", "rad"),
+    _scalar("depth", "m"),
+    _scalar("rcm_error", "m"),
+    _array("p_set", "m"),
+    _array("v_set", "m/s"),
+    _scalar("roll_set", "rad"),
+    _scalar("jaw_set", "rad"),
+    _scalar("jaw", "rad"),
+    _scalar("scale"),
+    _scalar("limited_by", kind=str),
+    _scalar("tier", kind=int),
+    _joints("qd_command", "rad/s"),
+    Field("twist_command", tuple(f"twist_command_{i}" for i in range(6)), unit="m/s, rad/s"),
+    _scalar("compute_us", "us"),
+    _scalar("period_us", "us"),
+    _scalar("overruns", kind=int),
+)
+"""surg_msgs/Cycle."""
+
+ARM_TRUTH: Fields = (
+    *_STAMPS,
+    Field("", ("tick",), int),
+    _point("shaft_point", ("shaft_x", "shaft_y", "shaft_z"), "m"),
+    _point("shaft_axis", ("axis_x", "axis_y", "axis_z"), ""),
+    _point("tip", ("tip_x", "tip_y", "tip_z"), "m"),
+    _point("tip_velocity", ("tip_vx", "tip_vy", "tip_vz"), "m/s"),
+    _point("trocar", ("trocar_x", "trocar_y", "trocar_z"), "m"),
+    _point("trocar_loaded", ("trocar_loaded_x", "trocar_loaded_y", "trocar_loaded_z"), "m"),
+    _point("trocar_force", ("force_x", "force_y", "force_z"), "N"),
+    _scalar("jaw", "rad"),
+)
+"""surg_msgs/ArmTruth, after stamp and tick of the surg_msgs/GroundTruth that it is in."""
+
+TASK_STATE: Fields = (
+    *_STAMPS,
+    _TICK,
+    _scalar("phase", kind=str),
+    _flag("done"),
+    _flag("success"),
+    _scalar("reward"),
+    _scalar("reason", kind=str),
+)
+"""surg_msgs/TaskState; the task's own numbers follow, see ``task``."""
+
+CLOCK: Fields = (
+    *_STAMPS,
+    _scalar("clock", kind=str),
+    _scalar("port_state", kind=str),
+    Field("offset", ("offset_s",), unit="s", optional=True),
+    Field("path_delay", ("path_delay_s",), unit="s", optional=True),
+    _scalar("grandmaster", kind=str),
+    _flag("in_step"),
+    _scalar("problem", kind=str),
+)
+"""surg_msgs/ClockSync."""
+
+_VIRTUAL = ("yaw", "pitch", "insertion", "roll")
+COMMAND_FIELDS: dict[str, Fields] = {
+    "_cp": (
+        _point("pose.position", "xyz", "m"),
+        Field("pose.orientation", ("qx", "qy", "qz", "qw"), members=("x", "y", "z", "w")),
+    ),
+    "_jp": (Field("position", _VIRTUAL, unit="rad, rad, m, rad"),),
+    "_cv": (
+        _point("twist.linear", ("vx", "vy", "vz"), "m/s"),
+        _point("twist.angular", ("wx", "wy", "wz"), "rad/s"),
+    ),
+    "_jv": (
+        Field("velocity", tuple(f"{name}_rate" for name in _VIRTUAL), unit="rad/s, m/s, rad/s"),
+    ),
+    "jaw/": (Field("position", ("jaw",), unit="rad", first=True),),
+}
+"""Fields that a motion command fills, by the ending of its topic; the jaw's by its beginning."""
+COMMAND_FIELDS["_jr"] = COMMAND_FIELDS["_jp"]
+
+_COMMANDS: Fields = (
+    *_STAMPS,
+    Field("", ("topic",), str),
+    Field("", ("source",), str),
+    *itertools.chain.from_iterable(COMMAND_FIELDS[key] for key in ("_cp", "_jp", "_cv", "_jv")),
+    *COMMAND_FIELDS["jaw/"],
+)
+_EVENTS: Fields = (
+    *_STAMPS,
+    *(Field("", (name,), str) for name in ("topic", "source", "text")),
+)
+_VIDEO: Fields = tuple(
+    Field("", (name,), int) for name in ("frame", "stamp_ns", "receive_ns", "pts", "dropped")
+)
+
+
+def _columns(fields: Fields, joints: int = 0) -> list[str]:
+    return [name for each in fields for name in each.expanded(joints)]
 
 
 def cycle(joints: int) -> list[str]:
     """Columns of ``cycle_<arm>.csv`` for an arm with this many joints."""
-    return [
-        *("stamp_ns", "receive_ns", "tick", "state", "homed", "busy", "reason"),
-        *("command", "source", "accepted", "refused"),
-        *_numbered("q", joints),
-        *_numbered("qd", joints),
-        *(*_xyz("p_goal"), "roll_goal", *_xyz("p_tip"), *_xyz("s"), *_xyz("p_rcm")),
-        *("q_br_x", "q_br_y", "q_br_z", "q_br_w", "roll", "depth", "rcm_error"),
-        *(*_xyz("p_set"), *_xyz("v_set"), "roll_set", "jaw_set", "jaw"),
-        *("scale", "limited_by", "tier"),
-        *_numbered("qd_command", joints),
-        *_numbered("twist_command_", 6),
-        *("compute_us", "period_us", "overruns"),
-    ]
+    return _columns(CYCLE, joints)
 
 
-GROUND_TRUTH: list[str] = [
-    *("stamp_ns", "receive_ns", "tick"),
-    *(*_xyz("shaft"), *_xyz("axis"), *_xyz("tip"), "tip_vx", "tip_vy", "tip_vz"),
-    *(*_xyz("trocar"), *_xyz("trocar_loaded"), *_xyz("force"), "jaw"),
-]
+GROUND_TRUTH: list[str] = _columns(ARM_TRUTH)
 """Columns of ``ground_truth_<arm>.csv``."""
 
-COMMAND: list[str] = [
-    *("stamp_ns", "receive_ns", "topic", "source"),
-    *("x", "y", "z", "qx", "qy", "qz", "qw"),
-    *("yaw", "pitch", "insertion", "roll"),
-    *("vx", "vy", "vz", "wx", "wy", "wz"),
-    *("yaw_rate", "pitch_rate", "insertion_rate", "roll_rate", "jaw"),
-]
+COMMAND: list[str] = _columns(_COMMANDS)
 """Columns of ``command_<arm>.csv``; a command fills its own group and leaves the others empty."""
 
-TASK: list[str] = [
-    *("stamp_ns", "receive_ns", "tick", "phase", "done", "success", "reward", "reason"),
-]
+TASK: list[str] = _columns(TASK_STATE)
 """First columns of ``task_state.csv``; the task's own follow, see ``task``."""
+
+EVENTS: list[str] = _columns(_EVENTS)
+"""Columns of ``events.csv``."""
+
+VIDEO: list[str] = _columns(_VIDEO)
+"""Columns of the sidecar ``<camera>.csv`` of a video."""
+
+CLOCK_SYNC: list[str] = _columns(CLOCK)
+"""Columns of ``clock_sync.csv``: status of the clock monitors, once a second per machine."""
 
 TASK_PREFIX = "task."
 """Before the names of a task's numbers, so that they cannot be those of other columns."""
+
+_KINDS: dict[str, type] = {
+    name: each.kind
+    for table in (CYCLE, ARM_TRUTH, TASK_STATE, CLOCK, _COMMANDS, _EVENTS, _VIDEO)
+    for each in table
+    for name in each.columns
+}
+_ENTRY = re.compile(r"^([^\[\],]+)(?:\[(\d+(?:,\d+)*)\])?$")
+_JOINT = re.compile(r"^q(\d+)$")
 
 
 def task(names: Iterable[str]) -> list[str]:
@@ -75,7 +255,7 @@ def task(names: Iterable[str]) -> list[str]:
     for entry in names:
         match = _ENTRY.match(entry)
         if match is None:
-            raise ValueError(f"a task's entry is called {entry!r}: name or name[n,m] is needed")
+            raise ValueError(f"a task's entry is called {entry!r}; allowed: name or name[n,m]")
         name, shape = match.group(1), match.group(2)
         sizes = [range(int(size)) for size in shape.split(",")] if shape else []
         for place in itertools.product(*sizes):
@@ -83,40 +263,9 @@ def task(names: Iterable[str]) -> list[str]:
     return found
 
 
-EVENTS: list[str] = ["stamp_ns", "receive_ns", "topic", "source", "text"]
-"""Columns of ``events.csv``."""
-
-VIDEO: list[str] = ["frame", "stamp_ns", "receive_ns", "pts", "dropped"]
-"""Columns of the sidecar ``<camera>.csv`` of a video."""
-
-CLOCK_SYNC: list[str] = [
-    *("stamp_ns", "receive_ns", "clock", "port_state", "offset_s", "path_delay_s"),
-    *("grandmaster", "in_step", "problem"),
-]
-"""Columns of ``clock_sync.csv``: what the clock monitors say, once a second per machine."""
-
-_INTEGERS = frozenset(
-    (
-        *("stamp_ns", "receive_ns", "tick", "state", "homed", "busy", "command", "accepted"),
-        *("refused", "overruns", "tier", "frame", "pts", "dropped", "done", "success"),
-        "in_step",
-    )
-)
-_STRINGS = frozenset(
-    (
-        *("phase", "reason", "source", "limited_by", "topic", "text"),
-        *("clock", "port_state", "grandmaster", "problem"),
-    )
-)
-_ENTRY = re.compile(r"^([^\[\],]+)(?:\[(\d+(?:,\d+)*)\])?$")
-_JOINT = re.compile(r"^q(\d+)$")
-
-
 def kind(column: str) -> type:
     """What a column holds: ``int``, ``float`` or ``str``; unknown columns are numbers."""
-    if column in _INTEGERS:
-        return int
-    return str if column in _STRINGS else float
+    return _KINDS.get(column, float)
 
 
 def joint_count(names: list[str]) -> int:

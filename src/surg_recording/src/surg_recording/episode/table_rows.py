@@ -1,24 +1,24 @@
 """From messages to CSV rows, without ROS: a message is any object with these members.
 
-A row is a tuple in the order of ``columns``; ``None`` becomes an empty field.
+A row is a tuple in the order of ``table_columns``; ``None`` becomes an empty field.
 """
 
 from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from itertools import groupby
+from operator import attrgetter
 from typing import Any
 
 from surg_core.contract import SECOND_NS
 from surg_recording.episode import table_columns
+from surg_recording.episode.table_columns import Field, Fields
 
 Row = tuple[Any, ...]
-
-_CP = table_columns.COMMAND.index("x")
-_JP = table_columns.COMMAND.index("yaw")
-_CV = table_columns.COMMAND.index("vx")
-_JV = table_columns.COMMAND.index("yaw_rate")
-_JAW = table_columns.COMMAND.index("jaw")
+Read = Callable[[Any], Any]
+"""The values of a field's columns, of a message."""
 
 
 def nanoseconds(stamp: Any) -> int:
@@ -26,103 +26,79 @@ def nanoseconds(stamp: Any) -> int:
     return int(stamp.secs) * SECOND_NS + int(stamp.nsecs)
 
 
-def _xyz(value: Any) -> tuple[float, float, float]:
-    return value.x, value.y, value.z
+def _reader(field: Field) -> Read:
+    """Reads one field."""
+    value = attrgetter(field.source)
+    if field.members:
+        members = attrgetter(*field.members)
+        return lambda message: members(value(message))
+    if field.is_array:
+        return value  # type: ignore[no-any-return]
+    if field.truth_value:
+        return lambda message: (int(value(message)),)
+    if field.optional:
+        return lambda message: (_finite(value(message)),)
+    return lambda message: (value(message),)
+
+
+def _finite(number: float) -> float | None:
+    return number if math.isfinite(number) else None
+
+
+def _readers(fields: Fields) -> tuple[Read, ...]:
+    """Reads the fields of a table; scalars that follow one another in one go, at 500 Hz."""
+    found: list[Read] = []
+    for is_scalar, run in groupby((f for f in fields if f.source), key=lambda f: f.is_scalar):
+        group = list(run)
+        if is_scalar and len(group) > 1:
+            found.append(attrgetter(*(field.source for field in group)))
+        else:
+            found += map(_reader, group)
+    return tuple(found)
+
+
+def _row(head: tuple[Any, ...], readers: tuple[Read, ...], message: Any) -> list[Any]:
+    row = list(head)
+    for read in readers:
+        row.extend(read(message))
+    return row
+
+
+_CYCLE = _readers(table_columns.CYCLE)
+_ARM_TRUTH = _readers(table_columns.ARM_TRUTH)
+_TASK_STATE = _readers(table_columns.TASK_STATE)
+_CLOCK = _readers(table_columns.CLOCK)
+_COMMAND = {
+    key: [(table_columns.COMMAND.index(each.columns[0]), each, _reader(each)) for each in fields]
+    for key, fields in table_columns.COMMAND_FIELDS.items()
+}
 
 
 def cycle(message: Any, receive_ns: int) -> Row:
-    """One surg_msgs/Cycle as a row of ``columns.cycle``."""
-    m = message
-    return (
-        nanoseconds(m.header.stamp),
-        receive_ns,
-        m.tick,
-        m.state,
-        int(m.homed),
-        int(m.busy),
-        m.reason,
-        m.command,
-        m.source,
-        m.accepted,
-        m.refused,
-        *m.q,
-        *m.qd,
-        *m.p_goal,
-        m.roll_goal,
-        *m.p_tip,
-        *m.s,
-        *m.p_rcm,
-        *m.q_br,
-        m.roll,
-        m.depth,
-        m.rcm_error,
-        *m.p_set,
-        *m.v_set,
-        m.roll_set,
-        m.jaw_set,
-        m.jaw,
-        m.scale,
-        m.limited_by,
-        m.tier,
-        *m.qd_command,
-        *m.twist_command,
-        m.compute_us,
-        m.period_us,
-        m.overruns,
-    )
+    """One surg_msgs/Cycle as a row of ``table_columns.cycle``."""
+    return tuple(_row((nanoseconds(message.header.stamp), receive_ns), _CYCLE, message))
 
 
 def ground_truth(stamp_ns: int, tick: int, arm: Any, receive_ns: int) -> Row:
-    """One surg_msgs/ArmTruth as a row of ``columns.GROUND_TRUTH``."""
-    return (
-        stamp_ns,
-        receive_ns,
-        tick,
-        *_xyz(arm.shaft_point),
-        *_xyz(arm.shaft_axis),
-        *_xyz(arm.tip),
-        *_xyz(arm.tip_velocity),
-        *_xyz(arm.trocar),
-        *_xyz(arm.trocar_loaded),
-        *_xyz(arm.trocar_force),
-        arm.jaw,
-    )
+    """One surg_msgs/ArmTruth as a row of ``table_columns.GROUND_TRUTH``."""
+    return tuple(_row((stamp_ns, receive_ns, tick), _ARM_TRUTH, arm))
 
 
 def task_state(message: Any, receive_ns: int) -> Row:
-    """One surg_msgs/TaskState as a row of ``columns.task``."""
-    m = message
-    return (
-        nanoseconds(m.header.stamp),
-        receive_ns,
-        m.tick,
-        m.phase,
-        int(m.done),
-        int(m.success),
-        m.reward,
-        m.reason,
-        *m.values,
-    )
+    """One surg_msgs/TaskState as a row of ``table_columns.task``."""
+    head = (nanoseconds(message.header.stamp), receive_ns)
+    return (*_row(head, _TASK_STATE, message), *message.values)
 
 
 def clock_sync(message: Any, receive_ns: int) -> Row:
-    """One surg_msgs/ClockSync as a row of ``columns.CLOCK_SYNC``; what is not known stays empty."""
-    m = message
-    return (
-        nanoseconds(m.header.stamp),
-        receive_ns,
-        m.clock,
-        m.port_state,
-        m.offset if math.isfinite(m.offset) else None,
-        m.path_delay if math.isfinite(m.path_delay) else None,
-        m.grandmaster,
-        int(m.in_step),
-        m.problem,
-    )
+    """One surg_msgs/ClockSync as a row of ``table_columns.CLOCK_SYNC``."""
+    return tuple(_row((nanoseconds(message.header.stamp), receive_ns), _CLOCK, message))
 
 
 def command(topic: str, message: Any, source: str, receive_ns: int) -> Row:
-    """A motion command as a row of ``columns.COMMAND``.
+    """A motion command as a row of ``table_columns.COMMAND``.
+
+    A message of another length than its columns is recorded as far as it goes.
 
     Args:
         topic: name below the arm, e.g. ``servo_cp`` or ``jaw/servo_jp``; its ending decides how the
@@ -134,25 +110,11 @@ def command(topic: str, message: Any, source: str, receive_ns: int) -> Row:
     """
     row: list[Any] = [None] * len(table_columns.COMMAND)
     row[:4] = nanoseconds(message.header.stamp), receive_ns, topic, source
-    if topic.startswith("jaw/"):
-        row[_JAW : _JAW + 1] = list(message.position[:1]) or [None]
-    elif topic.endswith("_cp"):
-        pose = message.pose
-        q = pose.orientation
-        row[_CP : _CP + 7] = *_xyz(pose.position), q.x, q.y, q.z, q.w
-    elif topic.endswith("_cv"):
-        twist = message.twist
-        row[_CV : _CV + 6] = *_xyz(twist.linear), *_xyz(twist.angular)
-    elif topic.endswith(("_jp", "_jr")):
-        row[_JP : _JP + 4] = _four(message.position)
-    elif topic.endswith("_jv"):
-        row[_JV : _JV + 4] = _four(message.velocity)
+    key = "jaw/" if topic.startswith("jaw/") else topic[-3:]
+    for start, field, read in _COMMAND.get(key, ()):
+        size = len(field.columns)
+        row[start : start + size] = [*read(message), *[None] * size][:size]
     return tuple(row)
-
-
-def _four(values: Any) -> list[Any]:
-    """The four virtual joints; a message of another length is recorded as far as it goes."""
-    return (list(values) + [None] * 4)[:4]
 
 
 def operating_state(message: Any) -> str:

@@ -21,10 +21,11 @@ from surg_sim.envs.cell_session import Command, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.endoscope_rig import FRAMES
+from surg_sim.physics.ground_truth import ArmTruth
 from surg_sim.tasks import State
 
 try:
-    from surg_recording.episode import provenance
+    from surg_recording.episode import provenance, table_columns
     from surg_recording.episode.episode_recorder import Recording
 except ImportError as error:  # pragma: no cover - of an installation of surg_sim alone
     raise ImportError(
@@ -262,55 +263,43 @@ def _command(command: surg_core.MotionCommand, stamp_ns: int) -> tuple[str, Simp
     return _POSE, SimpleNamespace(header=header, pose=pose)
 
 
+_OUTPUTS = {"p_tip": "p_BTip", "s": "s_B", "p_rcm": "p_BRcm"}
+"""Members of surg_core.Outputs that surg_msgs/Cycle calls otherwise."""
+
+
 def _cycle(out: surg_core.Outputs, tick: int, measured: Any, q_BR: list[float]) -> SimpleNamespace:
     """A control cycle as surg_msgs/Cycle has it."""
-
-    def plain(values: Any) -> list[float]:
-        return list(np.asarray(values).tolist())
-
-    return SimpleNamespace(
-        header=_header(tick * TICK_NS),
-        tick=tick,
-        state=int(out.state),
-        homed=out.homed,
-        busy=out.busy,
-        reason=surg_core.reason_name(out.reason) if int(out.reason) else "",
-        command=int(out.motion),
-        source=SENDER if int(out.source) else "",
-        accepted=out.accepted,
-        refused=out.refused,
-        q=plain(measured.q),
-        qd=plain(measured.qd),
-        p_goal=plain(out.p_goal),
-        roll_goal=out.roll_goal,
-        p_tip=plain(out.p_BTip),
-        s=plain(out.s_B),
-        p_rcm=plain(out.p_BRcm),
-        q_br=q_BR,
-        roll=out.roll,
-        depth=out.depth,
-        rcm_error=out.rcm_error,
-        p_set=plain(out.p_set),
-        v_set=plain(out.v_set),
-        roll_set=out.roll_set,
-        jaw_set=out.jaw_set,
-        jaw=out.jaw,
-        scale=out.scale,
-        limited_by=out.limited_by,
-        tier=out.tier,
-        qd_command=plain(out.qd_command),
-        twist_command=plain(out.twist_command),
-        compute_us=None,
-        period_us=0.0,
-        overruns=0,
-    )
+    known: dict[str, Any] = {
+        "header": _header(tick * TICK_NS),
+        "tick": tick,
+        "state": int(out.state),
+        "reason": surg_core.reason_name(out.reason) if int(out.reason) else "",
+        "command": int(out.motion),
+        "source": SENDER if int(out.source) else "",
+        "q": measured.q,
+        "qd": measured.qd,
+        "q_br": q_BR,
+        "compute_us": None,
+        "period_us": 0.0,
+        "overruns": 0,
+    }
+    for field in table_columns.CYCLE:
+        if field.source and field.source not in known:
+            known[field.source] = getattr(out, _OUTPUTS.get(field.source, field.source))
+    return SimpleNamespace(**{name: _plain(value) for name, value in known.items()})
 
 
-def _truth(name: str, truth: Any) -> SimpleNamespace:
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def _truth(name: str, truth: ArmTruth) -> SimpleNamespace:
     """An arm's truth as surg_msgs/ArmTruth has it."""
-    vectors = ("shaft_point", "shaft_axis", "tip", "tip_velocity", "trocar", "trocar_loaded")
-    found = {key: _xyz(getattr(truth, key)) for key in (*vectors, "trocar_force")}
-    return SimpleNamespace(arm=name, jaw=truth.jaw, **found)
+    found = {
+        key: _xyz(value) if isinstance(value, np.ndarray) else value
+        for key, value in truth._asdict().items()
+    }
+    return SimpleNamespace(arm=name, **found)
 
 
 def _task_state(tick: Tick, state: State) -> SimpleNamespace:

@@ -90,16 +90,8 @@ def pack_ground_truth(stamp_ns: int, tick: int, arms: Iterable[tuple[str, ArmTru
     """A surg_msgs/GroundTruth as bytes."""
     parts = []
     for name, truth in arms:
-        vectors = (
-            truth.shaft_point,
-            truth.shaft_axis,
-            truth.tip,
-            truth.tip_velocity,
-            truth.trocar,
-            truth.trocar_loaded,
-            truth.trocar_force,
-        )
-        parts.append(text(name) + np.concatenate(vectors).tobytes() + struct.pack("<d", truth.jaw))
+        *vectors, jaw = truth
+        parts.append(text(name) + np.concatenate(vectors).tobytes() + struct.pack("<d", jaw))
     count = struct.pack("<QI", tick, len(parts))
     return b"".join((header(tick, stamp_ns), count, *parts))
 
