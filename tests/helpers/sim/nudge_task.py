@@ -11,16 +11,15 @@ from collections.abc import Mapping
 import numpy as np
 
 import surg_core
-from surg_core.contract import ENABLED, STEP
+from surg_core.arm_view import ArmCommands, ArmState, TipPose
+from surg_core.contract import STEP
 from surg_sim.physics.world import World
 from surg_sim.tasks import State, Task, Verdict
 from surg_sim.tasks.scripted_sender import (
     Action,
-    ArmAction,
     Expert,
     MinimumJerk,
     Observation,
-    tip_quaternion,
 )
 
 DEPTH = 0.12
@@ -90,19 +89,17 @@ class Nudger(Expert):
         action = Action()
         for name in self.arms:
             arm = observation.arms[name]
-            arm_action = action.arms[name] = ArmAction()
+            commands = action.arms[name] = ArmCommands()
             if not arm.homed:
-                arm_action.state = "home"
-            elif arm.state != ENABLED:
-                arm_action.state = "enable"
+                commands.state = "home"
+            elif arm.state != ArmState.ENABLED:
+                commands.state = "enable"
             else:
                 p, offset = np.array([0.0, 0.0, DEPTH]), observation.point("offset")
                 if name not in self._ways:
                     self._ways[name] = MinimumJerk(p, 0.05, 0.3)
                     self._ways[name].go(p + offset)
-                arm_action.p = self._ways[name].advance(STEP)
-                arm_action.q = tip_quaternion(
-                    arm_action.p, 0.1 * float(np.linalg.norm(arm_action.p - p)) / 0.006
-                )
-                arm_action.jaw = 0.3
+                tip = self._ways[name].advance(STEP)
+                roll = 0.1 * float(np.linalg.norm(tip - p)) / 0.006
+                commands.servo_cp, commands.jaw = TipPose(tip, roll), 0.3
         return action

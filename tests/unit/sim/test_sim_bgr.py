@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from surg_core.arm_view import TipPose
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics import cell_files
@@ -171,10 +172,11 @@ def test_an_instrument_that_keeps_moving_is_a_failure(session: Session) -> None:
     class Restless(RobotExpert):
         def act(self, view):  # type: ignore[no-untyped-def]
             action = super().act(view)
-            arm_action = action.arms.get("PSM1")
-            if view.phase == "still" and arm_action is not None and arm_action.p is not None:
+            commands = action.arms.get("PSM1")
+            pose = commands.servo_cp if commands is not None else None
+            if view.phase == "still" and commands is not None and pose is not None:
                 up = 0.002 * np.sin(2 * np.pi * view.tick / 500.0)
-                arm_action.p = arm_action.p + np.array([0.0, 0.0, up])
+                commands.servo_cp = TipPose(pose.p + np.array([0.0, 0.0, up]), pose.roll)
             return action
 
     report = play(session, robot=Restless(session.cell, SEED), limit=13.0)

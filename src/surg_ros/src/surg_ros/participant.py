@@ -1,9 +1,8 @@
-"""What the nodes of scripted senders share: their part in lock-step.
+"""A declared sender in lock-step: it sees tick k, sends commands for tick k + 1, then says Ready.
 
-A participant looks at tick k (control cycles of its arms; on the grid the task's state), sends
-what it wants to send for tick k + 1, and says Ready with the running totals. In most ticks it has
-nothing to say, so a message is kept as bytes until somebody looks into it: reading every cycle
-would cost more than everything else that such a node does.
+Ready carries the running totals of the commands sent, so that simulator and controllers know what
+is still on its way. In most ticks a sender has nothing to say: messages stay bytes until somebody
+reads them, and Ready is packed from a prebuilt layout.
 """
 
 from __future__ import annotations
@@ -13,22 +12,25 @@ import random
 import struct
 import threading
 import time
-import xmlrpc.client
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import rosgraph
 import rospy
 
-from surg_core.contract import GRID, SECOND_NS, TICK_NS
-from surg_msgs.msg import Cycle, Ready, TaskState
+from surg_core.arm_view import ArmView, Array
+from surg_core.contract import GRID, TICK_NS
+from surg_msgs.msg import Ready
+from surg_ros.arm_port import ArmPort, arm_view
+from surg_ros.peers import publishers, subscribers
 from surg_ros.transport.direct_publisher import DirectPublisher
 from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
 ASSISTANT = "assistant"
-"""The name in Ready of what the simulator itself obeys."""
+"""Name of the instrument that the simulator itself drives; it has no controller."""
 CONNECT_TIMEOUT = 60.0
-"""[s] wall clock: longest wait for everybody to connect."""
+"""[s] wall clock: longest wait for all connections."""
 
 
 def wait_for_all(
@@ -53,30 +55,26 @@ def wait_for_all(
 
 @dataclass(frozen=True)
 class Seen:
-    """What a participant sees of one tick; messages are read when they are asked for.
+    """What a participant sees of one tick.
 
     Attributes:
         tick: The tick.
-        cycles: Bytes of the control cycle by arm.
-        task: Bytes of the task's state at this tick; empty off the grid.
+        cycles: Control cycle by arm, not read yet.
+        task: The task's state at this tick, not read yet; None off the grid, or not asked for.
     """
 
     tick: int
-    cycles: Mapping[str, bytes]
-    task: bytes
+    cycles: Mapping[str, RawCycle]
+    task: RawTaskState | None
 
     @property
-    def stamp(self) -> rospy.Time:
-        """Of the tick that the answer is for."""
-        return rospy.Time(*divmod((self.tick + 1) * TICK_NS, SECOND_NS))
+    def stamp_ns(self) -> int:
+        """Stamp of the tick that the answer is for [ns]."""
+        return (self.tick + 1) * TICK_NS
 
-    def cycle(self, arm: str) -> Cycle:
-        """The control cycle of an arm."""
-        return Cycle().deserialize(self.cycles[arm])
-
-    def task_state(self) -> TaskState:
-        """The task's state."""
-        return TaskState().deserialize(self.task)
+    def view(self, arm: str, R_WB: Array | None = None) -> ArmView:
+        """What an arm reports; arguments as of `arm_view`."""
+        return arm_view(self.cycles[arm].read(), R_WB)
 
 
 class ReadyLayout:
@@ -103,122 +101,152 @@ def _text(words: str) -> bytes:
 
 
 class Participant:
-    """A declared sender.
+    """A node that sends commands to arms, one answer per tick.
 
     Args:
-        arms: Whose cycles it looks at. One that looks at none has the task's state only: it acts on
-            the grid, and says Ready from one grid tick to the next.
-        commands: Message class by topic; a topic below ``/<arm>/`` counts for that arm.
-        act: Called once per tick with what is seen; uses :meth:`send` and returns whether it is
-            done.
-        task: Whether it looks at the task's state too.
+        ports: The ports of the arms that it commands, by name.
+        act: Called once per tick, with the lock held. Returns True: done, nothing more will be
+            sent; False: not done; None: the answer follows by :meth:`ready`.
+        arms: Arms whose cycles it needs. With none it needs the task's state only, acts on the
+            grid, and says Ready from one grid tick to the next.
+        task: Whether it needs the task's state on the grid too.
+        lockstep: False: no Ready; ``act`` is called for every cycle of the first arm once all arms
+            have been heard.
+        listen: False: the node subscribes itself, and calls :meth:`on_cycle` and :meth:`on_task`.
+        lock: Of the node; default: its own.
     """
 
     def __init__(
         self,
+        ports: Mapping[str, ArmPort],
+        act: Callable[[Seen], bool | None],
         arms: Sequence[str],
-        commands: Mapping[str, type],
-        act: Callable[[Seen], bool],
-        task: bool,
+        task: bool = False,
+        lockstep: bool = True,
+        listen: bool = True,
+        lock: Any = None,
     ) -> None:
-        self._name = rospy.get_name().lstrip("/")
-        self._act, self._task = act, task
-        self._lock = threading.Lock()
-        self._tick, self._done = 0, False
-        self._cycles: dict[str, tuple[int, bytes]] = dict.fromkeys(arms, (0, b""))
-        self._state: tuple[int, bytes] = (0, b"")
-        self._sent = {topic.split("/")[1]: 0 for topic in commands}
+        self._ports, self._act, self._arms = dict(ports), act, tuple(arms)
+        self._task, self._lockstep = task, lockstep
+        self._lock = lock or threading.RLock()
+        self._done = False
+        self.tick = 0
+        """The tick that was seen last."""
+        self._cycles: dict[str, tuple[int, RawCycle]] = {}
+        self._state: tuple[int, RawTaskState] = (0, RawTaskState())
         self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
-        keys: dict[str, Any] = {"queue_size": 0, "tcp_nodelay": True}
-        self._out = {
-            topic: rospy.Publisher(topic, kind, **keys) for topic, kind in commands.items()
-        }
-        self._ready = DirectPublisher("/sim/ready", Ready, blocking=True, latch=True)
-        self._layout = ReadyLayout(self._name, list(self._sent))
-        listen: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
-        self._inputs = [
-            rospy.Subscriber(f"/{arm}/cycle", RawCycle, self._on_cycle, arm, **listen)
-            for arm in arms
-        ]
-        if task:
-            self._inputs.append(
-                rospy.Subscriber("/sim/task_state", RawTaskState, self._on_state, **listen)
-            )
+        if lockstep:
+            self._ready = DirectPublisher("/sim/ready", Ready, blocking=True, latch=True)
+            self._layout = ReadyLayout(rospy.get_name().lstrip("/"), list(self._ports))
+        self.inputs: list[Any] = []
+        """Subscribers that must be connected before the first tick."""
+        if listen:
+            keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
+            self.inputs += [
+                rospy.Subscriber(f"/{arm}/cycle", RawCycle, self.on_cycle, arm, **keys)
+                for arm in arms
+            ]
+            if task:
+                self.inputs.append(
+                    rospy.Subscriber("/sim/task_state", RawTaskState, self.on_task, **keys)
+                )
 
-    def send(self, topic: str, message: Any) -> None:
-        """Send a command and count it."""
-        self._out[topic].publish(message)
-        self._sent[topic.split("/")[1]] += 1
+    @property
+    def silent(self) -> list[str]:
+        """Arms that have not been heard yet."""
+        return sorted(set(self._arms) - set(self._cycles))
 
-    def connect(self) -> None:
-        """Wait for every connection, then speak for tick 1, which has no cycle before it.
+    def connect(
+        self,
+        timeout: float = CONNECT_TIMEOUT,
+        over: Callable[[], bool] = rospy.is_shutdown,
+        also: Callable[[], str] = str,
+    ) -> None:
+        """Wait for every connection, then answer tick 1, which has no cycle before it.
+
+        Args:
+            timeout: Longest wait [s].
+            over: Whether there is nothing left to wait for.
+            also: States what else is missing; empty: nothing.
 
         Raises:
-            TimeoutError: Somebody is missing; says who.
+            TimeoutError: Somebody is missing; states who.
+            OSError: The master does not answer.
         """
-        deadline = time.monotonic() + CONNECT_TIMEOUT
-        while missing := self._missing():
-            if time.monotonic() > deadline or rospy.is_shutdown():
-                raise TimeoutError(f"no connection after {CONNECT_TIMEOUT:.0f} s: {missing}")
-            time.sleep(0.02)
+        wait_for_all(lambda: self._missing() or also(), timeout, over)
         with self._lock:
-            if self._tick == 0:
-                self._say_ready(1 if self._cycles else GRID)
+            if self._lockstep and self.tick == 0:
+                self._say_ready(1 if self._arms else GRID)
 
     def _missing(self) -> str:
-        """Who is not there yet; nothing may be sent before, for it would be lost."""
-        for subscriber in self._inputs:
+        """Who is not connected yet; what is sent before would be lost."""
+        master, name = rosgraph.get_master_uri(), rospy.get_name()
+        wanted: dict[str, set[str]] = {"/sim/ready": set()} if self._lockstep else {}
+        for arm, port in self._ports.items():
+            source = f"/{arm}/measured_js" if arm == ASSISTANT else f"/{arm}/cycle"
+            receivers = publishers(master, name, source)
+            if not receivers:
+                return f"nobody publishes {source} (is the controller running?)"
+            wanted.update({f"/{arm}/{topic}": receivers for topic in port.out})
+            if self._lockstep:
+                links = publishers(master, name, f"/{arm}/robot/measured_js")
+                if not links and arm != ASSISTANT:
+                    return f"nobody publishes /{arm}/robot/measured_js (is the simulator running?)"
+                wanted["/sim/ready"] |= receivers | links
+        for subscriber in self.inputs:
             if subscriber.get_num_connections() == 0:
-                return f"nobody publishes {subscriber.resolved_name}"
-        controllers = {f"/{arm}/controller" for arm in self._cycles}
-        wanted = {topic: {_receiver(topic)} for topic in self._out}
-        wanted["/sim/ready"] = {"/sim", *controllers}
-        with xmlrpc.client.ServerProxy(rospy.get_node_uri()) as node:
-            links: Any = node.getBusInfo(rospy.get_name())
-        there = {(topic, peer) for _, peer, way, _, topic, on, *_ in links[2] if way == "o" and on}
+                return f"{subscriber.resolved_name} is not connected yet"
+        present = subscribers(rospy.get_node_uri(), name, wanted)
         for topic, nodes in wanted.items():
-            away = sorted(node for node in nodes if (topic, node) not in there)
-            if away:
+            if away := sorted(nodes - present[topic]):
                 return f"{topic} does not reach {', '.join(away)}"
         return ""
 
-    def _on_cycle(self, message: RawCycle, arm: str) -> None:
+    def on_cycle(self, message: RawCycle, arm: str) -> None:
+        """A control cycle has come."""
         with self._lock:
             tick = message.tick()
-            if tick > self._cycles[arm][0]:
-                self._cycles[arm] = (tick, message.data)
-                self._advance()
+            if tick > self._cycles.get(arm, (0, None))[0]:
+                self._cycles[arm] = (tick, message)
+                if self._lockstep or arm == self._arms[0]:
+                    self._advance()
 
-    def _on_state(self, message: RawTaskState) -> None:
+    def on_task(self, message: RawTaskState) -> None:
+        """A state of the task has come."""
         with self._lock:
             tick = message.tick()
             # One off the grid ends the episode. It may overtake a cycle: a controller's answer can
-            # lead to it before that controller's cycle has come. Nobody here acts on it.
+            # lead to it before that controller's cycle has come. No participant acts on it.
             if tick > self._state[0] and tick % GRID == 0:
-                self._state = (tick, message.data)
+                self._state = (tick, message)
                 self._advance()
 
     def _advance(self) -> None:
-        """Answer the present tick when all of it is here; with the lock held."""
-        ticks = {tick for tick, _ in self._cycles.values()} or {self._state[0]}
-        tick = max(ticks)
-        if self._done or tick <= self._tick or len(ticks) > 1:
-            return
+        """Answer the present tick once all of it is here; with the lock held."""
+        ticks = [self._cycles[arm][0] for arm in self._arms if arm in self._cycles]
+        tick = ticks[0] if ticks else self._state[0]
+        complete = len(ticks) == len(self._arms)
+        if self._lockstep:
+            complete = complete and len(set(ticks)) <= 1
         on_grid = self._task and tick % GRID == 0
         if on_grid and self._state[0] != tick:
             return  # its state is still to come
-        self._tick = tick
-        if self._jitter:
+        if self._done or not complete or tick <= self.tick:
+            return
+        self.tick = tick
+        if self._lockstep and self._jitter:
             time.sleep(random.uniform(0.0, self._jitter))
-        cycles = {arm: data for arm, (_, data) in self._cycles.items()}
-        self._done = self._act(Seen(tick, cycles, self._state[1] if on_grid else b""))
-        self._say_ready(tick + 1 if self._cycles else tick + GRID)
+        cycles = {arm: raw for arm, (_, raw) in self._cycles.items()}
+        done = self._act(Seen(tick, cycles, self._state[1] if on_grid else None))
+        if done is not None:
+            self.ready(done)
+
+    def ready(self, done: bool = False) -> None:
+        """All commands of the present tick are sent; with the lock held."""
+        self._done = done
+        if self._lockstep:
+            self._say_ready(self.tick + (1 if self._arms else GRID))
 
     def _say_ready(self, tick: int) -> None:
-        self._ready.send(self._layout.pack(tick, self._sent.values(), self._done))
-
-
-def _receiver(topic: str) -> str:
-    """The node that must hear a command topic."""
-    first = topic.split("/")[1]
-    return "/sim" if first == ASSISTANT else f"/{first}/controller"
+        sent = (port.sent for port in self._ports.values())
+        self._ready.send(self._layout.pack(tick, sent, self._done))

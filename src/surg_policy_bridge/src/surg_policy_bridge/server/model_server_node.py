@@ -11,13 +11,13 @@ or file that must not be used.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import secrets
 import signal
 import sys
 import threading
 import time
-import xmlrpc.client
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,7 +42,7 @@ from surg_core.contract import (
     image_key,
 )
 from surg_core.status_check import Newest
-from surg_msgs.msg import PolicyAction, PolicyStatus, Ready, TeleopStatus
+from surg_msgs.msg import PolicyAction, PolicyStatus, TeleopStatus
 from surg_policy_bridge.server import cell_spec, operator_first
 from surg_policy_bridge.server.listen_address import BindError
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
@@ -67,6 +67,7 @@ from surg_policy_client.keys import ServerKeys, server_keys
 from surg_ros.arm_port import ArmPort, arm_view
 from surg_ros.camera_topic import camera_topic
 from surg_ros.params import ParamError, read
+from surg_ros.participant import Participant, Seen
 from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
 COMMANDS = ("state_command", "authority/claim", "hold", "jaw/servo_jp", "servo_cp")
@@ -133,11 +134,7 @@ class ModelServerNode:
         self._numbers: list[str] | None = None
         self._serving = False
         self._cycles: dict[str, tuple[int, RawCycle]] = {}
-        self._state = RawTaskState()
-        self._state_tick = 0
-        self._tick = 0
         self._due: int | None = None
-        self._connected = False
         self._over = False
         self._teleop = Newest("/teleop/status")
         self._homed = False
@@ -147,7 +144,19 @@ class ModelServerNode:
         self._said: tuple[object, ...] = ()
         self._ports = {name: ArmPort(name, COMMANDS) for name in settings.arms}
         self._advertise()
-        self._inputs = self._subscribe()
+        self._participant: Participant | None = None
+        if settings.lockstep:
+            self._participant = Participant(
+                self._ports,
+                self._on_tick,
+                settings.arms,
+                task=bool(settings.task),
+                listen=False,
+                lock=self._lock,
+            )
+        inputs = self._subscribe()
+        if self._participant is not None:
+            self._participant.inputs += inputs
         self._begin_serving()
 
     # --- topics -----------------------------------------------------------------------------------
@@ -158,9 +167,6 @@ class ModelServerNode:
         self._rejected = out("/policy/rejected", PolicyAction, queue_size=0, tcp_nodelay=True)
         self._enabled = out("/policy/enabled", Bool, queue_size=2, latch=True)
         self._status = out("/policy/status", PolicyStatus, queue_size=2, latch=True)
-        self._ready: Any = None
-        if self._settings.lockstep:
-            self._ready = out("/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True)
 
     def _subscribe(self) -> list[rospy.Subscriber]:
         settings = self._settings
@@ -186,14 +192,12 @@ class ModelServerNode:
     def _on_cycle(self, message: RawCycle, arm: str) -> None:
         with self._lock:
             self._cycles[arm] = (time.monotonic_ns(), message)
-            if self._settings.lockstep:
-                self._advance()
+            if self._participant is not None:
+                self._participant.on_cycle(message, arm)
 
     def _on_task_state(self, message: RawTaskState) -> None:
         with self._lock:
             tick = message.tick()
-            if tick % GRID == 0:
-                self._state, self._state_tick = message, tick
             if self._settings.privileged and tick % GRID == 0:
                 state = message.read()
                 values = np.array(state.values, dtype="<f4")
@@ -202,8 +206,8 @@ class ModelServerNode:
                     self._numbers = cell_spec.task_numbers(state.names)
                     self._begin_serving()
             self._look_for_the_end(message)
-            if self._settings.lockstep:
-                self._advance()
+            if self._participant is not None:
+                self._participant.on_task(message)
 
     def _look_for_the_end(self, message: RawTaskState) -> None:
         state = message.read()
@@ -300,7 +304,7 @@ class ModelServerNode:
 
     def _now(self) -> int:
         """Time of the execution [ns]."""
-        return self._tick * TICK_NS if self._settings.lockstep else time.monotonic_ns()
+        return self._participant.tick * TICK_NS if self._participant else time.monotonic_ns()
 
     def _put_state(self, views: dict[str, ArmView]) -> tuple[int | None, str]:
         """Observe the arms; the stamp of the youngest, or None and why not."""
@@ -384,46 +388,24 @@ class ModelServerNode:
     # --- lock-step --------------------------------------------------------------------------------
 
     def _connect(self) -> None:
-        """Speak for tick 1, before which is no cycle, when nothing that is said can get lost."""
-        while self._missing():
-            if self.finished.wait(0.02) or rospy.is_shutdown():
-                return
-        with self._lock:
-            self._connected = True
-            if self._tick == 0:
-                self._say_ready(1)
+        """Answer tick 1, which has no cycle before it, once nothing can get lost."""
+        assert self._participant is not None
+        with contextlib.suppress(TimeoutError):
+            self._participant.connect(
+                math.inf, over=lambda: bool(self.finished.is_set() or rospy.is_shutdown())
+            )
 
-    def _missing(self) -> bool:
-        if any(source.get_num_connections() == 0 for source in self._inputs):
-            return True
-        controllers = {f"/{arm}/controller" for arm in self._ports}
-        wanted = {
-            (f"/{arm}/{topic}", f"/{arm}/controller")
-            for arm, port in self._ports.items()
-            for topic in port.out
-        }
-        wanted |= {("/sim/ready", node) for node in ("/sim", *controllers)}
-        with xmlrpc.client.ServerProxy(rospy.get_node_uri()) as node:
-            links: Any = node.getBusInfo(rospy.get_name())
-        there = {(topic, peer) for _, peer, way, _, topic, on, *_ in links[2] if way == "o" and on}
-        return not wanted <= there
-
-    def _advance(self) -> None:
-        """Lock-step, with the lock held: all cycles of a tick are here?"""
-        ticks = {raw.tick() for _, raw in self._cycles.values()}
-        if len(self._cycles) < len(self._ports) or len(ticks) != 1 or ticks <= {self._tick}:
-            return
-        (tick,) = ticks
-        if tick % GRID:
-            self._tick = tick
-            self._say_ready(tick + 1)
-        elif self._state_tick == tick or not self._settings.task:
-            self._tick = self._due = tick
-            self._rouse()
+    def _on_tick(self, seen: Seen) -> bool | None:
+        """All cycles of a tick are here; a tick of the grid is answered by `_grid_tick`."""
+        if seen.tick % GRID:
+            return False
+        self._due = seen.tick
+        self._rouse()
+        return None
 
     def _grid_tick(self) -> None:
         """Lock-step: observe, wait for the answer, execute, and let the tick go."""
-        if self._due is None:
+        if self._due is None or self._participant is None:
             return
         tick, self._due = self._due, None
         at, number = tick * TICK_NS, tick // GRID
@@ -444,7 +426,7 @@ class ModelServerNode:
         self._send(commands, views)
         self._publish_judged(at + TICK_NS)
         self._answer()
-        self._say_ready(tick + 1)
+        self._participant.ready()
 
     def _complete(self, views: dict[str, ArmView], number: int) -> Observation | None:
         """The observation of a tick; parts of it may still be on their way."""
@@ -483,17 +465,6 @@ class ModelServerNode:
             self._wait(0)
         finally:
             self._lock.acquire()
-
-    def _say_ready(self, tick: int) -> None:
-        self._ready.publish(
-            Ready(
-                tick=tick,
-                participant=rospy.get_name().lstrip("/"),
-                arms=list(self._ports),
-                sent=[port.sent for port in self._ports.values()],
-                done=False,
-            )
-        )
 
     # --- what people read -------------------------------------------------------------------------
 

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import surg_core
+from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import GRID
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.patient_settings import PatientSetting, find_setting
@@ -24,7 +25,7 @@ from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.stability import trouble
 from surg_sim.physics.world import World
 from surg_sim.tasks import State, Task, Verdict, load
-from surg_sim.tasks.scripted_sender import Action, ArmAction, ArmView, Observation
+from surg_sim.tasks.scripted_sender import Action, Observation
 
 Command = surg_core.MotionCommand | surg_core.StateCommand
 """To an arm in one tick: state commands are obeyed first, then motions in their order."""
@@ -167,21 +168,21 @@ class Session:
         return surg_core.Readings(trocar_force=at_trocar, tip_force=at_tip)
 
 
-def decode(action: ArmAction) -> list[Command]:
+def decode(commands: ArmCommands) -> list[Command]:
     """An arm's commands as the controller node makes them of messages."""
     motion, kinds = surg_core.MotionCommand, surg_core.Motion
     found: list[Command] = []
-    if action.state is not None:
-        found.append(getattr(surg_core.StateCommand, action.state.upper()))
-    if action.hold:
+    if commands.state is not None:
+        found.append(getattr(surg_core.StateCommand, commands.state.upper()))
+    if commands.hold:
         found.append(motion(kinds.HOLD, SOURCE))
-    if action.jaw is not None:
-        found.append(motion(kinds.JAW_SERVO_JP, SOURCE, jaw=action.jaw))
-    if action.p is not None and action.q is not None:
-        x, y, z, w = (float(v) for v in action.q)
+    if commands.jaw is not None:
+        found.append(motion(kinds.JAW_SERVO_JP, SOURCE, jaw=commands.jaw))
+    if commands.servo_cp is not None:
+        x, y, z, w = (float(v) for v in commands.servo_cp.q)
         norm = math.sqrt((x * x + z * z) + (y * y + w * w))  # summed as Eigen does in the node
         rotation = np.array([x, y, z, w]) / norm
-        found.append(motion(kinds.SERVO_CP, SOURCE, p=action.p, rotation=rotation))
+        found.append(motion(kinds.SERVO_CP, SOURCE, p=commands.servo_cp.p, rotation=rotation))
     return found
 
 

@@ -26,17 +26,17 @@ except ImportError as error:  # pragma: no cover - of an installation without th
         "the environments need gymnasium: pip install 'surg_sim[gym]' or pip install gymnasium"
     ) from error
 
-from surg_core.contract import ARM_ACTION, ARM_STATE, ENABLED, GRID
+from surg_core.arm_view import ArmCommands, ArmView, TipPose
+from surg_core.bring_up import BringUp
+from surg_core.contract import ARM_ACTION, ARM_STATE, GRID, TICK_NS
 from surg_sim.envs.cell_session import Session, Tick, merge
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds, load, names
 from surg_sim.tasks.scripted_sender import (
     Action,
-    ArmAction,
     home_frame,
     into,
     out_of,
-    tip_quaternion,
 )
 
 if TYPE_CHECKING:
@@ -179,20 +179,20 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self._partner_actions: list[Action] = []
         self._expert = None
         self._advance(Action())
+        bring_ups = {arm: BringUp() for arm in self.arms}
+        for bring_up in bring_ups.values():
+            bring_up.start(0)
         for _ in range(_READY):
-            waking = {arm: self._wake(arm) for arm in self.arms}
-            if not any(arm_action.count for arm_action in waking.values()):
+            asked = {arm: self._bring_up(bring_up, arm) for arm, bring_up in bring_ups.items()}
+            if not any(bring_up.active for bring_up in bring_ups.values()):
                 return self._observation(), self._info()
-            self._advance(Action(arms=waking))
+            self._advance(Action(arms=asked))
         raise RuntimeError(f"{self.arms} did not become ready: {self._info()['reason']}")
 
-    def _wake(self, arm: str) -> ArmAction:
-        """What an arm needs to be told before it takes motions."""
+    def _bring_up(self, bring_up: BringUp, arm: str) -> ArmCommands:
         assert self._tick is not None
-        out = self._tick.outputs[arm]
-        if not out.homed:
-            return ArmAction(state="home")
-        return ArmAction() if int(out.state) == ENABLED else ArmAction(state="enable")
+        view = ArmView.of(self._tick.outputs[arm])
+        return bring_up.tick(view, self._tick.tick * TICK_NS)
 
     def step(self, action: Array) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Send one action and let 25 ticks pass.
@@ -212,7 +212,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         arm_actions = {}
         for arm, part in zip(self.arms, values.reshape(-1, len(ARM_ACTION)), strict=True):
             p, roll, jaw = part[:3].copy(), float(part[3]), float(part[4])
-            arm_actions[arm] = ArmAction(jaw=jaw, p=p, q=tip_quaternion(p, roll))
+            arm_actions[arm] = ArmCommands(jaw=jaw, servo_cp=TipPose(p, roll))
         reward = self._advance(Action(arms=arm_actions))
         verdict = self._tick.verdict
         return (
@@ -301,13 +301,13 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         scripted = self._expert.tick(self._observed)
         action: list[float] = []
         for arm in self.arms:
-            arm_action = scripted.arms.get(arm)
+            commands = scripted.arms.get(arm)
             out = self._tick.outputs[arm] if self._tick else None
-            if arm_action is None or arm_action.p is None:
+            if commands is None or commands.servo_cp is None:
                 raise RuntimeError(f"the expert has no motion for {arm}: {self._expert.reason}")
             assert out is not None
-            jaw = arm_action.jaw if arm_action.jaw is not None else float(out.jaw_set)
-            action += [*arm_action.p, arm_action.roll, jaw]
+            jaw = commands.jaw if commands.jaw is not None else float(out.jaw_set)
+            action += [*commands.servo_cp.p, commands.servo_cp.roll, jaw]
         return np.array(action)
 
 

@@ -11,47 +11,23 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import rospy
-from geometry_msgs.msg import PoseStamped
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Empty
 
 import surg_core
-from crtk_msgs.msg import StringStamped
-from surg_msgs.msg import Cycle, SenderStatus
+from surg_core.arm_view import ArmCommands
+from surg_msgs.msg import SenderStatus
+from surg_ros.arm_port import SERVO_INSTRUMENT, ArmPort
 from surg_ros.params import read
 from surg_ros.participant import ASSISTANT, Participant, Seen
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.sim_parameters import SenderSettings
-from surg_sim.physics.assistant_arm import JOINTS, AssistantCommand
 from surg_sim.tasks import load
-from surg_sim.tasks.scripted_sender import ArmAction, ArmView, Expert, Observation
+from surg_sim.tasks.scripted_sender import Expert, Observation
 
-ARM_COMMANDS: dict[str, type] = {
-    "state_command": StringStamped,
-    "hold": Empty,
-    "jaw/servo_jp": JointState,
-    "servo_cp": PoseStamped,
-}
-ASSISTANT_COMMANDS: dict[str, type] = {"servo_jp": JointState, "jaw/servo_jp": JointState}
-
-
-def arm_view(cycle: Cycle) -> ArmView:
-    """What a sender looks at in a cycle message."""
-    return ArmView(
-        state=cycle.state,
-        homed=cycle.homed,
-        reason=cycle.reason,
-        p_tip=np.array(cycle.p_tip),
-        s=np.array(cycle.s),
-        p_set=np.array(cycle.p_set),
-        roll=cycle.roll,
-        roll_set=cycle.roll_set,
-        jaw=cycle.jaw,
-    )
+COMMANDS = ("state_command", "hold", "jaw/servo_jp", "servo_cp")
+"""Topics of an arm that a sender publishes."""
 
 
 class ExpertNode:
@@ -64,24 +40,27 @@ class ExpertNode:
 
     def __init__(self, expert: Expert, assistant: bool) -> None:
         self._expert, self._reason = expert, ""
-        commands = {f"/{arm}/{t}": kind for arm in expert.arms for t, kind in ARM_COMMANDS.items()}
+        self._ports = {arm: ArmPort(arm, COMMANDS) for arm in expert.arms}
         if assistant:
-            commands.update({f"/{ASSISTANT}/{t}": k for t, k in ASSISTANT_COMMANDS.items()})
+            self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
         self._status = rospy.Publisher("~status", SenderStatus, queue_size=10, latch=True)
-        self._participant = Participant(expert.arms, commands, self._act, task=True)
+        self._participant = Participant(self._ports, self._act, expert.arms, task=True)
         self.connect: Callable[[], None] = self._participant.connect
 
     def _act(self, seen: Seen) -> bool:
-        if not seen.task:  # off the grid: nobody looks, nobody acts
+        if seen.task is None:  # off the grid: nobody looks, nobody acts
             return False
-        message = seen.task_state()
-        arms = {arm: arm_view(seen.cycle(arm)) for arm in seen.cycles}
+        message = seen.task.read()
+        arms = {arm: seen.view(arm) for arm in seen.cycles}
         state = bridge_messages.task_state(message.names, message.values)
         action = self._expert.tick(Observation(seen.tick, arms, state, message.phase))
-        for arm, arm_action in action.arms.items():
-            self._send_to_arm(arm, arm_action, seen.stamp)
+        for arm, commands in action.arms.items():
+            commands.stamp_ns = seen.stamp_ns
+            self._ports[arm].send(commands)
         if action.assistant is not None:
-            self._send_to_assistant(action.assistant, seen.stamp)
+            joints, jaw = action.assistant.joints, action.assistant.jaw
+            servo_jp = None if joints is None else np.asarray(joints)
+            self._ports[ASSISTANT].send(ArmCommands(seen.stamp_ns, jaw=jaw, servo_jp=servo_jp))
         if self._expert.reason != self._reason:
             self._reason = self._expert.reason
             stage = SenderStatus.STAGE_FAILED if self._reason else SenderStatus.STAGE_PLAY
@@ -89,35 +68,6 @@ class ExpertNode:
             message.header.stamp = rospy.Time(*divmod(time.time_ns(), bridge_messages.NS))
             self._status.publish(message)
         return False
-
-    def _send_to_arm(self, arm: str, arm_action: ArmAction, stamp: rospy.Time) -> None:
-        def send(topic: str, message: Any) -> None:
-            message.header.stamp = stamp
-            self._participant.send(f"/{arm}/{topic}", message)
-
-        if arm_action.state is not None:
-            send("state_command", StringStamped(string=arm_action.state))
-        if arm_action.hold:
-            self._participant.send(f"/{arm}/hold", Empty())
-        if arm_action.jaw is not None:
-            send("jaw/servo_jp", JointState(name=["jaw"], position=[arm_action.jaw]))
-        if arm_action.p is not None and arm_action.q is not None:
-            message = PoseStamped()
-            position, orientation = message.pose.position, message.pose.orientation
-            position.x, position.y, position.z = arm_action.p.tolist()
-            orientation.x, orientation.y, orientation.z, orientation.w = arm_action.q.tolist()
-            send("servo_cp", message)
-
-    def _send_to_assistant(self, command: AssistantCommand, stamp: rospy.Time) -> None:
-        def send(topic: str, names: list[str], position: list[float]) -> None:
-            message = JointState(name=names, position=position)
-            message.header.stamp = stamp
-            self._participant.send(f"/{ASSISTANT}/{topic}", message)
-
-        if command.joints is not None:
-            send("servo_jp", list(JOINTS), np.asarray(command.joints).tolist())
-        if command.jaw is not None:
-            send("jaw/servo_jp", ["jaw"], [command.jaw])
 
 
 def main() -> int:

@@ -15,9 +15,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.arm_view import TipPose
 from surg_core.contract import STEP
 from surg_sim.tasks.scripted_arm import ArmExpert
-from surg_sim.tasks.scripted_sender import Action, Expert, Observation, tip_quaternion
+from surg_sim.tasks.scripted_sender import Action, Expert, Observation
 
 Array = NDArray[np.float64]
 
@@ -54,10 +55,11 @@ class PerturbedExpert(Expert):
         self._slow = a * self._slow + (1 - a) * self._gain * self._rng.standard_normal(3)
         self._offset = a * self._offset + (1 - a) * self._slow
         arms = dict(action.arms)
-        for name, arm_action in arms.items():
-            if arm_action.p is not None:
+        for name, commands in arms.items():
+            pose = commands.servo_cp
+            if pose is not None:
                 path = self._expert.path
                 left = float(np.linalg.norm(path.goal - path.at))
-                p = arm_action.p + min(left / NEAR, 1.0) * self._offset
-                arms[name] = replace(arm_action, p=p, q=tip_quaternion(p, arm_action.roll))
+                p = pose.p + min(left / NEAR, 1.0) * self._offset
+                arms[name] = replace(commands, servo_cp=TipPose(p, pose.roll))
         return Action(arms=arms, assistant=action.assistant)

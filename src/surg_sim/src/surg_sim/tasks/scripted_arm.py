@@ -13,19 +13,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core.contract import DISABLED, ENABLED, STEP
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
+from surg_core.bring_up import BringUp
+from surg_core.contract import STEP, TICK_NS
 from surg_sim.tasks.scripted_sender import (
-    RETRY,
     Action,
-    ArmAction,
-    ArmView,
     Expert,
     MinimumJerk,
     Observation,
     home_frame,
     into,
     out_of,
-    tip_quaternion,
 )
 
 if TYPE_CHECKING:
@@ -68,7 +66,8 @@ class ArmExpert(Expert):
         """The script is over: the last pose is held."""
         self.observation: Observation
         self._script: Iterator[None] | None = None
-        self._asked = -RETRY
+        self._bring_up = BringUp()
+        self._bring_up.start(0)
 
     @property
     def me(self) -> ArmView:
@@ -81,25 +80,22 @@ class ArmExpert(Expert):
 
     def act(self, observation: Observation) -> Action:
         """See :class:`Expert`."""
-        arm_action = ArmAction()
+        commands = ArmCommands()
         me = observation.arms[self._arm]
         if self.reason:
             return Action()
-        if me.state == ENABLED and me.homed:
+        if me.ready:
             self.observation = observation
-            self._act(arm_action)
-        elif me.state == DISABLED and self._script is None:
-            if observation.tick - self._asked >= RETRY or (me.homed and self._last == "home"):
-                self._asked, self._last = observation.tick, "enable" if me.homed else "home"
-                arm_action.state = self._last
+            self._act(commands)
+        elif me.state == ArmState.DISABLED and self._script is None:
+            commands = self._bring_up.tick(me, observation.tick * TICK_NS)
+            self.reason = self._bring_up.reason
         else:
             why = f": {me.reason}" if me.reason else ""
             self.reason = f"{self._arm} left ENABLED{why}"
-        return Action(arms={self._arm: arm_action} if arm_action.count else {})
+        return Action(arms={self._arm: commands} if commands else {})
 
-    _last = ""
-
-    def _act(self, arm_action: ArmAction) -> None:
+    def _act(self, commands: ArmCommands) -> None:
         if self._script is None:
             self.path.stay(self.p_set)
             self.roll.stay(np.array([self.me.roll_set]))
@@ -109,17 +105,16 @@ class ArmExpert(Expert):
                 next(self._script)
             except StopIteration:
                 self.done = True
-        arm_action.p = self.path.advance(STEP)
-        arm_action.roll = float(self.roll.advance(STEP)[0])
-        arm_action.q = tip_quaternion(arm_action.p, arm_action.roll)
-        arm_action.jaw = self.jaw
+        p = self.path.advance(STEP)
+        commands.servo_cp = TipPose(p, float(self.roll.advance(STEP)[0]))
+        commands.jaw = self.jaw
 
     # --- what scripts are made of -------------------------------------------------------------
 
     @property
     def p_set(self) -> Array:
         """Set-point of the tip, rcm frame [m], (3,)."""
-        return into(self.X_WR, out_of(self.X_WB, self.me.p_set))
+        return into(self.X_WR, out_of(self.X_WB, self.me.p_BSet))
 
     def local(self, p_W: Array) -> Array:
         """A point of the world in the rcm frame [m], (3,)."""

@@ -14,64 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import GRID
-from surg_core.transforms import tip_quaternion as tip_quaternion
 
 if TYPE_CHECKING:
     import surg_core
     from surg_sim.physics.assistant_arm import AssistantCommand
 
 Array = NDArray[np.float64]
-
-RETRY = 250
-"""A state command that shows no effect is sent again after so many ticks."""
-
-
-@dataclass(frozen=True)
-class ArmView:
-    """What a sender looks at in one control cycle; vectors in the arm's base frame, (3,), SI.
-
-    The members are those of surg_msgs/Cycle, bit for bit.
-
-    Attributes:
-        state: Operating state.
-        homed: Home is set.
-        reason: Why the arm is PAUSED, in FAULT or held.
-        p_tip: Measured tip.
-        s: Shaft axis, flange to tip.
-        p_set: Set-point of the tip.
-        roll: Measured roll [rad].
-        roll_set: Set-point of the roll [rad].
-        jaw: Measured jaw angle [rad].
-    """
-
-    state: int
-    homed: bool
-    reason: str
-    p_tip: Array
-    s: Array
-    p_set: Array
-    roll: float
-    roll_set: float
-    jaw: float
-
-    @classmethod
-    def of(cls, out: surg_core.Outputs) -> ArmView:
-        """From a control cycle in this process."""
-        import surg_core
-
-        reason = surg_core.reason_name(out.reason) if int(out.reason) else ""
-        return cls(
-            state=int(out.state),
-            homed=out.homed,
-            reason=reason,
-            p_tip=np.array(out.p_BTip),
-            s=np.array(out.s_B),
-            p_set=np.array(out.p_set),
-            roll=out.roll,
-            roll_set=out.roll_set,
-            jaw=out.jaw,
-        )
 
 
 @dataclass(frozen=True)
@@ -100,33 +50,6 @@ class Observation:
 
 
 @dataclass
-class ArmAction:
-    """What to send to one arm for tick k + 1; what is None is not sent.
-
-    Attributes:
-        state: A state_command.
-        jaw: Jaw angle for jaw/servo_jp [rad].
-        p: Tip for servo_cp, rcm frame, (3,) [m].
-        q: Orientation for servo_cp, x, y, z, w.
-        roll: The roll that ``q`` holds [rad]; not sent by itself.
-        hold: True: stop where you are.
-    """
-
-    state: str | None = None
-    jaw: float | None = None
-    p: Array | None = None
-    q: Array | None = None
-    roll: float = 0.0
-    hold: bool = False
-
-    @property
-    def count(self) -> int:
-        """Number of messages."""
-        pose = self.p is not None
-        return (self.state is not None) + (self.jaw is not None) + pose + self.hold
-
-
-@dataclass
 class Action:
     """What a sender sends for one tick.
 
@@ -135,7 +58,7 @@ class Action:
         assistant: To the assistant's instrument.
     """
 
-    arms: dict[str, ArmAction] = field(default_factory=dict)
+    arms: dict[str, ArmCommands] = field(default_factory=dict)
     assistant: AssistantCommand | None = None
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 import os
-import random
 import signal
 import struct
 import sys
@@ -34,11 +33,10 @@ from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_msgs.msg import Cycle, HandStatus, Ready, TeleopStatus
+from surg_msgs.msg import Cycle, HandStatus, TeleopStatus
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.params import ParamError
-from surg_ros.participant import wait_for_all
-from surg_ros.peers import publishers, subscribers
+from surg_ros.participant import Participant, Seen
 from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_ros.transport.raw_message import RawCycle
 from surg_teleop.follow.endoscope_pose import HeldCamera
@@ -84,11 +82,10 @@ class TeleopNode:
         self._pedals = PedalMonitor()
         self._cycles: dict[str, tuple[float, RawCycle]] = {}
         self._arrivals = {arm: Arrivals() for arm in system.heard}
-        self._tick, self._recording = 0, False
+        self._recording = False
         self._status: tuple[object, ...] = ()
         self._picture_problem: str | None = None
         self._reported = -math.inf
-        self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
         self._picture = PictureWatch(system.picture)
         self._latched: dict[tuple[str, str], rospy.Publisher] = {}
         self._said: dict[tuple[str, str], object] = {}
@@ -99,16 +96,12 @@ class TeleopNode:
         self._warning = rospy.Publisher("~warning", String, queue_size=10)
         self._report = rospy.Publisher("~status", TeleopStatus, queue_size=2, latch=True)
         self._record = rospy.Publisher("/record/record", Bool, queue_size=2)
-        self._ready = rospy.Publisher(
-            "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
-        )
         # In free-run hands are moved less often than arms speak: each reads the newest cycle then.
         self._polled: dict[str, PolledSubscriber] = {}
-        self._inputs = []
         if system.lockstep:
-            self._inputs = [
-                _listen(f"/{arm}/cycle", RawCycle, self._on_cycle, arm) for arm in system.heard
-            ]
+            self._participant = Participant(
+                self._ports, self._on_tick, system.heard, lock=self._lock
+            )
         else:
             self._polled = {
                 arm: PolledSubscriber(f"/{arm}/cycle", RawCycle) for arm in system.heard
@@ -154,11 +147,6 @@ class TeleopNode:
         _listen("/console/teleop/enable", Bool, self._on_enable)
         _listen("/console/teleop/set_scale", Float64, self._on_scale, everyone)
         _listen("/record/recording", Bool, self._on_recording)
-
-    def _on_cycle(self, message: RawCycle, arm: str) -> None:
-        with self._lock:
-            self._keep_cycle(message, arm)
-            self._advance()
 
     def _keep_cycle(self, message: RawCycle, arm: str) -> None:
         # A cycle that a network held up is as old as it is, not as new as it came.
@@ -248,38 +236,17 @@ class TeleopNode:
             for hand in self._system.hands:
                 hand.leader.close()
 
-    def _advance(self) -> None:
-        """Lock-step: one tick when the cycles of all arms are here; with the lock held."""
-        cycles = {name: raw.tick() for name, (_, raw) in self._cycles.items()}
-        ticks = set(cycles.values())
-        if (
-            self.finished.is_set()
-            or len(cycles) < len(self._system.heard)
-            or len(ticks) != 1
-            or ticks <= {self._tick}
-        ):
-            return
-        self._tick = ticks.pop()
-        if self._jitter > 0.0:
-            time.sleep(random.uniform(0.0, self._jitter))
-        now = self._tick * TICK_NS / SECOND_NS
-        self._cycles = {name: (now, raw) for name, (_, raw) in self._cycles.items()}
+    def _on_tick(self, seen: Seen) -> bool | None:
+        """Lock-step: the cycles of all arms are here; with the lock held."""
+        if self.finished.is_set():
+            return None
+        now = seen.tick * TICK_NS / SECOND_NS
+        self._cycles = {name: (now, raw) for name, raw in seen.cycles.items()}
         self._act(now)
-        self._say_ready(self._tick + 1)
-
-    def _say_ready(self, tick: int) -> None:
-        done = 0.0 < self._system.duration <= self._tick * TICK_NS / SECOND_NS
-        self._ready.publish(
-            Ready(
-                tick=tick,
-                participant=rospy.get_name().lstrip("/"),
-                arms=list(self._ports),
-                sent=[port.sent for port in self._ports.values()],
-                done=done,
-            )
-        )
+        done = 0.0 < self._system.duration <= now
         if done:
             self.finished.set()
+        return done
 
     def _act(self, now: float) -> None:
         system = self._system
@@ -406,29 +373,7 @@ class TeleopNode:
             TimeoutError: Somebody is missing; says who.
             OSError: The master does not answer.
         """
-        wait_for_all(self._missing, CONNECT_TIMEOUT)
-        with self._lock:
-            if self._tick == 0:
-                self._say_ready(1)
-
-    def _missing(self) -> str:
-        master, name = rosgraph.get_master_uri(), rospy.get_name()
-        wanted: dict[str, set[str]] = {"/sim/ready": set()}
-        for arm in self._ports:
-            controllers = publishers(master, name, f"/{arm}/cycle")
-            links = publishers(master, name, f"/{arm}/robot/measured_js")
-            if not controllers or not links:
-                return f"nobody publishes /{arm}/cycle and /{arm}/robot/measured_js"
-            wanted.update({f"/{arm}/{topic}": controllers for topic in self._ports[arm].out})
-            wanted["/sim/ready"] |= controllers | links
-        for source in self._inputs:
-            if source.get_num_connections() == 0:
-                return f"{source.resolved_name} is not connected yet"
-        present = subscribers(rospy.get_node_uri(), name, wanted)
-        for topic, nodes in wanted.items():
-            if not nodes <= present[topic]:
-                return f"{topic} does not reach {', '.join(sorted(nodes - present[topic]))}"
-        return ""
+        self._participant.connect(CONNECT_TIMEOUT)
 
 
 def _hand_status(

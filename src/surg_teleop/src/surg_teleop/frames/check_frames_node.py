@@ -27,11 +27,10 @@ from sensor_msgs.msg import CameraInfo, Image
 import surg_core
 from surg_core import ConfigError
 from surg_core.arm_view import ArmCommands
-from surg_msgs.msg import Ready
-from surg_ros.arm_port import ArmPort, arm_view
+from surg_ros.arm_port import ArmPort
 from surg_ros.params import ParamError, flag, path, read, text
-from surg_ros.participant import wait_for_all
-from surg_ros.peers import publishers, subscribers
+from surg_ros.participant import Participant, Seen
+from surg_ros.peers import publishers
 from surg_ros.transport.raw_message import RawCycle
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
 from surg_teleop.frames.frame_check import FramesCheck, Pair, Stage, split
@@ -145,56 +144,55 @@ class CheckNode:
         workspace = Workspace(limits.depth_slow, limits.depth_max, limits.cone)
         self.check = FramesCheck(task.arm, rospy.get_name(), workspace, enable=task.enable)
         self.eyes = Eyes(eyes)
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._port = ArmPort(task.arm)  # no claim: it would outlive the check
-        self._cycles: dict[str, RawCycle] = {}
         self._heard: dict[str, float] = {}  # on the steady clock [s]
-        self._tick, self._said = 0, REST
-        self._ready = rospy.Publisher(
-            "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
+        self._said = REST
+        arms = (task.arm, task.camera.arm)
+        self._participant = Participant(
+            {task.arm: self._port},
+            self._act,
+            arms,
+            lockstep=task.lockstep,
+            listen=False,
+            lock=self._lock,
         )
-        self._inputs = [
+        self._participant.inputs += [
             rospy.Subscriber(
                 f"/{name}/cycle", RawCycle, self._on_cycle, name, queue_size=None, tcp_nodelay=True
             )
-            for name in (task.arm, task.camera.arm)
+            for name in arms
         ]
+        self._participant.inputs += self.eyes.inputs
 
     def _on_cycle(self, cycle: RawCycle, name: str) -> None:
         with self._lock:
-            self._cycles[name], self._heard[name] = cycle, time.monotonic()
-            if self.finished.is_set() or len(self._cycles) < 2:
-                return
-            own, scope = (self._cycles[n] for n in (self.task.arm, self.task.camera.arm))
-            tick = own.tick()
-            if tick <= self._tick:
-                return
-            if self.task.lockstep:
-                if tick == scope.tick():
-                    self._tick = tick
-                    self._act(own, scope)
-                    self._say_ready(tick + 1)
-            elif name == self.task.arm:
-                self._tick = tick
-                self._act(own, scope)
+            self._heard[name] = time.monotonic()
+            self._participant.on_cycle(cycle, name)
 
-    def _act(self, raw: RawCycle, raw_scope: RawCycle) -> None:
-        """One cycle, of which every fifth is read; with the lock held."""
-        if self.check.done or self._tick % PERIOD_TICKS:
-            return
-        own, scope = raw.read(), raw_scope.read()
+    def _act(self, seen: Seen) -> bool | None:
+        """One cycle of both arms, of which every fifth is read; with the lock held."""
+        if self.finished.is_set():
+            return None
+        if not self.check.done and seen.tick % PERIOD_TICKS == 0:
+            self._look(seen)
+        if self.check.done:
+            self.finished.set()
+        return self.check.done
+
+    def _look(self, seen: Seen) -> None:
+        scope = seen.cycles[self.task.camera.arm].read()
         if self.eyes.problem:
             self._send(self.check.stop(self.eyes.problem))
         else:
             q = np.array(scope.q)
             known = q.shape == (self.task.camera.chain.dof,) and bool(np.isfinite(q).all())
             R_WV = self.task.camera.view(q) if known else None
-            view = arm_view(own, np.asarray(self.task.cell.arms[self.task.arm].X_WB)[:3, :3])
+            R_WB = np.asarray(self.task.cell.arms[self.task.arm].X_WB)[:3, :3]
+            view = seen.view(self.task.arm, R_WB)
             commands = self.check.tick(view, R_WV, self.eyes.newest)
             self._send(commands)
         self._tell()
-        if self.check.done and not self.task.lockstep:
-            self.finished.set()
 
     def _send(self, commands: ArmCommands) -> None:
         self._port.send(commands)
@@ -205,20 +203,6 @@ class CheckNode:
         if check.step != self._said and check.stage is Stage.GO and check.step.side:
             self._said = check.step
             print(f"the tip must now go: {WORDS[check.step]}", flush=True)
-
-    def _say_ready(self, tick: int) -> None:
-        done = self.check.done
-        self._ready.publish(
-            Ready(
-                tick=tick,
-                participant=rospy.get_name().lstrip("/"),
-                arms=[self.task.arm],
-                sent=[self._port.sent],
-                done=done,
-            )
-        )
-        if done:
-            self.finished.set()
 
     def listen(self) -> None:
         """Free-run: ends the check once an arm is silent; without its cycles nothing else would."""
@@ -242,35 +226,15 @@ class CheckNode:
             TimeoutError: Somebody is missing; says who.
             OSError: The master does not answer.
         """
-        wait_for_all(
-            self._missing,
+        self._participant.connect(
             CONNECT_TIMEOUT,
-            lambda: bool(rospy.is_shutdown() or self.finished.is_set()),
+            over=lambda: bool(rospy.is_shutdown() or self.finished.is_set()),
+            also=self._mute,
         )
-        with self._lock:
-            if self.task.lockstep and self._tick == 0:
-                self._say_ready(1)
 
-    def _missing(self) -> str:
-        master, name = rosgraph.get_master_uri(), rospy.get_name()
-        controllers = publishers(master, name, f"/{self.task.arm}/cycle")
-        if not controllers:
-            return f"nobody publishes /{self.task.arm}/cycle (is the controller running?)"
-        wanted = {f"/{self.task.arm}/{topic}": controllers for topic in self._port.out}
-        if self.task.lockstep:
-            links = publishers(master, name, f"/{self.task.arm}/robot/measured_js")
-            wanted["/sim/ready"] = controllers | links
-        for source in (*self._inputs, *self.eyes.inputs):
-            if source.get_num_connections() == 0:
-                return f"nobody publishes {source.resolved_name}"
-        present = subscribers(rospy.get_node_uri(), name, wanted)
-        for topic, nodes in wanted.items():
-            if not nodes <= present[topic]:
-                return f"{topic} does not reach {', '.join(sorted(nodes - present[topic]))}"
-        mute = {self.task.arm, self.task.camera.arm} - self._heard.keys()
-        if mute and not self.task.lockstep:
-            return f"{', '.join(sorted(mute))} has said nothing yet: is its controller running?"
-        return ""
+    def _mute(self) -> str:
+        silent = "" if self.task.lockstep else ", ".join(self._participant.silent)
+        return f"{silent} has said nothing yet: is its controller running?" if silent else ""
 
     def verdict(self) -> tuple[Verdict, dict[str, Place]]:
         """What the pictures say, and where the tip was in them."""

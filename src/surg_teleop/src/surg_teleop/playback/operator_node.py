@@ -8,8 +8,6 @@ Parameters: ``~cell`` (folder or cell.yaml), ``~arm`` (PSM1), ``~motion`` (CSV; 
 
 from __future__ import annotations
 
-import os
-import random
 import sys
 import threading
 import time
@@ -23,11 +21,10 @@ from surg_core import ConfigError, load_cell
 from surg_core.arm_view import JawRange
 from surg_core.contract import SECOND_NS
 from surg_core.status_check import Newest
-from surg_msgs.msg import Cycle, Ready, SenderStatus, SimStatus
-from surg_ros.arm_port import ArmPort, arm_view
+from surg_msgs.msg import SenderStatus, SimStatus
+from surg_ros.arm_port import ArmPort
 from surg_ros.params import ParamError, flag, one_of, path, read, real, text
-from surg_ros.participant import wait_for_all
-from surg_ros.peers import publishers, subscribers
+from surg_ros.participant import Participant, Seen
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import ConstantMotionError, Plan, make_plan
@@ -54,18 +51,12 @@ class OperatorNode:
         """
         self.operator = operator
         self.finished = threading.Event()
-        self._arm, self._lockstep = arm, lockstep
-        self._lock = threading.Lock()
-        self._tick, self._stage = 0, operator.stage
-        self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
+        self._lockstep, self._stage = lockstep, operator.stage
         self._port = ArmPort(arm)
-        self._ready = rospy.Publisher(
-            "/sim/ready", Ready, queue_size=0, tcp_nodelay=True, latch=True
-        )
         self._sim = Newest("/sim/status")
         self._status = rospy.Publisher("~status", SenderStatus, queue_size=10, latch=True)
-        self._cycle = rospy.Subscriber(
-            f"/{arm}/cycle", Cycle, self._on_cycle, queue_size=None, tcp_nodelay=True
+        self._participant = Participant(
+            {arm: self._port}, self._act, arms=(arm,), lockstep=lockstep
         )
         rospy.Subscriber("/sim/status", SimStatus, self._on_sim_status, queue_size=None)
 
@@ -76,49 +67,19 @@ class OperatorNode:
             TimeoutError: Somebody is missing; says who.
             OSError: The master does not answer.
         """
-        wait_for_all(self._missing, CONNECT_TIMEOUT)
-        with self._lock:
+        self._report()
+        self._participant.connect(CONNECT_TIMEOUT)
+
+    def _act(self, seen: Seen) -> bool:
+        (arm,) = seen.cycles
+        if not self.operator.done:
+            self._port.send(self.operator.tick(seen.view(arm)))
+        if self.operator.stage is not self._stage:
+            self._stage = self.operator.stage
             self._report()
-            if self._lockstep and self._tick == 0:
-                self._say_ready(1)
-
-    def _missing(self) -> str:
-        master, name = rosgraph.get_master_uri(), rospy.get_name()
-        controllers = publishers(master, name, f"/{self._arm}/cycle")
-        if not controllers:
-            return f"nobody publishes /{self._arm}/cycle (is the controller running?)"
-        if self._cycle.get_num_connections() == 0:
-            return f"/{self._arm}/cycle is not connected yet"
-        wanted = {f"/{self._arm}/{name}": controllers for name in self._port.out}
-        if self._lockstep:
-            links = publishers(master, name, f"/{self._arm}/robot/measured_js")
-            if not links:
-                return (
-                    f"nobody publishes /{self._arm}/robot/measured_js (is the simulator running?)"
-                )
-            wanted["/sim/ready"] = controllers | links
-        present = subscribers(rospy.get_node_uri(), name, wanted)
-        for topic, nodes in wanted.items():
-            if not nodes <= present[topic]:
-                return f"{topic} does not reach {', '.join(sorted(nodes - present[topic]))}"
-        return ""
-
-    def _on_cycle(self, cycle: Cycle) -> None:
-        with self._lock:
-            if cycle.tick <= self._tick and self._tick > 0:
-                return  # a repeated state: this tick has its answer
-            self._tick = cycle.tick
-            if self._lockstep and self._jitter > 0:
-                time.sleep(random.uniform(0.0, self._jitter))
-            if not self.operator.done:
-                self._port.send(self.operator.tick(arm_view(cycle)))
-            if self._lockstep:
-                self._say_ready(cycle.tick + 1)
-            if self.operator.stage is not self._stage:
-                self._stage = self.operator.stage
-                self._report()
-                if self.operator.done and not self._lockstep:
-                    self.finished.set()
+            if self.operator.done and not self._lockstep:
+                self.finished.set()
+        return self.operator.done
 
     def _on_sim_status(self, message: SimStatus) -> None:
         now = time.monotonic()
@@ -127,17 +88,6 @@ class OperatorNode:
             rospy.logwarn("operator: the end of the run is not noticed: %s", complaint)
         elif message.state != SimStatus.STATE_RUNNING:
             self.finished.set()
-
-    def _say_ready(self, tick: int) -> None:
-        self._ready.publish(
-            Ready(
-                tick=tick,
-                participant="operator",
-                arms=[self._arm],
-                sent=[self._port.sent],
-                done=self.operator.done,
-            )
-        )
 
     def _report(self) -> None:
         operator = self.operator

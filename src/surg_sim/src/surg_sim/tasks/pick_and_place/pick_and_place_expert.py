@@ -43,7 +43,7 @@ class PegTransferExpert(ArmExpert):
     def script(self) -> Iterator[None]:
         """See ``ArmExpert``."""
         self.jaw = PARTLY_OPEN
-        s_W = self.X_WB[:3, :3] @ self.me.s
+        s_W = self.X_WB[:3, :3] @ self.me.s_B
         across = self.X_WR[:3, 1] - (self.X_WR[:3, 1] @ UP) * UP  # where the jaws open to
         rim = self.observation.point("ring") + self._ring_radius * across / np.linalg.norm(across)
         rim = rim + GRIP_DEPTH * s_W + self.rng.normal(scale=2e-4, size=3)
