@@ -134,12 +134,13 @@ def test_home_pose_puts_the_trocar_on_the_shaft() -> None:
 @pytest.mark.parametrize(
     ("edit", "error", "words"),
     [
-        (("name: ur5e\n", ""), None, ""),
-        (("urdf: ../urdf/ur5e.urdf\n", ""), ValueError, "urdf: missing"),
+        (("name: ur5e\n", "name: ur5e  # mine\n"), None, ""),
+        (("name: ur5e\n", ""), ConfigError, "name"),
+        (("urdf: ../urdf/ur5e.urdf\n", ""), ConfigError, "urdf"),
         (("flange_link: flange", "flange_link: hand"), ConfigError, "no link 'hand'"),
         (("elbow_joint", "knee_joint"), ConfigError, "knee_joint"),
-        (("  home: [", "  home: [0.0, "), ValueError, "7 values; allowed: 6"),
-        (("joints:", "joints: ["), ValueError, "not valid YAML"),
+        (("  home: [", "  home: [0.0, "), ConfigError, "home"),
+        (("joints:", "joints: ["), ConfigError, "robot.yaml"),
     ],
 )
 def test_broken_robots_are_refused(

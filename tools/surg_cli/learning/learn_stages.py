@@ -75,11 +75,16 @@ def measure(request: Request, out: Path) -> list[dict[str, Any]]:
 
 def export(out: Path) -> dict[str, Any]:
     """Export all demonstrations that succeeded as one dataset."""
+    from surg_core.contract import GRID_RATE
     from surg_recording import datasets
 
     exporter = datasets.load("lerobot")
     options = datasets.ExportOptions(
-        fps=20, splits={"train": 0.95, "val": 0.05}, workers=_jobs(), keep_parts=True, replace=True
+        fps=GRID_RATE,
+        splits={"train": 0.95, "val": 0.05},
+        workers=_jobs(),
+        keep_parts=True,
+        replace=True,
     )
     with Progress("dataset") as progress:
         try:

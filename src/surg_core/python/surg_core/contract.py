@@ -25,6 +25,8 @@ STEP = GRID * TICK
 """Period of the grid [s]: one step of an environment or a policy."""
 STEP_NS = GRID * TICK_NS
 """Period of the grid [ns]."""
+GRID_RATE = SECOND_NS // STEP_NS
+"""Steps and images per second."""
 PRESENCE_TIMEOUT = 0.25
 """Age at which a held pedal or an operator's presence expires [s]; both repeat at 20 Hz."""
 

@@ -10,12 +10,11 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import yaml  # type: ignore[import]
 from numpy.typing import NDArray
 
+from surg_core import load_instrument, load_robot
 from surg_core.urdf import chain_from_urdf, fixed_transform
 
 Matrix = NDArray[np.float64]
@@ -88,32 +87,30 @@ def home_pose(
         The pose.
 
     Raises:
-        ConfigError: A URDF does not hold what the YAML names.
-        ValueError: A YAML lacks a key, or depth is out of range, or the home posture does not fit.
+        ConfigError: A YAML is invalid, or a URDF does not hold what it names.
+        ValueError: depth is out of range, or the home posture does not fit.
     """
     if not 0.005 <= depth <= 0.5:
         raise ValueError(f"depth: {depth} m; allowed: 0.005 to 0.5 m")
-    robot, instrument = _load(robot_yaml), _load(instrument_yaml)
-    joints = _get(robot_yaml, robot, "joints")
-    names = list(_get(robot_yaml, joints, "names", "joints."))
-    own = [float(value) for value in _get(robot_yaml, joints, "home", "joints.")]
-    angles = own if home is None else [float(value) for value in home]
+    robot, instrument = load_robot(robot_yaml), load_instrument(instrument_yaml)
+    names = robot.joint_names
+    angles = robot.home if home is None else np.array(home, dtype=np.float64)
     if len(names) != len(angles):
         raise ValueError(
             f"{robot_yaml}: joints.home: {len(angles)} values; allowed: {len(names)}, one per name"
         )
     arm = chain_from_urdf(
-        robot_yaml.parent / _get(robot_yaml, robot, "urdf"),
-        _get(robot_yaml, robot, "base_link"),
-        _get(robot_yaml, robot, "flange_link"),
+        robot_yaml.parent / robot.urdf,
+        robot.base_link,
+        robot.flange_link,
         names,
     )
     X_FTip = fixed_transform(
-        instrument_yaml.parent / _get(instrument_yaml, instrument, "urdf"),
-        _get(instrument_yaml, instrument, "mount_link"),
-        _get(instrument_yaml, instrument, "tip_link"),
+        instrument_yaml.parent / instrument.urdf,
+        instrument.mount_link,
+        instrument.tip_link,
     )
-    X_BF = np.asarray(arm.forward(np.array(angles)))
+    X_BF = np.asarray(arm.forward(angles))
     X_BTip = X_BF @ X_FTip
     s_B = X_BTip[:3, 2]
     return HomePose(
@@ -146,8 +143,8 @@ def make_cell(
         The path of the written cell.yaml.
 
     Raises:
-        ConfigError: A URDF does not hold what the YAML names.
-        ValueError: A YAML lacks a key, or depth is out of range.
+        ConfigError: A YAML is invalid, or a URDF does not hold what it names.
+        ValueError: depth is out of range.
         OSError: The folder cannot be written.
     """
     return make_cell_of(out_dir, {arm: ArmPlan(robot_yaml, instrument_yaml, depth)})
@@ -257,21 +254,3 @@ def _short(values: Sequence[float]) -> str:
 
 def _relative(path: Path, folder: Path) -> str:
     return os.path.relpath(path.resolve(), folder.resolve())
-
-
-def _load(path: Path) -> Mapping[str, Any]:
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not valid YAML: {error}") from error
-    if not isinstance(content, dict):
-        raise ValueError(f"{path}: holds no keys; allowed: a mapping of keys to values")
-    return content
-
-
-def _get(path: Path, mapping: Any, key: str, prefix: str = "") -> Any:
-    if not isinstance(mapping, Mapping) or key not in mapping:
-        raise ValueError(f"{path}: {prefix}{key}: missing")
-    return mapping[key]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from surg_core.contract import GRID_RATE
 from surg_policy_bridge.server import listen_address
 from surg_policy_bridge.server.safety_controller import CLIPPABLE, CLIPPED
 from surg_policy_client.spec import MAX_TEXT
@@ -48,7 +49,7 @@ class Settings:
     instruction: str = text("", empty=True, longest=MAX_SENTENCE)
     privileged: bool = flag(False)
     cameras: tuple[str, ...] = names(())
-    camera_rate: float = real(1.0, 240.0, 20.0)
+    camera_rate: float = real(1.0, 240.0, float(GRID_RATE))
     clip: tuple[str, ...] = names(tuple(CLIPPED), options=tuple(CLIPPABLE))
     autostart: bool = flag(False)
     need_teleop: bool = flag(True)

@@ -28,7 +28,7 @@ except ImportError as error:  # pragma: no cover - of an installation without th
 
 from surg_core.arm_view import ArmCommands, ArmView, TipPose
 from surg_core.bring_up import BringUp
-from surg_core.contract import ARM_ACTION, ARM_STATE, GRID, TICK_NS
+from surg_core.contract import ARM_ACTION, ARM_STATE, GRID, GRID_RATE, TICK_NS
 from surg_sim.envs.cell_session import Session, Tick, merge
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds, load, names
@@ -76,7 +76,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         seed_look: Draws the look of the tissue, once for the environment.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 20}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": GRID_RATE}
 
     def __init__(
         self,

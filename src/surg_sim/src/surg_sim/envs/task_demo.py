@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_core.contract import GRID, TICK
+from surg_core.contract import GRID, GRID_RATE, TICK
 from surg_sim import tasks
 from surg_sim.envs.cell_session import LAWS, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
@@ -26,8 +26,6 @@ from surg_sim.physics import cell_files, patient_settings
 from surg_sim.tasks import episode_seeds
 
 Picture = NDArray[np.uint8]
-
-FPS = round(1.0 / (GRID * TICK))
 
 
 @dataclass
@@ -81,7 +79,7 @@ def write_video(pictures: Sequence[Picture], stem: Path) -> Path:
 
         file = stem.with_suffix(".mp4")
         with av.open(str(file), "w") as container:
-            stream = container.add_stream("libx264", rate=FPS)
+            stream = container.add_stream("libx264", rate=GRID_RATE)
             stream.height, stream.width = pictures[0].shape[:2]
             stream.pix_fmt = "yuv420p"
             for picture in pictures:
@@ -94,7 +92,9 @@ def write_video(pictures: Sequence[Picture], stem: Path) -> Path:
 
     file = stem.with_suffix(".gif")
     frames = [Image.fromarray(picture).quantize(128) for picture in pictures[::2]]
-    frames[0].save(file, save_all=True, append_images=frames[1:], duration=2000 // FPS, loop=0)
+    frames[0].save(
+        file, save_all=True, append_images=frames[1:], duration=2000 // GRID_RATE, loop=0
+    )
     return file
 
 
