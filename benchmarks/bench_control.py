@@ -37,9 +37,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent / "control"))
 
+import bench_scene
+import control_page
 import libraries
-import page
-import scene
 import streams
 from machine import processor
 from publish import publish
@@ -189,8 +189,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as scratch:
         for robot in ROBOTS:
             folder = Path(scratch) / robot
-            arm = scene.load_arm(paths.CELLS / f"sim_{robot}")
-            scene.write(arm, options.seconds, folder)
+            arm = bench_scene.load_arm(paths.CELLS / f"sim_{robot}")
+            bench_scene.write(arm, options.seconds, folder)
             told = call("laws", str(folder / "arm.txt"), str(folder / "tip.path"), title=robot)
             laws = told["laws"]
             laws.update(python_laws(found, folder, min(options.python_cycles, told["cycles"])))
@@ -260,10 +260,10 @@ def main() -> None:
     except Problem as problem:
         warn(f"bench: {problem}")
         sys.exit(problem.code)
-    publish(result, page, options)
+    publish(result, control_page, options)
     if options.page:
-        page.draw(result, page.PICTURE)
-        say(f"written: {page.PICTURE}")
+        control_page.draw(result, control_page.PICTURE)
+        say(f"written: {control_page.PICTURE}")
 
 
 if __name__ == "__main__":

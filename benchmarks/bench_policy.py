@@ -30,7 +30,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent / "policy"))
 
-import page
+import policy_page
 from machine import processor
 from publish import publish
 
@@ -240,7 +240,7 @@ def main() -> None:
     except Problem as problem:
         warn(f"bench: {problem}")
         sys.exit(problem.code)
-    publish(result, page, options)
+    publish(result, policy_page, options)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent / "recording"))
 
-import page
+import recording_page
 import side_by_side
 from machine import this_machine
 from publish import publish
@@ -104,7 +104,7 @@ def main() -> int:
         for part in parts:
             found[part] = in_process(part, options.seconds, Path(folder))
     found["machine"] = this_machine(before)
-    publish(found, page, options)
+    publish(found, recording_page, options)
     return 0
 
 

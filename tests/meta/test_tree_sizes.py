@@ -26,10 +26,6 @@ TABLES = {
 OPEN = {
     # Names and functions that are still being rewritten.
     "src/surg_sim/src/surg_sim/physics",
-    "arm_view.py",
-    "page.py",
-    "scene.py",
-    "benchmarks/control/src/streams.cpp:streams",
     "examples/bgr/train_bgr.py:train",
     "examples/bgr/train_bgr_images.py:train",
     "src/surg_core/python/binding/bind_calibration.cpp:bind_calibration",

@@ -146,19 +146,11 @@ struct FollowerRun {
   }
 };
 
-}  // namespace
-
-int streams(const std::string& samples_file, const std::string& truth_file,
-            const surg::DofLimits& limits, const std::string& out) {
-  const auto samples = read_all<Sample>(samples_file);
-  const auto truth = read_all<std::array<double, 3>>(truth_file);
-  if (samples.size() < 2 || truth.size() < 2) throw std::runtime_error("empty stream");
-  Followers followers;
-  followers.push_back(std::make_unique<Filter>(limits));
-  followers.push_back(std::make_unique<Hold>());
-  followers.push_back(std::make_unique<PaperQuintic>(limits));
 #ifdef BENCH_RUCKIG
-  // Lead and kind of target are tuned on this very stream: the best that this follower can do.
+// Lead and kind of target are tuned on this very stream: the best that this follower can do.
+void add_best_ruckig(Followers& followers, const surg::DofLimits& limits,
+                     const std::vector<Sample>& samples,
+                     const std::vector<std::array<double, 3>>& truth) {
   double best = INFINITY, lead = 0;
   bool moving = false;
   for (int step = 0; step <= 48; ++step) {
@@ -173,8 +165,45 @@ int streams(const std::string& samples_file, const std::string& truth_file,
       }
     }
   }
-  add_ruckig(followers, limits, -1, false);
   add_ruckig(followers, limits, lead, moving);
+}
+#endif
+
+// Write every follower's path, and print its figures as JSON.
+void print_runs(const std::vector<FollowerRun>& runs, std::size_t ticks, double empty,
+                const std::string& out) {
+  std::printf("{\"ticks\": %zu, \"laws\": {", ticks);
+  const char* separator = "";
+  for (const FollowerRun& run : runs) {
+    const std::string file = out + "/" + run.follower->name + ".path";
+    std::ofstream(file, std::ios::binary)
+        .write(reinterpret_cast<const char*>(run.path.data()),
+               static_cast<std::streamsize>(run.path.size() * sizeof(double)));
+    const Cost cost(run.times, empty), update(run.updates, empty);
+    std::printf(
+        "%s\n\"%s\": {\"what\": \"%s\", \"cost_us\": %.4f, \"median_us\": %.4f, "
+        "\"update_us\": %.4f, \"p99_us\": %.4f, \"violations\": %ld, \"failures\": %ld}",
+        separator, run.follower->name.c_str(), run.follower->what.c_str(), cost.mean, cost.median,
+        update.median, cost.p99, run.violations, run.follower->failures);
+    separator = ",";
+  }
+  std::printf("}}\n");
+}
+
+}  // namespace
+
+int streams(const std::string& samples_file, const std::string& truth_file,
+            const surg::DofLimits& limits, const std::string& out) {
+  const auto samples = read_all<Sample>(samples_file);
+  const auto truth = read_all<std::array<double, 3>>(truth_file);
+  if (samples.size() < 2 || truth.size() < 2) throw std::runtime_error("empty stream");
+  Followers followers;
+  followers.push_back(std::make_unique<Filter>(limits));
+  followers.push_back(std::make_unique<Hold>());
+  followers.push_back(std::make_unique<PaperQuintic>(limits));
+#ifdef BENCH_RUCKIG
+  add_ruckig(followers, limits, -1, false);
+  add_best_ruckig(followers, limits, samples, truth);
 #endif
   std::vector<FollowerRun> runs;
   for (const auto& follower : followers) {
@@ -193,22 +222,7 @@ int streams(const std::string& samples_file, const std::string& truth_file,
       }
     }
   }
-  std::printf("{\"ticks\": %zu, \"laws\": {", ticks);
-  const char* separator = "";
-  for (const FollowerRun& run : runs) {
-    const std::string file = out + "/" + run.follower->name + ".path";
-    std::ofstream(file, std::ios::binary)
-        .write(reinterpret_cast<const char*>(run.path.data()),
-               static_cast<std::streamsize>(run.path.size() * sizeof(double)));
-    const Cost cost(run.times, empty), update(run.updates, empty);
-    std::printf(
-        "%s\n\"%s\": {\"what\": \"%s\", \"cost_us\": %.4f, \"median_us\": %.4f, "
-        "\"update_us\": %.4f, \"p99_us\": %.4f, \"violations\": %ld, \"failures\": %ld}",
-        separator, run.follower->name.c_str(), run.follower->what.c_str(), cost.mean, cost.median,
-        update.median, cost.p99, run.violations, run.follower->failures);
-    separator = ",";
-  }
-  std::printf("}}\n");
+  print_runs(runs, ticks, empty, out);
   return 0;
 }
 

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT / "benchmarks" / "control"))
 
-import scene  # noqa: E402
+import bench_scene  # noqa: E402
 import streams  # noqa: E402
 
 OWN = {"exact", "velocity", "paper", "limited", "limited_preview"}
@@ -35,8 +35,8 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def laws(program: Path, robot: str, folder: Path) -> dict[str, Any]:
-    arm = scene.load_arm(ROOT / "cells" / f"sim_{robot}")
-    scene.write(arm, 4.0, folder)
+    arm = bench_scene.load_arm(ROOT / "cells" / f"sim_{robot}")
+    bench_scene.write(arm, 4.0, folder)
     done = subprocess.run(
         [str(program), "laws", str(folder / "arm.txt"), str(folder / "tip.path")],
         capture_output=True,
@@ -64,11 +64,11 @@ def test_every_law_makes_the_motion(program: Path, robot: str, tmp_path: Path) -
 
 
 def test_the_path_begins_at_home_and_at_rest() -> None:
-    arm = scene.load_arm(ROOT / "cells" / "sim_ur5e")
-    path = scene.lissajous(arm, 20.0)
+    arm = bench_scene.load_arm(ROOT / "cells" / "sim_ur5e")
+    path = bench_scene.lissajous(arm, 20.0)
     X_BF = np.asarray(arm.chain.forward(arm.robot.home))
     assert np.allclose(path[0], X_BF[:3, :3] @ arm.tool.p_FTip + X_BF[:3, 3])
-    speed = np.linalg.norm(np.diff(path, axis=0), axis=1) / scene.PERIOD
+    speed = np.linalg.norm(np.diff(path, axis=0), axis=1) / bench_scene.PERIOD
     assert speed[0] < 1e-4 and 0.04 < speed.max() < 0.1
     depth = np.linalg.norm(path - np.asarray(arm.trocar.p_BRcm), axis=1)
     assert depth.min() > 0.09 and depth.max() < 0.15

@@ -29,7 +29,7 @@ def load(monkeypatch: pytest.MonkeyPatch, file: str) -> ModuleType:
 
 
 def test_the_table_compares_with_ours_over_tcp(monkeypatch: pytest.MonkeyPatch) -> None:
-    page = load(monkeypatch, "policy/page.py")
+    page = load(monkeypatch, "policy/policy_page.py")
     result = {
         "machine": {"openpi_client": "0.1.2"},
         "round_trip_ms": {
