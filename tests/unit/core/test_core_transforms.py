@@ -109,6 +109,10 @@ def test_virtual_joints_turn_the_axis_about_y_then_about_minus_x() -> None:
     expected = turns.apply([0.0, 0.0, 1.0]) * insertion[:, None]
     found = transforms.virtual_tip(yaw, pitch, insertion)
     np.testing.assert_allclose(found, expected, atol=1e-14)
+    back = transforms.virtual_joints(found[0], 0.3)
+    joints = np.array([yaw[0], pitch[0], insertion[0], 0.3])
+    np.testing.assert_allclose(transforms.virtual_tip(*back[:3]), found[0], atol=1e-14)
+    assert insertion[0] < 0.0 or back == pytest.approx(joints)
     one = transforms.virtual_tip(yaw[0], pitch[0], insertion[0])
     np.testing.assert_array_equal(one, found[0])
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from surg_core._core import State as ArmState
 from surg_core._core import reason_name
-from surg_core.transforms import tip_quaternion
+from surg_core.transforms import tip_quaternion, virtual_joints
 
 if TYPE_CHECKING:
     from surg_core._core import Outputs
@@ -145,9 +145,7 @@ class TipPose:
 
         The shaft is s = (sin yaw cos pitch, sin pitch, cos yaw cos pitch).
         """
-        px, py, pz = self.p.tolist()
-        depth = math.hypot(px, py, pz)
-        return np.array([math.atan2(px, pz), math.asin(py / depth), depth, self.roll])
+        return virtual_joints(self.p, self.roll)
 
 
 @dataclass

@@ -197,6 +197,27 @@ def virtual_tip(yaw: npt.ArrayLike, pitch: npt.ArrayLike, insertion: npt.ArrayLi
     return np.asarray(s * np.asarray(insertion, dtype=np.float64)[..., None])
 
 
+def virtual_joints(p: npt.ArrayLike, roll: float) -> FloatArray:
+    """Virtual joints of a tip, the inverse of :func:`virtual_tip`.
+
+    Args:
+        p: ``(3,)`` tip in the rcm frame [m].
+        roll: Absolute roll [rad].
+
+    Returns:
+        ``(4,)`` yaw, pitch [rad], insertion [m], roll [rad].
+
+    Raises:
+        ValueError: p is the pivot itself, or not finite.
+    """
+    tip = _vector(p, 3, "p")
+    depth = float(np.linalg.norm(tip))
+    if not np.isfinite(depth) or depth < 1e-9:
+        raise ValueError(f"p: {tip.tolist()} has no direction from the trocar")
+    x, y, z = tip / depth
+    return np.array([np.arctan2(x, z), np.arcsin(np.clip(y, -1.0, 1.0)), depth, roll])
+
+
 def twist_angle(rotations: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Twist of rotations about z, by swing and twist: R = swing * Rz(twist).
 

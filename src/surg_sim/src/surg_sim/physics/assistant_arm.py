@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_core.contract import TICK
-from surg_core.transforms import minimal_rotation
+from surg_core.transforms import minimal_rotation, virtual_joints
 from surg_sim.physics.sim_arm import quaternion
 
 if TYPE_CHECKING:
@@ -125,20 +125,6 @@ def forward(joints: Array) -> Array:
     X[:3, :3] = swing(yaw, pitch) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     X[:3, 3] = insertion * X[:3, 2]
     return X
-
-
-def inverse(p_RTip: Array, roll: float = 0.0) -> Array:
-    """Virtual joints (4,) that bring the tip to a point in the trocar frame [m], with this roll.
-
-    Raises:
-        ValueError: The point is the pivot itself, or not finite.
-    """
-    p = np.asarray(p_RTip, dtype=np.float64)
-    depth = float(np.linalg.norm(p))
-    if not np.isfinite(depth) or depth < 1e-9:
-        raise ValueError(f"point {p.tolist()} has no direction from the trocar: give another one")
-    x, y, z = p / depth
-    return np.array([np.arctan2(x, z), np.arcsin(np.clip(y, -1.0, 1.0)), depth, roll])
 
 
 def add_assistant(
@@ -373,7 +359,7 @@ class Assistant:
     def joints_for(self, p_WTip: Array, roll: float = 0.0) -> Array:
         """Virtual joints that bring the tip to a point in the world [m], with this roll."""
         X = self.X_WRcm
-        return inverse(X[:3, :3].T @ (np.asarray(p_WTip) - X[:3, 3]), roll)
+        return virtual_joints(X[:3, :3].T @ (np.asarray(p_WTip) - X[:3, 3]), roll)
 
 
 def _jaw_range(instrument: Path) -> tuple[float, float]:

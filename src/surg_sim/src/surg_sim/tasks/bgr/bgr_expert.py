@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surg_core.contract import STEP
-from surg_core.transforms import minimal_rotation
-from surg_sim.physics.assistant_arm import AssistantCommand, inverse
+from surg_core.transforms import minimal_rotation, virtual_joints
+from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH
 from surg_sim.tasks.bgr.bgr_definition import PHASES, ROBOT, TAUT
 from surg_sim.tasks.scripted_arm import ArmExpert
@@ -141,7 +141,7 @@ class AssistantExpert(Expert):
             self.roll.stay(observation.point("assistant_joints")[3:])
             self._script = self.script()
         next(self._script, None)
-        joints = inverse(self.path.advance(STEP), float(self.roll.advance(STEP)[0]))
+        joints = virtual_joints(self.path.advance(STEP), float(self.roll.advance(STEP)[0]))
         return Action(assistant=AssistantCommand(joints=joints, jaw=self.jaw))
 
     def script(self) -> Iterator[None]:
