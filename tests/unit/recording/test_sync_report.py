@@ -13,7 +13,7 @@ import pytest
 
 from helpers.recording import recording_synthetic as synthetic
 from helpers.recording.moving_pictures import Scene
-from surg_recording.clock import sync_page, sync_report
+from surg_recording.clock import clock_agreement, stream_skew, sync_page, sync_report
 from surg_recording.episode import csv_sink, table_columns, table_rows
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_recorder import Recording
@@ -137,14 +137,14 @@ def test_one_bad_look_among_good_ones_is_found_and_counted(tmp_path: Path) -> No
     found = sync_report.make(episodes.read(record(tmp_path / "e", clocks=clocks)))
     assert found["offset_s"] == pytest.approx(-2e-3)
     assert found["clock"]["offset_median_s"] == pytest.approx(12e-6)
-    assert "(1 of 5 looks)" in found["reasons"][0]
+    assert "(1 of 5 samples)" in found["reasons"][0]
 
 
 def test_a_monitor_that_falls_silent_is_noticed(tmp_path: Path) -> None:
     folder = record(tmp_path / "e", seconds=7.0, clocks=every_second()[:2])
     found = sync_report.make(episodes.read(folder))
     assert found["verdict"] == "fail"
-    assert "nothing is known of the clocks for 6 s" in found["reasons"]
+    assert "the clocks were not monitored for 6 s" in found["reasons"]
 
 
 def test_one_machine_needs_no_clock(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_lock_step_needs_no_clock(tmp_path: Path) -> None:
     ],
 )
 def test_how_many_machines(manifest: dict[str, Any], machines: int) -> None:
-    assert sync_report.machines(manifest) == machines
+    assert clock_agreement.machines(manifest) == machines
 
 
 def test_a_step_of_the_clock_marks_the_episode(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_the_nearest_stamp_is_found_in_exact_integers() -> None:
         reference = START_NS + np.sort(rng.integers(0, 1000, rng.integers(1, 30)))
         stamps = START_NS + rng.integers(-50, 1050, 40)
         expected = [min(abs(int(s) - int(r)) for r in reference) for s in stamps]
-        assert sync_report.nearest_ns(stamps, rng.permutation(reference)).tolist() == expected
+        assert stream_skew.nearest_ns(stamps, rng.permutation(reference)).tolist() == expected
 
 
 # --- with a real video --------------------------------------------------------------------------

@@ -10,9 +10,10 @@ import pytest
 
 from helpers.recording.moving_pictures import Scene, tremor, wander
 from helpers.results import sync_results
+from surg_recording.clock.verdict import CANNOT_TELL, FAIL, PASS
 from surg_recording.video import image_motion, video_lag
 from surg_recording.video.image_motion import HEIGHT, WIDTH, ImageMotion
-from surg_recording.video.video_lag import CANNOT_TELL, FAIL, PASS, LagEstimate, TipPath
+from surg_recording.video.video_lag import LagEstimate, TipPath
 
 FRAME = 0.05
 Array = npt.NDArray[np.float64]

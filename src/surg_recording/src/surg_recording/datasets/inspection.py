@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from surg_core.contract import TASK_STATE_KEY
-from surg_recording.clock import clock_segments, sync_report
+from surg_recording.clock import clock_agreement, clock_segments
 from surg_recording.clock.clock_segments import Segment
 from surg_recording.datasets import pictures, schema
 from surg_recording.datasets.options import ExportOptions
@@ -246,7 +246,7 @@ def _segment(recorded: Episode) -> Segment | None:
         segment = clock_segments.longest(recorded.manifest)
     except EpisodeError as problem:
         raise EpisodeError(f"{recorded.folder}: {problem}") from None
-    if segment is not None and sync_report.machines(recorded.manifest) > 1:
+    if segment is not None and clock_agreement.machines(recorded.manifest) > 1:
         raise EpisodeError(
             f"{recorded.folder}: {segment.words}; but two machines took part, and it is not known"
             " which of their clocks was set"

@@ -14,11 +14,10 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
+from surg_recording.clock.verdict import CANNOT_TELL, FAIL, PASS
 from surg_recording.video.image_motion import ImageMotion
 
 Array = npt.NDArray[np.float64]
-
-PASS, FAIL, CANNOT_TELL = "pass", "fail", "cannot_tell"
 
 SEARCH = 3.0
 """Lags up to this size are tried [s], and at most a third of the video's length."""
