@@ -33,7 +33,7 @@ class Mesh:
         return Mesh(self.vertices, self.faces[:, ::-1], self.uv)
 
 
-def _grid_faces(rows: int, columns: int) -> NDArray[np.int32]:
+def grid_faces(rows: int, columns: int) -> NDArray[np.int32]:
     """Two triangles per cell of a (rows, columns) grid of vertices."""
     index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
@@ -96,7 +96,7 @@ def tube(
     uv = np.empty((len(centre), segments + 1, 2))
     uv[..., 0] = texture_start[0] + (length / texture_length)[:, None]
     uv[..., 1] = texture_start[1] + np.linspace(0, 1, segments + 1)[None, :]
-    faces = _grid_faces(len(centre), segments + 1)
+    faces = grid_faces(len(centre), segments + 1)
     return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2))
 
 
@@ -129,7 +129,7 @@ def surface(
     xx, yy = np.meshgrid(x, y, indexing="ij")
     vertices = np.stack([xx, yy, height(xx, yy)], -1).reshape(-1, 3)
     uv = np.stack([xx, yy], -1).reshape(-1, 2) / texture_size
-    return Mesh(vertices, _grid_faces(len(x), len(y))[:, ::-1], uv)
+    return Mesh(vertices, grid_faces(len(x), len(y))[:, ::-1], uv)
 
 
 def disc(
@@ -156,7 +156,7 @@ def disc(
     x, y = half_length * r * np.cos(angle), half_width * r * np.sin(angle)
     vertices = np.stack([x, y, height(x, y)], -1).reshape(-1, 3)
     uv = np.stack([x, y], -1).reshape(-1, 2) / texture_size
-    return Mesh(vertices, _grid_faces(rings, segments + 1)[:, ::-1], uv)
+    return Mesh(vertices, grid_faces(rings, segments + 1)[:, ::-1], uv)
 
 
 @dataclass(frozen=True)
@@ -212,7 +212,7 @@ class Dome:
         aa, rr = np.meshgrid(azimuth, rise, indexing="ij")
         vertices = self.point(aa, rr)
         uv = np.stack([vertices[..., 0], vertices[..., 1]], -1) / 0.25
-        faces = _grid_faces(len(azimuth), len(rise))[:, ::-1]
+        faces = grid_faces(len(azimuth), len(rise))[:, ::-1]
         return Mesh(vertices.reshape(-1, 3), faces, uv.reshape(-1, 2))
 
     def rim(self, thickness: float) -> Mesh:

@@ -1,4 +1,4 @@
-"""What is only looked at: materials, meshes and primitives without mass or contact."""
+"""Visual parts of a scene: materials, meshes and primitives without mass or contact."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from surg_sim.looks.anatomy import Mesh
 Array = NDArray[np.float64]
 
 OUTSIDE = 2
-"""Group of geoms that the endoscope cannot see: room, drape, skin. (URDF visuals: group 1.)"""
+"""Group of geoms that the endoscope does not see: room, drape, skin. (URDF visuals: group 1.)"""
 
 
 def add_materials(spec: mujoco.MjSpec, rng: np.random.Generator) -> None:
-    """The procedural materials of tissue, skin and cloth."""
-    wet = {"specular": 0.85, "shininess": 0.9}
-    dry = {"specular": 0.12, "shininess": 0.2}
-    for make, gloss in (
-        (textures.fat, wet),
-        (textures.bowel, wet),
-        (textures.peritoneum, wet),
-        (textures.skin, dry),
-        (textures.cloth, dry),
-    ):
-        name = make.__name__
-        picture = make(512, rng)
-        spec.add_texture(
-            name=name,
-            type=mujoco.mjtTexture.mjTEXTURE_2D,
-            width=picture.shape[1],
-            height=picture.shape[0],
-            nchannel=3,
-            data=picture.ravel(),
-        )
-        material = spec.add_material(name=name, **gloss)
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    """Add the procedural materials of tissue, skin and cloth."""
+    for name in ("fat", "bowel", "peritoneum"):
+        add_material(spec, name, rng, specular=0.85, shininess=0.9)
+    for name in ("skin", "cloth"):
+        add_material(spec, name, rng, specular=0.12, shininess=0.2)
+
+
+def add_material(
+    spec: mujoco.MjSpec, name: str, rng: np.random.Generator, specular: float, shininess: float
+) -> None:
+    """Add a material with the procedural texture of the same name."""
+    picture = textures.texture(name, 512, rng)
+    spec.add_texture(
+        name=name,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        width=picture.shape[1],
+        height=picture.shape[0],
+        nchannel=3,
+        data=picture.ravel(),
+    )
+    material = spec.add_material(name=name, specular=specular, shininess=shininess)
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
 
 
 def add_mesh(
@@ -48,7 +48,7 @@ def add_mesh(
     material: str,
     group: int = 0,
 ) -> None:
-    """A fixed surface that is only seen."""
+    """Add a fixed visual surface."""
     spec.add_mesh(
         name=name,
         uservert=mesh.vertices.ravel(),
@@ -70,7 +70,7 @@ def add_mesh(
 
 
 def add_seen(body: mujoco.MjsBody, type_: mujoco.mjtGeom, material: str, **keys: object) -> None:
-    """A primitive that is only seen, from outside."""
+    """Add a visual primitive that the endoscope does not see."""
     body.add_geom(
         type=type_,
         material=material,

@@ -1,12 +1,13 @@
 """Procedural textures of tissue, skin and cloth: seeded, tileable, no picture files.
 
-Every function returns an (n, n, 3) array of uint8. Noise is a random-phase field with a power-law
-spectrum ("fractional Brownian motion"), so it repeats without a seam.
+Noise is a random-phase field with a power-law spectrum ("fractional Brownian motion"). It repeats
+without a seam.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,68 +77,95 @@ def _blend(base: Field, colour: Colour, weight: Field) -> Field:
     return base + weight[..., None] * (np.asarray(colour, dtype=np.float64) - base)
 
 
-def _picture(values: Field) -> Picture:
-    return np.clip(values, 0, 255).astype(np.uint8)
+@dataclass(frozen=True)
+class Recipe:
+    """How a texture is made: base colour, patches, vessels, grain.
+
+    Attributes:
+        base: Colour.
+        light: Colour of light patches, weights of soft and grainy noise, largest weight.
+        dark: The same for dark patches.
+        vessels: Colour, weight, number of trunks and their radius [px], largest turn [rad/px].
+        soft: Exponent of the soft noise.
+        grain: Exponent of the grainy noise; None: there is none.
+        speckle: Brightness of the grain added at the end.
+    """
+
+    base: Colour
+    light: tuple[Colour, float, float, float]
+    dark: tuple[Colour, float, float, float]
+    vessels: tuple[tuple[Colour, float, int, float, float], ...] = ()
+    soft: float = 1.8
+    grain: float | None = None
+    speckle: float = 0.0
 
 
-def fat(n: int, rng: np.random.Generator) -> Picture:
-    """Omentum: ochre lobules with fine red vessels."""
-    lobes, grain = noise(n, 1.7, rng), noise(n, 1.05, rng)
-    base = np.empty((n, n, 3))
-    base[:] = (214, 158, 84)
-    base = _blend(base, (238, 196, 122), np.clip(0.5 * lobes + 0.25 * grain, 0, 0.9))
-    base = _blend(base, (176, 106, 52), np.clip(-0.45 * lobes - 0.2 * grain, 0, 0.8))
-    base = _blend(base, (150, 44, 30), 0.62 * vessels(n, 9, 2.6, rng))
-    return _picture(_blend(base, (160, 52, 38), 0.42 * vessels(n, 18, 1.2, rng)))
+RECIPES: Mapping[str, Recipe] = {
+    # Omentum: ochre lobules with fine red vessels.
+    "fat": Recipe(
+        base=(214, 158, 84),
+        light=((238, 196, 122), 0.5, 0.25, 0.9),
+        dark=((176, 106, 52), 0.45, 0.2, 0.8),
+        vessels=(((150, 44, 30), 0.62, 9, 2.6, 0.05), ((160, 52, 38), 0.42, 18, 1.2, 0.05)),
+        soft=1.7,
+        grain=1.05,
+    ),
+    # Small bowel: moist pink with a few branching vessels across.
+    "bowel": Recipe(
+        base=(216, 126, 114),
+        light=((236, 160, 146), 0.4, 0.12, 0.8),
+        dark=((188, 88, 82), 0.4, 0.12, 0.8),
+        vessels=(((146, 32, 36), 0.66, 6, 2.2, 0.05), ((160, 46, 46), 0.45, 12, 1.1, 0.05)),
+        soft=1.9,
+        grain=1.1,
+    ),
+    # A thin yellowish-pink membrane with fat along branching vessels.
+    "mesentery": Recipe(
+        base=(222, 164, 118),
+        light=((236, 192, 128), 0.5, 0.2, 0.8),
+        dark=((196, 110, 88), 0.4, 0.1, 0.7),
+        vessels=(((138, 30, 34), 0.7, 12, 2.6, 0.02),),
+        grain=1.1,
+    ),
+    # Inside of the abdominal wall: dull red with a vessel net.
+    "peritoneum": Recipe(
+        base=(168, 84, 74),
+        light=((204, 122, 104), 0.4, 0.0, 0.8),
+        dark=((126, 52, 50), 0.4, 0.0, 0.8),
+        vessels=(((120, 26, 32), 0.6, 8, 2.4, 0.05),),
+    ),
+    # Outside of the abdominal wall.
+    "skin": Recipe(
+        base=(226, 176, 150),
+        light=((238, 196, 172), 0.35, 0.0, 0.7),
+        dark=((208, 146, 122), 0.35, 0.0, 0.7),
+        grain=0.6,
+        speckle=2.5,
+    ),
+    # Surgical drape: teal non-woven with soft creases.
+    "cloth": Recipe(
+        base=(40, 104, 118),
+        light=((62, 132, 146), 0.3, 0.0, 0.6),
+        dark=((28, 80, 94), 0.3, 0.0, 0.6),
+        soft=1.6,
+        grain=0.3,
+        speckle=3.0,
+    ),
+}
+"""Recipe by name of the texture."""
 
 
-def bowel(n: int, rng: np.random.Generator) -> Picture:
-    """Small bowel: moist pink with a few branching vessels across."""
-    soft, grain = noise(n, 1.9, rng), noise(n, 1.1, rng)
-    base = np.empty((n, n, 3))
-    base[:] = (216, 126, 114)
-    base = _blend(base, (236, 160, 146), np.clip(0.4 * soft + 0.12 * grain, 0, 0.8))
-    base = _blend(base, (188, 88, 82), np.clip(-0.4 * soft - 0.12 * grain, 0, 0.8))
-    base = _blend(base, (146, 32, 36), 0.66 * vessels(n, 6, 2.2, rng))
-    return _picture(_blend(base, (160, 46, 46), 0.45 * vessels(n, 12, 1.1, rng)))
-
-
-def mesentery(n: int, rng: np.random.Generator) -> Picture:
-    """Mesentery: a thin yellowish-pink membrane with fat along branching vessels."""
-    soft, grain = noise(n, 1.8, rng), noise(n, 1.1, rng)
-    tree = vessels(n, 12, 2.6, rng, wander=0.02)
-    base = np.empty((n, n, 3))
-    base[:] = (222, 164, 118)
-    base = _blend(base, (236, 192, 128), np.clip(0.5 * soft + 0.2 * grain, 0, 0.8))
-    base = _blend(base, (196, 110, 88), np.clip(-0.4 * soft - 0.1 * grain, 0, 0.7))
-    return _picture(_blend(base, (138, 30, 34), 0.7 * tree))
-
-
-def peritoneum(n: int, rng: np.random.Generator) -> Picture:
-    """Inside of the abdominal wall: dull red with a vessel net."""
-    soft = noise(n, 1.8, rng)
-    base = np.empty((n, n, 3))
-    base[:] = (168, 84, 74)
-    base = _blend(base, (204, 122, 104), np.clip(0.4 * soft, 0, 0.8))
-    base = _blend(base, (126, 52, 50), np.clip(-0.4 * soft, 0, 0.8))
-    return _picture(_blend(base, (120, 26, 32), 0.6 * vessels(n, 8, 2.4, rng)))
-
-
-def skin(n: int, rng: np.random.Generator) -> Picture:
-    """Outside of the abdominal wall."""
-    soft, grain = noise(n, 1.8, rng), noise(n, 0.6, rng)
-    base = np.empty((n, n, 3))
-    base[:] = (226, 176, 150)
-    base = _blend(base, (238, 196, 172), np.clip(0.35 * soft, 0, 0.7))
-    base = _blend(base, (208, 146, 122), np.clip(-0.35 * soft, 0, 0.7))
-    return _picture(base + 2.5 * grain[..., None])
-
-
-def cloth(n: int, rng: np.random.Generator) -> Picture:
-    """Surgical drape: teal non-woven with soft creases."""
-    soft, grain = noise(n, 1.6, rng), noise(n, 0.3, rng)
-    base = np.empty((n, n, 3))
-    base[:] = (40, 104, 118)
-    base = _blend(base, (62, 132, 146), np.clip(0.3 * soft, 0, 0.6))
-    base = _blend(base, (28, 80, 94), np.clip(-0.3 * soft, 0, 0.6))
-    return _picture(base + 3.0 * grain[..., None])
+def texture(name: str, n: int, rng: np.random.Generator) -> Picture:
+    """A texture of ``RECIPES``, (n, n, 3)."""
+    recipe = RECIPES[name]
+    soft = noise(n, recipe.soft, rng)
+    grain = np.zeros((n, n)) if recipe.grain is None else noise(n, recipe.grain, rng)
+    picture = np.empty((n, n, 3))
+    picture[:] = recipe.base
+    for sign, (colour, of_soft, of_grain, most) in ((1.0, recipe.light), (-1.0, recipe.dark)):
+        weight = np.clip(sign * (of_soft * soft + of_grain * grain), 0, most)
+        picture = _blend(picture, colour, weight)
+    for colour, strength, trunks, radius, wander in recipe.vessels:
+        picture = _blend(picture, colour, strength * vessels(n, trunks, radius, rng, wander))
+    picture = picture + recipe.speckle * grain[..., None]
+    return np.clip(picture, 0, 255).astype(np.uint8)

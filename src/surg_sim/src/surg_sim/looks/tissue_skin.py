@@ -1,8 +1,8 @@
-"""What the bowel looks like: a tube round its nodes, pinched where jaws hold it, and its mesentery.
+"""Draws the bowel: a tube around its nodes, pinched where jaws hold it, and its mesentery.
 
-The scene holds two skins of fixed topology. For every picture their vertices are written straight
-into the renderer's scene, from joint positions alone: the centre line is a smooth curve through the
-nodes, the frame about it is carried along without twist, normals come from the surface itself.
+The scene holds two skins of fixed topology. For every picture their vertices are computed from the
+joint positions and written into the renderer's scene. The centre line is a smooth curve through the
+nodes; its frame is parallel-transported, and the normals come from the surface.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.looks import textures
+from surg_sim.looks.anatomy import grid_faces
+from surg_sim.looks.drawing import add_material
 from surg_sim.physics.tissue import NAME, TissueParameters, rest_shape
 
 if TYPE_CHECKING:
@@ -60,42 +61,20 @@ def _weights(n: int) -> Array:
     return inner
 
 
-def _faces(rows: int, columns: int) -> NDArray[np.int32]:
-    """Two triangles per cell of a grid of vertices, (m, 3)."""
-    index = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
-    halves = [np.stack([a, b, c], -1), np.stack([a, c, d], -1)]
-    return np.concatenate([half.reshape(-1, 3) for half in halves])
-
-
 def add_skin(spec: mujoco.MjSpec, site: Site, parameters: TissueParameters) -> None:
     """Put the two skins into the scene; called by ``add_bowel`` when it has looks."""
-    _add_material(spec)
+    # The tube's material is ``bowel``, which every scene with looks has.
+    add_material(spec, "mesentery", np.random.default_rng(5), specular=0.45, shininess=0.7)
     rings = (parameters.nodes - 1) * _FINE + 1
     along = np.linspace(0, (parameters.nodes - 1) * parameters.spacing, rings) / _TEXTURE_LENGTH
     tube_uv = np.stack(np.meshgrid(along, np.linspace(0, 1, _ROUND), indexing="ij"), -1)
-    _add(spec, TUBE, "bowel", _faces(rings, _ROUND), tube_uv, site.place([0, 0, 0]))
+    _add(spec, TUBE, "bowel", grid_faces(rings, _ROUND), tube_uv, site.place([0, 0, 0]))
 
     sheet_uv = np.stack(np.meshgrid(along, np.linspace(0, 0.6, _ROWS), indexing="ij"), -1)
-    front, count = _faces(rings, _ROWS), rings * _ROWS
+    front, count = grid_faces(rings, _ROWS), rings * _ROWS
     faces = np.concatenate([front, front[:, ::-1] + count])  # seen from both sides
     uv = np.concatenate([sheet_uv.reshape(-1, 2)] * 2)
     _add(spec, SHEET, "mesentery", faces, uv, site.place([0, 0, 0]))
-
-
-def _add_material(spec: mujoco.MjSpec) -> None:
-    """That of the mesentery; the tube's is ``bowel``, which every scene with looks has."""
-    picture = textures.mesentery(512, np.random.default_rng(5))
-    spec.add_texture(
-        name="mesentery",
-        type=mujoco.mjtTexture.mjTEXTURE_2D,
-        width=picture.shape[1],
-        height=picture.shape[0],
-        nchannel=3,
-        data=picture.ravel(),
-    )
-    material = spec.add_material(name="mesentery", specular=0.45, shininess=0.7)
-    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "mesentery"
 
 
 def _add(
