@@ -140,7 +140,7 @@ def test_a_silent_page_holds_within_its_limit_and_does_not_go_on() -> None:
             found.speak()
             await asyncio.sleep(0.5)
             assert made.system.given(Move) == []
-            assert "Nothing came from this page" in found.status["sentence"]
+            assert "No input from this page" in found.status["sentence"]
 
     run(test())
 

@@ -24,7 +24,7 @@ from surg_teleop.console.session.console_orders import (
     StateCommand,
 )
 from surg_teleop.console.session.console_session import (
-    BLIND,
+    FROZEN,
     GONE,
     LATENESS,
     SILENCE,
@@ -281,7 +281,7 @@ def test_nothing_resumes_by_itself(bench: Bench) -> None:
             bench.follower = replace(bench.follower, state="WAITING", reason="PSM1 is PAUSED")
             bench.run(0.1)
         else:
-            bench.run(BLIND + 0.2, film=False)
+            bench.run(FROZEN + 0.2, film=False)
         bench.flush()
         assert bench.held(), stop
         bench.orders.clear()
@@ -343,7 +343,7 @@ def test_without_a_picture_nothing_is_enabled(bench: Bench) -> None:
 
 def test_f08_a_picture_that_stands_still_holds(bench: Bench) -> None:
     bench.drive()
-    bench.run(BLIND - 0.1, film=False)
+    bench.run(FROZEN - 0.1, film=False)
     assert bench.session.phase is Phase.DRIVING
     bench.run(0.2, film=False)
     assert bench.held()
@@ -447,12 +447,12 @@ def test_a_page_that_does_not_lead_enables_and_clutches_only(bench: Bench) -> No
 
 def test_what_does_not_become_ready_is_named(bench: Bench) -> None:
     cases = {
-        "PSM1 did not become ready within 6 s and is FAULT: the shaft": (
+        "PSM1 is FAULT 6 s after Enable: the shaft": (
             Arm("PSM1", "FAULT", True, reason=Reason.RCM_ERROR),
             Follower("WAITING"),
         ),
-        "PSM1 does not speak": (Arm("PSM1"), Follower("WAITING")),
-        "the tip does not follow after 6 s: it is busy": (
+        "No state from PSM1": (Arm("PSM1"), Follower("WAITING")),
+        "The tip does not follow after 6 s: it is busy": (
             Arm("PSM1", "ENABLED", True),
             Follower("WAITING", reason="it is busy"),
         ),
@@ -577,12 +577,12 @@ def test_the_camera_button_says_what_the_hand_holds(bench: Bench) -> None:
     following = Follower("FOLLOWING", leader="browser", arm="ECM")
     assert said(following) == (
         "Endoscope",
-        "Your hand moves the endoscope (ECM); the instrument stays where it is.",
+        "Your hand moves the endoscope (ECM). The instrument stays.",
     )
     why = "ECM is PAUSED (operator); press enable"
     waits = replace(following, state="WAITING", reason=why)
     assert said(waits) == ("Waiting", "ECM is PAUSED (operator); press enable.")
-    assert said(Follower())[0] == "Clutched" and "No arm of this cell" in said(Follower())[1]
+    assert said(Follower())[0] == "Clutched" and "No arm holds the endoscope" in said(Follower())[1]
     bench.run(0.2, camera=True, clutch=True)
     assert said(replace(following, state="CLUTCHED"))[0] == "Clutched"
     bench.run(0.2)

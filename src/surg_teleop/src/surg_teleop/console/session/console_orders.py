@@ -1,4 +1,4 @@
-"""What the console asks of the system: values that the node turns into messages."""
+"""Orders of the console; the node turns them into messages."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from surg_teleop.console.web.page_protocol import Input
 
 @dataclass(frozen=True)
 class Move:
-    """The hand, in time and from who drives: goes out on the leader's topics."""
+    """An input of the page in control, for the leader's topics."""
 
     sample: Input
 
 
 @dataclass(frozen=True)
 class Present:
-    """Whether the operator is there: `/console/operator_present`."""
+    """Whether the operator is present: `/console/operator_present`."""
 
     on: bool
 
@@ -44,7 +44,7 @@ class Camera:
 
 @dataclass(frozen=True)
 class OtherMapping:
-    """A tap of the button that changes between position and rate: `/console/rate`."""
+    """Toggle between position and rate control: `/console/rate`."""
 
 
 @dataclass(frozen=True)
@@ -63,21 +63,21 @@ class Record:
 
 @dataclass(frozen=True)
 class Policy:
-    """The arm to the connected policy, or back to nobody: `/policy/enable`."""
+    """Start or stop the connected policy: `/policy/enable`."""
 
     on: bool
 
 
 @dataclass(frozen=True)
 class PutBack:
-    """A simulated arm that is off its trocar is led home by hand: `/sim/by_hand`."""
+    """Guide a simulated arm in FAULT home: `/sim/by_hand`."""
 
     arm: str
 
 
 @dataclass(frozen=True)
 class StateCommand:
-    """A word on an arm's `state_command`."""
+    """A command on an arm's `state_command`."""
 
     arm: str
     word: str

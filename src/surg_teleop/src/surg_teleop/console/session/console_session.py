@@ -1,10 +1,9 @@
-"""Who drives, and whether anything may move: the one place of the console where that is decided.
+"""Decides which page drives, and whether anything may move.
 
-One page has control, others watch. Control alone moves nothing: the operator presses Enable, the
-teleoperation node makes the arm ready, and from then on each input that comes in time goes out. The
-first doubt ends it: silence, a late message, a hidden tab, a picture that stands still, a
-teleoperation that waits. Nothing resumes by itself: Enable must be pressed again. Stop is obeyed
-from every page.
+One page has control, the others watch. Control alone moves nothing: the operator presses Enable,
+the teleoperation node brings the arm up, and then every input that arrives in time is sent. Any
+doubt ends this: silence, a late message, a hidden tab, a frozen picture, a waiting teleoperation.
+Nothing resumes by itself; Enable must be pressed again. Stop works from every page.
 
 Time is an argument, on one steady clock.
 """
@@ -35,26 +34,26 @@ from surg_teleop.console.web.page_protocol import Input
 from surg_teleop.follow.message_lateness import Lateness
 
 SILENCE = 0.1
-"""[s] without an input after which the arm holds; a page sends one every 20 ms."""
+"""[s] Timeout of the inputs; a page sends one every 20 ms."""
 LATENESS = 0.1
-"""[s] that a message may be longer under way than the quickest one; later ones are void."""
-BLIND = 1.0
-"""[s] for which the operator's picture may stand still."""
+"""[s] Largest delay of a message above that of the fastest; later ones are ignored."""
+FROZEN = 1.0
+"""[s] Longest time without a new picture."""
 GONE = 2.0
-"""[s] of silence after which another page may take control away."""
+"""[s] Silence after which another page may take control."""
 START_TIMEOUT = 6.0
-"""[s] from Enable until the tip follows."""
+"""[s] Longest time from Enable until the tip follows."""
 SETTLED = 0.3
-"""[s] after an act of the operator: the teleoperation may still speak of what was before."""
+"""[s] After an operator's act the teleoperation may still report its earlier state."""
 ENGAGED = ("FOLLOWING", "CLUTCHED")
 LATCHED = ("FAULT", "DISABLED", "")
 MAY_MAP = ("WAITING", "CLUTCHED")
-"""States of the teleoperation node: the hand is on the arm; only Enable leads out (empty: the node
-is silent); the mapping may be changed."""
+"""States of the teleoperation node: the hand drives the arm; only Enable leads out (empty: no
+status); the mapping may change."""
 
 
 class Phase(enum.Enum):
-    """What the console is doing."""
+    """Phase of the session."""
 
     FREE = "free"
     READY = "ready"
@@ -65,7 +64,7 @@ class Phase(enum.Enum):
 
 @dataclass
 class _Page:
-    """What is remembered of one page."""
+    """State of one page."""
 
     name: str
     lateness: Lateness = field(default_factory=Lateness)
@@ -78,37 +77,37 @@ class _Page:
 
 
 class Session:
-    """The console's state. Every call may leave orders behind; `take_orders` hands them out.
+    """State of the console. Every call may queue orders; `take_orders` returns them.
 
     Args:
-        pictures: Whether there is a camera: without its picture nothing may be enabled.
-        leads: Whether the page is the leader. Otherwise another device moves the arm, and the page
-            enables, clutches and stops it.
+        pictures: There is a camera, whose picture is required to enable.
+        leads: The page is the leader. Otherwise another device moves the arm, and the page enables,
+            clutches and stops it.
     """
 
     def __init__(self, pictures: bool, leads: bool = True) -> None:
         self.phase = Phase.FREE
         self.reason = ""
-        """Why nothing moves, in words; empty while all is well."""
+        """Why nothing moves, for the operator; empty: no problem."""
         self._pictures, self._leads = pictures, leads
         self._pages: dict[str, _Page] = {}
         self._holder: _Page | None = None
         self._orders: list[Order] = []
         self._enabled = self._acted = self._tapped = -math.inf
-        self._promised = -math.inf
+        self._policy_requested = -math.inf
         self._clutch = self._camera = False
         self._hand = "position"
 
-    # --- who is there -------------------------------------------------------------------------
+    # --- pages -------------------------------------------------------------------------
 
     @property
     def holder(self) -> str:
-        """Name of the page that has control; empty: none has."""
+        """Name of the page in control; empty: none."""
         return "" if self._holder is None else self._holder.name
 
     @property
     def pages(self) -> int:
-        """Number of pages that are open."""
+        """Number of open pages."""
         return len(self._pages)
 
     @property
@@ -118,31 +117,31 @@ class Session:
 
     @property
     def scoping(self) -> bool:
-        """Whether the operator holds the endoscope instead of the instrument."""
+        """Whether the operator drives the endoscope."""
         return self._camera and self.phase is Phase.DRIVING
 
     def take_orders(self) -> list[Order]:
-        """What is to be sent now, in this order; handed out once."""
+        """Orders to send now, in sequence; the queue is empty afterwards."""
         orders, self._orders = self._orders, []
         return orders
 
     def join(self, name: str, now: float) -> None:
-        """A page has connected. It gets control when nobody has it, which moves nothing."""
+        """A page has connected; it gets control if no page has it."""
         self._pages[name] = _Page(name)
         if self._holder is None:
             self.take(name, now)
 
     def leave(self, name: str, now: float) -> None:
-        """A page's connection has ended."""
+        """A page has disconnected."""
         page = self._pages.pop(name, None)
         if page is not None and page is self._holder:
-            self._give_up(operator_messages.CLOSED)
+            self._release(operator_messages.CLOSED)
 
     def take(self, name: str, now: float) -> str:
-        """A page wants control.
+        """A page requests control.
 
         Returns:
-            Why it does not get it; empty: it has it.
+            Why it is refused; empty: it has control.
         """
         page = self._pages[name]
         other = self._holder
@@ -151,25 +150,25 @@ class Session:
         if other is not None:
             if other.visible and now - other.heard < GONE:
                 return operator_messages.taken(other.name)
-            self._give_up(operator_messages.TAKEN_AWAY)
+            self._release(operator_messages.TAKEN_AWAY)
         self._holder, self.phase, self.reason = page, Phase.READY, ""
         page.visible, page.heard = True, now
         return ""
 
     def release(self, name: str) -> None:
-        """A page gives control back."""
+        """A page releases control."""
         if self.holder == name:
-            self._give_up("")
+            self._release("")
 
-    # --- what the operator does ---------------------------------------------------------------
+    # --- the operator ---------------------------------------------------------------
 
     def in_time(self, name: str, at: float, now: float) -> bool:
-        """Whether a message was not held up on its way; every message that matters asks this.
+        """Whether a message has arrived without delay.
 
         Args:
             name: The page.
-            at: When the page sent it, on the page's clock [s].
-            now: When it came [s].
+            at: Time of sending, on the page's clock [s].
+            now: Time of receipt [s].
         """
         page = self._pages[name]
         late = page.lateness.add(at, now) > LATENESS
@@ -177,33 +176,33 @@ class Session:
         return not late
 
     def enable(self, name: str, robot: Robot, now: float) -> str:
-        """Enable is pressed.
+        """Enable was pressed.
 
         Returns:
-            Why it is refused; empty: the arm is being made ready.
+            Why it is refused; empty: the arm is being brought up.
         """
         page = self._pages[name]
         if page is not self._holder:
             return operator_messages.NO_CONTROL
         if self.phase in (Phase.STARTING, Phase.DRIVING):
             return ""
-        why = self._doubt(page, now) or ("" if robot.arms else operator_messages.NO_ARM)
+        why = self._problem(page, now) or ("" if robot.arms else operator_messages.NO_ARM)
         if why:
             self._hold(why)
             return why
-        self.phase, self.reason, self._promised = Phase.STARTING, "", -math.inf
+        self.phase, self.reason, self._policy_requested = Phase.STARTING, "", -math.inf
         self._enabled = self._acted = now
         self._clutch = self._camera = False
         self._orders += [Clutch(False), Camera(False), Present(True), Follow(True)]
         return ""
 
     def policy(self, name: str, robot: Robot, now: float) -> str:
-        """Policy is pressed: the arm goes to the policy, or comes back from it.
+        """Policy was pressed: start or stop the policy.
 
-        The hand lets go first; the policy is told when the teleoperation has given the arm up.
+        The policy is enabled once the teleoperation has released the arm.
 
         Returns:
-            Why it is refused; empty: it is under way.
+            Why it is refused; empty: it is not.
         """
         if self.holder != name:
             return operator_messages.NO_CONTROL
@@ -214,14 +213,14 @@ class Session:
         if robot.policy.state not in ("READY", "PAUSED"):
             return operator_messages.NO_POLICY
         self._hold(operator_messages.POLICY_ASKED)
-        self.phase, self._promised = Phase.READY, now
+        self.phase, self._policy_requested = Phase.READY, now
         return ""
 
     def put_back(self, name: str, robot: Robot) -> str:
-        """Simulated arms in FAULT shall be led home; it takes Enable to move them again.
+        """Guide simulated arms in FAULT home; afterwards they need Enable.
 
         Returns:
-            Why it is refused; empty: they are on their way.
+            Why it is refused; empty: it is not.
         """
         if self.holder != name:
             return operator_messages.NO_CONTROL
@@ -232,10 +231,10 @@ class Session:
         return ""
 
     def stop(self, robot: Robot, who: str = "") -> None:
-        """Stop is pressed, on any page: the arms pause.
+        """Stop was pressed on any page: pause all arms.
 
         Args:
-            robot: Which arms there are.
+            robot: Present state of the system.
             who: Name of the page.
         """
         self._hold(operator_messages.stopped(who if who != self.holder else ""))
@@ -246,34 +245,34 @@ class Session:
             self._orders.append(Policy(False))
 
     def hide(self, name: str, why: str) -> None:
-        """The page says that it can no longer be trusted with the arm.
+        """The page is hidden, or has lost its input device.
 
         Args:
             name: The page.
-            why: A word of `protocol.HIDDEN`.
+            why: One of `page_protocol.HIDDEN`.
         """
         page = self._pages[name]
         page.visible = why in ("gamepad", "pointer")
-        active = self.phase in (Phase.STARTING, Phase.DRIVING) or self._promised > -math.inf
+        active = self.phase in (Phase.STARTING, Phase.DRIVING) or self._policy_requested > -math.inf
         if page is self._holder and active:
             self._hold(operator_messages.HIDDEN[why])
 
     def scale(self, name: str, value: float) -> str:
-        """Another scale is wanted; returns why not."""
+        """Set the scale; returns why it is refused."""
         if self.holder != name:
             return operator_messages.NO_CONTROL
         self._orders.append(SetScale(value))
         return ""
 
     def record(self, name: str, on: bool) -> str:
-        """Recording shall start or stop; returns why not."""
+        """Start or stop recording; returns why it is refused."""
         if self.holder != name:
             return operator_messages.NO_CONTROL
         self._orders.append(Record(on))
         return ""
 
     def receive(self, name: str, sample: Input, now: float) -> None:
-        """An input has come; only that of the page in control, in order and in time, counts."""
+        """Take in an input; only those of the page in control, in order and in time, count."""
         page = self._pages[name]
         if not self.in_time(name, sample.at, now) or sample.seq <= page.seq:
             return
@@ -283,7 +282,7 @@ class Session:
         page.seq, page.heard, page.visible = sample.seq, now, True
         if page is not self._holder or self.phase not in (Phase.STARTING, Phase.DRIVING):
             return
-        if silent:  # it was frozen, and wakes up before anybody has looked
+        if silent:  # the page was frozen since the last tick
             self._hold(operator_messages.SILENT)
             return
         if sample.clutch != self._clutch:
@@ -296,19 +295,19 @@ class Session:
             self._hand = sample.hand
             self._orders.append(Move(sample))
 
-    # --- what happens by itself ---------------------------------------------------------------
+    # --- periodic checks ---------------------------------------------------------------
 
     def tick(self, robot: Robot, now: float) -> None:
-        """Look at everything; called at least every 20 ms.
+        """Check everything; called at least every 20 ms.
 
         Args:
-            robot: As it is now.
+            robot: Present state of the system.
             now: Steady clock [s].
         """
-        self._hand_over(robot, now)
+        self._start_policy(robot, now)
         if self._holder is None or self.phase not in (Phase.STARTING, Phase.DRIVING):
             return
-        why = self._doubt(self._holder, now)
+        why = self._problem(self._holder, now)
         if why:
             self._hold(why)
             return
@@ -327,37 +326,37 @@ class Session:
         elif now - self._enabled > START_TIMEOUT:
             self._hold(operator_messages.not_ready(robot, self._enabled, START_TIMEOUT))
 
-    def _hand_over(self, robot: Robot, now: float) -> None:
+    def _start_policy(self, robot: Robot, now: float) -> None:
         """The policy gets the arm once the teleoperation states that no hand wants it."""
-        since = now - self._promised
+        since = now - self._policy_requested
         if since > START_TIMEOUT:
-            self._promised = -math.inf
+            self._policy_requested = -math.inf
         elif since >= SETTLED and robot.follower.state == "DISABLED":
-            self._promised = -math.inf
+            self._policy_requested = -math.inf
             self._orders.append(Policy(True))
 
-    def _doubt(self, page: _Page, now: float) -> str:
-        """Why the page must not drive now."""
+    def _problem(self, page: _Page, now: float) -> str:
+        """Why the page must not drive now; empty: it may."""
         if not page.visible:
             return operator_messages.HIDDEN["hidden"]
         if not now - page.heard <= SILENCE:
             return operator_messages.SILENT
         if self._pictures and not page.picture_us:
             return operator_messages.NO_PICTURE
-        if self._pictures and not now - page.picture_changed <= BLIND:
+        if self._pictures and not now - page.picture_changed <= FROZEN:
             return operator_messages.FROZEN_PICTURE
         return ""
 
     def _hold(self, why: str) -> None:
-        """Nothing moves any more, until Enable is pressed again."""
+        """Stop all motion until Enable is pressed again."""
         self._orders += [Present(False), Follow(False)]
-        self.reason, self._promised = why, -math.inf
+        self.reason, self._policy_requested = why, -math.inf
         if self._holder is not None:
             self.phase = Phase.HELD
 
-    def _give_up(self, why: str) -> None:
-        """Nobody has control any more."""
+    def _release(self, why: str) -> None:
+        """Release control."""
         if self.phase in (Phase.STARTING, Phase.DRIVING):
             self._hold(why)
         self._holder, self.phase, self.reason = None, Phase.FREE, why
-        self._promised = -math.inf  # a policy gets no arm from somebody who is not there
+        self._policy_requested = -math.inf  # no policy without a page in control

@@ -1,4 +1,4 @@
-"""What the console says to people: one sentence each, with the cure."""
+"""All messages of the console to the operator: what is wrong and what to do."""
 
 from __future__ import annotations
 
@@ -6,83 +6,83 @@ import surg_core
 from surg_core import Reason
 from surg_teleop.console.session.system_state import Arm, Robot
 
-NO_CONTROL = "another page has control: this one watches (Stop works from here too)"
-CLOSED = "the page that had control was closed: the arm holds"
-TAKEN_AWAY = "the page that had control no longer answers: control was taken over"
+NO_CONTROL = "Another page has control. Stop works from here too"
+CLOSED = "The page in control was closed. The arm holds"
+TAKEN_AWAY = "The page in control no longer answers. Control was taken over"
 SILENT = (
-    "nothing came from this page for 0.1 s (the tab was frozen, or the machine was busy): the arm "
-    "holds; press Enable to go on"
+    "No input from this page for 0.1 s (frozen tab or busy machine). The arm holds. Press Enable to "
+    "continue"
 )
-LATE = "that came too late (the network or the machine stood still): press it again"
-NO_PICTURE = "there is no picture yet: nothing is moved blindly; see that the endoscope node runs"
+LATE = "The command arrived too late (network or machine stalled). Press the button again"
+NO_PICTURE = "No camera image yet; motion is blocked. Check the endoscope node"
 FROZEN_PICTURE = (
-    "the picture has stood still for a second: the arm holds; press Enable when it moves again"
+    "The picture has been frozen for 1 s. The arm holds. Press Enable when the picture is live"
 )
-NO_ARM = "no arm has spoken yet: see that the controllers run (./surg status)"
-NO_FOLLOWER = "the teleoperation node does not speak: see that it runs (./surg status)"
-NOTHING_ASTRAY = "no simulated arm is in FAULT: nothing is to be put back"
-PUT_BACK = "the arm is led home by hand; press Enable once it rests"
-NO_POLICY = "no policy is connected: start one, it connects by itself (docs/reference/policies.md)"
-POLICY_ASKED = "the arm goes to the policy"
-POLICY_ENDED = "the policy gives the arm up; press Enable to have it yourself"
+NO_ARM = "No state from any arm. Check that the controllers run (./surg status)"
+NO_FOLLOWER = "No status from the teleoperation node. Check that it runs (./surg status)"
+NOTHING_ASTRAY = "No simulated arm is in FAULT, so there is nothing to put back"
+PUT_BACK = "The arm is being guided home. Press Enable when it is at rest"
+NO_POLICY = "No policy is connected. Start one; it connects by itself (docs/reference/policies.md)"
+POLICY_ASKED = "The policy takes over the arm"
+POLICY_ENDED = "The policy releases the arm. Press Enable to take it over"
 HIDDEN = {
-    "hidden": "the tab was hidden: the arm holds; press Enable to go on",
+    "hidden": "The tab was hidden. The arm holds. Press Enable to continue",
     "closed": CLOSED,
-    "gamepad": "the gamepad was unplugged: the arm holds; plug it in and press Enable",
-    "pointer": "the mouse or the keyboard was lost: the arm holds; press Enable to go on",
+    "gamepad": "The gamepad was unplugged. The arm holds. Plug it in and press Enable",
+    "pointer": "Mouse or keyboard was lost. The arm holds. Press Enable to continue",
 }
 
 REASONS = {
-    Reason.STATE_NOT_FINITE: "the robot sends joint values that are not finite: check its link",
-    Reason.STALE: "the commands stopped coming; press Enable to go on",
-    Reason.LINK_LOST: "the robot sends no joint values: check that its link runs",
-    Reason.RCM_UNSET: "no trocar point is known: teach it on rcm/set_cp",
-    Reason.RCM_ERROR: "the shaft is off its trocar point: move the trocar or the arm, or teach the "
+    Reason.STATE_NOT_FINITE: "the robot sends joint values that are not finite; check its link",
+    Reason.STALE: "no more commands have arrived; press Enable to continue",
+    Reason.LINK_LOST: "the robot sends no joint values; check that its link runs",
+    Reason.RCM_UNSET: "no trocar point is set; set it on rcm/set_cp",
+    Reason.RCM_ERROR: "the shaft is off its trocar point; move the trocar or the arm, or set the "
     "point again on rcm/set_cp",
-    Reason.OVERRUN: "the control loop missed its deadlines: free the processor, then press Enable",
-    Reason.JOINT_LIMIT: "a joint is at its limit: move the tip back",
-    Reason.OPERATOR: "a person asked for it",
-    Reason.NOT_FOLLOWING: "the robot does not follow its commands: look for a protective stop or a "
-    "clamp, then press Enable",
-    Reason.TRACK_STALE: "the trocar's tracker is silent: start it again, then press Enable",
-    Reason.TOOL_LOST: "the tool sends no jaw angle: check the tool link",
-    Reason.UNREACHABLE: "the arm cannot go further without leaving a limit or the trocar: move the "
+    Reason.OVERRUN: "the control loop missed its deadlines; free the processor, then press Enable",
+    Reason.JOINT_LIMIT: "a joint is at its limit; move the tip back",
+    Reason.OPERATOR: "requested by the operator",
+    Reason.NOT_FOLLOWING: "the robot does not follow its commands; check for a protective stop or an "
+    "obstacle, then press Enable",
+    Reason.TRACK_STALE: "the trocar's tracker is silent; restart it, then press Enable",
+    Reason.TOOL_LOST: "the tool sends no jaw angle; check the tool link",
+    Reason.UNREACHABLE: "the arm cannot move on within its limits and through the trocar; move the "
     "tip back",
-    Reason.FORCE: "too much force at the tip or on the trocar: press Enable and move away from the "
+    Reason.FORCE: "too much force at the tip or on the trocar; press Enable and move away from the "
     "contact",
-    Reason.MASTER_LOST: "the ROS master is gone: start it and every node again",
+    Reason.MASTER_LOST: "the ROS master has ended; restart it and every node",
 }
-"""Why an arm is paused or in FAULT, for the operator; the controller's own words for the rest."""
+"""Why an arm is PAUSED or in FAULT; other reasons use the controller's own text."""
 
 
 def as_sentence(text: str) -> str:
-    """With a capital letter and a full stop."""
+    """Add a capital letter and a full stop."""
     text = text.strip()
     return text and text[0].upper() + text[1:] + ("" if text[-1] in ".!?" else ".")
 
 
 def taken(name: str) -> str:
-    """Why control is not given to a second page."""
-    return f"{name} has control; it must release it, or be closed or hidden"
+    """Why a second page does not get control."""
+    return f"{name} has control. Release it there, or close or hide that page"
 
 
 def stopped(who: str) -> str:
-    """Who pressed Stop; empty: the operator."""
+    """Stop was pressed; ``who``: on another page."""
     by = f" on {who}" if who else ""
-    return f"Stop was pressed{by}: the arm is paused; press Enable to go on"
+    return f"Stop was pressed{by}. The arm is paused. Press Enable to continue"
 
 
-def scoping(arm: str, clutched: bool) -> str:
-    """What the hand does while it holds the endoscope; no arm: it stands by itself."""
+def driving_endoscope(arm: str, clutched: bool) -> str:
+    """What the hand does while the camera pedal is down; empty arm: no arm holds the endoscope."""
     if not arm:
-        return "No arm of this cell holds the endoscope, so Camera only clutches: the tip stays."
+        return "No arm holds the endoscope, so Camera only clutches. The tip stays."
     if clutched:
-        return "The clutch is held: your hand moves, the endoscope stays."
-    return f"Your hand moves the endoscope ({arm}); the instrument stays where it is."
+        return "The clutch is held. The endoscope stays."
+    return f"Your hand moves the endoscope ({arm}). The instrument stays."
 
 
 def let_go(robot: Robot) -> str:
-    """Why driving ended although the operator went on."""
+    """Why following ended although the operator did not stop."""
     follower = robot.follower
     if not follower.state:
         return NO_FOLLOWER
@@ -91,43 +91,43 @@ def let_go(robot: Robot) -> str:
     lost = next((arm for arm in robot.arms if not arm.ready()), None)
     if lost is not None:
         return f"{lost.name}: {state_sentence(lost)}"
-    return f"the teleoperation is {follower.state}: press Enable to go on"
+    return f"The teleoperation is {follower.state}. Press Enable to continue"
 
 
 def not_ready(robot: Robot, since: float, seconds: float) -> str:
-    """Why driving did not begin.
+    """Why following did not begin.
 
     Args:
-        robot: As it is now.
+        robot: Present state of the system.
         since: When Enable was pressed [s].
-        seconds: How long it was waited for.
+        seconds: Duration of the wait [s].
     """
     if not robot.follower.state:
         return NO_FOLLOWER
     arm = next((arm for arm in robot.arms if not arm.ready()), None)
     if arm is None:
-        return f"the tip does not follow after {seconds:g} s: {robot.follower.reason}"
+        return f"The tip does not follow after {seconds:g} s: {robot.follower.reason}"
     if not arm.state:
-        return f"{arm.name} does not speak: see that its controller runs (./surg status)"
+        return f"No state from {arm.name}. Check that its controller runs (./surg status)"
     warned = arm.warning if arm.warned >= since else ""
     fault = reason_sentence(arm) if arm.state == "FAULT" else ""
-    said = fault or without_name(warned, arm.name) or robot.follower.reason
-    because = f": {said}" if said else ""
-    return f"{arm.name} did not become ready within {seconds:g} s and is {arm.state}{because}"
+    cause = fault or without_name(warned, arm.name) or robot.follower.reason
+    because = f": {cause}" if cause else ""
+    return f"{arm.name} is {arm.state} {seconds:g} s after Enable{because}"
 
 
 def state_sentence(arm: Arm) -> str:
-    """An arm's state as a sentence for somebody who does not know CRTK."""
+    """State of an arm for operators who do not know CRTK."""
     if arm.state == "FAULT":
-        return f"it stopped for a fault: {reason_sentence(arm) or 'it gave no reason'}"
+        return f"stopped by a fault: {reason_sentence(arm) or 'no reason given'}"
     if arm.state == "PAUSED":
         why = reason_sentence(arm)
-        return f"it holds, paused: {why}" if why else "it holds, paused"
+        return f"holds, paused: {why}" if why else "holds, paused"
     if arm.state == "DISABLED":
-        return "it holds and obeys nothing; Enable wakes it"
+        return "disabled; press Enable to bring it up"
     if arm.state == "ENABLED":
-        return "it holds, ready to move" if arm.homed else "it holds; it is not homed yet"
-    return "it has not spoken yet; see that its controller runs (./surg status)"
+        return "holds, ready to move" if arm.homed else "holds, not homed yet"
+    return "no state yet; check that its controller runs (./surg status)"
 
 
 def reason_sentence(arm: Arm) -> str:
@@ -138,12 +138,12 @@ def reason_sentence(arm: Arm) -> str:
 
 
 def without_name(text: str, name: str) -> str:
-    """A message of a controller without the arm's name in front."""
+    """A controller's message without the name of the arm."""
     return text.removeprefix(f"{name}: ").strip()
 
 
 def task_sentence(robot: Robot) -> str:
-    """How the phantom's task stands; empty: there is none."""
+    """State of the phantom's task; empty: there is none."""
     task = robot.task
     if task.state == "SUCCESS":
         return f"{task.name}: done, success"
@@ -153,15 +153,15 @@ def task_sentence(robot: Robot) -> str:
 
 
 def policy_sentence(robot: Robot) -> str:
-    """What the policy does with the arm; empty: nothing is to be said."""
+    """What the policy does; empty: nothing to report."""
     policy = robot.policy
     name = policy.name or "the policy"
     if policy.state == "RUNNING":
-        return f"{name} moves the arm: Enable takes it back, Stop pauses it"
+        return f"{name} moves the arm. Enable takes it back, Stop pauses it"
     if policy.state == "WAKING":
         return f"the arm is being enabled for {name}"
     if policy.refused:
-        return f"the policy does not get the arm: {policy.refused}"
+        return f"the policy was refused: {policy.refused}"
     if policy.state in ("PAUSED", "IDLE"):
-        return f"the policy stands: {policy.detail}"
+        return f"the policy is stopped: {policy.detail}"
     return ""

@@ -1,4 +1,4 @@
-"""What every page is told twenty times a second: plain JSON, in SI units, with words for people."""
+"""Status of all pages, 20 times per second: JSON in SI units, with messages for the operator."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from surg_teleop.console.session.console_session import Phase, Session
 from surg_teleop.console.session.system_state import Arm, Follower, Robot
 
 STALE = 1.0
-"""[s] after which what an arm said of itself is no longer believed."""
+"""[s] Timeout of an arm's state."""
 RECENT = 6.0
-"""[s] for which a warning is shown."""
+"""[s] Display time of a warning."""
 
 _HEADLINES = {
     Phase.FREE: "No one has control",
     Phase.READY: "Ready",
-    Phase.STARTING: "Waking the arm",
+    Phase.STARTING: "Enabling the arm",
     Phase.HELD: "Held",
 }
 
@@ -26,11 +26,11 @@ _HEADLINES = {
 def report(
     session: Session, robot: Robot, limits: Mapping[str, float], now: float
 ) -> dict[str, Any]:
-    """What is the same for all pages.
+    """Content of the status.
 
     Args:
-        session: Who drives.
-        robot: As it is now.
+        session: The console's session.
+        robot: Present state of the system.
         limits: Of the driven arm, by name [SI].
         now: Steady clock [s].
     """
@@ -70,41 +70,36 @@ def report(
 
 
 def sentence(session: Session, robot: Robot, now: float) -> str:
-    """The one thing that the operator must know now."""
+    """The most important message for the operator."""
     arm = robot.arms[0] if robot.arms else None
     if session.phase is Phase.DRIVING:
         if session.scoping:
-            return robot.scope.reason or operator_messages.scoping(
+            return robot.scope.reason or operator_messages.driving_endoscope(
                 robot.scope.arm, session.clutched
             )
         if robot.follower.reason:
             return robot.follower.reason
         if session.clutched:
-            return "The clutch is held: your hand moves, the tip stays."
+            return "The clutch is held. The tip stays."
         if arm is not None and now - arm.warned < RECENT:
             return arm.warning
         return "The tip follows your hand."
-    about = robot.policy.active or session.reason == operator_messages.POLICY_ASKED
-    if (
-        session.phase is Phase.READY
-        and about
-        and (said := operator_messages.policy_sentence(robot))
-    ):
-        return said
+    policy = robot.policy.active or session.reason == operator_messages.POLICY_ASKED
+    text = operator_messages.policy_sentence(robot)
+    if session.phase is Phase.READY and policy and text:
+        return text
     if session.reason:
         return session.reason
     if arm is None or not arm.state:
         return operator_messages.NO_ARM
     if session.phase is Phase.STARTING:
-        return f"{arm.name} is {arm.state}: it is being homed and enabled."
-    said = f"{arm.name}: {operator_messages.state_sentence(arm)}"
-    if session.phase is Phase.READY:
-        return f"{said}. Press Enable to begin."
-    return said
+        return f"{arm.name} is {arm.state} and is being homed and enabled."
+    text = f"{arm.name}: {operator_messages.state_sentence(arm)}"
+    return f"{text}. Press Enable to begin." if session.phase is Phase.READY else text
 
 
 def _headline(session: Session, robot: Robot) -> str:
-    """Two words at most."""
+    """The state in one or two words."""
     fault = any(arm.state == "FAULT" for arm in robot.arms)
     if fault:
         return "Fault"
@@ -120,7 +115,7 @@ def _headline(session: Session, robot: Robot) -> str:
 
 
 def _helper(hand: Follower) -> dict[str, Any]:
-    """A second hand: its arm has no line of its own where no controller stands behind it."""
+    """Another leader; an arm without a controller has no line of its own."""
     return {
         "name": f"{hand.arm} ({hand.leader})",
         "state": hand.state,
@@ -129,7 +124,7 @@ def _helper(hand: Follower) -> dict[str, Any]:
 
 
 def _policy_headline(session: Session, robot: Robot) -> str:
-    """Where a policy has the arm."""
+    """Headline while a policy has the arm; empty otherwise."""
     running = robot.policy.state == "RUNNING"
     return "Policy" if session.phase is Phase.READY and running else ""
 
@@ -140,17 +135,14 @@ def _arm(arm: Arm, now: float) -> dict[str, Any]:
         "name": arm.name,
         "state": "SILENT" if silent else arm.state,
         "homed": arm.homed,
-        "sentence": "it no longer speaks: see that its controller runs (./surg status)"
+        "sentence": "silent; check that its controller runs (./surg status)"
         if silent
         else operator_messages.state_sentence(arm),
     }
 
 
 def finite(value: object) -> float | None:
-    """A finite number; None for anything else, such as a whole number beyond all floats.
-
-    JSON has no NaN: what is not finite is not said.
-    """
+    """The number if it is finite, else None, because JSON has no NaN."""
     try:
         number = float(value) if isinstance(value, int | float) else math.nan
     except OverflowError:

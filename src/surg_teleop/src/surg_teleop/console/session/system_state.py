@@ -1,4 +1,4 @@
-"""What the console knows of the running system: plain values, filled by the node."""
+"""State of the running system as plain values, filled by the node."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from surg_core import Reason
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm, as it speaks of itself.
+    """State of one arm.
 
     Attributes:
         name: CRTK name.
-        state: DISABLED, ENABLED, PAUSED, FAULT; empty: it has not spoken.
+        state: DISABLED, ENABLED, PAUSED, FAULT; empty: unknown.
         homed: Whether it is homed.
-        heard: When it last spoke, on the steady clock [s].
+        heard: Receipt of its last state, on the steady clock [s].
         reason: Why it is PAUSED or in FAULT; None: unknown.
-        warning: Its newest warning, in words.
-        warned: When that came [s].
+        warning: Its newest warning.
+        warned: Receipt of that [s].
     """
 
     name: str
@@ -30,21 +30,21 @@ class Arm:
     warned: float = -1e9
 
     def ready(self) -> bool:
-        """Whether it may be driven."""
+        """Whether it is enabled and homed."""
         return self.state == "ENABLED" and self.homed
 
 
 @dataclass(frozen=True)
 class Follower:
-    """What the teleoperation node says of one hand on one arm.
+    """State of one leader on one arm, from the teleoperation node.
 
     Attributes:
-        state: DISABLED, WAITING, FOLLOWING, CLUTCHED, FAULT; empty: it does not speak.
+        state: DISABLED, WAITING, FOLLOWING, CLUTCHED, FAULT; empty: unknown.
         mapping: "position" or "rate".
-        reason: Why the tip does not follow, or what holds it, in words.
-        scale: Of motion.
-        leader: The hand.
-        arm: The arm.
+        reason: Why the tip does not follow, or what limits it.
+        scale: Motion scale.
+        leader: Name of the leader.
+        arm: Name of the arm.
     """
 
     state: str = ""
@@ -62,7 +62,7 @@ class Follower:
 
 @dataclass(frozen=True)
 class Gauges:
-    """Live figures of the driven arm; None: nobody says it.
+    """Live values of the driven arm; None: unknown.
 
     Attributes:
         rcm: Deviation from the trocar point [m].
@@ -70,7 +70,7 @@ class Gauges:
         depth: Of the tip behind the trocar [m].
         trocar: Force of the shaft on the trocar [N].
         tip: Force at the tip [N].
-        age: How old the figures are [s].
+        age: Age of the values [s].
     """
 
     rcm: float | None = None
@@ -83,11 +83,11 @@ class Gauges:
 
 @dataclass(frozen=True)
 class Recorder:
-    """What the recorder does.
+    """State of the recorder.
 
     Attributes:
         state: IDLE, RECORDING, FINISHING; empty: no valid status.
-        problem: What is wrong with the recording, in words.
+        problem: What is wrong with the recording.
     """
 
     state: str = ""
@@ -101,13 +101,13 @@ class Recorder:
 
 @dataclass(frozen=True)
 class SimTask:
-    """How the phantom's task stands.
+    """State of the phantom's task.
 
     Attributes:
         state: RUNNING, SUCCESS, FAILURE; NONE or empty: there is no task.
         name: Its name.
-        phase: Where in the task the episode is.
-        detail: Why it failed, in words.
+        phase: Phase of the task.
+        detail: Why it failed.
     """
 
     state: str = ""
@@ -118,13 +118,13 @@ class SimTask:
 
 @dataclass(frozen=True)
 class PolicyServer:
-    """What the model server does.
+    """State of the model server.
 
     Attributes:
         state: IDLE, READY, WAKING, RUNNING, PAUSED; empty: no valid status.
-        name: The policy's.
-        detail: Why it does not run, in words.
-        refused: Why the last enable was refused, in words.
+        name: Name of the policy.
+        detail: Why it does not run.
+        refused: Why the last enable was refused.
     """
 
     state: str = ""

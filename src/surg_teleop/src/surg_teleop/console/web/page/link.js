@@ -52,7 +52,7 @@ export class Link {
       else this.hear(message);
     };
     socket.onclose = (event) => {
-      this.closed(event.reason || "The console does not answer. It is tried again every second.");
+      this.closed(event.reason || "The console does not answer. Reconnecting every second.");
       setTimeout(() => this.connect(), AGAIN_MS);
     };
   }

@@ -80,7 +80,7 @@ function lost(why) {
   element("veil").hidden = true;
   element("state").hidden = false;
   element("headline").textContent = "No connection";
-  element("sentence").textContent = `${why} The arm holds by itself.`;
+  element("sentence").textContent = `${why} The arm holds.`;
   element("link").textContent = "not connected";
   element("link").dataset.tone = "bad";
 }
@@ -99,7 +99,7 @@ const mine = () => status !== null && view !== null && status.holder === view.pa
 
 function mayChange() {
   const free = status?.phase !== "driving" || hand.held("clutch");
-  if (!free) toast("Hold the clutch (Space) to change between mouse and keys.");
+  if (!free) toast("Hold the clutch (Space) to switch between mouse and keys.");
   return free;
 }
 

@@ -135,6 +135,6 @@ function forget() {
 function fallBack(error) {
   if (settings.codec !== "h264") return;
   settings.codec = "jpeg";
-  postMessage({ trouble: `This browser does not decode H.264 (${error.message}): JPEG is used.` });
+  postMessage({ trouble: `This browser cannot decode H.264 (${error.message}). Using JPEG.` });
   watch();
 }

@@ -181,7 +181,7 @@ export class View {
     const row = (i) => list.children[i] ?? list.appendChild(armRow());
     arms.forEach((arm, i) => {
       const tones = { ENABLED: "good", PAUSED: "warn", FAULT: "bad", SILENT: "bad" };
-      const word = `${arm.state || "no word"}${arm.homed ? "" : ", not homed"}`;
+      const word = `${arm.state || "no state"}${arm.homed ? "" : ", not homed"}`;
       const calm = arm.state === "ENABLED" && arm.homed;
       this.arm(row(i), arm.name, word, tones[arm.state], calm ? "" : arm.sentence);
     });
@@ -205,7 +205,7 @@ export class View {
     if (!entries.length) {
       const nothing = document.createElement("li");
       nothing.className = "quiet";
-      nothing.textContent = "Nothing has been recorded yet.";
+      nothing.textContent = "No recordings yet.";
       list.append(nothing);
     }
   }
