@@ -513,7 +513,7 @@ def refusal(make: Callable[..., Leader], machine: Machine, **settings: object) -
 
 def test_nothing_plugged_in_is_said(machine: Machine) -> None:
     text = refusal(Gamepad, machine)
-    assert "no input device is there" in text
+    assert "no input device found" in text
     assert "plug it in" in text
 
 
@@ -524,7 +524,7 @@ def test_a_device_that_lacks_axes_is_named_with_what_it_lacks(machine: Machine) 
     text = refusal(Gamepad, machine)
     assert "'Old Pad' (/dev/input/event7) has no ABS_RX (right_x), ABS_RZ (right_trigger)" in text
     assert "'AT Keyboard' (/dev/input/event0) has none of what is needed" in text
-    assert "layout of its own" in text
+    assert "write a layout" in text
 
 
 def test_no_permission_names_the_nodes_and_the_cure(machine: Machine) -> None:
@@ -539,7 +539,7 @@ def test_no_permission_names_the_nodes_and_the_cure(machine: Machine) -> None:
 def test_a_path_that_is_not_there_is_said(machine: Machine) -> None:
     machine.plug(GAMEPAD)
     text = refusal(Gamepad, machine, device="/dev/input/event99")
-    assert "/dev/input/event99 does not serve: /dev/input/event99: No such file" in text
+    assert "/dev/input/event99 does not fit: /dev/input/event99: No such file" in text
     assert "ls -l /dev/input/by-id" in text
 
 
@@ -561,7 +561,7 @@ def test_pedals_that_somebody_else_has_grabbed_are_not_used(machine: Machine) ->
     machine.plug(PEDALS).busy = True
     text = refusal(Pedals, machine)
     assert "'PCsensor FootSwitch' (/dev/input/event9): cannot be grabbed" in text
-    assert "end the program that holds it" in text
+    assert "stop the program that holds it" in text
 
 
 def test_a_long_list_of_devices_is_cut(machine: Machine) -> None:

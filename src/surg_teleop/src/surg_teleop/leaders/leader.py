@@ -1,10 +1,10 @@
-"""What a leader is: anything that a hand holds, seen by the teleoperation as a stream of samples.
+"""Leaders: input devices that the teleoperation reads as a stream of samples.
 
-Everything is in the view frame V, the optical axes of the endoscope's left eye: x right, y down,
-z away from the viewer. A leader turns its own axes into V; where the camera looks is none of its
-business. A leader is one class in one file: bundled (``surg_teleop.leaders``), an entry point of
-the group ``surg_teleop.leaders``, or the path of a file. A leader that is a process of its own
-publishes CRTK topics instead (``leaders/crtk.py``).
+All samples are in the view frame V, the optical axes of the endoscope's left eye: x right, y down,
+z away from the viewer. A leader converts its own axes to V; the camera's pose is not its concern. A
+leader is one class in one file: bundled, an entry point of the group ``surg_teleop.leaders``, or
+the path of a file. A leader that is a process of its own publishes CRTK topics instead
+(``leaders/bundled/crtk.py``).
 """
 
 from __future__ import annotations
@@ -38,58 +38,58 @@ BUTTONS = frozenset(
         "lock_translation",  # held: the tip stays
     }
 )
-"""Names of what a hand can press. A sample holds those that are down now."""
+"""Names of buttons; a sample holds those that are down."""
 
 _IDENTITY = np.eye(3)
 ROTATION_TOLERANCE = 1e-3
-"""Largest entry of R R^T - I of a handle's orientation: what single precision and rounding leave.
-More is a broken driver, and its roll would be a guess."""
+"""Largest entry of R R^T - I of a handle's orientation, as left by single precision. A larger one
+means a broken driver, and its roll would be wrong."""
 
 
 class LeaderError(RuntimeError):
-    """A leader that cannot be used: what is wrong, with which device, and the cure.
+    """A leader that cannot be used.
 
     Args:
         what: What is wrong.
-        device: Which device, as its user would call it.
+        device: Name of the device.
         cure: What to do.
     """
 
     def __init__(self, what: str, device: str, cure: str) -> None:
-        """Makes the one sentence that a person reads."""
+        """Make the message."""
         super().__init__(f"{device}: {what}; {cure}")
         self.what, self.device, self.cure = what, device, cure
 
 
 @dataclass(frozen=True)
 class HandlePose:
-    """Where the handle is, in V; its origin may lie anywhere, only motion counts.
+    """Pose of the handle in V; only its motion counts, so the origin is arbitrary.
 
     Attributes:
         p_VH: (3,) handle [m].
-        R_VH: (3, 3) its orientation. Third column: the handle axis, about which the hand rolls; it
-            points out of the hand, the way the instrument points.
+        R_VH: (3, 3) its orientation. The third column is the handle axis, about which the hand
+            rolls; it points out of the hand, like the instrument.
     """
 
     p_VH: Array
     R_VH: Array
 
     def finite(self) -> bool:
-        """True when every number is one, and R_VH is a rotation."""
+        """Whether every number is finite and R_VH is a rotation."""
         return _is_vector(self.p_VH) and _is_rotation(self.R_VH)
 
 
 @dataclass(frozen=True)
 class HandRate:
-    """How fast the hand wants to go: in the picture, or about the trocar (spherical mode).
+    """Commanded rate: in the picture, or about the trocar (spherical mode).
 
     Attributes:
-        v_V: (3,) velocity of the tip in V [m/s] at the default scale; another scale makes it finer
-            or coarser in proportion. Zeros in spherical mode.
-        roll: Rate of the shaft's roll [rad/s], positive about the shaft into the patient: clockwise
-            for an operator who looks along it.
+        v_V: (3,) velocity of the tip in V [m/s] at the default scale; other scales change it in
+            proportion. Zeros in spherical mode.
+        roll: Rate of the shaft's roll [rad/s], positive clockwise seen along the shaft into the
+            patient.
         spherical: None, or (3,) rates of yaw, pitch [rad/s] and insertion [m/s] of the virtual
-            joints, the paper's spherical mode; v_V is then not read.
+            joints, the paper's spherical mode; v_V is then ignored.
     """
 
     v_V: Array
@@ -97,7 +97,7 @@ class HandRate:
     spherical: Array | None = None
 
     def finite(self) -> bool:
-        """True when every number is one."""
+        """Whether every number is finite."""
         return (
             _is_vector(self.v_V)
             and math.isfinite(self.roll)
@@ -110,13 +110,13 @@ class LeaderSample:
     """One reading of a leader.
 
     Attributes:
-        stamp: When it was received, on the steady clock of ``read``'s ``now`` [s].
+        stamp: Receipt on the steady clock of ``read``'s ``now`` [s].
         pose: Of the handle; None: the leader has none.
-        rate: Wanted velocity; None: the leader has none. A leader may offer both.
+        rate: Commanded velocity; None: the leader has none. A leader may provide both.
         grip: 0 closed to 1 open; None: it has no gripper.
         buttons: Those of BUTTONS that are down.
-        problem: Empty, or why the leader must not be followed although it speaks (its own state is
-            not ENABLED, say): what and cure, in one sentence.
+        problem: Why the leader must not be followed although it sends (for example, its own state
+            is not ENABLED), and what to do; empty: it may.
     """
 
     stamp: float
@@ -127,7 +127,7 @@ class LeaderSample:
     problem: str = ""
 
     def finite(self) -> bool:
-        """True when everything that the sample holds may be calculated with."""
+        """Whether all numbers of the sample are valid."""
         return (
             math.isfinite(self.stamp)
             and (self.pose is None or self.pose.finite())
@@ -138,41 +138,40 @@ class LeaderSample:
 
 @runtime_checkable
 class Leader(Protocol):
-    """A device, or whatever stands for one. Used from one thread only.
+    """An input device; used from one thread only.
 
     Attributes:
-        name: What its user calls it, for messages and topics: letters, digits, ``_``.
+        name: For messages and topics: letters, digits, ``_``.
     """
 
     name: str
 
     def open(self) -> None:
-        """Gets hold of the device.
+        """Open the device.
 
         Raises:
-            LeaderError: What is wrong, which device, and the cure.
+            LeaderError: It cannot be opened.
         """
 
     def read(self, now: float) -> LeaderSample | None:
         """The newest sample; never blocks.
 
-        A sample is given again while it is the newest, with its own old stamp: an old pose is never
-        stamped anew. A device whose last state holds until it says otherwise (a stick that rests)
-        may be stamped ``now`` only while the leader knows that the device is there.
+        While there is no newer sample, the last one is returned with its old stamp. A device whose
+        state holds until it reports a change (a stick at rest) may be stamped ``now``, but only
+        while the leader knows that the device is connected.
 
         Args:
             now: Steady clock [s].
 
         Returns:
-            None: there is nothing yet, or the device is gone (:attr:`problem` of the last sample,
-            or the exception of ``open``, says why).
+            None: there is no sample yet, or the device is gone.
 
         Raises:
-            LeaderError: The device is lost; ``open`` may be tried again.
+            LeaderError: The device is lost; ``open`` may be called again.
         """
 
     def close(self) -> None:
-        """Lets go of the device; may be called twice."""
+        """Close the device; may be called twice."""
 
 
 def names() -> tuple[str, ...]:

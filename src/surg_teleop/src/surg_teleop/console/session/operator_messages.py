@@ -10,8 +10,8 @@ NO_CONTROL = "Another page has control. Stop works from here too"
 CLOSED = "The page in control was closed. The arm holds"
 TAKEN_AWAY = "The page in control no longer answers. Control was taken over"
 SILENT = (
-    "No input from this page for 0.1 s (frozen tab or busy machine). The arm holds. Press Enable to "
-    "continue"
+    "No input from this page for 0.1 s (frozen tab or busy machine). The arm holds. Press Enable "
+    "to continue"
 )
 LATE = "The command arrived too late (network or machine stalled). Press the button again"
 NO_PICTURE = "No camera image yet; motion is blocked. Check the endoscope node"
@@ -42,8 +42,8 @@ REASONS = {
     Reason.OVERRUN: "the control loop missed its deadlines; free the processor, then press Enable",
     Reason.JOINT_LIMIT: "a joint is at its limit; move the tip back",
     Reason.OPERATOR: "requested by the operator",
-    Reason.NOT_FOLLOWING: "the robot does not follow its commands; check for a protective stop or an "
-    "obstacle, then press Enable",
+    Reason.NOT_FOLLOWING: "the robot does not follow its commands; check for a protective stop or "
+    "an obstacle, then press Enable",
     Reason.TRACK_STALE: "the trocar's tracker is silent; restart it, then press Enable",
     Reason.TOOL_LOST: "the tool sends no jaw angle; check the tool link",
     Reason.UNREACHABLE: "the arm cannot move on within its limits and through the trocar; move the "
@@ -132,7 +132,7 @@ def state_sentence(arm: Arm) -> str:
 
 def reason_sentence(arm: Arm) -> str:
     """Why an arm is PAUSED or in FAULT; empty: unknown."""
-    if arm.reason in (None, Reason.NONE):
+    if arm.reason is None or arm.reason == Reason.NONE:
         return ""
     return REASONS.get(arm.reason) or str(surg_core.sentence(arm.reason))
 

@@ -1,4 +1,4 @@
-"""Finds the device that a layout is meant for, or says why there is none and what to do."""
+"""Finds the device for a layout, or states why there is none and what to do."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ PERMISSION_CURE = (
     " allows it"
 )
 SHOWN = 12
-"""Devices named in a message at most, ..."""
+"""Most devices named in a message."""
 LACKS_SHOWN = 4
-"""... and what each of them lacks."""
+"""Most missing parts named per device."""
 
 
 @dataclass
-class _Looked:
-    """What a search has seen: readable devices with what they lack, and what was not readable."""
+class _Candidates:
+    """Rejected devices: unfit, without permission, or unreadable."""
 
     unfit: list[str]
     forbidden: list[str]
@@ -29,54 +29,54 @@ class _Looked:
 
 
 def find(host: Host, layout: Layout, wanted: str = "") -> Device:
-    """Opens the first device that a layout fits.
+    """Open the first device that fits a layout.
 
     Args:
         host: The machine.
         layout: What the device must have.
-        wanted: Path of its node; empty: any that fits, lowest number first.
+        wanted: Path of its node; empty: any, lowest number first.
 
     Returns:
-        The open device; grabbed where the layout says so.
+        The open device, grabbed if the layout requires it.
 
     Raises:
-        LeaderError: Nothing is plugged in, nothing fits, no permission, or somebody else has
-            grabbed it; lists what is there.
+        LeaderError: No device is connected or fits, there is no permission, or another process has
+            grabbed it; lists the candidates.
     """
     nodes = host.nodes()
     if wanted:
         nodes = [wanted]
     if not nodes:
         raise LeaderError(
-            "no input device is there (no /dev/input/event* on this machine)",
+            "no input device found (no /dev/input/event* on this machine)",
             layout.file,
             "plug it in; a container needs /dev/input from its host",
         )
-    looked = _Looked([], [], [])
+    candidates = _Candidates([], [], [])
     for path in nodes:
-        device = _open(host, path, looked)
+        device = _open(host, path, candidates)
         if device is None:
             continue
         problem = _misfit(layout, device, bool(wanted))
         if not problem:
             return _take(device, layout)
-        looked.unfit.append(f"'{device.description.name}' ({path}) {problem}")
+        candidates.unfit.append(f"'{device.description.name}' ({path}) {problem}")
         device.close()
-    raise _nothing_fits(layout, wanted, looked)
+    raise _nothing_fits(layout, wanted, candidates)
 
 
-def _open(host: Host, path: str, looked: _Looked) -> Device | None:
+def _open(host: Host, path: str, candidates: _Candidates) -> Device | None:
     try:
         return host.open(path)
     except PermissionError:
-        looked.forbidden.append(path)
+        candidates.forbidden.append(path)
     except OSError as error:
-        looked.broken.append(f"{path}: {error.strerror or os.strerror(error.errno or 0)}")
+        candidates.broken.append(f"{path}: {error.strerror or os.strerror(error.errno or 0)}")
     return None
 
 
 def _misfit(layout: Layout, device: Device, named: bool) -> str:
-    """Why a device does not fit; empty: it does. One that is named by its path need not match."""
+    """Why a device does not fit; empty: it does. One given by its path may have any name."""
     description = device.description
     if not named and layout.match.lower() not in description.name.lower():
         return f"is not called '{layout.match}'"
@@ -99,30 +99,29 @@ def _take(device: Device, layout: Layout) -> Device:
             raise LeaderError(
                 f"cannot be grabbed: {error.strerror}",
                 name,
-                "end the program that holds it (a second leader, an input remapper)",
+                "stop the program that holds it (a second leader, an input remapper)",
             ) from error
     return device
 
 
-def _nothing_fits(layout: Layout, wanted: str, looked: _Looked) -> LeaderError:
+def _nothing_fits(layout: Layout, wanted: str, candidates: _Candidates) -> LeaderError:
     what = []
-    if looked.unfit:
-        listed = looked.unfit[:SHOWN]
-        more = len(looked.unfit) - len(listed)
+    if candidates.unfit:
+        listed = candidates.unfit[:SHOWN]
+        more = len(candidates.unfit) - len(listed)
         what.append("; ".join(listed) + (f"; and {more} more" if more else ""))
-    if looked.broken:
-        what.append(", ".join(looked.broken[:SHOWN]))
-    if looked.forbidden:
-        what.append(f"no permission to read {', '.join(looked.forbidden[:SHOWN])}")
-    if looked.forbidden:
+    if candidates.broken:
+        what.append(", ".join(candidates.broken[:SHOWN]))
+    if candidates.forbidden:
+        what.append(f"no permission to read {', '.join(candidates.forbidden[:SHOWN])}")
+    if candidates.forbidden:
         cure = PERMISSION_CURE
-    elif looked.unfit:
+    elif candidates.unfit:
         cure = (
-            "plug in one that fits, or describe yours in a layout of its own"
-            " (docs/guide/leaders.md); "
-            "'evtest' shows what a device has"
+            "connect one that fits, or write a layout for yours (docs/guide/leaders.md); 'evtest' "
+            "shows what a device has"
         )
     else:
         cure = "check the path: 'ls -l /dev/input/by-id' lists what is there"
-    head = f"{wanted} does not serve" if wanted else "no device fits"
+    head = f"{wanted} does not fit" if wanted else "no device fits"
     return LeaderError(f"{head}: {'; '.join(what)}", layout.file, cure)

@@ -1,4 +1,4 @@
-"""What a device says now: axes from -1 to 1, keys pressed. Pure: events in, values out."""
+"""State of an input device: axes from -1 to 1, pressed keys. Pure: events in, values out."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from surg_teleop.leaders.evdev.input_events import EV_ABS, EV_KEY, EV_REL, Event
 BUS_BLUETOOTH = 0x05
 
 RELATIVE_HOLD = 0.1
-"""[s] A device with relative axes (older SpaceMouse) says its deflection again and again while it
-is deflected, and nothing once it is let go: that long after its last word it is at rest."""
+"""[s] Devices with relative axes (older SpaceMouse) repeat their deflection while deflected and are
+silent at rest. After this silence they count as at rest."""
 RELATIVE_FULL = 350
-"""Reading of a SpaceMouse at full deflection, where the device does not state its range."""
+"""Full deflection of a SpaceMouse that does not state its range."""
 
 
 @dataclass(frozen=True)
 class AxisRange:
-    """Range of readings of an absolute axis, as the device states it."""
+    """Range of an absolute axis, as stated by the device."""
 
     minimum: int
     maximum: int
 
     def normal(self, reading: int) -> float:
-        """Reading as -1 ... 1 (0 where the range is empty); outside it, its end."""
+        """Reading scaled and clipped to -1 ... 1; 0 if the range is empty."""
         if not self.maximum > self.minimum:
             return 0.0
         part = (reading - self.minimum) / (self.maximum - self.minimum)
@@ -33,12 +33,12 @@ class AxisRange:
 
 @dataclass(frozen=True)
 class Description:
-    """What a device is and has.
+    """Description of a device.
 
     Attributes:
         path: Its node, ``/dev/input/event3``.
-        name: As it calls itself.
-        bus: How it is connected, numbered as in <linux/input.h>.
+        name: Its own name.
+        bus: Bus type of <linux/input.h>.
         keys: Codes of its keys and buttons.
         axes: Absolute axes by code.
         relative: Codes of its relative axes.
@@ -53,13 +53,13 @@ class Description:
 
     @property
     def wireless(self) -> bool:
-        """Whether it can go out of range without anybody unplugging it."""
+        """Whether it can get out of range without being unplugged."""
         return self.bus == BUS_BLUETOOTH
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The whole state of a device at one moment, as asked for.
+    """The whole state of a device.
 
     Attributes:
         keys: Codes of the keys that are down.
@@ -71,15 +71,15 @@ class Snapshot:
 
 
 class InputState:
-    """Follows one device from its events."""
+    """Tracks the state of one device by its events."""
 
     def __init__(self, description: Description, snapshot: Snapshot, now: float) -> None:
-        """Starts from the state that the device is in.
+        """Start from a snapshot.
 
         Args:
-            description: What the device has.
+            description: Of the device.
             snapshot: Its state.
-            now: Time of it [s].
+            now: Time of the snapshot [s].
         """
         self.description = description
         self.changed = now
@@ -88,14 +88,14 @@ class InputState:
         self.restart(snapshot, now)
 
     def restart(self, snapshot: Snapshot, now: float) -> None:
-        """Takes over a whole state, after events were lost."""
+        """Replace the state after a loss of events."""
         self._keys = set(snapshot.keys)
         self._axes = dict(snapshot.axes)
         self._relative.clear()
         self.changed = now
 
     def apply(self, group: Iterable[Event], now: float) -> None:
-        """Takes one group of events, received at a time [s]."""
+        """Apply one group of events, received now [s]."""
         for event in group:
             if event.kind == EV_KEY:
                 (self._keys.add if event.value else self._keys.discard)(event.code)
@@ -113,9 +113,9 @@ class InputState:
         """An absolute axis, -1 ... 1.
 
         Args:
-            code: Which.
-            dead_zone: Half width of the zone round the middle that counts as 0; beyond it the value
-                grows from 0, so that there is no step at its edge.
+            code: Of the axis.
+            dead_zone: Half width of the zone around the middle that counts as 0; the value is
+                continuous at its edge.
         """
         span = self.description.axes.get(code)
         if span is None or code not in self._axes:
@@ -123,14 +123,14 @@ class InputState:
         return without_dead_zone(span.normal(self._axes[code]), dead_zone)
 
     def one_sided(self, code: int, dead_zone: float) -> float:
-        """An axis that rests at its minimum, 0 ... 1; the dead zone lies at its rest."""
+        """An axis that rests at its minimum, 0 ... 1; the dead zone is at rest."""
         span = self.description.axes.get(code)
         if span is None or code not in self._axes:
             return 0.0
         return without_dead_zone((span.normal(self._axes[code]) + 1.0) / 2.0, dead_zone)
 
     def relative(self, code: int, dead_zone: float, now: float) -> float:
-        """The same for a relative axis that stands for a deflection."""
+        """A relative axis that reports a deflection, -1 ... 1."""
         reading, since = self._relative.get(code, (0, now))
         if not now - since <= RELATIVE_HOLD:
             return 0.0
@@ -138,7 +138,7 @@ class InputState:
 
 
 def without_dead_zone(value: float, dead_zone: float) -> float:
-    """Cuts the middle out of -1 ... 1 and stretches the rest: continuous, odd, 1 at 1."""
+    """Apply a dead zone to -1 ... 1; the result is continuous, odd, and 1 at 1."""
     beyond = abs(value) - dead_zone
     if not beyond > 0.0:
         return 0.0

@@ -1,7 +1,7 @@
-"""The kernel's input events: the 24 bytes that an event device hands out per change.
+"""The kernel's input events, 24 bytes each.
 
 Layout: ``struct input_event`` of <linux/input.h>: two longs of time, then type, code (16 bits each)
-and value (32 bits). What a person did comes as a group of events that ends with SYN_REPORT.
+and value (32 bits). Simultaneous changes form a group that ends with SYN_REPORT.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class Event:
     """One change.
 
     Attributes:
-        kind: EV_SYN, EV_KEY, EV_REL, EV_ABS; others are passed on and mean nothing to us.
-        code: Which key or axis.
+        kind: EV_SYN, EV_KEY, EV_REL, EV_ABS; others are ignored.
+        code: Key or axis.
         value: Key: 0 released, 1 pressed, 2 repeated. Axis: its reading, or its change (EV_REL).
     """
 
@@ -30,7 +30,7 @@ class Event:
     value: int
 
     def to_bytes(self) -> bytes:
-        """As the kernel would write it, at time 0."""
+        """As the kernel writes it, at time 0."""
         return EVENT.pack(0, 0, self.kind, self.code, self.value)
 
 
@@ -39,11 +39,10 @@ DROPPED = Event(EV_SYN, SYN_DROPPED, 0)
 
 
 class Decoder:
-    """Bytes to groups of events; keeps what is not complete yet.
+    """Decodes bytes to complete groups of events.
 
-    A group is what one SYN_REPORT closes: half a diagonal is never shown. After SYN_DROPPED (the
-    kernel's buffer ran over) everything up to the next SYN_REPORT is worthless, and what was before
-    may be out of date: the device has to be asked for its whole state.
+    A SYN_REPORT closes a group. After SYN_DROPPED (overflow of the kernel's buffer) all events up
+    to the next SYN_REPORT are discarded, and the device must be asked for its whole state.
     """
 
     def __init__(self) -> None:
@@ -52,13 +51,13 @@ class Decoder:
         self._dropping = False
 
     def feed(self, data: bytes) -> list[list[Event] | None]:
-        """Takes what was read.
+        """Decode bytes.
 
         Args:
             data: Any number of bytes.
 
         Returns:
-            The complete groups, without their SYN_REPORT; None stands for a loss of events.
+            Complete groups without their SYN_REPORT; None stands for a loss of events.
         """
         data = self._bytes + data
         whole = len(data) - len(data) % EVENT.size
