@@ -1,4 +1,4 @@
-"""Operator, core controller and an arm with lag in one process: no ROS, no MuJoCo, a few seconds.
+"""Motion player, core controller and a lagging arm in one process: no ROS, no MuJoCo.
 
 The plant is what an industrial arm's joint servos look like from outside: two ticks of delay and a
 first-order lag of 8 ms, the same in every joint.
@@ -17,7 +17,7 @@ import surg_core
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import make_plan
-from surg_teleop.playback.motion_player import Mode, Operator, Stage
+from surg_teleop.playback.motion_player import Mode, MotionPlayer, Stage
 from surg_teleop.playback.workspace_fit import Workspace
 
 TICK_NS = 2_000_000
@@ -142,7 +142,7 @@ def play(
         1.0,
         duration,
     )
-    operator = Operator(plan, mode, JawRange(arm.instrument.jaw_min, arm.instrument.jaw_max))
+    operator = MotionPlayer(plan, mode, JawRange(arm.instrument.jaw_min, arm.instrument.jaw_max))
     plant = LaggingArm(arm, law, feedback_gain)
     rcm_error, tips, times, scales, limited = [], [], [], [], set()
     commands = ArmCommands()

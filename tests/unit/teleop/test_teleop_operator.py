@@ -12,7 +12,7 @@ from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, TipPose
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.playback.motion_file import Motion, read_motion
 from surg_teleop.playback.motion_plan import make_plan
-from surg_teleop.playback.motion_player import HOLD, JAW_EVERY, Mode, Operator, Stage
+from surg_teleop.playback.motion_player import HOLD, JAW_EVERY, Mode, MotionPlayer, Stage
 from surg_teleop.playback.workspace_fit import Workspace
 
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)
@@ -69,11 +69,11 @@ def motion(seconds: float = 2.0) -> Motion:
     return Motion("test.csv", t, p, 0.3 * t, gripper, np.arange(2, len(t) + 2))
 
 
-def operator(mode: Mode = Mode.CARTESIAN, scale: float = 1.0) -> Operator:
-    return Operator(make_plan(motion(), WORKSPACE, scale), mode, JAW)
+def operator(mode: Mode = Mode.CARTESIAN, scale: float = 1.0) -> MotionPlayer:
+    return MotionPlayer(make_plan(motion(), WORKSPACE, scale), mode, JAW)
 
 
-def play(op: Operator, arm: FakeArm, ticks: int = 30_000) -> list[Stage]:
+def play(op: MotionPlayer, arm: FakeArm, ticks: int = 30_000) -> list[Stage]:
     stages = [op.stage]
     for _ in range(ticks):
         arm.step(op.tick(arm.feedback()))
@@ -271,6 +271,6 @@ def test_bundled_motion_plays_to_the_end() -> None:
     plan = make_plan(
         read_motion(paths.ROOT / "src/surg_teleop/motions/bundled.csv"), WORKSPACE, 1.0, 5.0
     )
-    op, arm = Operator(plan, Mode.CARTESIAN, JAW), FakeArm()
+    op, arm = MotionPlayer(plan, Mode.CARTESIAN, JAW), FakeArm()
     play(op, arm)
     assert op.stage is Stage.DONE

@@ -1,8 +1,8 @@
-"""A recorded hand motion: read from CSV, checked, and smooth between its samples.
+"""A recorded hand motion: read from CSV, checked, and interpolated.
 
 File format: comma separated text with one header line. Required columns: ``t_s`` [s], ``x_m``,
 ``y_m``, ``z_m`` [m]. Optional: ``roll_rad`` [rad] or the nine columns ``r11`` ... ``r33`` of a
-rotation matrix (row by row), and ``gripper_rad`` [rad]. Further columns are ignored and named.
+rotation matrix (row by row), and ``gripper_rad`` [rad]. Other columns are ignored and reported.
 """
 
 from __future__ import annotations
@@ -26,37 +26,37 @@ ROTATION = tuple(f"r{row}{column}" for row in "123" for column in "123")
 KNOWN = (*REQUIRED, "roll_rad", *ROTATION, "gripper_rad")
 
 MIN_SAMPLES = 4
-"""A cubic spline needs that many."""
+"""Needed by a cubic spline."""
 MIN_DURATION = 0.5
-"""[s] Anything shorter is a fragment of a file, not a motion."""
+"""[s] Shortest motion."""
 MAX_GAP = 0.5
-"""[s] Across a longer gap the spline would invent a motion that nobody made."""
+"""[s] Longest gap between samples; a spline across a longer one would be a guess."""
 JUMP_SPEED = 1.0
-"""[m/s] Between samples. Four times the fastest tip of 37 recorded knot-tying trials (0.25 m/s):
-a faster "hand" is a glitch of the tracker or a file glued together."""
+"""[m/s] Between samples; four times the fastest tip of 37 recorded knot-tying trials (0.25 m/s).
+Faster motions are glitches of a tracker or concatenated files."""
 JUMP_SLACK = 0.002
-"""[m] Sample noise that does not count as a jump, however short the time step."""
+"""[m] Allowance for noise of the samples."""
 ROLL_JUMP_SPEED = 20.0
-"""[rad/s] Between samples. A surgeon's wrist rolls at up to 5.7 rad/s."""
+"""[rad/s] Between samples; a surgeon's wrist rolls at up to 5.7 rad/s."""
 ROLL_JUMP_SLACK = 0.1
-"""[rad] The same for roll."""
+"""[rad] Allowance for noise of the roll."""
 ROTATION_TOLERANCE = 1e-2
-"""Largest entry of R R^T - I that still passes for a rotation printed with few digits."""
+"""Largest entry of R R^T - I, for rotations printed with few digits."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion that passed every check of :func:`read_motion`.
+    """A motion checked by :func:`read_motion`.
 
     Attributes:
-        file: Where it came from, for messages.
+        file: Its file, for messages.
         t: (n,) time since the first sample [s], strictly increasing from 0.
         p: (n, 3) position as recorded [m].
-        roll: (n,) roll about the handle axis since the first sample [rad], unwrapped; zeros if the
-            file has none.
+        roll: (n,) roll about the handle axis since the first sample [rad], unwrapped; zeros if
+            the file has none.
         gripper: (n,) gripper opening [rad] or None.
         lines: (n,) line of each sample in the file, for messages.
-        ignored: Columns of the file that nobody used.
+        ignored: Unused columns of the file.
     """
 
     file: str
@@ -78,13 +78,13 @@ class Motion:
         return self.p.min(axis=0), self.p.max(axis=0)
 
     def cut(self, duration: float) -> Motion:
-        """The motion's first seconds.
+        """The first seconds of the motion.
 
         Args:
-            duration: How much to keep [s]; at least MIN_DURATION. More than there is: all of it.
+            duration: Length to keep [s], at least MIN_DURATION; may exceed the motion.
 
         Returns:
-            The shorter motion; its last sample lies at or just before the given time.
+            The motion up to the last sample within the duration.
         """
         if duration >= self.duration:
             return self
@@ -102,8 +102,7 @@ class Motion:
     def spline(self) -> CubicSpline:
         """Interpolant with continuous acceleration over (x, y, z [m], roll [rad]).
 
-        Natural ends: no acceleration at the first and the last sample. The file's samples are met
-        exactly.
+        It passes through all samples, with zero acceleration at both ends.
         """
         return CubicSpline(self.t, np.column_stack((self.p, self.roll)), bc_type="natural")
 
@@ -113,7 +112,7 @@ class Motion:
 
 
 def read_motion(path: Path) -> Motion:
-    """Reads and checks a motion file.
+    """Read and check a motion file.
 
     Args:
         path: The CSV file.
@@ -122,7 +121,7 @@ def read_motion(path: Path) -> Motion:
         The motion.
 
     Raises:
-        MotionError: The file cannot be read, or is not a motion that an arm may follow.
+        MotionError: The file cannot be read, or an arm must not follow it.
     """
     header, rows, lines = _read_table(path)
     column = {name: index for index, name in enumerate(header)}
@@ -187,7 +186,7 @@ def _check_header(path: Path, header: list[str]) -> None:
         )
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
-        raise MotionError(f"{path}: line 1: column {', '.join(twice)} stands there twice")
+        raise MotionError(f"{path}: line 1: column {', '.join(twice)} is there twice")
     rotation = [name for name in ROTATION if name in header]
     if rotation and len(rotation) < len(ROTATION):
         absent = [name for name in ROTATION if name not in header]
@@ -229,15 +228,15 @@ def _check_time(path: Path, t: Array, lines: list[int]) -> None:
     if backwards.size:
         i = int(backwards[0]) + 1
         raise MotionError(
-            f"{path}: line {lines[i]}: t_s is {t[i]:.6f} after {t[i - 1]:.6f}; allowed: time that "
-            "runs forwards"
+            f"{path}: line {lines[i]}: t_s is {t[i]:.6f} after {t[i - 1]:.6f}; allowed: increasing "
+            "times"
         )
     gaps = np.flatnonzero(steps > MAX_GAP)
     if gaps.size:
         i = int(gaps[0]) + 1
         raise MotionError(
             f"{path}: line {lines[i]}: t_s is {t[i]:.6f}, {steps[i - 1]:.3f} s after the sample "
-            f"before; allowed: {MAX_GAP} s, or what happened in between would be guessed"
+            f"before; allowed: {MAX_GAP} s"
         )
     if t[-1] - t[0] < MIN_DURATION:
         raise MotionError(
@@ -277,7 +276,7 @@ def _handle_roll(path: Path, rotations: Array, lines: list[int]) -> Array:
     if bad.size:
         i = int(bad[0])
         raise MotionError(
-            f"{path}: line {lines[i]}: r11 to r33 are no rotation (R R^T differs from 1 by "
+            f"{path}: line {lines[i]}: r11 to r33 are not a rotation (R R^T differs from 1 by "
             f"{defect[i]:.3g}, determinant {np.linalg.det(rotations[i]):.3g}); allowed: "
             f"{ROTATION_TOLERANCE} and a positive determinant"
         )

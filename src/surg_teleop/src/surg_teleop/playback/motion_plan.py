@@ -1,11 +1,10 @@
-"""From a motion file to what an arm is told at every moment: the path in the rcm frame.
+"""Converts a motion file to a path in the rcm frame.
 
-Time line: a run-in from rest, the recorded motion (again and again, if a longer duration is asked
-for), a run-out to rest. The recorded motion itself is never altered. The run-in and run-out lie
-outside it: they bring the tip smoothly to the velocity that the first sample has and back from the
-last one. Without the run-in the jerk-limited filter of the controller would have to catch up with a
-target that is suddenly moving (4 mm behind at 0.1 m/s); with it the filter is in step when the
-recording starts. A recording that starts at rest has a run-in that does not move.
+Time line: a run-in from rest, the recorded motion (repeated for longer durations), and a run-out to
+rest. The recorded motion is never altered. Run-in and run-out bring the tip smoothly to the
+velocity of the first sample and to rest from the last one. Without a run-in the controller's
+jerk-limited filter would start behind a moving target (4 mm at 0.1 m/s). The run-in of a recording
+that starts at rest does not move.
 """
 
 from __future__ import annotations
@@ -32,19 +31,19 @@ RUN_MIN = 0.3
 RUN_ACCELERATION = 0.5
 """[m/s^2] Mean acceleration of the run-in and run-out: a quarter of the tip's limit."""
 RETURN_SPEED = 0.05
-"""[m/s] Mean speed of the way back from the last to the first sample when a motion is repeated."""
+"""[m/s] Mean speed of the return from the last to the first sample of a repeated motion."""
 RETURN_MIN = 1.0
-"""[s] Shortest way back."""
+"""[s] Shortest return."""
 MIN_EXTENT = 1e-3
-"""[m] A motion whose box is smaller in every axis is constant: it would show nothing."""
+"""[m] A motion whose box is smaller in every axis counts as constant."""
 CHECK_STEP = 0.002
-"""[s] The path is checked at every control cycle."""
+"""[s] The path is checked at this interval, one control cycle."""
 MAX_SCALE, MIN_SCALE = 10.0, 0.01
 MAX_DURATION = 24 * 3600.0
 
 
 class ConstantMotionError(MotionError):
-    """A motion that does not move: nothing could be measured from it."""
+    """A motion that does not move."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class Quintic:
     def between(
         start: tuple[Array, Array, Array], end: tuple[Array, Array, Array], T: float
     ) -> Quintic:
-        """The quintic that starts and ends in the given states T seconds apart."""
+        """The quintic between the given states, T seconds apart."""
         (x0, v0, a0), (x1, v1, a1) = start, end
         h = x1 - x0 - v0 * T - a0 * T * T / 2.0
         dv, da = v1 - v0 - a0 * T, a1 - a0
@@ -87,15 +86,15 @@ class Quintic:
 
 @dataclass(frozen=True)
 class Plan:
-    """What the arm is told over time, in the rcm frame. Make one with :func:`make_plan`.
+    """Path of an arm over time, in the rcm frame; made by :func:`make_plan`.
 
     Attributes:
-        motion: The motion that is played.
+        motion: The motion.
         mapping: From the motion's own frame to the rcm frame.
         run_in: Length of the run-in [s].
         played: Length of the played window [s]: run_in to run_in + played is recorded motion.
         run_out: Length of the run-out [s].
-        back: Length of the way back between two repetitions [s].
+        back: Length of the return between two repetitions [s].
     """
 
     motion: Motion
@@ -114,7 +113,7 @@ class Plan:
 
     @property
     def duration(self) -> float:
-        """Length of everything [s]."""
+        """Total length [s]."""
         return self.run_in + self.played + self.run_out
 
     @property
@@ -123,7 +122,7 @@ class Plan:
         return self.run_in, self.run_in + self.played
 
     def at(self, t: float) -> tuple[Array, float]:
-        """Tip (3,) [m] and roll [rad] at a time [s] since the start; rests beyond both ends."""
+        """Tip (3,) [m] and roll [rad] at a time [s] since the start; at rest beyond both ends."""
         t = min(max(t, 0.0), self.duration)
         start, end = self.window
         if t < start:
@@ -159,9 +158,9 @@ class Plan:
         return p, roll
 
     def opening(self, t: float) -> float | None:
-        """Gripper opening [rad] at a time [s] from the most closed of the motion; None without one.
+        """Gripper opening [rad] at a time [s]; None without a gripper.
 
-        Relative to the most closed sample, because recordings put their zero anywhere.
+        Relative to the most closed sample, because the zero of recordings is arbitrary.
         """
         local = self._phase_at(min(max(t, 0.0), self.duration))
         value = self.motion.gripper_at(min(local, self.motion.duration))
@@ -183,22 +182,22 @@ class Plan:
 def make_plan(
     motion: Motion, workspace: Workspace, scale: float = 1.0, duration: float | None = None
 ) -> Plan:
-    """Centres a motion on the home shaft axis, checks that it fits, and lays out its time line.
+    """Centre a motion on the home shaft axis, check that it fits, and make its time line.
 
     Args:
         motion: A checked motion.
-        workspace: Where the tip may be.
+        workspace: Where the tip may be commanded.
         scale: Arm metres per recorded metre, MIN_SCALE to MAX_SCALE.
-        duration: How long to play [s]; None: the motion once. Shorter: its first seconds; longer:
-            again and again, with a smooth way back in between.
+        duration: How long to play [s]; None: the motion once. A shorter motion is repeated, with a
+            smooth return in between.
 
     Returns:
         The plan.
 
     Raises:
         ConstantMotionError: The motion does not move.
-        MotionError: The path does not fit (the message names the largest scale that does), or scale
-            or duration are out of range.
+        MotionError: The path does not fit (the error states the largest scale that would), or scale
+            or duration is out of range.
     """
     if not MIN_SCALE <= scale <= MAX_SCALE:
         raise MotionError(f"--scale: {scale}; allowed: {MIN_SCALE} to {MAX_SCALE}")
@@ -240,7 +239,7 @@ def _lay_out(motion: Motion, scale: float, played: float) -> Plan:
     phase = math.fmod(played, motion.duration + back) if back else motion.duration
     if phase <= motion.duration:
         stop = state(phase)
-    else:  # the window ends on a way back: its derivatives by the polynomial itself
+    else:  # the window ends within a return: differentiate its polynomial
         c, u = way_back.coefficients, phase - motion.duration
         k = np.arange(6)[:, None]
         velocity = (k[1:] * c[1:] * u ** (k[1:] - 1.0)).sum(axis=0)
@@ -276,7 +275,7 @@ def _lay_out(motion: Motion, scale: float, played: float) -> Plan:
 
 
 def _horner(coefficients: Array, u: float) -> Array:
-    """Polynomials (k, axes), lowest power first, at u: what one control cycle can afford."""
+    """Polynomials (k, axes), lowest power first, at u; fast enough for a control cycle."""
     value: Array = coefficients[-1]
     for row in coefficients[-2::-1]:
         value = value * u + row
@@ -284,7 +283,7 @@ def _horner(coefficients: Array, u: float) -> Array:
 
 
 def _check_fit(plan: Plan, workspace: Workspace, scale: float) -> None:
-    # One repetition shows the whole path; a window that ends on a way back adds its run-out.
+    # One repetition covers the whole path; a window that ends within a return adds its run-out.
     window = min(plan.played, plan.motion.duration + plan.back)
     times = np.concatenate(
         (
@@ -301,7 +300,7 @@ def _check_fit(plan: Plan, workspace: Workspace, scale: float) -> None:
     worst = p[first.index]
     depth = float(np.linalg.norm(worst))
     angle = math.degrees(math.acos(max(-1.0, min(1.0, worst[2] / depth))))
-    # Rounded down: the scale that the message names must fit.
+    # Rounded down, because the stated scale must fit.
     fits = math.floor(1000.0 * first.scale) / 1000.0
     box = _mm(scale * np.ptp(plan.motion.p, axis=0))
     raise MotionError(

@@ -1,8 +1,8 @@
-"""The operator: brings an arm to the start of a motion, plays it, and lets go.
+"""Plays a recorded motion: brings the arm to its start, streams it, and releases the arm.
 
 CONNECT -> HOME -> ENABLE -> MOVE -> SETTLE -> PLAY -> HOLD -> DONE, or FAILED with a reason. Pure:
-no ROS, no clock. One call of :meth:`Operator.tick` per control cycle; time is the difference of the
-cycles' stamps, so that the same cycles give the same commands whatever the machine does meanwhile.
+no ROS, no clock. :meth:`MotionPlayer.tick` is called once per control cycle; time is the difference
+of the cycles' stamps, so the same cycles always give the same commands.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.playback.motion_plan import Plan
 
 MOVE_TIMEOUT = 15 * SECOND_NS
-"""Longest wait for the arm at the start of the motion."""
+"""[ns] Longest time to reach the start of the motion."""
 MOVE_MIN = SECOND_NS // 20
-"""The arm needs that long to show that it is busy."""
+"""[ns] Time until the arm reports that it is busy."""
 SETTLE = SECOND_NS // 4
-"""Rest at the start, so that the servo's lag has died away."""
+"""[ns] Rest at the start, so that the servo's lag decays."""
 HOLD = SECOND_NS // 2
-"""The last pose is streamed that long, so that the arm arrives before the stream ends."""
+"""[ns] Time for which the last pose is streamed, so that the arm arrives before the stream ends."""
 START_TOLERANCE = 0.001
-"""[m] Half of what the controller allows between set-point and the first pose of a stream."""
+"""[m] Half of the controller's tolerance between set-point and first pose of a stream."""
 JAW_EVERY = 5
-"""The jaw is told every fifth cycle: 100 Hz, its speed is limited by the controller."""
+"""The jaw is commanded every fifth cycle, at 100 Hz."""
 
 
 class Stage(enum.Enum):
-    """What the operator is doing."""
+    """Stage of the player."""
 
     CONNECT = "connect"
     HOME = "home"
@@ -53,17 +53,17 @@ class Mode(enum.Enum):
 
 
 @dataclass
-class Operator:
-    """Plays a plan into one arm.
+class MotionPlayer:
+    """Plays a plan on one arm.
 
     Attributes:
-        plan: What to play.
-        mode: Which stream carries it.
-        jaw: Range of the instrument's jaw; the gripper's opening is clipped to it.
-        stage: What the operator is doing.
-        reason: Why it gave up; empty otherwise.
-        started_ns: Stamp at which the stream began, 0 before.
-        refused: ArmCommands that the arm refused during the stream.
+        plan: The plan.
+        mode: The stream that carries it.
+        jaw: Range of the jaw; the gripper's opening is clipped to it.
+        stage: Present stage.
+        reason: Why it has failed; empty otherwise.
+        started_ns: Stamp of the start of the stream; 0 before.
+        refused: Commands that the arm has refused during the stream.
     """
 
     plan: Plan
@@ -81,7 +81,7 @@ class Operator:
 
     @property
     def done(self) -> bool:
-        """True when nothing more will be sent."""
+        """Whether nothing more will be sent."""
         return self.stage in (Stage.DONE, Stage.FAILED)
 
     @property
@@ -97,10 +97,10 @@ class Operator:
         """One control cycle.
 
         Args:
-            feedback: What the cycle says.
+            feedback: The arm's cycle.
 
         Returns:
-            What to send for the next cycle.
+            Commands for the next cycle.
         """
         commands = ArmCommands(stamp_ns=feedback.stamp_ns + TICK_NS)
         if self.stage is Stage.CONNECT:
@@ -127,7 +127,7 @@ class Operator:
         self.stage, self.reason = Stage.FAILED, reason
 
     def _usable(self, feedback: ArmView) -> bool:
-        """Gives up where the arm has stopped for a reason; nothing here resumes it."""
+        """Fail if the arm has stopped; it is never resumed here."""
         why = f": {feedback.reason}" if feedback.reason else ""
         if feedback.state == ArmState.FAULT:
             self._fail(f"the arm is in FAULT{why} (while: {self.stage.value})")

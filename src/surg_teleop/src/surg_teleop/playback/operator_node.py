@@ -28,7 +28,7 @@ from surg_ros.participant import Participant, Seen
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import ConstantMotionError, Plan, make_plan
-from surg_teleop.playback.motion_player import Mode, Operator
+from surg_teleop.playback.motion_player import Mode, MotionPlayer
 from surg_teleop.playback.workspace_fit import Workspace
 
 BUNDLED_MOTION = "motions/bundled.csv"
@@ -39,9 +39,9 @@ LINGER = 1.0
 
 
 class OperatorNode:
-    """Wires an Operator to the topics of one arm."""
+    """Wires an MotionPlayer to the topics of one arm."""
 
-    def __init__(self, operator: Operator, arm: str, lockstep: bool) -> None:
+    def __init__(self, operator: MotionPlayer, arm: str, lockstep: bool) -> None:
         """Advertises and subscribes; nothing is sent before :meth:`connect`.
 
         Args:
@@ -125,7 +125,7 @@ class Parameters:
     lockstep: bool = flag(False)
 
 
-def load(parameters: dict[str, object]) -> tuple[Operator, str, bool]:
+def load(parameters: dict[str, object]) -> tuple[MotionPlayer, str, bool]:
     """Reads every file once and checks the motion before anything moves.
 
     Args:
@@ -154,7 +154,9 @@ def load(parameters: dict[str, object]) -> tuple[Operator, str, bool]:
         given.scale,
         given.duration or None,
     )
-    operator = Operator(plan, Mode(given.mode), JawRange(instrument.jaw_min, instrument.jaw_max))
+    operator = MotionPlayer(
+        plan, Mode(given.mode), JawRange(instrument.jaw_min, instrument.jaw_max)
+    )
     return operator, given.arm, given.lockstep
 
 

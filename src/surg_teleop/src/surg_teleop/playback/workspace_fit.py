@@ -1,8 +1,8 @@
-"""Does a motion fit into an arm's workspace? Never rescaled: refused with the scale that would fit.
+"""Checks whether a motion fits an arm's workspace; it is refused, never rescaled.
 
 Workspace in the rcm frame (origin at the trocar, z along the home shaft into the patient): depth
 |p| between two spheres, and inside a cone about z. The motion is scaled about its centre, which
-lies on the axis; so each sample leaves the workspace at one scale that has a closed form.
+lies on the axis, so the scale at which a sample leaves the workspace has a closed form.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 WALL_MARGIN, WALL_ANGLE = 1e-4, 1e-3
-"""[m], [rad] A target that is held at a wall stays that far inside it."""
+"""[m], [rad] A limited target stays this far inside a wall."""
 
 
 @dataclass(frozen=True)
@@ -34,16 +34,16 @@ class Workspace:
     cone: float
 
     def nearest(self, p: Array) -> tuple[Array, str]:
-        """The point of the workspace that a target beyond a wall is held at.
+        """Limit a target to the workspace.
 
-        Turned onto the cone about the trocar, then moved along the shaft; a hair
-        inside, so that rounding leaves it acceptable.
+        It is turned onto the cone about the trocar, then moved along the shaft, to a point slightly
+        inside because of rounding.
 
         Args:
             p: (3,) in the rcm frame, not the trocar itself [m].
 
         Returns:
-            The point (3,) [m], p itself where it is inside; and the wall that held it: ``cone``,
+            The point (3,) [m], p itself if it is inside; and the wall that limits it: ``cone``,
             ``depth_min``, ``depth_max``, or empty.
         """
         wall = ""
@@ -64,12 +64,12 @@ class Workspace:
 
 @dataclass(frozen=True)
 class Exit:
-    """Where a motion leaves the workspace first when it grows.
+    """Where a growing motion first leaves the workspace.
 
     Attributes:
         scale: The largest scale that fits; infinite if every scale does.
-        index: Sample that sets it.
-        wall: Which wall: ``depth_min``, ``depth_max`` or ``cone``.
+        index: Sample that leaves it.
+        wall: The wall: ``depth_min``, ``depth_max`` or ``cone``.
     """
 
     scale: float
