@@ -123,6 +123,31 @@ def test_every_message_comes_once_in_order_and_only_when_it_is_asked_for(link: L
     assert link.heard == list(range(300))
 
 
+def test_a_plain_subscriber_delivers_the_same(
+    rospy_node: str, ros_graph: RosGraph, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the optimisation off, and a plain publisher of ready-made bytes on the other side."""
+    from sensor_msgs.msg import JointState
+
+    from surg_ros.transport.direct_publisher import DirectPublisher
+
+    monkeypatch.setenv("SURG_PLAIN_ROS", "all")
+    link = Link(ros_graph)
+    output = DirectPublisher(link.topic, JointState, blocking=True)
+    link.wait(lambda: output.connections == 1)
+    assert link.polled.subscriber.impl.data_class.__name__ == "AnyMsg"
+    for k in range(300):
+        buffer = io.BytesIO()
+        JointState(position=[k], effort=[0.0] * (k % 37)).serialize(buffer)
+        output.send(buffer.getvalue())
+    link.wait(lambda: link.hears(300))
+    assert link.heard == list(range(300)) and link.polled.fetch() == []
+    link.polled.release()
+    link.say(1)
+    output.publisher.unregister()
+    link.close()
+
+
 def test_a_sender_that_goes_is_forgotten_and_the_next_is_heard(link: Link) -> None:
     link.say(1)
     link.wait(lambda: link.hears(1))
