@@ -144,16 +144,7 @@ class ModelServerNode:
         self._said: tuple[object, ...] = ()
         self._ports = {name: ArmPort(name, COMMANDS) for name in settings.arms}
         self._advertise()
-        self._participant: Participant | None = None
-        if settings.lockstep:
-            self._participant = Participant(
-                self._ports,
-                self._on_tick,
-                settings.arms,
-                task=bool(settings.task),
-                listen=False,
-                lock=self._lock,
-            )
+        self._participant = self._join_lockstep() if settings.lockstep else None
         inputs = self._subscribe()
         if self._participant is not None:
             self._participant.inputs += inputs
@@ -167,6 +158,17 @@ class ModelServerNode:
         self._rejected = out("/policy/rejected", PolicyAction, queue_size=0, tcp_nodelay=True)
         self._enabled = out("/policy/enabled", Bool, queue_size=2, latch=True)
         self._status = out("/policy/status", PolicyStatus, queue_size=2, latch=True)
+
+    def _join_lockstep(self) -> Participant:
+        """A participant that is told of messages by this node, which needs them too."""
+        return Participant(
+            self._ports,
+            self._on_tick,
+            self._settings.arms,
+            task=bool(self._settings.task),
+            listen=False,
+            lock=self._lock,
+        )
 
     def _subscribe(self) -> list[rospy.Subscriber]:
         settings = self._settings
