@@ -17,6 +17,7 @@ import pytest
 
 from conftest import FULL
 from helpers.control.third_arm import write_third_arm
+from helpers.graph import socket_jitter
 from helpers.graph.surg import surg
 from surg_cli.host.paths import ROOT
 
@@ -159,10 +160,10 @@ def test_the_papers_law_and_no_feedback_drift(tmp_path: Path) -> None:
 
 def test_one_seed_one_hash_whatever_the_scheduler_does(tmp_path: Path) -> None:
     # A tick takes about a millisecond: delays of its size already shuffle everybody's messages.
-    seconds, jitter_ms = 2.0, "20" if FULL else "1"
+    seconds, jitter_ms = 2.0, 20.0 if FULL else 1.0
     plain = demo(tmp_path / "plain", "--duration", seconds)
     shaken = demo(
-        tmp_path / "shaken", "--duration", seconds, env={"SURG_TEST_JITTER_MS": jitter_ms}
+        tmp_path / "shaken", "--duration", seconds, env=socket_jitter.environment(jitter_ms)
     )
     print(f"{plain['counts']} ticks, jitter 0 to {jitter_ms} ms: {plain['state_hash']}")
     assert plain["deterministic"] is True

@@ -24,6 +24,7 @@ from std_msgs.msg import String
 
 import surg_core
 from crtk_msgs.msg import StringStamped
+from helpers.graph import socket_jitter
 from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
 from helpers.graph.ros import RosGraph
 from helpers.results.reactions import Reactions
@@ -380,7 +381,7 @@ def test_f10_a_simulator_that_is_always_behind(
     ros_graph: RosGraph, rospy_node: str, reactions: Reactions, full: bool
 ) -> None:
     """It ticks without a pause and holds its lock meanwhile: it still obeys the newest command."""
-    starved = System(ros_graph, SURG_TEST_JITTER_MS="5")
+    starved = System(ros_graph, **socket_jitter.environment(5.0, share=1.0))
     try:
         starved.in_motion()
         ticks, cycles = len(starved.truths), len(starved.cycles)

@@ -19,6 +19,7 @@ from sensor_msgs.msg import JointState
 from tf2_msgs.msg import TFMessage
 
 from crtk_msgs.msg import OperatingState
+from helpers.graph import socket_jitter
 from helpers.graph.control_rig import (
     ANSWER_S,
     CELL,
@@ -63,9 +64,9 @@ def test_every_tick_is_answered_and_the_arm_follows(ros_graph: RosGraph, rig: Ri
 
 def test_same_commands_give_the_same_answers(ros_graph: RosGraph, rospy_node: str) -> None:
     runs = []
-    for jitter in ("0", "3"):
+    for jitter in (0.0, 3.0):
         rig = Rig(rospy_node)
-        child = start(ros_graph, rig, env={"SURG_TEST_JITTER_MS": jitter})
+        child = start(ros_graph, rig, env=socket_jitter.environment(jitter))
         runs.append([tuple(cycle.qd_command) for cycle in follow(rig, 60)])
         child.process.send_signal(signal.SIGTERM)
         assert child.process.wait(10) == 0

@@ -6,13 +6,13 @@ arrives must be the same to the last bit, and nothing may depend on when.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from conftest import FULL
+from helpers.graph import socket_jitter
 from helpers.graph.two_arms import write_two_arms
 from helpers.sim.nudge_task import LUCKY
 from surg_cli.graph import episode_plans, episode_process, task_episode
@@ -66,7 +66,8 @@ def assert_same(
 
 def test_bowel_and_assistant(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With every process held up at random, and breathing."""
-    monkeypatch.setenv("SURG_TEST_JITTER_MS", "5" if FULL else "0.3")
+    for name, value in socket_jitter.environment(5.0 if FULL else 0.3).items():
+        monkeypatch.setenv(name, value)
     assert_same(tmp_path, cells.find("sim_two_arms"), SHORT, "in_vivo", 10_001)
     found = recorded.read(tmp_path / "episode")
     task, said = found.table("task_state"), found.table("command_assistant")
@@ -173,4 +174,3 @@ def test_another_seed_is_another_hash() -> None:
     cell = cells.find("sim_two_arms")
     hashes = {in_process(cell, SHORT, "phantom", seed).hash for seed in (10_001, 10_002)}
     assert len(hashes) == 2
-    assert os.environ.get("SURG_TEST_JITTER_MS") is None

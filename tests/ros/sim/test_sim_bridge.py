@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
+from helpers.graph import socket_jitter
 from helpers.graph.ros import RosGraph
 from surg_cli.graph import graph_probe, master, processes
 from surg_cli.host import paths
@@ -116,7 +117,7 @@ def lockstep(
     graph: RosGraph, velocity: float, last: int, jitter_ms: float = 0.0, **params: object
 ) -> object:
     controller = Controller(velocity, last)
-    env = {"SURG_TEST_JITTER_MS": str(jitter_ms)} if jitter_ms else None
+    env = socket_jitter.environment(jitter_ms) if jitter_ms else None
     with running(graph, controller, env, **params):
         graph.wait_for(lambda: controller.done, 60.0, "the end of the run")
     assert controller.stamps == [TICK_NS * k for k in range(1, last + 1)]

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import surg_core
-from helpers.graph import contract
+from helpers.graph import contract, socket_jitter
 from helpers.graph.ros import RosGraph
 from helpers.teleop.moving_hand import MovingHand
 from surg_cli.graph import master, system
@@ -324,7 +324,7 @@ def lockstep_run(graph: RosGraph, jitter_ms: int) -> tuple[str, list[str]]:
         "duration": 0.6,
         "picture": "",
     }
-    env = {"SURG_TEST_JITTER_MS": str(jitter_ms)}
+    env = socket_jitter.environment(jitter_ms)
     child = graph.node("surg_teleop", "teleop_node", "/teleop", params, env)
     graph.wait_for(
         lambda: bool(statuses) and statuses[-1].state == SimStatus.STATE_DONE,

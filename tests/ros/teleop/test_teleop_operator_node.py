@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from helpers.graph import socket_jitter
 from helpers.graph.ros import RosGraph
 from helpers.graph.statuses import sim_status
 from surg_cli.host import paths
@@ -188,9 +189,10 @@ def test_lockstep_from_connection_to_done(ros_graph: RosGraph, arm: ScriptedArm)
 
 def test_lockstep_is_the_same_under_jitter(ros_graph: RosGraph, rospy_node: str) -> None:
     runs = []
-    for jitter in ("0", "3"):
+    for jitter in (0.0, 3.0):
         arm = ScriptedArm(lockstep=True)
-        child = start(ros_graph, env={"SURG_TEST_JITTER_MS": jitter}, mode="spherical", duration=1)
+        env = socket_jitter.environment(jitter)
+        child = start(ros_graph, env=env, mode="spherical", duration=1)
         run_lockstep(ros_graph, arm)
         assert child.process.wait(10) == 0
         runs.append(content(arm.stepped))

@@ -7,8 +7,6 @@ reads them, and Ready is packed from a prebuilt layout.
 
 from __future__ import annotations
 
-import os
-import random
 import struct
 import threading
 import time
@@ -134,7 +132,6 @@ class Participant:
         """The tick that was seen last."""
         self._cycles: dict[str, tuple[int, RawCycle]] = {}
         self._state: tuple[int, RawTaskState] = (0, RawTaskState())
-        self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1e3
         if lockstep:
             self._ready = DirectPublisher("/sim/ready", Ready, blocking=True, latch=True)
             self._layout = ReadyLayout(rospy.get_name().lstrip("/"), list(self._ports))
@@ -234,8 +231,6 @@ class Participant:
         if self._done or not complete or tick <= self.tick:
             return
         self.tick = tick
-        if self._lockstep and self._jitter:
-            time.sleep(random.uniform(0.0, self._jitter))
         cycles = {arm: raw for arm, (_, raw) in self._cycles.items()}
         done = self._act(Seen(tick, cycles, self._state[1] if on_grid else None))
         if done is not None:

@@ -9,7 +9,6 @@ they are taken where the ROS master is on this machine only.
 from __future__ import annotations
 
 import os
-import random
 import struct
 import sys
 import threading
@@ -189,7 +188,6 @@ class Bridge:
             abort=settings.abort_timeout,
             strict=world.task is not None,
         )
-        self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1000
         self._deterministic = self.lockstep
         self._done = False
         self._aborted: str | None = None
@@ -314,8 +312,6 @@ class Bridge:
             if self._step() or last:
                 self._end()
                 return
-            if self._jitter:
-                time.sleep(random.uniform(0.0, self._jitter))
             self._publish_state(self._world.tick * TICK_NS)
         except Exception as error:  # a task may be anybody's code: its mistake ends the run by name
             rospy.logerr(traceback.format_exc())
@@ -520,8 +516,6 @@ class Bridge:
                 deadline -= left
                 self._start_ns -= int(left * SECOND_NS)
             with self._lock:
-                if self._jitter:
-                    time.sleep(random.uniform(0.0, self._jitter))
                 if self._step():
                     self._end()
                     for arm in self._arms:

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import random
 import sys
 import threading
-import time
 from collections import deque
 
 import numpy as np
@@ -92,7 +89,6 @@ class Endoscope:
         self._renderer, self._keep_all = renderer, keep_all
         self._waiting: deque[SimSnapshot] = deque(maxlen=None if keep_all else 1)
         self._arrived = threading.Condition()
-        self._jitter = float(os.environ.get("SURG_TEST_JITTER_MS", "0")) / 1000 if keep_all else 0.0
         baselines = {"left": 0.0, "right": renderer.baseline}
         self._cameras = {
             view: CameraTopics(
@@ -122,8 +118,6 @@ class Endoscope:
 
     def _render(self, snapshot: SimSnapshot) -> None:
         pictures = self._renderer.render(np.asarray(snapshot.qpos))
-        if self._jitter:
-            time.sleep(random.uniform(0.0, self._jitter))
         rendered = Ready(tick=snapshot.tick, participant=RENDERER)
         if not self._keep_all:  # the next exposure is made while this picture is sent
             self._ready.publish(rendered)
