@@ -1,13 +1,12 @@
-// Preloaded into the nodes of a cell that is spread over several machines
-// (docs/guide/two_machines.md).
+// The port guard: `./surg up CELL --role R --port-guard` preloads it into every node, for machines
+// with a second network (docs/guide/two_machines.md).
 //
-// ROS 1 opens its ports on every address of a machine as soon as it may speak to others. This
-// library puts itself before three calls of libc, for C++ and Python nodes alike:
-//  * bind: a TCP port on "any address" becomes one on SURG_LISTEN_ON alone;
-//  * listen, connect: what has not been acknowledged for SURG_TCP_TIMEOUT_MS is thrown away and the
-//    connection ended, so that a link that comes back after a long time delivers nothing old.
-// Without these variables it does nothing. `./surg up --role` looks afterwards at the ports that
-// are really open.
+// ROS 1 opens its ports on every address of a machine. This library replaces three libc functions,
+// in C++ and Python nodes alike:
+//  * bind: a TCP port on "any address" is bound to SURG_LISTEN_ON alone;
+//  * listen, connect: a connection ends when data stays unacknowledged for SURG_TCP_TIMEOUT_MS.
+//    A restored link then delivers nothing old.
+// Without these variables it does nothing. `./surg up --role` checks the open ports afterwards.
 
 #include <arpa/inet.h>
 #include <dlfcn.h>

@@ -93,7 +93,11 @@ class Program:
 
     def __init__(self, machines: Machines, machine: str, *words: str) -> None:
         link = roles.Link(
-            roles.Role(machine), machines.addresses[machine], machines.addresses["robot"], PORT
+            roles.Role(machine),
+            machines.addresses[machine],
+            machines.addresses["robot"],
+            PORT,
+            guard=True,
         )
         env = link.environment(for_nodes(), network.GUARD)
         env["PYTHONPATH"] = f"{paths.ROOT / 'tests'}:{env['PYTHONPATH']}"
@@ -137,7 +141,9 @@ class Far:
 def far(machines: Machines, cell: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Far]:
     folder = tmp_path_factory.mktemp("far")
     video = () if FULL else ("--no-video",)  # a camera takes one of two cores
-    robot = up(machines, folder / "robot.log", "robot", cell, "--role", "robot", *video)
+    robot = up(
+        machines, folder / "robot.log", "robot", cell, "--role", "robot", "--port-guard", *video
+    )
     eye = hand = None
     try:
         log = folder / "robot.log"

@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -41,7 +42,7 @@ def test_routes_are_read() -> None:
 
 
 def test_a_link_has_master_and_addresses() -> None:
-    link = roles.link_of(cell(), Role.OPERATOR, 11311)
+    link = replace(roles.link_of(cell(), Role.OPERATOR, 11311), guard=True)
     assert (link.address, link.robot, link.others) == ("192.168.77.2", "192.168.77.1", ("robot",))
     base = {
         "ROS_HOSTNAME": "localhost",
@@ -56,6 +57,21 @@ def test_a_link_has_master_and_addresses() -> None:
     assert env["LD_PRELOAD"] == f"{network.GUARD}:a.so"
     assert link.environment(env, network.GUARD) == env, "twice is once"
     assert int(env["SURG_TCP_TIMEOUT_MS"]) == 1000 * roles.WAITS[Role.OPERATOR].tcp
+
+
+def test_without_the_guard_nothing_is_preloaded() -> None:
+    env = roles.link_of(cell(), Role.OPERATOR, 11311).environment({}, network.GUARD)
+    assert env == {"ROS_IP": "192.168.77.2", "ROS_MASTER_URI": "http://192.168.77.1:11311"}
+
+
+def test_without_the_guard_a_second_network_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    here = {"eth1": "192.168.77.1"}
+    monkeypatch.setattr(network, "addresses", lambda: here)
+    link = roles.link_of(cell(), Role.ROBOT, 11311)
+    network.refuse_foreign_ports([], link)
+    here["eth0"] = "10.1.2.3"
+    with pytest.raises(Problem, match=r"10\.1\.2\.3 \(eth0\).*--port-guard"):
+        network.refuse_foreign_ports([], link)
 
 
 @pytest.mark.parametrize(
@@ -195,12 +211,13 @@ def test_foreign_ports_are_named() -> None:
 
 
 def test_an_open_port_of_this_process_is_seen() -> None:
+    link = replace(roles.link_of(cell(), Role.ROBOT, 11311), guard=True)
     with socket.socket() as port:
         port.bind(("0.0.0.0", 0))
         port.listen()
         with pytest.raises(Problem, match=f"surg listens on 0.0.0.0:{port.getsockname()[1]}"):
-            network.refuse_foreign_ports([], "192.168.77.1")
-    network.refuse_foreign_ports([], "192.168.77.1")
+            network.refuse_foreign_ports([], link)
+    network.refuse_foreign_ports([], link)
 
 
 def test_own_addresses() -> None:
@@ -226,7 +243,7 @@ def test_the_guard_keeps_ports_on_one_address(family: str, asked: str, got: str)
         " print(s.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT))\n"
         "except OSError: print('refused')"
     )
-    link = Link(Role.ROBOT, "127.0.0.7", "127.0.0.7", 1)
+    link = Link(Role.ROBOT, "127.0.0.7", "127.0.0.7", 1, guard=True)
     env = link.environment(os.environ, network.GUARD)
     done = subprocess.run(
         [sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True

@@ -283,7 +283,7 @@ def _keep(
         if entry is not None:
             entry.list_nodes(supervisor.children)
         if place is not None:
-            network.refuse_foreign_ports(supervisor.children, place.address)
+            network.refuse_foreign_ports(supervisor.children, place)
         say(f"Open {address}{fragment} in a browser (Chromium, Chrome, Edge, Firefox, Safari).")
         if plan.record:
             say(f"Episodes: {plan.out}.")

@@ -38,6 +38,12 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
         help="role of this machine in a cell of several machines (docs/guide/two_machines.md)",
     )
     add(
+        "--port-guard",
+        action="store_true",
+        help="--role on a machine with a second network: preload a library into every node that "
+        "binds its ports to the role's address and drops unacknowledged data",
+    )
+    add(
         "--leader",
         metavar="L",
         help="--role operator: what the hand holds (default: crtk, a CRTK leader on topics; "
@@ -66,6 +72,8 @@ def main(options: argparse.Namespace, command: str) -> int:
     """Start everything, print how to reach it, wait."""
     if options.leader is not None and options.role != roles.Role.OPERATOR:
         raise Problem("--leader: only with --role operator; see ./surg teleop for one machine", 2)
+    if options.port_guard and options.role is None:
+        raise Problem("--port-guard: only with --role", 2)
     cell = cells.find(options.cell)
     loaded = cells.load(cell)
     arms = tuple(str(name) for name in loaded.arms)
@@ -73,7 +81,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     if options.role is not None:
         if options.lock_step:
             raise Problem("--lock-step needs one machine; leave --role or --lock-step out", 2)
-        link = join.link(loaded.config, roles.Role(options.role), options.port)
+        link = join.link(loaded.config, roles.Role(options.role), options.port, options.port_guard)
     leader = options.leader or join.LEADER
     recorded = recorded_too(options.record_topics, options.record_cameras, link)
     now = datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H-%M-%SZ")
@@ -160,7 +168,7 @@ def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> int:
                     system.start(supervisor, system.robot_state_publisher(arm))
                 entry.list_nodes(supervisor.children)
                 if link is not None:
-                    network.refuse_foreign_ports(supervisor.children, link.address)
+                    network.refuse_foreign_ports(supervisor.children, link)
                 _greet(plan, port, logs, link)
                 while True:
                     time.sleep(0.1)

@@ -29,23 +29,27 @@ ASK_S = 0.5
 """Period of the checks whether the ROS master answers [s]."""
 
 
-def link(config: Any, role: roles.Role, port: int) -> roles.Link:
-    """Check this machine's network, and restrict the ports of this process to it.
+def link(config: Any, role: roles.Role, port: int, guard: bool | None = None) -> roles.Link:
+    """Check this machine's network, and give this process the role's environment.
 
-    This command is a ROS node itself, so it restarts with the port guard in its environment.
+    Restarts this command with that environment, because it is a ROS node itself.
 
     Args:
         config: A ``surg_core`` CellConfig.
         role: This machine's.
         port: Of the ROS master.
+        guard: Whether the nodes get the port guard. None: as the running role of this machine,
+            which needs it if the machine has another address.
 
     Raises:
         Problem: ROS ports may not be opened here; says what to do.
     """
     found = roles.link_of(config, role, port)
-    network.check(found.address, role)
-    if os.environ.get("SURG_LISTEN_ON") != found.address:
-        env = found.environment(os.environ, network.GUARD)
+    guard = bool(network.other_addresses(found.address)) if guard is None else guard
+    found = replace(found, guard=guard)
+    network.check(found.address, role, guard)
+    env = found.environment(os.environ, network.GUARD)
+    if any(os.environ.get(name) != env.get(name) for name in ("ROS_IP", "SURG_LISTEN_ON")):
         env["SURG_READY"] = "1"
         os.execve(sys.executable, [sys.executable, "-s", "-m", "surg_cli", *sys.argv[1:]], env)
     return found
@@ -163,7 +167,7 @@ def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
     heard = time.monotonic()
     while True:
         follow.raise_if_dead(supervisor)
-        network.refuse_foreign_ports(supervisor.children, place.address)
+        network.refuse_foreign_ports(supervisor.children, place)
         if master.alive(place.uri):
             heard = time.monotonic()
         elif time.monotonic() - heard > place.waits.gone:

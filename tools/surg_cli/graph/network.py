@@ -19,15 +19,22 @@ GUARD = paths.DEVEL / "lib" / "libsurg_net_guard.so"
 _SIOCGIFADDR = 0x8915
 
 
-def check(address: str, role: roles.Role) -> None:
+def check(address: str, role: roles.Role, guard: bool) -> None:
     """Refuse an address that this machine may not open ROS ports on.
+
+    Args:
+        address: The role's.
+        role: This machine's.
+        guard: Whether the nodes get the port guard.
 
     Raises:
         Problem: With the cure.
     """
     table = roles.routes(Path("/proc/net/route").read_text("utf-8"))
     roles.check_address(address, role, has(address), addresses(), table)
-    if not GUARD.is_file():
+    if not guard:
+        refuse_other_addresses(address)
+    elif not GUARD.is_file():
         raise Problem(f"{GUARD} is missing; run ./surg build --force")
 
 
@@ -53,16 +60,43 @@ def addresses() -> dict[str, str]:
     return {name: text for name, text in found.items() if not text.startswith("127.")}
 
 
-def refuse_foreign_ports(children: Iterable[processes.Child], own: str) -> None:
-    """Look at the ports that are really open.
+def other_addresses(own: str) -> dict[str, str]:
+    """Addresses of this machine beside ``own`` and the loopback, by the interface's name."""
+    return {name: address for name, address in addresses().items() if address != own}
 
-    Args:
-        children: The role's nodes; this process is looked at too.
-        own: The only address that they may listen on.
+
+def refuse_other_addresses(own: str) -> None:
+    """Refuse a machine with an address on another network, where ROS 1 would open its ports too.
 
     Raises:
-        Problem: A port is open on another address.
+        Problem: With the cure.
     """
+    others = other_addresses(own)
+    if others:
+        listed = ", ".join(f"{address} ({name})" for name, address in others.items())
+        raise Problem(
+            f"this machine also has {listed}, and ROS 1 opens its ports on every address. Add "
+            f"--port-guard, which preloads a library that binds them to {own}, or disconnect the "
+            "other network",
+            2,
+        )
+
+
+def refuse_foreign_ports(children: Iterable[processes.Child], link: roles.Link) -> None:
+    """Check that no port of the nodes can be reached from another network.
+
+    Args:
+        children: The role's nodes; this process is checked too.
+        link: This machine's place.
+
+    Raises:
+        Problem: Without the guard: the machine has an address on another network. With it: a port
+            is open on another address.
+    """
+    own = link.address
+    if not link.guard:
+        refuse_other_addresses(own)
+        return
     held = {"surg": _inodes(os.getpid())}
     for child in children:
         members = processes.session_members(child.process.pid)

@@ -180,6 +180,7 @@ class Link:
         robot: The robot machine's, where the ROS master is.
         port: Of the ROS master.
         others: Roles of the other machines of the cell.
+        guard: Whether the nodes get the port guard (--port-guard).
     """
 
     role: Role
@@ -187,6 +188,7 @@ class Link:
     robot: str
     port: int
     others: tuple[str, ...] = ()
+    guard: bool = False
 
     @property
     def uri(self) -> str:
@@ -203,13 +205,14 @@ class Link:
 
         Args:
             base: Environment to start from.
-            guard: The library that keeps every port on ``address``.
+            guard: The library that binds every port to ``address``; used if ``self.guard``.
         """
         env = {name: value for name, value in base.items() if name != "ROS_HOSTNAME"}
+        env.update(ROS_IP=self.address, ROS_MASTER_URI=self.uri)
+        if not self.guard:
+            return env
         preload = [part for part in env.get("LD_PRELOAD", "").split(":") if part]
         env.update(
-            ROS_IP=self.address,
-            ROS_MASTER_URI=self.uri,
             LD_PRELOAD=":".join([str(guard), *(p for p in preload if p != str(guard))]),
             SURG_LISTEN_ON=self.address,
             SURG_TCP_TIMEOUT_MS=str(round(1000 * self.waits.tcp)),
