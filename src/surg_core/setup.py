@@ -7,5 +7,5 @@ setup(
     version="0.1.0",
     packages=["surg_core"],
     package_dir={"": "python"},
-    package_data={"surg_core": ["py.typed", "*.pyi"]},
+    package_data={"surg_core": ["py.typed", "_core/*.pyi"]},
 )

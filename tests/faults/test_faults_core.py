@@ -16,7 +16,7 @@ import surg_core
 from helpers.control.fault_bench import STRANGER, STREAMS, Bench, command, force, shipped
 from helpers.control.lagging_arm import SOURCE, TICK
 from helpers.results.reactions import Reactions
-from surg_core import Reason, State, StateCommand
+from surg_core import Reason, State, StateCommand, _core
 from surg_sim.physics.fault_injector import Channel
 from surg_sim.physics.faults import Wire
 
@@ -288,7 +288,7 @@ def robot_with(joint: int, side: int, room: float) -> surg_core.RobotConfig:
     limits = list(values[key])
     limits[joint] = float(values["joints.home"][joint]) + side * room
     values[key] = limits
-    return surg_core.parse_robot(surg_core.Document(document.file, values))
+    return _core.parse_robot(_core.Document(document.file, values))
 
 
 WISHES = [

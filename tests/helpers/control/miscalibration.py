@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_core import Motion, MotionCommand, Reason, StateCommand
+from surg_core import Motion, MotionCommand, Reason, StateCommand, _core
 from surg_core.contract import TICK
 from surg_sim.physics.calibration_bench import across, turn
 from surg_sim.physics.sim_arm import ArmCommand
@@ -32,8 +32,8 @@ def wrong_tool(arm: surg_core.Arm, rng: np.random.Generator) -> surg_core.ToolCa
 
 def tool_of(s_F: Array, p_FTip: Array) -> surg_core.ToolCalibration:
     """A tool calibration (3,), (3,) as a file would hold it."""
-    return surg_core.parse_tool(
-        surg_core.Document(
+    return _core.parse_tool(
+        _core.Document(
             "tool.yaml",
             {
                 "format": "surg_tool/1",

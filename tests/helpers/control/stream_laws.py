@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
 
-import surg_core
+from surg_core import testing
 from surg_recording import metrics
 
 Array = NDArray[np.float64]
@@ -27,11 +27,11 @@ PATH_CUTOFF_HZ = 3.0
 """As in the summary of a run: tremor adds length without going anywhere."""
 
 
-def filter_law(limits: surg_core.DofLimits, feed_forward: bool = True) -> Law:
+def filter_law(limits: testing.DofLimits, feed_forward: bool = True) -> Law:
     """The shipped stream filter behind its alpha-beta estimate."""
 
     def law(t: Array, samples: Array, n: int) -> Array:
-        return surg_core.stream_filter(t, samples, limits, TICK, feed_forward)[:n]
+        return testing.stream_filter(t, samples, limits, TICK, feed_forward)[:n]
 
     return law
 
@@ -46,8 +46,8 @@ def paper_quintic(duration: float = 0.5) -> Law:
     """The paper's profiler: each cycle a new quintic of fixed duration to the last sample."""
 
     def law(t: Array, samples: Array, n: int) -> Array:
-        anything = surg_core.DofLimits(1e9, 1e9, 1e9)
-        profiler = surg_core.Profiler([anything] * 4, duration)
+        anything = testing.DofLimits(1e9, 1e9, 1e9)
+        profiler = testing.Profiler([anything] * 4, duration)
         profiler.reset([*samples[0], 0.0])
         goals = np.column_stack((hold_last(t, samples, n), np.zeros(n)))
         out = np.empty((n, 3, 3))
@@ -101,7 +101,7 @@ def play(law: Law, motion: CubicSpline, rate: float) -> Array:
     return law(stamps, motion(stamps), n)
 
 
-def judge(out: Array, motion: CubicSpline, limits: surg_core.DofLimits) -> Verdict:
+def judge(out: Array, motion: CubicSpline, limits: testing.DofLimits) -> Verdict:
     """Compare what a law made with the truth."""
     states = out if out.ndim == 3 else None
     p = out[:, :, 0] if states is not None else out
@@ -132,9 +132,7 @@ def judge(out: Array, motion: CubicSpline, limits: surg_core.DofLimits) -> Verdi
     )
 
 
-def _violations(
-    p: Array, states: Array | None, limits: surg_core.DofLimits
-) -> tuple[int, int, int]:
+def _violations(p: Array, states: Array | None, limits: testing.DofLimits) -> tuple[int, int, int]:
     """Ticks and axes beyond each limit: from the law's own states, otherwise from differences.
 
     With states the jerk of a tick is constant, and the velocity is checked inside the tick too.

@@ -24,6 +24,7 @@ import surg_core
 from helpers.graph import surg
 from surg_cli.graph import master, processes, running
 from surg_cli.host import paths
+from surg_core import calibration
 
 pytestmark = pytest.mark.ros
 
@@ -234,7 +235,7 @@ def test_the_page_is_done_line_by_line(session: Session) -> None:
     assert collector is not None
     said, _ = collector.communicate(timeout=20)
     assert collector.returncode == 0, said
-    recording = surg_core.read_recording(
+    recording = calibration.read_recording(
         session.folder / "live.csv", after.chain, after.robot.joint_names
     )
     shafts = recording.poses["trocar"]

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import surg_core
+import surg_core.calibration
 from surg_cli import __main__ as cli
 from surg_cli.graph.standstill import Standstill
 from surg_cli.host import paths
@@ -160,12 +161,14 @@ def test_a_wrong_command_line_names_the_option(cell: Path, words: list[str], sai
 def test_a_file_that_the_schema_refuses_is_not_written(cell: Path, tmp_path: Path) -> None:
     file = cell / "calibration" / "trocar_PSM1.yaml"
     before = file.read_text()
-    point = surg_core.calibrate_trocar(
+    point = surg_core.calibration.calibrate_trocar(
         [[0, 0, 3.0]] * 6,
         [[math.sin(a), math.cos(a), 0] for a in np.linspace(0, 2, 6)],
     )
     with pytest.raises(surg_core.ConfigError, match="point"):
-        surg_core.write_trocar(file, surg_core.trocar_calibration(point, DATE), "too far away")
+        surg_core.calibration.write_trocar(
+            file, surg_core.calibration.trocar_calibration(point, DATE), "too far away"
+        )
     assert file.read_text() == before
     assert len(list(file.parent.iterdir())) == 2
 

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import surg_core
-from surg_core import DofLimits, Kinematic
+from surg_core import _core, testing
+from surg_core.testing import DofLimits, Kinematic
+from surg_core.transforms import minimal_rotation
 
 TIP = DofLimits(0.25, 2.0, 40.0)
 ROLL = DofLimits(3.0, 40.0, 800.0)
@@ -40,13 +42,13 @@ def _pose(rng: np.random.Generator) -> np.ndarray:
 
 
 def _chain(rng: np.random.Generator, n: int) -> surg_core.Chain:
-    joints = [surg_core.Joint(f"j{i}", _pose(rng), _unit(rng)) for i in range(n)]
+    joints = [_core.Joint(f"j{i}", _pose(rng), _unit(rng)) for i in range(n)]
     return surg_core.Chain(joints, _pose(rng))
 
 
 def test_forward_is_the_product_of_the_joints() -> None:
     rng = np.random.default_rng(1)
-    for n in range(1, surg_core.MAX_JOINTS + 1):
+    for n in range(1, testing.MAX_JOINTS + 1):
         chain = _chain(rng, n)
         q = rng.uniform(-3, 3, n)
         X = np.eye(4)
@@ -62,7 +64,7 @@ def test_jacobian_is_the_derivative_of_forward() -> None:
     rng = np.random.default_rng(2)
     h = 1e-6
     for _ in range(20):
-        n = int(rng.integers(6, surg_core.MAX_JOINTS + 1))
+        n = int(rng.integers(6, testing.MAX_JOINTS + 1))
         chain = _chain(rng, n)
         q = rng.uniform(-3, 3, n)
         J = chain.jacobian(q)
@@ -85,11 +87,11 @@ def test_inverse_velocity_is_the_pseudo_inverse_with_a_posture() -> None:
             twist, posture = rng.normal(size=6), rng.normal(size=n)
             pinv = np.linalg.pinv(J)
             expected = pinv @ twist + (np.eye(n) - pinv @ J) @ posture
-            result = surg_core.inverse_velocity(J, twist, posture)
+            result = testing.inverse_velocity(J, twist, posture)
             np.testing.assert_allclose(result.qd, expected, atol=1e-7 * np.linalg.cond(J) ** 2)
             assert 0 < result.conditioning <= 1
     singular = np.zeros((6, 7))
-    result = surg_core.inverse_velocity(singular, np.ones(6))
+    result = testing.inverse_velocity(singular, np.ones(6))
     assert result.conditioning == 0
     assert not result.qd.any()
 
@@ -99,28 +101,46 @@ def test_inverse_velocity_is_the_pseudo_inverse_with_a_posture() -> None:
     [
         (lambda chain: chain.forward(np.zeros(5)), ["q", "(6,)", "(5,)"]),
         (lambda chain: chain.jacobian(np.zeros((6, 1))), ["q", "(6,)", "(6, 1)"]),
-        (lambda chain: surg_core.inverse_velocity(np.zeros((6, 5)), np.zeros(6)), ["J", "six"]),
-        (lambda chain: surg_core.inverse_velocity(np.zeros((6, 9)), np.zeros(6)), ["J", "(6, 9)"]),
-        (lambda chain: surg_core.inverse_velocity(np.zeros((6, 6)), np.zeros(5)), ["twist"]),
-        (lambda chain: surg_core.inverse_velocity(np.eye(6), np.zeros(6), [1]), ["posture"]),
-        (lambda chain: surg_core.Joint("j", np.eye(3), [0, 0, 1]), ["X_PJ", "(4, 4)"]),
-        (lambda chain: surg_core.Joint("j", np.ones((4, 4)), [0, 0, 1]), ["X_PJ", "not a pose"]),
+        (
+            lambda chain: testing.inverse_velocity(np.zeros((6, 5)), np.zeros(6)),
+            ["J", "six"],
+        ),
+        (
+            lambda chain: testing.inverse_velocity(np.zeros((6, 9)), np.zeros(6)),
+            ["J", "(6, 9)"],
+        ),
+        (
+            lambda chain: testing.inverse_velocity(np.zeros((6, 6)), np.zeros(5)),
+            ["twist"],
+        ),
+        (
+            lambda chain: testing.inverse_velocity(np.eye(6), np.zeros(6), [1]),
+            ["posture"],
+        ),
+        (lambda chain: _core.Joint("j", np.eye(3), [0, 0, 1]), ["X_PJ", "(4, 4)"]),
+        (
+            lambda chain: _core.Joint("j", np.ones((4, 4)), [0, 0, 1]),
+            ["X_PJ", "not a pose"],
+        ),
         (lambda chain: surg_core.Chain([], np.eye(4)), ["1 to 8 joints"]),
         (
-            lambda chain: surg_core.Chain([surg_core.Joint("j", np.eye(4), [0, 0, 2])], np.eye(4)),
+            lambda chain: surg_core.Chain([_core.Joint("j", np.eye(4), [0, 0, 2])], np.eye(4)),
             ["'j'", "unit"],
         ),
-        (lambda chain: surg_core.Profiler([TIP] * 4, 0.0), ["base duration"]),
-        (lambda chain: surg_core.StreamFilter(DofLimits(1, 0, 1)), ["limits must be > 0"]),
+        (lambda chain: testing.Profiler([TIP] * 4, 0.0), ["base duration"]),
+        (lambda chain: testing.StreamFilter(DofLimits(1, 0, 1)), ["limits must be > 0"]),
         (
-            lambda chain: surg_core.Profiler([TIP] * 4).plan([0] * 4, [[1, 0]] * 4),
+            lambda chain: testing.Profiler([TIP] * 4).plan([0] * 4, [[1, 0]] * 4),
             ["bounds", "row 0"],
         ),
         (
-            lambda chain: surg_core.Profiler([TIP] * 4).plan([0] * 4, [0, 1]),
+            lambda chain: testing.Profiler([TIP] * 4).plan([0] * 4, [0, 1]),
             ["bounds", "(4, 2)", "(2,)"],
         ),
-        (lambda chain: surg_core.minimal_rotation([1, 0], [0, 1, 0]), ["a", "(3,)", "(2,)"]),
+        (
+            lambda chain: minimal_rotation([1, 0], [0, 1, 0]),
+            ["a", "(3,)", "(2,)"],
+        ),
     ],
 )
 def test_wrong_input_raises_a_value_error_that_names_it(call, names) -> None:  # type: ignore[no-untyped-def]
@@ -139,7 +159,7 @@ def test_any_layout_and_number_type_is_taken() -> None:
     np.testing.assert_array_equal(chain.forward(np.arange(12.0)[::2] / 2), expected)
     np.testing.assert_array_equal(chain.forward(q.astype(np.float32)), expected)
     J = np.asfortranarray(np.random.default_rng(6).normal(size=(6, 7)))
-    qd = surg_core.inverse_velocity(J, np.ones(6)).qd
+    qd = testing.inverse_velocity(J, np.ones(6)).qd
     np.testing.assert_allclose(J @ qd, np.ones(6), atol=1e-9)
 
 
@@ -154,7 +174,7 @@ def test_quintic_meets_the_boundary_conditions_as_a_linear_system() -> None:
             rows.append([i * end ** max(i - 1, 0) for i in range(6)])
             rows.append([i * (i - 1) * end ** max(i - 2, 0) for i in range(6)])
         c = np.linalg.solve(np.array(rows), np.concatenate([a, b]))
-        q = surg_core.Quintic(Kinematic(*a), Kinematic(*b), d)
+        q = testing.Quintic(Kinematic(*a), Kinematic(*b), d)
         p = np.polynomial.Polynomial(c)
         t = np.linspace(0, d, 2001)
         for ti in t[::100]:
@@ -173,7 +193,7 @@ def test_quintic_meets_the_boundary_conditions_as_a_linear_system() -> None:
 
 def test_profiler_stays_within_its_limits_and_arrives() -> None:
     limits = [TIP, TIP, TIP, ROLL]
-    profiler = surg_core.Profiler(limits)
+    profiler = testing.Profiler(limits)
     profiler.reset(np.zeros(4))
     profiler.plan([0.05, -0.1, 0.02, 1.0])
     assert profiler.duration == pytest.approx(15 * 0.1 / (8 * 0.25))
@@ -194,7 +214,7 @@ def test_profiler_stays_within_its_limits_and_arrives() -> None:
 
 
 def test_profiler_keeps_position_bounds_and_says_how_far_it_goes() -> None:
-    profiler = surg_core.Profiler([TIP] * 4)
+    profiler = testing.Profiler([TIP] * 4)
     start = [Kinematic(0.0, 0.2, 0.0)] + [Kinematic()] * 3
     profiler.reset_to(start)
     assert profiler.plan([0.01, 0.2, 0.0, 0.0])
@@ -204,7 +224,7 @@ def test_profiler_keeps_position_bounds_and_says_how_far_it_goes() -> None:
     profiler.reset_to(start)
     assert profiler.plan([0.01, 0.2, 0.0, 0.0], bounds)
     assert profiler.excursion(0, 0.0, profiler.duration)[1] <= 0.03
-    stop = surg_core.Braking.stop(start[0], TIP)
+    stop = testing.Braking.stop(start[0], TIP)
     assert profiler.brake_duration == stop.duration
     bounds[0][1] = 0.9 * stop.distance
     profiler.reset_to(start)
@@ -216,7 +236,7 @@ def test_a_stop_is_a_second_integral() -> None:
     rng = np.random.default_rng(14)
     for _ in range(50):
         start = Kinematic(rng.normal(), rng.uniform(-0.25, 0.25), rng.uniform(-2, 2))
-        stop = surg_core.Braking.stop(start, TIP)
+        stop = testing.Braking.stop(start, TIP)
         t = np.linspace(0, stop.duration, 20001)
         a = np.array([stop.at(time).a for time in t])
         step = t[1]
@@ -230,19 +250,19 @@ def test_a_stop_is_a_second_integral() -> None:
 
 
 def test_stream_filter_brakes_within_its_limits() -> None:
-    stream = surg_core.StreamFilter(TIP)
+    stream = testing.StreamFilter(TIP)
     stream.reset(Kinematic(0.0, 0.25, 0.0))
     ticks = 0
     while abs(stream.state.v) > 1e-12:
         stream.brake(0.002)
         ticks += 1
-    stop = surg_core.Braking.stop(Kinematic(0.0, 0.25, 0.0), TIP)
+    stop = testing.Braking.stop(Kinematic(0.0, 0.25, 0.0), TIP)
     assert ticks <= math.ceil(stop.duration / 0.002) + 1
     assert stop.distance <= stream.state.x <= stop.distance + 0.25 * 0.002
 
 
 def test_stream_filter_follows_the_estimate() -> None:
-    estimate, stream = surg_core.AlphaBeta(), surg_core.StreamFilter(TIP)
+    estimate, stream = testing.AlphaBeta(), testing.StreamFilter(TIP)
     estimate.reset(0.0)
     stream.reset(Kinematic())
     errors = []
@@ -255,10 +275,10 @@ def test_stream_filter_follows_the_estimate() -> None:
 
 
 def test_stream_delay_is_late_by_its_delay() -> None:
-    delay = surg_core.StreamDelay(0.05)
+    delay = testing.StreamDelay(0.05)
     delay.reset(Kinematic())
     assert delay.works(0.002)
-    assert not surg_core.StreamDelay(0.0).works(0.002)
+    assert not testing.StreamDelay(0.0).works(0.002)
     for k in range(1000):
         delay.step(0.1 * 0.002 * (k + 0.5), 0.002)
     assert delay.predict(0.0).x == pytest.approx(0.1 * (2.0 - 0.05), abs=1e-6)
@@ -296,7 +316,7 @@ def test_rcm_twist_moves_the_tip_as_asked_and_decays_the_error() -> None:
         v_tip, v_rcm = 0.1 * rng.normal(size=3), 0.01 * rng.normal(size=3)
         roll_rate, gain = float(rng.normal()), 30.0
         before = surg_core.shaft_state(X, s_F, p_FTip, p_rcm)
-        twist = surg_core.rcm_twist(before, v_tip, roll_rate, v_rcm, gain, 0.01)
+        twist = testing.rcm_twist(before, v_tip, roll_rate, v_rcm, gain, 0.01)
         after_X = X.copy()
         omega = twist[3:]
         turn = _rotation(omega / np.linalg.norm(omega), float(np.linalg.norm(omega)) * h)
@@ -318,13 +338,13 @@ def test_paper_twists_are_the_printed_equations() -> None:
         r_hat = r_shaft / np.linalg.norm(r_shaft)
         omega = np.cross(r_shaft, v_tip) / (r_shaft @ r_shaft) + roll * r_hat
         v = (v_tip @ r_hat) * r_hat - np.cross(omega, r_ee)
-        twist = surg_core.paper_cartesian_twist(p_ee, p_tip, p_rcm, v_tip, roll)
+        twist = testing.paper_cartesian_twist(p_ee, p_tip, p_rcm, v_tip, roll)
         np.testing.assert_allclose(twist, np.concatenate([v, omega]), atol=1e-9)
         pitch, yaw, v_trans = (float(x) for x in rng.normal(size=3))
         e_hat = r_ee / np.linalg.norm(r_ee)
         omega = np.array([pitch, yaw, 0.0]) + roll * e_hat
         v = v_trans * e_hat - np.cross(omega, r_ee)
-        twist = surg_core.paper_spherical_twist(p_ee, p_rcm, pitch, yaw, roll, v_trans)
+        twist = testing.paper_spherical_twist(p_ee, p_rcm, pitch, yaw, roll, v_trans)
         np.testing.assert_allclose(twist, np.concatenate([v, omega]), atol=1e-9)
 
 
@@ -346,7 +366,9 @@ def test_shaft_angles_and_direction_are_inverse() -> None:
             yaw + h * rates[0], pitch + h * rates[1]
         ) - surg_core.shaft_direction(yaw - h * rates[0], pitch - h * rates[1])
         np.testing.assert_allclose(
-            surg_core.shaft_direction_rate(yaw, pitch, *rates), difference / (2 * h), atol=1e-8
+            testing.shaft_direction_rate(yaw, pitch, *rates),
+            difference / (2 * h),
+            atol=1e-8,
         )
 
 
@@ -376,13 +398,13 @@ def test_absolute_roll_is_what_was_put_in() -> None:
         if s @ s_home < -0.5:
             continue
         psi = float(rng.uniform(-3.1, 3.1))
-        M = surg_core.minimal_rotation(s_home, s)
+        M = minimal_rotation(s_home, s)
         np.testing.assert_allclose(M @ s_home, s, atol=1e-12)
         np.testing.assert_allclose(M @ M.T, np.eye(3), atol=1e-12)
         angle = math.acos(np.clip((np.trace(M) - 1) / 2, -1, 1))
         assert angle == pytest.approx(math.acos(np.clip(s @ s_home, -1, 1)), abs=1e-6)
         R = M @ _rotation(s_home, psi) @ R_home
-        assert surg_core.absolute_roll(R, R_home, s_home, s) == pytest.approx(psi, abs=1e-6)
+        assert testing.absolute_roll(R, R_home, s_home, s) == pytest.approx(psi, abs=1e-6)
 
 
 def test_holonomy_rate_keeps_the_absolute_roll_over_a_closed_loop() -> None:
@@ -402,16 +424,16 @@ def test_holonomy_rate_keeps_the_absolute_roll_over_a_closed_loop() -> None:
         )
 
     def roll_after_one_turn(with_term: bool) -> float:
-        R = surg_core.minimal_rotation(s_home, direction(0.0))
+        R = minimal_rotation(s_home, direction(0.0))
         for k in range(n):
             middle = direction((k + 0.5) * dt)
             s_dot = (direction((k + 1) * dt) - direction(k * dt)) / dt
             omega = np.cross(middle, s_dot)
             if with_term:
-                omega = omega + surg_core.roll_holonomy_rate(s_home, middle, s_dot) * middle
+                omega = omega + testing.roll_holonomy_rate(s_home, middle, s_dot) * middle
             length = float(np.linalg.norm(omega))
             R = surg_core.axis_angle_to_matrix(omega, length * dt) @ R
-        return surg_core.absolute_roll(R, np.eye(3), s_home, direction(0.0))
+        return testing.absolute_roll(R, np.eye(3), s_home, direction(0.0))
 
     solid_angle = 2 * math.pi * (1 - math.cos(tilt))
     assert abs(roll_after_one_turn(False)) == pytest.approx(solid_angle, abs=1e-4)
@@ -426,12 +448,12 @@ def test_every_reason_has_a_name_and_a_sentence() -> None:
     for word, reason in members.items():
         if reason != surg_core.Reason.NONE:
             assert len(surg_core.sentence(reason).split()) >= 3, word
-    names = {surg_core.state_name(s) for s in surg_core.State.__members__.values()}  # type: ignore[attr-defined]
+    names = {testing.state_name(s) for s in surg_core.State.__members__.values()}  # type: ignore[attr-defined]
     assert names == {"DISABLED", "ENABLED", "PAUSED", "FAULT"}
 
 
 def test_configuration_is_read_only() -> None:
-    document = surg_core.Document(
+    document = _core.Document(
         "tool.yaml",
         {
             "format": "surg_tool/1",
@@ -443,13 +465,13 @@ def test_configuration_is_read_only() -> None:
             "date": "2026-11-21",
         },
     )
-    tool = surg_core.parse_tool(document)
+    tool = _core.parse_tool(document)
     assert tool.n == 10
     with pytest.raises(AttributeError):
         tool.n = 3  # type: ignore[misc]
     with pytest.raises(ValueError, match="read-only"):
         tool.s_F[0] = 1.0
     with pytest.raises(TypeError, match=r"tip.*list may hold"):
-        surg_core.Document("x.yaml", {"tip": [1.0, "two"]})  # type: ignore[dict-item]
+        _core.Document("x.yaml", {"tip": [1.0, "two"]})  # type: ignore[dict-item]
     with pytest.raises(TypeError, match="tip"):
-        surg_core.Document("x.yaml", {"tip": None})  # type: ignore[dict-item]
+        _core.Document("x.yaml", {"tip": None})  # type: ignore[dict-item]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import surg_core
-from surg_core import ConfigError
+from surg_core import ConfigError, _core, config, testing
 
 FILES = {
     "robot.yaml": """\
@@ -132,7 +132,7 @@ def test_a_valid_cell_is_read_whole(folder: Path) -> None:
     arm = cell.arms["PSM1"]
     assert arm.link == "simulator"
     assert arm.robot.joint_names == ("j0", "j1", "j2", "j3", "j4", "j5")
-    assert arm.robot.command == surg_core.Command.JOINT_VELOCITY
+    assert arm.robot.command == _core.Command.JOINT_VELOCITY
     np.testing.assert_array_equal(arm.robot.home, [0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
     assert arm.robot.limits.tip_velocity == 0.25
     assert arm.limits.tip_velocity == 0.1
@@ -303,7 +303,7 @@ def test_nested_aliases_do_not_unfold_without_end() -> None:
     lines = ["a0: &a0 {x: 1, y: 2}"]
     lines += [f"a{i}: &a{i} {{x: *a{i - 1}, y: *a{i - 1}}}" for i in range(1, 40)]
     with pytest.raises(ConfigError, match="more than"):
-        surg_core.flatten("\n".join(lines), "bomb.yaml")
+        config.flatten("\n".join(lines), "bomb.yaml")
 
 
 def test_scalars_are_read_alike_in_both_languages() -> None:
@@ -319,7 +319,7 @@ h: False
 i: [1, 2.5]
 j: []
 """
-    values, lines = surg_core.flatten(text, "x.yaml")
+    values, lines = config.flatten(text, "x.yaml")
     assert values == {
         "a": 1.0,
         "b": 1e-3,
@@ -338,7 +338,7 @@ j: []
 
 def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
     robot = surg_core.load_robot(folder / ROBOT)
-    seen = {surg_core.limits_hash(robot, robot.limits)}
+    seen = {testing.limits_hash(robot, robot.limits)}
     text = (folder / ROBOT).read_text(encoding="utf-8")
 
     section = text.split("limits:\n")[1]
@@ -349,7 +349,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
             text.replace(line, f"{key}: {float(value) * 0.999:.9g}"), encoding="utf-8"
         )
         changed = surg_core.load_robot(folder / ROBOT)
-        seen.add(surg_core.limits_hash(changed, changed.limits))
+        seen.add(testing.limits_hash(changed, changed.limits))
     assert len(seen) == len(lines) + 1 == 35
     assert all(len(digest) == 16 for digest in seen)
 

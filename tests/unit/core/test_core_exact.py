@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import surg_core
+from surg_core import _core, testing
 
 S_F = np.array([0.0, 0.0, 1.0])
 P_FTIP = np.array([0.06, 0.0, 0.3])
@@ -26,7 +27,7 @@ def _place(x: float, y: float, z: float, roll: float) -> np.ndarray:
 
 
 def _chain(places: list[tuple[float, float, float, float]], end: np.ndarray) -> surg_core.Chain:
-    joints = [surg_core.Joint(f"j{i}", _place(*at), [0, 0, 1]) for i, at in enumerate(places)]
+    joints = [_core.Joint(f"j{i}", _place(*at), [0, 0, 1]) for i, at in enumerate(places)]
     return surg_core.Chain(joints, end)
 
 
@@ -70,14 +71,14 @@ class _Scene:
 
     def __init__(self, chain: surg_core.Chain, q: np.ndarray, n: int = 500) -> None:
         X_BF = chain.forward(q)
-        self.home = surg_core.Home(X_BF, S_F, P_FTIP)
+        self.home = testing.Home(X_BF, S_F, P_FTIP)
         tip = X_BF[:3, :3] @ P_FTIP + X_BF[:3, 3]
         self.p_BRcm = tip - 0.12 * self.home.s_B
         a = np.linspace(0, 2 * math.pi, n)
         circle = 0.03 * np.stack([np.sin(a), 1 - np.cos(a), 0.5 * np.sin(a)], axis=1)
         self.tips = tip + circle
         self.rolls = 0.5 * np.sin(a)
-        self.poses = surg_core.poses_on_pivot(
+        self.poses = testing.poses_on_pivot(
             self.home, S_F, P_FTIP, self.p_BRcm, self.tips, self.rolls
         )
 
@@ -93,11 +94,11 @@ def test_poses_lie_on_the_pivot_with_the_tip_as_asked(
     s = R @ S_F
     off = np.cross(tips - scene.p_BRcm, s)  # distance of the trocar from the shaft's line
     assert np.abs(off).max() < 1e-13
-    single = surg_core.pose_on_pivot(
+    single = testing.pose_on_pivot(
         scene.home,
         S_F,
         P_FTIP,
-        surg_core.tip_goal(scene.p_BRcm, scene.tips[77], scene.rolls[77], scene.home.s_B),
+        testing.tip_goal(scene.p_BRcm, scene.tips[77], scene.rolls[77], scene.home.s_B),
     )
     np.testing.assert_array_equal(single, scene.poses[77])
 
@@ -106,7 +107,7 @@ def test_poses_lie_on_the_pivot_with_the_tip_as_asked(
 @pytest.mark.parametrize("closed_form", [False, True])
 def test_joints_follow_the_poses(chain: surg_core.Chain, q: np.ndarray, closed_form: bool) -> None:
     scene = _Scene(chain, q, n=2000)
-    stepper = surg_core.NextPose(chain, closed_form)
+    stepper = testing.NextPose(chain, closed_form)
     assert stepper.closed_form == (closed_form and chain.dof == 6)
     joints, conditioning = stepper.follow(q, scene.poses, q_posture=q, pull=0.002)
     assert joints.shape == (2000, chain.dof)
@@ -117,7 +118,7 @@ def test_joints_follow_the_poses(chain: surg_core.Chain, q: np.ndarray, closed_f
     for i in range(20):
         now = now + stepper.step(now, scene.poses[i], 0.002 * (q - now)).dq
         np.testing.assert_array_equal(now, joints[i])
-    stages = surg_core.exact_step(chain, joints[5], scene.poses[6])
+    stages = testing.exact_step(chain, joints[5], scene.poses[6])
     np.testing.assert_allclose(chain.forward(joints[5] + stages.dq), scene.poses[6], atol=1e-9)
 
 
@@ -125,11 +126,11 @@ def test_spherical_goals_are_the_same_poses() -> None:
     chain, q = _ur5e(), UR5E_HOME
     scene = _Scene(chain, q)
     X_BR = surg_core.rcm_frame(scene.home.s_B, scene.p_BRcm)
-    goal = surg_core.tip_goal(scene.p_BRcm, scene.tips[100], 0.2, scene.home.s_B)
+    goal = testing.tip_goal(scene.p_BRcm, scene.tips[100], 0.2, scene.home.s_B)
     yaw, pitch = surg_core.shaft_angles(X_BR[:3, :3].T @ goal.s_B)
-    same = surg_core.spherical_goal(X_BR, [yaw, pitch, goal.depth, goal.roll])
+    same = testing.spherical_goal(X_BR, [yaw, pitch, goal.depth, goal.roll])
     np.testing.assert_allclose(same.p_BTip, scene.tips[100], atol=1e-13)
-    outside = surg_core.ShaftGoal(scene.p_BRcm, scene.home.s_B, -0.01, 0.0)
+    outside = testing.ShaftGoal(scene.p_BRcm, scene.home.s_B, -0.01, 0.0)
     np.testing.assert_allclose(outside.p_BTip, scene.p_BRcm - 0.01 * scene.home.s_B)
 
 
@@ -139,8 +140,8 @@ def test_the_correction_puts_the_shaft_back() -> None:
     X_BF = chain.forward(q)
     tip = X_BF[:3, :3] @ P_FTIP + X_BF[:3, 3]
     p_BRcm = tip - 0.12 * X_BF[:3, 2] + 1e-5 * X_BF[:3, 0]
-    rows = surg_core.rcm_rows(chain.jacobian(q), surg_core.shaft_state(X_BF, S_F, P_FTIP, p_BRcm))
-    dq = surg_core.rcm_correction(rows).dq
+    rows = testing.rcm_rows(chain.jacobian(q), surg_core.shaft_state(X_BF, S_F, P_FTIP, p_BRcm))
+    dq = testing.rcm_correction(rows).dq
     np.testing.assert_allclose(dq, np.linalg.pinv(rows.J) @ rows.e, atol=1e-12)
     after = surg_core.shaft_state(chain.forward(q + dq), S_F, P_FTIP, p_BRcm)
     assert np.linalg.norm(after.e) < 1e-9
@@ -149,18 +150,18 @@ def test_the_correction_puts_the_shaft_back() -> None:
 def test_all_postures_of_the_ur_reach_the_pose() -> None:
     chain = _ur5e()
     X_BF = chain.forward(UR5E_HOME)
-    found = surg_core.UrInverse(chain).solve_all(X_BF, UR5E_HOME)
+    found = testing.UrInverse(chain).solve_all(X_BF, UR5E_HOME)
     assert len(found) == 8
     for one in found:
         np.testing.assert_allclose(chain.forward(one.q), X_BF, atol=1e-12)
     assert min(np.abs(one.q - UR5E_HOME).max() for one in found) < 1e-10
     with pytest.raises(ValueError, match="7 joints, not 6"):
-        surg_core.UrInverse(_panda())
+        testing.UrInverse(_panda())
 
 
 def test_the_follower_learns_the_lag() -> None:
     T, tau = 0.002, np.linspace(0.008, 0.013, 6)
-    follower = surg_core.ExactFollower(6, lag=0.015, T=T)
+    follower = testing.ExactFollower(6, lag=0.015, T=T)
     q, qd = np.zeros(6), np.zeros(6)
     follower.reset(q)
     references = []
@@ -176,21 +177,21 @@ def test_the_follower_learns_the_lag() -> None:
     # The arm is where the reference was the stated lag ago, in whole periods.
     assert np.abs(references[-9] - q).max() < 5e-4
     with pytest.raises(ValueError, match="joints: 1 to 8, not 9"):
-        surg_core.ExactFollower(9, 0.01)
+        testing.ExactFollower(9, 0.01)
     with pytest.raises(ValueError, match="0 or more"):
-        surg_core.ExactFollower(6, float("nan"))
+        testing.ExactFollower(6, float("nan"))
 
 
 def test_attributes_are_read_only() -> None:
     chain, q = _ur5e(), UR5E_HOME
     scene = _Scene(chain, q)
-    goal = surg_core.tip_goal(scene.p_BRcm, scene.tips[0], 0.0, scene.home.s_B)
-    step = surg_core.exact_step(chain, q, scene.poses[0])
-    rows = surg_core.rcm_rows(
+    goal = testing.tip_goal(scene.p_BRcm, scene.tips[0], 0.0, scene.home.s_B)
+    step = testing.exact_step(chain, q, scene.poses[0])
+    rows = testing.rcm_rows(
         chain.jacobian(q), surg_core.shaft_state(chain.forward(q), S_F, P_FTIP, scene.p_BRcm)
     )
-    follower = surg_core.ExactFollower(6, 0.01)
-    solution = surg_core.UrInverse(chain).solve_all(scene.poses[0], q)[0]
+    follower = testing.ExactFollower(6, 0.01)
+    solution = testing.UrInverse(chain).solve_all(scene.poses[0], q)[0]
     for array in (
         scene.home.s_B,
         scene.home.R_BF,
@@ -211,13 +212,13 @@ def test_attributes_are_read_only() -> None:
 def test_shapes_and_poses_are_checked() -> None:
     chain, q = _ur5e(), UR5E_HOME
     scene = _Scene(chain, q, n=4)
-    stepper = surg_core.NextPose(chain)
+    stepper = testing.NextPose(chain)
     with pytest.raises(ValueError, match=r"q: shape \(m, 6\) is needed, not \(3, 7\)"):
         chain.forward_batch(np.zeros((3, 7)))
     with pytest.raises(ValueError, match=r"q: shape \(m, 6\) is needed"):
         chain.forward_batch(np.zeros(6))
     with pytest.raises(ValueError, match="roll"):
-        surg_core.poses_on_pivot(scene.home, S_F, P_FTIP, scene.p_BRcm, scene.tips, [0.0])
+        testing.poses_on_pivot(scene.home, S_F, P_FTIP, scene.p_BRcm, scene.tips, [0.0])
     broken = scene.poses.copy()
     broken[2, 0, 0] = np.nan
     with pytest.raises(ValueError, match=r"X_BFGoals\[2\]: not a pose"):

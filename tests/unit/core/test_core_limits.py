@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import surg_core
+from surg_core import _core, testing
 
 T = 0.002
 
@@ -21,20 +22,20 @@ def _arm() -> tuple[surg_core.Chain, np.ndarray]:
     joints = []
     X_PJ = np.eye(4)
     for i, (d, a, alpha) in enumerate(dh):
-        joints.append(surg_core.Joint(f"joint{i}", X_PJ, [0, 0, 1]))
+        joints.append(_core.Joint(f"joint{i}", X_PJ, [0, 0, 1]))
         c, s = np.cos(alpha), np.sin(alpha)
         X_PJ = np.array([[1, 0, 0, a], [0, c, -s, 0], [0, s, c, d], [0, 0, 0, 1.0]])
     return surg_core.Chain(joints, X_PJ), np.array([-0.294, -1.234, 1.511, -1.29, -1.63, -2.134])
 
 
-def _limits(n: int = 6, **changes: object) -> surg_core.JointLimits:
+def _limits(n: int = 6, **changes: object) -> testing.JointLimits:
     values: dict = {
         "position_min": np.full(n, -6.28),
         "position_max": np.full(n, 6.28),
         "velocity": np.full(n, 1.0),
         "acceleration": np.full(n, 10.0),
     }
-    return surg_core.JointLimits(**{**values, **changes})
+    return testing.JointLimits(**{**values, **changes})
 
 
 def test_a_fast_path_is_slowed_on_the_pivot_and_retraced() -> None:
@@ -45,8 +46,8 @@ def test_a_fast_path_is_slowed_on_the_pivot_and_retraced() -> None:
     p_BRcm = X[:3, :3] @ p_FTip + X[:3, 3] - 0.08 * s_home
     side = np.cross(s_home, [1.0, 0, 0])
     side /= np.linalg.norm(side)
-    limited = surg_core.LimitedStep(chain, s_F, p_FTip, _limits(), T)
-    trace = surg_core.JointTrace()
+    limited = testing.LimitedStep(chain, s_F, p_FTip, _limits(), T)
+    trace = testing.JointTrace()
     clock, q_begin, qd, slowed = 0.0, q.copy(), np.zeros(6), 0
 
     for _ in range(800):
@@ -83,7 +84,7 @@ def test_a_fast_path_is_slowed_on_the_pivot_and_retraced() -> None:
 
 def test_velocity_form_scales_a_twist() -> None:
     chain, q = _arm()
-    limited = surg_core.LimitedStep(chain, [0, 0, 1], [0, 0, 0.3], _limits(), T)
+    limited = testing.LimitedStep(chain, [0, 0, 1], [0, 0, 0.3], _limits(), T)
     X = chain.forward(q)
     p_BRcm = X[:3, 3] + 0.22 * X[:3, 2]
     forward = np.array([*(0.5 * X[:3, 2]), 0, 0, 0])  # along the shaft
@@ -98,14 +99,14 @@ def test_velocity_form_scales_a_twist() -> None:
 def test_wrong_sizes_are_refused() -> None:
     chain, q = _arm()
     with pytest.raises(ValueError, match="7 joints"):
-        surg_core.LimitedStep(chain, [0, 0, 1], [0, 0, 0.3], _limits(7), T)
+        testing.LimitedStep(chain, [0, 0, 1], [0, 0, 0.3], _limits(7), T)
     with pytest.raises(ValueError, match="velocity"):
         _limits(9)
     with pytest.raises(ValueError, match="position_min"):
         _limits(6, position_min=np.zeros(5))
-    limited = surg_core.LimitedStep(chain, [0, 0, 1], [0, 0, 0.3], _limits(), T)
+    limited = testing.LimitedStep(chain, [0, 0, 1], [0, 0, 0.3], _limits(), T)
     with pytest.raises(ValueError, match="empty"):
-        limited.retrace(q, np.zeros(6), surg_core.JointTrace(), 0, 0.5, np.zeros(3))
-    trace = surg_core.JointTrace()
+        limited.retrace(q, np.zeros(6), testing.JointTrace(), 0, 0.5, np.zeros(3))
+    trace = testing.JointTrace()
     with pytest.raises(ValueError, match="empty"):
         trace.at(0)

@@ -31,8 +31,9 @@ from helpers.control.stream_laws import (
     play,
     truth,
 )
+from surg_core import testing
 
-DESIGN = surg_core.DofLimits(0.25, 2.0, 40.0)
+DESIGN = testing.DofLimits(0.25, 2.0, 40.0)
 """Limits that the figures are stated for; smaller than the shipped ones."""
 MOTIONS = {"bundled": ROOT / "src/surg_teleop/motions/bundled.csv"}
 if os.environ.get("SURG_TEST_MOTION"):
@@ -89,7 +90,11 @@ def motion(request: pytest.FixtureRequest) -> tuple[str, CubicSpline]:
 
 
 def note(
-    motion: tuple[str, CubicSpline], limits: surg_core.DofLimits, rate: int, name: str, law: Law
+    motion: tuple[str, CubicSpline],
+    limits: testing.DofLimits,
+    rate: int,
+    name: str,
+    law: Law,
 ) -> Verdict:
     """Play, judge, and keep the row for the table."""
     v = judge(play(law, motion[1], rate), motion[1], limits)
@@ -121,7 +126,7 @@ def test_a_surgeons_hand_is_followed(motion: tuple[str, CubicSpline], rate: int)
 @pytest.mark.parametrize("robot", ["ur5e", "panda"])
 def test_at_the_shipped_limits(motion: tuple[str, CubicSpline], rate: int, robot: str) -> None:
     shipped = surg_core.load_robot(ROOT / f"src/surg_description/robots/{robot}.yaml").limits
-    limits = surg_core.DofLimits(shipped.tip_velocity, shipped.tip_acceleration, shipped.tip_jerk)
+    limits = testing.DofLimits(shipped.tip_velocity, shipped.tip_acceleration, shipped.tip_jerk)
     v = note(motion, limits, rate, f"filter ({robot})", filter_law(limits))
     lag, rms = ALLOWED[rate]
     assert v.lag <= lag
@@ -151,7 +156,7 @@ def test_the_gain_at_a_frequency_is_the_stated_one(
     """A small sine at 500 Hz, far inside the limits: there the filter is linear."""
     t = np.arange(0, 6, 0.002)
     x = 1e-5 * np.sin(2 * np.pi * hertz * t)[:, None]
-    y = surg_core.stream_filter(t, x, DESIGN, 0.002, feed_forward)[1500:, 0, 0]
+    y = testing.stream_filter(t, x, DESIGN, 0.002, feed_forward)[1500:, 0, 0]
     found = 2 * abs(np.mean(y * np.exp(-2j * np.pi * hertz * t[1501:]))) / 1e-5
     print(f"{hertz} Hz, feed-forward {feed_forward}: {found:.3f}")
     assert found == pytest.approx(gain, abs=0.02)
@@ -180,11 +185,11 @@ def test_the_batch_is_the_filter_tick_by_tick() -> None:
     rng = np.random.default_rng(1)
     t = np.cumsum(rng.uniform(0.005, 0.04, 100))
     samples = 0.02 * np.cumsum(rng.normal(size=(100, 2)), axis=0) / 10
-    out = surg_core.stream_filter(t, samples, DESIGN)
+    out = testing.stream_filter(t, samples, DESIGN)
     for axis in range(2):
-        estimate, stream = surg_core.AlphaBeta(), surg_core.StreamFilter(DESIGN)
+        estimate, stream = testing.AlphaBeta(), testing.StreamFilter(DESIGN)
         estimate.reset(samples[0, axis])
-        stream.reset(surg_core.Kinematic(samples[0, axis]))
+        stream.reset(testing.Kinematic(samples[0, axis]))
         last = 0
         for k in range(len(out)):
             now = t[0] + 0.002 * k
@@ -207,4 +212,4 @@ def test_the_batch_is_the_filter_tick_by_tick() -> None:
 )
 def test_the_batch_refuses_what_is_no_stream(t: list, samples: list, word: str) -> None:
     with pytest.raises(ValueError, match=word):
-        surg_core.stream_filter(t, samples, DESIGN)
+        testing.stream_filter(t, samples, DESIGN)

@@ -4,22 +4,22 @@
 #include "surg_core/kinematics/calibration.hpp"
 
 namespace surg::python {
-void bind_calibration(py::module_& m) {
-  py::register_exception<CalibrationError>(m, "CalibrationError", PyExc_ValueError).doc() =
-      "A calibration that must not be used: what was found, what is allowed, what to do.";
+namespace {
 
-  const CalibrationLimits usual;
+const CalibrationLimits kUsual;
+
+void bind_calibration_limits(py::module_& m) {
   py::class_<CalibrationLimits>(m, "CalibrationLimits", "What is asked of the evidence.")
       .def(py::init([](int n_min, double condition_max, double rms_max, double worst_max,
                        double axis_rms_max, double axis_worst_max, double distance_min) {
              return CalibrationLimits{n_min,        condition_max,  rms_max,     worst_max,
                                       axis_rms_max, axis_worst_max, distance_min};
            }),
-           py::kw_only(), py::arg("n_min") = usual.n_min,
-           py::arg("condition_max") = usual.condition_max, py::arg("rms_max") = usual.rms_max,
-           py::arg("worst_max") = usual.worst_max, py::arg("axis_rms_max") = usual.axis_rms_max,
-           py::arg("axis_worst_max") = usual.axis_worst_max,
-           py::arg("distance_min") = usual.distance_min,
+           py::kw_only(), py::arg("n_min") = kUsual.n_min,
+           py::arg("condition_max") = kUsual.condition_max, py::arg("rms_max") = kUsual.rms_max,
+           py::arg("worst_max") = kUsual.worst_max, py::arg("axis_rms_max") = kUsual.axis_rms_max,
+           py::arg("axis_worst_max") = kUsual.axis_worst_max,
+           py::arg("distance_min") = kUsual.distance_min,
            "Distances [m], angles [rad]; the defaults are those of ./surg calibrate.")
       .def_readonly("n_min", &CalibrationLimits::n_min, "Fewest poses or shafts.")
       .def_readonly("condition_max", &CalibrationLimits::condition_max)
@@ -29,7 +29,9 @@ void bind_calibration(py::module_& m) {
       .def_readonly("axis_worst_max", &CalibrationLimits::axis_worst_max, "[rad]")
       .def_readonly("distance_min", &CalibrationLimits::distance_min,
                     "[m] between two points of the shaft.");
+}
 
+void bind_fits(py::module_& m) {
   py::class_<Fit>(m, "Fit", "How well n observations agree.")
       .def_readonly("n", &Fit::n, "Poses or shafts.")
       .def_readonly("rms", &Fit::rms, "Of the distances left [m]; of an axis [rad].")
@@ -69,13 +71,15 @@ void bind_calibration(py::module_& m) {
           "covariance", [](const PointFit& p) { return frozen(from_matrix(p.covariance)); },
           "(3, 3) [m^2].")
       .def_readonly("fit", &PointFit::fit);
+}
 
+void bind_solvers(py::module_& m) {
   m.def(
       "calibrate_tip",
       [](const Array& X_BF, const CalibrationLimits& limits) {
         return calibrate_tip(to_poses(X_BF, "X_BF"), limits);
       },
-      py::arg("X_BF"), py::arg_v("limits", usual, "CalibrationLimits()"),
+      py::arg("X_BF"), py::arg_v("limits", kUsual, "CalibrationLimits()"),
       "The tip in the flange frame from flange poses with the tip in one divot.\n\n"
       "X_BF: (n, 4, 4), or (n, 7) with x, y, z and a quaternion x, y, z, w. Raises "
       "CalibrationError\n"
@@ -86,13 +90,13 @@ void bind_calibration(py::module_& m) {
         return calibrate_axis_by_rolling(to_poses(X_BF, "X_BF"), to_vector3(p_FTip, "p_FTip"),
                                          limits);
       },
-      py::arg("X_BF"), py::arg("p_FTip"), py::arg_v("limits", usual, "CalibrationLimits()"),
+      py::arg("X_BF"), py::arg("p_FTip"), py::arg_v("limits", kUsual, "CalibrationLimits()"),
       "The shaft axis from flange poses (n, 4, 4) or (n, 7) in which the instrument was turned "
       "about\n"
       "its own shaft in a guide; p_FTip (3,) tells which way is outwards. Raises "
       "CalibrationError.");
   m.def("calibrate_axis_by_points", &calibrate_axis_by_points, py::arg("tip"), py::arg("second"),
-        py::arg_v("limits", usual, "CalibrationLimits()"),
+        py::arg_v("limits", kUsual, "CalibrationLimits()"),
         "The shaft axis through two pivoted points of it. Raises CalibrationError when too close.");
   m.def(
       "calibrate_trocar",
@@ -107,7 +111,7 @@ void bind_calibration(py::module_& m) {
         }
         return calibrate_trocar(lines, limits);
       },
-      py::arg("p_B"), py::arg("s_B"), py::arg_v("limits", usual, "CalibrationLimits()"),
+      py::arg("p_B"), py::arg("s_B"), py::arg_v("limits", kUsual, "CalibrationLimits()"),
       "The point of the base nearest to n shafts: a point on each (n, 3) [m], unit directions (n, "
       "3).\n\n"
       "Raises CalibrationError for too few, too little tilting, or shafts that do not meet.");
@@ -115,6 +119,17 @@ void bind_calibration(py::module_& m) {
         "The content of a surg_tool/1 file; date as text, such as 2026-11-21.");
   m.def("trocar_calibration", &trocar_calibration, py::arg("point"), py::arg("date"),
         "The content of a surg_trocar/1 file.");
+}
+
+}  // namespace
+
+void bind_calibration(py::module_& m) {
+  py::register_exception<CalibrationError>(m, "CalibrationError", PyExc_ValueError).doc() =
+      "A calibration that must not be used: what was found, what is allowed, what to do.";
+
+  bind_calibration_limits(m);
+  bind_fits(m);
+  bind_solvers(m);
 }
 
 }  // namespace surg::python

@@ -226,7 +226,7 @@ void bind_cell(py::module_& m) {
 
 }  // namespace
 
-void bind_config(py::module_& m) {
+void bind_config(py::module_& m, py::module_& testing) {
   py::register_exception<ConfigError>(m, "ConfigError", PyExc_ValueError).doc() =
       "A configuration that must not be used: file, key, value, what is allowed.";
 
@@ -255,8 +255,8 @@ void bind_config(py::module_& m) {
         "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");
   m.def("with_home", &with_home, py::arg("robot"), py::arg("arm"), py::arg("cell_file"),
         "The robot with the cell's home posture put in. Raises ConfigError when it does not fit.");
-  m.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),
-        "16 hex digits over every value that moves the arm (FNV-1a).");
+  testing.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),
+              "16 hex digits over every value that moves the arm (FNV-1a).");
   m.def(
       "inside_workspace",
       [](const Limits& limits, const Array& p_RTip) {
@@ -276,8 +276,6 @@ void bind_config(py::module_& m) {
         "Step test of a pose stream: Reason.NONE, STEP_TOO_LARGE or STREAM_START_TOO_FAR.\n"
         "Distances [m], [rad] from the last accepted pose, which is 'since' [s] ago, or from the\n"
         "set-point where a stream begins.");
-  m.def("lateral_fade", &lateral_fade, py::arg("limits"), py::arg("depth"),
-        "Factor of lateral tip motion at a depth [m]: 1 above depth_slow, 0 below depth_min.");
 }
 
 }  // namespace surg::python

@@ -1,6 +1,7 @@
 #include <pybind11/stl.h>
 
 #include <algorithm>
+#include <array>
 #include <optional>
 
 #include "convert.hpp"
@@ -9,61 +10,7 @@
 namespace surg::python {
 namespace {
 
-void bind_state(py::module_& m) {
-  py::enum_<State>(m, "State", "CRTK operating state; compare with ==, not with is.")
-      .value("DISABLED", State::kDisabled)
-      .value("ENABLED", State::kEnabled)
-      .value("PAUSED", State::kPaused)
-      .value("FAULT", State::kFault);
-  py::enum_<Reason>(m, "Reason", "Why the arm does not do what was asked.")
-      .value("NONE", Reason::kNone)
-      .value("NOT_HOMED", Reason::kNotHomed)
-      .value("NOT_ENABLED", Reason::kNotEnabled)
-      .value("NOT_FINITE", Reason::kNotFinite)
-      .value("STATE_NOT_FINITE", Reason::kStateNotFinite)
-      .value("STALE", Reason::kStale)
-      .value("LINK_LOST", Reason::kLinkLost)
-      .value("RCM_UNSET", Reason::kRcmUnset)
-      .value("RCM_ERROR", Reason::kRcmError)
-      .value("RCM_WHILE_ENABLED", Reason::kRcmWhileEnabled)
-      .value("STEP_TOO_LARGE", Reason::kStepTooLarge)
-      .value("STREAM_START_TOO_FAR", Reason::kStreamStartTooFar)
-      .value("OUTSIDE_WORKSPACE", Reason::kOutsideWorkspace)
-      .value("WRONG_FRAME", Reason::kWrongFrame)
-      .value("WRONG_SIZE", Reason::kWrongSize)
-      .value("NO_AUTHORITY", Reason::kNoAuthority)
-      .value("REFUSED_TRANSITION", Reason::kRefusedTransition)
-      .value("OVERRUN", Reason::kOverrun)
-      .value("JOINT_LIMIT", Reason::kJointLimit)
-      .value("OPERATOR", Reason::kOperator)
-      .value("NOT_FOLLOWING", Reason::kNotFollowing)
-      .value("HELD", Reason::kHeld)
-      .value("NOT_INSERTED", Reason::kNotInserted)
-      .value("TRACK_STALE", Reason::kTrackStale)
-      .value("TOOL_LOST", Reason::kToolLost)
-      .value("UNREACHABLE", Reason::kUnreachable)
-      .value("NOT_ARRIVED", Reason::kNotArrived)
-      .value("NO_TRACE", Reason::kNoTrace)
-      .value("FRAME_WHILE_ENABLED", Reason::kFrameWhileEnabled)
-      .value("FORCE", Reason::kForce)
-      .value("MASTER_LOST", Reason::kMasterLost)
-      .value("NOT_AT_REST", Reason::kNotAtRest)
-      .value("LATE", Reason::kLate);
-  py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
-      .value("ENABLE", StateCommand::kEnable)
-      .value("DISABLE", StateCommand::kDisable)
-      .value("PAUSE", StateCommand::kPause)
-      .value("RESUME", StateCommand::kResume)
-      .value("HOME", StateCommand::kHome)
-      .value("UNHOME", StateCommand::kUnhome);
-  m.def("sentence", &sentence, py::arg("reason"), "What was wrong and what to do, for people.");
-  m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
-        "Short name, as in FAULT(name).");
-  m.def("state_name", py::overload_cast<State>(&name), py::arg("state"),
-        "As in CRTK's operating_state.");
-}
-
-void bind_command(py::module_& m) {
+void bind_motion_names(py::module_& m) {
   py::enum_<Motion>(m, "Motion", "Motion commands, numbered as in surg_msgs/Cycle.")
       .value("NONE", Motion::kNone)
       .value("SERVO_CP", Motion::kServoCp)
@@ -82,7 +29,9 @@ void bind_command(py::module_& m) {
       .value("INSERT", Motion::kInsert)
       .value("WITHDRAW", Motion::kWithdraw)
       .value("RETRACE", Motion::kRetrace);
+}
 
+void bind_command(py::module_& m) {
   py::class_<MotionCommand>(m, "MotionCommand", "One decoded command.")
       .def(
           py::init([](Motion motion, std::uint32_t source, const std::optional<Array>& p,
@@ -272,6 +221,88 @@ void check_commands(const Commands& commands, py::ssize_t n) {
   }
 }
 
+Outputs step(Owned& o, const Array& q, const Array& qd, const std::vector<MotionCommand>& commands,
+             double jaw, bool state_valid, double state_age,
+             const std::optional<Readings>& readings) {
+  if (commands.size() > static_cast<std::size_t>(kMaxCommands)) {
+    throw py::value_error("commands: at most " + std::to_string(kMaxCommands) + " per cycle, not " +
+                          std::to_string(commands.size()));
+  }
+  static_cast<Readings&>(o.inputs) = readings.value_or(Readings{});
+  o.inputs.state_valid = state_valid;
+  o.inputs.state_age = state_age;
+  o.inputs.q = to_joints(q, o.dof, "q");
+  o.inputs.qd = to_joints(qd, o.dof, "qd");
+  o.inputs.jaw = jaw;
+  o.inputs.n_commands = static_cast<int>(commands.size());
+  std::copy(commands.begin(), commands.end(), o.inputs.commands.begin());
+  return Outputs(o.controller->step(o.inputs));
+}
+
+/// One column per field of Outputs, filled row by row without the GIL.
+class TrajectoryColumns {
+ public:
+  TrajectoryColumns(py::ssize_t n, py::ssize_t dof) {
+    for (Codes& column : codes_) column = Codes(n);
+    busy_ = py::array_t<bool>(n);
+    for (Array& column : numbers_) column = Array(n);
+    for (const py::ssize_t width : {3, 3, 3, 3, 3, 3, 4, 4}) vectors_.emplace_back(n, width);
+    vectors_.emplace_back(n, dof);
+    vectors_.emplace_back(n, 6);
+    for (int i = 0; i < kCodes; ++i) code_data_[i] = codes_[i].mutable_data();
+    for (int i = 0; i < kNumbers; ++i) number_data_[i] = numbers_[i].mutable_data();
+    busy_data_ = busy_.mutable_data();
+    limited_by_.resize(static_cast<std::size_t>(n));
+  }
+
+  void set(py::ssize_t i, const Outputs& out) {
+    const int codes[kCodes] = {static_cast<int>(out.state), static_cast<int>(out.reason),
+                               static_cast<int>(out.motion), out.tier};
+    for (int k = 0; k < kCodes; ++k) code_data_[k][i] = static_cast<std::uint8_t>(codes[k]);
+    const double numbers[kNumbers] = {out.scale, out.rcm_error, out.depth, out.roll, out.jaw_set};
+    for (int k = 0; k < kNumbers; ++k) number_data_[k][i] = numbers[k];
+    const Vector3* vectors[] = {&out.p_BTip, &out.s_B,   &out.v_BTip,
+                                &out.p_goal, &out.p_set, &out.v_set};
+    for (int k = 0; k < 6; ++k) vectors_[k].set(i, *vectors[k]);
+    vectors_[6].set(i, out.virtual_q);
+    vectors_[7].set(i, out.virtual_set);
+    vectors_[8].set(i, out.qd_command);
+    vectors_[9].set(i, out.twist_command);
+    busy_data_[i] = out.busy;
+    limited_by_[i] = out.limited_by;
+    for (int k = 0; k < out.n_verdicts; ++k) verdicts_.emplace_back(i, out.verdicts[k]);
+  }
+
+  Trajectory take() {
+    Trajectory t;
+    py::array_t<std::uint8_t>* codes[] = {&t.state, &t.reason, &t.motion, &t.tier};
+    for (int k = 0; k < kCodes; ++k) *codes[k] = frozen_as(codes_[k]);
+    Array* numbers[] = {&t.scale, &t.rcm_error, &t.depth, &t.roll, &t.jaw_set};
+    for (int k = 0; k < kNumbers; ++k) *numbers[k] = frozen(numbers_[k]);
+    Array* vectors[] = {&t.p_BTip, &t.s_B,       &t.v_BTip,      &t.p_goal,     &t.p_set,
+                        &t.v_set,  &t.virtual_q, &t.virtual_set, &t.qd_command, &t.twist_command};
+    for (std::size_t k = 0; k < vectors_.size(); ++k) *vectors[k] = vectors_[k].take();
+    t.busy = frozen_as(busy_);
+    t.limited_by.assign(limited_by_.begin(), limited_by_.end());
+    t.verdicts = std::move(verdicts_);
+    return t;
+  }
+
+ private:
+  using Codes = py::array_t<std::uint8_t>;
+  static constexpr int kCodes = 4, kNumbers = 5;
+
+  std::array<Codes, kCodes> codes_;
+  std::array<Array, kNumbers> numbers_;
+  py::array_t<bool> busy_;
+  std::array<std::uint8_t*, kCodes> code_data_{};
+  std::array<double*, kNumbers> number_data_{};
+  bool* busy_data_ = nullptr;
+  std::vector<Rows> vectors_;
+  std::vector<const char*> limited_by_;
+  std::vector<std::pair<py::ssize_t, Verdict>> verdicts_;
+};
+
 Trajectory run(Owned& o, const Array& q, const Array& qd, const Commands& commands,
                const std::optional<Array>& jaw) {
   const py::ssize_t n = q.ndim() == 2 ? q.shape(0) : 0;
@@ -280,22 +311,9 @@ Trajectory run(Owned& o, const Array& q, const Array& qd, const Commands& comman
   if (jaw) check_shape(*jaw, {n}, "jaw");
   check_commands(commands, n);
   const double *q_from = q.data(), *qd_from = qd.data(), *jaw_from = jaw ? jaw->data() : nullptr;
-
-  Trajectory t;
-  py::array_t<std::uint8_t> state(n), reason(n), motion(n), tier(n);
-  py::array_t<bool> busy(n);
-  std::uint8_t *states = state.mutable_data(), *reasons = reason.mutable_data(),
-               *motions = motion.mutable_data(), *tiers = tier.mutable_data();
-  bool* busies = busy.mutable_data();
-  Array scale(n), rcm_error(n), depth(n), roll(n), jaw_set(n);
-  double *scales = scale.mutable_data(), *errors = rcm_error.mutable_data(),
-         *depths = depth.mutable_data(), *rolls = roll.mutable_data(),
-         *jaws = jaw_set.mutable_data();
-  Rows p_BTip(n, 3), s_B(n, 3), v_BTip(n, 3), p_goal(n, 3), p_set(n, 3), v_set(n, 3);
-  Rows virtual_q(n, 4), virtual_set(n, 4), qd_command(n, o.dof), twist_command(n, 6);
-  std::vector<const char*> limited_by(n);
+  TrajectoryColumns columns(n, o.dof);
   {
-    py::gil_scoped_release release;
+    const py::gil_scoped_release release;
     std::size_t next = 0;
     o.inputs = Inputs{};
     o.inputs.state_valid = true;
@@ -307,53 +325,10 @@ Trajectory run(Owned& o, const Array& q, const Array& qd, const Commands& comman
       while (next < commands.size() && commands[next].first == i) {
         o.inputs.commands[o.inputs.n_commands++] = commands[next++].second;
       }
-      const Outputs& out = o.controller->step(o.inputs);
-      states[i] = static_cast<std::uint8_t>(out.state);
-      reasons[i] = static_cast<std::uint8_t>(out.reason);
-      motions[i] = static_cast<std::uint8_t>(out.motion);
-      tiers[i] = out.tier;
-      busies[i] = out.busy;
-      scales[i] = out.scale;
-      errors[i] = out.rcm_error;
-      depths[i] = out.depth;
-      rolls[i] = out.roll;
-      jaws[i] = out.jaw_set;
-      p_BTip.set(i, out.p_BTip);
-      s_B.set(i, out.s_B);
-      v_BTip.set(i, out.v_BTip);
-      p_goal.set(i, out.p_goal);
-      p_set.set(i, out.p_set);
-      v_set.set(i, out.v_set);
-      virtual_q.set(i, out.virtual_q);
-      virtual_set.set(i, out.virtual_set);
-      qd_command.set(i, out.qd_command);
-      twist_command.set(i, out.twist_command);
-      limited_by[i] = out.limited_by;
-      for (int k = 0; k < out.n_verdicts; ++k) t.verdicts.emplace_back(i, out.verdicts[k]);
+      columns.set(i, o.controller->step(o.inputs));
     }
   }
-  t.state = frozen_as(state);
-  t.reason = frozen_as(reason);
-  t.motion = frozen_as(motion);
-  t.tier = frozen_as(tier);
-  t.busy = frozen_as(busy);
-  t.scale = frozen(scale);
-  t.rcm_error = frozen(rcm_error);
-  t.depth = frozen(depth);
-  t.roll = frozen(roll);
-  t.jaw_set = frozen(jaw_set);
-  t.p_BTip = p_BTip.take();
-  t.s_B = s_B.take();
-  t.v_BTip = v_BTip.take();
-  t.p_goal = p_goal.take();
-  t.p_set = p_set.take();
-  t.v_set = v_set.take();
-  t.virtual_q = virtual_q.take();
-  t.virtual_set = virtual_set.take();
-  t.qd_command = qd_command.take();
-  t.twist_command = twist_command.take();
-  t.limited_by.assign(limited_by.begin(), limited_by.end());
-  return t;
+  return columns.take();
 }
 
 void bind_trajectory(py::module_& m) {
@@ -388,23 +363,95 @@ void bind_trajectory(py::module_& m) {
   type.def("__len__", [](const Trajectory& t) { return t.scale.shape(0); });
 }
 
+/// The frames and constants of a controller.
+void bind_frames(py::class_<Owned>& type) {
+  type.def_property_readonly(
+          "X_BR", [](const Owned& o) { return frozen(from_pose(o.controller->X_BR())); },
+          "(4, 4), read-only: the rcm frame in the base. Its rotation is the identity until homed.")
+      .def_property_readonly(
+          "rcm_set", [](const Owned& o) { return o.controller->rcm_set(); },
+          "A trocar point is known.")
+      .def_property_readonly(
+          "dt", [](const Owned& o) { return o.controller->dt(); }, "Control period [s].")
+      .def(
+          "tool_orientation",
+          [](const Owned& o, const Array& s_B, double roll) {
+            return frozen(
+                from_matrix(o.controller->tool_orientation(to_vector3(s_B, "s_B"), roll).coeffs()));
+          },
+          py::arg("s_B"), py::arg("roll"), "R_RcmTool as a quaternion x, y, z, w.");
+}
+
 }  // namespace
 
+void bind_operating_state(py::module_& m, py::module_& testing) {
+  py::enum_<State>(m, "State", "CRTK operating state; compare with ==, not with is.")
+      .value("DISABLED", State::kDisabled)
+      .value("ENABLED", State::kEnabled)
+      .value("PAUSED", State::kPaused)
+      .value("FAULT", State::kFault);
+  py::enum_<Reason>(m, "Reason", "Why the arm does not do what was asked.")
+      .value("NONE", Reason::kNone)
+      .value("NOT_HOMED", Reason::kNotHomed)
+      .value("NOT_ENABLED", Reason::kNotEnabled)
+      .value("NOT_FINITE", Reason::kNotFinite)
+      .value("STATE_NOT_FINITE", Reason::kStateNotFinite)
+      .value("STALE", Reason::kStale)
+      .value("LINK_LOST", Reason::kLinkLost)
+      .value("RCM_UNSET", Reason::kRcmUnset)
+      .value("RCM_ERROR", Reason::kRcmError)
+      .value("RCM_WHILE_ENABLED", Reason::kRcmWhileEnabled)
+      .value("STEP_TOO_LARGE", Reason::kStepTooLarge)
+      .value("STREAM_START_TOO_FAR", Reason::kStreamStartTooFar)
+      .value("OUTSIDE_WORKSPACE", Reason::kOutsideWorkspace)
+      .value("WRONG_FRAME", Reason::kWrongFrame)
+      .value("WRONG_SIZE", Reason::kWrongSize)
+      .value("NO_AUTHORITY", Reason::kNoAuthority)
+      .value("REFUSED_TRANSITION", Reason::kRefusedTransition)
+      .value("OVERRUN", Reason::kOverrun)
+      .value("JOINT_LIMIT", Reason::kJointLimit)
+      .value("OPERATOR", Reason::kOperator)
+      .value("NOT_FOLLOWING", Reason::kNotFollowing)
+      .value("HELD", Reason::kHeld)
+      .value("NOT_INSERTED", Reason::kNotInserted)
+      .value("TRACK_STALE", Reason::kTrackStale)
+      .value("TOOL_LOST", Reason::kToolLost)
+      .value("UNREACHABLE", Reason::kUnreachable)
+      .value("NOT_ARRIVED", Reason::kNotArrived)
+      .value("NO_TRACE", Reason::kNoTrace)
+      .value("FRAME_WHILE_ENABLED", Reason::kFrameWhileEnabled)
+      .value("FORCE", Reason::kForce)
+      .value("MASTER_LOST", Reason::kMasterLost)
+      .value("NOT_AT_REST", Reason::kNotAtRest)
+      .value("LATE", Reason::kLate);
+  py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
+      .value("ENABLE", StateCommand::kEnable)
+      .value("DISABLE", StateCommand::kDisable)
+      .value("PAUSE", StateCommand::kPause)
+      .value("RESUME", StateCommand::kResume)
+      .value("HOME", StateCommand::kHome)
+      .value("UNHOME", StateCommand::kUnhome);
+  m.def("sentence", &sentence, py::arg("reason"), "What was wrong and what to do, for people.");
+  m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
+        "Short name, as in FAULT(name).");
+  testing.def("state_name", py::overload_cast<State>(&name), py::arg("state"),
+              "As in CRTK's operating_state.");
+}
+
 void bind_controller(py::module_& m) {
-  bind_state(m);
+  bind_motion_names(m);
   bind_command(m);
   bind_readings(m);
   bind_outputs(m);
   bind_trajectory(m);
-  m.attr("MAX_COMMANDS") = kMaxCommands;
 
   py::enum_<Law>(m, "Law")
       .value("EXACT", Law::kExact)
       .value("VELOCITY", Law::kVelocity)
       .value("PAPER", Law::kPaper);
 
-  py::class_<Owned>(m, "Controller", "One arm's controller: call step() every dt.")
-      .def(py::init([](const Chain& chain, const RobotConfig& robot, const Limits& limits,
+  py::class_<Owned> type(m, "Controller", "One arm's controller: call step() every dt.");
+  type.def(py::init([](const Chain& chain, const RobotConfig& robot, const Limits& limits,
                        const InstrumentConfig& instrument, const ToolCalibration& tool, Law law,
                        double dt, double feedback_gain, bool track_rcm) {
              return Owned{chain.dof(),
@@ -434,51 +481,20 @@ void bind_controller(py::module_& m) {
       .def(
           "claim", [](Owned& o, std::uint32_t source) { return o.controller->claim(source); },
           py::arg("source"), "The arm obeys this sender alone until it leaves ENABLED.")
+      .def("step", &step, py::arg("q"), py::arg("qd"),
+           py::arg("commands") = std::vector<MotionCommand>(), py::arg("jaw") = 0.0,
+           py::arg("state_valid") = true, py::arg("state_age") = 0.0,
+           py::arg("readings") = py::none(),
+           "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
+           "jaw [rad]; state_age [s]; readings: of the sensors, where there are any.")
       .def(
-          "step",
-          [](Owned& o, const Array& q, const Array& qd, const std::vector<MotionCommand>& commands,
-             double jaw, bool state_valid, double state_age,
-             const std::optional<Readings>& readings) {
-            if (commands.size() > static_cast<std::size_t>(kMaxCommands)) {
-              throw py::value_error("commands: at most " + std::to_string(kMaxCommands) +
-                                    " per cycle, not " + std::to_string(commands.size()));
-            }
-            static_cast<Readings&>(o.inputs) = readings.value_or(Readings{});
-            o.inputs.state_valid = state_valid;
-            o.inputs.state_age = state_age;
-            o.inputs.q = to_joints(q, o.dof, "q");
-            o.inputs.qd = to_joints(qd, o.dof, "qd");
-            o.inputs.jaw = jaw;
-            o.inputs.n_commands = static_cast<int>(commands.size());
-            std::copy(commands.begin(), commands.end(), o.inputs.commands.begin());
-            return Outputs(o.controller->step(o.inputs));
-          },
-          py::arg("q"), py::arg("qd"), py::arg("commands") = std::vector<MotionCommand>(),
-          py::arg("jaw") = 0.0, py::arg("state_valid") = true, py::arg("state_age") = 0.0,
-          py::arg("readings") = py::none(),
-          "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
-          "jaw [rad]; state_age [s]; readings: of the sensors, where there are any.")
-      .def("run", &run, py::arg("q"), py::arg("qd"), py::arg("commands") = Commands(),
-           py::arg("jaw") = py::none(),
-           "n cycles over recorded joints q, qd (n, joints) [rad, rad/s] in one call.\n\n"
-           "commands: (cycle, MotionCommand) in rising order; jaw (n,) [rad]. The same as n calls "
-           "of\n"
-           "step(). Releases the GIL: the controller must not be used by another thread meanwhile.")
-      .def_property_readonly(
-          "X_BR", [](const Owned& o) { return frozen(from_pose(o.controller->X_BR())); },
-          "(4, 4), read-only: the rcm frame in the base. Its rotation is the identity until homed.")
-      .def_property_readonly(
-          "rcm_set", [](const Owned& o) { return o.controller->rcm_set(); },
-          "A trocar point is known.")
-      .def_property_readonly(
-          "dt", [](const Owned& o) { return o.controller->dt(); }, "Control period [s].")
-      .def(
-          "tool_orientation",
-          [](const Owned& o, const Array& s_B, double roll) {
-            return frozen(
-                from_matrix(o.controller->tool_orientation(to_vector3(s_B, "s_B"), roll).coeffs()));
-          },
-          py::arg("s_B"), py::arg("roll"), "R_RcmTool as a quaternion x, y, z, w.");
+          "run", &run, py::arg("q"), py::arg("qd"), py::arg("commands") = Commands(),
+          py::arg("jaw") = py::none(),
+          "n cycles over recorded joints q, qd (n, joints) [rad, rad/s] in one call.\n\n"
+          "commands: (cycle, MotionCommand) in rising order; jaw (n,) [rad]. The same as n calls "
+          "of\n"
+          "step(). Releases the GIL: the controller must not be used by another thread meanwhile.");
+  bind_frames(type);
 }
 
 }  // namespace surg::python

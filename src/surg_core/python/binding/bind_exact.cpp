@@ -89,8 +89,8 @@ py::tuple follow(const NextPose& next, int dof, const Array& q_start, const Arra
   return py::make_tuple(joints, conditioning);
 }
 
-void bind_goals(py::module_& m) {
-  py::class_<Home>(m, "Home", "Shaft axis and flange orientation at home: zero of the roll.")
+void bind_goals(py::module_& testing) {
+  py::class_<Home>(testing, "Home", "Shaft axis and flange orientation at home: zero of the roll.")
       .def(py::init([](const Array& X_BF, const Array& s_F, const Array& p_FTip) {
              return home_of(to_pose(X_BF, "X_BF"), to_tool(s_F, p_FTip));
            }),
@@ -99,7 +99,7 @@ void bind_goals(py::module_& m) {
       .def_property_readonly("s_B", [](const Home& h) { return frozen(from_matrix(h.s_B)); })
       .def_property_readonly("R_BF", [](const Home& h) { return frozen(from_matrix(h.R_BF)); });
 
-  py::class_<ShaftGoal>(m, "ShaftGoal",
+  py::class_<ShaftGoal>(testing, "ShaftGoal",
                         "Where the instrument shall be: the four degrees of freedom that a trocar "
                         "leaves, in B.")
       .def(py::init([](const Array& p_BRcm, const Array& s_B, double depth, double roll) {
@@ -115,7 +115,7 @@ void bind_goals(py::module_& m) {
       .def_property_readonly("p_BTip",
                              [](const ShaftGoal& g) { return frozen(from_matrix(g.p_BTip())); });
 
-  m.def(
+  testing.def(
       "tip_goal",
       [](const Array& p_BRcm, const Array& p_BTip, double roll, const Array& otherwise) {
         return tip_goal(to_vector3(p_BRcm, "p_BRcm"), to_vector3(p_BTip, "p_BTip"), roll,
@@ -125,7 +125,7 @@ void bind_goals(py::module_& m) {
       "The ShaftGoal whose tip is p_BTip (3,) [m], deeper than the trocar; 'otherwise' (3,) is "
       "the\n"
       "shaft axis where both coincide.");
-  m.def(
+  testing.def(
       "spherical_goal",
       [](const Array& X_BR, const Array& joints) {
         return spherical_goal(to_pose(X_BR, "X_BR"), to_vector4(joints, "virtual_joints"));
@@ -133,25 +133,25 @@ void bind_goals(py::module_& m) {
       py::arg("X_BR"), py::arg("virtual_joints"),
       "The ShaftGoal (yaw, pitch, insertion, roll) (4,) [rad, rad, m, rad] in the trocar frame "
       "(4, 4).");
-  m.def(
+  testing.def(
       "pose_on_pivot",
       [](const Home& home, const Array& s_F, const Array& p_FTip, const ShaftGoal& goal) {
         return from_pose(pose_on_pivot(home, to_tool(s_F, p_FTip), goal));
       },
       py::arg("home"), py::arg("s_F"), py::arg("p_FTip"), py::arg("goal"),
       "X_BF (4, 4) on the constraint by construction.");
-  m.def("poses_on_pivot", &poses_on_pivot, py::arg("home"), py::arg("s_F"), py::arg("p_FTip"),
-        py::arg("p_BRcm"), py::arg("p_BTip"), py::arg("roll"),
-        "X_BF (m, 4, 4) for tips (m, 3) [m] and rolls (m,) [rad]. Releases the GIL.");
+  testing.def("poses_on_pivot", &poses_on_pivot, py::arg("home"), py::arg("s_F"), py::arg("p_FTip"),
+              py::arg("p_BRcm"), py::arg("p_BTip"), py::arg("roll"),
+              "X_BF (m, 4, 4) for tips (m, 3) [m] and rolls (m,) [rad]. Releases the GIL.");
 }
 
-void bind_steps(py::module_& m) {
-  py::class_<JointStep>(m, "JointStep", "A displacement of the joints.")
+void bind_steps(py::module_& testing) {
+  py::class_<JointStep>(testing, "JointStep", "A displacement of the joints.")
       .def_property_readonly("dq", [](const JointStep& s) { return frozen(from_matrix(s.dq)); })
       .def_readonly("conditioning", &JointStep::conditioning,
                     "How far from a singularity; 0: singular or out of reach, and dq is zero.");
 
-  m.def(
+  testing.def(
       "exact_step",
       [](const Chain& chain, const Array& q, const Array& X_BFGoal,
          const std::optional<Array>& posture) {
@@ -167,7 +167,7 @@ void bind_steps(py::module_& m) {
     NextPose next;
     int dof;
   };
-  py::class_<PyNextPose>(m, "NextPose",
+  py::class_<PyNextPose>(testing, "NextPose",
                          "Joints for the next pose: closed form for the UR family, else "
                          "exact_step.")
       .def(py::init([](const Chain& chain, bool closed_form) {
@@ -198,29 +198,29 @@ void bind_steps(py::module_& m) {
           "joints stay. Releases the GIL.");
 }
 
-void bind_rows(py::module_& m) {
-  py::class_<RcmRows>(m, "RcmRows", "The two rows that keep the pivot.")
+void bind_rows(py::module_& testing) {
+  py::class_<RcmRows>(testing, "RcmRows", "The two rows that keep the pivot.")
       .def_property_readonly("J", [](const RcmRows& r) { return frozen(from_matrix(r.J)); })
       .def_property_readonly("e", [](const RcmRows& r) { return frozen(from_matrix(r.e)); });
-  m.def(
+  testing.def(
       "rcm_rows",
       [](const Array& J, const ShaftState& shaft) { return rcm_rows(to_jacobian(J, "J"), shaft); },
       py::arg("J"), py::arg("shaft"),
       "Lateral velocity (2, n) of the shaft point at the trocar per joint velocity, and the "
       "lateral\n"
       "error (2,) [m] in the same two directions, from the Jacobian (6, n).");
-  m.def("rcm_correction", &rcm_correction, py::arg("rows"),
-        "The smallest JointStep that, to first order, puts the shaft back on the trocar.");
+  testing.def("rcm_correction", &rcm_correction, py::arg("rows"),
+              "The smallest JointStep that, to first order, puts the shaft back on the trocar.");
 }
 
-void bind_ur(py::module_& m) {
-  py::class_<UrSolution>(m, "UrSolution",
+void bind_ur(py::module_& testing) {
+  py::class_<UrSolution>(testing, "UrSolution",
                          "One posture and its signed measures, 0 at a singularity.")
       .def_property_readonly("q", [](const UrSolution& s) { return frozen(from_matrix(s.q)); })
       .def_readonly("shoulder", &UrSolution::shoulder, "[m] reach of the wrist centre.")
       .def_readonly("elbow", &UrSolution::elbow, "Sine of the elbow.")
       .def_readonly("wrist", &UrSolution::wrist, "Sine of wrist 2.");
-  py::class_<UrInverse>(m, "UrInverse", "Closed-form inverse kinematics of the UR family.")
+  py::class_<UrInverse>(testing, "UrInverse", "Closed-form inverse kinematics of the UR family.")
       .def(py::init([](const Chain& chain) {
              std::string why;
              std::optional<UrInverse> inverse = UrInverse::of(chain, &why);
@@ -240,12 +240,12 @@ void bind_ur(py::module_& m) {
           "a turn of near (6,) [rad].");
 }
 
-void bind_follower(py::module_& m) {
+void bind_follower(py::module_& testing) {
   struct PyFollower {
     ExactFollower follower;
     int dof;
   };
-  py::class_<PyFollower>(m, "ExactFollower",
+  py::class_<PyFollower>(testing, "ExactFollower",
                          "Makes a lagging arm follow a virtual reference, and learns each joint's "
                          "lag.")
       .def(
@@ -296,12 +296,12 @@ void bind_follower(py::module_& m) {
 
 }  // namespace
 
-void bind_exact(py::module_& m) {
-  bind_goals(m);
-  bind_steps(m);
-  bind_rows(m);
-  bind_ur(m);
-  bind_follower(m);
+void bind_exact(py::module_& testing) {
+  bind_goals(testing);
+  bind_steps(testing);
+  bind_rows(testing);
+  bind_ur(testing);
+  bind_follower(testing);
 }
 
 }  // namespace surg::python

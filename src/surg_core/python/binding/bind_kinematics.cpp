@@ -53,11 +53,34 @@ Array jacobian_batch(const Chain& chain, const Array& q) {
   return frozen(jacobians);
 }
 
+void bind_inverse_velocity(py::module_& testing) {
+  testing.attr("MAX_JOINTS") = kMaxJoints;
+
+  py::class_<InverseVelocity>(testing, "InverseVelocity", "Result of inverse_velocity.")
+      .def_property_readonly("qd", [](const InverseVelocity& r) { return from_matrix(r.qd); })
+      .def_readonly("conditioning", &InverseVelocity::conditioning,
+                    "Smallest over largest pivot; 0: singular, and qd is zero.");
+
+  testing.def(
+      "inverse_velocity",
+      [](const Array& J_array, const Array& twist, const std::optional<Array>& posture) {
+        const Jacobian J = to_jacobian(J_array, "J");
+        const int n = static_cast<int>(J.cols());
+        if (n < 6) throw py::value_error("J: at least six joints are needed");
+        JointVector pull = JointVector::Zero(n);
+        if (posture) pull = to_joints(*posture, n, "posture");
+        return inverse_velocity(J, to_vector6(twist, "twist"), pull);
+      },
+      py::arg("J"), py::arg("twist"), py::arg("posture") = py::none(),
+      "Joint velocities (n,) [rad/s] for a flange twist (6,), v then omega.\n\n"
+      "Six joints: the inverse. More: the pseudo-inverse plus 'posture' (n,) [rad/s] projected "
+      "into\n"
+      "the null space. Fewer: ValueError.");
+}
+
 }  // namespace
 
-void bind_kinematics(py::module_& m) {
-  m.attr("MAX_JOINTS") = kMaxJoints;
-
+void bind_kinematics(py::module_& m, py::module_& testing) {
   py::class_<Joint>(m, "Joint",
                     "A revolute joint: its frame in the previous one at q = 0, its axis.")
       .def(py::init([](std::string name, const Array& X_PJ, const Array& axis) {
@@ -100,27 +123,7 @@ void bind_kinematics(py::module_& m) {
       .def(
           "jacobian_batch", &jacobian_batch, py::arg("q"),
           "Jacobians (m, 6, n), read-only, at m joint positions q (m, n) [rad]. Releases the GIL.");
-
-  py::class_<InverseVelocity>(m, "InverseVelocity", "Result of inverse_velocity.")
-      .def_property_readonly("qd", [](const InverseVelocity& r) { return from_matrix(r.qd); })
-      .def_readonly("conditioning", &InverseVelocity::conditioning,
-                    "Smallest over largest pivot; 0: singular, and qd is zero.");
-
-  m.def(
-      "inverse_velocity",
-      [](const Array& J_array, const Array& twist, const std::optional<Array>& posture) {
-        const Jacobian J = to_jacobian(J_array, "J");
-        const int n = static_cast<int>(J.cols());
-        if (n < 6) throw py::value_error("J: at least six joints are needed");
-        JointVector pull = JointVector::Zero(n);
-        if (posture) pull = to_joints(*posture, n, "posture");
-        return inverse_velocity(J, to_vector6(twist, "twist"), pull);
-      },
-      py::arg("J"), py::arg("twist"), py::arg("posture") = py::none(),
-      "Joint velocities (n,) [rad/s] for a flange twist (6,), v then omega.\n\n"
-      "Six joints: the inverse. More: the pseudo-inverse plus 'posture' (n,) [rad/s] projected "
-      "into\n"
-      "the null space. Fewer: ValueError.");
+  bind_inverse_velocity(testing);
 }
 
 }  // namespace surg::python

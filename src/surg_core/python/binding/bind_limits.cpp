@@ -37,8 +37,8 @@ int joints_of(const Array& array, const char* name) {
   return static_cast<int>(array.size());
 }
 
-void bind_parts(py::module_& m) {
-  py::class_<JointLimits>(m, "JointLimits", "What the joints may do; never exceeded.")
+void bind_joint_limits(py::module_& testing) {
+  py::class_<JointLimits>(testing, "JointLimits", "What the joints may do; never exceeded.")
       .def(py::init([](const Array& position_min, const Array& position_max, const Array& velocity,
                        const Array& acceleration, double flange_velocity, double position_margin) {
              const int n = joints_of(velocity, "velocity");
@@ -65,10 +65,10 @@ void bind_parts(py::module_& m) {
           "acceleration", [](const JointLimits& l) { return frozen(from_matrix(l.acceleration)); })
       .def_readonly("flange_velocity", &JointLimits::flange_velocity)
       .def_readonly("position_margin", &JointLimits::position_margin);
-  m.def("joint_limits", &joint_limits, py::arg("robot"), py::arg("limits"),
-        "The joint limits of a robot's configuration.");
+  testing.def("joint_limits", &joint_limits, py::arg("robot"), py::arg("limits"),
+              "The joint limits of a robot's configuration.");
 
-  py::class_<Step>(m, "Step", "What became of one cycle.")
+  py::class_<Step>(testing, "Step", "What became of one cycle.")
       .def_property_readonly(
           "qd", [](const Step& s) { return frozen(from_matrix(s.qd)); }, "(n,) [rad/s].")
       .def_readonly("alpha", &Step::alpha, "Speed of the set-point's clock, 0 to 1.")
@@ -82,8 +82,10 @@ void bind_parts(py::module_& m) {
         return py::str("Step(alpha={!r}, tier={!r}, limited_by={!r}, held={!r})")
             .format(s.alpha, static_cast<int>(s.tier), s.limited_by, s.held);
       });
+}
 
-  py::class_<JointTrace>(m, "JointTrace",
+void bind_trace(py::module_& testing) {
+  py::class_<JointTrace>(testing, "JointTrace",
                          "Where the joints have been, in bounded memory: the guaranteed way back.")
       .def(py::init<>())
       .def("clear", &JointTrace::clear)
@@ -106,12 +108,23 @@ void bind_parts(py::module_& m) {
           py::arg("s"), "Joints (n,) s [rad] back from the newest point, clamped to the trace.");
 }
 
+Step exact(const LimitedStep& limited, const Array& q, const Array& qd_last, const Array& s_home,
+           const Array& R_home, const PythonPath& call, double horizon) {
+  const Path path{call};
+  StepRequest request;
+  request.path = PathView(path);
+  request.horizon = horizon;
+  return limited.exact(to_joints(q, dof(limited), "q"), to_joints(qd_last, dof(limited), "qd_last"),
+                       to_home(s_home, R_home), request);
+}
+
 }  // namespace
 
-void bind_limits(py::module_& m) {
-  bind_parts(m);
+void bind_limits(py::module_& testing) {
+  bind_joint_limits(testing);
+  bind_trace(testing);
   py::class_<LimitedStep>(
-      m, "LimitedStep",
+      testing, "LimitedStep",
       "One control cycle inside every joint limit without leaving the pivot. Paths are callables\n"
       "t -> (p_BRcm (3,), s_B (3,), depth, roll): the goal at the end of this cycle when the\n"
       "set-point's clock has run on by t [s].")
@@ -127,31 +140,20 @@ void bind_limits(py::module_& m) {
            py::arg("chain"), py::arg("s_F"), py::arg("p_FTip"), py::arg("limits"), py::arg("T"),
            "Tool calibration (3,), (3,) in the flange frame; T: control period [s].")
       .def(
-          "exact",
-          [](const LimitedStep& limited, const Array& q, const Array& qd_last, const Array& s_home,
-             const Array& R_home, const PythonPath& call, double horizon) {
-            const Path path{call};
-            Wish wish;
-            wish.path = PathView(path);
-            wish.horizon = horizon;
-            return limited.exact(to_joints(q, dof(limited), "q"),
-                                 to_joints(qd_last, dof(limited), "qd_last"),
-                                 to_home(s_home, R_home), wish);
-          },
-          py::arg("q"), py::arg("qd_last"), py::arg("s_home"), py::arg("R_home"), py::arg("path"),
-          py::arg("horizon") = 0.0,
+          "exact", &exact, py::arg("q"), py::arg("qd_last"), py::arg("s_home"), py::arg("R_home"),
+          py::arg("path"), py::arg("horizon") = 0.0,
           "Exact form from joints q (n,) and last velocities (n,); s_home (3,) and R_home (3, 3):\n"
           "shaft and flange at home; horizon [s]: how far the preview looks, 0: not at all.")
       .def(
           "velocity",
           [](const LimitedStep& limited, const Array& q, const Array& qd_last, const Array& p_BRcm,
              const Array& feedback, const Array& forward) {
-            Wish wish;
-            wish.feedback = to_vector6(feedback, "feedback");
-            wish.forward = to_vector6(forward, "forward");
+            StepRequest request;
+            request.feedback = to_vector6(feedback, "feedback");
+            request.forward = to_vector6(forward, "forward");
             return limited.velocity(to_joints(q, dof(limited), "q"),
                                     to_joints(qd_last, dof(limited), "qd_last"), Home(),
-                                    to_vector3(p_BRcm, "p_BRcm"), wish);
+                                    to_vector3(p_BRcm, "p_BRcm"), request);
           },
           py::arg("q"), py::arg("qd_last"), py::arg("p_BRcm"), py::arg("feedback"),
           py::arg("forward"),

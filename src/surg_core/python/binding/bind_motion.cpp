@@ -95,8 +95,8 @@ Array stream_filter(const Array& t, const Array& samples, const DofLimits& limit
   return out;
 }
 
-void bind_quintic(py::module_& m) {
-  py::class_<Kinematic>(m, "Kinematic",
+void bind_quintic(py::module_& testing) {
+  py::class_<Kinematic>(testing, "Kinematic",
                         "Position, velocity, acceleration of one degree of freedom.")
       .def(py::init([](double x, double v, double a) {
              return Kinematic{x, v, a};
@@ -109,7 +109,8 @@ void bind_quintic(py::module_& m) {
         return py::str("Kinematic(x={!r}, v={!r}, a={!r})").format(k.x, k.v, k.a);
       });
 
-  py::class_<Quintic>(m, "Quintic", "x(t) of degree five on [0, d] with given states at both ends.")
+  py::class_<Quintic>(testing, "Quintic",
+                      "x(t) of degree five on [0, d] with given states at both ends.")
       .def(py::init<const Kinematic&, const Kinematic&, double>(), py::arg("start"), py::arg("end"),
            py::arg("duration"), "duration [s]; not positive: the constant end state.")
       .def_property_readonly("duration", &Quintic::duration)
@@ -125,8 +126,8 @@ void bind_quintic(py::module_& m) {
           py::arg("t0"), py::arg("t1"), "(least, greatest) x between two times, exact.");
 }
 
-void bind_braking(py::module_& m) {
-  py::class_<DofLimits>(m, "DofLimits", "Limits of one degree of freedom.")
+void bind_braking(py::module_& testing) {
+  py::class_<DofLimits>(testing, "DofLimits", "Limits of one degree of freedom.")
       .def(py::init([](double v, double a, double j) {
              return DofLimits{v, a, j};
            }),
@@ -135,7 +136,7 @@ void bind_braking(py::module_& m) {
       .def_readonly("acceleration", &DofLimits::acceleration)
       .def_readonly("jerk", &DofLimits::jerk);
 
-  py::class_<Braking>(m, "Braking",
+  py::class_<Braking>(testing, "Braking",
                       "The hardest braking within acceleration and jerk limits, in closed form.")
       .def_static("stop", &Braking::stop, py::arg("start"), py::arg("limits"),
                   "To a standstill in the least time.")
@@ -150,9 +151,9 @@ void bind_braking(py::module_& m) {
           py::arg("t0"), py::arg("t1"), "(least, greatest) x between two times, exact.");
 }
 
-void bind_profiler(py::module_& m) {
+void bind_profiler(py::module_& testing) {
   py::class_<Profiler>(
-      m, "Profiler",
+      testing, "Profiler",
       "Discrete targets for four degrees of freedom: one quintic each with a common\n"
       "duration, extended until every limit holds.")
       .def(py::init<const std::array<DofLimits, kDof>&, double>(), py::arg("limits"),
@@ -200,8 +201,8 @@ void bind_profiler(py::module_& m) {
           py::arg("dof"));
 }
 
-void bind_stream(py::module_& m) {
-  py::class_<AlphaBeta>(m, "AlphaBeta", "Fixed-gain estimate of position and velocity.")
+void bind_stream(py::module_& testing) {
+  py::class_<AlphaBeta>(testing, "AlphaBeta", "Fixed-gain estimate of position and velocity.")
       .def(py::init<>())
       .def("reset", &AlphaBeta::reset, py::arg("x"), py::arg("v") = 0.0)
       .def("update", &AlphaBeta::update, py::arg("x"), py::arg("spacing"),
@@ -209,7 +210,7 @@ void bind_stream(py::module_& m) {
       .def("predict", &AlphaBeta::predict, py::arg("age"),
            "Estimate 'age' seconds after the last sample.");
 
-  py::class_<StreamDelay>(m, "StreamDelay",
+  py::class_<StreamDelay>(testing, "StreamDelay",
                           "Bessel low-pass: a stream keeps its shape, later and more gently.")
       .def(py::init<double>(), py::arg("delay"))
       .def("reset", &StreamDelay::reset, py::arg("state"))
@@ -221,7 +222,7 @@ void bind_stream(py::module_& m) {
            "The delayed stream 'ahead' seconds later.");
 
   py::class_<StreamFilter>(
-      m, "StreamFilter",
+      testing, "StreamFilter",
       "Follows a stream of targets within velocity, acceleration and jerk limits.")
       .def(py::init<const DofLimits&>(), py::arg("limits"))
       .def("reset", &StreamFilter::reset, py::arg("state"))
@@ -231,22 +232,23 @@ void bind_stream(py::module_& m) {
            "One tick of the hardest braking inside the limits.")
       .def_property_readonly("state", &StreamFilter::state, py::return_value_policy::copy);
 
-  m.def("stream_filter", &stream_filter, py::arg("t"), py::arg("samples"), py::arg("limits"),
-        py::arg("T") = 0.002, py::arg("feed_forward") = true,
-        "A recorded stream through AlphaBeta and StreamFilter, one pair per axis.\n\n"
-        "Tick k is at t[0] + k T, sees the samples up to there, and predicts by the age of the\n"
-        "last one. t: (n,) increasing [s]; samples: (n, axes); limits: of every axis;\n"
-        "feed_forward: whether the estimated acceleration is used. Returns (ticks, axes, 3):\n"
-        "position, velocity, acceleration at the end of each tick. Releases the GIL.");
+  testing.def(
+      "stream_filter", &stream_filter, py::arg("t"), py::arg("samples"), py::arg("limits"),
+      py::arg("T") = 0.002, py::arg("feed_forward") = true,
+      "A recorded stream through AlphaBeta and StreamFilter, one pair per axis.\n\n"
+      "Tick k is at t[0] + k T, sees the samples up to there, and predicts by the age of the\n"
+      "last one. t: (n,) increasing [s]; samples: (n, axes); limits: of every axis;\n"
+      "feed_forward: whether the estimated acceleration is used. Returns (ticks, axes, 3):\n"
+      "position, velocity, acceleration at the end of each tick. Releases the GIL.");
 }
 
 }  // namespace
 
-void bind_motion(py::module_& m) {
-  bind_quintic(m);
-  bind_braking(m);
-  bind_profiler(m);
-  bind_stream(m);
+void bind_motion(py::module_& testing) {
+  bind_quintic(testing);
+  bind_braking(testing);
+  bind_profiler(testing);
+  bind_stream(testing);
 }
 
 }  // namespace surg::python

@@ -71,14 +71,16 @@ class Rows {
   double* data_;
 };
 
-// One per file of the binding.
-void bind_kinematics(py::module_& m);
-void bind_motion(py::module_& m);
-void bind_rcm(py::module_& m);
-void bind_exact(py::module_& m);
-void bind_config(py::module_& m);
+// One per file of the binding; 'm' is surg_core._core, 'testing' its submodule with the parts of
+// the core that tests look at one by one.
+void bind_kinematics(py::module_& m, py::module_& testing);
+void bind_rcm(py::module_& m, py::module_& testing);
+void bind_config(py::module_& m, py::module_& testing);
+void bind_operating_state(py::module_& m, py::module_& testing);
 void bind_controller(py::module_& m);
 void bind_calibration(py::module_& m);
-void bind_limits(py::module_& m);
+void bind_motion(py::module_& testing);
+void bind_exact(py::module_& testing);
+void bind_limits(py::module_& testing);
 
 }  // namespace surg::python

@@ -1,0 +1,206 @@
+"""Write the type stubs of the compiled core from the signatures that pybind11 puts into docstrings.
+
+Run it after a change of the binding, in a built workspace::
+
+    . devel/setup.sh && python3 src/surg_core/tools/write_stub.py
+
+A test compares the stubs with what this program would write.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+FOLDER = Path(__file__).resolve().parents[1] / "python" / "surg_core" / "_core"
+HEAD = '''"""Types of the compiled core; ``help({module})`` describes each name.
+
+Written by src/surg_core/tools/write_stub.py.
+"""
+
+import enum
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+{imports}
+'''
+ENUMERATIONS = "# pybind11's enumerations are no enum.Enum; they behave as declared here.\n"
+
+TYPES = {
+    "CellArm.home": "tuple[float, ...]",
+    "CameraConfig.frames": "tuple[str, ...]",
+    "CellConfig.arms": "tuple[CellArm, ...]",
+    "NextPose.follow": "tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]",
+    "RobotConfig.joint_names": "tuple[str, ...]",
+    "Trajectory.limited_by": "tuple[str, ...]",
+    "Trajectory.verdicts": "tuple[tuple[int, Verdict], ...]",
+    "shaft_angles": "tuple[float, float]",
+    "Limits.as_dict": "dict[str, float]",
+    "Tuning.as_dict": "dict[str, float]",
+}
+"""Results that pybind11 knows as a bare ``tuple`` or ``dict``."""
+
+
+def stub(module: ModuleType) -> str:
+    """The stub of a module of the binding.
+
+    Args:
+        module: ``surg_core._core`` or its submodule ``testing``.
+
+    Returns:
+        The text of its ``.pyi`` file before formatting.
+
+    Raises:
+        ValueError: When a signature names a C++ type: bind that type first.
+    """
+    constants, enumerations, classes, functions = [], [], [], []
+    for name, value in sorted(vars(module).items()):
+        if name.startswith("_") or inspect.ismodule(value):
+            continue
+        if not inspect.isclass(value):
+            if inspect.isroutine(value):
+                functions += function(name, value, name)
+            else:
+                constants.append(f"{name}: {type(value).__name__}")
+        elif hasattr(value, "__members__"):
+            enumerations += enumeration(name, value)
+        else:
+            classes += list(members(name, value))
+    text = "\n".join([*constants, "", ENUMERATIONS, *enumerations, *classes, "", *functions])
+    return without_module(module, text if enumerations else text.replace(ENUMERATIONS, ""))
+
+
+def without_module(module: ModuleType, text: str) -> str:
+    """The text with its head, and with names of this module and its parent unqualified."""
+    parent = module.__name__.rpartition(".")[0]
+    text = text.replace(f"{module.__name__}.", "")
+    used = sorted(set(re.findall(rf"{re.escape(parent)}\.(\w+)", text)))
+    imports = f"\nfrom {parent} import {', '.join(used)}\n" if used else ""
+    return HEAD.format(module=module.__name__, imports=imports) + text.replace(f"{parent}.", "")
+
+
+def enumeration(name: str, kind: Any) -> list[str]:
+    """Lines of an enumeration."""
+    values = [f"    {member} = {int(value)}" for member, value in kind.__members__.items()]
+    return [f"class {name}(enum.Enum):", *values, "    def __int__(self) -> int: ...", ""]
+
+
+def members(name: str, kind: type) -> Iterator[str]:
+    """Lines of a class: constructor, methods, properties."""
+    if issubclass(kind, Exception):
+        yield f"class {name}({kind.__base__.__name__}): ...\n"
+        return
+    lines: list[str] = []
+    for member, value in vars(kind).items():
+        where = f"{name}.{member}"
+        if isinstance(value, property):
+            _, result = signature(value.fget.__doc__ or "", where)
+            lines += ["@property", f"def {member}(self) -> {result}: ..."]
+        elif isinstance(value, staticmethod):
+            lines += ["@staticmethod", *function(member, value.__func__, where)]
+        elif member == "__init__" and "__init__(self" not in (value.__doc__ or ""):
+            continue  # made by the core alone
+        elif not inspect.isroutine(value):
+            continue
+        elif member in ("__init__", "__len__") or not member.startswith("_"):
+            lines += function(member, value, where)
+    yield f"class {name}:" if lines else f"class {name}: ..."
+    yield from (f"    {line}" for line in lines)
+    yield ""
+
+
+def function(name: str, value: Any, where: str) -> list[str]:
+    """The line that declares a function or method."""
+    parameters, result = signature(inspect.getdoc(value) or "", where)
+    return [f"def {name}({', '.join(parameters)}) -> {result}: ..."]
+
+
+def signature(doc: str, where: str) -> tuple[list[str], str]:
+    """Parameters and result in the first line of a docstring of pybind11."""
+    line = doc.split("\n")[0]
+    inside, result = line[line.index("(") + 1 :].rsplit(") -> ", 1)
+    parameters = []
+    for part in split(inside):
+        name, colon, rest = part.partition(":")
+        kind, equals, _ = rest.partition(" = ")
+        if name.strip() in ("self", "arg0") or not colon:
+            parameters.append("self" if colon else name.strip())
+            continue
+        parameters.append(f"{name.strip()}: {argument(kind)}" + (" = ..." if equals else ""))
+    wanted = TYPES.get(where, outcome(result))
+    for text in (*parameters, wanted):
+        if "::" in text:
+            raise ValueError(f"{where}: {text}: bind that type before it is used")
+    return parameters, wanted
+
+
+def split(text: str) -> list[str]:
+    """Parts between commas that stand in no bracket."""
+    parts, depth, word = [], 0, ""
+    for letter in text + ",":
+        depth += letter in "([{<"
+        depth -= letter in ")]}>"
+        if letter == "," and depth == 0:
+            parts.append(word.strip())
+            word = ""
+        else:
+            word += letter
+    return [part for part in parts if part]
+
+
+def plain(kind: str) -> str:
+    """A type of pybind11 in today's syntax, arrays apart."""
+    kind = re.sub(r"\[\d+\]", "", kind.strip())  # std::array's size
+    kind = kind.replace("Tuple[", "tuple[").replace("buffer", "bytes")
+    optional = re.fullmatch(r"Optional\[(.*)\]", kind)
+    if optional:
+        return f"{plain(optional[1])} | None"
+    union = r"Union\[((?:[^\[\]]|\[[^\[\]]*\])*)\]"  # its members hold brackets of one level
+    return re.sub(union, lambda m: " | ".join(map(plain, split(m[1]))), kind)
+
+
+def argument(kind: str) -> str:
+    """Type of a parameter: as wide as the conversion."""
+    kind = plain(kind).replace("List[", "Sequence[").replace("Dict[", "Mapping[")
+    kind = re.sub(r"numpy\.ndarray\[numpy\.float64\]", "npt.ArrayLike", kind)
+    return re.sub(r"\bdict\b", "Mapping[str, object]", kind)
+
+
+def outcome(kind: str) -> str:
+    """Type of a result: as narrow as the conversion."""
+    kind = plain(kind).replace("List[", "list[").replace("Dict[", "dict[")
+    kind = kind.replace("numpy.ndarray[bool]", "npt.NDArray[np.bool_]")
+    return re.sub(r"numpy\.ndarray\[numpy\.(\w+)\]", r"npt.NDArray[np.\1]", kind)
+
+
+def formatted(text: str) -> str:
+    """The stub as ruff formats it, without the imports that it does not use."""
+    ruff = shutil.which("ruff") or str(Path(__file__).resolve().parents[3] / ".venv/bin/ruff")
+    for arguments in (["check", "--quiet", "--fix-only", "--select=F401,I"], ["format", "--quiet"]):
+        command = [ruff, *arguments, "--stdin-filename", str(FOLDER / "__init__.pyi"), "-"]
+        text = subprocess.run(
+            command, input=text, capture_output=True, text=True, check=True
+        ).stdout
+    return text
+
+
+def stubs() -> dict[Path, str]:
+    """Path and text of every stub."""
+    from surg_core import _core
+
+    modules = {"__init__.pyi": _core, "testing.pyi": _core.testing}
+    return {FOLDER / name: formatted(stub(module)) for name, module in modules.items()}
+
+
+if __name__ == "__main__":
+    FOLDER.mkdir(exist_ok=True)
+    for path, text in stubs().items():
+        path.write_text(text)
+        print(path)
