@@ -22,7 +22,7 @@ class Cycles {
 
   std::uint64_t next(Motion motion) {
     stamp_ += kTickNs - 100'000 + random_() % 200'000;
-    echoes.remember(stamp_, motion);
+    history.add(stamp_, motion);
     return stamp_;
   }
 
@@ -32,60 +32,60 @@ class Cycles {
     return last;
   }
 
-  Echoes echoes;
+  StampHistory history;
 
  private:
   std::minstd_rand random_;
   std::uint64_t stamp_ = kWall;
 };
 
-TEST(Echoes, WhatAnswersACycleFromBeforeTheStopIsLate) {
+TEST(StampHistory, WhatAnswersACycleFromBeforeTheStopIsLate) {
   Cycles cycles(1);
   const std::uint64_t streamed = cycles.repeat(100, Motion::kServoCp);
-  EXPECT_FALSE(cycles.echoes.late(streamed));  // the stream has not ended
+  EXPECT_FALSE(cycles.history.is_late(streamed));  // the stream has not ended
   const std::uint64_t stopped = cycles.next(Motion::kNone);
-  EXPECT_TRUE(cycles.echoes.late(streamed));
-  EXPECT_TRUE(cycles.echoes.late(streamed + kTickNs));  // meant for the next cycle
-  EXPECT_FALSE(cycles.echoes.late(stopped));            // this one says that the arm has stopped
-  EXPECT_FALSE(cycles.echoes.late(stopped + kTickNs));
+  EXPECT_TRUE(cycles.history.is_late(streamed));
+  EXPECT_TRUE(cycles.history.is_late(streamed + kTickNs));  // meant for the next cycle
+  EXPECT_FALSE(cycles.history.is_late(stopped));  // this one says that the arm has stopped
+  EXPECT_FALSE(cycles.history.is_late(stopped + kTickNs));
 }
 
-TEST(Echoes, AStampOfAnotherClockDecidesNothing) {  // F09
+TEST(StampHistory, AStampOfAnotherClockDecidesNothing) {  // F09
   Cycles cycles(2);
   cycles.repeat(100, Motion::kServoCp);
   cycles.next(Motion::kNone);
-  EXPECT_FALSE(cycles.echoes.late(0));
-  EXPECT_FALSE(cycles.echoes.late(kWall + 50'000'003));         // between two cycles
-  EXPECT_FALSE(cycles.echoes.late(kWall - 3'600'000'000'000));  // an hour slow
-  EXPECT_FALSE(cycles.echoes.late(kWall + 3'600'000'000'000));  // an hour fast
+  EXPECT_FALSE(cycles.history.is_late(0));
+  EXPECT_FALSE(cycles.history.is_late(kWall + 50'000'003));         // between two cycles
+  EXPECT_FALSE(cycles.history.is_late(kWall - 3'600'000'000'000));  // an hour slow
+  EXPECT_FALSE(cycles.history.is_late(kWall + 3'600'000'000'000));  // an hour fast
   Cycles silent(3);
-  for (int k = 0; k < 5; ++k) silent.echoes.remember(0, Motion::kServoCp);  // no joint state yet
-  silent.echoes.remember(0, Motion::kNone);
-  EXPECT_FALSE(silent.echoes.late(0));
-  EXPECT_FALSE(silent.echoes.late(kTickNs));
+  for (int k = 0; k < 5; ++k) silent.history.add(0, Motion::kServoCp);  // no joint state yet
+  silent.history.add(0, Motion::kNone);
+  EXPECT_FALSE(silent.history.is_late(0));
+  EXPECT_FALSE(silent.history.is_late(kTickNs));
 }
 
-TEST(Echoes, AStreamThatAnotherMotionReplacesHasNotBeenStopped) {
+TEST(StampHistory, AStreamThatAnotherMotionReplacesHasNotBeenStopped) {
   Cycles cycles(4);
   const std::uint64_t streamed = cycles.repeat(10, Motion::kServoCp);
   cycles.repeat(10, Motion::kMoveCp);
-  EXPECT_FALSE(cycles.echoes.late(streamed));
+  EXPECT_FALSE(cycles.history.is_late(streamed));
   cycles.next(Motion::kNone);  // the end of a move is no end of a stream
-  EXPECT_FALSE(cycles.echoes.late(streamed));
+  EXPECT_FALSE(cycles.history.is_late(streamed));
 }
 
-TEST(Echoes, IsForgottenAfterFourSeconds) {
+TEST(StampHistory, IsForgottenAfterFourSeconds) {
   Cycles cycles(5);
   const std::uint64_t streamed = cycles.repeat(10, Motion::kServoJp);
-  cycles.repeat(static_cast<int>(Echoes::kCycles) - 1, Motion::kNone);
-  EXPECT_TRUE(cycles.echoes.late(streamed));
+  cycles.repeat(static_cast<int>(StampHistory::kCycles) - 1, Motion::kNone);
+  EXPECT_TRUE(cycles.history.is_late(streamed));
   cycles.next(Motion::kNone);
-  EXPECT_FALSE(cycles.echoes.late(streamed));
+  EXPECT_FALSE(cycles.history.is_late(streamed));
 }
 
 /// Random stretches of streaming and rest, against a plain list of everything.
-TEST(Echoes, AgreesWithAListOfAllCycles) {
-  int asked = 0, late = 0;
+TEST(StampHistory, AgreesWithAListOfAllCycles) {
+  int asked = 0, is_late = 0;
   for (unsigned seed = 0; seed < 200; ++seed) {
     Cycles cycles(seed);
     std::minstd_rand random(seed + 1000);
@@ -99,21 +99,21 @@ TEST(Echoes, AgreesWithAListOfAllCycles) {
       }
       stamps.push_back(cycles.next(streams ? Motion::kServoCp : Motion::kNone));
       const std::size_t answers = random() % stamps.size();
-      EXPECT_EQ(cycles.echoes.late(stamps[answers]), answers < ended);
-      late += answers < ended;
+      EXPECT_EQ(cycles.history.is_late(stamps[answers]), answers < ended);
+      is_late += answers < ended;
       ++asked;
     }
   }
-  EXPECT_GT(late, asked / 4);
-  std::printf("%d stamps looked up, %d of them late\n", asked, late);
+  EXPECT_GT(is_late, asked / 4);
+  std::printf("%d stamps looked up, %d of them is_late\n", asked, is_late);
 }
 
 /// A clock that is set and a link that falls silent leave stamps in no order: every one of the last
 /// four seconds is asked for, and the ticks beside it, against a walk through all of them.
-TEST(Echoes, AgreesWithAWalkWhereTheClockIsSet) {
-  int asked = 0, late = 0, steps = 0;
+TEST(StampHistory, AgreesWithAWalkWhereTheClockIsSet) {
+  int asked = 0, is_late = 0, steps = 0;
   for (unsigned seed = 0; seed < 40; ++seed) {
-    Echoes echoes;
+    StampHistory history;
     std::minstd_rand random(seed);
     std::vector<std::uint64_t> stamps;
     std::size_t ended = 0;
@@ -132,9 +132,9 @@ TEST(Echoes, AgreesWithAWalkWhereTheClockIsSet) {
       }
       const std::uint64_t stamp = random() % 400 == 0 ? 0 : clock;
       stamps.push_back(stamp);
-      echoes.remember(stamp, streams ? Motion::kServoCp : Motion::kNone);
+      history.add(stamp, streams ? Motion::kServoCp : Motion::kNone);
       if (k % 250 != 249) continue;
-      const std::size_t oldest = stamps.size() - std::min(stamps.size(), Echoes::kCycles);
+      const std::size_t oldest = stamps.size() - std::min(stamps.size(), StampHistory::kCycles);
       const auto walk = [&](std::uint64_t answers) {
         for (std::size_t i = oldest; i < ended; ++i) {
           const std::uint64_t own = stamps[i];
@@ -146,17 +146,17 @@ TEST(Echoes, AgreesWithAWalkWhereTheClockIsSet) {
         for (const std::uint64_t beside : {-kTickNs, std::uint64_t{0}, kTickNs, 2 * kTickNs}) {
           const std::uint64_t answers = stamps[i] + beside;
           const bool expected = answers != 0 && walk(answers);
-          ASSERT_EQ(echoes.late(answers), expected) << "seed " << seed << ", cycle " << k;
-          late += expected;
+          ASSERT_EQ(history.is_late(answers), expected) << "seed " << seed << ", cycle " << k;
+          is_late += expected;
           ++asked;
         }
       }
     }
   }
-  EXPECT_GT(late, asked / 10);
-  EXPECT_GT(asked - late, asked / 10);
-  std::printf("%d stamps looked up, %d of them late; the clock was set %d times\n", asked, late,
-              steps);
+  EXPECT_GT(is_late, asked / 10);
+  EXPECT_GT(asked - is_late, asked / 10);
+  std::printf("%d stamps looked up, %d of them is_late; the clock was set %d times\n", asked,
+              is_late, steps);
 }
 
 }  // namespace

@@ -29,7 +29,7 @@ double follow(ExactFollower& follower, LaggingArm& arm, double seconds, double s
   for (long i = 0; i < end; ++i) {
     const JointVector dq = swing((i + 1) * kT, size) - swing(i * kT, size);
     arm.obey(follower.advance(dq, arm.measured()));
-    if (i > end * 2 / 3) worst = std::max(worst, follower.behind(arm.truth()));
+    if (i > end * 2 / 3) worst = std::max(worst, follower.tracking_error(arm.truth()));
   }
   return worst;
 }
@@ -43,7 +43,7 @@ TEST(ExactFollower, GoesWithAnIdealArmWithoutACorrection) {
     const JointVector qd = follower.advance(dq, q);
     EXPECT_LT((qd - dq / kT).cwiseAbs().maxCoeff(), 1e-9);
     q += kT * qd;
-    EXPECT_LT(follower.behind(q), 1e-12);
+    EXPECT_LT(follower.tracking_error(q), 1e-12);
   }
   EXPECT_EQ(follower.lag(), JointVector::Zero(6));
 }
@@ -85,7 +85,7 @@ TEST(ExactFollower, KeepsLearntLagsBoundedAndAtRest) {
     EXPECT_GE(follower.lag().minCoeff(), 0);
     EXPECT_LE(follower.lag().maxCoeff(), 3 * stated);
   }
-  EXPECT_GT(follower.behind(stuck), 1.0);
+  EXPECT_GT(follower.tracking_error(stuck), 1.0);
   // At rest nothing is learnt, however large the error.
   follower.reset(stuck);
   const JointVector learnt = follower.lag();
@@ -178,7 +178,7 @@ TEST(ExactFollower, IsStableWithTwiceTheLagItWasTold) {
       for (int i = 0; i < 1000; ++i) {
         arm.obey(follower.advance(JointVector::Zero(6), arm.measured()));
       }
-      EXPECT_LT(follower.behind(arm.truth()), 2e-5);
+      EXPECT_LT(follower.tracking_error(arm.truth()), 2e-5);
     }
   }
   test::report("slow arms", n);
@@ -191,10 +191,10 @@ TEST(ExactFollower, LeavesTheHeapAlone) {
   test::HeapWatch heap;
   follower.reset(q);
   const JointVector qd = follower.advance(dq, q);
-  const double behind = follower.behind(q);
+  const double tracking_error = follower.tracking_error(q);
   const long calls = heap.calls();
   EXPECT_EQ(calls, 0);
-  EXPECT_GT(qd.norm() + behind, 0);
+  EXPECT_GT(qd.norm() + tracking_error, 0);
 }
 
 }  // namespace

@@ -173,13 +173,13 @@ TEST(Limited, MotionAwayFromASingularityIsNeverLimitedByIt) {
     const double begin = 0.5 * scene.duration;
     for (const int way : {1, -1}) {
       const auto path = [&](double t) { return scene.at(begin + way * 0.02 * t); };
-      Wish wish;
-      wish.path = PathView(path);
+      StepRequest request;
+      request.path = PathView(path);
       const auto next =
           ur.solve(pose_on_pivot(scene.home, scene.tool, path(kT)), ur.measures(*q).branch());
       if (!next) continue;
       if (ur.measures(*next).closest() <= ur.measures(*q).closest()) continue;
-      const Step step = limited.exact(*q, JointVector::Zero(6), scene.home, wish);
+      const Step step = limited.exact(*q, JointVector::Zero(6), scene.home, request);
       EXPECT_STRNE(step.limited_by, "singularity");
       EXPECT_GT(step.alpha, 0);
       ++looked;
@@ -200,9 +200,9 @@ TEST(Limited, ArmThatStandsBeyondALimitComesInwardsOnly) {
       double clock = 0;
       for (int cycle = 0; cycle < 400; ++cycle) {
         const auto path = [&](double t) { return scene.at(clock + t); };
-        Wish wish;
-        wish.path = PathView(path);
-        const Step step = limited.exact(q, qd, scene.home, wish);
+        StepRequest request;
+        request.path = PathView(path);
+        const Step step = limited.exact(q, qd, scene.home, request);
         ASSERT_TRUE(step.qd.allFinite());
         EXPECT_LE(side * step.qd[joint], 1e-12) << "joint " << joint;
         if ((q[joint] - scene.q[joint]) * side < -0.01) break;
@@ -218,10 +218,10 @@ TEST(Limited, NothingToDoIsNothingDone) {
   const test::Scene scene = test::random_scene(test::Family::kUsual, 2);
   const LimitedStep limited(scene.chain, scene.tool, test::slow_joints(6), kT);
   const auto path = [&](double) { return scene.at(0); };
-  Wish wish;
-  wish.path = PathView(path);
-  wish.horizon = 0.45;
-  const Step step = limited.exact(scene.q, JointVector::Zero(6), scene.home, wish);
+  StepRequest request;
+  request.path = PathView(path);
+  request.horizon = 0.45;
+  const Step step = limited.exact(scene.q, JointVector::Zero(6), scene.home, request);
   EXPECT_LT(step.qd.norm(), 1e-9);
   EXPECT_EQ(step.alpha, 1);
   EXPECT_EQ(step.tier, 0);

@@ -289,10 +289,10 @@ TEST(LagPlant, TheCommandKeepsTheJointLimitsWhileThePivotHolds) {
           const Vector3 p_BTip = scene.X_BR * test::lissajous(pace * (clock + t));
           return tip_goal(scene.p_BRcm(), p_BTip, 0, scene.home.s_B);
         };
-        Wish wish;
-        wish.path = PathView(path);
-        wish.posture = kPosture * (scene.q_home - follower.reference());
-        const Step step = limited.exact(follower.reference(), qd_ref, scene.home, wish);
+        StepRequest request;
+        request.path = PathView(path);
+        request.posture = kPosture * (scene.q_home - follower.reference());
+        const Step step = limited.exact(follower.reference(), qd_ref, scene.home, request);
         const JointVector qd = follower.advance(kT * step.qd, arm.measured());
         clock += step.alpha * kT;
         qd_ref = step.qd;

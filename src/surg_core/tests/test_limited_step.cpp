@@ -417,10 +417,10 @@ TEST(Limited, JumpingTargetsKeepEveryLimitAndThePivot) {
           const bool inside = goal.depth > 0.01 && goal.depth < 0.12 && goal.s_B.dot(z) > 0.5;
           return inside ? goal : now;
         };
-        Wish wish;
-        wish.path = PathView(path);
-        wish.horizon = horizon;
-        const Step step = limited.exact(course.q, course.qd, scene.home, wish);
+        StepRequest request;
+        request.path = PathView(path);
+        request.horizon = horizon;
+        const Step step = limited.exact(course.q, course.qd, scene.home, request);
         test::look(scene, limits, step, course);
         now = path(step.alpha * kT);
         const ShaftState shaft =
@@ -465,17 +465,17 @@ TEST(Limited, TheVelocityFormKeepsTheSameLimits) {
         const Vector3 s_dot = (v - shaft.s * shaft.s.dot(v) - k * e) / shaft.depth;
         return roll_holonomy_rate(scene.home.s_B, shaft.s, s_dot);
       };
-      Wish wish;
+      StepRequest request;
       const auto path = [&](double t) { return scene.at(course.clock + t); };
-      wish.path = PathView(path);
-      wish.horizon = 0.45;
-      wish.feedback = rcm_twist(
+      request.path = PathView(path);
+      request.horizon = 0.45;
+      request.feedback = rcm_twist(
           shaft, v0, 10 * std::remainder(now.roll - roll, 2 * M_PI) + holonomy(v0, shaft.e),
           Vector3::Zero(), k, 0);
-      wish.forward =
+      request.forward =
           rcm_twist(shaft, v1, (next.roll - now.roll) / kT + holonomy(v1, Vector3::Zero()),
                     Vector3::Zero(), 0, 0);
-      const Step step = limited.velocity(course.q, course.qd, scene.home, scene.p_BRcm, wish);
+      const Step step = limited.velocity(course.q, course.qd, scene.home, scene.p_BRcm, request);
       test::look(scene, limits, step, course);
       course.clock += step.alpha * kT;
       course.tier1 += step.tier == 1;
@@ -522,11 +522,11 @@ TEST(Limited, Cost) {
       double clock = 0;
       for (int cycle = 0; cycle < 1500; ++cycle) {
         const auto path = [&](double t) { return scene.at(clock + t); };
-        Wish wish;
-        wish.path = PathView(path);
-        wish.horizon = horizon;
+        StepRequest request;
+        request.path = PathView(path);
+        request.horizon = horizon;
         const auto begin = std::chrono::steady_clock::now();
-        const Step step = limited.exact(q, qd, scene.home, wish);
+        const Step step = limited.exact(q, qd, scene.home, request);
         const std::chrono::duration<double, std::micro> took =
             std::chrono::steady_clock::now() - begin;
         microseconds.push_back(took.count());
@@ -554,17 +554,17 @@ TEST(Limited, LeavesTheHeapAlone) {
   {
     test::HeapWatch watch;
     for (int cycle = 0; cycle < 500; ++cycle) {
-      Wish wish;
-      wish.path = PathView(path);
-      wish.horizon = 0.45;
+      StepRequest request;
+      request.path = PathView(path);
+      request.horizon = 0.45;
       if (cycle % 100 == 50) qd.setConstant(0.5);  // other tiers as well
-      const Step step = cycle < 400 ? limited.exact(q, qd, scene.home, wish)
+      const Step step = cycle < 400 ? limited.exact(q, qd, scene.home, request)
                                     : limited.retrace(q, qd, trace, 0, 0.5, scene.p_BRcm);
       q += kT * step.qd;
       qd = step.qd;
       clock += step.alpha * kT;
       trace.record(q);
-      limited.velocity(q, qd, scene.home, scene.p_BRcm, wish);
+      limited.velocity(q, qd, scene.home, scene.p_BRcm, request);
     }
     calls = watch.calls();
   }

@@ -49,7 +49,7 @@ double worst_outside(Space space, int count, unsigned seed, double stream_delay 
         const Dofs cartesian{Kinematic{hand.x(), 0, 0}, Kinematic{hand.y(), 0, 0},
                              Kinematic{hand.z(), 0, 0}, Kinematic{}};
         const Dofs dofs = space == Space::kCartesian ? cartesian : to_spherical(cartesian);
-        setpoint.follow(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
+        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
       }
       setpoint.elapse(T);
       setpoint.advance(T);
@@ -92,7 +92,7 @@ TEST(SetpointStop, TakesItsDecelerationFromTheTipsOwnSpeed) {
     Setpoint setpoint(limits, 0.5, false);
     setpoint.reset(Vector3(0, 0, 0.12), Vector3::UnitZ(), 0);
     for (int i = 0; i < 75; ++i) {
-      setpoint.drive(Space::kCartesian, {v.x(), v.y(), v.z(), 0});
+      setpoint.set_velocity(Space::kCartesian, {v.x(), v.y(), v.z(), 0});
       setpoint.elapse(T);
       setpoint.advance(T);
     }
@@ -131,7 +131,7 @@ TEST(SetpointDelay, FollowsItsStreamLaterAndComesToRestAtItsEnd) {
         const Dofs cartesian{Kinematic{p.x(), 0, 0}, Kinematic{p.y(), 0, 0}, Kinematic{p.z(), 0, 0},
                              Kinematic{}};
         const Dofs dofs = space == Space::kCartesian ? cartesian : to_spherical(cartesian);
-        setpoint.follow(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
+        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
         setpoint.elapse(T);
         setpoint.advance(T);
         // At the end of the coming cycle; the estimate is one more ahead.

@@ -9,14 +9,14 @@
 namespace surg_control {
 namespace {
 
-constexpr double kTiltTolerance = 0.0175;           // [rad], 1 degree: below, nothing worth a word
-constexpr double kAngularTolerance = 0.0175;        // [rad/s]
-constexpr std::int64_t kTrackAgeNs = 200'000'000;   // an older stamp is of another clock
-constexpr std::int64_t kTrackHeldNs = 100'000'000;  // a tracker this young is not talked over
+constexpr double kTiltTolerance = 0.0175;     // [rad], 1 degree: smaller tilts are not reported
+constexpr double kAngularTolerance = 0.0175;  // [rad/s]
+constexpr std::int64_t kTrackAgeNs = 200'000'000;   // an older stamp belongs to another clock
+constexpr std::int64_t kTrackHeldNs = 100'000'000;  // younger samples exclude other trackers
 
 constexpr std::int64_t kForceLostNs = 200'000'000;  // F25: a sensor that has spoken must go on
 
-/// A sensor that falls silent can no longer say that nothing is wrong: its force is unknown.
+/// The force of a silent sensor is unknown, not zero.
 surg::ForceSample force_of(const MeasuredForce& measured, std::int64_t now_ns) {
   if (measured.received_ns == 0) return {};
   if (now_ns - measured.received_ns <= kForceLostNs) return {true, measured.f_B};
@@ -68,7 +68,7 @@ surg::Reason ControlCycle::request(surg::StateCommand command) {
 }
 
 surg::Reason ControlCycle::set_frame(const CommandItem& item) {
-  // Targets of a moving arm would change their meaning on the way.
+  // The targets of a moving arm would change their meaning.
   if (enabled_) return surg::Reason::kFrameWhileEnabled;
   record_.frame.name = item.frame;
   record_.frame.X_UR = item.X_UR;
@@ -77,13 +77,14 @@ surg::Reason ControlCycle::set_frame(const CommandItem& item) {
 }
 
 surg::Reason ControlCycle::take_track(const CommandItem& item, std::int64_t now_ns) {
-  // Two trackers that took turns would shake the pivot (F26).
+  // Two alternating trackers would shake the pivot (F26).
   if (track_.source != 0 && track_.source != item.source &&
       now_ns - track_.received_ns < kTrackHeldNs) {
     return surg::Reason::kNoAuthority;
   }
-  // A sample is as old as its stamp says against the link's, where the two clocks agree: a camera
-  // needs its time. A stamp from the future or from another clock is not trusted (F09).
+  // A sample's age follows from its stamp relative to the link's, where the two clocks agree,
+  // because cameras have latency. A stamp from the future or from another clock is not trusted
+  // (F09).
   const auto age = static_cast<std::int64_t>(record_.stamp_ns - item.stamp_ns);
   const bool trusted = item.stamp_ns != 0 && record_.stamp_ns != 0 && age > 0 && age <= kTrackAgeNs;
   const std::int64_t received = item.received_ns == 0 ? now_ns : item.received_ns;
@@ -91,9 +92,9 @@ surg::Reason ControlCycle::take_track(const CommandItem& item, std::int64_t now_
   return surg::Reason::kNone;
 }
 
-/// Takes a motion into the inputs, from the user's frame into R.
+/// Adds a motion to the inputs, converted from the user's frame to R.
 surg::Reason ControlCycle::take_motion(const CommandItem& item) {
-  if (item.motion.motion != surg::Motion::kHold && echoes_.late(item.stamp_ns)) {
+  if (item.motion.motion != surg::Motion::kHold && stamps_seen_.is_late(item.stamp_ns)) {
     ++record_.refused_by_cycle;
     return surg::Reason::kLate;
   }
@@ -142,8 +143,7 @@ void ControlCycle::sense(const LinkState& link, std::int64_t now_ns) {
   inputs_.v_BTrack = track_.v_B;
 }
 
-/// The shaft through the pivot and a point has one direction; the tip cannot be on the pivot
-/// itself, where the measured axis stands in.
+/// The shaft direction through pivot and tip; the measured axis where the tip is at the pivot.
 Eigen::Quaterniond ControlCycle::orientation_at(const surg::Vector3& p_B, double roll) const {
   const surg::Vector3 along = p_B - record_.out.p_BRcm;
   const double length = along.norm();
@@ -175,7 +175,7 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
   const auto end = std::chrono::steady_clock::now();
 
   enabled_ = out.state == surg::State::kEnabled;
-  echoes_.remember(link.stamp_ns, out.motion);
+  stamps_seen_.add(link.stamp_ns, out.motion);
   record_.stamp_ns = link.stamp_ns;
   record_.q = link.q;
   record_.qd = link.qd;

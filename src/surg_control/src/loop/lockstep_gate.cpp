@@ -55,12 +55,12 @@ std::string LockstepGate::missing(std::uint64_t tick) const {
 }
 
 const std::vector<CommandItem>& LockstepGate::take() {
-  const auto key = [](const Letter& letter) {
-    return std::make_tuple(letter.item.kind, letter.round, !letter.declared,
-                           std::cref(letter.sender), std::cref(letter.topic), letter.number);
+  const auto key = [](const PendingCommand& command) {
+    return std::make_tuple(command.item.kind, command.round, !command.declared,
+                           std::cref(command.sender), std::cref(command.topic), command.number);
   };
   std::sort(inbox_.begin(), inbox_.end(),
-            [&key](const Letter& a, const Letter& b) { return key(a) < key(b); });
+            [&key](const PendingCommand& a, const PendingCommand& b) { return key(a) < key(b); });
   ++round_;
   const std::size_t n = std::min<std::size_t>(inbox_.size(), surg::kMaxCommands);
   taken_.clear();

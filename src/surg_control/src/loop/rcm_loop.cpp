@@ -2,8 +2,6 @@
 
 #include <std_msgs/String.h>
 
-#include <algorithm>
-#include <cstdlib>
 #include <thread>
 
 #include "surg_control/loop/exit_request.hpp"
@@ -19,14 +17,8 @@ constexpr std::size_t kCommandRing = 256;    // free-run: waiting for the contro
 constexpr std::size_t kRecordRing = 512;     // free-run: one second of cycles for the publisher
 constexpr double kLongPeriodUs = 5 * kTick * 1e6;      // F27: an overrun of five periods …
 constexpr int kLongPeriodsAllowed = 3;                 // … more than three times in a row
-constexpr std::int64_t kStopWithinNs = 1'000'000'000;  // from the fastest motion at rest in 0.2 s
-constexpr std::int64_t kNoTickNs = 250'000'000;        // lock-step: nobody steps the arm any more
-
-/// The testing knob of the determinism tests: sleeps before an answer, in milliseconds.
-double jitter_from_environment() {
-  const char* text = std::getenv("SURG_TEST_JITTER_MS");
-  return text == nullptr ? 0.0 : std::max(0.0, std::atof(text));
-}
+constexpr std::int64_t kStopWithinNs = 1'000'000'000;  // the fastest motion stops in 0.2 s
+constexpr std::int64_t kNoTickNs = 250'000'000;        // lock-step: the link has stopped ticking
 
 const char* name_of(surg::Law law) {
   switch (law) {
@@ -47,16 +39,14 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
       setup_(load_arm(options_.cell, options_.arm)),
       model_(load_model(setup_.robot, setup_.robot_urdf)),
       arm_(setup_.arm.name),
-      gate_(options_.participants),
-      jitter_ms_(jitter_from_environment()),
-      jitter_(std::random_device{}()),
+      lockstep_gate_(options_.participants),
       commands_(kCommandRing),
       records_(options_.lockstep ? 1 : kRecordRing) {
   check_for_arm(options_, setup_);
   sem_init(&records_waiting_, 0, 0);
   surg::Controller::Options law;
   const bool twist = commands_twist(options_, setup_);
-  // A twist link works out its joints by itself: there is no reference for it to follow.
+  // A twist link solves for its joints itself, so there is no reference for it to follow.
   law.law = twist && options_.law == surg::Law::kExact ? surg::Law::kVelocity : options_.law;
   law.dt = kTick;
   law.feedback_gain = options_.feedback_gain;
@@ -71,26 +61,26 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
 
   node_.setCallbackQueue(&queue_);
   node_.setParam("/" + arm_ + "/robot_description", model_.urdf);
-  announcer_ = std::make_unique<Announcer>(node_, arm_);
-  const Facts facts{options_.lockstep, twist, options_.track_rcm, name_of(law.law),
-                    surg::limits_hash(setup_.robot, setup_.limits)};
-  outlets_ =
-      std::make_unique<Outlets>(node_, setup_, model_, facts, health_, sources_, *announcer_);
+  reporter_ = std::make_unique<StatusReporter>(node_, arm_, setup_.limits, sources_);
+  const ControllerInfo info{options_.lockstep, twist, options_.track_rcm, name_of(law.law),
+                            surg::limits_hash(setup_.robot, setup_.limits)};
+  publishers_ =
+      std::make_unique<StatePublishers>(node_, setup_, model_, info, health_, sources_, *reporter_);
   services_ = std::make_unique<KinematicsServices>(node_, arm_, setup_.limits);
   robot_ = std::make_unique<RobotCommand>(node_, setup_, twist, options_.lockstep);
   if (options_.lockstep) {
     undeclared_ = node_.advertise<std_msgs::String>("/sim/undeclared", 10, true);
   }
-  inlets_ = std::make_unique<CommandInlets>(
+  command_subscribers_ = std::make_unique<CommandSubscribers>(
       node_, arm_, options_.track_rcm, options_.lockstep ? kUnbounded : kCommandQueue,
       [this](const std::string& topic, const std::string& caller, const ros::Time& stamp,
-             Decoded decoded) { take_command(topic, caller, stamp, std::move(decoded)); });
+             Decoded decoded) { on_command(topic, caller, stamp, std::move(decoded)); });
   subscribe_link();
-  housekeeping_ =
-      std::make_unique<Housekeeping>(private_node, arm_, facts.limits_hash, *announcer_, health_);
+  monitor_ =
+      std::make_unique<SystemMonitor>(private_node, arm_, info.limits_hash, *reporter_, health_);
   const surg::BlackBoxLabel label{arm_, setup_.cell_file, "", SURG_CONTROL_VERSION};
   black_box_writer_ =
-      std::make_unique<BlackBoxWriter>(*box_, options_.black_box, label, *announcer_);
+      std::make_unique<BlackBoxWriter>(*box_, options_.black_box, label, *reporter_);
 }
 
 RcmLoop::~RcmLoop() { sem_destroy(&records_waiting_); }
@@ -99,20 +89,20 @@ RcmLoop::~RcmLoop() { sem_destroy(&records_waiting_); }
 
 void RcmLoop::on_tick(const LinkState& state) {
   const std::uint64_t tick = state.stamp_ns / kTickNs;
-  if (answered_ != 0 && tick == answered_) {
-    robot_->send(cycle_->record());  // the link lost our answer: the same once more
+  if (answered_tick_ != 0 && tick == answered_tick_) {
+    robot_->send(cycle_->record());  // the link lost our answer: repeat it
     return;
   }
-  if (tick < answered_) {
-    announcer_->error(arm_ + ": the link went back from tick " + std::to_string(answered_) +
-                      " to " + std::to_string(tick) +
-                      ": it was restarted; restart the controller too");
+  if (tick < answered_tick_) {
+    reporter_->error(arm_ + ": the link went back from tick " + std::to_string(answered_tick_) +
+                     " to " + std::to_string(tick) +
+                     ": it was restarted; restart the controller too");
     return;
   }
   if (tick == robot_tick_) {
-    const std::string missing = gate_.missing(tick);
-    announcer_->status(arm_ + ": tick " + std::to_string(tick) + " waits: " +
-                       (missing.empty() ? "tool/measured_js of this tick has not come" : missing));
+    const std::string missing = lockstep_gate_.missing(tick);
+    reporter_->status(arm_ + ": tick " + std::to_string(tick) + " waits: " +
+                      (missing.empty() ? "tool/measured_js of this tick has not come" : missing));
   }
   robot_tick_ = tick;
   link_.stamp_ns = state.stamp_ns;
@@ -122,25 +112,22 @@ void RcmLoop::on_tick(const LinkState& state) {
 }
 
 void RcmLoop::try_step() {
-  if (robot_tick_ <= answered_ || tool_tick_ != robot_tick_) return;
-  // Who leaves waits for nobody: commands are not obeyed any more.
-  if (!leaving_ && !gate_.due(robot_tick_)) return;
-  if (jitter_ms_ > 0) {
-    ros::WallDuration(std::uniform_real_distribution<>(0, jitter_ms_ * 1e-3)(jitter_)).sleep();
-  }
-  leave_if_asked();
+  if (robot_tick_ <= answered_tick_ || tool_tick_ != robot_tick_) return;
+  // While exiting, commands are ignored, so there is nothing to wait for.
+  if (!exiting_ && !lockstep_gate_.due(robot_tick_)) return;
+  disable_if_exiting();
   const auto tick_ns = static_cast<std::int64_t>(robot_tick_ * kTickNs);
   link_.received_ns = link_.jaw_received_ns = tick_ns;
-  const std::vector<CommandItem>& items = gate_.take();
+  const std::vector<CommandItem>& items = lockstep_gate_.take();
   cycle_->run(link_, tick_ns, items.data(), items.size());
   CycleRecord& record = cycle_->record();
-  record.tick = answered_ = robot_tick_;
+  record.tick = answered_tick_ = robot_tick_;
   record.refused_by_node = refused_by_node_;
   robot_->send(record);
-  outlets_->publish_cycle(record);
-  outlets_->publish_rest(record, now());
+  publishers_->publish_cycle(record);
+  publishers_->publish_rest(record, now());
   services_->set_frame(record.frame);
-  come_to_rest();
+  update_at_rest();
 }
 
 // --- free-run ---
@@ -148,7 +135,7 @@ void RcmLoop::try_step() {
 void RcmLoop::control_thread() {
   if (options_.realtime) {
     const std::string refused = become_realtime();
-    if (!refused.empty()) announcer_->warning_once("realtime", arm_ + ": " + refused);
+    if (!refused.empty()) reporter_->warning_once("realtime", arm_ + ": " + refused);
   }
   CycleRecord& record = cycle_->record();
   LinkState link;
@@ -160,15 +147,15 @@ void RcmLoop::control_thread() {
     if (metronome.late()) ++record.overruns;
     long_periods = record.period_us > kLongPeriodUs ? long_periods + 1 : 0;
     if (long_periods > kLongPeriodsAllowed) box_->pause(surg::Reason::kOverrun);
-    link_box_.try_get(link);
+    latest_link_.try_get(link);
     std::size_t n = 0;
     while (n < items.size() && commands_.pop(items[n])) ++n;
-    leave_if_asked();
+    disable_if_exiting();
     cycle_->run(link, steady_ns(), items.data(), n);
     ++record.tick;
     record.refused_by_node = refused_by_node_;
     if (record.stamp_ns != 0) robot_->send(record);
-    come_to_rest();
+    update_at_rest();
     if (records_.push(record)) {
       sem_post(&records_waiting_);
     } else {
@@ -186,14 +173,14 @@ void RcmLoop::publisher_thread() {
       if (stop_threads_) return;
       continue;
     }
-    outlets_->publish_cycle(record);
-    outlets_->publish_rest(record, now());
+    publishers_->publish_cycle(record);
+    publishers_->publish_rest(record, now());
     services_->set_frame(record.frame);
     if (const std::uint32_t all = health_.records_lost; all != lost) {
-      announcer_->warning("records_lost",
-                          arm_ + ": " + std::to_string(all - lost) +
-                              " cycle messages were lost: the publisher thread gets too little CPU",
-                          now());
+      reporter_->warning("records_lost",
+                         arm_ + ": " + std::to_string(all - lost) +
+                             " cycle messages were lost: the publisher thread gets too little CPU",
+                         now());
       lost = all;
     }
   }
@@ -202,27 +189,28 @@ void RcmLoop::publisher_thread() {
 // --- beginning and end ---
 
 /// Leaving ENABLED stops the tip through the law and refuses every later command (F28).
-void RcmLoop::leave_if_asked() {
-  if (!leaving_ || left_enabled_) return;
-  left_enabled_ = true;
+void RcmLoop::disable_if_exiting() {
+  if (!exiting_ || disabled_for_exit_) return;
+  disabled_for_exit_ = true;
   if (cycle_->record().out.state == surg::State::kEnabled) {
     box_->request(surg::StateCommand::kDisable);
   }
 }
 
-void RcmLoop::come_to_rest() {
+void RcmLoop::update_at_rest() {
   const surg::Outputs& out = cycle_->record().out;
-  if (left_enabled_ && out.qd_command.isZero(0) && out.twist_command.isZero(0)) at_rest_ = true;
+  if (disabled_for_exit_ && out.qd_command.isZero(0) && out.twist_command.isZero(0))
+    at_rest_ = true;
 }
 
 double RcmLoop::now() const {
-  return options_.lockstep ? static_cast<double>(answered_) * kTick
+  return options_.lockstep ? static_cast<double>(answered_tick_) * kTick
                            : static_cast<double>(steady_ns()) * 1e-9;
 }
 
 void RcmLoop::run(const std::atomic<bool>& stop) {
-  announcer_->status(arm_ + ": controller of cell " + setup_.cell_name + " runs in " +
-                     (options_.lockstep ? "lock-step" : "free-run"));
+  reporter_->status(arm_ + ": controller of cell " + setup_.cell_name + " runs in " +
+                    (options_.lockstep ? "lock-step" : "free-run"));
   std::thread control, publisher;
   if (!options_.lockstep) {
     publisher = std::thread(&RcmLoop::publisher_thread, this);
@@ -230,13 +218,13 @@ void RcmLoop::run(const std::atomic<bool>& stop) {
   }
   while (!stop && !exit_requested() && ros::ok()) queue_.callAvailable(ros::WallDuration(0.05));
 
-  leaving_ = true;
+  exiting_ = true;
   const std::int64_t begin = steady_ns();
   std::int64_t last_step = begin;
-  for (std::uint64_t last_tick = answered_; !at_rest_ && ros::ok();) {
+  for (std::uint64_t last_tick = answered_tick_; !at_rest_ && ros::ok();) {
     const std::int64_t time = steady_ns();
-    if (answered_ != last_tick) last_step = time;
-    last_tick = answered_;
+    if (answered_tick_ != last_tick) last_step = time;
+    last_tick = answered_tick_;
     if (time - begin > kStopWithinNs) break;
     if (options_.lockstep && time - last_step > kNoTickNs) break;
     queue_.callAvailable(ros::WallDuration(0.005));
@@ -246,7 +234,7 @@ void RcmLoop::run(const std::atomic<bool>& stop) {
   sem_post(&records_waiting_);
   if (publisher.joinable()) publisher.join();
   robot_->send_zero(cycle_->record());
-  // roscpp writes from its own thread; without a moment the last command would die in a queue.
+  // roscpp sends from its own thread; without a pause the last command would stay in its queue.
   ros::WallDuration(0.05).sleep();
 }
 

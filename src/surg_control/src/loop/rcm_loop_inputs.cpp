@@ -10,8 +10,8 @@ namespace surg_control {
 namespace {
 
 constexpr std::uint32_t kUnbounded = 0;
-/// F11: a joint state at most this much older than the last one was overtaken on its way. More is a
-/// step of the link's clock, which must not stop an arm.
+/// F11: a joint state older than the last one by at most this was reordered on its way. A larger
+/// difference is a step of the link's clock, which must not stop an arm.
 constexpr std::int64_t kReorderedNs = 5 * static_cast<std::int64_t>(kTickNs);
 
 std::string without_slash(const std::string& caller) {
@@ -57,26 +57,26 @@ void RcmLoop::subscribe_link() {
                                                            ros::VoidConstPtr(), hints));
 }
 
-/// F09: a stamp from the future is counted; nothing in the control looks at a stamp anyway.
+/// F09: counts stamps from the future; control does not use stamps as times.
 void RcmLoop::note_stamp(const ros::Time& stamp) {
   if (options_.lockstep) return;  // stamps are ticks
   const auto wall_ns = static_cast<std::int64_t>(ros::WallTime::now().toNSec());
   if (!is_from_the_future(static_cast<std::int64_t>(stamp.toNSec()), wall_ns)) return;
   ++health_.future_stamps;
-  announcer_->warning("future_stamp",
-                      arm_ + ": a message is stamped " +
-                          std::to_string((stamp - ros::Time().fromNSec(wall_ns)).toSec()) +
-                          " s in the future; allowed is 0.05 s; nothing is decided by it: "
-                          "synchronise the clocks of the machines",
-                      now());
+  reporter_->warning("future_stamp",
+                     arm_ + ": a message is stamped " +
+                         std::to_string((stamp - ros::Time().fromNSec(wall_ns)).toSec()) +
+                         " s in the future; allowed is 0.05 s; nothing is decided by it: "
+                         "synchronise the clocks of the machines",
+                     now());
 }
 
-void RcmLoop::take_command(const std::string& topic, const std::string& caller,
-                           const ros::Time& stamp, Decoded decoded) {
+void RcmLoop::on_command(const std::string& topic, const std::string& caller,
+                         const ros::Time& stamp, Decoded decoded) {
   const std::string sender = without_slash(caller);
   if (options_.lockstep) {
-    if (!gate_.declared(sender)) report_undeclared(caller);
-    gate_.received(sender);
+    if (!lockstep_gate_.declared(sender)) report_undeclared(caller);
+    lockstep_gate_.received(sender);
   }
   note_stamp(stamp);
   if (decoded.reason == surg::Reason::kNone && health_.master_lost &&
@@ -86,26 +86,26 @@ void RcmLoop::take_command(const std::string& topic, const std::string& caller,
   }
   if (decoded.reason != surg::Reason::kNone) {
     ++refused_by_node_;
-    announcer_->warning(topic + surg::name(decoded.reason),
-                        arm_ + ": " + topic + " from " + caller + " refused: " + decoded.detail,
-                        now());
+    reporter_->warning(topic + surg::name(decoded.reason),
+                       arm_ + ": " + topic + " from " + caller + " refused: " + decoded.detail,
+                       now());
   } else {
     decoded.item.source = sources_.id(caller);
     decoded.item.stamp_ns = stamp.toNSec();
-    if (!pass_on(topic, sender, decoded)) {
+    if (!enqueue(topic, sender, decoded)) {
       ++refused_by_node_;
-      announcer_->warning("flood",
-                          arm_ + ": commands come faster than 500 Hz can take them; " + topic +
-                              " from " + caller + " is dropped: send at most one per cycle",
-                          now());
+      reporter_->warning("flood",
+                         arm_ + ": commands come faster than 500 Hz can take them; " + topic +
+                             " from " + caller + " is dropped: send at most one per cycle",
+                         now());
     }
   }
   if (options_.lockstep) try_step();
 }
 
-/// To the cycle that will take it; false when there is no room.
-bool RcmLoop::pass_on(const std::string& topic, const std::string& sender, const Decoded& decoded) {
-  if (options_.lockstep) return gate_.push(sender, topic, decoded.item);
+/// Queues a command for the next cycle; false if there is no room.
+bool RcmLoop::enqueue(const std::string& topic, const std::string& sender, const Decoded& decoded) {
+  if (options_.lockstep) return lockstep_gate_.push(sender, topic, decoded.item);
   CommandItem item = decoded.item;
   item.received_ns = steady_ns();
   return commands_.push(item);
@@ -116,9 +116,9 @@ void RcmLoop::report_undeclared(const std::string& caller) {
   std_msgs::String message;
   message.data = caller;
   undeclared_.publish(message);
-  announcer_->status(arm_ + ": undeclared sender " + caller +
-                     " is obeyed, but this run cannot be repeated bit for bit: declare it in "
-                     "~participants of controller and simulator");
+  reporter_->status(arm_ + ": undeclared sender " + caller +
+                    " is obeyed, but this run cannot be repeated bit for bit: declare it in "
+                    "~participants of controller and simulator");
 }
 
 void RcmLoop::on_robot_state(const sensor_msgs::JointState& message) {
@@ -126,7 +126,7 @@ void RcmLoop::on_robot_state(const sensor_msgs::JointState& message) {
   LinkState state = link_;                    // keeps the jaw; an unusable message leaves no trace
   const std::string problem = decode_state_of_robot(message, setup_.robot.joint_names, state);
   if (!problem.empty()) {
-    announcer_->warning("robot_state", arm_ + ": " + problem, now());
+    reporter_->warning("robot_state", arm_ + ": " + problem, now());
     return;
   }
   if (!options_.lockstep) {
@@ -138,15 +138,15 @@ void RcmLoop::on_robot_state(const sensor_msgs::JointState& message) {
     }
     state.received_ns = steady_ns();
     link_ = state;
-    link_box_.put(link_);
+    latest_link_.put(link_);
     return;
   }
   if (state.stamp_ns % kTickNs != 0) {
-    announcer_->warning("grid",
-                        arm_ + ": robot/measured_js has stamp " + std::to_string(state.stamp_ns) +
-                            " ns, which is no multiple of 2000000 ns: in lock-step a stamp is a "
-                            "tick; start both sides with the same ~mode",
-                        now());
+    reporter_->warning("grid",
+                       arm_ + ": robot/measured_js has stamp " + std::to_string(state.stamp_ns) +
+                           " ns, which is no multiple of 2000000 ns: in lock-step a stamp is a "
+                           "tick; start both sides with the same ~mode",
+                       now());
     return;
   }
   on_tick(state);
@@ -158,7 +158,7 @@ void RcmLoop::on_tool_state(const sensor_msgs::JointState& message) {
   if (!options_.lockstep) {
     note_stamp(message.header.stamp);
     link_.jaw_received_ns = steady_ns();
-    link_box_.put(link_);
+    latest_link_.put(link_);
     return;
   }
   tool_tick_ = message.header.stamp.toNSec() / kTickNs;
@@ -170,10 +170,10 @@ void RcmLoop::on_force(const geometry_msgs::WrenchStamped& message,
   if (message.header.stamp.isZero()) return;
   const std::string& frame = message.header.frame_id;
   if (!frame.empty() && frame != arm_ + "_base") {
-    announcer_->warning("force_frame",
-                        arm_ + ": a measured force is in frame '" + frame + "' and not obeyed; " +
-                            "allowed is '" + arm_ + "_base' or an empty one",
-                        now());
+    reporter_->warning("force_frame",
+                       arm_ + ": a measured force is in frame '" + frame + "' and not obeyed; " +
+                           "allowed is '" + arm_ + "_base' or an empty one",
+                       now());
     return;
   }
   const geometry_msgs::Vector3& f = message.wrench.force;
@@ -181,7 +181,7 @@ void RcmLoop::on_force(const geometry_msgs::WrenchStamped& message,
   force.f_B = {f.x, f.y, f.z};
   force.received_ns =
       options_.lockstep ? static_cast<std::int64_t>(robot_tick_ * kTickNs) + 1 : steady_ns();
-  if (!options_.lockstep) link_box_.put(link_);
+  if (!options_.lockstep) latest_link_.put(link_);
 }
 
 void RcmLoop::on_ready(const surg_msgs::Ready& message) {
@@ -189,16 +189,16 @@ void RcmLoop::on_ready(const surg_msgs::Ready& message) {
   for (std::size_t i = 0; i < message.arms.size() && i < message.sent.size(); ++i) {
     if (message.arms[i] == arm_) sent = message.sent[i];
   }
-  gate_.ready(message.participant, message.tick, sent);
+  lockstep_gate_.ready(message.participant, message.tick, sent);
   try_step();
 }
 
 void RcmLoop::on_link_status(const surg_msgs::LinkStatus& message) {
   if (static_cast<bool>(message.lockstep) != options_.lockstep) {
-    announcer_->error(arm_ + ": the robot link keeps time in " +
-                      (message.lockstep ? "lock-step" : "free-run") + " and this controller in " +
-                      (options_.lockstep ? "lock-step" : "free-run") +
-                      ": start both with the same ~mode");
+    reporter_->error(arm_ + ": the robot link keeps time in " +
+                     (message.lockstep ? "lock-step" : "free-run") + " and this controller in " +
+                     (options_.lockstep ? "lock-step" : "free-run") +
+                     ": start both with the same ~mode");
   }
   link_status_.shutdown();  // a link does not change its mode; 500 messages a second saved
 }

@@ -13,7 +13,7 @@
 namespace surg_control {
 namespace {
 
-constexpr auto kLook = std::chrono::milliseconds(100);
+constexpr auto kPollPeriod = std::chrono::milliseconds(100);
 
 /// UTC with milliseconds, in the extended form for people or the basic one for file names.
 std::string utc(bool for_file) {
@@ -30,11 +30,11 @@ std::string utc(bool for_file) {
 }  // namespace
 
 BlackBoxWriter::BlackBoxWriter(surg::BlackBox& box, const std::string& folder,
-                               const surg::BlackBoxLabel& label, Announcer& announcer)
+                               const surg::BlackBoxLabel& label, StatusReporter& reporter)
     : box_(box),
       folder_(folder),
       label_(label),
-      announcer_(announcer),
+      reporter_(reporter),
       thread_(&BlackBoxWriter::run, this) {}
 
 BlackBoxWriter::~BlackBoxWriter() {
@@ -51,7 +51,7 @@ void BlackBoxWriter::run() {
   for (;;) {
     {
       std::unique_lock<std::mutex> lock(mutex_);
-      if (wake_.wait_for(lock, kLook, [this] { return stop_; })) return;
+      if (wake_.wait_for(lock, kPollPeriod, [this] { return stop_; })) return;
     }
     if (box_.frozen()) write();
   }
@@ -59,10 +59,10 @@ void BlackBoxWriter::run() {
 
 void BlackBoxWriter::write() {
   if (++files_ > kMostFiles) {
-    announcer_.warning_once("black_box_most",
-                            label_.arm + ": " + std::to_string(kMostFiles) +
-                                " black boxes have been written to " + folder_ +
-                                "; no more are written until the controller is restarted");
+    reporter_.warning_once("black_box_most",
+                           label_.arm + ": " + std::to_string(kMostFiles) +
+                               " black boxes have been written to " + folder_ +
+                               "; no more are written until the controller is restarted");
     box_.release();
     return;
   }
@@ -72,13 +72,13 @@ void BlackBoxWriter::write() {
     std::error_code ignored;  // a folder that cannot be made shows in the writing
     std::filesystem::create_directories(folder_, ignored);
     write_black_box(path, box_.recording(label_));
-    announcer_.status(label_.arm + ": black box of the last 2 s: " + path +
-                      " (rosrun surg_control rcm_replay --black-box " + path + ")");
+    reporter_.status(label_.arm + ": black box of the last 2 s: " + path +
+                     " (rosrun surg_control rcm_replay --black-box " + path + ")");
   } catch (const std::exception& error) {
-    announcer_.warning_once("black_box",
-                            label_.arm + ": the black box could not be written: " + error.what() +
-                                "; control is not affected: free the disk, or name another folder "
-                                "in ~black_box");
+    reporter_.warning_once("black_box",
+                           label_.arm + ": the black box could not be written: " + error.what() +
+                               "; control is not affected: free the disk, or name another folder "
+                               "in ~black_box");
   }
   box_.release();
 }

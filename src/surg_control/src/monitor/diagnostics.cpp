@@ -41,10 +41,10 @@ double percentile(std::vector<double>& values, double part) {
 
 }  // namespace
 
-Diagnostics::Diagnostics(ros::NodeHandle& node, const std::string& arm, const Facts& facts,
+Diagnostics::Diagnostics(ros::NodeHandle& node, const std::string& arm, const ControllerInfo& info,
                          const Health& health, const SourceTable& sources)
     : arm_(arm),
-      facts_(facts),
+      info_(info),
       health_(health),
       sources_(sources),
       publisher_(node.advertise<diagnostic_msgs::DiagnosticArray>("/diagnostics", 10)) {}
@@ -79,7 +79,7 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
                    entry("reason", surg::name(out.reason)),
                    flag("homed", out.homed),
                    entry("holder", sources_.name(out.source)),
-                   entry("mode", facts_.lockstep ? "lockstep" : "freerun"),
+                   entry("mode", info_.lockstep ? "lockstep" : "freerun"),
                    number("rate_hz", rate),
                    number("compute_us_p50", percentile(compute_us_, 0.50)),
                    number("compute_us_p99", percentile(compute_us_, 0.99)),
@@ -98,10 +98,10 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
                    count("late_states", health_.late_states),
                    count("records_lost", health_.records_lost),
                    count("changed_params", health_.changed_params),
-                   flag("track_rcm", facts_.track_rcm),
-                   entry("limits_hash", facts_.limits_hash),
-                   entry("law", facts_.law),
-                   entry("link", facts_.twist ? "cartesian_velocity" : "joint_velocity")};
+                   flag("track_rcm", info_.track_rcm),
+                   entry("limits_hash", info_.limits_hash),
+                   entry("law", info_.law),
+                   entry("link", info_.twist ? "cartesian_velocity" : "joint_velocity")};
   diagnostic_msgs::DiagnosticArray message;
   // Not ros::Time::now(): a simulator's clock may stand still.
   message.header.stamp = to_time(static_cast<std::uint64_t>(ros::WallTime::now().toNSec()));

@@ -9,7 +9,7 @@
 namespace surg_control {
 namespace {
 
-constexpr auto kLook = std::chrono::milliseconds(250);
+constexpr auto kPollPeriod = std::chrono::milliseconds(250);
 constexpr int kMasterEvery = 2;      // looks; two that fail take at most 1.8 s
 constexpr int kParametersEvery = 8;  // looks
 constexpr double kMasterTimeout = 0.4;
@@ -22,17 +22,18 @@ XmlRpc::XmlRpcValue private_parameters(const std::string& space) {
 
 }  // namespace
 
-Housekeeping::Housekeeping(const ros::NodeHandle& private_node, const std::string& arm,
-                           const std::string& limits_hash, Announcer& announcer, Health& health)
+SystemMonitor::SystemMonitor(const ros::NodeHandle& private_node, const std::string& arm,
+                             const std::string& limits_hash, StatusReporter& reporter,
+                             Health& health)
     : space_(private_node.getNamespace()),
       arm_(arm),
       limits_hash_(limits_hash),
-      announcer_(announcer),
+      reporter_(reporter),
       health_(health),
       parameters_(private_parameters(space_)),
-      thread_(&Housekeeping::run, this) {}
+      thread_(&SystemMonitor::run, this) {}
 
-Housekeeping::~Housekeeping() {
+SystemMonitor::~SystemMonitor() {
   {
     const std::lock_guard<std::mutex> lock(mutex_);
     stop_ = true;
@@ -41,55 +42,55 @@ Housekeeping::~Housekeeping() {
   thread_.join();
 }
 
-void Housekeeping::run() {
+void SystemMonitor::run() {
   for (int turn = 0;; ++turn) {
-    look_at_clock();
-    if (turn % kMasterEvery == 0) look_at_master();
-    if (turn % kParametersEvery == kParametersEvery - 1) look_at_parameters();
+    check_clock();
+    if (turn % kMasterEvery == 0) check_master();
+    if (turn % kParametersEvery == kParametersEvery - 1) check_parameters();
     std::unique_lock<std::mutex> lock(mutex_);
-    if (wake_.wait_for(lock, kLook, [this] { return stop_; })) return;
+    if (wake_.wait_for(lock, kPollPeriod, [this] { return stop_; })) return;
   }
 }
 
-void Housekeeping::look_at_clock() {
+void SystemMonitor::check_clock() {
   const auto wall_ns = static_cast<std::int64_t>(ros::WallTime::now().toNSec());
   const std::int64_t by = clock_.look(wall_ns, steady_ns());
   if (by == 0) return;
   ++health_.clock_steps;
   char text[32];
   std::snprintf(text, sizeof text, "%+.1f s", static_cast<double>(by) * 1e-9);
-  announcer_.warning("clock_step",
-                     arm_ + ": clock_step: the wall clock stepped by " + text +
-                         "; control is not affected, but stamps before and after do not compare: "
-                         "start a new recording",
-                     static_cast<double>(steady_ns()) * 1e-9);
+  reporter_.warning("clock_step",
+                    arm_ + ": clock_step: the wall clock stepped by " + text +
+                        "; control is not affected, but stamps before and after do not compare: "
+                        "start a new recording",
+                    static_cast<double>(steady_ns()) * 1e-9);
 }
 
-void Housekeeping::look_at_master() {
+void SystemMonitor::check_master() {
   XmlRpc::XmlRpcValue pid;
   const bool there = ask_master("getPid", "", kMasterTimeout, pid) &&
                      pid.getType() == XmlRpc::XmlRpcValue::TypeInt;
   const MasterWatch::Change change = master_.look(there ? static_cast<int>(pid) : -1);
   health_.master_lost = master_.lost();
   if (change == MasterWatch::Change::kLost) {
-    announcer_.error(arm_ + ": master_lost: " + surg::sentence(surg::Reason::kMasterLost) +
-                     "; until then the arm obeys the nodes it is connected to, and refuses enable "
-                     "and resume");
+    reporter_.error(arm_ + ": master_lost: " + surg::sentence(surg::Reason::kMasterLost) +
+                    "; until then the arm obeys the nodes it is connected to, and refuses enable "
+                    "and resume");
   } else if (change == MasterWatch::Change::kFound) {
-    announcer_.status(arm_ + ": the ROS master answers again");
+    reporter_.status(arm_ + ": the ROS master answers again");
   }
 }
 
-void Housekeeping::look_at_parameters() {
+void SystemMonitor::check_parameters() {
   if (health_.master_lost) return;
   XmlRpc::XmlRpcValue value;
   if (!ask_master("getParam", space_, kMasterTimeout, value)) return;
   for (const std::string& sentence : parameters_.look(value)) {
-    announcer_.warning(sentence,
-                       arm_ + ": " + sentence +
-                           "; that has no effect: parameters are read once (limits_hash stays " +
-                           limits_hash_ + "); restart the controller to use it",
-                       static_cast<double>(steady_ns()) * 1e-9);
+    reporter_.warning(sentence,
+                      arm_ + ": " + sentence +
+                          "; that has no effect: parameters are read once (limits_hash stays " +
+                          limits_hash_ + "); restart the controller to use it",
+                      static_cast<double>(steady_ns()) * 1e-9);
   }
   health_.changed_params = static_cast<std::uint32_t>(parameters_.changed());
 }

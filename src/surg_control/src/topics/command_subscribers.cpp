@@ -13,16 +13,16 @@ using geometry_msgs::TwistStamped;
 using sensor_msgs::JointState;
 using surg::Motion;
 
-CommandInlets::CommandInlets(ros::NodeHandle& node, const std::string& arm, bool track,
-                             std::uint32_t queue, Sink sink)
+CommandSubscribers::CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool track,
+                                       std::uint32_t queue, Sink sink)
     : node_(node), arm_(arm), queue_(queue), sink_(std::move(sink)) {
-  listen_to_motions();
-  listen_to_the_rest(track);
+  subscribe_motions();
+  subscribe_others(track);
 }
 
 template <typename Message>
-void CommandInlets::listen(const std::string& topic,
-                           std::function<Decoded(const Message&)> decode) {
+void CommandSubscribers::subscribe(const std::string& topic,
+                                   std::function<Decoded(const Message&)> decode) {
   using Event = ros::MessageEvent<const Message>;
   const boost::function<void(const Event&)> callback = [this, topic, decode](const Event& event) {
     const Message& message = *event.getConstMessage();
@@ -35,48 +35,50 @@ void CommandInlets::listen(const std::string& topic,
                                                   ros::TransportHints().tcpNoDelay()));
 }
 
-void CommandInlets::listen_to_motions() {
+void CommandSubscribers::subscribe_motions() {
   for (const Motion motion : {Motion::kServoCp, Motion::kInterpolateCp, Motion::kMoveCp}) {
-    listen<PoseStamped>(topic_of(motion), [motion](const PoseStamped& message) {
+    subscribe<PoseStamped>(topic_of(motion), [motion](const PoseStamped& message) {
       return decode_pose(message, motion);
     });
   }
   for (const Motion motion : {Motion::kServoJp, Motion::kServoJr, Motion::kServoJv,
                               Motion::kInterpolateJp, Motion::kMoveJp, Motion::kMoveJr}) {
-    listen<JointState>(topic_of(motion), [motion](const JointState& message) {
+    subscribe<JointState>(topic_of(motion), [motion](const JointState& message) {
       return decode_joints(message, motion);
     });
   }
   for (const Motion motion : {Motion::kJawServoJp, Motion::kJawMoveJp}) {
-    listen<JointState>(topic_of(motion),
-                       [motion](const JointState& message) { return decode_jaw(message, motion); });
+    subscribe<JointState>(topic_of(motion), [motion](const JointState& message) {
+      return decode_jaw(message, motion);
+    });
   }
   for (const Motion motion : {Motion::kInsert, Motion::kWithdraw, Motion::kRetrace}) {
-    listen<StringStamped>(topic_of(motion), [motion](const StringStamped& message) {
+    subscribe<StringStamped>(topic_of(motion), [motion](const StringStamped& message) {
       return decode_start_stop(message, motion);
     });
   }
-  listen<TwistStamped>(topic_of(Motion::kServoCv), decode_twist);
-  listen<std_msgs::Empty>(topic_of(Motion::kHold),
-                          [](const std_msgs::Empty&) { return decode_hold(); });
+  subscribe<TwistStamped>(topic_of(Motion::kServoCv), decode_twist);
+  subscribe<std_msgs::Empty>(topic_of(Motion::kHold),
+                             [](const std_msgs::Empty&) { return decode_hold(); });
 }
 
-void CommandInlets::listen_to_the_rest(bool track) {
+void CommandSubscribers::subscribe_others(bool track) {
   const std::string base = arm_ + "_base";
   const std::string rcm = arm_ + "_rcm";
   const std::string user = arm_ + "_user";
-  listen<StringStamped>("state_command", decode_state);
-  listen<std_msgs::Empty>("authority/claim", [](const std_msgs::Empty&) { return decode_claim(); });
-  listen<PoseStamped>("set_base_frame", [rcm, user](const PoseStamped& message) {
+  subscribe<StringStamped>("state_command", decode_state);
+  subscribe<std_msgs::Empty>("authority/claim",
+                             [](const std_msgs::Empty&) { return decode_claim(); });
+  subscribe<PoseStamped>("set_base_frame", [rcm, user](const PoseStamped& message) {
     return decode_base_frame(message, rcm, user);
   });
-  listen<PoseStamped>("rcm/set_cp",
-                      [base](const PoseStamped& message) { return decode_rcm(message, base); });
+  subscribe<PoseStamped>("rcm/set_cp",
+                         [base](const PoseStamped& message) { return decode_rcm(message, base); });
   if (!track) return;
-  listen<surg_msgs::PointVelocityStamped>("rcm/track",
-                                          [base](const surg_msgs::PointVelocityStamped& message) {
-                                            return decode_track(message, base);
-                                          });
+  subscribe<surg_msgs::PointVelocityStamped>(
+      "rcm/track", [base](const surg_msgs::PointVelocityStamped& message) {
+        return decode_track(message, base);
+      });
 }
 
 }  // namespace surg_control

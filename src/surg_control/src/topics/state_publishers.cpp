@@ -37,23 +37,23 @@ ros::Time wall_time() { return to_time(static_cast<std::uint64_t>(ros::WallTime:
 
 }  // namespace
 
-Outlets::Outlets(ros::NodeHandle& node, const ArmSetup& setup, const Model& model,
-                 const Facts& facts, const Health& health, const SourceTable& sources,
-                 Announcer& announcer)
+StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, const Model& model,
+                                 const ControllerInfo& info, const Health& health,
+                                 const SourceTable& sources, StatusReporter& reporter)
     : arm_(setup.arm.name),
       base_(arm_ + "_base"),
       flange_(arm_ + "_flange"),
       tool_(arm_ + "_tool"),
       rcm_(arm_ + "_rcm"),
       p_FTip_(setup.tool.p_FTip),
-      lockstep_(facts.lockstep),
+      lockstep_(info.lockstep),
       sources_(sources),
-      spokesman_(arm_, setup.limits, sources, announcer),
-      diagnostics_(node, arm_, facts, health, sources),
+      reporter_(reporter),
+      diagnostics_(node, arm_, info, health, sources),
       // Unbounded in lock-step, where nothing may be lost; latched there, so that a participant
       // whose connection comes up late still gets the cycle it has to answer.
-      cycle_(node.advertise<surg_msgs::Cycle>("/" + arm_ + "/cycle", facts.lockstep ? 0 : 500,
-                                              facts.lockstep)),
+      cycle_(node.advertise<surg_msgs::Cycle>("/" + arm_ + "/cycle", info.lockstep ? 0 : 500,
+                                              info.lockstep)),
       operating_state_(
           node.advertise<crtk_msgs::OperatingState>("/" + arm_ + "/operating_state", 100, true)),
       tf_(node.advertise<tf2_msgs::TFMessage>("/tf", 100)),
@@ -79,7 +79,7 @@ Outlets::Outlets(ros::NodeHandle& node, const ArmSetup& setup, const Model& mode
   publish_state(CycleRecord(), true);
 }
 
-void Outlets::publish_static_tf(const ArmSetup& setup, const Model& model) {
+void StatePublishers::publish_static_tf(const ArmSetup& setup, const Model& model) {
   const CycleRecord still;
   tf2_msgs::TFMessage message;
   message.transforms.push_back(transform(still, base_, setup.X_WB, "world"));
@@ -91,14 +91,14 @@ void Outlets::publish_static_tf(const ArmSetup& setup, const Model& model) {
   tf_static_.publish(message);
 }
 
-void Outlets::publish_cycle(const CycleRecord& record) {
+void StatePublishers::publish_cycle(const CycleRecord& record) {
   if (record.stamp_ns == 0) return;
   encode_cycle(record, base_, sources_, cycle_message_);
   cycle_.publish(cycle_message_);
 }
 
-void Outlets::publish_rest(const CycleRecord& record, double now) {
-  publish_state(record, spokesman_.speak(record, now));
+void StatePublishers::publish_rest(const CycleRecord& record, double now) {
+  publish_state(record, reporter_.report(record, now));
   if (feedback_due(record.tick, lockstep_)) {
     publish_feedback(record);
     publish_rcm(record);
@@ -107,7 +107,7 @@ void Outlets::publish_rest(const CycleRecord& record, double now) {
   diagnostics_.add(record, now);
 }
 
-void Outlets::publish_feedback(const CycleRecord& record) {
+void StatePublishers::publish_feedback(const CycleRecord& record) {
   const surg::Outputs& out = record.out;
   const ros::Time stamp = to_time(record.stamp_ns);
   // The rcm frame, and with it every virtual joint, exists from 'home' on.
@@ -123,7 +123,7 @@ void Outlets::publish_feedback(const CycleRecord& record) {
   jaw_setpoint_js_.publish(known, stamp, [&](auto& message) { fill_jaw(message, out.jaw_set); });
 }
 
-void Outlets::publish_tip(const CycleRecord& record, bool valid) {
+void StatePublishers::publish_tip(const CycleRecord& record, bool valid) {
   const surg::Outputs& out = record.out;
   const ros::Time stamp = to_time(record.stamp_ns);
   const surg::Pose X_RB = record.X_BR.inverse();
@@ -154,7 +154,7 @@ void Outlets::publish_tip(const CycleRecord& record, bool valid) {
   });
 }
 
-void Outlets::publish_rcm(const CycleRecord& record) {
+void StatePublishers::publish_rcm(const CycleRecord& record) {
   const bool valid = record.stamp_ns != 0;
   const ros::Time stamp = to_time(record.stamp_ns);
   rcm_error_.publish(valid, stamp, [&](surg_msgs::ScalarStamped& message) {
@@ -167,7 +167,7 @@ void Outlets::publish_rcm(const CycleRecord& record) {
   });
 }
 
-void Outlets::publish_state(const CycleRecord& record, bool changed) {
+void StatePublishers::publish_state(const CycleRecord& record, bool changed) {
   if (!changed && record.tick % kStateTicks != 0) return;
   crtk_msgs::OperatingState message;
   // Clients wait for an is_busy that is stamped later than the moment they sent their command. The
@@ -179,9 +179,10 @@ void Outlets::publish_state(const CycleRecord& record, bool changed) {
   operating_state_.publish(message);
 }
 
-geometry_msgs::TransformStamped Outlets::transform(const CycleRecord& record,
-                                                   const std::string& child, const surg::Pose& X,
-                                                   const std::string& parent) const {
+geometry_msgs::TransformStamped StatePublishers::transform(const CycleRecord& record,
+                                                           const std::string& child,
+                                                           const surg::Pose& X,
+                                                           const std::string& parent) const {
   geometry_msgs::TransformStamped message;
   message.header.stamp = to_time(record.stamp_ns);
   message.header.frame_id = parent;
@@ -191,7 +192,7 @@ geometry_msgs::TransformStamped Outlets::transform(const CycleRecord& record,
   return message;
 }
 
-void Outlets::publish_tf(const CycleRecord& record) {
+void StatePublishers::publish_tf(const CycleRecord& record) {
   if (record.stamp_ns == 0 || tf_.getNumSubscribers() == 0) return;
   // The tool frame as measured_cp states it, so that both say the same; fixed in the flange.
   surg::Pose X_FTool = surg::Pose::Identity();

@@ -1,11 +1,21 @@
 #include "surg_control/topics/status_reporter.hpp"
 
+#include <std_msgs/String.h>
+
 #include <cstdio>
 
 #include "surg_control/topics/decode.hpp"
 
 namespace surg_control {
 namespace {
+
+constexpr double kWarningPeriod = 1.0;  // [s] at least, between two warnings of one key
+
+std_msgs::String text_message(const std::string& text) {
+  std_msgs::String message;
+  message.data = text;
+  return message;
+}
 
 std::string millimetres(double metres) {
   char text[32];
@@ -33,38 +43,79 @@ const char* topic_of_answer(const Answer& answer) {
 
 }  // namespace
 
-Spokesman::Spokesman(const std::string& arm, const surg::Limits& limits, const SourceTable& sources,
-                     Announcer& announcer)
-    : arm_(arm), limits_(limits), sources_(sources), announcer_(announcer) {}
+StatusReporter::StatusReporter(ros::NodeHandle& node, const std::string& arm,
+                               const surg::Limits& limits, const SourceTable& sources)
+    : arm_(arm),
+      limits_(limits),
+      sources_(sources),
+      warning_(node.advertise<std_msgs::String>("/" + arm + "/warning", 100)),
+      status_(node.advertise<std_msgs::String>("/" + arm + "/status", 100)),
+      // Latched: a client that connects after a FAULT still reads the cause.
+      error_(node.advertise<std_msgs::String>("/" + arm + "/error", 100, true)) {}
 
-bool Spokesman::speak(const CycleRecord& record, double now) {
-  say_answers(record, now);
-  say_ignored(record);
-  say_verdicts(record, now);
-  return say_changes(record, now);
+void StatusReporter::warning(const std::string& key, const std::string& text, double now) {
+  std::string counted = text;
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    const auto last = last_warnings_.find(key);
+    if (last != last_warnings_.end() && now - last->second.when < kWarningPeriod) {
+      ++last->second.suppressed;
+      return;
+    }
+    if (last != last_warnings_.end() && last->second.suppressed > 0) {
+      counted +=
+          " (and " + std::to_string(last->second.suppressed) + " times more since the last one)";
+    }
+    last_warnings_[key] = {now, 0};
+  }
+  warning_.publish(text_message(counted));
 }
 
-void Spokesman::say_answers(const CycleRecord& record, double now) {
+void StatusReporter::warning_once(const std::string& key, const std::string& text) {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (!last_warnings_.emplace(key, LastWarning{0, 0}).second) return;
+  }
+  warning_.publish(text_message(text));
+}
+
+void StatusReporter::status(const std::string& text) {
+  ROS_INFO_STREAM(text);
+  status_.publish(text_message(text));
+}
+
+void StatusReporter::error(const std::string& text) {
+  ROS_ERROR_STREAM(text);
+  error_.publish(text_message(text));
+}
+
+bool StatusReporter::report(const CycleRecord& record, double now) {
+  report_answers(record, now);
+  report_ignored(record);
+  report_verdicts(record, now);
+  return report_changes(record, now);
+}
+
+void StatusReporter::report_answers(const CycleRecord& record, double now) {
   for (int i = 0; i < record.n_answers; ++i) {
     const Answer& answer = record.answers[i];
     if (answer.reason != surg::Reason::kNone) {
-      say_refused(answer, record, now);
+      report_refused(answer, record, now);
       continue;
     }
     const std::string from =
         arm_ + ": " + topic_of_answer(answer) + " from " + sources_.name(answer.source);
     if (answer.kind == CommandItem::Kind::kSetRcm) {
-      announcer_.status(from + ": trocar point taught");
+      status(from + ": trocar point taught");
     } else if (answer.kind == CommandItem::Kind::kSetFrame) {
-      announcer_.status(from + ": commands and measured_cp are in '" + record.frame.name.c_str() +
-                        "' now");
+      status(from + ": commands and measured_cp are in '" + record.frame.name.c_str() + "' now");
     } else if (answer.kind == CommandItem::Kind::kClaim) {
-      announcer_.status(from + ": it alone commands the arm until the arm leaves ENABLED");
+      status(from + ": it alone commands the arm until the arm leaves ENABLED");
     }
   }
 }
 
-void Spokesman::say_refused(const Answer& answer, const CycleRecord& record, double now) {
+void StatusReporter::report_refused(const Answer& answer, const CycleRecord& record, double now) {
   const std::string topic = topic_of_answer(answer);
   std::string why = surg::sentence(answer.reason);
   if (answer.reason == surg::Reason::kWrongFrame) {
@@ -78,29 +129,29 @@ void Spokesman::say_refused(const Answer& answer, const CycleRecord& record, dou
   } else if (answer.kind == CommandItem::Kind::kClaim) {
     why += " (held by " + sources_.name(record.out.source) + ")";
   }
-  announcer_.warning(
-      topic + surg::name(answer.reason),
-      arm_ + ": " + topic + " from " + sources_.name(answer.source) + " refused: " + why, now);
+  warning(topic + surg::name(answer.reason),
+          arm_ + ": " + topic + " from " + sources_.name(answer.source) + " refused: " + why, now);
 }
 
-void Spokesman::say_ignored(const CycleRecord& record) {
-  const auto say = [this](const Ignored& ignored, const char* what) {
+void StatusReporter::report_ignored(const CycleRecord& record) {
+  const auto warn = [this](const Ignored& ignored, const char* text) {
     const std::uint32_t bit = 1U << static_cast<unsigned>(ignored.motion);
-    if (ignored.motion == surg::Motion::kNone || (said_ignored_ & bit) != 0) return;
-    said_ignored_ |= bit;
+    if (ignored.motion == surg::Motion::kNone || (ignored_reported_ & bit) != 0) return;
+    ignored_reported_ |= bit;
     const std::string topic = topic_of(ignored.motion);
-    announcer_.warning_once("ignored " + topic, arm_ + ": " + topic + " from " +
-                                                    sources_.name(ignored.source) + ": " + what);
+    warning_once("ignored " + topic,
+                 arm_ + ": " + topic + " from " + sources_.name(ignored.source) + ": " + text);
   };
-  say(record.orientation,
-      "of an orientation only the roll about the shaft is followed: the trocar and the position "
-      "fix the rest");
-  say(record.angular,
+  warn(record.orientation,
+       "of an orientation only the roll about the shaft is followed: the trocar and the position "
+       "fix the rest");
+  warn(
+      record.angular,
       "of an angular velocity only the part along the shaft (roll) is followed: the trocar and the "
       "linear velocity fix the rest");
 }
 
-void Spokesman::say_verdicts(const CycleRecord& record, double now) {
+void StatusReporter::report_verdicts(const CycleRecord& record, double now) {
   const surg::Outputs& out = record.out;
   for (int i = 0; i < out.n_verdicts; ++i) {
     const surg::Verdict& verdict = out.verdicts[i];
@@ -111,35 +162,34 @@ void Spokesman::say_verdicts(const CycleRecord& record, double now) {
     if (verdict.reason == surg::Reason::kNoAuthority) {
       text += " (held by " + sources_.name(out.source) + ")";
     }
-    announcer_.warning(surg::name(verdict.reason), text, now);
+    warning(surg::name(verdict.reason), text, now);
   }
 }
 
-bool Spokesman::say_changes(const CycleRecord& record, double now) {
+bool StatusReporter::report_changes(const CycleRecord& record, double now) {
   const surg::Outputs& out = record.out;
-  const bool moved = first_ || out.state != state_;
-  const bool because = out.reason != reason_;
-  const bool changed = moved || out.homed != homed_ || out.busy != busy_;
+  const bool new_state = first_ || out.state != state_;
+  const bool new_reason = out.reason != reason_;
+  const bool changed = new_state || out.homed != homed_ || out.busy != busy_;
   const std::string why =
       out.reason == surg::Reason::kNone
           ? ""
           : std::string("(") + surg::name(out.reason) + "): " + surg::sentence(out.reason);
-  if (out.state == surg::State::kFault && (moved || because)) {
-    announcer_.error(arm_ + ": FAULT" + why);
-  } else if (moved) {
-    announcer_.status(arm_ + ": " + surg::name(out.state) + why);
-  } else if (because && !why.empty()) {
-    // Still in the same state and yet held: said where a person looks for what does not work.
-    announcer_.warning(surg::name(out.reason), arm_ + ": " + surg::sentence(out.reason), now);
+  if (out.state == surg::State::kFault && (new_state || new_reason)) {
+    error(arm_ + ": FAULT" + why);
+  } else if (new_state) {
+    status(arm_ + ": " + surg::name(out.state) + why);
+  } else if (new_reason && !why.empty()) {
+    // The state is the same, but the arm is held: a warning, since a command has no effect.
+    warning(surg::name(out.reason), arm_ + ": " + surg::sentence(out.reason), now);
   }
-  if (out.homed != homed_) announcer_.status(arm_ + (out.homed ? ": homed" : ": no longer homed"));
+  if (out.homed != homed_) status(arm_ + (out.homed ? ": homed" : ": no longer homed"));
   if (out.warn_rcm) {
-    announcer_.warning("rcm_warn",
-                       arm_ + ": the shaft is " + millimetres(out.rcm_error) +
-                           " from the trocar point (warning from " +
-                           millimetres(limits_.rcm_error_warn) + ", FAULT from " +
-                           millimetres(limits_.rcm_error_fault) + ")",
-                       now);
+    warning("rcm_warn",
+            arm_ + ": the shaft is " + millimetres(out.rcm_error) +
+                " from the trocar point (warning from " + millimetres(limits_.rcm_error_warn) +
+                ", FAULT from " + millimetres(limits_.rcm_error_fault) + ")",
+            now);
   }
   state_ = out.state;
   reason_ = out.reason;

@@ -1,7 +1,7 @@
-// What a YAML file may say: every key with its unit, range and reason lives in config.cpp, once,
-// for C++ and Python alike. The files are parsed elsewhere (yaml-cpp, PyYAML) into a flat Document;
-// this checks it and returns frozen values, or throws a ConfigError that says file, key, value and
-// what is allowed.
+// Schema of the YAML files: every key with unit, range and reason stands in config.cpp, for C++ and
+// Python alike. A parser (yaml-cpp, PyYAML) flattens a file into a Document; the functions here
+// check it and return frozen values, or throw a ConfigError with file, key, value and allowed
+// range.
 #pragma once
 
 #include <map>
@@ -25,13 +25,13 @@ struct Document {
   std::map<std::string, int> lines;  ///< 1-based line of each key where known
 };
 
-/// A configuration that must not be used: file, key, value, what is allowed.
+/// A configuration that must not be used: file, key, value, allowed range.
 class ConfigError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// Every limit of an arm. The ceiling of each is compiled into the schema; a cell may only tighten.
+/// All limits of an arm. The schema contains the upper bound of each; a cell may only tighten them.
 struct Limits {
   double tip_velocity;        ///< [m/s] per axis
   double tip_acceleration;    ///< [m/s^2] per axis
@@ -73,7 +73,7 @@ struct Tuning {
   double link_lag;           ///< [s] from a velocity command to the motion it causes; 0: unknown
 };
 
-/// What a robot link obeys.
+/// The command interface of a robot link.
 enum class Command { kJointVelocity, kCartesianVelocity };
 
 /// One robot: its YAML.
@@ -101,7 +101,7 @@ struct InstrumentConfig {
   CameraConfig camera = {};               ///< no part of the black box: it moves nothing
 };
 
-/// Calibrated tool: shaft axis and tip in the flange frame F, with the evidence for it.
+/// Calibrated tool: shaft axis and tip in the flange frame F, with the quality of the fit.
 struct ToolCalibration {
   Vector3 s_F, p_FTip;
   double residual, condition;
@@ -128,7 +128,7 @@ struct CellArm {
   std::map<std::string, double> limits;  ///< tightened limits by name
 };
 
-/// A user's whole system.
+/// A complete system: arms, machines, network.
 struct CellConfig {
   std::string file, name;
   std::string network;  ///< "loopback": no port leaves this machine; "isolated": see machines
@@ -144,14 +144,13 @@ ToolCalibration parse_tool(const Document& document);
 TrocarCalibration parse_trocar(const Document& document);
 CellConfig parse_cell(const Document& document);
 
-/// Limits with a cell's values put in. Throws when a value would loosen one.
+/// Returns the limits with a cell's values applied. Throws if a value would loosen a limit.
 Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file);
 
-/// The robot with the cell's home posture put in. Throws when it does not fit the robot's joints.
+/// Returns the robot with the cell's home posture. Throws if the posture does not fit the joints.
 RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file);
 
-/// SHA-256-free fingerprint of everything above that moves the arm: FNV-1a over the values, as 16
-/// hex digits.
+/// Fingerprint of all values above that affect motion: FNV-1a over the values, as 16 hex digits.
 std::string limits_hash(const RobotConfig& robot, const Limits& limits);
 
 }  // namespace surg

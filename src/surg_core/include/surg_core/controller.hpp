@@ -1,6 +1,5 @@
-// The only place where the parts meet; 'step' reads like the data line of docs/architecture.md:
-// gate -> profiler -> rcm -> limits -> guard. Pure: time and ids are arguments. No allocation, lock
-// or I/O.
+// One arm's controller: step() runs gate, set-point, law, limits and last check in that order
+// (docs/architecture.md). Pure: time and sender ids are arguments. No allocation, lock or I/O.
 #pragma once
 
 #include <array>
@@ -18,17 +17,17 @@
 
 namespace surg {
 
-/// What became of a command.
+/// The controller's answer to a command.
 struct Verdict {
   Reason reason = Reason::kNone;  ///< kNone: accepted
   std::uint32_t source = 0;
   Motion motion = Motion::kNone;
 };
 
-/// Most commands one cycle looks at; more wait for the next cycle (the node's business).
+/// Maximum number of commands per cycle; the node keeps the rest for the next cycle.
 constexpr int kMaxCommands = 64;
 
-/// What arm, tool and sensors said last.
+/// Latest measurements of arm, tool and sensors.
 struct Readings {
   bool state_valid = false;  ///< q, qd hold a joint state
   double state_age = 0;      ///< [s] since it was received (0 in lock-step)
@@ -44,13 +43,13 @@ struct Readings {
   Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]
 };
 
-/// Everything one cycle may look at.
+/// Inputs of one cycle.
 struct Inputs : Readings {
   int n_commands = 0;
   std::array<MotionCommand, kMaxCommands> commands;
 };
 
-/// Everything one cycle decided: becomes the robot command and surg_msgs/Cycle.
+/// Outputs of one cycle: the source of the robot command and of surg_msgs/Cycle.
 struct Outputs {
   State state = State::kDisabled;
   Reason reason = Reason::kNone;  ///< why PAUSED, FAULT, or why held
@@ -82,9 +81,9 @@ struct Outputs {
   Vector6 twist_command = Vector6::Zero();
 };
 
-/// kExact: the exact form on a virtual reference, which the link is made to follow; for links that
-/// take joint velocities, the best there is. kVelocity: the velocity form with feedback, for links
-/// that take a flange twist. kPaper: as printed, open loop.
+/// kExact: a virtual reference on the exact constraint, which the arm is made to follow; for links
+/// that take joint velocities (default). kVelocity: velocity form with feedback; for links that
+/// take a flange twist. kPaper: the paper's equations as printed, open loop.
 enum class Law { kVelocity, kPaper, kExact };
 
 /// One arm's controller. Construct once (may allocate), then call step() every dt.
@@ -101,34 +100,35 @@ class Controller {
              const Options& options);
   ~Controller();
 
-  /// State machine. Takes effect at once; uses the joint state of the last step. kNone: done.
+  /// Requests a state transition, effective at once, from the joint state of the last step. kNone:
+  /// done.
   Reason request(StateCommand command);
-  /// Teaches the trocar point in B; only DISABLED or PAUSED (F23).
+  /// Sets the trocar point in B; only in DISABLED or PAUSED (F23).
   Reason set_rcm(const Vector3& p_BRcm);
-  /// FAULT from outside (node: overrun and the like).
+  /// Enters FAULT for an external reason (node: overrun and the like).
   void fault(Reason reason);
   void pause(Reason reason);
-  /// Exclusive authority for 'source' until the arm leaves ENABLED (teleoperation node, model
-  /// server). Refused while another holds the arm.
+  /// Gives 'source' exclusive authority until the arm leaves ENABLED. Refused while another source
+  /// holds the arm.
   Reason claim(std::uint32_t source);
 
-  /// One control cycle: the whole data line. Never throws, never allocates.
+  /// Runs one control cycle. Never throws, never allocates.
   const Outputs& step(const Inputs& inputs);
 
   /// X_BR: the rcm frame (origin trocar, z home shaft axis into the patient, x = base x made
   /// perpendicular to z). Commands and measured_cp are in it. Identity rotation until homed.
   const Pose& X_BR() const;
-  /// R_RTool of a shaft direction and roll, what measured_cp reports as orientation: the minimal
-  /// rotation from z to the shaft, after the roll about z; identity at home.
+  /// R_RTool for a shaft direction and roll, the orientation in measured_cp: the minimal rotation
+  /// from z to the shaft, after the roll about z; identity at home.
   Eigen::Quaterniond tool_orientation(const Vector3& s_B, double roll) const;
   bool rcm_set() const;
   double dt() const;
 
-  /// The image of everything that the next steps depend on, for the black box. Returns the bytes it
-  /// takes; nothing useful is written where 'room' is less. Never allocates.
+  /// Writes a snapshot of everything that the next steps depend on, for the black box. Returns the
+  /// size needed; the content is useless where 'room' is less. Never allocates.
   std::size_t save(std::byte* to, std::size_t room) const;
-  /// Puts an image back into a controller of the same configuration: it goes on bit for bit like
-  /// the one that was saved. False, and nothing changed, for an image of another build.
+  /// Restores a snapshot into a controller of the same configuration, which then continues bit for
+  /// bit. Returns false and changes nothing for a snapshot of another build.
   bool restore(const std::byte* from, std::size_t size);
 
  private:

@@ -9,16 +9,16 @@
 namespace surg {
 namespace {
 
-constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint swings past its command
-constexpr double kFlangeReserve = 0.97;    // of its speed: a follower's correction needs some
+constexpr double kPositionReserve = 0.01;  // [rad] a lagging joint overshoots its command
+constexpr double kFlangeReserve = 0.97;  // of its speed; the rest is for the follower's correction
 
-/// Knowing the link's lag belongs to the feedback: open loops do without.
+/// The link's lag is compensated by feedback only; open-loop laws use 0.
 double lag_for(const RobotConfig& robot, const Controller::Options& options) {
   const bool open = options.law == Law::kPaper || options.feedback_gain == 0;
   return open ? 0.0 : robot.tuning.link_lag;
 }
 
-/// What the step may ask of the joints. The virtual reference leaves the follower a reserve.
+/// Joint limits of the step. The virtual reference leaves a reserve for the follower.
 JointLimits step_limits(const RobotConfig& robot, const Limits& limits, Law law) {
   JointLimits out = joint_limits(robot, limits);
   if (law == Law::kExact) {
@@ -54,7 +54,7 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.gate(inputs);
   self.move();
   self.jaw.advance(self.enabled() && !self.tool_lost);
-  self.authority.elapse(self.pilot.setpoint().mode() == Setpoint::Mode::kRest, self.enabled());
+  self.authority.elapse(self.handler.setpoint().mode() == Setpoint::Mode::kRest, self.enabled());
   self.report(inputs);
   return self.out;
 }
@@ -72,7 +72,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       authority(options.dt),
       arm(chain, {tool.s_F, tool.p_FTip},
           options.law == Law::kExact ? 0.0 : lag_for(robot_in, options), options.dt),
-      pilot(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
+      handler(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
       jaw(instrument, options.dt),
       force(limits_in),
       limited(chain, {tool.s_F, tool.p_FTip}, step_limits(robot_in, limits_in, options.law),
@@ -84,26 +84,26 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
 }
 
 void Controller::Impl::report(const Inputs& in) {
-  const Setpoint& setpoint = pilot.setpoint();
-  const Reason arrival = pilot.follow_arrival(whereabouts());
+  const Setpoint& setpoint = handler.setpoint();
+  const Reason arrival = handler.check_arrival(tip_pose());
   if (arrival != Reason::kNone) out.reason = arrival;
   out.state = operating.state();
   if (out.state != State::kEnabled) out.reason = operating.reason();
   out.homed = operating.homed();
-  out.busy = pilot.busy() || jaw.busy() || home_busy > 0;
+  out.busy = handler.busy() || jaw.busy() || home_busy > 0;
   home_busy = std::max(0, home_busy - 1);
-  out.motion = pilot.motion();
+  out.motion = handler.motion();
   out.source = authority.holder();
-  out.X_BF = arm.now().X_BF;
+  out.X_BF = arm.measured().X_BF;
   out.p_BTip = shaft().p_BTip;
   out.s_B = shaft().s;
   out.p_BRcm = trocar.p_B();
   out.v_BTip = arm.v_BTip();
-  out.roll = arm.now().roll;
+  out.roll = arm.measured().roll;
   out.depth = shaft().depth;
   out.rcm_error = shaft().e.norm();
-  out.p_goal = X_BR * pilot.p_goal();
-  out.roll_goal = pilot.roll_goal();
+  out.p_goal = X_BR * handler.p_goal();
+  out.roll_goal = handler.roll_goal();
   out.p_set = X_BR * setpoint.p_RTip();
   out.roll_set = setpoint.roll();
   out.jaw_set = jaw.setpoint();
@@ -117,10 +117,10 @@ void Controller::Impl::report_virtual_joints() {
   const Vector3 s = R_RB * shaft().s, s_dot = R_RB * arm.s_dot();
   const Eigen::Vector2d angles = shaft_angles(s);
   const double cos_pitch = std::max(std::cos(angles[1]), 1e-6);
-  out.virtual_q = {angles[0], angles[1], shaft().depth, arm.now().roll};
+  out.virtual_q = {angles[0], angles[1], shaft().depth, arm.measured().roll};
   const double insertion_rate = shaft().s.dot(Vector3(arm.v_BTip() - trocar.v_B())) +
                                 arm.s_dot().dot(Vector3(shaft().p_BTip - trocar.p_B()));
-  const double roll_rate = sensed ? arm.roll_rate() : 0.0;
+  const double roll_rate = state_known ? arm.roll_rate() : 0.0;
   out.virtual_qd = {(s_dot.x() * s.z() - s.x() * s_dot.z()) / (cos_pitch * cos_pitch),
                     s_dot.y() / cos_pitch, insertion_rate, roll_rate};
 }
@@ -160,22 +160,22 @@ double Controller::dt() const { return impl_->T; }
 std::size_t Controller::save(std::byte* to, std::size_t room) const {
   std::uint64_t layout = 0;
   const std::size_t head = sizeof layout;
-  ImageWriter image(to, room, head);
-  impl_->remembered(image);
-  layout = image.layout();
+  SnapshotWriter archive(to, room, head);
+  impl_->serialize(archive);
+  layout = archive.layout();
   if (room >= head) std::memcpy(to, &layout, head);
-  return image.size();
+  return archive.size();
 }
 
 bool Controller::restore(const std::byte* from, std::size_t size) {
   std::uint64_t layout = 0;
-  ImageWriter own(nullptr, 0, sizeof layout);
-  impl_->remembered(own);
+  SnapshotWriter own(nullptr, 0, sizeof layout);
+  impl_->serialize(own);
   if (size != own.size()) return false;
   std::memcpy(&layout, from, sizeof layout);
   if (layout != own.layout()) return false;
-  ImageReader image(from + sizeof layout);
-  impl_->remembered(image);
+  SnapshotReader archive(from + sizeof layout);
+  impl_->serialize(archive);
   return true;
 }
 

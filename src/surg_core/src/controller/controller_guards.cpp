@@ -6,11 +6,12 @@
 namespace surg {
 namespace {
 
-constexpr double kFollowDistance = 0.01;  // [m] set-point to measured tip: more means a stuck arm
-constexpr double kToolTimeout = 0.2;      // [s] without a jaw state (F31)
-constexpr double kForgets = 0.5;          // [s] a late state
-constexpr double kLoop = 0.6;             // gain times delay of a loop that is well damped
-constexpr double kBothWays = 2.0;         // a link that speaks late obeys late
+constexpr double kFollowDistance =
+    0.01;                             // [m] set-point to measured tip; beyond it the arm is stuck
+constexpr double kToolTimeout = 0.2;  // [s] without a jaw state (F31)
+constexpr double kDelayDecay = 0.5;   // [s] time constant of the recent state age
+constexpr double kDampedLoop = 0.6;   // gain times delay of a loop that is well damped
+constexpr double kRoundTrip = 2.0;    // a link with late states also executes late
 
 bool finite(const MotionCommand& command) {
   return surg::finite(command.p) && surg::finite(command.rotation.coeffs()) &&
@@ -21,8 +22,8 @@ bool finite(const MotionCommand& command) {
 }  // namespace
 
 void Controller::Impl::sense(const Inputs& in) {
-  sensed = false;
-  unseen = Reason::kLinkLost;
+  state_known = false;
+  state_reason = Reason::kLinkLost;
   jaw.sense(in.jaw);
   const int n = arm.chain().dof();
   if (!in.state_valid) {
@@ -31,7 +32,7 @@ void Controller::Impl::sense(const Inputs& in) {
   }
   const bool sized = in.q.size() == n && in.qd.size() == n;
   if (!sized || !in.q.allFinite() || !in.qd.allFinite()) {
-    unseen = Reason::kStateNotFinite;
+    state_reason = Reason::kStateNotFinite;
     if (operating.state() != State::kDisabled) fault(Reason::kStateNotFinite);
     return;
   }
@@ -39,25 +40,25 @@ void Controller::Impl::sense(const Inputs& in) {
     if (enabled()) fault(Reason::kLinkLost);
     return;
   }
-  sensed = true;
-  unseen = Reason::kNone;
-  stale = std::max(in.state_age - T, stale * (1 - T / kForgets));
-  steady = trocar;
-  if (!torn()) follow_trocar(in);
+  state_known = true;
+  state_reason = Reason::kNone;
+  state_delay = std::max(in.state_age - T, state_delay * (1 - T / kDelayDecay));
+  trocar_before = trocar;
+  if (!stopping_off_pivot()) update_trocar(in);
   arm.sense(in.q, in.qd, trocar);
-  watch_tool(in);
+  check_tool_link(in);
 }
 
-double Controller::Impl::trust() const {
-  if (stale <= 0 || gains.rcm <= 0) return 1;
-  const double fresh = std::max(robot.tuning.link_lag, kLoop / gains.rcm);
-  return fresh / (fresh + kBothWays * stale);
+double Controller::Impl::feedback_scale() const {
+  if (state_delay <= 0 || gains.rcm <= 0) return 1;
+  const double fresh = std::max(robot.tuning.link_lag, kDampedLoop / gains.rcm);
+  return fresh / (fresh + kRoundTrip * state_delay);
 }
 
-void Controller::Impl::follow_trocar(const Inputs& in) {
+void Controller::Impl::update_trocar(const Inputs& in) {
   if (!track_rcm || !trocar.taught()) return;
   const Reason reason = trocar.track({in.track_valid, in.track_age, in.p_BTrack, in.v_BTrack}, T);
-  untracked = reason;
+  track_reason = reason;
   if (reason == Reason::kTrackStale) {
     pause(reason);
   } else if (reason != Reason::kNone && enabled()) {
@@ -65,33 +66,33 @@ void Controller::Impl::follow_trocar(const Inputs& in) {
   }
 }
 
-void Controller::Impl::watch_tool(const Inputs& in) {
+void Controller::Impl::check_tool_link(const Inputs& in) {
   const bool lost = !(in.jaw_age <= kToolTimeout);
-  if (lost && !tool_lost && enabled()) leave_enabled();
+  if (lost && !tool_lost && enabled()) stop_motion();
   tool_lost = lost;
   if (lost) out.reason = Reason::kToolLost;
 }
 
 void Controller::Impl::guard_pivot() {
   out.warn_rcm = trocar.taught() && shaft().e.norm() > limits.rcm_error_warn;
-  if (!enabled() || !operating.homed() || !sensed) return;
+  if (!enabled() || !operating.homed() || !state_known) return;
   if (shaft().depth >= limits.depth_min) inserted = true;
-  if (pilot.setpoint().axial() || pilot.retracing())
-    inserted = false;  // on the way in or out through the trocar
-  if (!on_line() || (inserted && shaft().depth <= 0)) {
+  if (handler.setpoint().axial() || handler.retracing())
+    inserted = false;  // passing through the trocar
+  if (!shaft_through_trocar() || (inserted && shaft().depth <= 0)) {
     fault(Reason::kRcmError);
-    trocar = steady;
+    trocar = trocar_before;
     return;
   }
-  // An arm that is stopped from elsewhere must not run after its set-point once it is released.
-  const double behind = (X_BR * pilot.setpoint().p_RTip() - shaft().p_BTip).norm();
+  // A blocked arm must not jump to its set-point when it is released.
+  const double behind = (X_BR * handler.setpoint().p_RTip() - shaft().p_BTip).norm();
   if (!(behind <= kFollowDistance)) pause(Reason::kNotFollowing);
 }
 
 void Controller::Impl::guard_force(const Inputs& in) {
   const ForceGuard::Verdict verdict = force.judge(in.tip_force, in.trocar_force, T);
   out.warn_force = force.warns();
-  if (verdict == ForceGuard::Verdict::kHalt) freeze();  // a ramp that is under way ends as well
+  if (verdict == ForceGuard::Verdict::kHalt) halt();  // also ends a ramp
   if (!enabled()) return;
   switch (verdict) {
     case ForceGuard::Verdict::kFree:
@@ -113,19 +114,19 @@ void Controller::Impl::gate(const Inputs& in) {
   const int n = std::clamp(in.n_commands, 0, kMaxCommands);
   for (int i = 0; i < n; ++i) {
     const MotionCommand& command = in.commands[i];
-    const Reason reason = take(command);
+    const Reason reason = accept(command);
     out.verdicts[i] = {reason, command.source, command.motion};
     ++(reason == Reason::kNone ? out.accepted : out.refused);
   }
   out.n_verdicts = n;
-  const Reason watched = pilot.watch();
-  if (watched != Reason::kNone) out.reason = watched;
+  const Reason timeout = handler.check_timeout();
+  if (timeout != Reason::kNone) out.reason = timeout;
 }
 
-Reason Controller::Impl::take(const MotionCommand& command) {
+Reason Controller::Impl::accept(const MotionCommand& command) {
   if (!enabled()) return Reason::kNotEnabled;
   if (command.motion == Motion::kHold) {  // obeyed from anyone
-    pilot.hold();
+    handler.hold();
     return Reason::kNone;
   }
   if (!operating.homed()) return Reason::kNotHomed;
@@ -139,7 +140,7 @@ Reason Controller::Impl::take(const MotionCommand& command) {
   if (is_jaw(command.motion)) {
     jaw.go_to(command.jaw, command.motion == Motion::kJawMoveJp);
   } else {
-    reason = pilot.take(command);
+    reason = handler.accept(command);
   }
   if (reason == Reason::kNone) authority.taken(command.source);
   return reason;

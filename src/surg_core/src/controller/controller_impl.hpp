@@ -1,6 +1,6 @@
-// What a controller remembers and does; Controller (controller.hpp) is its face. Private: state and
-// requests are in controller_state.cpp, senses and guards in controller_guards.cpp, what becomes of
-// commands and motion in controller_motion.cpp, the order of a cycle in controller.cpp.
+// State and methods of a controller behind its public class (controller.hpp). controller.cpp has
+// the order of a cycle, controller_state.cpp states and requests, controller_guards.cpp inputs and
+// guards, controller_motion.cpp commands and motion.
 #pragma once
 
 #include "surg_core/controller.hpp"
@@ -17,7 +17,7 @@
 
 namespace surg {
 
-/// F01: 1e308 is finite and still poison (its square is not). Written so that NaN is refused.
+/// F01: refuses NaN, infinity and values such as 1e308, whose square is not finite.
 template <typename Derived>
 bool finite(const Eigen::MatrixBase<Derived>& v) {
   constexpr double kHuge = 1e6;  // [m, rad] no command or trocar is ever so large
@@ -27,7 +27,7 @@ bool finite(const Eigen::MatrixBase<Derived>& v) {
 template <>
 struct IsPlain<Trocar> : std::true_type {};
 template <>
-struct IsPlain<Pilot> : std::true_type {};
+struct IsPlain<CommandHandler> : std::true_type {};
 template <>
 struct IsPlain<JointTrace> : std::true_type {};
 template <>
@@ -46,7 +46,7 @@ struct Controller::Impl {
   Authority authority;
   Trocar trocar;
   ArmState arm;
-  Pilot pilot;
+  CommandHandler handler;
   Jaw jaw;
   ForceGuard force;
   LimitedStep limited;
@@ -54,19 +54,19 @@ struct Controller::Impl {
   JointTrace trace;  // the way back
 
   Pose X_BR = Pose::Identity();
-  double stale = 0;                   // [s] how much older than a period states have lately been
-  bool sensed = false;                // a finite, fresh joint state has been seen in the last step
-  Reason unseen = Reason::kLinkLost;  // why not
-  Reason untracked = Reason::kNone;   // why the trocar's last sample was not taken
-  Trocar steady;                      // the trocar before this cycle's sample
-  bool inserted = false;              // the trocar point lies on the shaft, and must go on doing so
+  double state_delay = 0;                   // [s] recent age of states beyond one period
+  bool state_known = false;                 // the last step had a finite, fresh joint state
+  Reason state_reason = Reason::kLinkLost;  // why not
+  Reason track_reason = Reason::kNone;      // why the trocar's last sample was not taken
+  Trocar trocar_before;                     // the trocar before this cycle's sample
+  bool inserted = false;                    // the trocar lies on the shaft and must stay there
   bool tool_lost = false;
-  bool halted = false;  // zero at once and until the arm starts anew
+  bool halted = false;  // commands zero until the next start
   int home_busy = 0;
   JointVector qd_last;
-  double back = 0;         // [rad] of the trace that 'retrace' has gone back
-  bool replaying = false;  // in the last step: 'retrace' first waits for rest
-  // The reference starts where the arm is, off the pivot by its error, and comes onto it smoothly.
+  double retraced = 0;          // [rad] of the trace
+  bool retrace_active = false;  // in the last step; a retrace first waits for rest
+  // The reference starts at the arm's position, off the pivot by its error, and converges smoothly.
   Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
 
@@ -75,86 +75,87 @@ struct Controller::Impl {
 
   // State and requests.
   bool enabled() const { return operating.state() == State::kEnabled; }
-  const ShaftState& shaft() const { return arm.now().shaft; }
-  /// A cause that lasts refuses 'enable' and 'resume' by its own name.
+  const ShaftState& shaft() const { return arm.measured().shaft; }
+  /// Conditions for 'enable' and 'resume'; a persisting cause is returned as the reason.
   Conditions conditions() const;
-  /// On the way to rest after the trocar has left the shaft: the stop keeps to the pivot that it
-  /// began on, and does not run after wherever the point is now.
-  bool torn() const;
+  /// Whether the arm is decelerating because the trocar left the shaft. The stop then keeps the
+  /// pivot that it began with.
+  bool stopping_off_pivot() const;
   /// The shaft's line passes through the trocar, in front of the flange.
-  bool on_line() const;
-  Whereabouts whereabouts() const;
+  bool shaft_through_trocar() const;
+  TipPose tip_pose() const;
   Reason request(StateCommand command);
   Reason set_rcm(const Vector3& p_BRcm);
-  /// The arm moves, and its controller knows how.
-  bool ramping() const;
-  /// What leads the arm is at rest; what is left only holds it in place.
-  bool commands_rest() const;
-  void take_home();
-  /// The set-point is where the arm is; every target is gone.
-  void start_here();
-  void leave_enabled();
+  /// Whether the arm moves under this controller.
+  bool is_moving() const;
+  /// Whether the reference (or the last command) is at rest; what remains only holds the position.
+  bool reference_at_rest() const;
+  void set_home();
+  /// Puts the set-point at rest at the arm's position and drops all targets.
+  void start_at_rest();
+  void stop_motion();
   void fault(Reason reason);
   void pause(Reason reason);
-  /// Halt: the set-point stands still at once, and the arm with it.
-  void freeze();
+  /// Stops the set-point and the arm at once, without a ramp.
+  void halt();
 
-  // Senses, guards and gate.
+  // Inputs, guards and gate.
   void sense(const Inputs& in);
-  /// In (0, 1]: share of the feedback's gain that late states leave: a loop shakes once gain times
-  /// delay is about 1.5, so that what is 0.6 with fresh states must not grow with their age.
-  double trust() const;
-  void follow_trocar(const Inputs& in);
-  /// F31: without the tool link the arm holds, and so does the jaw.
-  void watch_tool(const Inputs& in);
-  /// F23: away from the trocar nothing may go on.
+  /// Factor of the feedback gain in (0, 1] for late states. A loop becomes unstable at a gain times
+  /// delay of about 1.5; 0.6 is well damped and must not grow with the age of the states.
+  double feedback_scale() const;
+  void update_trocar(const Inputs& in);
+  /// F31: without the tool link, arm and jaw hold.
+  void check_tool_link(const Inputs& in);
+  /// F23: stops an arm that is off the trocar or does not follow.
   void guard_pivot();
-  /// F25: yields to the force at the tip, stops or halts.
+  /// F25: yields to the force at the tip, pauses, stops or halts.
   void guard_force(const Inputs& in);
   void gate(const Inputs& in);
-  Reason take(const MotionCommand& command);
+  Reason accept(const MotionCommand& command);
 
   // Motion: set-point, law, limits, follower.
   void move();
   void advance_setpoint(const Step& step, const Setpoint& next);
-  void command(JointVector qd, bool moving);
+  void output_command(JointVector qd, bool moving);
   Step next_step(const Setpoint& next, JointVector& qd);
-  /// Exact form: the reference's next step, and what makes the link follow it.
+  /// Exact form: the next step of the reference, and the command with which the arm follows it.
   Step exact_step(const Setpoint& next, JointVector& qd);
-  /// Velocity form and the paper's law: from the measured state, where the command will find it.
+  /// Velocity form and the paper's law, from the measured state predicted for the command.
   Step velocity_step(const Setpoint& next, JointVector& qd) const;
-  /// 'retrace' has ended, or something ended it: the trace leads on from where it has gone back to.
-  void end_replay();
-  /// Back along the trace, once the motion before has come to rest; the set-point goes along.
+  /// Ends a retrace: the trace continues from the point that was reached.
+  void end_retrace_step();
+  /// Retraces the joint trace once the previous motion is at rest; the set-point follows.
   Step retrace_step(JointVector& qd);
-  TwistWish wish_for(const Setpoint& next) const;
-  /// Where the set-point leads in t [s] of its own clock; the trocar is where it will be after this
-  /// cycle. 'next': the set-point a whole cycle on, from where it is only foreseen.
+  TwistParts twist_for(const Setpoint& next) const;
+  /// Goal in t [s] of the set-point's clock; the trocar is at its position after this cycle.
+  /// 'next': the set-point one cycle later, from which it is predicted.
   ShaftGoal goal_at(const Setpoint& next, double t) const;
-  /// What a stream will do is its sender's secret: a look ahead along a guess would slow it down
-  /// for nothing. Barrier and braking distances guard it.
+  /// [s] of look-ahead; 0 for streams: future samples are unknown, and a wrong prediction would
+  /// slow the stream down. Barrier and braking distances limit streams.
   double horizon() const;
   JointVector posture_at(const JointVector& q) const;
-  /// The set-point goes on from where the tip will be: of the reference, or of the arm.
-  void slip(const JointVector& qd);
-  /// The last command on its way to zero. Nothing is followed any more: a joint that was held from
-  /// elsewhere must not run after its reference once it is released.
+  /// Resets the set-point to the tip's true motion after this step.
+  void resync_setpoint(const JointVector& qd);
+  /// The last command, decelerated to zero without feedback: a joint that is blocked must not jump
+  /// to its reference when it is released.
   JointVector fading_command() const;
-  /// [m/s] What the follower's correction takes of the flange's speed: the reference leaves it that
-  /// room, as a command that is cut short would be off the pivot.
+  /// [m/s] flange speed needed by the follower's correction. The reference leaves it free, since a
+  /// command that is cut short would leave the pivot.
   double flange_lead() const;
 
-  // Report and image.
+  // Report and snapshot.
   void report(const Inputs& in);
   void report_virtual_joints();
-  /// Every member that a step reads before it writes it; a test finds the one that is missing.
-  template <typename Image>
-  void remembered(Image& image) {
-    image(operating, authority, trocar, pilot, jaw, force);
-    arm.remembered(image);
-    follower.remembered(image);
-    image(trace, back, replaying, pivot_offset, pivot_offset_rate, X_BR, stale, sensed, unseen,
-          untracked, inserted, tool_lost, halted, home_busy, qd_last, out.accepted, out.refused);
+  /// Serializes every member that a step reads before writing it; a test finds a missing one.
+  template <typename Archive>
+  void serialize(Archive& archive) {
+    archive(operating, authority, trocar, handler, jaw, force);
+    arm.serialize(archive);
+    follower.serialize(archive);
+    archive(trace, retraced, retrace_active, pivot_offset, pivot_offset_rate, X_BR, state_delay,
+            state_known, state_reason, track_reason, inserted, tool_lost, halted, home_busy,
+            qd_last, out.accepted, out.refused);
   }
 };
 

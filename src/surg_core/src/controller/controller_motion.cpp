@@ -7,12 +7,12 @@
 namespace surg {
 namespace {
 
-constexpr double kStandstill = 0.05;  // alpha below it: the limit has stopped the arm
-constexpr double kMostLead = 0.5;  // of the flange's speed: the follower may not stop the reference
-constexpr double kOntoPivot = 8;   // [1/s] pole with which a start off the pivot comes onto it
-constexpr double kHorizon = 0.45;  // [s] of the set-point's clock that is looked ahead
-constexpr double kRetraceRate = 0.15;  // [rad/s] of the fastest joint
-constexpr double kStill = 1e-3;        // [rad, rad/s] nothing that anybody would see
+constexpr double kStandstillScale = 0.05;  // alpha below it counts as stopped by a limit
+constexpr double kMaxFlangeLead = 0.5;  // of the flange's speed, so that the reference still moves
+constexpr double kPivotOffsetPole = 8;  // [1/s] pole of the convergence to the pivot after a start
+constexpr double kHorizon = 0.45;       // [s] of look-ahead on the set-point's clock
+constexpr double kRetraceRate = 0.15;   // [rad/s] of the fastest joint
+constexpr double kNegligible = 1e-3;    // [rad, rad/s]
 
 }  // namespace
 
@@ -23,13 +23,13 @@ void Controller::Impl::move() {
   out.limited_by = "";
   out.tier = 0;
   out.v_set.setZero();
-  Setpoint& setpoint = pilot.setpoint();
+  Setpoint& setpoint = handler.setpoint();
   setpoint.elapse(T);
-  if (!sensed || !trocar.taught() || !operating.homed()) {
-    // Geometry unknown: a ramp through the law would be blind (F02, F10), and so would be going
-    // on with one when the state comes back.
-    freeze();
-  } else if (!halted && (enabled() || ramping())) {
+  if (!state_known || !trocar.taught() || !operating.homed()) {
+    // The geometry is unknown (F02, F10): a ramp through the law would be blind, also when the
+    // state returns.
+    halt();
+  } else if (!halted && (enabled() || is_moving())) {
     moving = true;
     setpoint.yield_to(X_BR.linear().transpose() * force.push());
     Setpoint next = setpoint;
@@ -40,25 +40,25 @@ void Controller::Impl::move() {
     out.tier = step.tier;
     if (step.held && enabled()) out.reason = Reason::kUnreachable;
     const Vector3 p_before = setpoint.p_RTip();
-    if (!replaying) advance_setpoint(step, next);  // else it has gone along
+    if (!retrace_active) advance_setpoint(step, next);  // a retrace has moved it already
     if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
     out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
   } else if (!halted) {
     moving = true;
     qd = fading_command();
   }
-  command(qd, moving);
+  output_command(qd, moving);
 }
 
-/// The set-point's clock runs as fast as the arm may follow. 'next' is a whole cycle on.
+/// Advances the set-point's clock as far as the arm can follow. 'next' is one whole cycle later.
 void Controller::Impl::advance_setpoint(const Step& step, const Setpoint& next) {
-  Setpoint& setpoint = pilot.setpoint();
+  Setpoint& setpoint = handler.setpoint();
   if ((step.tier > 0 && setpoint.has_no_path()) ||
       (step.alpha < 1 && setpoint.mode() == Setpoint::Mode::kStopping)) {
     setpoint = next;
-    slip(step.qd);
-  } else if (step.alpha < kStandstill) {
-    setpoint.stand();
+    resync_setpoint(step.qd);
+  } else if (step.alpha < kStandstillScale) {
+    setpoint.restart_from_rest();
   } else if (step.alpha < 1) {
     setpoint.advance(step.alpha * T);
   } else {
@@ -66,111 +66,112 @@ void Controller::Impl::advance_setpoint(const Step& step, const Setpoint& next) 
   }
 }
 
-/// The last statement before the wire.
-void Controller::Impl::command(JointVector qd, bool moving) {
+/// The last check before a command leaves the controller.
+void Controller::Impl::output_command(JointVector qd, bool moving) {
   Vector6 twist = Vector6::Zero();
-  if (moving) twist = arm.ahead().J * qd;
+  if (moving) twist = arm.predicted().J * qd;
   if (!qd.allFinite() || !twist.allFinite()) {
     fault(Reason::kNotFinite);
-    freeze();
+    halt();
     qd.setZero();
     twist.setZero();
   }
   qd_last = qd;
-  arm.remember(qd);
+  arm.record_command(qd);
   out.qd_command = qd;
   out.twist_command = twist;
 }
 
 Step Controller::Impl::next_step(const Setpoint& next, JointVector& qd) {
-  if (pilot.retracing() && pilot.setpoint().mode() == Setpoint::Mode::kRest) {
+  if (handler.retracing() && handler.setpoint().mode() == Setpoint::Mode::kRest) {
     return retrace_step(qd);
   }
-  end_replay();
-  trace.record(law == Law::kExact ? follower.reference() : arm.now().q);
+  end_retrace_step();
+  trace.record(law == Law::kExact ? follower.reference() : arm.measured().q);
   return law == Law::kExact ? exact_step(next, qd) : velocity_step(next, qd);
 }
 
-void Controller::Impl::end_replay() {
-  trace.shorten(back);
-  back = 0;
-  replaying = false;
+void Controller::Impl::end_retrace_step() {
+  trace.shorten(retraced);
+  retraced = 0;
+  retrace_active = false;
 }
 
 Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
   // Critically damped: no jump in velocity at the start.
-  const Vector3 pull = -kOntoPivot * (kOntoPivot * pivot_offset + 2 * pivot_offset_rate);
+  const Vector3 pull =
+      -kPivotOffsetPole * (kPivotOffsetPole * pivot_offset + 2 * pivot_offset_rate);
   pivot_offset_rate += T * pull;
   pivot_offset += T * pivot_offset_rate;
   const auto path = [&](double t) { return goal_at(next, t); };
-  Wish wish;
-  wish.path = PathView(path);
-  wish.horizon = horizon();
-  wish.v_BRcm = trocar.v_B() + pivot_offset_rate;
-  wish.posture = posture_at(follower.reference());
-  wish.flange_lead = flange_lead();
+  StepRequest request;
+  request.path = PathView(path);
+  request.horizon = horizon();
+  request.v_BRcm = trocar.v_B() + pivot_offset_rate;
+  request.posture = posture_at(follower.reference());
+  request.flange_lead = flange_lead();
   const Home home{arm.s_home(), arm.R_home()};
-  const Step step = limited.exact(follower.reference(), follower.velocity(), home, wish);
-  qd = follower.advance(T * step.qd, arm.now().q, arm.now().J, trust());
+  const Step step = limited.exact(follower.reference(), follower.velocity(), home, request);
+  qd = follower.advance(T * step.qd, arm.measured().q, arm.measured().J, feedback_scale());
   return step;
 }
 
 Step Controller::Impl::velocity_step(const Setpoint& next, JointVector& qd) const {
-  const TwistWish wished = wish_for(next);
+  const TwistParts wished = twist_for(next);
   const auto path = [&](double t) { return goal_at(next, t); };
-  Wish wish;
-  wish.feedback = wished.feedback;
-  wish.forward = wished.path;
-  wish.posture = posture_at(arm.now().q);
-  if (law == Law::kVelocity && gains.rcm > 0) {  // an open loop is not where its path is
-    wish.path = PathView(path);
-    wish.horizon = horizon();
+  StepRequest request;
+  request.feedback = wished.feedback;
+  request.forward = wished.path;
+  request.posture = posture_at(arm.measured().q);
+  if (law == Law::kVelocity && gains.rcm > 0) {  // an open loop leaves its path
+    request.path = PathView(path);
+    request.horizon = horizon();
   }
   const Home home{arm.s_home(), arm.R_home()};
-  const Step step = limited.velocity(arm.ahead().q, qd_last, home, trocar.p_B(), wish);
+  const Step step = limited.velocity(arm.predicted().q, qd_last, home, trocar.p_B(), request);
   qd = step.qd;
   return step;
 }
 
 Step Controller::Impl::retrace_step(JointVector& qd) {
-  // Joints are replayed, so a reference is followed whatever the law: the replay's way onto the
-  // pivot takes one cycle, and from the state of an arm that answers late it would swing.
-  if (!replaying && law != Law::kExact) follower.reset(arm.now().q, qd_last);
-  replaying = true;
+  // A retrace follows a reference under every law: it converges to the pivot in one cycle, which
+  // would overshoot from the measured state of an arm with lag.
+  if (!retrace_active && law != Law::kExact) follower.reset(arm.measured().q, qd_last);
+  retrace_active = true;
   const JointVector q = follower.reference();
-  const Step step = limited.retrace(q, follower.velocity(), trace, back, kRetraceRate, trocar.p_B(),
-                                    flange_lead());
-  qd = follower.advance(T * step.qd, arm.now().q, arm.now().J, trust());
-  back += step.alpha * kRetraceRate * T;
+  const Step step = limited.retrace(q, follower.velocity(), trace, retraced, kRetraceRate,
+                                    trocar.p_B(), flange_lead());
+  qd = follower.advance(T * step.qd, arm.measured().q, arm.measured().J, feedback_scale());
+  retraced += step.alpha * kRetraceRate * T;
   const Pose X_BF = arm.chain().forward(JointVector(q + T * step.qd));
   const Vector3 s_B = X_BF.linear() * arm.tool().s_F;
   const double turn = absolute_roll(X_BF.linear(), arm.R_home(), arm.s_home(), s_B);
-  const double roll = pilot.setpoint().roll();
-  pilot.setpoint().reset(X_BR.inverse() * (X_BF * arm.tool().p_FTip),
-                         X_BR.linear().transpose() * s_B, roll + wrapped(turn - roll));
-  const bool arrived = back >= trace.length() && step.qd.cwiseAbs().maxCoeff() < kStill;
+  const double roll = handler.setpoint().roll();
+  handler.setpoint().reset(X_BR.inverse() * (X_BF * arm.tool().p_FTip),
+                           X_BR.linear().transpose() * s_B, roll + wrapped(turn - roll));
+  const bool arrived = retraced >= trace.length() && step.qd.cwiseAbs().maxCoeff() < kNegligible;
   if (trace.empty() || arrived) {
-    if (back < kStill) out.reason = Reason::kNoTrace;
-    pilot.end_retrace();
+    if (retraced < kNegligible) out.reason = Reason::kNoTrace;
+    handler.end_retrace();
     trace.clear();
-    back = 0;
+    retraced = 0;
   }
   return step;
 }
 
-TwistWish Controller::Impl::wish_for(const Setpoint& next) const {
-  const Setpoint& setpoint = pilot.setpoint();
-  if (law == Law::kPaper) return paper_wish(arm, setpoint, next, X_BR, limits, T);
-  const double share = trust();
+TwistParts Controller::Impl::twist_for(const Setpoint& next) const {
+  const Setpoint& setpoint = handler.setpoint();
+  if (law == Law::kPaper) return paper_twist(arm, setpoint, next, X_BR, limits, T);
+  const double share = feedback_scale();
   const Gains left{share * gains.rcm, share * gains.tip, share * gains.roll};
-  return setpoint.axial() ? axial_wish(arm, setpoint, next, X_BR, trocar.v_B(), left, T)
-                          : velocity_wish(arm, setpoint, next, X_BR, trocar.v_B(), left,
-                                          force.push(), limits, T);
+  return setpoint.axial() ? axial_twist(arm, setpoint, next, X_BR, trocar.v_B(), left, T)
+                          : velocity_twist(arm, setpoint, next, X_BR, trocar.v_B(), left,
+                                           force.push(), limits, T);
 }
 
 ShaftGoal Controller::Impl::goal_at(const Setpoint& next, double t) const {
-  const Setpoint& setpoint = pilot.setpoint();
-  const Setpoint::Place there = t < T ? setpoint.after(t) : next.foreseen(t - T);
+  const Setpoint& setpoint = handler.setpoint();
+  const Setpoint::TipAndRoll there = t < T ? setpoint.after(t) : next.predict(t - T);
   const double arrives = T + (law == Law::kExact ? follower.delay() : 0.0);
   const Vector3 p_BRcm = trocar.p_B() + arrives * trocar.v_B() + pivot_offset;
   const Vector3 p_B = X_BR * there.p_RTip;
@@ -180,29 +181,29 @@ ShaftGoal Controller::Impl::goal_at(const Setpoint& next, double t) const {
 }
 
 double Controller::Impl::horizon() const {
-  return pilot.setpoint().mode() == Setpoint::Mode::kStream ? 0.0 : kHorizon;
+  return handler.setpoint().mode() == Setpoint::Mode::kStream ? 0.0 : kHorizon;
 }
 
 JointVector Controller::Impl::posture_at(const JointVector& q) const {
   return robot.tuning.posture_gain * (robot.home - q);
 }
 
-void Controller::Impl::slip(const JointVector& qd) {
+void Controller::Impl::resync_setpoint(const JointVector& qd) {
   Pose X_BF;
   Jacobian J;
   arm.chain().forward(
-      law == Law::kExact ? follower.reference() : JointVector(arm.ahead().q + T * qd), X_BF, J);
+      law == Law::kExact ? follower.reference() : JointVector(arm.predicted().q + T * qd), X_BF, J);
   const Vector3 p_BTip = X_BF * arm.tool().p_FTip;
   const Vector6 twist = J * qd;
   const Vector3 v_BTip =
       twist.head<3>() + Vector3(twist.tail<3>()).cross(Vector3(p_BTip - X_BF.translation()));
-  pilot.setpoint().slip(X_BR.inverse() * p_BTip, X_BR.linear().transpose() * v_BTip);
+  handler.setpoint().resync(X_BR.inverse() * p_BTip, X_BR.linear().transpose() * v_BTip);
 }
 
 double Controller::Impl::flange_lead() const {
-  const Jacobian& J = arm.now().J;
+  const Jacobian& J = arm.measured().J;
   const double lead = (J * qd_last).head<3>().norm() - (J * follower.velocity()).head<3>().norm();
-  return std::clamp(lead, 0.0, kMostLead * limits.flange_velocity);
+  return std::clamp(lead, 0.0, kMaxFlangeLead * limits.flange_velocity);
 }
 
 JointVector Controller::Impl::fading_command() const {

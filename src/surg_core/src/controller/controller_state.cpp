@@ -6,57 +6,60 @@
 namespace surg {
 namespace {
 
-constexpr double kOutside = 0.15;   // [m] a tip may be above its trocar before 'insert'
-constexpr double kCreep = 5e-3;     // [rad/s] may be dropped in one cycle
-constexpr double kSame = 0.02;      // [rad] an arm at rest is still where it was
-constexpr int kHomeBusyCycles = 5;  // is_busy needs an edge that a client can see
+constexpr double kMaxHeight = 0.15;     // [m] of a tip above its trocar before 'insert'
+constexpr double kRestVelocity = 5e-3;  // [rad/s] small enough to drop in one cycle
+constexpr double kSamePosture = 0.02;   // [rad] an arm at rest has not been moved
+constexpr int kHomeBusyCycles = 5;      // so that a client sees an edge of is_busy
 
 }  // namespace
 
 Conditions Controller::Impl::conditions() const {
   Conditions now;
-  now.state = sensed ? Reason::kNone : unseen;
-  if (trocar.taught()) now.rcm = untracked;
-  if (now.rcm == Reason::kNone && (torn() || !on_line() || shaft().depth <= -kOutside)) {
+  now.state = state_known ? Reason::kNone : state_reason;
+  if (trocar.taught()) now.rcm = track_reason;
+  if (now.rcm == Reason::kNone &&
+      (stopping_off_pivot() || !shaft_through_trocar() || shaft().depth <= -kMaxHeight)) {
     now.rcm = Reason::kRcmError;
   }
   now.force_ok = force.acceptable();
   return now;
 }
 
-bool Controller::Impl::torn() const {
-  return operating.state() == State::kFault && operating.reason() == Reason::kRcmError && ramping();
+bool Controller::Impl::stopping_off_pivot() const {
+  return operating.state() == State::kFault && operating.reason() == Reason::kRcmError &&
+         is_moving();
 }
 
-bool Controller::Impl::on_line() const {
+bool Controller::Impl::shaft_through_trocar() const {
   return shaft().e.norm() <= limits.rcm_error_fault && shaft().depth < arm.shaft_length();
 }
 
-Whereabouts Controller::Impl::whereabouts() const {
-  return {X_BR.inverse() * shaft().p_BTip, X_BR.linear().transpose() * shaft().s, arm.now().roll};
+TipPose Controller::Impl::tip_pose() const {
+  return {X_BR.inverse() * shaft().p_BTip, X_BR.linear().transpose() * shaft().s,
+          arm.measured().roll};
 }
 
 Reason Controller::Impl::request(StateCommand command) {
   const State before = operating.state();
-  // Clients home as a habit: on a homed arm that may be moving it changes nothing.
+  // Many clients send 'home' by default; on a homed, possibly moving arm it has no effect.
   const bool keep_home =
       command == StateCommand::kHome && operating.homed() && before == State::kEnabled;
-  // A ramp that is under way goes on: dropped, its velocity would be gone in one cycle.
-  const bool moving = ramping();
+  // A ramp in progress continues: dropping it would change the velocity in one cycle.
+  const bool moving = is_moving();
   if (command == StateCommand::kHome && !keep_home && moving) return Reason::kNotAtRest;
   const Reason reason = operating.request(command, conditions());
   if (reason != Reason::kNone) return reason;
   if (command == StateCommand::kHome) {
     home_busy = kHomeBusyCycles;
-    if (!keep_home) take_home();
+    if (!keep_home) set_home();
   }
-  if (before == State::kEnabled && !enabled()) leave_enabled();
+  if (before == State::kEnabled && !enabled()) stop_motion();
   if (before != State::kEnabled && enabled()) {
     if (moving) {
-      pilot.stop();
+      handler.stop();
       force.restart();
     } else {
-      start_here();
+      start_at_rest();
     }
   }
   return Reason::kNone;
@@ -69,59 +72,60 @@ Reason Controller::Impl::set_rcm(const Vector3& p_BRcm) {
   trocar.teach(p_BRcm);
   X_BR.translation() = p_BRcm;
   operating.request(StateCommand::kUnhome, {});  // the rcm frame has changed
-  if (sensed) arm.look_again(trocar);
+  if (state_known) arm.update_trocar(trocar);
   return Reason::kNone;
 }
 
-bool Controller::Impl::ramping() const {
-  const bool known = sensed && !halted && operating.homed();
-  return known && (pilot.setpoint().mode() != Setpoint::Mode::kRest || !commands_rest());
+bool Controller::Impl::is_moving() const {
+  const bool known = state_known && !halted && operating.homed();
+  return known && (handler.setpoint().mode() != Setpoint::Mode::kRest || !reference_at_rest());
 }
 
-bool Controller::Impl::commands_rest() const {
+bool Controller::Impl::reference_at_rest() const {
   const JointVector& qd = law == Law::kExact ? follower.velocity() : qd_last;
-  return qd.cwiseAbs().maxCoeff() < kCreep;
+  return qd.cwiseAbs().maxCoeff() < kRestVelocity;
 }
 
-void Controller::Impl::take_home() {
-  arm.take_home();
+void Controller::Impl::set_home() {
+  arm.set_home();
   X_BR = rcm_frame(shaft().s, trocar.p_BTaught());
   trace.clear();
-  start_here();
+  start_at_rest();
 }
 
-void Controller::Impl::start_here() {
-  pilot.start(whereabouts());
+void Controller::Impl::start_at_rest() {
+  handler.start(tip_pose());
   halted = false;
-  follower.reset(arm.now().q, qd_last);
-  end_replay();
-  const bool moved = !trace.empty() && (trace.at(0) - arm.now().q).cwiseAbs().maxCoeff() > kSame;
-  if (moved) trace.clear();  // by hand: the way back begins elsewhere
+  follower.reset(arm.measured().q, qd_last);
+  end_retrace_step();
+  const bool moved =
+      !trace.empty() && (trace.at(0) - arm.measured().q).cwiseAbs().maxCoeff() > kSamePosture;
+  if (moved) trace.clear();  // moved by hand: start a new trace
   pivot_offset = -shaft().e;
   pivot_offset_rate.setZero();
   force.restart();
   inserted = shaft().depth >= limits.depth_min;
 }
 
-void Controller::Impl::leave_enabled() {
-  pilot.stop();
+void Controller::Impl::stop_motion() {
+  handler.stop();
   jaw.hold();
 }
 
 void Controller::Impl::fault(Reason reason) {
   operating.fault(reason);
-  leave_enabled();
+  stop_motion();
 }
 
 void Controller::Impl::pause(Reason reason) {
   if (!enabled()) return;
   operating.pause(reason);
-  leave_enabled();
+  stop_motion();
 }
 
-void Controller::Impl::freeze() {
+void Controller::Impl::halt() {
   halted = true;
-  Setpoint& setpoint = pilot.setpoint();
+  Setpoint& setpoint = handler.setpoint();
   setpoint.reset(setpoint.p_RTip(), setpoint.s_R(), setpoint.roll());
 }
 

@@ -1,4 +1,4 @@
-// One Jacobian, inverted once for several displacements of the flange.
+// Inverts a Jacobian once for several displacements of the flange.
 #pragma once
 
 #include <array>
@@ -8,8 +8,8 @@
 
 namespace surg {
 
-/// The inverse of one Jacobian for several displacements: as 'inverse_velocity', which solves for
-/// one at a time and is a third of the cost of a look ahead that way.
+/// Inverse of one Jacobian for several displacements. 'inverse_velocity' solves for one at a time;
+/// used in the look-ahead it would take a third of its cost.
 class Inverse {
  public:
   /// J must outlive the inverse.

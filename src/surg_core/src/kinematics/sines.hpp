@@ -1,5 +1,5 @@
-// Sines and cosines of a chain's joints, side by side: computed one after another they
-// are half of the time of the kinematics.
+// Sines and cosines of all joints at once: computed one by one they take half of the time of the
+// kinematics.
 #pragma once
 
 #include <cmath>

@@ -54,6 +54,25 @@ const char* refusal(const std::array<Line, 6>& axes) {
   return nullptr;
 }
 
+/// Angles of two links in a plane from the vertical, and the sine of the angle between them.
+struct PlaneAngles {
+  double first, second, sine;
+};
+
+/// Links of lengths 'upper' and 'fore' that reach (x, z); nothing where the point is out of reach.
+std::optional<PlaneAngles> two_links(double upper, double fore, double x, double z, bool elbow) {
+  const double distance2 = x * x + z * z;
+  const double sum = upper + fore, difference = upper - fore;
+  const double room = (sum * sum - distance2) * (distance2 - difference * difference);
+  if (!(room >= 0)) return std::nullopt;
+  const double scale = 1.0 / (2 * upper * fore);
+  const double s3 = (elbow ? 1 : -1) * scale * std::sqrt(room);
+  const double c3 = scale * (distance2 - upper * upper - fore * fore);
+  const double along = upper + fore * c3, across = fore * s3;  // the wrist from the upper link
+  const double first = std::atan2(x * along - z * across, z * along + x * across);
+  return PlaneAngles{first, first + std::atan2(s3, c3), s3};
+}
+
 }  // namespace
 
 std::optional<UrInverse> UrInverse::of(const Chain& chain, std::string* why) {
@@ -149,23 +168,15 @@ UrSolution UrInverse::solve(const Pose& X_BF, const UrBranch& branch,
   const Vector3 a5_B = X_KB_.linear().transpose() * Vector3(c1 * a5_x, s1 * a5_x, a5_z);
   const Vector3 a5_F = X_BF.linear().transpose() * a5_B;
 
-  // Joints 2 and 3: two links in a plane.
-  const double p_x = reach - d5_ * a5_x, p_z = w.z() - d5_ * a5_z;
-  const double distance2 = p_x * p_x + p_z * p_z;
-  const double sum = upper_ + fore_, difference = upper_ - fore_;
-  const double room = (sum * sum - distance2) * (distance2 - difference * difference);
-  if (!(room >= 0)) {
+  const std::optional<PlaneAngles> plane =
+      two_links(upper_, fore_, reach - d5_ * a5_x, w.z() - d5_ * a5_z, branch.elbow);
+  if (!plane) {
     solution.unreachable = "elbow";
     return solution;
   }
-  const double scale = 1.0 / (2 * upper_ * fore_);
-  const double s3 = (branch.elbow ? 1 : -1) * scale * std::sqrt(room);
-  const double c3 = scale * (distance2 - upper_ * upper_ - fore_ * fore_);
-  solution.elbow = s3;
-  const double along = upper_ + fore_ * c3, across = fore_ * s3;  // the wrist from the upper link
-  const double angle2 = std::atan2(p_x * along - p_z * across, p_z * along + p_x * across);
-  const double turn2 = angle2 - phase2_;
-  const double turn3 = angle2 + std::atan2(s3, c3) - phase3_;
+  solution.elbow = plane->sine;
+  const double turn2 = plane->first - phase2_;
+  const double turn3 = plane->second - phase3_;
   const double turn4 = std::atan2(a5_x, a5_z) - phase_a5_;
 
   const JointVector& r = near;

@@ -8,15 +8,16 @@
 namespace surg {
 namespace {
 
-constexpr double kMostLag = 3;       // learnt lag over stated lag
-constexpr double kQuietPhi = 0.003;  // [rad/s] below it an error says little about the lag
-constexpr double kTeaches = 0.7;     // trust below which an error may be the state's age
+constexpr double kMaxLagRatio = 3;   // estimated over stated lag
+constexpr double kPhiFloor = 0.003;  // [rad/s] regularises the gradient step
+constexpr double kAdaptAbove =
+    0.7;  // feedback_scale below which the error may be due to late states
 
 }  // namespace
 
 ExactFollower::ExactFollower(int joints, const Options& options)
     : options_(options), lag_(JointVector::Constant(joints, options.lag)) {
-  n_late_ = std::clamp(static_cast<int>(std::lround(options_.lag / options_.T)), 0, kPast - 1);
+  n_late_ = std::clamp(static_cast<int>(std::lround(options_.lag / options_.T)), 0, kHistory - 1);
   reset(JointVector::Zero(joints));
 }
 
@@ -26,18 +27,18 @@ void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
   qd_last_ = qd.size() == q.size() ? qd : JointVector(JointVector::Zero(q.size()));
   correction_ = qd_last_;
   phi_.setZero(q.size());
-  past_.fill({q, JointVector::Zero(q.size())});
+  history_.fill({q, JointVector::Zero(q.size())});
   newest_ = 0;
 }
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J,
-                                   double trust) {
-  const double gain = trust * options_.gain;
+                                   double feedback_scale) {
+  const double gain = feedback_scale * options_.gain;
   const JointVector v = dq / options_.T;
   const JointVector a = (v - v_last_) / options_.T;
-  newest_ = (newest_ + 1) % kPast;
-  past_[newest_] = {q_ref_, a};
-  const JointVector error = late().q - q;
+  newest_ = (newest_ + 1) % kHistory;
+  history_[newest_] = {q_ref_, a};
+  const JointVector error = delayed_reference().q - q;
   JointVector change(q.size());
   bool linear = true;
   for (Eigen::Index i = 0; i < q.size(); ++i) {
@@ -45,11 +46,11 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
     linear = linear && pull == gain * error[i];
     change[i] = (lag_[i] - delay()) * a[i] + pull - correction_[i];
   }
-  const double share = room(v + correction_, change);
+  const double share = largest_share(v + correction_, change);
   correction_ += share * change;
-  phi_ += options_.T * (late().a - gain * phi_);
-  // An error that the limits or old states have left says nothing about the lags.
-  if (linear && share == 1 && trust > kTeaches) learn(error);
+  phi_ += options_.T * (delayed_reference().a - gain * phi_);
+  // Limits or late states also cause errors; those do not depend on the lags.
+  if (linear && share == 1 && feedback_scale > kAdaptAbove) adapt_lags(error);
   q_ref_ += dq;
   v_last_ = v;
   qd_last_ = within_limits(v + correction_, J);
@@ -65,7 +66,7 @@ double ExactFollower::feedback(Eigen::Index i, double error, double gain) const 
 }
 
 /// The largest share of 'change' that the limits leave to all joints.
-double ExactFollower::room(const JointVector& from, const JointVector& change) const {
+double ExactFollower::largest_share(const JointVector& from, const JointVector& change) const {
   double share = 1;
   const auto keep = [&](double at, double step, double low, double high) {
     if (step > 0) share = std::min(share, (high - at) / step);
@@ -81,7 +82,7 @@ double ExactFollower::room(const JointVector& from, const JointVector& change) c
   return std::max(share, 0.0);
 }
 
-/// The last word: a reference that leaves no room does not break a limit either.
+/// Applies the limits to the final command, in case the reference leaves no room.
 JointVector ExactFollower::within_limits(JointVector qd, const Jacobian& J) const {
   for (Eigen::Index i = 0; i < options_.velocity.size(); ++i) {
     qd[i] = std::clamp(qd[i], -options_.velocity[i], options_.velocity[i]);
@@ -97,18 +98,18 @@ JointVector ExactFollower::within_limits(JointVector qd, const Jacobian& J) cons
   return qd;
 }
 
-void ExactFollower::learn(const JointVector& error) {
+void ExactFollower::adapt_lags(const JointVector& error) {
   for (Eigen::Index i = 0; i < lag_.size(); ++i) {
-    const double step = error[i] * phi_[i] / (phi_[i] * phi_[i] + kQuietPhi * kQuietPhi);
-    // Written so that what is not finite leaves the lag as it was.
+    const double step = error[i] * phi_[i] / (phi_[i] * phi_[i] + kPhiFloor * kPhiFloor);
+    // A value that is not finite leaves the lag unchanged.
     const double moved = lag_[i] + options_.learning * options_.T * step;
-    if (moved > 0 && moved < kMostLag * options_.lag) lag_[i] = moved;
+    if (moved > 0 && moved < kMaxLagRatio * options_.lag) lag_[i] = moved;
   }
 }
 
-double ExactFollower::behind(const JointVector& q) const {
+double ExactFollower::tracking_error(const JointVector& q) const {
   const JointVector& then =
-      n_late_ == 0 ? q_ref_ : past_[(newest_ + kPast - n_late_ + 1) % kPast].q;
+      n_late_ == 0 ? q_ref_ : history_[(newest_ + kHistory - n_late_ + 1) % kHistory].q;
   return (then - q).cwiseAbs().maxCoeff();
 }
 

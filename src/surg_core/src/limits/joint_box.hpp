@@ -1,5 +1,5 @@
-// What the limits leave to each joint in one cycle, and what they leave of alpha: velocity,
-// acceleration, and the distance in which a joint can still brake before its position limit.
+// Joint velocities and alphas that the limits allow in one cycle: velocity, acceleration, and
+// braking distance before a position limit.
 #pragma once
 
 #include <array>
@@ -9,9 +9,9 @@
 
 namespace surg {
 
-/// Fastest speed towards a position limit that a joint may have 'distance' [rad] before it, braking
-/// with a [rad/s^2] at most. One that brakes as hard as it may right at its limit is overtaken by
-/// an arm that answers late; inside the margin [rad] it comes in gently.
+/// Maximum speed towards a position limit at 'distance' [rad], braking with at most a [rad/s^2].
+/// Inside the margin [rad] the joint approaches gently: an arm with lag would pass a limit if the
+/// joint braked at full deceleration right before it.
 double approach_speed(double distance, double a, double margin, double T);
 
 /// The alphas that the joints allow, with the reason for the upper end.

@@ -82,12 +82,12 @@ JointVector LimitedStep::Law::gentle(const JointVector& posture) const {
 // --- the exact form ---------------------------------------------------------------------------
 
 LimitedStep::ExactLaw::ExactLaw(const LimitedStep& self, const Here& here, const Home& home,
-                                const Wish& wish)
-    : Law(self, here), home_(home), wish_(wish), still_(JointVector::Zero(here.q.size())) {
-  ShaftGoal goal = wish.path(0);
-  if (!wish.v_BRcm.isZero(0)) {  // the trocar is still where it was
+                                const StepRequest& request)
+    : Law(self, here), home_(home), request_(request), still_(JointVector::Zero(here.q.size())) {
+  ShaftGoal goal = request.path(0);
+  if (!request.v_BRcm.isZero(0)) {  // the trocar is still where it was
     const Vector3 p_BTip = goal.p_BTip();
-    goal.p_BRcm -= self.T_ * wish.v_BRcm;
+    goal.p_BRcm -= self.T_ * request.v_BRcm;
     if (goal.depth > kPivotTurns) goal = tip_goal(goal.p_BRcm, p_BTip, goal.roll, goal.s_B);
   }
   measure_displacement(goal);
@@ -112,7 +112,7 @@ void LimitedStep::ExactLaw::measure_displacement(const ShaftGoal& goal) {
 LimitedStep::Affine LimitedStep::ExactLaw::affine() const {
   const double T = self_.T_;
   Affine a;
-  const JointVector posture = T * gentle(wish_.posture);
+  const JointVector posture = T * gentle(request_.posture);
   const bool pulled = posture.squaredNorm() > 0;
   const Inverse inverse(here_.J);
   const auto to = [&](double t) { return displacement(here_.X_BF, pose(t, keep_)); };
@@ -154,7 +154,7 @@ bool LimitedStep::ExactLaw::node(double t, const JointVector& guess, double arc,
 
 /// The path's pose at t, displaced by the share 'keep' of what the arm is off it now.
 Pose LimitedStep::ExactLaw::pose(double t, double keep) const {
-  ShaftGoal goal = wish_.path(t);
+  ShaftGoal goal = request_.path(t);
   if (returning_ && keep > 0) {
     const Vector3 swing = keep * off_swing_;
     const double angle = swing.norm();
@@ -173,11 +173,11 @@ Pose LimitedStep::ExactLaw::pose(double t, double keep) const {
 LimitedStep::Affine LimitedStep::VelocityLaw::affine() const {
   Affine a;
   const JointVector none = JointVector::Zero(here_.q.size());
-  const JointVector posture = gentle(wish_.posture);
+  const JointVector posture = gentle(request_.posture);
   const Inverse inverse(here_.J);
   a.regular = inverse.regular();
-  a.qd0 = inverse(wish_.feedback, posture);
-  a.qd1 = a.tangent = inverse(wish_.forward, none);
+  a.qd0 = inverse(request_.feedback, posture);
+  a.qd1 = a.tangent = inverse(request_.forward, none);
   a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
   // Lateral velocity that the pivot needs; the rest of the feedback may wait.
   Vector6 pivot = Vector6::Zero();
@@ -203,15 +203,15 @@ RcmRows LimitedStep::VelocityLaw::rows(const JointVector& qd) const {
 
 bool LimitedStep::VelocityLaw::node(double t, const JointVector& guess, double arc,
                                     Node& node) const {
-  if (!wish_.path) return false;
-  return pose_node(guess, pose_on_pivot(home_, self_.tool_, wish_.path(t)),
-                   pose_on_pivot(home_, self_.tool_, wish_.path(t + kTwistSpacing)), arc, node);
+  if (!request_.path) return false;
+  return pose_node(guess, pose_on_pivot(home_, self_.tool_, request_.path(t)),
+                   pose_on_pivot(home_, self_.tool_, request_.path(t + kTwistSpacing)), arc, node);
 }
 
 /// Velocity that the feedback gives the shaft's point at the pivot.
 Vector3 LimitedStep::VelocityLaw::feedback_at_pivot() const {
-  return wish_.feedback.head<3>() +
-         Vector3(wish_.feedback.tail<3>()).cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
+  return request_.feedback.head<3>() + Vector3(request_.feedback.tail<3>())
+                                           .cross(Vector3(here_.shaft.p_BNear - here_.shaft.p_BF));
 }
 
 // --- back along the trace ---------------------------------------------------------------------

@@ -1,5 +1,5 @@
-// What a limited step needs to know of a law: where its path leads the joints. Three laws: the
-// exact form, the velocity form, and the recorded trace backwards.
+// The laws as a limited step sees them: how alpha moves the joints. Three laws: exact form,
+// velocity form, and the recorded trace backwards.
 #pragma once
 
 #include <algorithm>
@@ -23,7 +23,7 @@ struct LimitedStep::Here {
   double flange_velocity = 0;  ///< [m/s] what there is of the limit
 };
 
-/// q_dot(alpha) to first order. 'back' is the part of the correction that may wait.
+/// q_dot(alpha) to first order. 'back' is the part of the correction that may be delayed.
 struct LimitedStep::Affine {
   JointVector qd0, qd1;
   JointVector tangent;  ///< d q / d clock at the beginning
@@ -32,8 +32,9 @@ struct LimitedStep::Affine {
   bool moves = false;      ///< the path is not at rest
   bool regular = true;     ///< J could be inverted
 
-  /// The clock speed that the arm's momentum suggests. qd1 is the path's secant over that much of
-  /// the cycle: the one over all of it misses a bent path by more than the joints can brake.
+  /// Clock rate expected from the arm's momentum. qd1 is the secant of the path over that part of
+  /// the cycle: the secant over the whole cycle would miss a curved path by more than the joints
+  /// can brake.
   double expected(const JointVector& qd_last, double T) const;
 };
 
@@ -44,7 +45,7 @@ struct LimitedStep::Node {
   double flange = 0;  ///< [m/s] speed of its origin at full clock
 };
 
-/// The largest alpha that something allows, and its name.
+/// The largest allowed alpha, and the limit that sets it.
 struct LimitedStep::Cap {
   double alpha = 1;
   const char* by = "";
@@ -63,8 +64,8 @@ class LimitedStep::Law {
   virtual ~Law() = default;
 
   virtual Affine affine() const = 0;
-  /// The step without linearisation, near the linear one qd. beta: how much of the way back to the
-  /// path is taken.
+  /// The step without linearisation, near the linear one qd. beta: share of the way back to the
+  /// path.
   virtual JointVector finish(double alpha, double beta, const JointVector& qd) const = 0;
   /// Rows of the pivot at the end of a cycle with qd: J qd' = J qd + e puts it on the trocar.
   virtual RcmRows rows(const JointVector& qd) const = 0;
@@ -74,7 +75,7 @@ class LimitedStep::Law {
   /// The path at t [s] of the clock, near the joints 'guess', 'arc' [rad] from the node before;
   /// false where it cannot be followed.
   virtual bool node(double t, const JointVector& guess, double arc, Node& node) const = 0;
-  /// A singularity stops the law: the barrier counts.
+  /// Whether the singularity barrier applies.
   virtual bool has_barrier() const { return true; }
 
  protected:
@@ -92,13 +93,13 @@ class LimitedStep::Law {
 /// The exact form: joints of a pose that is on the constraint by construction.
 class LimitedStep::ExactLaw : public Law {
  public:
-  ExactLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish);
+  ExactLaw(const LimitedStep& self, const Here& here, const Home& home, const StepRequest& request);
 
   Affine affine() const override;
   JointVector finish(double alpha, double beta, const JointVector& qd) const override;
   RcmRows rows(const JointVector& qd) const override { return rows_after(qd, p_BRcm()); }
-  Vector3 p_BRcm() const override { return wish_.path(0).p_BRcm; }
-  double horizon() const override { return wish_.path ? wish_.horizon : 0.0; }
+  Vector3 p_BRcm() const override { return request_.path(0).p_BRcm; }
+  double horizon() const override { return request_.path ? request_.horizon : 0.0; }
   bool node(double t, const JointVector& guess, double arc, Node& node) const override;
 
  private:
@@ -106,7 +107,7 @@ class LimitedStep::ExactLaw : public Law {
   Pose pose(double t, double keep) const;
 
   const Home& home_;
-  const Wish& wish_;
+  const StepRequest& request_;
   JointVector still_;
   Vector3 off_swing_;  ///< the tip's displacement off its path: of the shaft, as rotation vector
   double off_depth_ = 0, off_roll_ = 0;
@@ -117,21 +118,22 @@ class LimitedStep::ExactLaw : public Law {
 /// The velocity form: a twist, linear in alpha.
 class LimitedStep::VelocityLaw : public Law {
  public:
-  VelocityLaw(const LimitedStep& self, const Here& here, const Home& home, const Wish& wish)
-      : Law(self, here), home_(home), wish_(wish), rows_(rcm_rows(here.J, here.shaft)) {}
+  VelocityLaw(const LimitedStep& self, const Here& here, const Home& home,
+              const StepRequest& request)
+      : Law(self, here), home_(home), request_(request), rows_(rcm_rows(here.J, here.shaft)) {}
 
   Affine affine() const override;
   JointVector finish(double, double, const JointVector& qd) const override { return qd; }
   RcmRows rows(const JointVector& qd) const override;
   Vector3 p_BRcm() const override { return here_.shaft.p_BNear + here_.shaft.e; }
-  double horizon() const override { return wish_.path ? wish_.horizon : 0.0; }
+  double horizon() const override { return request_.path ? request_.horizon : 0.0; }
   bool node(double t, const JointVector& guess, double arc, Node& node) const override;
 
  private:
   Vector3 feedback_at_pivot() const;
 
   const Home& home_;
-  const Wish& wish_;
+  const StepRequest& request_;
   RcmRows rows_;
 };
 

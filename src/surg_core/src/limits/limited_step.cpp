@@ -42,16 +42,16 @@ LimitedStep::Here LimitedStep::at(const JointVector& q, const JointVector& qd_la
 }
 
 Step LimitedStep::exact(const JointVector& q, const JointVector& qd_last, const Home& home,
-                        const Wish& wish) const {
-  const Here here = at(q, qd_last, wish.flange_lead);
-  return run(ExactLaw(*this, here, home, wish), here);
+                        const StepRequest& request) const {
+  const Here here = at(q, qd_last, request.flange_lead);
+  return run(ExactLaw(*this, here, home, request), here);
 }
 
 Step LimitedStep::velocity(const JointVector& q, const JointVector& qd_last, const Home& home,
-                           const Vector3& p_BRcm, const Wish& wish) const {
+                           const Vector3& p_BRcm, const StepRequest& request) const {
   Here here = at(q, qd_last, 0);
   here.shaft = shaft_state(here.X_BF, tool_, p_BRcm);
-  return run(VelocityLaw(*this, here, home, wish), here);
+  return run(VelocityLaw(*this, here, home, request), here);
 }
 
 Step LimitedStep::retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,

@@ -1,4 +1,4 @@
-// How fast the set-point's clock may run so that the joints can still brake on the path ahead.
+// Limits the rate of the set-point's clock so that the joints can brake on the path ahead.
 #pragma once
 
 #include <array>
@@ -7,15 +7,15 @@
 
 namespace surg {
 
-/// The path ahead as nodes, spaced wider the farther away, and from the last one backwards the
-/// clock's largest speed from which the joints can still brake to standstill at the end: a plan to
-/// stop exists in every cycle.
+/// Samples the path ahead at nodes of growing spacing and computes backwards from the last one the
+/// largest clock rate from which the joints can stop at the end. A plan to stop thus exists in
+/// every cycle.
 class LimitedStep::LookAhead {
  public:
   /// affine: the law at 'here'.
   LookAhead(const LimitedStep& self, const Law& law, const Here& here, const Affine& affine);
 
-  /// Largest alpha with which the clock may go on, and what keeps it there.
+  /// Largest allowed alpha, and the limit that sets it.
   Cap cap() const { return {alpha(), by_}; }
 
  private:

@@ -9,7 +9,7 @@
 namespace surg {
 namespace {
 
-constexpr double kOverdue = 0.004;  // [s] a gap in a fast stream that is still bridged
+constexpr double kBridgedGap = 0.004;  // [s] a gap in a fast stream that is still bridged
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
@@ -42,9 +42,9 @@ Dofs to_cartesian(const Dofs& spherical) {
 }
 
 Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay)
-    : limits_(limits), paper_(paper), duration_(profiler_duration) {
+    : limits_(limits), paper_(paper), base_duration_(profiler_duration) {
   delays_.fill(StreamDelay(stream_delay));
-  profiler_ = Profiler(dof_limits(Space::kCartesian), duration_);
+  profiler_ = Profiler(dof_limits(Space::kCartesian), base_duration_);
 }
 
 std::array<DofLimits, 4> Setpoint::dof_limits(Space space) const {
@@ -58,14 +58,14 @@ std::array<DofLimits, 4> Setpoint::dof_limits(Space space) const {
 void Setpoint::reset(const Vector3& p_RTip, const Vector3& s_R, double roll) {
   mode_ = Mode::kRest;
   space_ = Space::kCartesian;
-  then_go_ = at_wall_ = false;
+  move_after_stop_ = at_wall_ = false;
   axis_R_ = s_R;
   axial_ = p_RTip.dot(s_R) < limits_.depth_min;
   dofs_ = {Kinematic{p_RTip.x(), 0, 0}, Kinematic{p_RTip.y(), 0, 0}, Kinematic{p_RTip.z(), 0, 0},
            Kinematic{roll, 0, 0}};
 }
 
-void Setpoint::enter(Space space) {
+void Setpoint::switch_space(Space space) {
   if (space != space_) {
     dofs_ = space == Space::kSpherical ? to_spherical(dofs_) : to_cartesian(dofs_);
     space_ = space;
@@ -77,13 +77,13 @@ void Setpoint::enter(Space space) {
   }
 }
 
-void Setpoint::follow(Space space, const std::array<double, 4>& target, double T) {
+void Setpoint::add_stream_sample(Space space, const std::array<double, 4>& target, double T) {
   const bool first = mode_ != Mode::kStream || space != space_;
   if (first) {
     axial_ = false;
-    enter(space);
+    switch_space(space);
     for (int i = 0; i < 4; ++i) delays_[i].reset(dofs_[i]);
-    if (paper_) profiler_ = Profiler(dof_limits(space), duration_);
+    if (paper_) profiler_ = Profiler(dof_limits(space), base_duration_);
     mode_ = Mode::kStream;
   }
   for (int i = 0; i < 4; ++i) {
@@ -98,13 +98,13 @@ void Setpoint::follow(Space space, const std::array<double, 4>& target, double T
   age_ = 0;
 }
 
-void Setpoint::drive(Space space, const std::array<double, 4>& rate) {
+void Setpoint::set_velocity(Space space, const std::array<double, 4>& rate) {
   if (mode_ != Mode::kVelocity || space != space_) {
     axial_ = false;
-    enter(space);
+    switch_space(space);
     mode_ = Mode::kVelocity;
   }
-  // Too fast a wish keeps its direction: one factor for all.
+  // A velocity above its limit keeps its direction: one factor for all.
   const auto limits = dof_limits(space);
   double factor = 1;
   for (int i = 0; i < 4; ++i) {
@@ -115,51 +115,52 @@ void Setpoint::drive(Space space, const std::array<double, 4>& rate) {
   for (int i = 0; i < 4; ++i) rate_[i] = factor * rate[i];
 }
 
-bool Setpoint::go_to(Space space, const std::array<double, 4>& target) {
+bool Setpoint::move_to(Space space, const std::array<double, 4>& target) {
   Setpoint direct = *this;
   direct.axial_ = false;
-  direct.pace_ = duration_;
+  direct.profile_duration_ = base_duration_;
   Setpoint rested = direct;
   if (direct.plan(space, target)) {
     *this = direct;
     return true;
   }
-  // From rest the way is another one: a line in the space of the profile.
+  // From rest the path differs: a line in the space of the profile.
   for (auto& dof : rested.dofs_) dof.v = dof.a = 0;
   if (!rested.plan(space, target)) return false;
   axial_ = false;
-  pace_ = duration_;
+  profile_duration_ = base_duration_;
   target_ = target;
   target_space_ = space;
   stop();
-  then_go_ = true;
+  move_after_stop_ = true;
   return true;
 }
 
-void Setpoint::go_along(const Vector3& s_R, double depth, double speed) {
+void Setpoint::move_along(const Vector3& s_R, double depth, double speed) {
   const Vector3 p = p_RTip(), end = s_R * depth;
   axial_ = true;
   axis_R_ = s_R;
   // Rest to rest, the quintic's peak velocity is 15/8 of the mean.
-  pace_ = std::max(duration_, 15.0 / 8.0 * (end - p).norm() / speed);
+  profile_duration_ = std::max(base_duration_, 15.0 / 8.0 * (end - p).norm() / speed);
   plan(Space::kCartesian, {end.x(), end.y(), end.z(), dofs_[3].x});
 }
 
-/// Whether the way stays inside the workspace; mode and profile are set in any case.
+/// Plans a profile and returns whether it stays inside the workspace; mode and profile are set in
+/// any case.
 bool Setpoint::plan(Space space, const std::array<double, 4>& target) {
-  if (space_ != space) enter(space);
-  profiler_ = Profiler(dof_limits(space), pace_);
+  if (space_ != space) switch_space(space);
+  profiler_ = Profiler(dof_limits(space), profile_duration_);
   profiler_.reset(dofs_);
   profiler_.plan(target);
   mode_ = Mode::kProfile;
   target_ = target;
   target_space_ = space;
-  then_go_ = false;
+  move_after_stop_ = false;
   return axial_ || !plan_leaves_workspace();
 }
 
-/// Neither the target being inside nor a straight line to it is enough: a quintic that starts in
-/// motion overshoots, and the workspace is not convex (its inner wall is a sphere).
+/// Samples the profile: a quintic that starts in motion overshoots, and the workspace is not convex
+/// (its inner boundary is a sphere), so checking target and straight line is not enough.
 bool Setpoint::plan_leaves_workspace() const {
   constexpr int kSamples = 32;
   Profiler ahead = profiler_;
@@ -170,36 +171,36 @@ bool Setpoint::plan_leaves_workspace() const {
     ahead.advance(step);
     const Dofs& dofs = ahead.state();
     const Vector3 p = tip_of(dofs[0].x, dofs[1].x, dofs[2].x);
-    if (further_out(p)) return true;
+    if (farther_outside(p)) return true;
     if (aside_near_trocar(p, s, shallow)) return true;
   }
   return false;
 }
 
 /// Outside the workspace, and more so than the set-point is now.
-bool Setpoint::further_out(const Vector3& p_RTip) const {
+bool Setpoint::farther_outside(const Vector3& p_RTip) const {
   const double there = outside_workspace(limits_, p_RTip);
   return there > 0 && there > outside_workspace(limits_, this->p_RTip());
 }
 
 void Setpoint::stop() {
-  then_go_ = false;
+  move_after_stop_ = false;
   if (mode_ == Mode::kRest || mode_ == Mode::kStopping) return;
-  // Where a limit slows the clock the tip is slower than the profile: the ramp begins at the tip's
-  // own speed. From the profile's the arm would go on unbraked, or even faster, until both meet.
-  for (auto& dof : dofs_) dof.v *= clock_;
-  enter(Space::kCartesian);
+  // If a limit slows the clock, the tip is slower than the profile, and the ramp starts at the
+  // tip's own speed. From the profile's speed the arm would not brake until both agree.
+  for (auto& dof : dofs_) dof.v *= clock_rate_;
+  switch_space(Space::kCartesian);
   mode_ = Mode::kStopping;
 }
 
-void Setpoint::stand() {
+void Setpoint::restart_from_rest() {
   for (auto& dof : dofs_) dof.v = dof.a = 0;
   for (int i = 0; i < 4; ++i) filters_[i].reset(dofs_[i]);
   if (mode_ == Mode::kProfile && !plan(target_space_, target_)) mode_ = Mode::kRest;
   if (mode_ == Mode::kStopping) come_to_rest();
 }
 
-void Setpoint::slip(const Vector3& p_RTip, const Vector3& v_RTip) {
+void Setpoint::resync(const Vector3& p_RTip, const Vector3& v_RTip) {
   if (!has_no_path() || axial_) return;
   Dofs there = space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_);
   for (int i = 0; i < 3; ++i) there[i] = {p_RTip[i], v_RTip[i], 0};
@@ -212,12 +213,12 @@ void Setpoint::slip(const Vector3& p_RTip, const Vector3& v_RTip) {
 
 void Setpoint::come_to_rest() {
   mode_ = Mode::kRest;
-  if (then_go_ && !plan(target_space_, target_)) mode_ = Mode::kRest;
+  if (move_after_stop_ && !plan(target_space_, target_)) mode_ = Mode::kRest;
 }
 
 void Setpoint::advance(double dt) {
   if (!(dt > 0)) return;
-  if (tick_ > 0) clock_ = std::min(dt / tick_, 1.0);
+  if (tick_ > 0) clock_rate_ = std::min(dt / tick_, 1.0);
   at_wall_ = false;
   if (mode_ == Mode::kProfile && !push_R_.isZero(0) && v_RTip().dot(push_R_) < 0) stop();
   const Vector3 p_before = p_RTip();
@@ -242,14 +243,14 @@ void Setpoint::advance(double dt) {
       advance_stopping(dt);
       break;
   }
-  hinder(p_before);
+  restrict_step(p_before);
 }
 
 void Setpoint::yield_to(const Vector3& push_R) { push_R_ = push_R; }
 
-/// Takes out of a step what may not be: sideways motion near the trocar, where the shaft would turn
-/// too fast (F24), and motion against a push. Profiles are planned where neither matters.
-void Setpoint::hinder(const Vector3& p_before) {
+/// Removes forbidden parts of a step: lateral motion near the trocar, where the shaft would turn
+/// too fast (F24), and motion against a contact force (F25). Profiles are planned clear of both.
+void Setpoint::restrict_step(const Vector3& p_before) {
   const double depth = p_before.norm(), fade = lateral_fade(limits_, depth);
   if (axial_ || (fade >= 1 && push_R_.isZero(0))) return;
   const Vector3 s = p_before / depth, moved = p_RTip() - p_before;
@@ -276,8 +277,8 @@ void Setpoint::elapse(double T) {
   }
 }
 
-/// An overdue sample is not extrapolated any further: the tip comes to rest at it.
-bool Setpoint::overdue() const { return age_ > std::max(1.5 * spacing_, kOverdue); }
+/// An overdue sample is not extrapolated; the tip comes to rest at it.
+bool Setpoint::overdue() const { return age_ > std::max(1.5 * spacing_, kBridgedGap); }
 
 Kinematic Setpoint::stream_target(int dof, double dt) const {
   if (delays_[dof].works(tick_)) return delays_[dof].predict(dt);
@@ -287,13 +288,13 @@ Kinematic Setpoint::stream_target(int dof, double dt) const {
 void Setpoint::advance_stream(double dt) {
   if (paper_) {
     profiler_.reset(dofs_);
-    profiler_.plan_fixed(target_, duration_);
+    profiler_.plan_fixed(target_, base_duration_);
     profiler_.advance(dt);
     dofs_ = profiler_.state();
     return;
   }
-  // The tick is taken only if the hardest stop after it still ends inside the workspace; otherwise
-  // that stop begins (or goes on), which was possible before.
+  // The tick is taken only if the hardest stop after it ends inside the workspace. Otherwise that
+  // stop begins or continues; it was possible before.
   auto next = filters_;
   for (int i = 0; i < 4; ++i) next[i].step(stream_target(i, dt), dt);
   at_wall_ = stop_leaves_workspace(next);
@@ -308,7 +309,7 @@ void Setpoint::advance_stream(double dt) {
 }
 
 /// Whether the tip leaves the workspace when every axis brakes as hard as its limits allow. The
-/// axes stop one after the other, so the way there bends: it is looked at in several places.
+/// axes stop one after the other on a curved path, which is checked in several places.
 bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const {
   constexpr int kPlaces = 8;
   const auto limits = dof_limits(space_);
@@ -321,24 +322,24 @@ bool Setpoint::stop_leaves_workspace(const std::array<StreamFilter, 4>& filters)
   for (int k = 1; k <= kPlaces; ++k) {
     std::array<double, 3> x;
     for (int i = 0; i < 3; ++i) x[i] = stops[i].at(duration * k / kPlaces).x;
-    if (leads_out(tip_of(x[0], x[1], x[2]))) return true;
+    if (leaves_workspace(tip_of(x[0], x[1], x[2]))) return true;
   }
   return false;
 }
 
-/// Whether the way to a point of the rcm frame leads out of the workspace. Near the trocar the
-/// sideways part is taken out of it (hinder), and what would lead past the trocar leads into it.
-bool Setpoint::leads_out(const Vector3& to) const {
+/// Whether the way to a point of the rcm frame leaves the workspace. Near the trocar restrict_step
+/// removes the lateral part, so the axial part alone is checked as well.
+bool Setpoint::leaves_workspace(const Vector3& to) const {
   const Vector3 p = p_RTip(), s = s_R();
-  return further_out(to) || further_out(p + s * s.dot(to - p));
+  return farther_outside(to) || farther_outside(p + s * s.dot(to - p));
 }
 
 void Setpoint::advance_velocity(double dt) {
-  // At the wall: stop where a stop begun two ticks later would end outside, and do not set out
-  // where the wish itself leads further out. Motion back in is never hindered.
+  // At the boundary: stop if a stop begun two ticks later would end outside, and do not start if
+  // the requested velocity leads farther outside. Motion back inside is never restricted.
   const Vector3 p = p_RTip(), v = v_RTip();
   const double stop_time = v.norm() / (2 * limits_.stop_deceleration) + 2 * dt;
-  if (leads_out(p + stop_time * v)) {
+  if (leaves_workspace(p + stop_time * v)) {
     at_wall_ = true;
     stop();
     advance_stopping(dt);
@@ -348,7 +349,7 @@ void Setpoint::advance_velocity(double dt) {
   Dofs wish = dofs_;
   for (int i = 0; i < 4; ++i) wish[i].v = rate[i];
   const Vector3 v_wish = velocity(space_ == Space::kCartesian ? wish : to_cartesian(wish));
-  if (further_out(p + 0.01 * v_wish)) {
+  if (farther_outside(p + 0.01 * v_wish)) {
     at_wall_ = true;
     rate[0] = rate[1] = rate[2] = 0;
   }
@@ -389,7 +390,7 @@ Vector3 Setpoint::v_RTip() const {
   return velocity(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
 }
 
-Setpoint::Place Setpoint::after(double dt) const {
+Setpoint::TipAndRoll Setpoint::after(double dt) const {
   if (!(dt > 0)) return {p_RTip(), roll()};
   if (mode_ == Mode::kProfile && push_R_.isZero(0)) {
     const auto x = profiler_.position_after(dt);
@@ -400,7 +401,7 @@ Setpoint::Place Setpoint::after(double dt) const {
   return {there.p_RTip(), there.roll()};
 }
 
-Setpoint::Place Setpoint::foreseen(double t) const {
+Setpoint::TipAndRoll Setpoint::predict(double t) const {
   if (mode_ == Mode::kProfile) return after(t);
   std::array<double, 4> x;
   for (int i = 0; i < 4; ++i) x[i] = dofs_[i].x + t * dofs_[i].v;

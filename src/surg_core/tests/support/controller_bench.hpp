@@ -5,8 +5,8 @@
 
 #include <deque>
 
-#include "support/test_arm.hpp"
 #include "surg_core/controller.hpp"
+#include "test_arm.hpp"
 
 namespace surg::test {
 

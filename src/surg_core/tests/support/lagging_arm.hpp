@@ -3,8 +3,8 @@
 
 #include <cmath>
 
-#include "support/test_support.hpp"
 #include "surg_core/types.hpp"
+#include "test_support.hpp"
 
 namespace surg::test {
 

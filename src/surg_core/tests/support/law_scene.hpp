@@ -5,8 +5,8 @@
 #include <cmath>
 #include <string>
 
-#include "support/test_arm.hpp"
 #include "surg_core/law/exact.hpp"
+#include "test_arm.hpp"
 
 namespace surg::test {
 

@@ -8,10 +8,10 @@
 #include <functional>
 #include <vector>
 
-#include "support/test_arm.hpp"
-#include "support/test_support.hpp"
-#include "support/ur_oracle.hpp"
 #include "surg_core/limits/limited_step.hpp"
+#include "test_arm.hpp"
+#include "test_support.hpp"
+#include "ur_oracle.hpp"
 
 namespace surg::test {
 
@@ -349,11 +349,11 @@ inline Course drive(const Scene& scene, const JointLimits& limits, const JointVe
   double last_clock = 0;
   while (r.cycles < longest) {
     const auto path = [&](double t) { return scene.at(r.clock + t); };
-    Wish wish;
-    wish.path = PathView(path);
-    wish.horizon = options.horizon;
-    if (r.q.size() > 6) wish.posture = scene.q - r.q;  // 1 /s
-    const Step step = limited.exact(r.q, r.qd, scene.home, wish);
+    StepRequest request;
+    request.path = PathView(path);
+    request.horizon = options.horizon;
+    if (r.q.size() > 6) request.posture = scene.q - r.q;  // 1 /s
+    const Step step = limited.exact(r.q, r.qd, scene.home, request);
     look(scene, limits, step, r);
     const ShaftState shaft = shaft_state(scene.chain.forward(r.q), scene.tool, scene.p_BRcm);
     r.clock += step.alpha * kT;

@@ -1,4 +1,4 @@
-// Black boxes on disk: whole or not there.
+// Reads and writes black box files atomically.
 #pragma once
 
 #include <string>
@@ -7,12 +7,12 @@
 
 namespace surg_control {
 
-/// Writes 'recording' to 'path': to a neighbour first, flushed, then renamed, so that nobody ever
-/// sees half a file, not even after a power cut. The folder must exist. Blocks on the disk: never
+/// Writes 'recording' to 'path': to a temporary file that is flushed and renamed, so that a partial
+/// file never appears, even after a power cut. The folder must exist. Blocks on the disk: never
 /// call it from the control thread. Throws surg::BlackBoxError.
 void write_black_box(const std::string& path, const surg::BlackBoxRecording& recording);
 
-/// Reads one back. Throws surg::BlackBoxError with path, what is wrong and what to do.
+/// Reads a file. Throws surg::BlackBoxError with path, problem and remedy.
 surg::BlackBoxRecording read_black_box(const std::string& path);
 
 }  // namespace surg_control

@@ -1,5 +1,5 @@
-// From a cell folder to everything one arm needs. yaml-cpp reads, surg_core's schema judges; a file
-// that must not be used ends in a surg::ConfigError that names file, line, key and what is allowed.
+// Loads everything that one arm needs from a cell folder. yaml-cpp parses, surg_core's schema
+// validates; an invalid file causes a surg::ConfigError with file, line, key and allowed values.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,5 @@
-// URDF to the kinematic chain the loop runs on. urdfdom parses, our own few lines build the chain,
-// and KDL says independently whether both mean the same robot.
+// Builds the kinematic chain from a URDF. urdfdom parses, our own code builds the chain, and KDL
+// verifies it independently.
 #pragma once
 
 #include <string>

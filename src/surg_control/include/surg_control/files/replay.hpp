@@ -1,5 +1,4 @@
-// Recorded cycles again, without ROS: the shaft's geometry from the recorded joints, beside what
-// was recorded.
+// Recomputes the shaft's geometry from recorded joints, without ROS, to compare with the recording.
 #pragma once
 
 #include <cstdint>

@@ -1,5 +1,5 @@
 // One control cycle without ROS: applies decoded commands to the controller, steps it once and
-// keeps the record. The same code runs in lock-step, in the free-run thread and in a unit test.
+// fills the record. Lock-step, free-run and unit tests use the same code.
 #pragma once
 
 #include <cstddef>
@@ -15,19 +15,19 @@ namespace surg_control {
 /// Drives one surg::Controller through its black box. Allocates nothing after construction.
 class ControlCycle {
  public:
-  /// 'rcm_frame': name of the rcm frame, in which everybody speaks until a base frame is set.
+  /// 'rcm_frame': name of the rcm frame, the frame of all commands until a base frame is set.
   ControlCycle(const surg::Controller& controller, surg::BlackBox& box, std::string_view rcm_frame);
 
-  /// State commands, taught trocars, frames, claims and trocar samples take effect first, then the
-  /// controller steps with the motion commands in the order given. At most surg::kMaxCommands
+  /// Applies state commands, trocar points, frames, claims and trocar samples first, then steps the
+  /// controller with the motion commands in the order given. Takes at most surg::kMaxCommands
   /// items, sorted by kind or not; the caller keeps the rest. 'now_ns': the steady clock, in
-  /// lock-step the tick; ages are counted by it. tick, timing and refused_by_node of the record are
-  /// the caller's.
+  /// lock-step the tick; ages refer to it. The caller sets tick, timing and refused_by_node of the
+  /// record.
   const CycleRecord& run(const LinkState& link, std::int64_t now_ns, const CommandItem* items,
                          std::size_t count);
 
   CycleRecord& record() { return record_; }
-  /// What the controller saw in the last cycle.
+  /// The controller's inputs in the last cycle.
   const surg::Inputs& inputs() const { return inputs_; }
 
  private:
@@ -50,7 +50,7 @@ class ControlCycle {
   FrameName rcm_frame_;
   bool enabled_ = false;
   Track track_;
-  Echoes echoes_;
+  StampHistory stamps_seen_;
   surg::Inputs inputs_;
   CycleRecord record_;
 };

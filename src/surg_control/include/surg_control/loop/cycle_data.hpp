@@ -1,5 +1,5 @@
-// What a message becomes before the controller sees it, and what the controller's cycle becomes
-// before it is a message again: plain values that may cross threads.
+// Plain values between messages and controller that may cross threads: decoded commands, link
+// state, and the record of a cycle.
 #pragma once
 
 #include <array>
@@ -15,7 +15,7 @@ namespace surg_control {
 constexpr std::uint64_t kTickNs = 2'000'000;
 constexpr double kTick = 0.002;  ///< [s]
 
-/// One decoded command of any kind. Within one cycle the kinds take effect in this order.
+/// One decoded command of any kind. Within one cycle the kinds take effect in the order below.
 struct CommandItem {
   enum class Kind : std::uint8_t { kState, kSetRcm, kSetFrame, kClaim, kTrack, kMotion };
   Kind kind = Kind::kMotion;
@@ -28,18 +28,18 @@ struct CommandItem {
   FrameName frame;               ///< kMotion: header.frame_id; kSetFrame: name of U
   surg::Pose X_UR = surg::Pose::Identity();  ///< kSetFrame
   surg::MotionCommand motion;  ///< kMotion; poses and twists still in 'frame', not in R
-  /// servo_cv: the whole angular velocity; its part along the shaft becomes roll_rate in the cycle
-  /// that knows the shaft.
+  /// servo_cv: the complete angular velocity. The cycle projects it onto the shaft to get
+  /// roll_rate.
   surg::Vector3 angular = surg::Vector3::Zero();
 };
 
-/// A measured force, of a sensor that not every arm has.
+/// A measured force; not every arm has a sensor.
 struct MeasuredForce {
   surg::Vector3 f_B = surg::Vector3::Zero();  ///< of the environment on the instrument [N]
   std::int64_t received_ns = 0;               ///< 0: no sensor has spoken yet
 };
 
-/// What the robot link and the tool link last said. Times are of the steady clock; in lock-step of
+/// Latest data of the robot link and the tool link. Times are on the steady clock, in lock-step of
 /// the tick.
 struct LinkState {
   std::uint64_t stamp_ns = 0;    ///< header stamp; 0: nothing received yet
@@ -50,7 +50,7 @@ struct LinkState {
   MeasuredForce tip, trocar;                              ///< F25
 };
 
-/// What became of a command that is not the controller's to judge as a motion.
+/// Result of a command that the controller does not judge as a motion.
 struct Answer {
   CommandItem::Kind kind = CommandItem::Kind::kState;
   surg::StateCommand state = surg::StateCommand::kDisable;
@@ -59,13 +59,13 @@ struct Answer {
   std::uint32_t source = 0;
 };
 
-/// A command that was obeyed but for a part that four degrees of freedom cannot follow.
+/// An accepted command with a part that four degrees of freedom cannot follow.
 struct Ignored {
   surg::Motion motion = surg::Motion::kNone;  ///< kNone: nothing was ignored in this cycle
   std::uint32_t source = 0;
 };
 
-/// One control cycle, complete: every outgoing topic is made from this.
+/// Record of one control cycle, from which every outgoing topic is made.
 struct CycleRecord {
   std::uint64_t stamp_ns = 0;  ///< of the joint state used; 0: there was none
   std::uint64_t tick = 0;

@@ -1,13 +1,13 @@
-// The ways a process is asked to end: SIGTERM, SIGINT and ROS's own shutdown request. By default
-// the first kills at once, and the other two close every topic before an arm could be stopped.
+// Handles SIGTERM, SIGINT and ROS's shutdown request. By default the first kills at once and the
+// other two close all topics before an arm could be stopped.
 #pragma once
 
 namespace surg_control {
 
-/// From now on these three only set 'exit_requested', process-wide, and the process goes on until
+/// Makes these three only set 'exit_requested', process-wide. The process continues until
 /// 'release_exit' has been called as often as this. Needs a started ROS.
 void hold_exit();
-/// One arm has come to rest. The last one ends ROS, if that was asked for.
+/// Call it when an arm is at rest. The last call shuts ROS down if an exit was requested.
 void release_exit();
 /// Whether the process was asked to end.
 bool exit_requested();

@@ -1,6 +1,6 @@
-// Lock-step: holds commands until every declared participant has said "that was all for this tick",
-// then gives them out in an order that no network can change (docs/reference/conventions.md,
-// lock-step). Pure.
+// Lock-step: collects commands until every declared participant has finished the tick, then
+// releases them in an order independent of the network (docs/reference/conventions.md, lock-step).
+// Pure.
 #pragma once
 
 #include <cstddef>
@@ -14,11 +14,11 @@
 
 namespace surg_control {
 
-/// One arm's inbox between two ticks. Participants are known by their caller id without the leading
-/// '/'.
+/// One arm's pending commands between two ticks. Participants are identified by their caller id
+/// without the leading '/'.
 class LockstepGate {
  public:
-  /// Of one sender on one topic: 16 ticks' worth, two orders of magnitude above any stream.
+  /// Per sender and topic: 16 ticks' worth, a hundred times the rate of any stream.
   static constexpr std::size_t kMostWaiting = 1024;
 
   explicit LockstepGate(const std::vector<std::string>& participants);
@@ -27,23 +27,23 @@ class LockstepGate {
 
   /// Counts a message of any command topic, also one that was refused while decoding.
   void received(const std::string& sender);
-  /// Keeps a decoded command for the next tick. False when kMostWaiting of the same sender and
-  /// topic wait already: it is dropped. All of a tick is here before the tick is taken, so that a
+  /// Stores a decoded command for the next tick. Returns false and drops it if kMostWaiting of the
+  /// same sender and topic are pending. All commands of a tick arrive before it is taken, so a
   /// participant's drops are the same in every run.
   bool push(const std::string& sender, const std::string& topic, const CommandItem& item);
-  /// "For this tick I have sent 'sent' messages to this arm since I started." Others than declared
-  /// participants are not waited for.
+  /// A participant's message: for this tick it has sent 'sent' messages to this arm since its
+  /// start. Senders that are not declared are not waited for.
   void ready(const std::string& participant, std::uint64_t tick, std::uint64_t sent);
 
-  /// Whether every participant is ready for the tick and all it has sent is here.
+  /// Whether every participant is ready for the tick and all its messages have arrived.
   bool due(std::uint64_t tick) const;
-  /// Who is waited for and why, for people; empty when due.
+  /// The participants that are missing and why, for people; empty when due.
   std::string missing(std::uint64_t tick) const;
 
-  /// The commands of this tick: state commands first, then taught trocars, base frames, claims,
-  /// trocar samples, then motions; within each what an earlier tick left over, then the
-  /// participants by name, their topics by name, each topic in its own order; undeclared senders
-  /// last, as they came. At most surg::kMaxCommands; what is left waits for the next tick.
+  /// Takes the commands of this tick, at most surg::kMaxCommands; the rest waits for the next tick.
+  /// Order: state commands, trocar points, base frames, claims, trocar samples, motions. Within
+  /// each kind: leftovers of earlier ticks, then participants by name, their topics by name, each
+  /// topic in its own order; undeclared senders last, in order of arrival.
   const std::vector<CommandItem>& take();
 
  private:
@@ -52,7 +52,7 @@ class LockstepGate {
     std::uint64_t ready_tick = 0;
     std::uint64_t sent = 0;
   };
-  struct Letter {
+  struct PendingCommand {
     bool declared;
     std::string sender, topic;  // empty for undeclared senders: only the order counts
     std::uint64_t round;        // of the take() before which it came
@@ -61,7 +61,7 @@ class LockstepGate {
   };
 
   std::map<std::string, Participant> participants_;
-  std::vector<Letter> inbox_;
+  std::vector<PendingCommand> inbox_;
   std::map<std::pair<std::string, std::string>, std::size_t> waiting_;  // by sender, topic
   std::uint64_t round_ = 0, count_ = 0;
   std::vector<CommandItem> taken_;

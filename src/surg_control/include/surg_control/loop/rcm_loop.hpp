@@ -1,6 +1,5 @@
-// One arm's controller on ROS: wiring and the two ways of keeping time. Shared by the nodelet and
-// the plain node. No arithmetic: messages are decoded, surg::Controller decides, records are
-// encoded.
+// One arm's controller on ROS: topics and the two ways of keeping time, for the nodelet and the
+// plain node. No arithmetic: messages are decoded, surg::Controller decides, records are encoded.
 #pragma once
 
 #include <geometry_msgs/WrenchStamped.h>
@@ -13,7 +12,6 @@
 
 #include <atomic>
 #include <memory>
-#include <random>
 #include <set>
 #include <string>
 #include <vector>
@@ -26,15 +24,15 @@
 #include "surg_control/monitor/black_box_writer.hpp"
 #include "surg_control/monitor/health.hpp"
 #include "surg_control/monitor/system_monitor.hpp"
-#include "surg_control/topics/announcer.hpp"
 #include "surg_control/topics/command_subscribers.hpp"
 #include "surg_control/topics/kinematics_services.hpp"
 #include "surg_control/topics/robot_command.hpp"
 #include "surg_control/topics/state_publishers.hpp"
+#include "surg_control/topics/status_reporter.hpp"
 
 namespace surg_control {
 
-/// Lock-step: everything happens in the thread that calls run(). Free-run: run() takes messages in,
+/// Lock-step: everything runs in the thread that calls run(). Free-run: run() receives messages,
 /// one thread controls at 500 Hz and publishes the robot command, one publishes everything else.
 class RcmLoop {
  public:
@@ -45,16 +43,16 @@ class RcmLoop {
   RcmLoop(const RcmLoop&) = delete;
   RcmLoop& operator=(const RcmLoop&) = delete;
 
-  /// Works until 'stop', an exit request or ROS's end. Then stops the arm through the law, commands
-  /// zero and returns, at most about a second after it was asked, whatever the link does.
+  /// Runs until 'stop', an exit request or ROS's shutdown. Then it stops the arm through the law,
+  /// commands zero and returns, at most about a second later, whatever the link does.
   void run(const std::atomic<bool>& stop);
 
  private:
-  // --- coming in: the thread of run() (inlet.cpp) ---
+  // --- coming in: the thread of run() (rcm_loop_inputs.cpp) ---
   void subscribe_link();
-  void take_command(const std::string& topic, const std::string& caller, const ros::Time& stamp,
-                    Decoded decoded);
-  bool pass_on(const std::string& topic, const std::string& caller, const Decoded& decoded);
+  void on_command(const std::string& topic, const std::string& caller, const ros::Time& stamp,
+                  Decoded decoded);
+  bool enqueue(const std::string& topic, const std::string& caller, const Decoded& decoded);
   void on_robot_state(const sensor_msgs::JointState& message);
   void on_force(const geometry_msgs::WrenchStamped& message, MeasuredForce LinkState::*which);
   void on_tool_state(const sensor_msgs::JointState& message);
@@ -71,8 +69,8 @@ class RcmLoop {
   void control_thread();
   void publisher_thread();
 
-  void leave_if_asked();
-  void come_to_rest();
+  void disable_if_exiting();
+  void update_at_rest();
   double now() const;
 
   Options options_;
@@ -87,34 +85,32 @@ class RcmLoop {
   ros::NodeHandle node_;
   SourceTable sources_;
   Health health_;
-  std::unique_ptr<Announcer> announcer_;
-  std::unique_ptr<Outlets> outlets_;
+  std::unique_ptr<StatusReporter> reporter_;
+  std::unique_ptr<StatePublishers> publishers_;
   std::unique_ptr<KinematicsServices> services_;
   std::unique_ptr<RobotCommand> robot_;
-  std::unique_ptr<CommandInlets> inlets_;
-  std::unique_ptr<Housekeeping> housekeeping_;
+  std::unique_ptr<CommandSubscribers> command_subscribers_;
+  std::unique_ptr<SystemMonitor> monitor_;
   std::unique_ptr<BlackBoxWriter> black_box_writer_;
   ros::Publisher undeclared_;
   std::vector<ros::Subscriber> subscribers_;
   ros::Subscriber link_status_;
 
-  LinkState link_;  // as received; in free-run handed over through link_box_
+  LinkState link_;  // as received; in free-run handed over through latest_link_
   std::atomic<std::uint32_t> refused_by_node_{0};
 
-  LockstepGate gate_;
-  std::uint64_t robot_tick_ = 0, tool_tick_ = 0, answered_ = 0;
+  LockstepGate lockstep_gate_;
+  std::uint64_t robot_tick_ = 0, tool_tick_ = 0, answered_tick_ = 0;
   std::set<std::string> undeclared_seen_;
-  double jitter_ms_ = 0;
-  std::minstd_rand jitter_;
 
-  LatestBox<LinkState> link_box_;
+  LatestBox<LinkState> latest_link_;
   SpscRing<CommandItem> commands_;
   SpscRing<CycleRecord> records_;
   sem_t records_waiting_;
   std::atomic<bool> stop_threads_{false};
 
-  std::atomic<bool> leaving_{false};  // asked to end: no commands any more, stop through the law
-  bool left_enabled_ = false;         // that has been told to the controller
+  std::atomic<bool> exiting_{false};  // asked to end: no commands any more, stop through the law
+  bool disabled_for_exit_ = false;    // that has been told to the controller
   std::atomic<bool> at_rest_{false};  // and it commands zero
 };
 

@@ -14,9 +14,9 @@ class Metronome {
  public:
   explicit Metronome(std::int64_t period_ns) : period_(period_ns), next_(steady_ns()) {}
 
-  /// Sleeps until the next beat and returns the nanoseconds since the last one was returned (one
-  /// period at the first). After a beat that comes more than a period late the count starts anew
-  /// from now: a thread that was frozen must not catch up in a burst.
+  /// Sleeps until the next beat and returns the nanoseconds since the last one (one period at the
+  /// first). After a beat more than one period late, counting restarts from now: a thread that was
+  /// suspended must not catch up in a burst.
   std::int64_t wait();
   /// Whether the last beat came more than one period late.
   bool late() const { return late_; }
@@ -26,8 +26,8 @@ class Metronome {
   bool late_ = false;
 };
 
-/// Locks the process's memory and puts the calling thread under SCHED_FIFO. Empty when done,
-/// otherwise what was refused and how to allow it; the thread goes on without.
+/// Locks the process's memory and gives the calling thread SCHED_FIFO. Returns an empty text, or
+/// what was refused and how to allow it; the thread then continues without.
 std::string become_realtime();
 
 }  // namespace surg_control

@@ -1,5 +1,4 @@
-// How values cross between the callback thread, the control thread and the publisher thread without
-// the control thread ever waiting.
+// Channels between callback, control and publisher thread; the control thread never waits.
 #pragma once
 
 #include <atomic>
@@ -9,7 +8,8 @@
 
 namespace surg_control {
 
-/// Single-producer single-consumer ring, preallocated. Neither side blocks; push says no when full.
+/// Preallocated single-producer single-consumer ring. Neither side blocks; push returns false if
+/// full.
 template <typename T>
 class SpscRing {
  public:
@@ -39,8 +39,8 @@ class SpscRing {
   alignas(64) std::atomic<std::size_t> tail_{0};
 };
 
-/// The newest value of something. The reader only tries: when the writer is at it, the reader keeps
-/// what it had and looks again in the next cycle.
+/// The latest value. The reader only tries the lock: while the writer holds it, the reader keeps
+/// its value until the next cycle.
 template <typename T>
 class LatestBox {
  public:

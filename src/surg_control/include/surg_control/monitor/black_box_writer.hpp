@@ -1,4 +1,4 @@
-// After a FAULT the black box stands still: a thread of its own puts it on disk and lets it go on.
+// After a FAULT a separate thread writes the frozen black box to disk and releases it.
 #pragma once
 
 #include <condition_variable>
@@ -6,21 +6,21 @@
 #include <string>
 #include <thread>
 
-#include "surg_control/topics/announcer.hpp"
+#include "surg_control/topics/status_reporter.hpp"
 #include "surg_core/state/black_box.hpp"
 
 namespace surg_control {
 
-/// Writes <folder>/<arm>_<UTC time>.blackbox for every freeze, and says where.
+/// Writes <folder>/<arm>_<UTC time>.blackbox for every freeze and reports the path.
 class BlackBoxWriter {
  public:
-  /// Files that one run of the node writes at most: a FAULT in a loop must not fill the disk.
+  /// Maximum number of files per run of the node: repeated FAULTs must not fill the disk.
   static constexpr int kMostFiles = 50;
 
-  /// 'folder' is made when it is needed; 'label' is completed with the time of writing.
+  /// 'folder' is created on demand; 'label' gets the time of writing.
   BlackBoxWriter(surg::BlackBox& box, const std::string& folder, const surg::BlackBoxLabel& label,
-                 Announcer& announcer);
-  /// Writes what is frozen now, then ends.
+                 StatusReporter& reporter);
+  /// Writes a frozen recording, then ends the thread.
   ~BlackBoxWriter();
   BlackBoxWriter(const BlackBoxWriter&) = delete;
   BlackBoxWriter& operator=(const BlackBoxWriter&) = delete;
@@ -32,7 +32,7 @@ class BlackBoxWriter {
   surg::BlackBox& box_;
   std::string folder_;
   surg::BlackBoxLabel label_;
-  Announcer& announcer_;
+  StatusReporter& reporter_;
   int files_ = 0;
 
   std::mutex mutex_;

@@ -1,4 +1,4 @@
-// /diagnostics: how the controller is, in values that a person or a monitor reads once a second.
+// Publishes the controller's state on /diagnostics once a second.
 #pragma once
 
 #include <ros/ros.h>
@@ -12,8 +12,8 @@
 
 namespace surg_control {
 
-/// What the diagnostics say of the configuration.
-struct Facts {
+/// Configuration shown in the diagnostics.
+struct ControllerInfo {
   bool lockstep;
   bool twist;
   bool track_rcm;
@@ -24,17 +24,17 @@ struct Facts {
 /// Publishes every kDiagnosticsTicks cycles.
 class Diagnostics {
  public:
-  Diagnostics(ros::NodeHandle& node, const std::string& arm, const Facts& facts,
+  Diagnostics(ros::NodeHandle& node, const std::string& arm, const ControllerInfo& info,
               const Health& health, const SourceTable& sources);
 
-  /// Every cycle. 'now' [s] as for Announcer.
+  /// Every cycle. 'now' [s] as for StatusReporter.
   void add(const CycleRecord& record, double now);
 
  private:
   void publish(const CycleRecord& record, double rate);
 
   std::string arm_;
-  Facts facts_;
+  ControllerInfo info_;
   const Health& health_;
   const SourceTable& sources_;
   ros::Publisher publisher_;

@@ -1,5 +1,4 @@
-// Questions to the ROS master that end in time. roscpp's own calls wait for ever on a master that
-// hangs.
+// Calls to the ROS master with a timeout; roscpp's own calls block on a hanging master.
 #pragma once
 
 #include <xmlrpcpp/XmlRpcValue.h>
@@ -13,13 +12,13 @@ namespace surg_control {
 bool ask_master(const std::string& method, const std::string& argument, double timeout_s,
                 XmlRpc::XmlRpcValue& answer);
 
-/// F07: whether the master that was there at the start still is. Pure.
+/// F07: whether the master from the start is still there. Pure.
 class MasterWatch {
  public:
   enum class Change { kNone, kLost, kFound };
 
-  /// One look: its process id, or -1 for no answer. One look that fails is a busy machine, two are
-  /// a master that is gone. A master with another id knows none of our topics and counts as gone.
+  /// Takes the master's process id, or -1 for no answer. One failure may be a busy machine, two
+  /// mean a lost master. A master with another id does not know our topics and counts as lost.
   Change look(int pid) {
     if (first_pid_ < 0) first_pid_ = pid;
     failures_ = pid >= 0 && pid == first_pid_ ? 0 : failures_ + 1;

@@ -1,4 +1,4 @@
-// F16: parameters are read once. Whoever changes one later is told that it has no effect. Pure.
+// F16: parameters are read once at the start; reports later changes, which have no effect. Pure.
 #pragma once
 
 #include <xmlrpcpp/XmlRpcValue.h>

@@ -1,5 +1,5 @@
-// What must be watched and may wait: the ROS master, the wall clock, the parameters. A thread of
-// its own, so that none of them can hold up a control cycle.
+// Monitors the ROS master, the wall clock and the parameters in a thread of its own, so that none
+// of them can delay a control cycle.
 #pragma once
 
 #include <ros/ros.h>
@@ -13,28 +13,28 @@
 #include "surg_control/monitor/health.hpp"
 #include "surg_control/monitor/master_probe.hpp"
 #include "surg_control/monitor/parameter_watch.hpp"
-#include "surg_control/topics/announcer.hpp"
+#include "surg_control/topics/status_reporter.hpp"
 
 namespace surg_control {
 
-/// Looks every quarter second until it is destroyed; speaks through the announcer, counts in
+/// Checks every quarter second until it is destroyed. Reports through 'reporter', counts in
 /// 'health'.
-class Housekeeping {
+class SystemMonitor {
  public:
-  Housekeeping(const ros::NodeHandle& private_node, const std::string& arm,
-               const std::string& limits_hash, Announcer& announcer, Health& health);
-  ~Housekeeping();
-  Housekeeping(const Housekeeping&) = delete;
-  Housekeeping& operator=(const Housekeeping&) = delete;
+  SystemMonitor(const ros::NodeHandle& private_node, const std::string& arm,
+                const std::string& limits_hash, StatusReporter& reporter, Health& health);
+  ~SystemMonitor();
+  SystemMonitor(const SystemMonitor&) = delete;
+  SystemMonitor& operator=(const SystemMonitor&) = delete;
 
  private:
   void run();
-  void look_at_clock();
-  void look_at_master();
-  void look_at_parameters();
+  void check_clock();
+  void check_master();
+  void check_parameters();
 
   std::string space_, arm_, limits_hash_;
-  Announcer& announcer_;
+  StatusReporter& reporter_;
   Health& health_;
   ClockWatch clock_;
   MasterWatch master_;

@@ -1,5 +1,5 @@
-// set_base_frame: the frame U that a user wants to speak in. Commands come in it and measured_cp
-// goes out in it; the controller itself knows the rcm frame R only. Pure.
+// set_base_frame: the user's frame U, in which commands arrive and measured_cp is published. The
+// controller itself uses the rcm frame R only. Pure.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +17,7 @@ class FrameName {
   static constexpr std::size_t kLongest = 63;
 
   FrameName() = default;
-  /// Keeps the first kLongest characters; 'fits' says whether that is all of it.
+  /// Keeps the first kLongest characters; 'fits' tells whether the name is that short.
   explicit FrameName(std::string_view name) {
     std::copy_n(name.begin(), std::min(name.size(), kLongest), text_.begin());
   }
@@ -51,8 +51,8 @@ ToolPose pose_to_rcm(const surg::Pose& X_UR, const ToolPose& X_UTool);
 /// X_UTool from X_RTool.
 ToolPose pose_from_rcm(const surg::Pose& X_UR, const ToolPose& X_RTool);
 
-/// Velocity of the tip and angular velocity of the tool: free vectors, which U and R, at rest
-/// towards one another, see with the same length.
+/// Velocity of the tip and angular velocity of the tool. U and R do not move relative to each
+/// other, so both vectors only rotate.
 struct ToolTwist {
   surg::Vector3 v, omega;
 };

@@ -1,4 +1,4 @@
-// Every command topic of an arm: who listens to what. A topic that is not here does not exist.
+// Subscribers of all command topics of an arm.
 #pragma once
 
 #include <ros/ros.h>
@@ -13,22 +13,22 @@
 namespace surg_control {
 
 /// The arm's subscribers for commands.
-class CommandInlets {
+class CommandSubscribers {
  public:
-  /// Takes each message as it comes: its topic below the arm, the sender's caller id, the header's
-  /// stamp (zero where the type has none) and what decoding made of it.
+  /// Receives each message: its topic below the arm, the sender's caller id, the header's stamp
+  /// (zero if the type has none) and the decoded command.
   using Sink = std::function<void(const std::string& topic, const std::string& caller,
                                   const ros::Time& stamp, Decoded decoded)>;
 
-  /// 'track': whether rcm/track exists; 'queue': of each subscriber, 0 for unbounded.
-  CommandInlets(ros::NodeHandle& node, const std::string& arm, bool track, std::uint32_t queue,
-                Sink sink);
+  /// 'track': subscribe to rcm/track; 'queue': size of each subscriber's queue, 0 for unbounded.
+  CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool track, std::uint32_t queue,
+                     Sink sink);
 
  private:
   template <typename Message>
-  void listen(const std::string& topic, std::function<Decoded(const Message&)> decode);
-  void listen_to_motions();
-  void listen_to_the_rest(bool track);
+  void subscribe(const std::string& topic, std::function<Decoded(const Message&)> decode);
+  void subscribe_motions();
+  void subscribe_others(bool track);
 
   ros::NodeHandle& node_;
   std::string arm_;

@@ -1,5 +1,5 @@
-// Messages to commands. Decoding checks the form (sizes, names, unit quaternion, fixed frames) and
-// nothing else: values, NaN included, are the controller's to judge.
+// Converts messages to commands. Decoding checks the form only (sizes, names, unit quaternion,
+// fixed frames); the controller judges the values, NaN included.
 #pragma once
 
 #include <crtk_msgs/StringStamped.h>
@@ -15,7 +15,7 @@
 
 namespace surg_control {
 
-/// A decoded message: the item, or why it is refused.
+/// A decoded message: the item, or the reason of refusal.
 struct Decoded {
   CommandItem item;
   surg::Reason reason = surg::Reason::kNone;  ///< kNone: pass it on
@@ -48,13 +48,13 @@ Decoded decode_track(const surg_msgs::PointVelocityStamped& message, const std::
 Decoded decode_base_frame(const geometry_msgs::PoseStamped& message, const std::string& rcm,
                           const std::string& user);
 
-/// robot/measured_js into 'link' (stamp, q, qd). Returns an empty text, or why the message is
-/// unusable. NaN passes.
+/// Copies robot/measured_js into 'link' (stamp, q, qd). Returns an empty text, or why the message
+/// is unusable. NaN passes.
 std::string decode_state_of_robot(const sensor_msgs::JointState& message,
                                   const std::vector<std::string>& names, LinkState& link);
 
-/// A quaternion into a rotation of unit length. Returns an empty text, or why it is none. What is
-/// not finite passes.
+/// Converts a quaternion to a unit rotation. Returns an empty text, or why it is invalid. Values
+/// that are not finite pass.
 std::string decode_rotation(const geometry_msgs::Quaternion& q, Eigen::Quaterniond& rotation);
 
 /// CRTK's name of a motion command, for texts.

@@ -13,8 +13,8 @@
 
 namespace surg_control {
 
-/// What a query is answered with. Requests of a wrong form, and poses that the workspace does not
-/// hold, get result false and a message with the value and what is allowed.
+/// Answers a query. Requests of a wrong form and poses outside the workspace get result false and a
+/// message with value and allowed range.
 crtk_msgs::QueryForwardKinematics::Response answer_forward(
     const crtk_msgs::QueryForwardKinematics::Request& request, const surg::Pose& X_UR);
 crtk_msgs::QueryInverseKinematics::Response answer_inverse(
@@ -26,7 +26,7 @@ class KinematicsServices {
  public:
   KinematicsServices(ros::NodeHandle& node, const std::string& arm, const surg::Limits& limits);
 
-  /// The frame that queries are answered in from now on; from any one thread.
+  /// Sets the frame of later answers; call it from one thread only.
   void set_frame(const BaseFrame& frame);
 
  private:

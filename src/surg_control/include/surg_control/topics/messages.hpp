@@ -1,4 +1,4 @@
-// Values to messages.
+// Converts values to messages.
 #pragma once
 
 #include <geometry_msgs/Pose.h>
@@ -19,7 +19,7 @@ geometry_msgs::Vector3 to_vector(const surg::Vector3& v);
 geometry_msgs::Quaternion to_quaternion(const Eigen::Quaterniond& q);
 geometry_msgs::Pose to_pose(const surg::Vector3& p, const Eigen::Quaterniond& q);
 
-/// The whole cycle. 'message' keeps its capacity from tick to tick.
+/// Fills a Cycle message. 'message' keeps its capacity from tick to tick.
 void encode_cycle(const CycleRecord& record, const std::string& frame, const SourceTable& sources,
                   surg_msgs::Cycle& message);
 

@@ -1,4 +1,4 @@
-// What goes to the robot link and the tool link, once a cycle.
+// Publishes the commands for robot link and tool link once a cycle.
 #pragma once
 
 #include <geometry_msgs/TwistStamped.h>
@@ -10,8 +10,8 @@
 
 namespace surg_control {
 
-/// robot/servo_jv or robot/servo_cv, and tool/servo_jp; in free-run an instrument without a jaw is
-/// told in every fifth cycle only. Keeps its messages, so that a cycle allocates nothing of ours.
+/// Publishes robot/servo_jv or robot/servo_cv, and tool/servo_jp; in free-run an instrument without
+/// a jaw gets every fifth cycle only. Reuses its messages, so that a cycle does not allocate.
 class RobotCommand {
  public:
   /// 'twist': flange twists instead of joint velocities; 'lockstep': every tick is answered, and

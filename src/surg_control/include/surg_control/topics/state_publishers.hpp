@@ -1,5 +1,5 @@
-// Everything an arm tells the world except the robot command: CRTK feedback, state, cycle, tf,
-// diagnostics and texts, each made from a CycleRecord. Lives in one thread.
+// All outgoing topics of an arm except the robot command: CRTK feedback, state, cycle, tf,
+// diagnostics and texts, made from CycleRecords. Used by one thread.
 #pragma once
 
 #include <geometry_msgs/PoseStamped.h>
@@ -16,14 +16,12 @@
 #include "surg_control/files/model_loader.hpp"
 #include "surg_control/loop/cycle_data.hpp"
 #include "surg_control/monitor/diagnostics.hpp"
-#include "surg_control/topics/announcer.hpp"
 #include "surg_control/topics/source_table.hpp"
 #include "surg_control/topics/status_reporter.hpp"
 
 namespace surg_control {
 
-/// A feedback topic that follows CRTK's rule for data that is not valid: stamp 0 once, then
-/// silence.
+/// A feedback topic that follows CRTK's rule for invalid data: stamp 0 once, then silence.
 template <typename Message>
 class Feedback {
  public:
@@ -48,16 +46,16 @@ class Feedback {
 };
 
 /// The arm's publishers.
-class Outlets {
+class StatePublishers {
  public:
   /// 'model': for the one transform that joins the URDF's own links to our frames.
-  Outlets(ros::NodeHandle& node, const ArmSetup& setup, const Model& model, const Facts& facts,
-          const Health& health, const SourceTable& sources, Announcer& announcer);
+  StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, const Model& model,
+                  const ControllerInfo& info, const Health& health, const SourceTable& sources,
+                  StatusReporter& reporter);
 
   /// The cycle message, every tick; first, because participants wait for it.
   void publish_cycle(const CycleRecord& record);
-  /// All other topics, each at its own rate, and the words about what happened. 'now' [s] as for
-  /// Announcer.
+  /// All other topics, each at its own rate, and the status texts. 'now' [s] as for StatusReporter.
   void publish_rest(const CycleRecord& record, double now);
 
  private:
@@ -74,7 +72,7 @@ class Outlets {
   surg::Vector3 p_FTip_;
   bool lockstep_;
   const SourceTable& sources_;
-  Spokesman spokesman_;
+  StatusReporter& reporter_;
   Diagnostics diagnostics_;
 
   ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_;

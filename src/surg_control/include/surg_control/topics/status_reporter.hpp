@@ -1,40 +1,62 @@
-// What happened in a cycle, in words for people: states, refusals, ignored parts.
+// Publishes texts for people on <arm>/warning, /status and /error: what was wrong and what to do.
 #pragma once
 
+#include <ros/ros.h>
+
 #include <cstdint>
+#include <map>
+#include <mutex>
 #include <string>
 
 #include "surg_control/loop/cycle_data.hpp"
-#include "surg_control/topics/announcer.hpp"
 #include "surg_control/topics/source_table.hpp"
 #include "surg_core/config.hpp"
 
 namespace surg_control {
 
-/// Reads records and speaks through an Announcer. Lives in the publisher's thread.
-class Spokesman {
+/// Rate-limits the texts and derives them from cycle records. warning, warning_once, status and
+/// error are safe from every thread but the control thread: they lock and allocate.
+class StatusReporter {
  public:
-  Spokesman(const std::string& arm, const surg::Limits& limits, const SourceTable& sources,
-            Announcer& announcer);
+  StatusReporter(ros::NodeHandle& node, const std::string& arm, const surg::Limits& limits,
+                 const SourceTable& sources);
 
-  /// 'now' [s] as for Announcer. Returns whether the operating state differs from the last one.
-  bool speak(const CycleRecord& record, double now);
+  /// Publishes at most once a second per 'key'; the next text counts the suppressed ones. 'now' [s]
+  /// is the steady clock, or the tick's time in lock-step.
+  void warning(const std::string& key, const std::string& text, double now);
+  /// Publishes once in the life of the node per 'key'.
+  void warning_once(const std::string& key, const std::string& text);
+  void status(const std::string& text);
+  void error(const std::string& text);
+
+  /// Reports refusals, ignored parts and changes of state in one cycle. One thread only. Returns
+  /// whether operating state, homed or busy changed.
+  bool report(const CycleRecord& record, double now);
 
  private:
-  void say_answers(const CycleRecord& record, double now);
-  void say_refused(const Answer& answer, const CycleRecord& record, double now);
-  void say_ignored(const CycleRecord& record);
-  void say_verdicts(const CycleRecord& record, double now);
-  bool say_changes(const CycleRecord& record, double now);
+  struct LastWarning {
+    double when;
+    std::uint64_t suppressed;
+  };
+
+  void report_answers(const CycleRecord& record, double now);
+  void report_refused(const Answer& answer, const CycleRecord& record, double now);
+  void report_ignored(const CycleRecord& record);
+  void report_verdicts(const CycleRecord& record, double now);
+  bool report_changes(const CycleRecord& record, double now);
 
   std::string arm_;
   surg::Limits limits_;
   const SourceTable& sources_;
-  Announcer& announcer_;
+  ros::Publisher warning_, status_, error_;
+  std::mutex mutex_;
+  std::map<std::string, LastWarning> last_warnings_;
+
+  // The last reported cycle; only report() uses them.
   surg::State state_ = surg::State::kDisabled;
   surg::Reason reason_ = surg::Reason::kNone;
   bool homed_ = false, busy_ = false, first_ = true;
-  std::uint32_t said_ignored_ = 0;  // one bit per motion
+  std::uint32_t ignored_reported_ = 0;  // one bit per motion
 };
 
 }  // namespace surg_control

@@ -15,8 +15,8 @@ ToolPose forward_kinematics(const surg::Vector4& joints);
 /// the trocar point itself, from which no direction can be read.
 surg::Vector4 inverse_kinematics(const ToolPose& X_RTool, double roll_near);
 
-/// Angle [rad] between the tool's z axis and the shaft that the position asks for: what of an
-/// orientation four degrees of freedom cannot follow. 0 at the trocar point and for NaN.
+/// Angle [rad] between the tool's z axis and the shaft direction for its position: the part of an
+/// orientation that four degrees of freedom cannot follow. 0 at the trocar point and for NaN.
 double ignored_tilt(const ToolPose& X_RTool);
 
 }  // namespace surg_control

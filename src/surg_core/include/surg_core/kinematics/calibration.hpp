@@ -1,7 +1,7 @@
-// Calibration of the instrument and the trocar from recorded flange poses, in closed form: linear
-// least squares, no start value, no iteration. Each result carries the evidence for it and is
-// refused where the evidence does not carry it. What a person does with the robot for each of them
-// is told in docs/guide/first_session.md.
+// Calibration of instrument and trocar from recorded flange poses: linear least squares in closed
+// form, without start value or iteration. Each result carries its residuals and condition number
+// and is refused where they exceed the limits. docs/guide/first_session.md describes the
+// procedures.
 #pragma once
 
 #include <stdexcept>
@@ -13,14 +13,14 @@
 
 namespace surg {
 
-/// A calibration that must not be used: what was found, what is allowed, what to do.
+/// A calibration that must not be used. The text states the value, the allowed range and the
+/// remedy.
 class CalibrationError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// What is asked of the evidence. A laboratory may ask for more; the schema of the files
-/// (config.cpp) has the last word.
+/// Acceptance limits of a calibration. The schema of the files (config.cpp) sets the outer bounds.
 struct CalibrationLimits {
   int n_min = 6;              ///< poses or lines
   double condition_max = 30;  ///< some 3 deg (rms) of change in the orientation
@@ -32,8 +32,9 @@ struct CalibrationLimits {
   double distance_min = 0.05;  ///< [m] between two points of the shaft
 };
 
-/// How well n observations agree. 'condition': of the stacked equations with every unknown in them,
-/// largest over smallest singular value; the motion between the poses alone decides it.
+/// Quality of a fit of n observations. 'condition' is the ratio of the largest to the smallest
+/// singular value of the stacked equations with all unknowns; it depends only on the motion between
+/// the poses.
 struct Fit {
   int n = 0;
   double rms = 0;    ///< of the distances that are left [m]; of the axis [rad]

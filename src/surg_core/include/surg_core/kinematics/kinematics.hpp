@@ -39,10 +39,10 @@ class Chain {
 
   std::vector<Joint> joints_;
   Pose X_LF_ = Pose::Identity();
-  /// The same chain for the loop. Each joint is a rotation about z of a frame whose x was chosen so
-  /// that the way to the next one is a turn about z (which joins the joint's own), a shift and a
-  /// tilt about x: a third fewer products than general poses, and well conditioned for axes that
-  /// are nearly parallel, where Denavit-Hartenberg parameters are not.
+  /// The same chain, prepared for the control loop. Each joint rotates about z of a frame whose x
+  /// axis is chosen so that the next joint follows by a rotation about z (combined with the joint's
+  /// own), a translation and a tilt about x. This takes a third fewer products than general poses.
+  /// Unlike Denavit-Hartenberg parameters it is well conditioned for nearly parallel axes.
   struct Link {
     double turn = 0;                  // [rad] about z, before the shift
     Vector3 shift = Vector3::Zero();  // to the next joint, after the turn

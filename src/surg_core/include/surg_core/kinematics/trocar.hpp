@@ -14,8 +14,8 @@ struct TrackSample {
   Vector3 v = Vector3::Zero();  ///< [m/s]
 };
 
-/// Where the trocar is. A tracked trocar may move within a small range round the taught point; a
-/// track that falls silent freezes the pivot where it was.
+/// Position and velocity of the trocar. A tracked trocar may move within a small range around the
+/// taught point; if its track falls silent, the pivot stays where it was.
 class Trocar {
  public:
   static constexpr double kRange = 0.010;  ///< [m] from the taught point
@@ -23,8 +23,8 @@ class Trocar {
   static constexpr double kStale = 0.1;    ///< [s]
 
   void teach(const Vector3& p_B);
-  /// Takes the newest sample. kNone; kTrackStale: frozen; kRcmError: out of its bounds (F23);
-  /// kNotFinite. dt: time since the last call [s].
+  /// Takes the newest sample. kNone: taken; kTrackStale: silent, the pivot stays; kRcmError: out of
+  /// bounds (F23); kNotFinite. dt: time since the last call [s].
   Reason track(const TrackSample& sample, double dt);
 
   bool taught() const { return taught_; }

@@ -1,6 +1,6 @@
-// Closed-form inverse kinematics of arms built like Universal Robots': a shoulder of two crossing
-// axes, two links between three parallel axes, a wrist of right angles without a common centre.
-// Found in the chain's geometry, whatever frames its description uses; eight branches.
+// Closed-form inverse kinematics of arms of the Universal Robots family: a shoulder of two crossing
+// axes, two links between three parallel axes, a wrist of right angles without a common centre. The
+// geometry is derived from the chain, whatever frames its description uses. Eight branches.
 #pragma once
 
 #include <array>
@@ -12,7 +12,7 @@
 
 namespace surg {
 
-/// Which of the eight postures: the signs of the three measures that vanish at a singularity.
+/// One of eight postures: the signs of the three measures that vanish at a singularity.
 struct UrBranch {
   bool shoulder = true;  ///< wrist centre before the base axis (in the direction of the links)
   bool elbow = true;     ///< sine of the elbow positive
@@ -22,8 +22,8 @@ struct UrBranch {
 /// One solution and its distance to the singularities: 0 there, signed by the branch.
 struct UrSolution {
   JointVector q;
-  /// Why no joints reach the pose on this branch: "shoulder" (the wrist centre is closer to the
-  /// base axis than the arm is wide), "elbow" (too far or too near), "wrist" (exactly singular);
+  /// Why the branch does not reach the pose: "shoulder" (the wrist centre is closer to the base
+  /// axis than the arm is wide), "elbow" (too far or too near), "wrist" (exactly singular);
   /// nullptr: reached.
   const char* unreachable = nullptr;
   double shoulder = 0;  ///< [m] reach of the wrist centre from the base axis, in the links' plane
@@ -39,8 +39,8 @@ struct UrSolutions {
 
 class UrInverse {
  public:
-  /// The closed form for a chain, or nothing with the reason in '*why' (a calibrated UR, whose
-  /// axes are no longer quite parallel, is refused as well: 1e-9 rad, 1e-9 m).
+  /// Returns the closed form for a chain, or nothing with the reason in '*why'. A calibrated UR,
+  /// whose axes are not exactly parallel, is refused too (tolerance 1e-9 rad, 1e-9 m).
   static std::optional<UrInverse> of(const Chain& chain, std::string* why = nullptr);
 
   UrBranch branch(const JointVector& q) const;

@@ -1,7 +1,6 @@
-// The exact form of the law, for links that take joint velocities (docs/design/control_law.md):
-// the next flange pose lies on the constraint by construction, and the joints go there in
-// two stages, a prediction and one Newton correction. Fixed cost, nothing iterates, nothing
-// allocates.
+// Exact form of the law, for links that take joint velocities (docs/design/control_law.md).
+// The next flange pose satisfies the constraint by construction; a prediction and one Newton
+// correction give its joints. Constant cost: no iteration, no allocation.
 #pragma once
 
 #include <optional>
@@ -13,15 +12,15 @@
 
 namespace surg {
 
-/// The shaft's axis and the flange's orientation when the arm was homed: zero of the roll.
+/// Shaft axis and flange orientation at home: the zero of roll.
 struct Home {
   Vector3 s_B = Vector3::UnitZ();
   Matrix3 R_BF = Matrix3::Identity();
 };
 Home home_of(const Pose& X_BF, const Tool& tool);
 
-/// Where the instrument shall be: the four degrees of freedom that a trocar leaves, in B. 'depth'
-/// may be negative, outside the patient on the same line.
+/// Target of the instrument in the four degrees of freedom that a trocar leaves, in B. 'depth' is
+/// negative outside the patient.
 struct ShaftGoal {
   Vector3 p_BRcm;    ///< trocar point at the instant of the goal; it may move between goals
   Vector3 s_B;       ///< unit shaft axis, towards the tip
@@ -52,15 +51,15 @@ struct JointStep {
 JointStep newton_step(const Pose& X_BF, const Jacobian& J, const Pose& X_BFGoal,
                       const JointVector& posture);
 
-/// The joints for the next pose: a Newton step from q (with 'posture' [rad], the displacement that
-/// the null space would like) and one from there. With steps of a control cycle (some mrad) the
-/// pose is met to 1e-13 m. dq is q' - q; the link is sent dq / T. 'conditioning' is the smaller of
-/// both.
+/// Joints for the next pose: a Newton step from q, and a second one from there. 'posture' [rad] is
+/// the displacement preferred in the null space. For steps of a control cycle (some mrad) the pose
+/// error is below 1e-13 m. dq is q' - q; the link receives dq / T. 'conditioning' is the smaller of
+/// both steps.
 JointStep exact_step(const Chain& chain, const JointVector& q, const Pose& X_BFGoal,
                      const JointVector& posture);
 
-/// The joints for the next pose, by the quickest way that the arm's geometry has: the closed form
-/// for arms of the UR family (twice as fast, exact to rounding), 'exact_step' for all others.
+/// Joints for the next pose: in closed form for arms of the UR family (twice as fast, exact to
+/// rounding), by 'exact_step' for all others.
 class NextPose {
  public:
   /// 'closed_form' false: 'exact_step' for every arm.
@@ -76,7 +75,7 @@ class NextPose {
   std::optional<UrInverse> ur_;
 };
 
-/// The two rows that keep the pivot.
+/// The two rows of the pivot constraint.
 struct RcmRows {
   using Matrix = Eigen::Matrix<double, 2, Eigen::Dynamic, 0, 2, kMaxJoints>;
   Matrix J;           ///< lateral velocity of the shaft point at the trocar per joint velocity

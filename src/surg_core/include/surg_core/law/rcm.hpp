@@ -11,7 +11,7 @@ struct Tool {
   Vector3 p_FTip = Vector3::Zero();  ///< tip
 };
 
-/// Where the instrument is relative to its trocar; all vectors in B.
+/// Position of the instrument relative to its trocar; all vectors in B.
 struct ShaftState {
   Vector3 p_BF;     ///< flange origin
   Vector3 p_BTip;   ///< tip

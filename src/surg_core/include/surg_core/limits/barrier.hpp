@@ -1,5 +1,5 @@
-// How far an arm is from where its Jacobian loses rank, and how fast it may go there. One-sided:
-// motion away from a singularity is never limited.
+// One-sided barrier against singularities: limits the speed of approach by the distance. Motion
+// away from a singularity is never limited.
 #pragma once
 
 #include <array>
@@ -9,8 +9,8 @@
 
 namespace surg {
 
-/// Signed distances from the singular configurations, dimensionless, 0 where singular. A change of
-/// sign means that the arm went through.
+/// Signed, dimensionless distances from the singular configurations; 0 where singular. A change of
+/// sign means that the arm passed through a singularity.
 struct SingularityMeasures {
   int n = 0;
   std::array<double, 3> phi{};
@@ -27,7 +27,7 @@ class Barrier {
   bool like_ur() const { return like_ur_; }
   /// X_BF and J as Chain::forward gives them.
   SingularityMeasures measures(const Pose& X_BF, const Jacobian& J) const;
-  /// Closest that the arm may come: |phi| of every measure.
+  /// Smallest allowed |phi| of every measure.
   double phi_min() const { return phi_min_; }
   /// Fastest approach |dphi/dt| [1/s] at |phi|: sqrt(2 a (|phi| - phi_min)).
   double fastest_approach(double phi) const;

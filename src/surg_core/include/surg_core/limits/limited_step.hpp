@@ -1,13 +1,13 @@
-// One control cycle inside every joint limit without leaving the pivot: from what the law wishes to
-// joint velocities. One factor alpha for all joints, which also is the speed of the set-point's
-// clock (clamping joints one by one moved the pivot by 33 mm in a prototype).
+// One control cycle within all joint limits and on the pivot: from a requested motion to joint
+// velocities. One factor alpha scales all joints and is also the rate of the set-point's clock.
+// (Clamping joints one by one moved the pivot by 33 mm in a prototype.)
 //
-//   q_dot(alpha) = q_dot_0 + alpha q_dot_1      0: what must be corrected, 1: what the path wants
+//   q_dot(alpha) = q_dot_0 + alpha q_dot_1      0: corrections, 1: motion along the path
 //
-// Velocity, acceleration and the distance in which a joint can still brake before its position
-// limit leave an interval for alpha; preview, singularity barrier and flange speed cap it. The step
-// is then computed without linearisation and checked; what the linear picture missed enters the
-// interval and the step is redone, a fixed number of times.
+// Velocity, acceleration and braking distance to the position limits leave an interval for alpha;
+// look-ahead, singularity barrier and flange speed reduce it. The step is then computed without
+// linearisation and checked. If it violates a limit, the interval shrinks and the step is repeated,
+// a fixed number of times.
 #pragma once
 
 #include <array>
@@ -23,21 +23,21 @@
 
 namespace surg {
 
-/// What the joints may do. Never exceeded; the flange speed is kept as far as the joints' own
-/// accelerations allow.
+/// Joint limits, never exceeded. The flange's speed is limited as far as joint accelerations allow.
 struct JointLimits {
   JointVector position_min, position_max;  ///< [rad]
   JointVector velocity;                    ///< [rad/s]
   JointVector acceleration;                ///< [rad/s^2]
   double flange_velocity = INFINITY;       ///< [m/s] speed of the flange origin
-  /// [rad] Nearer to a position limit, speed towards it <= 5 /s times the distance left (F20).
+  /// [rad] Within this distance of a position limit, speed towards it <= 5 /s times the distance
+  /// (F20).
   double position_margin = 0;
 };
 JointLimits joint_limits(const RobotConfig& robot, const Limits& limits);
 
-/// Where the set-point leads: the goal at the end of this cycle if the set-point's clock has run on
-/// by t [s] since its beginning. A view of a caller's function object, which must outlive it; a
-/// trocar that moves is where it will be at the end of this cycle, whatever t.
+/// The path of the set-point: the goal at the end of this cycle if the set-point's clock advances
+/// by t [s] from the cycle's beginning. A view of a caller's function object, which must outlive
+/// it. A moving trocar is at its position at the end of this cycle for every t.
 class PathView {
  public:
   PathView() = default;
@@ -55,28 +55,28 @@ class PathView {
   ShaftGoal (*call_)(const void*, double) = nullptr;
 };
 
-/// What the law asks of one cycle.
-struct Wish {
-  /// The exact form needs it for 0 <= t <= T; the preview up to 'horizon'.
+/// The motion requested for one cycle.
+struct StepRequest {
+  /// The exact form evaluates it for 0 <= t <= T, the look-ahead up to 'horizon'.
   PathView path;
   double horizon = 0;  ///< [s] of the set-point's clock that the preview looks ahead; 0: none
-  /// Exact form: the trocar's velocity during this cycle [m/s]. What it alone turns the shaft by is
-  /// no displacement off the path.
+  /// Exact form: the trocar's velocity during this cycle [m/s]. A rotation of the shaft that it
+  /// alone causes is no deviation from the path.
   Vector3 v_BRcm = Vector3::Zero();
   JointVector posture;  ///< [rad/s] wish for the null space of redundant arms; small ones only
-  /// Exact form: how much faster than this step what follows it has the flange move [m/s].
+  /// Exact form: additional flange speed of the follower compared with this step [m/s].
   double flange_lead = 0;
   // Velocity form only: the flange twist is feedback + alpha forward.
   Vector6 feedback = Vector6::Zero();  ///< tip and roll feedback, lateral feedback, trocar velocity
   Vector6 forward = Vector6::Zero();   ///< the path's own motion; lateral velocity at the trocar 0
 };
 
-/// What became of it.
+/// The result of a limited step.
 struct Step {
   JointVector qd;               ///< [rad/s], inside every joint limit
   double alpha = 1;             ///< speed of the set-point's clock: advance it by alpha T
   const char* limited_by = "";  ///< static string, empty when alpha is 1
-  /// 0: on the path. 1: on the pivot, the tip may leave the path and will return. 2: braking, as
+  /// 0: on the path. 1: on the pivot, the tip may leave the path and returns later. 2: braking, as
   /// near to the pivot as the joint limits allow.
   std::uint8_t tier = 0;
   bool held = false;  ///< the path wants to move and the arm cannot: a report, nothing latches
@@ -87,22 +87,22 @@ class LimitedStep {
  public:
   LimitedStep(const Chain& chain, const Tool& tool, const JointLimits& limits, double T);
 
-  /// Exact form: the joints of the next pose on the constraint (exact.hpp), for a state that is
-  /// known exactly (a virtual reference). Where a limit has pushed the tip off its path, the
-  /// distance is taken back gently while the pivot stays exact.
+  /// Exact form: joints of the next pose on the constraint (exact.hpp), from an exactly known state
+  /// (a virtual reference). If a limit has moved the tip off its path, the tip returns gradually
+  /// while the pivot stays exact.
   ///
   /// q, qd_last: joint positions [rad] and last velocities [rad/s].
   Step exact(const JointVector& q, const JointVector& qd_last, const Home& home,
-             const Wish& wish) const;
+             const StepRequest& request) const;
 
-  /// Velocity form at joint positions q (a measured state, or where the command will find the arm):
-  /// the twist feedback + alpha forward. 'home' counts for the preview only.
+  /// Velocity form at joint positions q (measured, or predicted for the command): the twist
+  /// feedback + alpha forward. Only the look-ahead uses 'home'.
   Step velocity(const JointVector& q, const JointVector& qd_last, const Home& home,
-                const Vector3& p_BRcm, const Wish& wish) const;
+                const Vector3& p_BRcm, const StepRequest& request) const;
 
-  /// The recorded trace backwards, 'back' [rad] of it behind (JointTrace::at): the guaranteed way
-  /// out. 'rate' [rad/s]: how fast where no limit is met; 'back' is to be advanced by alpha rate T.
-  /// flange_lead: as in Wish.
+  /// Follows the recorded trace backwards; 'back' [rad] of it has been retraced (JointTrace::at).
+  /// 'rate' [rad/s]: speed without limits; the caller advances 'back' by alpha rate T. flange_lead:
+  /// as in StepRequest.
   Step retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,
                double back, double rate, const Vector3& p_BRcm, double flange_lead = 0) const;
 

@@ -1,5 +1,5 @@
-// The workspace of the tip: a cone about the home axis between two depths, and what happens near
-// the trocar. The limits of the joints are in limited_step.hpp.
+// Workspace of the tip (a cone about the home axis between two depths) and restrictions near the
+// trocar. limited_step.hpp has the joint limits.
 #pragma once
 
 #include "surg_core/config.hpp"
@@ -14,8 +14,8 @@ double outside_workspace(const Limits& limits, const Vector3& p_RTip);
 /// Whether a tip target in the rcm frame lies within depth_min..depth_max and the cone.
 bool inside_workspace(const Limits& limits, const Vector3& p_RTip);
 
-/// Whether a tip position nearer to the trocar than 'depth' [m] lies aside of the shaft (unit s_R):
-/// there targets and profiles may only lead along it (F24).
+/// Whether a tip position less than 'depth' [m] from the trocar lies beside the shaft (unit s_R).
+/// There, targets and profiles may only lead along the shaft (F24).
 bool aside_near_trocar(const Vector3& p_RTip, const Vector3& s_R, double depth);
 
 /// Factor for lateral tip motion near the trocar (F24): 1 above depth_slow, 0 below depth_min.

@@ -1,5 +1,5 @@
-// The hardest stop that acceleration and jerk limits allow, from any velocity and acceleration, in
-// closed form: how long it takes, where it ends and how far out it swings on the way.
+// The fastest stop within acceleration and jerk limits, from any velocity and acceleration, in
+// closed form: duration, end position and overshoot.
 #pragma once
 
 #include <array>
@@ -8,23 +8,23 @@
 
 namespace surg {
 
-/// A motion of at most three pieces of constant jerk, then at constant velocity (none, after a
+/// A motion of at most three segments of constant jerk, followed by constant velocity (zero after a
 /// stop). A plain value; nothing here fails.
 class Braking {
  public:
-  /// Stands still at 0 for ever.
+  /// At rest at position 0.
   Braking() = default;
-  /// To a standstill in the least time with |a| <= limits.acceleration, |jerk| <= limits.jerk; the
-  /// velocity limit plays no part. The velocity changes its sign at most once, and only where the
-  /// present acceleration leaves no other way. An acceleration beyond its limit comes back with
-  /// full jerk.
+  /// Stops in minimum time with |a| <= limits.acceleration and |jerk| <= limits.jerk; the velocity
+  /// limit is not used. The velocity changes sign at most once, and only if the present
+  /// acceleration forces it. An acceleration beyond its limit is reduced with full jerk.
   static Braking stop(const Kinematic& from, const DofLimits& limits);
-  /// To zero acceleration with full jerk, then on at the velocity reached.
+  /// Reduces the acceleration to zero with full jerk, then keeps the velocity.
   static Braking ease(const Kinematic& from, const DofLimits& limits);
 
   double duration() const;       ///< until the jerk is over [s]
   Kinematic at(double t) const;  ///< t < 0: the start; from duration() on exactly a = 0
-  /// From the start to the end of the jerk, signed: the exact braking distance of a stop.
+  /// Signed distance from the start to the end of the last jerk segment: for a stop, the exact
+  /// braking distance.
   double distance() const { return end_.x - from_.x; }
   /// Least and greatest position between two times, exact.
   Interval range(double t0, double t1) const;

@@ -1,4 +1,4 @@
-// What a sender may ask of the arm.
+// Motion commands that a client may send.
 #pragma once
 
 #include <cstdint>
@@ -40,13 +40,13 @@ struct MotionCommand {
   double jaw = 0;                      ///< jaw angle [rad]
 };
 
-/// A stream: every message is the next sample, and silence ends it.
+/// Whether the command is a stream: each message is the next sample, and silence ends the stream.
 inline bool is_servo(Motion motion) {
   return motion == Motion::kServoCp || motion == Motion::kServoJp || motion == Motion::kServoJr ||
          motion == Motion::kServoCv || motion == Motion::kServoJv;
 }
 
-/// Moves the jaw and nothing else.
+/// Whether the command moves the jaw only.
 inline bool is_jaw(Motion motion) {
   return motion == Motion::kJawServoJp || motion == Motion::kJawMoveJp;
 }

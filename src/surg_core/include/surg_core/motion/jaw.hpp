@@ -1,4 +1,4 @@
-// The jaw: follows its goal at a limited rate. Nothing but a command ever moves it (F31).
+// The jaw follows its goal at a limited rate. Only a command moves it (F31).
 #pragma once
 
 #include "surg_core/config.hpp"
@@ -10,14 +10,14 @@ class Jaw {
   /// dt: control period [s].
   Jaw(const InstrumentConfig& instrument, double dt);
 
-  /// A measured angle [rad], not finite where there is none. The first one tells where the jaw is;
-  /// until then it is not told to move.
+  /// Takes a measured angle [rad], not finite without a measurement. The first one initialises the
+  /// set-point; until then the jaw gets no command.
   void sense(double measured);
   /// A goal [rad], clamped to the jaw's range. 'move': busy until the jaw is there.
   void go_to(double angle, bool move);
-  /// Stays where it is: on a stop, a pause, a fault.
+  /// Holds the present angle: on a stop, pause or fault.
   void hold();
-  /// One period; only while the arm is ENABLED and the tool link alive.
+  /// Advances one period. may_move: the arm is ENABLED and the tool link alive.
   void advance(bool may_move);
 
   double setpoint() const { return set_; }  ///< [rad]; not a number until measured

@@ -1,5 +1,5 @@
-// Where the joints have been: the guaranteed way back. What the arm has done forwards it can do
-// backwards, while a straight retraction may be geometrically impossible.
+// Recorded joint path: the guaranteed way back. An arm can reverse any motion it has made, while a
+// straight retraction may be geometrically impossible.
 #pragma once
 
 #include <array>
@@ -8,19 +8,18 @@
 
 namespace surg {
 
-/// A recorded joint path in bounded memory. New points are taken every 'spacing' of joint motion.
-/// Where the joints come back to an earlier point the loop between is dropped. When the memory is
-/// full all the same, every second point goes and the spacing doubles: the way from the first point
-/// is always kept whole.
+/// A joint path in bounded memory, with a point every 'spacing' of joint motion. Where the joints
+/// return to an earlier point, the loop between is removed. When the memory is full, every second
+/// point is removed and the spacing doubles, so the way from the first point stays complete.
 class JointTrace {
  public:
   static constexpr int kCapacity = 1024;
   static constexpr double kSpacing = 0.01;  ///< [rad] of the fastest joint, to begin with
 
   void clear();
-  /// Where the joints are now [rad]; once a cycle.
+  /// Records the present joints [rad]; call it once per cycle.
   void record(const JointVector& q);
-  /// The newest 's' [rad] have been gone back, and are no part of the way out any more.
+  /// Removes the newest 's' [rad], which have been retraced.
   void shorten(double s);
 
   bool empty() const { return n_ == 0; }

@@ -1,6 +1,6 @@
 // Profiler for discrete targets: one quintic per degree of freedom with a common duration, extended
-// until velocity, acceleration, jerk and position limits hold. Paper, "Velocity Profiler"; d = 0.5
-// s is its base duration. Every extreme is exact; none is sampled.
+// until velocity, acceleration, jerk and position limits hold. Paper, "Velocity Profiler"; its base
+// duration is d = 0.5 s. All extremes are exact, none is sampled.
 #pragma once
 
 #include <array>
@@ -19,24 +19,24 @@ class Profiler {
   Profiler() = default;
   Profiler(const std::array<DofLimits, kDof>& limits, double base_duration);
 
-  /// Forgets everything and stands at x.
+  /// Resets to rest at x.
   void reset(const std::array<double, kDof>& x);
-  /// Starts from an arbitrary state (for example the stream's), so that a change of mode does not
-  /// jump.
+  /// Starts from any state (for example the stream's), so that a change of mode is continuous.
   void reset(const std::array<Kinematic, kDof>& state);
   /// Plans from the present state to rest at the target.
   ///
-  /// Each degree of freedom stays inside its bounds, or, where its start or its target lies outside
-  /// of them, inside the hull of all three. Without bounds a start in motion can swing far beyond
-  /// both ends, the farther the longer the slowest degree of freedom needs. Taken is the first that
-  /// keeps limits and bounds:
-  ///   1. a quintic, of the least duration that a scan finds;
-  ///   2. every acceleration to zero with full jerk, then such a quintic (1 cannot hold where the
-  ///      present acceleration is beyond its limit);
-  ///   3. a stop in the least time, then a quintic from rest, which is monotone and always holds.
-  /// Returns whether limits and bounds hold. They do not where the present state is beyond a limit
-  /// or leaves no room for the stop of 3, which is taken then. A target that is not finite is
-  /// ignored (false, the present plan goes on).
+  /// Each degree of freedom stays inside its bounds, or, if its start or target lies outside,
+  /// inside the hull of bounds, start and target. Without bounds, a start in motion can overshoot
+  /// both ends by far. The first option that keeps limits and bounds is used:
+  ///
+  ///   1. a quintic of the shortest duration that a scan finds;
+  ///   2. all accelerations to zero with full jerk, then such a quintic (1 fails where the present
+  ///      acceleration is beyond its limit);
+  ///   3. a stop in minimum time, then a quintic from rest, which is monotone and always holds.
+  ///
+  /// Returns whether limits and bounds hold. They do not if the present state is beyond a limit or
+  /// leaves no room for the stop of option 3, which is then used. A target that is not finite is
+  /// ignored (returns false, the present plan continues).
   ///
   /// Re-plan from the profiler's own state, never from a measured acceleration.
   bool plan(const std::array<double, kDof>& target, const Bounds& bounds = Bounds{});

@@ -15,7 +15,7 @@ struct DofLimits {
   double velocity, acceleration, jerk;
 };
 
-/// From the least to the greatest value; everything, unless told otherwise.
+/// A closed interval; unbounded by default.
 struct Interval {
   double least = -std::numeric_limits<double>::infinity();
   double greatest = std::numeric_limits<double>::infinity();

@@ -1,7 +1,6 @@
-// The moving set-point: what the instrument shall do next, from whichever kind of command came
-// last. Four degrees of freedom in the rcm frame: x, y, z, roll (Cartesian) or yaw, pitch,
-// insertion, roll (spherical). A plain value: copy it, advance the copy, keep the one whose step
-// the limits allow.
+// Set-point of the instrument, driven by the latest kind of command. Four degrees of freedom in the
+// rcm frame: x, y, z, roll (Cartesian) or yaw, pitch, insertion, roll (spherical). A plain value:
+// the controller advances a copy and keeps the one whose step the limits allow.
 #pragma once
 
 #include <array>
@@ -28,68 +27,67 @@ class Setpoint {
   enum class Mode { kRest, kStream, kVelocity, kProfile, kStopping };
 
   Setpoint() = default;
-  /// paper: every stream goes through the paper's quintic of fixed duration, re-planned each cycle.
-  /// stream_delay [s]: a stream is followed that much later, see StreamDelay; not with 'paper'.
+  /// paper: every stream follows the paper's quintic of fixed duration, re-planned each cycle.
+  /// stream_delay [s]: delay of streams, see StreamDelay; not used with 'paper'.
   Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay = 0);
 
-  /// Stands still at a tip position [m] in the rcm frame, the shaft along unit s_R, and a roll
+  /// Resets to rest at a tip position [m] in the rcm frame, with unit shaft direction s_R and roll
   /// [rad].
   void reset(const Vector3& p_RTip, const Vector3& s_R, double roll);
-  /// A sample of a pose stream (servo_cp, servo_jp).
-  void follow(Space space, const std::array<double, 4>& target, double T);
-  /// A velocity to hold (servo_cv, servo_jv).
-  void drive(Space space, const std::array<double, 4>& rate);
-  /// A discrete target (interpolate_*, move_*): quintic to rest there. Where its overshoot from the
-  /// present motion would leave the workspace, the tip stops first. False, and nothing changed,
-  /// where the way from rest leads out of the workspace as well.
-  bool go_to(Space space, const std::array<double, 4>& target);
-  /// Straight along the shaft to a depth [m], which may lie above the trocar, at no more than
-  /// 'speed' [m/s]; the workspace does not count. From rest only.
-  void go_along(const Vector3& s_R, double depth, double speed);
+  /// Takes a sample of a pose stream (servo_cp, servo_jp).
+  void add_stream_sample(Space space, const std::array<double, 4>& target, double T);
+  /// Takes a velocity to keep (servo_cv, servo_jv).
+  void set_velocity(Space space, const std::array<double, 4>& rate);
+  /// Moves to a discrete target (interpolate_*, move_*): a quintic to rest there. If its overshoot
+  /// from the present motion would leave the workspace, the tip stops first. Returns false and
+  /// changes nothing if the way from rest leaves the workspace as well.
+  bool move_to(Space space, const std::array<double, 4>& target);
+  /// Moves straight along the shaft to a depth [m], which may lie above the trocar, with at most
+  /// 'speed' [m/s]. The workspace is not checked. From rest only.
+  void move_along(const Vector3& s_R, double depth, double speed);
   /// Decelerates the tip along its present direction.
   void stop();
 
-  /// Stands still where it is and starts anew from rest: a limit has brought the arm to a stop, and
-  /// a velocity kept from before would hold it there for ever. The target stays.
-  void stand();
+  /// Restarts from rest at the present position: a limit has stopped the arm, and a velocity kept
+  /// in the filter would point at the limit for ever. The target stays.
+  void restart_from_rest();
 
-  /// A stop and a velocity have no path to keep.
+  /// Whether the motion (a stop or a velocity) has no path to keep.
   bool has_no_path() const { return mode_ == Mode::kStopping || mode_ == Mode::kVelocity; }
-  /// Then it goes on from where and how the tip really is: a change that is harder than the joints
-  /// can follow would leave the tip behind.
-  void slip(const Vector3& p_RTip, const Vector3& v_RTip);
+  /// For a motion without a path: continues from the tip's true position and velocity. A change
+  /// harder than the joints can follow would otherwise leave the tip behind.
+  void resync(const Vector3& p_RTip, const Vector3& v_RTip);
 
-  /// Unit direction of a push on the tip, zero for none: streams and velocities no longer move
-  /// against it, and a profile that does is stopped (F25).
+  /// Sets the unit direction of the force on the tip, zero for none. Streams and velocities no
+  /// longer move against it; a profile that does is stopped (F25).
   void yield_to(const Vector3& push_R);
 
-  /// Real time passes: stream samples get older, and their delay goes by.
+  /// Advances real time by T: the age of stream samples and their delay.
   void elapse(double T);
-  /// The set-point moves on by dt <= T of its own clock.
+  /// Advances the set-point by dt <= T of its own clock.
   void advance(double dt);
 
-  /// Tip and roll: all that a look ahead needs, at its many points.
-  struct Place {
+  /// Tip position and roll, as needed by the look-ahead.
+  struct TipAndRoll {
     Vector3 p_RTip;
     double roll;
   };
-  /// Where advance(dt) would lead.
-  Place after(double dt) const;
-  /// Where the set-point will be in t [s] of its own clock, as far as is known now: along its
-  /// profile, and straight on where a stream or a velocity leads it. For looking ahead, not for
-  /// moving.
-  Place foreseen(double t) const;
+  /// The result of advance(dt), without changing the set-point.
+  TipAndRoll after(double dt) const;
+  /// Predicted position in t [s] of its own clock: along its profile, or at constant velocity for
+  /// streams and velocities. For the look-ahead only.
+  TipAndRoll predict(double t) const;
 
   Mode mode() const { return mode_; }
   Space space() const { return space_; }
-  /// Moves or rests along the shaft line (go_along): only depth and roll may change.
+  /// Whether it moves or rests along the shaft line (move_along): only depth and roll may change.
   bool axial() const { return axial_; }
-  /// The workspace's wall has stopped the last advance.
+  /// Whether the workspace boundary stopped the last advance.
   bool at_wall() const { return at_wall_; }
   Vector3 p_RTip() const;
   Vector3 v_RTip() const;
-  /// Unit shaft direction that goes with the position: from the trocar to the tip, and as it was
-  /// where the tip is near the trocar or above it.
+  /// Unit shaft direction from the trocar to the tip; the last one where the tip is near the trocar
+  /// or above it.
   Vector3 s_R() const;
   /// Yaw, pitch, insertion, roll.
   Vector4 joints() const;
@@ -99,7 +97,7 @@ class Setpoint {
  private:
   /// Of four degrees of freedom in the present space.
   Vector3 tip_of(double x, double y, double z) const;
-  void enter(Space space);
+  void switch_space(Space space);
   bool plan(Space space, const std::array<double, 4>& target);
   void come_to_rest();
   bool overdue() const;
@@ -108,15 +106,15 @@ class Setpoint {
   void advance_velocity(double dt);
   void advance_stopping(double dt);
   bool plan_leaves_workspace() const;
-  void hinder(const Vector3& p_before);
+  void restrict_step(const Vector3& p_before);
   bool stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const;
-  bool leads_out(const Vector3& to) const;
-  bool further_out(const Vector3& p_RTip) const;
+  bool leaves_workspace(const Vector3& to) const;
+  bool farther_outside(const Vector3& p_RTip) const;
   std::array<DofLimits, 4> dof_limits(Space space) const;
 
   Limits limits_{};
   bool paper_ = false;
-  double duration_ = 0.5;
+  double base_duration_ = 0.5;
   Mode mode_ = Mode::kRest;
   Space space_ = Space::kCartesian;
   Dofs dofs_{};
@@ -130,13 +128,13 @@ class Setpoint {
   std::array<double, 4> rate_{};
   std::array<double, 4> target_{};
   Space target_space_ = Space::kCartesian;
-  double tick_ = 0;     ///< the control period [s]
-  double clock_ = 1;    ///< the set-point's time per real time in the last advance
-  double pace_ = 0;     ///< base duration of the present profile [s]
-  double age_ = 0;      ///< since the last stream sample [s]
-  double spacing_ = 0;  ///< of the last two samples [s]
+  double tick_ = 0;              ///< the control period [s]
+  double clock_rate_ = 1;        ///< the set-point's time per real time in the last advance
+  double profile_duration_ = 0;  ///< base duration of the present profile [s]
+  double age_ = 0;               ///< since the last stream sample [s]
+  double spacing_ = 0;           ///< of the last two samples [s]
   Profiler profiler_;
-  bool then_go_ = false;  ///< go to target_ once stopped
+  bool move_after_stop_ = false;  ///< go to target_ once stopped
 };
 
 }  // namespace surg

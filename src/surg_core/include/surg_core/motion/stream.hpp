@@ -1,5 +1,5 @@
-// Stream filter: follows a stream of targets within velocity, acceleration and jerk limits, in
-// closed form, with no planning and no failure branch; and the alpha-beta estimate that feeds it.
+// Filters of command streams: a jerk-limited tracking filter in closed form (no planning, no
+// failure branch), the alpha-beta estimate that feeds it, and an optional delay.
 #pragma once
 
 #include "surg_core/motion/quintic.hpp"
@@ -10,7 +10,7 @@ namespace surg {
 /// the acceleration as its low-passed change.
 class AlphaBeta {
  public:
-  /// Forgets the past: position x, velocity v.
+  /// Resets to position x and velocity v.
   void reset(double x, double v = 0);
   /// A new sample 'spacing' seconds after the last one. Gains follow the spacing (30 Hz: 0.852 /
   /// 0.703; 500 Hz: 0.612 / 0.279).
@@ -22,19 +22,18 @@ class AlphaBeta {
   double x_ = 0, v_ = 0, a_ = 0;
 };
 
-/// One axis of a delay: a third-order Bessel low-pass, whose group delay is the same at all
-/// frequencies that it lets pass and whose overshoot is below 1 %. A stream keeps its shape and
-/// only comes later, with less acceleration: for arms that cannot follow a hand's, and would
-/// overshoot.
+/// Delay of one axis: a third-order Bessel low-pass. Its group delay is the same for all
+/// frequencies that pass, and its overshoot is below 1 %. A stream keeps its shape and gets less
+/// acceleration, for arms that could not follow a hand's.
 class StreamDelay {
  public:
   StreamDelay() = default;
   /// delay [s] >= 0; 0 is no delay.
   explicit StreamDelay(double delay) : delay_(delay) {}
   void reset(const Kinematic& state) { state_ = state; }
-  /// Whether it does anything at this tick; a delay of less than one tick cannot.
+  /// Whether the delay has an effect at this tick; a delay below one tick has none.
   bool works(double T) const { return delay_ > 0 && delay_ >= T; }
-  /// T seconds go by with the input at x.
+  /// Advances T seconds with the input at x.
   void step(double x, double T);
   /// The delayed stream 'ahead' seconds later.
   Kinematic predict(double ahead) const;
@@ -50,11 +49,11 @@ class StreamFilter {
   StreamFilter() = default;
   explicit StreamFilter(const DofLimits& limits);
   void reset(const Kinematic& state);
-  /// One tick of T seconds towards a target predicted one tick ahead. Never
-  /// leaves the velocity, acceleration and jerk limits. A target that is not finite: comes to rest.
+  /// One tick of T seconds towards a target predicted one tick ahead. Never exceeds the velocity,
+  /// acceleration and jerk limits. Comes to rest if the target is not finite.
   void step(const Kinematic& target, double T);
-  /// One tick of the hardest braking inside the same limits; in the end it stands still. It does so
-  /// where Braking::stop says, to within |v| T + |a| T^2: ticks cannot switch in between.
+  /// One tick of the hardest braking inside the limits, down to standstill. It stops where
+  /// Braking::stop predicts, to within |v| T + |a| T^2, because jerk changes only between ticks.
   void brake(double T);
   const Kinematic& state() const { return state_; }
 

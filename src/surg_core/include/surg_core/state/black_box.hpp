@@ -1,7 +1,7 @@
-// The black box: the last two seconds of a controller, complete enough to run them again bit for
-// bit. Drive the controller through it. The loop's side copies values into memory taken at
-// construction: no allocation, lock or I/O. On FAULT it freezes; another thread then takes the
-// recording out at leisure and releases it. docs/reference/black_box.md describes the file.
+// Flight recorder: the last two seconds of a controller, complete enough to replay them bit for
+// bit. Callers drive the controller through it. The control thread copies values into preallocated
+// memory: no allocation, lock or I/O. A FAULT freezes the recording; another thread then reads it
+// and releases it. docs/reference/black_box.md describes the file.
 #pragma once
 
 #include <atomic>
@@ -17,7 +17,7 @@
 
 namespace surg {
 
-/// Everything a controller is made from.
+/// The constructor arguments of a controller.
 struct ControllerSetup {
   Chain chain;
   RobotConfig robot;
@@ -27,14 +27,14 @@ struct ControllerSetup {
   Controller::Options options;
 };
 
-/// For people: where a recording comes from. Replay does not read it.
+/// Origin of a recording, for people. Replay does not read it.
 struct BlackBoxLabel {
   std::string arm, cell;  ///< name of the arm, path of the cell
   std::string written;    ///< date and time
   std::string version;    ///< of the software
 };
 
-/// A call between two steps, or one command of a step.
+/// A call between two steps, or one command within a step.
 struct BlackBoxEvent {
   enum class Kind : std::uint8_t { kRequest, kSetRcm, kFault, kPause, kClaim, kCommand };
   Kind kind = Kind::kCommand;
@@ -46,7 +46,7 @@ struct BlackBoxEvent {
   MotionCommand command;                        ///< kCommand
 };
 
-/// One step: what went in (its commands are events) and what came out.
+/// Inputs and outputs of one step; its commands are events.
 struct BlackBoxStep {
   Readings in;
   std::uint32_t events = 0;  ///< calls since the step before, then this step's commands
@@ -54,7 +54,7 @@ struct BlackBoxStep {
   Outputs out;
 };
 
-/// What a file holds: a controller, its image before the first step, and all that followed.
+/// The content of a file: a controller, its snapshot before the first step, and all later calls.
 struct BlackBoxRecording {
   BlackBoxLabel label;
   ControllerSetup setup;
@@ -63,16 +63,16 @@ struct BlackBoxRecording {
   std::vector<BlackBoxEvent> events;  ///< in order; those after the last step included
 };
 
-/// The same calls as Controller; each is forwarded and remembered.
+/// Offers the calls of Controller, forwards each and records it.
 class BlackBox {
  public:
   static constexpr int kBlocks = 4;        ///< in turn; each begins with the controller's image
   static constexpr int kBlockSteps = 400;  ///< 0.8 s at 2 ms
-  /// A block ends early when as many calls and commands are in it.
+  /// A block ends early at this number of calls and commands.
   static constexpr int kBlockEvents = 4 * kBlockSteps;
   static constexpr int kAfter = 150;  ///< steps kept after the fault: its stop belongs to it
 
-  /// 'controller' must have been made from 'setup' and outlive the box. Allocates.
+  /// 'controller' must have been constructed from 'setup' and must outlive the box. Allocates.
   BlackBox(Controller& controller, const ControllerSetup& setup);
 
   Reason request(StateCommand command);
@@ -85,12 +85,12 @@ class BlackBox {
   /// Freezes after kAfter more steps, as a FAULT does (same thread as step()).
   void trigger();
 
-  /// Any thread: the recording stands still until release().
+  /// Whether the recording is frozen. Any thread may ask; it stays frozen until release().
   bool frozen() const { return frozen_.load(std::memory_order_acquire); }
-  /// The other thread, while frozen: a copy of at least the last 2 s (less after a start, a release
-  /// or in a flood of commands). Allocates.
+  /// Returns a copy of at least the last 2 s: less after a start, after a release, or in a flood of
+  /// commands. Call it from another thread while frozen. Allocates.
   BlackBoxRecording recording(const BlackBoxLabel& label) const;
-  /// The other thread, while frozen: record again, from the next step on.
+  /// Resumes recording with the next step. Call it from another thread while frozen.
   void release() { frozen_.store(false, std::memory_order_release); }
 
  private:
@@ -117,26 +117,26 @@ class BlackBox {
   std::atomic<bool> frozen_{false};
 };
 
-/// A file that is not a black box, broken, or of another build: which, and what to do.
+/// The file is no black box, is damaged, or belongs to another build.
 class BlackBoxError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
 
-/// The bytes of a file: magic and version, length, contents, checksum.
+/// Returns the bytes of a file: magic and version, length, contents, checksum.
 std::string encode(BlackBoxRecording recording);
 /// Throws BlackBoxError.
 BlackBoxRecording decode(std::string_view bytes);
 
-/// Where a replay left the recording.
+/// The first difference between a recording and its replay.
 struct BlackBoxDifference {
   std::size_t step = 0;  ///< index of the step; recording.steps.size(): behind the last
   std::string field;     ///< of Outputs, or the call's name
   std::string recorded, replayed;
 };
 
-/// Runs a recording again on a new controller and compares every call's answer and every field of
-/// Outputs bit for bit. Empty: all the same. Throws BlackBoxError for an image of another build.
+/// Replays a recording on a new controller and compares every answer and every field of Outputs bit
+/// for bit. Returns nothing if all are equal. Throws BlackBoxError for a snapshot of another build.
 std::optional<BlackBoxDifference> replay(const BlackBoxRecording& recording);
 
 }  // namespace surg

@@ -1,4 +1,4 @@
-// What the measured force at the tip and the load of the trocar allow (F25).
+// Guards the measured force at the tip and the load on the trocar (F25).
 #pragma once
 
 #include "surg_core/config.hpp"
@@ -7,7 +7,7 @@
 
 namespace surg {
 
-/// A measured force. Not every arm has a sensor: 'valid' is false then, and nothing is guarded.
+/// A measured force. 'valid' is false for arms without a sensor; nothing is guarded then.
 struct ForceSample {
   bool valid = false;
   Vector3 f_B = Vector3::Zero();  ///< of the environment on the instrument [N], in B
@@ -22,16 +22,16 @@ class ForceGuard {
   ForceGuard() = default;
   explicit ForceGuard(const Limits& limits);
 
-  /// Once a cycle. kYield: above the soft limit; kPause: for kPatience; kStop: the trocar's load;
-  /// kHalt: above the hard limit, or not finite (the geometry of the contact is unknown).
+  /// Call it once per cycle. kYield: above the soft limit; kPause: above it for kPatience; kStop:
+  /// trocar load; kHalt: above the hard limit, or not finite (contact geometry unknown).
   Verdict judge(const ForceSample& tip, const ForceSample& trocar, double dt);
-  /// The arm starts anew: patience as well, or it could never move away from a contact.
+  /// Restarts the time above the soft limit, so that an arm in contact can move away.
   void restart() { above_ = 0; }
-  /// Below the levels of FAULT, as far as is measured.
+  /// Whether the measured forces are below their fault levels.
   bool acceptable() const { return acceptable_; }
-  /// Above the warning level of the trocar's load.
+  /// Whether the trocar load is above its warning level.
   bool warns() const { return warns_; }
-  /// Unit direction of the force on the tip while the guard yields, in B; zero: free. Motion
+  /// Unit direction of the force on the tip while the guard yields, in B; zero otherwise. Motion
   /// against it raises the force.
   const Vector3& push() const { return push_; }
 

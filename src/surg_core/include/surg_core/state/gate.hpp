@@ -1,5 +1,5 @@
-// The gate: what may come in. Authority, finiteness, step size, workspace; nothing is clipped, a
-// command is taken or refused with a reason.
+// Command authority and the step test of streams. Nothing is clipped: a command is accepted, or
+// refused with a reason.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +10,7 @@
 
 namespace surg {
 
-/// Who may move the arm: the first accepted sender, until the arm has rested 0.5 s without a
+/// Command authority: held by the first accepted sender until the arm has rested 0.5 s without a
 /// command (F26).
 class Authority {
  public:
@@ -20,12 +20,12 @@ class Authority {
     holder_ = source;
     silent_ = 0;
   }
-  /// Held by 'source' alone until the arm leaves ENABLED, resting or not.
+  /// Gives 'source' exclusive authority until the arm leaves ENABLED, at rest or not.
   void claim(std::uint32_t source) {
     taken(source);
     claimed_ = true;
   }
-  /// Once a cycle. resting: the set-point stands still; enabled: the arm is ENABLED.
+  /// Call it once per cycle. resting: the set-point is at rest; enabled: the arm is ENABLED.
   void elapse(bool resting, bool enabled) {
     silent_ += dt_;
     if (was_enabled_ && !enabled) claimed_ = false;

@@ -7,7 +7,7 @@ namespace surg {
 
 enum class State : std::uint8_t { kDisabled = 0, kEnabled = 1, kPaused = 2, kFault = 3 };
 
-/// Why the arm does not do what was asked. 'sentence' turns one into words with the cure.
+/// Why the arm refuses a command, stops or holds. 'sentence' explains it, with the remedy.
 enum class Reason : std::uint8_t {
   kNone = 0,
   kNotHomed,           // motion before home
@@ -44,7 +44,7 @@ enum class Reason : std::uint8_t {
   kLate,               // F03 it answers what the arm said before its last stop
 };
 
-/// One sentence for people: what was wrong and what to do.
+/// One sentence for people: what is wrong and what to do.
 const char* sentence(Reason reason);
 /// The short name used in FAULT(name), logs and summary.json.
 const char* name(Reason reason);
@@ -52,21 +52,21 @@ const char* name(State state);
 
 enum class StateCommand : std::uint8_t { kEnable, kDisable, kPause, kResume, kHome, kUnhome };
 
-/// Facts that a transition may depend on.
+/// Conditions of a transition.
 struct Conditions {
   Reason state = Reason::kLinkLost;  ///< kNone: a fresh, finite joint state is there
   Reason rcm = Reason::kRcmUnset;    ///< kNone: the shaft passes through a known trocar point
   bool force_ok = true;              ///< the measured forces are below their fault levels
 };
 
-/// CRTK state machine. Nothing resumes by itself.
+/// CRTK state machine. The arm never resumes without a command.
 class OperatingState {
  public:
   State state() const { return state_; }
   Reason reason() const { return reason_; }
   bool homed() const { return homed_; }
 
-  /// Asks for a transition. Returns kNone when done, otherwise why it was refused.
+  /// Requests a transition. Returns kNone when done, otherwise why it was refused.
   Reason request(StateCommand command, const Conditions& now);
   /// Latches FAULT with its cause; the first cause stays.
   void fault(Reason reason);

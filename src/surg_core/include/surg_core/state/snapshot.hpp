@@ -1,5 +1,5 @@
-// The image of an object's memory: what BlackBox needs to start a replay in the middle of a run.
-// Only plain values have one: no pointers, no heap, their bytes are all there is.
+// Snapshots of the controller's memory, from which BlackBox starts a replay in the middle of a run.
+// Only plain values can be stored: no pointers, no heap, nothing beyond their bytes.
 #pragma once
 
 #include <cstddef>
@@ -11,9 +11,9 @@
 
 namespace surg {
 
-/// Whether an object's bytes are all there is to it. Specialise it for classes with Eigen members
-/// of fixed or bounded size: these live inline, but have constructors of their own, which the
-/// language takes for more.
+/// Whether an object consists of its bytes alone. Specialise it for classes with Eigen members of
+/// fixed or bounded size: these are stored inline, but their constructors make them not trivially
+/// copyable.
 template <typename T>
 struct IsPlain : std::is_trivially_copyable<T> {};
 template <typename Scalar, int Rows, int Cols, int Options, int MaxRows, int MaxCols>
@@ -22,21 +22,21 @@ struct IsPlain<Eigen::Matrix<Scalar, Rows, Cols, Options, MaxRows, MaxCols>>
 template <>
 struct IsPlain<Pose> : std::true_type {};
 
-/// Writes members one after the other, the first at 'begin'. Beyond 'room' it only counts.
-class ImageWriter {
+/// Writes members one after the other, starting at 'begin'. Beyond 'room' it only counts.
+class SnapshotWriter {
  public:
-  ImageWriter(std::byte* to, std::size_t room, std::size_t begin = 0)
+  SnapshotWriter(std::byte* to, std::size_t room, std::size_t begin = 0)
       : to_(to), room_(room), size_(begin) {}
   template <typename... T>
   void operator()(T&... members) {
-    (one(members), ...);
+    (copy(members), ...);
   }
   std::size_t size() const { return size_; }  ///< needed so far, 'begin' included
   std::uint64_t layout() const { return layout_; }
 
  private:
   template <typename T>
-  void one(T& member) {
+  void copy(T& member) {
     static_assert(IsPlain<T>::value && !std::is_pointer_v<T>, "not a plain value");
     if (size_ + sizeof member <= room_) std::memcpy(to_ + size_, &member, sizeof member);
     size_ += sizeof member;
@@ -48,18 +48,18 @@ class ImageWriter {
   std::uint64_t layout_ = 1469598103934665603ULL;
 };
 
-/// Puts members back. The caller has compared size and layout.
-class ImageReader {
+/// Reads members back. The caller has compared size and layout.
+class SnapshotReader {
  public:
-  explicit ImageReader(const std::byte* from) : from_(from) {}
+  explicit SnapshotReader(const std::byte* from) : from_(from) {}
   template <typename... T>
   void operator()(T&... members) {
-    (one(members), ...);
+    (copy(members), ...);
   }
 
  private:
   template <typename T>
-  void one(T& member) {
+  void copy(T& member) {
     static_assert(IsPlain<T>::value && !std::is_pointer_v<T>, "not a plain value");
     std::memcpy(static_cast<void*>(&member), from_, sizeof member);
     from_ += sizeof member;
