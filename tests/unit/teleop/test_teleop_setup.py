@@ -1,5 +1,7 @@
 """The set-up of a teleoperation read from parameters."""
 
+from pathlib import Path
+
 import pytest
 
 from surg_cli.host import paths
@@ -59,3 +61,17 @@ def test_a_parameter_that_must_not_be_used_is_named(params: dict, name: str, all
         read_setup({"cell": TWO_ARMS, **params}, "/teleop")
     assert caught.value.name == name
     assert allowed in caught.value.allowed
+
+
+def test_a_mapping_that_only_the_leader_names_is_checked_too(tmp_path: Path) -> None:
+    leader = tmp_path / "own.py"
+    leader.write_text(
+        "class Own:\n"
+        "    name, mapping = 'own', 'sideways'\n"
+        "    def open(self): pass\n"
+        "    def read(self, now): return None\n"
+        "    def close(self): pass\n"
+    )
+    with pytest.raises(ParamError) as caught:
+        read_setup({"cell": TWO_ARMS, "leader": str(leader)}, "/teleop")
+    assert (caught.value.name, caught.value.value) == ("mapping", "sideways")

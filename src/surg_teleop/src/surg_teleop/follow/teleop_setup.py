@@ -227,6 +227,8 @@ def _teleop(
     prefix: str,
 ) -> Teleop:
     mode = given.of(prefix, "mapping") or getattr(leader, "mapping", ControlMode.POSITION.value)
+    if mode not in MODES:
+        raise ParamError(prefix + "mapping", mode, f"{', '.join(MODES)}; this is the leader's own")
     # The assistant's servos are as fast as the arms' limits; its jaws are those of the first arm.
     model = cell.arms.get(arm) or next(iter(cell.arms.values()))
     limits, instrument = model.limits, model.instrument

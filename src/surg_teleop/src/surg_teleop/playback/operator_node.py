@@ -86,7 +86,8 @@ class OperatorNode:
         self._sim.take(message, now)
         if complaint := self._sim.complaint(now):
             rospy.logwarn("operator: the end of the run is not noticed: %s", complaint)
-        elif message.state != SimStatus.STATE_RUNNING:
+        status = self._sim.at(now)  # None: an invalid message ends nothing, however often it comes
+        if status is not None and status.state != SimStatus.STATE_RUNNING:
             self.finished.set()
 
     def _report(self) -> None:
