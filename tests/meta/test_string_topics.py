@@ -32,7 +32,7 @@ PROMISED = {
 """Every std_msgs/String of the contract, and why it is none by which another node decides."""
 
 USED = {
-    "announcer.cpp": {"warning", "status", "error"},
+    "status_reporter.cpp": {"warning", "status", "error"},
     "rcm_loop.cpp": {"/sim/undeclared"},
     "lambda7_node.cpp": {"error"},
     "dvrk_compat_node.py": {"warning"},
