@@ -16,7 +16,7 @@ constexpr double T = 0.002;  // control period [s]
 // Feedback gains of every law that works on velocities [1/s].
 constexpr double kRcmGain = 50, kTipGain = 10, kRollGain = 10, kPostureGain = 1;
 
-/// The arm of a cell, as benchmarks/control/scene.py writes it.
+/// The arm of a cell, as benchmarks/control/bench_scene.py writes it.
 struct Scene {
   std::string name;
   surg::Chain chain;
