@@ -75,12 +75,12 @@ struct Limited : Law {
     const Scene& scene = *goal.scene;
     const double now = static_cast<double>(goal.k) * T;
     const auto path = [&](double t) { return goal_at(scene, scene.tip(now + t)); };
-    surg::Wish wish;
-    wish.path = surg::PathView(path);
-    wish.horizon = horizon;
-    wish.posture = JointVector::Zero(q.size());
-    if (q.size() > 6) wish.posture = kPostureGain * (scene.q_home - q);
-    const surg::Step result = limited.exact(q, qd_last, scene.home, wish);
+    surg::StepRequest request;
+    request.path = surg::PathView(path);
+    request.horizon = horizon;
+    request.posture = JointVector::Zero(q.size());
+    if (q.size() > 6) request.posture = kPostureGain * (scene.q_home - q);
+    const surg::Step result = limited.exact(q, qd_last, scene.home, request);
     if (result.alpha < 1) ++failures;
     return result.qd;
   }
