@@ -1,19 +1,17 @@
-"""Teleoperation as a node: hands on the controls of one cell (docs/reference/teleoperation.md).
+"""Teleoperation as a node: the leaders of one cell (docs/reference/teleoperation.md).
 
 Parameters: ``~cell`` (folder or cell.yaml); ``~leader`` (a bundled leader, an entry point, a
 ``.py`` file, or ``crtk`` for topics), ``~settings`` (of the leader, a mapping), ``~arm`` (PSM1),
-``~mapping`` (position | rate), ``~scale`` (0.2), ``~need_present`` (false); the same for a second
-hand with the prefix ``second_``, whose arm may be ``assistant``, with ``~assistant_frame`` (x, y,
-z, w of its trocar frame in the world); ``~view`` (x, y, z, w of the view in the world, for an
-endoscope that no arm holds); ``~picture`` (/endoscope/left/image_raw; empty: not watched);
-``~lockstep`` (false), and with it ``~enabled`` (false: somebody must enable) and ``~duration`` [s]
-(done after it). Exit code 1: a connection is missing, or the end hung; 2: a file or parameter that
-must not be used.
+``~mapping`` (position | rate), ``~scale`` (0.2), ``~need_present`` (false); the same with the
+prefix ``second_`` for a second leader, whose arm may be ``assistant``, with ``~assistant_frame``
+(x, y, z, w of its trocar frame in the world); ``~view`` (x, y, z, w of the view in the world, for a
+fixed endoscope); ``~picture`` (/endoscope/left/image_raw; empty: not supervised); ``~lockstep``
+(false), and with it ``~enabled`` (false: the operator enables) and ``~duration`` [s]. Exit code 1:
+a connection is missing, or the shutdown hung; 2: invalid file or parameter.
 """
 
 from __future__ import annotations
 
-import math
 import os
 import signal
 import struct
@@ -27,13 +25,13 @@ import numpy as np
 import rosgraph
 import rospy
 from sensor_msgs.msg import JointState, Joy
-from std_msgs.msg import Bool, Float64, String
+from std_msgs.msg import Bool, Float64
 
 from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_msgs.msg import Cycle, HandStatus, TeleopStatus
+from surg_msgs.msg import Cycle
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
@@ -44,144 +42,120 @@ from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.pedal_monitor import PedalMonitor
 from surg_teleop.follow.picture_watch import PictureWatch
 from surg_teleop.follow.teleop_setup import ASSISTANT, Hand, TeleopSetup, read_setup
-from surg_teleop.follow.teleop_types import CameraView, State, TeleopOutput
+from surg_teleop.follow.teleop_status_node import TeleopStatusPublisher
+from surg_teleop.follow.teleop_types import CameraView
 from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
 from surg_teleop.leaders.crtk_leader_node import CrtkTopics
 from surg_teleop.leaders.leader import LeaderError
 
-ASKED_PERIOD = 0.004
-"""[s] A leader that must be asked is asked that often."""
-HEARD_PERIOD = 0.010
-"""[s] Leaders that speak begin a tick at once; in their pauses time passes that often."""
-AGAIN = 1.0
-"""[s] The same warning is said no more often."""
-REPORT = 0.5
-"""[s] ``~status`` is said at least that often."""
+POLLED_PERIOD = 0.004
+"""[s] Period of leaders that are polled."""
+TOPIC_PERIOD = 0.010
+"""[s] Longest period of leaders on topics; their messages start a tick at once."""
 CONNECT_TIMEOUT = 30.0
-"""[s] wall clock, lock-step: longest wait for everybody."""
+"""[s] Longest wait for all connections in lock-step, wall clock."""
 END = 2.0
-"""[s] from being told to end until the process is gone, whatever hangs."""
+"""[s] Longest shutdown, whatever hangs."""
 PEDALS = {"clutch": "clutch", "camera": "camera", "operator_present": "present", "rate": "rate"}
 
 
 class TeleopNode:
-    """Wires hands, arms and the camera; every decision is :class:`Teleop`'s."""
+    """Connects leaders, arms and the camera; :class:`Teleop` makes every decision."""
 
-    def __init__(self, system: TeleopSetup) -> None:
-        """Advertises and subscribes.
+    def __init__(self, setup: TeleopSetup) -> None:
+        """Advertise and subscribe.
 
         Args:
-            system: What the parameters say.
+            setup: What the parameters describe.
         """
-        self._system = system
+        self._setup = setup
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self.finished = threading.Event()
-        """Set where the node shall end."""
+        """Set to end the node."""
         self._pedals = PedalMonitor()
         self._cycles: dict[str, tuple[float, RawCycle]] = {}
-        self._arrivals = {arm: Arrivals() for arm in system.heard}
+        self._arrivals = {arm: Arrivals() for arm in setup.heard}
         self._recording = False
-        self._status: tuple[object, ...] = ()
-        self._picture_problem: str | None = None
-        self._reported = -math.inf
-        self._picture = PictureWatch(system.picture)
-        self._latched: dict[tuple[str, str], rospy.Publisher] = {}
-        self._said: dict[tuple[str, str], object] = {}
-        self._warned: dict[str, float] = {}
-        self._ports = {name: ArmPort(name, tuple(KINDS)) for name in system.bases}
-        if system.assistant is not None:
+        self._picture = PictureWatch(setup.picture)
+        self._ports = {name: ArmPort(name, tuple(KINDS)) for name in setup.bases}
+        if setup.assistant is not None:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
-        self._warning = rospy.Publisher("~warning", String, queue_size=10)
-        self._report = rospy.Publisher("~status", TeleopStatus, queue_size=2, latch=True)
+        self._status = TeleopStatusPublisher(setup.hands)
         self._record = rospy.Publisher("/record/record", Bool, queue_size=2)
-        # In free-run hands are moved less often than arms speak: each reads the newest cycle then.
+        # Free-run ticks are less frequent than cycles, so each reads the newest cycle only.
         self._polled: dict[str, PolledSubscriber] = {}
-        if system.lockstep:
+        if setup.lockstep:
             self._participant = Participant(
-                self._ports, self._on_tick, system.heard, lock=self._lock
+                self._ports, self._on_tick, setup.heard, lock=self._lock
             )
         else:
-            self._polled = {
-                arm: PolledSubscriber(f"/{arm}/cycle", RawCycle) for arm in system.heard
-            }
-        for hand in system.hands:
+            self._polled = {arm: PolledSubscriber(f"/{arm}/cycle", RawCycle) for arm in setup.heard}
+        for hand in setup.hands:
             self._wire_hand(hand)
             if isinstance(hand.leader, CrtkLeader):
                 CrtkTopics(hand.leader, self._lock, self._wake)
         self._wire_console()
-        if system.assistant is not None:
+        if setup.assistant is not None:
             _listen(f"/{ASSISTANT}/measured_js", JointState, self._on_assistant)
             _listen(f"/{ASSISTANT}/jaw/measured_js", JointState, self._on_assistant_jaw)
-        if system.picture:
-            _listen(system.picture, rospy.AnyMsg, self._on_picture)
+        if setup.picture:
+            _listen(setup.picture, rospy.AnyMsg, self._on_picture)
 
     # Topics.
 
     def _wire_hand(self, hand: Hand) -> None:
-        for arm, one in hand.switch.arms.items():
+        for arm, teleop in hand.switch.arms.items():
             pair = f"/{hand.leader.name}_{arm}"
-            kinds = {
-                "current_state": String,
-                "desired_state": String,
-                "following": Bool,
-                "scale": Float64,
-                "rotation_locked": Bool,
-                "translation_locked": Bool,
-            }
-            for name, kind in kinds.items():
-                self._latched[arm, name] = rospy.Publisher(
-                    f"{pair}/{name}", kind, queue_size=10, latch=True
-                )
-            _listen(f"{pair}/state_command", StringStamped, self._on_state_command, one)
-            _listen(f"{pair}/set_scale", Float64, self._on_scale, [one])
-            _listen(f"{pair}/lock_rotation", Bool, self._on_lock, (one, "lock_rotation"))
-            _listen(f"{pair}/lock_translation", Bool, self._on_lock, (one, "lock_translation"))
+            _listen(f"{pair}/state_command", StringStamped, self._on_state_command, teleop)
+            _listen(f"{pair}/set_scale", Float64, self._on_scale, [teleop])
+            for lock in ("lock_rotation", "lock_translation"):
+                _listen(f"{pair}/{lock}", Bool, self._on_lock, (teleop, lock))
 
     def _wire_console(self) -> None:
-        everyone = [one for hand in self._system.hands for one in hand.switch.arms.values()]
+        teleops = [t for hand in self._setup.hands for t in hand.switch.arms.values()]
         for source in ("/console", "/footpedals"):
             for topic, button in PEDALS.items():
                 _listen(f"{source}/{topic}", Joy, self._on_pedal, (source, button))
         _listen("/console/teleop/enable", Bool, self._on_enable)
-        _listen("/console/teleop/set_scale", Float64, self._on_scale, everyone)
+        _listen("/console/teleop/set_scale", Float64, self._on_scale, teleops)
         _listen("/record/recording", Bool, self._on_recording)
 
     def _keep_cycle(self, message: RawCycle, arm: str) -> None:
-        # A cycle that a network held up is as old as it is, not as new as it came.
+        # A cycle delayed by the network keeps its true age.
         received = self._arrivals[arm].of(message.stamp(), time.monotonic())
         self._cycles[arm] = (received, message)
 
     def _on_pedal(self, message: Joy, which: tuple[str, str]) -> None:
         with self._lock:
-            # Two senders on one topic are two feet: neither lifts the other's.
+            # Two senders on one topic are two sources.
             source = f"{message._connection_header['callerid']} ({which[0]})"
             down = bool(message.buttons) and message.buttons[0] == 1
-            news = self._pedals.press(source, which[1], down, time.monotonic())
-        if news:
+            changed = self._pedals.press(source, which[1], down, time.monotonic())
+        if changed:
             self._wake.set()
 
     def _on_enable(self, message: Bool) -> None:
         with self._lock:
-            for hand in self._system.hands:
+            for hand in self._setup.hands:
                 self._switch(hand, bool(message.data))
         self._wake.set()
 
-    def _on_state_command(self, message: StringStamped, one: Teleop) -> None:
+    def _on_state_command(self, message: StringStamped, teleop: Teleop) -> None:
         with self._lock:
             if message.string == "enable":
                 self._pedals.forget(time.monotonic())
-                one.enable()
+                teleop.enable()
             elif message.string == "disable":
-                one.disable()
+                teleop.disable()
             else:
-                self._warn(f"state_command '{message.string}'; allowed: enable, disable")
+                self._status.warn(f"state_command '{message.string}'; allowed: enable, disable")
 
-    def _on_scale(self, message: Float64, whose: list[Teleop]) -> None:
+    def _on_scale(self, message: Float64, teleops: list[Teleop]) -> None:
         with self._lock:
-            for refused in {text for one in whose if (text := one.set_scale(message.data))}:
-                self._warn(refused)
+            for refused in {text for t in teleops if (text := t.set_scale(message.data))}:
+                self._status.warn(refused)
 
     def _on_lock(self, message: Bool, which: tuple[Teleop, str]) -> None:
         with self._lock:
@@ -191,14 +165,14 @@ class TeleopNode:
         self._recording = bool(message.data)
 
     def _on_assistant(self, message: JointState) -> None:
-        assistant = self._system.assistant
+        assistant = self._setup.assistant
         assert assistant is not None
         with self._lock:
             stamp = message.header.stamp.to_nsec()
             assistant.joints(time.monotonic(), stamp, np.array(message.position))
 
     def _on_assistant_jaw(self, message: JointState) -> None:
-        assistant = self._system.assistant
+        assistant = self._setup.assistant
         assert assistant is not None
         if message.position:
             with self._lock:
@@ -217,9 +191,9 @@ class TeleopNode:
     # Ticks.
 
     def run(self) -> None:
-        """Free-run: a tick whenever a leader speaks, and every period, until ``finished``."""
-        heard = all(isinstance(hand.leader, CrtkLeader) for hand in self._system.hands)
-        period = HEARD_PERIOD if heard else ASKED_PERIOD
+        """Free-run: tick on every leader message and every period, until ``finished``."""
+        on_topics = all(isinstance(hand.leader, CrtkLeader) for hand in self._setup.hands)
+        period = TOPIC_PERIOD if on_topics else POLLED_PERIOD
         while not self.finished.is_set() and not rospy.is_shutdown():
             self._wake.wait(period)
             self._wake.clear()
@@ -227,29 +201,29 @@ class TeleopNode:
                 self._act(time.monotonic())
 
     def stop(self) -> None:
-        """Lets go of everything that follows; no exit leaves an arm moving."""
+        """Disable all arms and close the leaders; no exit leaves an arm moving."""
         with self._lock:
-            if not self._system.lockstep:
-                for hand in self._system.hands:
+            if not self._setup.lockstep:
+                for hand in self._setup.hands:
                     hand.switch.disable()
                 self._act(time.monotonic())
-            for hand in self._system.hands:
+            for hand in self._setup.hands:
                 hand.leader.close()
 
     def _on_tick(self, seen: Seen) -> bool | None:
-        """Lock-step: the cycles of all arms are here; with the lock held."""
+        """Lock-step: the cycles of all arms have arrived; with the lock held."""
         if self.finished.is_set():
             return None
         now = seen.tick * TICK_NS / SECOND_NS
         self._cycles = {name: (now, raw) for name, raw in seen.cycles.items()}
         self._act(now)
-        done = 0.0 < self._system.duration <= now
+        done = 0.0 < self._setup.duration <= now
         if done:
             self.finished.set()
         return done
 
     def _act(self, now: float) -> None:
-        system = self._system
+        setup = self._setup
         for arm, polled in self._polled.items():
             if messages := polled.fetch():
                 try:
@@ -258,19 +232,20 @@ class TeleopNode:
                     rospy.logwarn_throttle(1.0, f"/{arm}/cycle: unreadable message: {error}")
         cycles = {name: (received, raw.read()) for name, (received, raw) in self._cycles.items()}
         views = {
-            name: arm_view(cycle, system.bases[name], received)
+            name: arm_view(cycle, setup.bases[name], received)
             for name, (received, cycle) in cycles.items()
-            if name in system.bases
+            if name in setup.bases
         }
-        if system.assistant is not None and (view := system.assistant.view()) is not None:
+        if setup.assistant is not None and (view := setup.assistant.view()) is not None:
             views[ASSISTANT] = view
         camera = self._camera(cycles)
-        for hand in system.hands:
+        for hand in setup.hands:
             self._move(hand, now, views, camera)
-        self._tell(now)
+        picture = "" if setup.lockstep else self._picture.problem(time.monotonic())
+        self._status.status(now, picture)
 
     def _camera(self, cycles: dict[str, tuple[float, Cycle]]) -> CameraView | None:
-        held = self._system.camera
+        held = self._setup.camera
         if not isinstance(held, HeldCamera):
             return held
         if held.arm not in cycles:
@@ -292,101 +267,29 @@ class TeleopNode:
             self._switch(hand, hand.switch.enables(sample.buttons))
         for arm, output in hand.switch.tick(now, sample, views, camera).items():
             commands = output.commands
-            if arm == ASSISTANT and self._system.assistant is not None:
-                commands = self._system.assistant.convert(commands)
+            if arm == ASSISTANT and self._setup.assistant is not None:
+                commands = self._setup.assistant.convert(commands)
             self._ports[arm].send(commands)
-            self._say(hand, arm, output)
+            self._status.state(hand, arm, output)
 
     def _switch(self, hand: Hand, on: bool) -> None:
-        """The operator takes or leaves the seat."""
+        """The operator enables or disables a leader's arms."""
         if on:
             self._pedals.forget(time.monotonic())
             hand.switch.enable()
         else:
             hand.switch.disable()
 
-    # What people read.
-
-    def _say(self, hand: Hand, arm: str, output: TeleopOutput) -> None:
-        one = hand.switch.arms[arm]
-        values: dict[str, object] = {
-            "current_state": output.state.value,
-            "desired_state": "DISABLED" if output.state is State.DISABLED else "FOLLOWING",
-            "following": output.state is State.FOLLOWING,
-            "scale": one.scale,
-            "rotation_locked": one.lock_rotation,
-            "translation_locked": one.lock_translation,
-        }
-        for name, value in values.items():
-            if self._said.get((arm, name)) != value:
-                self._said[arm, name] = value
-                self._latched[arm, name].publish(value)
-        message = self._message(hand, output)
-        if message and self._said.get((arm, "message")) != message:
-            text, now = f"{hand.leader.name} on {arm}: {message}", time.monotonic()
-            if now - self._warned.get(text, -math.inf) >= AGAIN:
-                self._warned[text] = now
-                self._warn(text)
-        self._said[arm, "message"] = message
-
-    def _message(self, hand: Hand, output: TeleopOutput) -> str:
-        """A device that cannot be opened is a better reason than its silence."""
-        return hand.problem if hand.problem and output.message else output.message
-
-    def _warn(self, text: str) -> None:
-        rospy.logwarn("%s", text)
-        self._warning.publish(text)
-
-    def _tell(self, now: float) -> None:
-        picture = self._picture.problem(time.monotonic()) if not self._system.lockstep else ""
-        hands = [
-            (
-                hand.leader.name,
-                arm,
-                one.state.name,
-                one.mode.name,
-                one.scale,
-                self._said.get((arm, "message"), ""),
-            )
-            for hand in self._system.hands
-            for arm, one in hand.switch.arms.items()
-        ]
-        if picture and self._picture_problem == "":
-            self._warn(picture)
-        self._picture_problem = picture
-        if (status := (picture, *hands)) != self._status or now - self._reported >= REPORT:
-            self._status, self._reported = status, now
-            message = TeleopStatus(
-                version=TeleopStatus.VERSION,
-                hands=[_hand_status(*each) for each in hands],
-                picture=picture,
-            )
-            message.header.stamp = rospy.Time(*divmod(time.time_ns(), SECOND_NS))
-            self._report.publish(message)
-
     # Lock-step connections.
 
     def connect(self) -> None:
-        """Lock-step: waits for every connection, then answers tick 1, before which is no cycle.
+        """Lock-step: wait for every connection, then answer tick 1, which follows no cycle.
 
         Raises:
-            TimeoutError: Somebody is missing; says who.
+            TimeoutError: A connection is missing; states which.
             OSError: The master does not answer.
         """
         self._participant.connect(CONNECT_TIMEOUT)
-
-
-def _hand_status(
-    leader: str, arm: str, state: str, mapping: str, scale: float, detail: str
-) -> HandStatus:
-    return HandStatus(
-        leader=leader,
-        arm=arm,
-        state=getattr(HandStatus, f"STATE_{state}"),
-        mapping=getattr(HandStatus, f"MAPPING_{mapping}"),
-        scale=scale,
-        detail=detail,
-    )
 
 
 def _listen(topic: str, kind: type, callback: Any, arguments: Any = None) -> rospy.Subscriber:
@@ -397,7 +300,7 @@ def _listen(topic: str, kind: type, callback: Any, arguments: Any = None) -> ros
 
 
 def main() -> int:
-    """Runs the node.
+    """Run the node.
 
     Returns:
         The exit code.
@@ -411,21 +314,21 @@ def main() -> int:
         return 1
     rospy.init_node("teleop", disable_signals=True)
     try:
-        system = read_setup(dict(rospy.get_param("~", {})), rospy.get_name())
+        setup = read_setup(dict(rospy.get_param("~", {})), rospy.get_name())
     except (ParamError, ConfigError, LeaderError) as error:
         print(f"teleop: {error}", file=sys.stderr)
         return 2
-    node = TeleopNode(system)
+    node = TeleopNode(setup)
 
     def end(*_: Any) -> None:
         node.finished.set()
         _end_within(END)
 
-    # rospy's own handler would close the topics before the arms have been told to stop.
+    # rospy's own handler would close the topics before the arms are stopped.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, end)
     try:
-        if system.lockstep:
+        if setup.lockstep:
             node.connect()
             while not node.finished.wait(0.1) and not rospy.is_shutdown():
                 pass
@@ -442,13 +345,12 @@ def main() -> int:
 
 
 def _end_within(seconds: float) -> None:
-    """No device, and no connection whose other end reads nothing more, keeps this process."""
+    """End the process even if a device or a connection hangs."""
 
     def give_up() -> None:
         print(
-            f"teleop: something hangs {seconds:g} s after the end was asked for (a device, or a "
-            "connection): ended without waiting for it; what was not told to stop, its controller "
-            "stops by itself (F03)",
+            f"teleop: a device or connection hangs {seconds:g} s after the shutdown began; the "
+            "process ends without it. Each controller stops its arm by itself (F03)",
             file=sys.stderr,
             flush=True,
         )
