@@ -37,7 +37,7 @@ USED = {
     "lambda7_node.cpp": {"error"},
     "dvrk_compat_node.py": {"warning"},
     "leader_node.py": {"error"},
-    "teleop_node.py": {"~warning", "current_state", "desired_state"},
+    "teleop_status_node.py": {"~warning", "current_state", "desired_state"},
     "ros_system_node.py": {"warning", "/sim/by_hand"},
     "recorder_node.py": {"name", "/record/tag", "/record/info"},
     "bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/by_hand"},
