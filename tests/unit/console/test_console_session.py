@@ -200,6 +200,26 @@ def with_policy(bench: Bench, state: str, **more: object) -> Robot:
     return replace(bench.robot, policy=PolicyServer(state, "Circle", **more))
 
 
+def test_no_missing_status_gives_the_policy_an_arm(bench: Bench) -> None:
+    bench.drive()
+    for state in ("", "IDLE"):
+        refused = bench.session.policy("a", with_policy(bench, state), bench.now)
+        assert refused == operator_messages.NO_POLICY
+    assert bench.session.policy("a", with_policy(bench, "READY"), bench.now) == ""
+    bench.flush()
+    bench.follower = Follower()  # the teleoperation's status is missing, old or invalid
+    for _ in range(200):
+        bench.now += TICK
+        bench.session.tick(with_policy(bench, "READY"), bench.now)
+        assert Policy(True) not in bench.flush()
+
+
+@pytest.mark.parametrize("state", ["", "WAKING", "RUNNING"])
+def test_stop_ends_a_policy_unless_it_states_that_it_rests(bench: Bench, state: str) -> None:
+    bench.session.stop(with_policy(bench, state))
+    assert Policy(False) in bench.flush()
+
+
 def test_f30_the_policy_gets_the_arm_when_the_hand_is_off_it(bench: Bench) -> None:
     bench.drive()
     assert bench.session.policy("a", with_policy(bench, "READY"), bench.now) == ""
