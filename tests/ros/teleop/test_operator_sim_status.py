@@ -11,7 +11,7 @@ def test_only_a_valid_status_ends_the_motion() -> None:
     import rospy
 
     from surg_core.status_check import Newest
-    from surg_msgs.msg import SimStatus
+    from surg_msgs.msg import SimStatus, TaskStatus
     from surg_teleop.playback.operator_node import OperatorNode
 
     node = SimpleNamespace(_sim=Newest("/sim/status"), finished=threading.Event())
@@ -19,6 +19,7 @@ def test_only_a_valid_status_ends_the_motion() -> None:
     def hear(version: int, state: int) -> bool:
         message = SimStatus(version=version, state=state, mode=SimStatus.MODE_LOCKSTEP)
         message.header.stamp = rospy.Time(1)
+        message.task.state = TaskStatus.STATE_NONE
         OperatorNode._on_sim_status(node, message)
         return node.finished.is_set()
 

@@ -3,7 +3,7 @@
 A value stands here when two packages must use the same one: simulator, controller, recorder,
 teleoperation and policy bridge meet on topics and in files, and none of them can change it alone.
 ``surg_policy_client``, which installs without anything else of this workspace, keeps a copy of the
-keys; ``tests/unit/test_core_contract.py`` holds the two equal.
+keys; ``tests/unit/core/test_core_contract.py`` holds the two equal.
 """
 
 from __future__ import annotations

@@ -158,7 +158,7 @@ def find(episodes: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
             if folder.name.endswith(episode_reader.PARTIAL):
                 refused[str(folder)] = (
                     f"{folder}: never finished; the next recorder start mends it, or"
-                    " surg_recording.episode.episode_writer.recover(parent folder)"
+                    " surg_recording.episode.recovery.recover(parent folder)"
                 )
             elif folder.resolve() not in {other.resolve() for other in found}:
                 found.append(folder)

@@ -17,6 +17,7 @@ import rospy
 
 import surg_core
 from surg_core.arm_view import ArmCommands
+from surg_core.contract import SECOND_NS
 from surg_msgs.msg import SenderStatus
 from surg_ros.arm_port import SERVO_INSTRUMENT, ArmPort
 from surg_ros.params import read
@@ -65,7 +66,7 @@ class ExpertNode:
             self._reason = self._expert.reason
             stage = SenderStatus.STAGE_FAILED if self._reason else SenderStatus.STAGE_PLAY
             message = SenderStatus(version=SenderStatus.VERSION, stage=stage, detail=self._reason)
-            message.header.stamp = rospy.Time(*divmod(time.time_ns(), bridge_messages.NS))
+            message.header.stamp = rospy.Time(*divmod(time.time_ns(), SECOND_NS))
             self._status.publish(message)
         return False
 
