@@ -102,8 +102,6 @@ void Controller::Impl::guard_force(const Inputs& in) {
       pause(Reason::kForce);
       break;
     case ForceGuard::Verdict::kStop:
-      fault(Reason::kForce);
-      break;
     case ForceGuard::Verdict::kHalt:
       fault(Reason::kForce);
       break;

@@ -38,7 +38,9 @@ class SnapshotWriter {
   template <typename T>
   void copy(T& member) {
     static_assert(IsPlain<T>::value && !std::is_pointer_v<T>, "not a plain value");
-    if (size_ + sizeof member <= room_) std::memcpy(to_ + size_, &member, sizeof member);
+    if (size_ + sizeof member <= room_) {
+      std::memcpy(to_ + size_, static_cast<const void*>(&member), sizeof member);
+    }
     size_ += sizeof member;
     layout_ = (layout_ ^ sizeof member) * 1099511628211ULL;  // FNV-1a over the sizes, in order
   }
