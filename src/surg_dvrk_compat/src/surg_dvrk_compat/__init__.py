@@ -1,6 +1,6 @@
-"""What public dVRK clients insist on and this arm does not have.
+"""Topics that public dVRK clients require and this arm does not support.
 
-Pure module: ``interface`` (which topics, what is answered). Node: ``dvrk_compat_node``.
+Pure module: ``interface`` (topics and answers). Node: ``dvrk_compat_node``.
 """
 
 __version__ = "0.1.0"

@@ -1,7 +1,7 @@
-"""The node ``/dvrk_compat``: lets an unmodified dVRK client find its topics. It moves nothing.
+"""The node ``/dvrk_compat``: provides the topics that unmodified dVRK clients require.
 
-It publishes no command: the only things it sends are words on ``<arm>/warning`` and, once,
-the feedback of ``interface.FEEDBACK``.
+It moves nothing: it publishes only warnings on ``<arm>/warning`` and, once, the feedback of
+``interface.FEEDBACK``.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Parameters:
 
 
 def main() -> int:
-    """Entry point; returns the exit code (0 ended, 2 parameter that must not be used)."""
+    """Run the node; returns the exit code (0: ended, 2: invalid parameter)."""
     rospy.init_node("dvrk_compat")
     try:
         arms = read(Parameters, rospy.get_param("~", {})).arms

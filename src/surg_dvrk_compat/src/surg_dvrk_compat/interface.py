@@ -1,9 +1,8 @@
-"""The topics of a public dVRK client that this arm has no command or measurement behind.
+"""Topics that public dVRK clients require and this arm does not support.
 
-A client of the classes ``arm`` and ``psm`` checks at its start that each of its publishers has a
-listener and each of its subscriptions a sender, and gives up otherwise. So a script that never uses
-forces would fail for want of a force topic. These tables fill the gap: commands are answered in
-words and change nothing, feedback is sent once as invalid (stamp 0, as CRTK has it) or not at all.
+The classes ``arm`` and ``psm`` of these clients check at startup that every topic is connected, and
+fail otherwise, even if they never use it. These tables provide the missing topics: commands are
+ignored with a warning, feedback is sent once as invalid (stamp 0, as in CRTK) or not at all.
 """
 
 from __future__ import annotations
@@ -11,17 +10,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 QUIET = 1.0
-"""Shortest time between two equal warnings [s]."""
+"""[s] Shortest interval between two equal warnings."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """A topic that a client publishes and nobody obeys.
+    """A command topic that is ignored.
 
     Attributes:
         topic: Relative to the arm.
         type: Its ROS type.
-        why: Why the arm does not do it, and what to do instead.
+        why: Why it is ignored, and what to use instead.
     """
 
     topic: str
@@ -31,12 +30,12 @@ class Command:
 
 @dataclass(frozen=True)
 class Feedback:
-    """A topic that a client subscribes and nothing is measured for.
+    """A feedback topic without a measurement.
 
     Attributes:
         topic: Relative to the arm.
         type: Its ROS type.
-        value: What is sent once and latched: ``invalid`` (stamp 0), a number, or None: nothing.
+        value: Latched value: ``invalid`` (stamp 0), a number, or None: nothing is sent.
     """
 
     topic: str
@@ -95,18 +94,18 @@ FEEDBACK = (
 
 
 def answer(arm: str, command: Command, sender: str) -> str:
-    """What is said to a command that nobody obeys."""
+    """Warning for an ignored command."""
     return f"{arm}: {command.topic} from {sender} ignored: {command.why}"
 
 
 class Throttle:
-    """Lets one of many equal things through per second."""
+    """Limits equal warnings to one per `QUIET`."""
 
     def __init__(self) -> None:
         self._last: dict[str, float] = {}
 
     def passes(self, key: str, now: float) -> bool:
-        """Whether ``key`` may be said at ``now`` [s of any steady clock]."""
+        """Whether a warning of this key may be sent; ``now`` on the steady clock [s]."""
         if now - self._last.get(key, -QUIET) < QUIET:
             return False
         self._last[key] = now

@@ -1,9 +1,8 @@
-"""Any CRTK leader on topics: what it says is put in here as it comes, and read as one sample.
+"""A CRTK leader on topics, such as a browser, gamepad or haptic device in its own process.
 
 Pure; the teleoperation node subscribes (``measured_cp``, ``measured_cv``,
-``spherical/measured_js``, ``gripper/measured_js``, ``operating_state``). So a browser, a gamepad or
-a haptic device may be a process of its own. Times are those at which a message would have come, had
-no network held it up (:class:`~surg_teleop.follow.message_lateness.Arrivals`): an old pose is old.
+``spherical/measured_js``, ``gripper/measured_js``, ``operating_state``). Times of receipt are
+corrected for network delays (:class:`~surg_teleop.follow.message_lateness.Arrivals`).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
 Array = NDArray[np.float64]
 
 FRESH = 0.1
-"""[s] A pose and a velocity that are further apart do not belong together."""
+"""[s] Largest difference between pose and velocity of one sample."""
 
 
 class CrtkLeader:
@@ -49,11 +48,11 @@ class CrtkLeader:
         self.close()
 
     def open(self) -> None:
-        """Nothing is known yet."""
+        """Forget all messages."""
         self.close()
 
     def close(self) -> None:
-        """Forgets everything."""
+        """Forget all messages."""
         self._pose: tuple[float, HandlePose] | None = None
         self._rate: tuple[float, HandRate] | None = None
         self._grip: float | None = None
@@ -72,9 +71,9 @@ class CrtkLeader:
         """
         if not valid:
             return
-        self._hear(now)
+        self._note_message(now)
         length = float(np.linalg.norm(q))
-        # What is no orientation is passed on as such: the teleoperation says so and stops.
+        # An invalid orientation is passed on, so that the teleoperation reports it and stops.
         broken = not abs(length - 1.0) < 1e-2
         R_LH = np.full((3, 3), np.nan) if broken else quaternion_xyzw_to_matrix(q)
         self._pose = now, HandlePose(self._R_VL @ p, self._R_VL @ R_LH)
@@ -89,7 +88,7 @@ class CrtkLeader:
             valid: As for :meth:`on_pose`.
         """
         if valid:
-            self._hear(now)
+            self._note_message(now)
             self._rate = now, HandRate(self._R_VL @ v, float((self._R_VL @ w)[2]))
 
     def on_spherical(self, now: float, rates: Array, valid: bool = True) -> None:
@@ -102,11 +101,11 @@ class CrtkLeader:
             valid: As for :meth:`on_pose`.
         """
         if valid:
-            self._hear(now)
+            self._note_message(now)
             self._rate = now, HandRate(np.zeros(3), float(rates[3]), np.array(rates[:3]))
 
     def on_late(self, now: float, by: float) -> None:
-        """A message was held up on its way by so many seconds; received now."""
+        """A message received now was delayed by so many seconds."""
         self._late = now, by
 
     def on_grip(self, now: float, position: float) -> None:
@@ -122,10 +121,10 @@ class CrtkLeader:
         if not np.isfinite(position):
             self._grip = float("nan")
 
-    def _hear(self, now: float) -> None:
-        """A hand that comes back after a silence may be another's: the grip before is not its own.
+    def _note_message(self, now: float) -> None:
+        """Forget the grip after a silence: the hand may be another operator's.
 
-        Without a silence the grip stays: some devices say theirs only when it changes.
+        Without a silence the grip stays, because some devices send it on changes only.
         """
         if now - max(self._heard, self._grip_at) > FRESH:
             self._grip = None
@@ -136,7 +135,7 @@ class CrtkLeader:
         self._state = state
 
     def read(self, now: float) -> LeaderSample | None:
-        """The newest of everything; None before the first pose or velocity."""
+        """The newest values; None before the first pose or velocity."""
         parts = [part for part in (self._pose, self._rate) if part is not None]
         if not parts:
             return None

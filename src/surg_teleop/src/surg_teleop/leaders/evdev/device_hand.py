@@ -1,7 +1,7 @@
-"""What a person wants, from what their device says: a sample of a leader, and Joy. Pure.
+"""Converts the state of a device to leader samples and Joy. Pure.
 
-Nothing counts that was held down when the device was opened: each button must be seen released
-once. So plugging a device in never moves anything, whatever lies on it.
+A button counts only after it was seen released once. So connecting a device never moves anything,
+whatever is held down.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from surg_teleop.leaders.evdev.input_events import Event
 from surg_teleop.leaders.leader import HandRate, LeaderSample
 
 WIRELESS_QUIET = 2.0
-"""[s] A stick that is held by a hand trembles and says so. A radio device that is deflected and
-says nothing for that long may be out of range: its last word is no longer its state."""
+"""[s] A stick held by a hand trembles, so it sends changes. A wireless device that is deflected and
+silent for longer may be out of range."""
 MAX_STEP = 0.05
-"""[s] Longest time over which the grip is integrated: after a pause it does not leap."""
+"""[s] Longest step of the grip's integration, so that it does not jump after a pause."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Joy:
 
 
 class Hand:
-    """One device under one layout, from the moment it was opened to the moment it goes."""
+    """One device with one layout, while it is connected."""
 
     def __init__(
         self,
@@ -42,14 +42,14 @@ class Hand:
         now: float,
         grip: float | None = None,
     ) -> None:
-        """Starts with the state that the device is in.
+        """Start from a snapshot.
 
         Args:
-            layout: What its axes and buttons mean.
-            description: What the device has.
+            layout: Meaning of axes and buttons.
+            description: Of the device.
             snapshot: Its state.
             now: Steady clock [s].
-            grip: Opening of the jaw so far, of a device that is back.
+            grip: Opening of the jaw before a reconnection.
         """
         self.layout = layout
         self.grip = grip
@@ -59,31 +59,31 @@ class Hand:
         self._released: set[str] = set()
         self._quiet = False
         self._now = now
-        self._see_released()
+        self._note_released()
 
     def apply(self, group: Iterable[Event], now: float) -> None:
-        """Takes one group of events that was received now [s]."""
+        """Apply one group of events, received now [s]."""
         self._state.apply(group, now)
-        self._see_released()
+        self._note_released()
 
     def restart(self, snapshot: Snapshot, now: float) -> None:
-        """Events were lost: takes over the whole state, and every button must be released anew."""
+        """Replace the state after a loss of events; every button must be released anew."""
         self._state.restart(snapshot, now)
         self._released.clear()
-        self._see_released()
+        self._note_released()
 
     def joy(self, now: float) -> Joy:
-        """The device in numbers; says what is, whether it may move anything or not."""
+        """Raw state of the device."""
         return Joy(
             tuple(self._axis(axis, now) for axis in self.layout.axes),
             tuple(int(self._state.pressed(button.code)) for button in self.layout.buttons),
         )
 
     def sample(self, now: float) -> LeaderSample | None:
-        """What the hand wants now.
+        """The present sample.
 
         Args:
-            now: Steady clock [s], not before that of the last call.
+            now: Steady clock [s], never backwards.
 
         Returns:
             A sample stamped now; None: the device may be out of range.
@@ -125,23 +125,22 @@ class Hand:
         return axis.sign * self._state.absolute(axis.code, dead_zone)
 
     def _pressed(self, button: str) -> bool:
-        """Down, and pressed since the device was opened."""
+        """Whether it is down and was seen released before."""
         return button in self._released and self._state.pressed(self._codes[button])
 
     def _acts(self, action: str, button: str) -> bool:
-        """Like _pressed; what fails to pressed counts from the start."""
+        """Like _pressed, but fail-pressed actions count at once."""
         if action in self.layout.fail_pressed:
             return self._state.pressed(self._codes[button])
         return self._pressed(button)
 
-    def _see_released(self) -> None:
+    def _note_released(self) -> None:
         self._released |= {n for n, code in self._codes.items() if not self._state.pressed(code)}
 
     def _integrate_grip(self, present: bool, now: float) -> None:
-        """The triggers say how fast; the jaw stays where it is without them.
+        """Integrate the rate of the triggers.
 
-        The first touch starts from closed: a jaw that somebody else has opened closes, and none
-        opens by itself.
+        The first touch starts from closed, so that the jaw never opens by itself.
         """
         step, self._now = min(max(now - self._now, 0.0), MAX_STEP), now
         grip = self.layout.grip
@@ -162,5 +161,5 @@ class Hand:
             self._quiet = False
         elif now - self._state.changed > WIRELESS_QUIET:
             self._quiet = True
-            self._released.clear()  # back in range, the dead-man must be released first
+            self._released.clear()  # once back in range, the dead-man must be released first
         return self._quiet and now - self._state.changed > WIRELESS_QUIET

@@ -1,4 +1,4 @@
-"""The kernel's event devices, through python3-evdev: all that touches ``/dev/input``."""
+"""Access to the kernel's event devices by python3-evdev."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class Device(Protocol):
         """What it is and has."""
 
     def snapshot(self) -> Snapshot:
-        """Its whole state now. Raises OSError when the device has gone."""
+        """Its whole state. Raises OSError if the device is gone."""
 
     def grab(self) -> None:
-        """Nobody else gets its events from now on. Raises OSError when somebody has them."""
+        """Take its events exclusively. Raises OSError if another process has them."""
 
     def read(self) -> bytes:
-        """What has come since; empty: nothing. Raises OSError (ENODEV) when it has gone."""
+        """New bytes; may be empty. Raises OSError (ENODEV) if the device is gone."""
 
     def close(self) -> None:
-        """Lets go of it; never fails."""
+        """Close it; never fails."""
 
 
 class Host(Protocol):
@@ -47,20 +47,20 @@ class Host(Protocol):
         """Paths of the event nodes, in the order of their numbers."""
 
     def open(self, path: str) -> Device:
-        """Opens one. Raises OSError, PermissionError among them."""
+        """Open one. Raises OSError, such as PermissionError."""
 
 
 class EvdevDevice:
     """An event device of this machine."""
 
     def __init__(self, path: str) -> None:
-        """Opens it.
+        """Open it.
 
         Args:
             path: Its node.
 
         Raises:
-            OSError: It cannot be opened, or is no event device.
+            OSError: It cannot be opened, or is not an event device.
         """
         self._device = evdev.InputDevice(path)
         try:
@@ -71,23 +71,23 @@ class EvdevDevice:
             raise
 
     def snapshot(self) -> Snapshot:
-        """Its whole state now."""
+        """See `Device`."""
         return Snapshot(
             frozenset(self._device.active_keys()),
             {code: self._device.absinfo(code).value for code in self.description.axes},
         )
 
     def grab(self) -> None:
-        """Takes its events for this process alone."""
+        """See `Device`."""
         self._device.grab()
 
     def read(self) -> bytes:
-        """What has come since."""
+        """See `Device`."""
         return read_bytes(self._device.fd)
 
     def close(self) -> None:
-        """Lets go of it."""
-        with contextlib.suppress(OSError):  # it may have gone already
+        """See `Device`."""
+        with contextlib.suppress(OSError):  # it may be gone already
             self._device.close()
 
 
@@ -104,12 +104,12 @@ class EvdevHost:
         return [str(FOLDER / f"event{number}") for number in numbers]
 
     def open(self, path: str) -> Device:
-        """Opens an event device."""
+        """Open an event device."""
         return EvdevDevice(path)
 
 
 def describe(device: evdev.InputDevice) -> Description:
-    """What a device of this machine is and has."""
+    """Description of a device of this machine."""
     able = device.capabilities(absinfo=True)
     axes = {code: AxisRange(info.min, info.max) for code, info in able.get(ecodes.EV_ABS, [])}
     return Description(
@@ -123,16 +123,16 @@ def describe(device: evdev.InputDevice) -> Description:
 
 
 def read_bytes(fd: int) -> bytes:
-    """Everything that a descriptor holds, without waiting.
+    """Read all available bytes without waiting.
 
     Args:
-        fd: A non-blocking descriptor: an event device, or a pipe that stands for one.
+        fd: A non-blocking descriptor: an event device, or a pipe in tests.
 
     Returns:
-        The bytes; empty when there is nothing.
+        The bytes; may be empty.
 
     Raises:
-        OSError: ENODEV when the device, or the other end of the pipe, has gone.
+        OSError: ENODEV if the device, or the other end of the pipe, is gone.
     """
     data = b""
     while True:
@@ -141,7 +141,7 @@ def read_bytes(fd: int) -> bytes:
         except BlockingIOError:
             return data
         except OSError:
-            if data:  # what it said before it went; the next call reports that it has gone
+            if data:  # its last bytes; the next call raises
                 return data
             raise
         if not part:

@@ -20,17 +20,17 @@ from surg_teleop.leaders.leader import BUTTONS, LeaderError
 FORMAT = "surg_input/1"
 FOLDER = Path(__file__).with_name("layouts")
 ELSEWHERE = "elsewhere"
-"""Value of ``dead_man``: a pedal or the console says whether the operator is there."""
+"""Value of ``dead_man``: a pedal or the console reports the operator's presence."""
 
 VIEW, SPHERICAL = ("x", "y", "z", "roll"), ("yaw", "pitch", "insertion", "roll")
 MAX_FULL = {"x": 0.2, "y": 0.2, "z": 0.2, "insertion": 0.2, "yaw": 1.5, "pitch": 1.5, "roll": 3.0}
-"""Largest speed at full deflection [m/s, rad/s]: what lies above is a slip of a digit. The arm's
-own limits hold in any case."""
+"""Largest speed at full deflection [m/s, rad/s]; guards against typing errors. The arm's own limits
+hold in any case."""
 MAX_DEAD_ZONE = 0.5
 MAX_GRIP_SPEED = 5.0
 """[1/s] From closed to open in 0.2 s; the jaw's own limit holds in any case."""
 RATES = (5.0, 200.0)
-"""[Hz] Allowed autorepeat: slower than 10 Hz reads as silence to whoever waits 100 ms."""
+"""[Hz] Allowed autorepeat; below 10 Hz receivers with a timeout of 100 ms see silence."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +38,11 @@ class Axis:
     """One axis of the device.
 
     Attributes:
-        name: As the layout calls it.
-        code: The kernel's number for it.
-        label: The kernel's name for it, ``ABS_X``.
-        sign: -1 turns it round.
-        relative: It is a relative axis that stands for a deflection.
+        name: Name in the layout.
+        code: Number in the kernel.
+        label: Name in the kernel, such as ``ABS_X``.
+        sign: -1 reverses it.
+        relative: A relative axis that reports a deflection.
         one_sided: It rests at its minimum, a trigger: 0 ... 1 instead of -1 ... 1.
     """
 
@@ -56,7 +56,7 @@ class Axis:
 
 @dataclass(frozen=True)
 class Button:
-    """One key or button: name in the layout, the kernel's number and name."""
+    """One key or button: name in the layout, number and name in the kernel."""
 
     name: str
     code: int
@@ -65,7 +65,7 @@ class Button:
 
 @dataclass(frozen=True)
 class Grip:
-    """What moves the jaw: names of an axis or button each, and the speed [1/s] at full press."""
+    """Axes or buttons that open and close the jaw, and the speed [1/s] at full press."""
 
     open: str
     close: str
@@ -74,22 +74,22 @@ class Grip:
 
 @dataclass(frozen=True)
 class Layout:
-    """A layout that passed every check of :func:`read_layout`.
+    """A layout checked by :func:`read_layout`.
 
     Attributes:
-        file: Where it came from, for messages.
-        match: Part of the device's name; empty: any device that has what is asked for.
-        grab: Nobody else gets this device's events.
-        dead_zone: Half width of the zone round an axis' middle that counts as 0.
-        autorepeat: [Hz] How often Joy is sent while nothing changes.
+        file: Its file, for messages.
+        match: Part of the device's name; empty: any device with these axes and buttons.
+        grab: Take the device's events exclusively.
+        dead_zone: Half width of the zone around an axis' middle that counts as 0.
+        autorepeat: Rate of Joy while nothing changes [Hz].
         axes: In the order of Joy.axes.
         buttons: In the order of Joy.buttons.
-        hand: What drives what: by name of VIEW or SPHERICAL, the axis and its full speed.
-        spherical: The hand's names are those of SPHERICAL.
+        hand: Axis and full speed by name of VIEW or SPHERICAL.
+        spherical: The names are those of SPHERICAL.
         grip: What moves the jaw, or None.
-        dead_man: Button that must be held for the hand to move; None: said elsewhere.
-        actions: Button by what it does, names of BUTTONS.
-        fail_pressed: Actions that count as pressed while the device is not there.
+        dead_man: Button that must be held to move; None: reported elsewhere.
+        actions: Button by action, of BUTTONS.
+        fail_pressed: Actions that count as pressed while the device is missing.
     """
 
     file: str
@@ -107,7 +107,7 @@ class Layout:
     fail_pressed: frozenset[str]
 
     def lacks(self, device: Description) -> list[str]:
-        """What a device would need and has not, as ``ABS_RX (right_x)``; empty: it fits."""
+        """Missing axes and buttons of a device, such as ``ABS_RX (right_x)``; empty: it fits."""
         lacking = [
             f"{axis.label} ({axis.name})"
             for axis in self.axes
@@ -118,19 +118,18 @@ class Layout:
 
 
 def bundled() -> tuple[str, ...]:
-    """Names of the layouts that come with the package."""
+    """Names of the bundled layouts."""
     return tuple(sorted(file.stem for file in FOLDER.glob("*.yaml")))
 
 
 def read_layout(name_or_path: str) -> Layout:
-    """Reads and checks a layout.
+    """Read and check a layout.
 
     Args:
         name_or_path: A name of :func:`bundled`, or the path of a YAML file.
 
     Raises:
-        LeaderError: The file cannot be read, or a value must not be used: says which and what is
-            allowed.
+        LeaderError: The file cannot be read, or a value is invalid.
     """
     path = Path(name_or_path)
     if name_or_path in bundled():
@@ -168,7 +167,7 @@ KEYS = (
 
 
 class _Reader:
-    """Turns a tree of YAML into a Layout; knows the file for its messages."""
+    """Converts a tree of YAML to a Layout."""
 
     def __init__(self, file: str) -> None:
         self.file = file
@@ -261,7 +260,7 @@ class _Reader:
         )
 
     def dead_man(self, top: dict[str, Any], moves: bool, buttons: list[str]) -> str | None:
-        """A device that moves something has a dead-man, or its file says where else it is."""
+        """A device that moves the arm has a dead-man switch, or its file names ELSEWHERE."""
         name = top.get("dead_man")
         if name == ELSEWHERE or (name is None and not moves):
             return None
