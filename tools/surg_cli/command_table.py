@@ -49,7 +49,7 @@ COMMANDS = {
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
     "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),
     "build": Command("develop", "setup", "set up and build the workspace", needs_workspace=False),
-    "test": Command("develop", "testing", "build and run the tests"),
+    "test": Command("develop", "run_tests", "build and run the tests"),
     "bench": Command("develop", "bench", "run a benchmark"),
     "shell": Command("develop", "shell", "open a shell with the workspace sourced"),
     "topics": Command("develop", "topics", "compare a graph with docs/reference/topics.yaml"),

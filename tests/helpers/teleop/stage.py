@@ -17,9 +17,9 @@ import surg_core
 from surg_cli.host import paths
 from surg_sim.looks.render import NoOpenGL, Picture, StereoRenderer, show_only
 from surg_sim.physics import endoscope_rig, scene
-from surg_sim.physics.base_placement import inverse
 from surg_sim.physics.trocar import shaft_in_flange, wall_frame
 from surg_sim.physics.world import World
+from surg_sim.placement.base_placement import inverse
 
 Array = NDArray[np.float64]
 

@@ -24,14 +24,15 @@ from surg_description.make_cell import home_pose
 from surg_sim.looks import patient
 from surg_sim.looks.render import NoOpenGL, StereoRenderer, show_only
 from surg_sim.looks.render_speed import stereo_speed
-from surg_sim.physics import arm_reserve, base_placement, endoscope_rig, placement_search, scene
-from surg_sim.physics.arm_clearance import ClearanceModel
-from surg_sim.physics.arm_reserve import reserve
-from surg_sim.physics.base_placement import ArmFiles
-from surg_sim.physics.placement_search import Placement
+from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import wall_frame
 from surg_sim.physics.world import World
+from surg_sim.placement import arm_reserve, base_placement, placement_search
+from surg_sim.placement.arm_clearance import ClearanceModel
+from surg_sim.placement.arm_reserve import reserve
+from surg_sim.placement.base_placement import ArmFiles
+from surg_sim.placement.placement_search import Placement
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 CELLS = ("sim_two_arms", "sim_two_arms_panda")

@@ -166,7 +166,7 @@ def _check_patient(arm: surg_core.Arm, scope: surg_core.Arm) -> None:
     apart = float(np.linalg.norm(p_WScope - p_WRcm))
     advice = (
         f"; move arms.{scope.name}.base (or .home) in cell.yaml, or search by "
-        "python3 -m surg_sim.physics.base_placement"
+        "python3 -m surg_sim.placement.base_placement"
     )
     if apart > PATIENT:
         raise ValueError(

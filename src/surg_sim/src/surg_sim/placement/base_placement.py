@@ -2,7 +2,7 @@
 
 ::
 
-    python3 -m surg_sim.physics.base_placement OUT --psm ROBOT.yaml GRASPER.yaml --ecm ROBOT.yaml
+    python3 -m surg_sim.placement.base_placement OUT --psm ROBOT.yaml GRASPER.yaml --ecm ROBOT.yaml
     SCOPE.yaml
 
 ``placement_search`` describes the search.
@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.physics.arm_reserve import ENDOSCOPE, INSTRUMENT, Reserve, inverse, reserve, turn
-from surg_sim.physics.placement_search import (
+from surg_sim.physics.trocar import shaft_in_flange
+from surg_sim.placement.arm_reserve import ENDOSCOPE, INSTRUMENT, Reserve, inverse, reserve, turn
+from surg_sim.placement.placement_search import (
     Placement,
     place_endoscope,
     place_instrument,
@@ -31,7 +32,6 @@ from surg_sim.physics.placement_search import (
     scope_pose,
     tip_in_flange,
 )
-from surg_sim.physics.trocar import shaft_in_flange
 
 if TYPE_CHECKING:
     import surg_core
@@ -107,8 +107,8 @@ def make_two_arm_cell(out: Path, instrument: ArmFiles, scope: ArmFiles) -> str:
         "ECM": _scope_plan(scope, base, yaw, q, remaining),
     }
     note = (
-        "PSM1 holds the instrument, ECM the endoscope; placed by surg_sim.physics.base_placement. "
-        f"{geometry}"
+        "PSM1 holds the instrument, ECM the endoscope; placed by "
+        f"surg_sim.placement.base_placement. {geometry}"
     )
     make_cell_of(out, plans, "\n".join(textwrap.wrap(note, 98)))
     return f"{geometry} Reserve: PSM1 {_describe(first.reserve)}; ECM {_describe(remaining)}."
@@ -174,7 +174,7 @@ def _describe(remaining: Reserve) -> str:
 def main(words: Sequence[str] | None = None) -> int:
     """Place two robots beside a patient and write the cell."""
     parser = argparse.ArgumentParser(
-        prog="surg_sim.physics.base_placement", description=main.__doc__
+        prog="surg_sim.placement.base_placement", description=main.__doc__
     )
     parser.add_argument("out", type=Path, help="folder of the cell to write")
     for option, what in (("--psm", "the instrument"), ("--ecm", "the endoscope")):
@@ -190,7 +190,7 @@ def main(words: Sequence[str] | None = None) -> int:
     try:
         print(make_two_arm_cell(options.out, ArmFiles(*options.psm), ArmFiles(*options.ecm)))
     except (ValueError, OSError, RuntimeError) as error:
-        print(f"surg_sim.physics.base_placement: {error}", file=sys.stderr)
+        print(f"surg_sim.placement.base_placement: {error}", file=sys.stderr)
         return 2
     return 0
 

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from surg_sim.physics.arm_clearance import ClearanceModel
-from surg_sim.physics.arm_reserve import (
+from surg_sim.physics.trocar import shaft_in_flange
+from surg_sim.placement.arm_clearance import ClearanceModel
+from surg_sim.placement.arm_reserve import (
     ENDOSCOPE,
     INSTRUMENT,
     Reserve,
@@ -27,7 +28,6 @@ from surg_sim.physics.arm_reserve import (
     reserve,
     turn,
 )
-from surg_sim.physics.trocar import shaft_in_flange
 
 if TYPE_CHECKING:
     import surg_core

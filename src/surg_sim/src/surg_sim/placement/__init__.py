@@ -1,0 +1,1 @@
+"""Search for the bases and home postures of two arms round one patient."""
