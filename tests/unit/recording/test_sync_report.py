@@ -300,7 +300,7 @@ def test_a_report_that_exists_is_not_made_again(tmp_path: Path) -> None:
 def test_the_section_of_the_report_says_it(tmp_path: Path) -> None:
     folder = record(tmp_path / "episode", clocks=every_second(offset=5e-3))
     page = sync_page.section(sync_report.make(episodes.read(folder)))
-    assert "The streams do not belong to one time" in page
+    assert "The streams are not synchronised" in page
     assert "+5.000 ms off its master" in page
     assert "at most 5000.0 µs off the master a.1, path delay 40.0 µs" in page
 

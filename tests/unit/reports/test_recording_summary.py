@@ -246,7 +246,7 @@ def test_the_report_is_one_file_with_every_figure(
     page.feed((tmp_path / "report.html").read_text())
     assert page.open == [] and page.outside == []
     assert page.images == len(pictures) + run_report.STRIP_FRAMES
-    for text in ("met every stated limit", "<b>my & motion</b>", "anna", "Definitions"):
+    for text in ("met every limit", "<b>my & motion</b>", "anna", "Definitions"):
         assert text in page.text
 
 

@@ -8,9 +8,9 @@ from typing import Any
 from surg_recording.reports.html_page import number, text
 
 _WORDS = {
-    "pass": ("ok", "The streams belong to one time"),
-    "fail": ("bad", "The streams do not belong to one time"),
-    "cannot_tell": ("", "Whether the streams belong to one time cannot be told"),
+    "pass": ("ok", "The streams are synchronised"),
+    "fail": ("bad", "The streams are not synchronised"),
+    "cannot_tell": ("", "Synchronisation unknown"),
 }
 
 

@@ -10,7 +10,7 @@ from surg_recording.episode.finishing import clean_json, write_json
 from surg_recording.metrics import PRESETS
 from surg_recording.reports import evaluation_figures, evaluation_tables
 from surg_recording.reports.evaluation import METRICS
-from surg_recording.reports.html_page import document, figure_section, number, text
+from surg_recording.reports.html_page import definitions, document, figure_section, number, text
 from surg_recording.reports.trial_report import interval
 
 _DEFINITIONS = (
@@ -73,7 +73,7 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
         _reference(summary["reference"]),
         _episodes(summary),
         _left_out(summary["left_out"]),
-        _definitions(),
+        definitions(_DEFINITIONS),
     ]
     page = document(title, [section for section in sections if section])
     (folder / "report.html").write_text(page, encoding="utf-8")
@@ -191,8 +191,3 @@ def _left_out(left_out: Sequence[Mapping[str, Any]]) -> str:
         return ""
     rows = "".join(f"<li>{text(each['reason'])}</li>" for each in left_out)
     return f"<section><h2>Left out</h2><ul class='small'>{rows}</ul></section>"
-
-
-def _definitions() -> str:
-    terms = "".join(f"<dt>{text(t)}</dt><dd>{text(d)}</dd>" for t, d in _DEFINITIONS)
-    return f"<section><h2>Definitions</h2><dl>{terms}</dl></section>"

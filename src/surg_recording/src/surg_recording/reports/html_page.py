@@ -45,6 +45,12 @@ def document(title: str, sections: Iterable[str]) -> str:
     )
 
 
+def definitions(terms: Iterable[tuple[str, str]]) -> str:
+    """A section that defines the terms of the page."""
+    entries = "".join(f"<dt>{text(term)}</dt><dd>{text(meaning)}</dd>" for term, meaning in terms)
+    return f"<section><h2>Definitions</h2><dl>{entries}</dl></section>"
+
+
 def figure_section(figure: Drawn) -> str:
     """A figure under its question, with its caption."""
     image = embed(figure.path.read_bytes(), "png")

@@ -137,16 +137,8 @@ def summarise(
 
 
 def spread(entries: Sequence[Entry], name: str) -> dict[str, float | int | None]:
-    """Count, least, median and greatest of one number of the entries that have it."""
-    numbers = trials.values(entries, name)
-    if not numbers:
-        return {"n": 0, "min": None, "median": None, "max": None}
-    return {
-        "n": len(numbers),
-        "min": min(numbers),
-        "median": float(np.median(numbers)),
-        "max": max(numbers),
-    }
+    """Count, minimum, median and maximum of one number over the entries that have it."""
+    return trials.spread(trials.values(entries, name))
 
 
 def _total(entries: Sequence[Entry], name: str) -> int | None:

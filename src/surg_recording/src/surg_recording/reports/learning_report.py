@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
 from surg_recording.episode.finishing import clean_json, write_json
 from surg_recording.reports import trial_figures
 from surg_recording.reports.html_page import document, figure_section, number, text
-from surg_recording.reports.run_figures import STYLE, Drawn
+from surg_recording.reports.run_figures import save
 from surg_recording.reports.trial_report import interval
 
 Entry = Mapping[str, Any]
@@ -50,12 +49,17 @@ def write(
         (f"roll-outs\nn = {len(played)}", played),
     ]
     (folder / "figures").mkdir(parents=True, exist_ok=True)
-    drawn = []
-    for name, (title, caption, draw) in _FIGURES.items():
-        path = folder / "figures" / f"{name}.png"
-        with matplotlib.rc_context(STYLE):
-            draw(groups, {"conditions": []}).savefig(path, metadata={"Software": None})
-        drawn.append(Drawn(name, title, caption, path))
+    no_bounds: Mapping[str, Any] = {"conditions": []}
+    drawn = [
+        save(
+            folder / "figures",
+            name,
+            title,
+            caption,
+            functools.partial(draw, groups, no_bounds),
+        )
+        for name, (title, caption, draw) in _FIGURES.items()
+    ]
     title = f"{summary['title']}: a learned policy"
     sections = [
         f"<h1>{text(title)}</h1>",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -329,30 +330,30 @@ FIGURES: dict[str, tuple[str, str, Callable[[Subject], Figure]]] = {
     ),
     "tip_error": (
         "How closely does the tip follow its input?",
-        "Distance between the executed tip and the input, shifted by the one constant lag at which"
-        " the rms distance is smallest.",
+        "Distance between the executed tip and the input, shifted by the constant lag that"
+        " minimises the rms distance.",
         tip_error,
     ),
     "speed": (
         "How smooth is the motion?",
-        "Speed of the tip at loop rate and downsampled as the smoothness metrics see it.",
+        "Tip speed at loop rate, and downsampled as for the smoothness metrics.",
         speed,
     ),
     "joints": (
         "What do the joints do?",
-        "Measured joint positions and velocities as a share of the robot's limits.",
+        "Measured joint positions and velocities relative to the robot's limits.",
         joints,
     ),
     "trocar": (
-        "How hard is the wall loaded?",
-        "From the simulator: size of the contact force and distance between the loaded and the"
-        " undisturbed hole.",
+        "What load does the abdominal wall bear?",
+        "From the simulator: magnitude of the contact force, and displacement of the trocar point"
+        " under load.",
         trocar,
     ),
     "timing": (
         "How fast is the controller?",
         "Duration of one control step; in free-run also the time between the starts of two cycles."
-        " Wall clock, logarithmic counts; the last bar holds all that took longer.",
+        " Wall clock, logarithmic counts; the last bar holds all longer values.",
         timing,
     ),
 }
@@ -368,12 +369,16 @@ def save_all(
     for name, (title, caption, draw) in FIGURES.items():
         if not _has_data(name, run):
             continue
-        path = folder / f"{name}.png"
-        with matplotlib.rc_context(STYLE):
-            figure = draw(subject)
-            figure.savefig(path, metadata={"Software": None})
-        drawn.append(Drawn(name, title, caption, path))
+        drawn.append(save(folder, name, title, caption, functools.partial(draw, subject)))
     return drawn
+
+
+def save(folder: Path, name: str, title: str, caption: str, draw: Callable[[], Figure]) -> Drawn:
+    """Draw a figure in the common style and write it as ``<folder>/<name>.png``."""
+    path = folder / f"{name}.png"
+    with matplotlib.rc_context(STYLE):
+        draw().savefig(path, metadata={"Software": None})
+    return Drawn(name, title, caption, path)
 
 
 def _has_data(figure: str, run: Run) -> bool:

@@ -22,7 +22,14 @@ from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.finishing import clean_json, write_json
 from surg_recording.recording_errors import EpisodeError, NoMotionError
 from surg_recording.reports import run_figures, run_series, run_summary
-from surg_recording.reports.html_page import document, embed, figure_section, number, text
+from surg_recording.reports.html_page import (
+    definitions,
+    document,
+    embed,
+    figure_section,
+    number,
+    text,
+)
 from surg_recording.video import video_file
 
 STRIP_FRAMES = 6
@@ -30,52 +37,53 @@ STRIP_FRAMES = 6
 _DEFINITIONS = (
     (
         "Window",
-        "Everything is measured from the first to the last control cycle that obeyed a servo"
+        "All values are measured from the first to the last control cycle that followed a servo"
         " command stream.",
     ),
     (
         "Kinematic RCM deviation",
         "Distance from the commanded pivot to the infinite shaft line, computed from joint states"
-        " and calibration at every cycle. The paper's metric; it cannot see calibration errors.",
+        " and calibration at every cycle. This is the paper's metric; it does not include"
+        " calibration errors.",
     ),
     (
         "True RCM deviation",
-        "Distance from the trocar's undisturbed point to the simulator's shaft axis.",
+        "Distance from the unloaded trocar point to the simulator's shaft axis.",
     ),
     (
         "Tip error",
-        "Distance between the executed tip (the simulator's truth; without a simulator, as"
-        " measured) and the input, after shifting by the constant lag at which its rms is smallest."
-        " The lag is stated apart.",
+        "Distance between the executed tip (the simulator's ground truth; without a simulator, the"
+        " measured tip) and the input, shifted by the constant lag that minimises its rms. The lag"
+        " is a value of its own.",
     ),
     (
         "Path length",
-        "Of input and executed tip, both low-passed at 3 Hz (zero-phase Butterworth, order 4), so"
-        " that tremor, which the controller filters, does not count.",
+        "Length of the input and executed tip paths after a low-pass at 3 Hz (zero-phase"
+        " Butterworth, order 4), which removes tremor.",
     ),
     (
         "Idle time",
-        "Pauses of at least 0.5 s in which the executed tip, low-passed likewise, stays below"
+        "Pauses of at least 0.5 s in which the executed tip, after the same low-pass, stays below"
         " 1 mm/s.",
     ),
     ("Shaft sweep", "The largest angle between any two shaft directions of the run."),
     (
         "Unscaled",
-        "Cycles in which no limit slowed the motion down (limit factor 1).",
+        "Cycles in which no limit slowed the motion (limit factor 1).",
     ),
     (
         "SPARC, LDLJ",
         "Spectral arc length and log dimensionless jerk of the tip motion at 5 Hz; closer to zero"
-        " is smoother. Values of different presets must not be compared.",
+        " is smoother. Do not compare values of different presets.",
     ),
     (
         "Trocar displacement",
-        "Distance between the wall's hole under load and its undisturbed point.",
+        "Distance of the trocar point under load from its unloaded position.",
     ),
     (
         "State hash",
         "SHA-256 over the simulator's positions and velocities after every tick. Two lock-step runs"
-        " with one seed have the same.",
+        " with the same seed have the same hash.",
     ),
 )
 
@@ -144,14 +152,14 @@ def _page(
         body.append(_frames(strip, video_problem))
     body += [figure_section(figure) for figure in drawn]
     body.append(sync_page.section(sync_report.ensure(recorded)))
-    body += [_recording(recorded, result), _definitions()]
+    body += [_recording(recorded, result), definitions(_DEFINITIONS)]
     return document(title, body)
 
 
 def _verdict(result: Mapping[str, Any]) -> str:
     if result["ok"]:
         return (
-            "<section class='verdict ok'><h2>The run met every stated limit</h2>"
+            "<section class='verdict ok'><h2>The run met every limit</h2>"
             "<p>The shaft stayed in the trocar while the tip followed its input.</p></section>"
         )
     reasons = "".join(f"<li>{text(reason)}</li>" for reason in result["reasons"])
@@ -280,11 +288,6 @@ def _recording(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
         f"<details><summary class='small'>Configuration files and their SHA-256</summary>"
         f"<table class='small'>{files}</table></details></section>"
     )
-
-
-def _definitions() -> str:
-    terms = "".join(f"<dt>{text(t)}</dt><dd>{text(d)}</dd>" for t, d in _DEFINITIONS)
-    return f"<section><h2>Definitions</h2><dl>{terms}</dl></section>"
 
 
 # --- small things -------------------------------------------------------------------------------

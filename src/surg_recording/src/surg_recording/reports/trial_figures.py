@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,10 @@ from surg_recording.reports.run_figures import (
     FAINT,
     INK,
     LIMIT,
-    STYLE,
     TRUE,
     Drawn,
     blank,
+    save,
 )
 
 Entries = Sequence[Mapping[str, Any]]
@@ -116,13 +117,10 @@ def save_all(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     groups = grouped(summary)
-    drawn = []
-    for name, (title, caption, draw) in FIGURES.items():
-        path = folder / f"{name}.png"
-        with matplotlib.rc_context(STYLE):
-            draw(groups, summary).savefig(path, metadata={"Software": None})
-        drawn.append(Drawn(name, title, caption, path))
-    return drawn
+    return [
+        save(folder, name, title, caption, functools.partial(draw, groups, summary))
+        for name, (title, caption, draw) in FIGURES.items()
+    ]
 
 
 def grouped(summary: Mapping[str, Any]) -> Groups:

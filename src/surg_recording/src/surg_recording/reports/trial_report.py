@@ -8,7 +8,7 @@ from typing import Any
 
 from surg_recording.episode.finishing import clean_json, write_json
 from surg_recording.reports import trial_figures
-from surg_recording.reports.html_page import document, figure_section, number, text
+from surg_recording.reports.html_page import definitions, document, figure_section, number, text
 
 _DEFINITIONS = (
     (
@@ -62,7 +62,7 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
         _conditions(summary["conditions"]),
         *map(figure_section, drawn),
         _episodes(summary["episodes"]),
-        _definitions(),
+        definitions(_DEFINITIONS),
     ]
     (folder / "report.html").write_text(document(title, sections), encoding="utf-8")
 
@@ -141,8 +141,3 @@ def _episodes(episodes: Sequence[Mapping[str, Any]]) -> str:
         "<th>RCM max [mm]</th><th>true max [mm]</th><th>State hash</th></tr>"
         f"{''.join(rows)}</table></section>"
     )
-
-
-def _definitions() -> str:
-    terms = "".join(f"<dt>{text(t)}</dt><dd>{text(d)}</dd>" for t, d in _DEFINITIONS)
-    return f"<section><h2>Definitions</h2><dl>{terms}</dl></section>"

@@ -143,14 +143,14 @@ def _condition(setting: str, law: str, episodes: Sequence[Mapping[str, Any]]) ->
         "setting": setting,
         "law": law,
         "success_rate": success_rate([e["success"] for e in episodes]),
-        "duration_s": _spread([e["duration_s"] for e in episodes]),
+        "duration_s": spread([e["duration_s"] for e in episodes]),
     }
     for name in ("rcm_kinematic_mm", "rcm_true_mm"):
-        found[name] = {key: _spread(values(episodes, name, key)) for key in ("mean", "max")}
+        found[name] = {key: spread(values(episodes, name, key)) for key in ("mean", "max")}
     for name in ("force_n", "displacement_mm"):
-        found[f"trocar_{name}"] = _spread(values(episodes, "trocar", name, "max"))
+        found[f"trocar_{name}"] = spread(values(episodes, "trocar", name, "max"))
     for name in ("sparc", "ldlj"):
-        found[name] = _spread(values(episodes, "smoothness", name))
+        found[name] = spread(values(episodes, "smoothness", name))
     bounds = run_limits.SETTING_BOUNDS.get(setting, run_limits.ANY_SETTING)
     worst = {name: found["rcm_kinematic_mm"][name]["max"] for name in bounds}
     found["bounds"] = [
@@ -177,8 +177,8 @@ def values(episodes: Iterable[Mapping[str, Any]], *path: str) -> list[float]:
     return found
 
 
-def _spread(numbers: Sequence[float]) -> dict[str, float | int | None]:
-    """Count, least, median and greatest of one number per episode."""
+def spread(numbers: Sequence[float]) -> dict[str, float | int | None]:
+    """Count, minimum, median and maximum of one number per episode."""
     if not numbers:
         return {"n": 0, "min": None, "median": None, "max": None}
     low, high = min(numbers), max(numbers)

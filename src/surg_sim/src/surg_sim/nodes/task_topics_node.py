@@ -25,7 +25,7 @@ from surg_sim.physics.world import World
 from surg_sim.tasks import Verdict
 
 if TYPE_CHECKING:
-    from surg_sim.nodes.bridge_node import Bridge
+    from surg_sim.nodes.sim_bridge_node import Bridge
 
 _JAW = bridge_messages.JointStateLayout(["jaw"])
 

@@ -1,0 +1,262 @@
+"""The recorder's subscriptions: every message goes into the running recording."""
+
+from __future__ import annotations
+
+import functools
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import rospy
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Empty, String
+
+from crtk_msgs.msg import OperatingState
+from surg_core.status_check import Newest
+from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
+from surg_recording.episode import annotations, table_rows
+from surg_recording.episode.message_fields import Flat
+from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES
+from surg_recording.nodes.message_decoder_node import MessageDecoder, sender
+from surg_recording.nodes.recorder_state import RecorderState
+from surg_recording.nodes.recording_switch_node import RecordingSwitch
+from surg_recording.nodes.status_messages_node import simulation_outcome
+
+COMMANDS: dict[str, type] = {
+    "servo_cp": PoseStamped,
+    "servo_jp": JointState,
+    "servo_jr": JointState,
+    "servo_cv": TwistStamped,
+    "servo_jv": JointState,
+    "interpolate_cp": PoseStamped,
+    "interpolate_jp": JointState,
+    "move_cp": PoseStamped,
+    "move_jp": JointState,
+    "move_jr": JointState,
+    "jaw/servo_jp": JointState,
+    "jaw/move_jp": JointState,
+}
+"""Command topics of an arm that go to ``command_<arm>.csv``."""
+ASSISTANT = ("servo_jp", "jaw/servo_jp")
+"""Command topics of the assistant's instrument that go to ``command_assistant.csv``."""
+TEXTS = ("error", "warning", "status")
+"""Text topics of an arm that go to ``events.csv``."""
+TRUTH_TOPIC = "/sim/ground_truth/state"
+TASK_TOPIC = "/sim/task_state"
+CLOCK_TOPIC = "/clock_sync/status"
+
+
+def own_topics(arms: Sequence[str]) -> list[str]:
+    """Topics that have a table of their own."""
+    names = [*COMMANDS, "cycle", "hold", "operating_state", *TEXTS]
+    return [
+        *(f"/{arm}/{name}" for arm in arms for name in names),
+        *(f"/assistant/{name}" for name in ASSISTANT),
+        *(TRUTH_TOPIC, TASK_TOPIC, "/sim/status", CLOCK_TOPIC),
+        *("/record/record", "/record/tag", "/record/info"),
+    ]
+
+
+class RecorderTopics:
+    """Subscribes to everything that is recorded.
+
+    Args:
+        state: Shared with the node's other parts.
+        switch: Obeys /record/record.
+
+    Attributes:
+        subscribers: By topic.
+    """
+
+    def __init__(self, state: RecorderState, switch: RecordingSwitch) -> None:
+        self._state, self._switch = state, switch
+        self._clock = state.clock
+        self._sim = Newest("/sim/status")
+        self._decoder = MessageDecoder()
+        self.subscribers: dict[str, rospy.Subscriber] = {}
+        for arm in state.settings.arms:
+            self._subscribe_arm(arm)
+        self._subscribe(TRUTH_TOPIC, GroundTruth, self._on_truth)
+        self._subscribe(TASK_TOPIC, TaskState, self._on_task_state)
+        for name in ASSISTANT:
+            self._subscribe(f"/assistant/{name}", JointState, self._on_assistant, name)
+        self._subscribe("/sim/status", SimStatus, self._on_sim_status)
+        for camera, topic in state.settings.camera_topics.items():
+            self._subscribe(topic, rospy.AnyMsg, self._on_image, camera)
+        self._subscribe(CLOCK_TOPIC, ClockSync, self._on_clock_sync)
+        self._subscribe("/record/record", Bool, self._on_record)
+        self._subscribe("/record/tag", String, self._on_tag)
+        self._subscribe("/record/info", String, self._on_info)
+        for topic in state.choice.named:
+            if topic in state.choice.chosen:
+                self.subscribe_any(topic)
+
+    def subscribe_any(self, topic: str) -> None:
+        """Record a topic of any type."""
+        self._subscribe(topic, rospy.AnyMsg, self._on_any, topic)
+
+    def _subscribe_arm(self, arm: str) -> None:
+        self._subscribe(f"/{arm}/cycle", Cycle, self._on_cycle, arm)
+        for name, kind in COMMANDS.items():
+            self._subscribe(f"/{arm}/{name}", kind, self._on_command, arm, name)
+        self._subscribe(f"/{arm}/hold", Empty, self._on_hold, arm)
+        self._subscribe(f"/{arm}/operating_state", OperatingState, self._on_operating_state, arm)
+        for name in TEXTS:
+            self._subscribe(f"/{arm}/{name}", String, self._on_text, f"/{arm}/{name}")
+
+    def _subscribe(self, topic: str, kind: type, call: Callable[..., None], *args: Any) -> None:
+        self.subscribers[topic] = rospy.Subscriber(
+            topic,
+            kind,
+            functools.partial(call, *args),
+            queue_size=None,
+            buff_size=1 << 20 if call == self._on_image else 1 << 16,
+            tcp_nodelay=True,
+        )
+
+    def _is_new(self, topic: str, message: Any, key: Any = None) -> bool:
+        """Whether no other connection has delivered this message before."""
+        if key is None:
+            key = message.header.seq, table_rows.nanoseconds(message.header.stamp)
+        return not self._state.is_duplicate(topic, message._connection_header, key)
+
+    # --- tables -------------------------------------------------------------------------------
+
+    def _on_cycle(self, arm: str, message: Cycle) -> None:
+        recording = self._state.recording
+        if recording is not None and self._is_new(f"/{arm}/cycle", message):
+            recording.cycle(arm, message, self._clock.now_ns())
+        self._state.received(f"cycle_{arm}", message.tick)
+
+    def _on_truth(self, message: GroundTruth) -> None:
+        recording = self._state.recording
+        if recording is not None and self._is_new(TRUTH_TOPIC, message):
+            recording.ground_truth(message, self._clock.now_ns())
+        for arm in message.arms:
+            self._state.received(f"ground_truth_{arm.arm}", message.tick)
+
+    def _on_task_state(self, message: TaskState) -> None:
+        recording = self._state.recording
+        if recording is not None and self._is_new(TASK_TOPIC, message):
+            recording.task_state(message, self._clock.now_ns())
+        self._state.last_row = time.monotonic()
+
+    def _on_command(self, arm: str, topic: str, message: Any) -> None:
+        recording = self._state.recording
+        if recording is not None and self._is_new(f"/{arm}/{topic}", message):
+            recording.command(arm, topic, message, sender(message), self._clock.now_ns())
+
+    def _on_assistant(self, topic: str, message: JointState) -> None:
+        recording = self._state.recording
+        if recording is not None and self._is_new(f"/assistant/{topic}", message):
+            recording.assistant_command(topic, message, sender(message), self._clock.now_ns())
+
+    def _on_clock_sync(self, message: ClockSync) -> None:
+        recording = self._state.recording
+        if recording is not None and self._is_new(CLOCK_TOPIC, message):
+            recording.clock_sync(message, self._clock.now_ns())
+
+    # --- events -------------------------------------------------------------------------------
+
+    def _on_hold(self, arm: str, message: Empty) -> None:
+        if self._is_new(f"/{arm}/hold", message, ""):
+            self._state.event(f"/{arm}/hold", sender(message), "")
+
+    def _on_operating_state(self, arm: str, message: OperatingState) -> None:
+        topic, text = f"/{arm}/operating_state", table_rows.operating_state(message)
+        is_new = self._is_new(topic, message)
+        if text != self._state.operating_states.get(arm) and is_new:
+            self._state.operating_states[arm] = text
+            stamp = table_rows.nanoseconds(message.header.stamp)
+            self._state.event(topic, sender(message), text, stamp)
+
+    def _on_text(self, topic: str, message: String) -> None:
+        if self._is_new(topic, message, message.data):
+            self._state.event(topic, sender(message), message.data)
+
+    def _on_sim_status(self, message: SimStatus) -> None:
+        now = time.monotonic()
+        self._sim.take(message, now)
+        if complaint := self._sim.complaint(now):
+            rospy.logwarn("recorder: not in the manifest: %s", complaint)
+        if self._sim.at(now) is None:
+            return
+        before, outcome = self._state.sim_outcome, simulation_outcome(message)
+        self._state.sim_outcome = outcome
+        ended = message.state != SimStatus.STATE_RUNNING
+        if ended and not (before.get("done") or before.get("aborted")):
+            self._state.event("/sim/status", sender(message), json.dumps(outcome))
+
+    # --- topics of any type -------------------------------------------------------------------
+
+    def _on_image(self, camera: str, message: Any) -> None:
+        """A raw or compressed picture: its sender chooses the type."""
+        recording = self._state.recording
+        if recording is None:
+            return
+        received, topic = self._clock.now_ns(), self._state.settings.camera_topics[camera]
+        kind, why = self._decoder.class_of(message, IMAGES)
+        if why is not None:
+            recording.warn(f"{topic}: not recorded as a camera: {why}")
+            return
+        try:
+            image = kind().deserialize(message._buff)
+        except Exception as problem:  # genpy raises many kinds of errors on malformed bytes
+            name = type(problem).__name__
+            recording.warn(f"{topic}: a message that is no {kind._type} ({name})")
+            return
+        header = (image.header.seq, table_rows.nanoseconds(image.header.stamp))
+        if self._is_new(topic, message, header):
+            recording.image(camera, image, received)
+
+    def _on_any(self, topic: str, message: Any) -> None:
+        recording = self._state.recording
+        if recording is None or not self._is_new(topic, message, message._buff):
+            return
+        received = self._clock.now_ns()
+        type_name = str(message._connection_header.get("type", ""))
+        kind, why = self._decoder.class_of(message)
+        why = NOT_TABLES.get(type_name, why)
+        if why is not None:
+            if self._state.choice.refuse(topic, why):
+                rospy.logwarn("recorder: %s is not recorded: %s", topic, why)
+            return
+        try:
+            flat = Flat(kind().deserialize(message._buff))
+        except Exception as problem:  # genpy raises many kinds of errors on malformed bytes
+            name = type(problem).__name__
+            recording.warn(f"{topic}: a message that is no {type_name} ({name})")
+            return
+        recording.topic(topic, type_name, flat, sender(message), received)
+
+    # --- commands to the recorder -------------------------------------------------------------
+
+    def _on_record(self, message: Bool) -> None:
+        action = self._switch.start if message.data else self._switch.stop
+        threading.Thread(target=action, daemon=True).start()
+
+    def _on_tag(self, message: String) -> None:
+        recording, source = self._state.recording, sender(message)
+        if not self._is_new("/record/tag", message, message.data):
+            return
+        if recording is None:
+            rospy.logwarn("recorder: a tag while nothing is recorded: %s", message.data[:200])
+            return
+        try:
+            tag = annotations.parse_tag(message.data)
+        except ValueError as problem:
+            rospy.logwarn("recorder: %s", problem)
+            return
+        now = self._clock.now_ns()
+        recording.tag(tag, message.data, source, now, self._state.episode_now(now))
+
+    def _on_info(self, message: String) -> None:
+        try:
+            info = annotations.parse_info(message.data)
+        except ValueError as problem:
+            rospy.logwarn("recorder: %s", problem)
+            return
+        self._state.run_info = {**self._state.run_info, **info}

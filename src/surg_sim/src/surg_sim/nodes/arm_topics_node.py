@@ -1,0 +1,140 @@
+"""Topics of one simulated arm, and the commands that wait for their tick."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import rospy
+from sensor_msgs.msg import JointState
+
+import surg_core
+from surg_core.contract import SECOND_NS, TICK_NS
+from surg_msgs.msg import LinkStatus, PointVelocityStamped
+from surg_ros.transport.direct_publisher import DirectPublisher, speakers
+from surg_ros.transport.polled_subscriber import PolledSubscriber
+from surg_ros.transport.raw_message import RawJointState, RawTwist
+from surg_sim.nodes import bridge_messages
+from surg_sim.nodes.latest_value import LatestValue
+from surg_sim.physics.sim_arm import ArmCommand
+
+_JAWLESS_TICKS = 5
+"""In free-run an instrument without a jaw reports every 5th tick: 100 Hz."""
+
+Arrival = tuple[int, Any, Any]
+"""A command: stamp [ns], joint velocities or jaw, twist; None where it has no such part."""
+Receiver = Callable[["ArmTopics", str, Arrival], None]
+"""Called with the arm, ``robot`` or ``tool``, and the command."""
+
+
+class ArmTopics:
+    """Publishers and subscribers of one arm's robot and tool link.
+
+    Args:
+        arm: The cell's arm.
+        lockstep: Commands are received by threads; in free-run the tick fetches them itself.
+        track_stale: Age of the trocar's position on ``rcm/track`` [s]; negative: not published.
+        receive: Called with every command.
+    """
+
+    def __init__(
+        self, arm: surg_core.Arm, lockstep: bool, track_stale: float, receive: Receiver
+    ) -> None:
+        self.name: str = arm.name
+        self.command = arm.robot.command.name.lower()
+        self.layout = bridge_messages.JointStateLayout(list(arm.robot.joint_names))
+        self.last_command_ns = 0
+        self.arrived: dict[str, LatestValue[Arrival]] = {
+            link: LatestValue() for link in ("robot", "tool")
+        }
+        root = f"/{arm.name}"
+        self.state = DirectPublisher(f"{root}/robot/measured_js", JointState, lockstep)
+        self.status = DirectPublisher(f"{root}/robot/status", LinkStatus, lockstep)
+        self.tool = DirectPublisher(f"{root}/tool/measured_js", JointState, lockstep)
+        has_jaw = arm.instrument.jaw_min < arm.instrument.jaw_max
+        self.tool_ticks = 1 if lockstep or has_jaw else _JAWLESS_TICKS
+        # The track is advertised only if it is published.
+        self.stale = round(track_stale * SECOND_NS / TICK_NS)
+        self.frame = bridge_messages.text(f"{arm.name}_base")
+        self.tracked = 0
+        self.track: DirectPublisher | None = None
+        if self.stale >= 0:
+            self.track = DirectPublisher(f"{root}/rcm/track", PointVelocityStamped, lockstep)
+        self._lockstep, self._receive = lockstep, receive
+        self._polled: list[tuple[PolledSubscriber, Callable[[bytes], None]]] = []
+        self.inputs = [
+            self._subscribe("robot/servo_jv", RawJointState, self._on_velocity),
+            self._subscribe("robot/servo_cv", RawTwist, self._on_twist),
+        ]
+        self.tool_input = self._subscribe("tool/servo_jp", RawJointState, self._on_jaw)
+
+    def _subscribe(self, topic: str, kind: type, take: Callable[[bytes], None]) -> Any:
+        name = f"/{self.name}/{topic}"
+
+        def receive(data: bytes) -> None:
+            try:
+                take(data)
+            except struct.error as error:
+                rospy.logwarn_throttle(1.0, f"{name}: unreadable message: {error}")
+
+        if not self._lockstep:
+            polled = PolledSubscriber(name, kind)
+            self._polled.append((polled, receive))
+            return polled
+        return rospy.Subscriber(name, kind, lambda message: receive(message.data), tcp_nodelay=True)
+
+    def _on_velocity(self, data: bytes) -> None:
+        stamp_ns, _, velocity = bridge_messages.unpack_joint_state(data)
+        self._receive(self, "robot", (stamp_ns, velocity, None))
+
+    def _on_twist(self, data: bytes) -> None:
+        stamp_ns, twist = bridge_messages.unpack_twist(data)
+        self._receive(self, "robot", (stamp_ns, None, twist))
+
+    def _on_jaw(self, data: bytes) -> None:
+        stamp_ns, position, _ = bridge_messages.unpack_joint_state(data)
+        jaw = float(position[0]) if len(position) else None
+        self._receive(self, "tool", (stamp_ns, jaw, None))
+
+    def take_commands(self) -> tuple[int, ArmCommand]:
+        """Commands that have arrived since the last tick, and the robot command's stamp [ns]."""
+        for polled, receive in self._polled:
+            for data in polled.fetch():
+                receive(data)
+        velocity = twist = None
+        robot, tool = self.arrived["robot"].take(), self.arrived["tool"].take()
+        if robot is not None:
+            self.last_command_ns, velocity, twist = robot
+            self.command = "joint_velocity" if twist is None else "cartesian_velocity"
+        jaw = None if tool is None else tool[1]
+        return self.last_command_ns, ArmCommand(velocity, twist, jaw)
+
+    @property
+    def controllers(self) -> set[str]:
+        """Nodes that command both the robot and the tool."""
+        robot = set().union(*(speakers(subscriber) for subscriber in self.inputs))
+        return robot & speakers(self.tool_input)
+
+    def release(self) -> None:
+        """No tick follows: stop making senders of commands wait."""
+        for polled, _ in self._polled:
+            polled.release()
+
+    def unconnected(self) -> list[str]:
+        """One sentence per missing connection to the controller."""
+        root = f"/{self.name}"
+        missing = []
+        if not any(speakers(subscriber) for subscriber in self.inputs):
+            missing.append(f"nobody publishes {root}/robot/servo_jv or servo_cv (the controller)")
+        if not speakers(self.tool_input):
+            missing.append(f"nobody publishes {root}/tool/servo_jp (the controller)")
+        controllers = self.controllers
+        outputs = {"robot/measured_js": self.state, "tool/measured_js": self.tool}
+        if self.track is not None:
+            outputs["rcm/track"] = self.track
+        for topic, output in outputs.items():
+            if not output.listeners & controllers:
+                hint = ", with ~track_rcm" if output is self.track else ""
+                missing.append(f"the controller does not subscribe {root}/{topic}{hint}")
+        return missing

@@ -1,0 +1,138 @@
+"""Publishes the state of a tick: clock, links, task, ground truth, snapshot, joint states."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import rospy
+from rosgraph_msgs.msg import Clock
+
+from surg_core.contract import SECOND_NS, TICK_NS
+from surg_msgs.msg import GroundTruth, Ready, SimSnapshot
+from surg_ros.transport.direct_publisher import DirectPublisher, listeners
+from surg_sim.nodes import bridge_messages
+from surg_sim.nodes.arm_topics_node import ArmTopics
+from surg_sim.nodes.exposure_schedule import ExposureSchedule
+from surg_sim.nodes.task_topics_node import TaskTopics
+from surg_sim.physics.fault_injector import Injector
+from surg_sim.physics.world import World
+
+_JAW = bridge_messages.JointStateLayout(["jaw"])
+
+
+class StatePublisher:
+    """Create it after the task's topics: a subscriber of ground truth then knows of the task.
+
+    Args:
+        world: The world.
+        injector: The faults between world and links.
+        arms: Topics of the arms.
+        task: Topics of the task; None: there is none.
+        exposures: When the state is sent to the renderer.
+        lockstep: Slow subscribers are waited for.
+
+    Attributes:
+        stamp_ns: Stamp of the state that was published last.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        injector: Injector,
+        arms: Sequence[ArmTopics],
+        task: TaskTopics | None,
+        exposures: ExposureSchedule,
+        lockstep: bool,
+    ) -> None:
+        self._world, self._injector, self._arms, self._task = world, injector, arms, task
+        self._exposures, self._lockstep = exposures, lockstep
+        self.stamp_ns = 0
+        self._clock = DirectPublisher("/clock", Clock, lockstep)
+        self._snapshot = rospy.Publisher(
+            "/sim/snapshot", SimSnapshot, queue_size=0 if lockstep else 2, tcp_nodelay=True
+        )
+        # In lock-step a tracker is a participant like any sender of commands, named as this node.
+        self._name = rospy.get_name().lstrip("/")
+        self._tracker: rospy.Publisher | None = None
+        if lockstep and any(arm.track is not None for arm in arms):
+            self._tracker = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
+        self._truth = DirectPublisher("/sim/ground_truth/state", GroundTruth, lockstep)
+
+    def publish(self, stamp_ns: int) -> None:
+        """Publish the present state of the world with this stamp."""
+        tick, world = self._world.tick, self._world
+        self.stamp_ns = stamp_ns
+        if self._clock.connections:
+            self._clock.send(struct.pack("<2I", *divmod(stamp_ns, SECOND_NS)))
+        for arm in self._arms:
+            self._publish_links(arm, tick, stamp_ns)
+        if self._task is not None:
+            self._task.publish(tick, stamp_ns)
+        if self._truth.connections:
+            truths = ((arm.name, world.truth(arm.name)) for arm in self._arms)
+            self._truth.send(bridge_messages.pack_ground_truth(stamp_ns, tick, truths))
+        if self._exposures.due(tick):
+            snapshot = SimSnapshot(tick=tick, qpos=world.data.qpos.tolist())
+            snapshot.header.stamp = rospy.Time(*divmod(stamp_ns, SECOND_NS))
+            self._snapshot.publish(snapshot)
+        if self._tracker is not None:
+            names, sent = [arm.name for arm in self._arms], [arm.tracked for arm in self._arms]
+            self._tracker.publish(Ready(tick=tick, participant=self._name, arms=names, sent=sent))
+        # The joint states go last: their arrival starts the controller's work.
+        for arm in self._arms:
+            for stamp, state in self._injector.states(arm.name, stamp_ns):
+                arm.state.send(arm.layout.pack(tick, stamp, state.q, state.qd))
+
+    def _publish_links(self, arm: ArmTopics, tick: int, stamp_ns: int) -> None:
+        """Jaw, link status and trocar track of one arm."""
+        injector, link = self._injector, self._world.link(arm.name)
+        jaw = injector.jaw(arm.name) if tick % arm.tool_ticks == 0 else None
+        if jaw is not None:
+            angle, velocity = jaw
+            arm.tool.send(_JAW.pack(tick, stamp_ns, np.array([angle]), np.array([velocity])))
+        if arm.status.connections and injector.speaks(arm.name):
+            arm.status.send(
+                bridge_messages.pack_link_status(
+                    stamp_ns,
+                    tick,
+                    arm.command,
+                    arm.last_command_ns,
+                    link.dead_man,
+                    self._lockstep,
+                    link.fault,
+                )
+            )
+        observation = None if arm.track is None else injector.track(arm.name, arm.stale)
+        if arm.track is not None and observation is not None:
+            observed_tick, point, velocity = observation
+            observed_ns = stamp_ns - (tick - observed_tick) * TICK_NS
+            arm.tracked += 1
+            arm.track.send(
+                bridge_messages.pack_point_velocity(observed_ns, tick, arm.frame, point, velocity)
+            )
+
+    def unconnected(
+        self, observers: Sequence[str], ready: set[str], controllers: Mapping[str, set[str]]
+    ) -> list[str]:
+        """One sentence per missing connection.
+
+        Args:
+            observers: Declared observers.
+            ready: Nodes that publish /sim/ready.
+            controllers: Nodes that control each arm.
+        """
+        missing = []
+        if self._tracker is not None:
+            connected = listeners(self._tracker)
+            missing += [
+                f"the controller of {name} does not subscribe /sim/ready"
+                for name, nodes in controllers.items()
+                if not connected & nodes
+            ]
+        if "recorder" in observers and not self._truth.listeners & ready:
+            missing.append("the recorder does not subscribe /sim/ground_truth/state")
+        if "endoscope" in observers and not listeners(self._snapshot) & ready:
+            missing.append("the endoscope does not subscribe /sim/snapshot")
+        return missing
