@@ -223,7 +223,7 @@ def test_f11_lost_doubled_and_swapped_states_do_not_disturb(
             way = []
             for k in range(1, 300):
                 qd = (bench.q - bench._before) / TICK
-                newest = max([newest, *channel.carry((k, bench.q, qd))], key=lambda x: x[0])
+                newest = max([newest, *channel.transmit((k, bench.q, qd))], key=lambda x: x[0])
                 _, q, qd = newest
                 out = bench.step(stream(), q=q, qd=qd, state_age=(k - newest[0]) * TICK)
                 assert out.state == State.ENABLED, out.reason
@@ -249,7 +249,7 @@ def test_f11_a_long_burst_is_a_lost_link(runs: int, reactions: Reactions) -> Non
         q, qd = bench.q.copy(), np.array(bench.out.qd_command)
         while bench.out.state == State.ENABLED:
             k += 1
-            assert not channel.carry(k)
+            assert not channel.transmit(k)
             bench.step(stream(), q=q, qd=qd, state_age=k * TICK)
         assert bench.out.reason == Reason.LINK_LOST
         cycles.append(k)

@@ -342,6 +342,11 @@ def test_the_trocar_is_tracked_on_request(
         for sample, point in samples:
             assert sample.header.frame_id == "PSM1_base"
             assert point_of(sample.point) == point
+
+        def last_announced() -> int:
+            return max((r.tick for r in ready if r.participant == "sim"), default=0)
+
+        ros_graph.wait_for(lambda: last_announced() >= 300, 5.0, "the last Ready")
         # The tracker announces what it has sent, so that lock-step stays deterministic.
         announced = {r.tick: r.sent[0] for r in ready if r.participant == "sim"}
         assert max(announced) in (300, 301) and all(tick == n for tick, n in announced.items())

@@ -118,7 +118,7 @@ def test_f11_a_wire_loses_what_it_says(loss: float, burst: int, full: bool) -> N
     count = 200_000 if full else 40_000
     wire = Wire(arm="PSM1", loss=loss, burst=burst)
     channel: Channel[int] = Channel(wire, np.random.default_rng(4))
-    got = [n for k in range(count) for n in channel.carry(k)]
+    got = [n for k in range(count) for n in channel.transmit(k)]
     gaps = np.diff([-1, *got]) - 1
     lost = gaps[gaps > 0]
     print(f"{loss} x {burst}: {channel.lost} of {count} lost, longest gap {lost.max()}")
@@ -134,7 +134,7 @@ def test_f11_a_wire_doubles_and_swaps_what_it_says(full: bool) -> None:
     count = 100_000 if full else 20_000
     wire = Wire(arm="PSM1", duplicate=0.02, reorder=0.03)
     channel: Channel[int] = Channel(wire, np.random.default_rng(5))
-    arrivals = [channel.carry(k) for k in range(count)]
+    arrivals = [channel.transmit(k) for k in range(count)]
     got = [n for arrived in arrivals for n in arrived]
     assert set(got) >= set(range(count - 1)) and channel.lost == 0
     late = sum(b < a for a, b in itertools.pairwise(got))

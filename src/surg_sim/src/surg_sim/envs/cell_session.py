@@ -1,10 +1,9 @@
-"""A cell with its controllers in this process: the world of a task without ROS.
+"""A cell with its controllers in this process: a task without ROS.
 
-The order of events is that of the lock-step (docs/reference/conventions.md), and the controllers
-get the same
-numbers, so that one seed gives one state hash in and out of ROS. Tick k: state k is there; the
-controllers step with it and with the commands that senders worked out from tick k - 1; the world
-steps with their answers and with the assistant's command of the same tick; state k + 1 is there.
+The order of events is that of lock-step (docs/reference/conventions.md) and the controllers get the
+same numbers, so one seed gives one state hash with and without ROS. In tick k the controllers step
+with state k and the commands computed from tick k - 1. The world then steps with their answers and
+the assistant's command to state k + 1.
 """
 
 from __future__ import annotations

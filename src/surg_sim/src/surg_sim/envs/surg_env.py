@@ -1,11 +1,11 @@
 """Gymnasium environments: a task, its scene and its controllers in this process, without ROS.
 
-One step is 25 ticks (20 Hz), in the order of events of the lock-step: the same seed and the same
-commands give the same state hash here and in a ROS graph. Import this module, then ::
+One step is 25 ticks (20 Hz) in lock-step order: the same seed and commands give the same state hash
+here and in a ROS graph. Import this module, then ::
 
     env = gymnasium.make("surg_sim/bgr-v0", setting="phantom")
 
-docs/reference/tasks.md says what each number of the spaces means.
+docs/reference/tasks.md defines the observation and action spaces.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 POLICY = "expert"
-"""The sender of a task whose place the policy takes; the others stay scripted."""
+"""Name of the expert that the policy replaces; the others stay scripted."""
 ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
 """Of the assistant's instrument in ``state`` [rad, rad, m, rad, rad], where there is one."""
 CAMERAS = ("left", "right")
@@ -103,7 +103,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self._size = (width, height)
         self._renderers: dict[tuple[str, ...], Any] = {}
         self._qpos = self.session.world.data.qpos.copy()
-        """What pictures show: the state that is observed."""
+        """Joint positions of the observed state, for pictures."""
         self.arms = self.session.task.commanded
         """Arms that the action commands, in its order."""
         self._frames = {
@@ -242,7 +242,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             self._partner_actions = [partner.tick(self._observed) for partner in self._partners]
         return reward
 
-    # --- what comes out -----------------------------------------------------------------------
+    # --- observations -----------------------------------------------------------------------
 
     def _observation(self) -> dict[str, Any]:
         assert self._tick is not None

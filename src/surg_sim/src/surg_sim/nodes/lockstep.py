@@ -1,14 +1,13 @@
-"""Lock-step bookkeeping: when a tick may be executed, when to ask again, when to give up.
+"""Lock-step protocol: when to execute a tick, when to repeat a state, when to abort.
 
 Pure: times are arguments (seconds of any steady clock). One ``Lockstep`` follows one run:
 
-* tick k may be executed when every arm has answered k on both links, every participant has sent
-  Ready for k (the controller waited for it too, but its ``done`` must be known here before the tick
-  is executed), all that it has announced to this side (commands to the assistant's instrument) has
-  arrived, and no observer is further behind than its window;
-* nothing for ``republish`` seconds: publish state k again (receivers answer a tick once only);
-* nothing for ``abort`` seconds: give up and name who is missing;
-* every declared participant has said ``done``: tick k is the last one that is executed.
+* tick k is executed once every arm has answered k on both links, every participant has sent Ready
+  for k (the controller waits for it too, but its ``done`` must be known here), all commands that it
+  announced to the assistant's instrument have arrived, and every observer is within its window;
+* after ``republish`` seconds of silence state k is published again (receivers answer it once);
+* after ``abort`` seconds of silence the run is aborted, naming the missing nodes;
+* once every declared participant has sent ``done``, tick k is the last one executed.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ LINKS = ("robot", "tool")
 """The links of an arm; each must be answered in every tick."""
 
 OBSERVER_WINDOWS = {"recorder": 500, "endoscope": 1000}
-"""Ticks that each kind of observer may lag behind; queues are unbounded, so nothing is lost."""
+"""Ticks that each observer may lag behind; queues are unbounded, so nothing is lost."""
 
 
 class Action(enum.Enum):
-    """What ``poll`` wants done."""
+    """Result of ``poll``."""
 
     WAIT = enum.auto()
     REPUBLISH = enum.auto()
@@ -48,9 +47,8 @@ class Lockstep:
         participants: Declared commanders.
         observers: Observers by name with the window of each [ticks].
         republish: Silence after which a state is published again [s].
-        abort: Silence after which the run is given up [s].
-        strict: Every participant is waited for from tick 1 on. For participants who latch their
-            Ready, so that it cannot get lost.
+        abort: Silence after which the run is aborted [s].
+        strict: Wait for every participant from tick 1 on. Requires latched Ready messages.
     """
 
     def __init__(
@@ -69,7 +67,7 @@ class Lockstep:
         self._republish, self._abort, self._strict = republish, abort, strict
         self._waiting_since = self._asked_at = 0.0
         self.tick = 0
-        """The tick whose state is out; 0 before ``publish``."""
+        """Tick of the published state; 0 before ``publish``."""
 
     def publish(self, tick: int, now: float) -> None:
         """State ``tick`` has been published for the first time at ``now``."""
@@ -80,8 +78,8 @@ class Lockstep:
         """A link command stamped with ``tick`` has arrived.
 
         Returns:
-            True when it is the first answer to the present state; a late, repeated or early one
-            must not be used.
+            True for the first answer to the present state; late, repeated and early answers must
+            not be used.
         """
         key = (arm, link)
         if tick != self.tick or self._answered[key] == tick:
@@ -90,22 +88,22 @@ class Lockstep:
         return True
 
     def declared(self, name: str) -> bool:
-        """Whether this is a participant."""
+        """Whether this is a declared participant."""
         return name in self._participants
 
     def received(self, name: str) -> None:
-        """A command of a sender to this side has arrived; strangers are not counted."""
+        """Count a command to the assistant; undeclared senders are ignored."""
         if name in self._participants:
             self._participants[name].received += 1
 
     def ready(self, name: str, tick: int, done: bool, sent: int = 0) -> None:
-        """A ``Ready`` has arrived; strangers are ignored.
+        """Take a ``Ready``; undeclared senders are ignored.
 
         Args:
             name: Of the sender.
-            tick: It has sent all it wants to for this tick.
-            done: It will send no more.
-            sent: Running total of its commands to this side.
+            tick: The sender is done with this tick.
+            done: The sender is done with the run.
+            sent: Running total of its commands to the assistant.
         """
         if name in self._participants:
             participant = self._participants[name]
@@ -121,15 +119,15 @@ class Lockstep:
         return (
             self.tick > 0
             and all(tick == self.tick for tick in self._answered.values())
-            and all(self._spoken(p) for p in self._participants.values())
+            and all(self._is_ready(p) for p in self._participants.values())
             and not self._late_observers()
         )
 
-    def _spoken(self, participant: _Participant) -> bool:
-        """Whether a participant's Ready for the present tick is here, or cannot come.
+    def _is_ready(self, participant: _Participant) -> bool:
+        """Whether a participant's Ready for the present tick has arrived or cannot arrive.
 
-        A Ready sent before this side was connected is lost: one never heard of is not waited for;
-        the controller, which needs its commands, waits for it.
+        A Ready sent before the connection was made is lost, so a participant that was never heard
+        is not waited for here; the controller, which needs its commands, waits for it.
         """
         done = participant.last is not None
         here = participant.received >= participant.sent
@@ -148,7 +146,7 @@ class Lockstep:
         ]
 
     def missing(self) -> list[str]:
-        """Whom the present tick waits for, one sentence each."""
+        """One sentence per node that the present tick waits for."""
         sentences = [
             f"participant '{name}' has not sent Ready for tick {self.tick} (last: {p.tick})"
             for name, p in self._participants.items()
@@ -175,7 +173,7 @@ class Lockstep:
         return sentences
 
     def poll(self, now: float) -> Action:
-        """Look at the clock; call it a few times a second while waiting.
+        """Check the time; call it a few times a second while waiting.
 
         REPUBLISH is returned once per ``republish`` seconds.
         """

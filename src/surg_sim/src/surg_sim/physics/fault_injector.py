@@ -1,7 +1,7 @@
 """Applies faults between a world and its links. No ROS, no clock, no threads.
 
-The caller asks it three things in every tick: what the links send of the world's state, what the
-world executes of the commands that arrived, and where a tracker sees the trocar.
+In every tick the caller asks which states the links send, which commands the world executes, and
+where a tracker sees the trocar.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ def tool_errors(faults: Iterable[Fault], seed: int = 0) -> dict[str, ToolError]:
 
 
 class Channel(Generic[Packet]):
-    """One wire of which packets are lost, doubled and swapped.
+    """A lossy channel: packets are lost, duplicated and reordered.
 
-    Three numbers are drawn for every packet, whatever happens to it: a change of one probability
-    leaves the other two kinds of accident where they were.
+    Three numbers are drawn for every packet in any case, so that a change of one probability does
+    not affect the other two faults.
 
     Args:
         wire: The probabilities.
@@ -62,8 +62,8 @@ class Channel(Generic[Packet]):
         self.lost = self.doubled = self.swapped = 0
         """Counts so far."""
 
-    def carry(self, packet: Packet) -> list[Packet]:
-        """Send one packet; returns what arrives, in order of arrival."""
+    def transmit(self, packet: Packet) -> list[Packet]:
+        """Send one packet; returns the packets that arrive, in order of arrival."""
         loses, doubles, swaps = self._rng.random(3) < (
             self._wire.loss,
             self._wire.duplicate,
@@ -114,7 +114,7 @@ class Injector:
                 self.add(fault)
 
     def add(self, fault: Fault) -> None:
-        """Let a fault happen, at the coming tick at the earliest.
+        """Schedule a fault, for the next tick at the earliest.
 
         Raises:
             FaultError: It does not fit the world.
@@ -135,17 +135,17 @@ class Injector:
 
     @property
     def active(self) -> list[str]:
-        """Kinds that show at the present tick, or are still to come, sorted."""
+        """Kinds of faults that are active or scheduled, sorted."""
         tick = self._world.tick
         waiting = [f.kind for f in self._coming]
         return sorted({f.kind for f in self._lasting if tick < f.at or f.active(tick)} | {*waiting})
 
-    # --- what goes out ------------------------------------------------------------------------
+    # --- outgoing ------------------------------------------------------------------------
 
     def states(self, arm: str, stamp: int) -> list[tuple[int, ArmState]]:
-        """What leaves the robot link in this tick: stamps and states, in order of arrival.
+        """Stamps and states that leave the robot link in this tick, in order of arrival.
 
-        In lock-step exactly one, under the present stamp. Asked again, it says the same again.
+        In lock-step exactly one, with the present stamp. A repeated call returns the same.
         """
         if not self._lasting:
             return [(stamp, self._measured(arm))]
@@ -156,7 +156,7 @@ class Injector:
         return answer
 
     def _measured(self, arm: str) -> ArmState:
-        """What the links measure at the present tick; read once per tick."""
+        """Measurement of the links in the present tick; read once per tick."""
         tick, state = self._read.get(arm, (0, None))
         if state is None or tick != self._world.tick:
             state = self._world.state(arm)
@@ -165,54 +165,54 @@ class Injector:
 
     def _sent(self, arm: str, stamp: int) -> list[tuple[int, ArmState]]:
         state = self._measured(arm)
-        bad = self._now(NotFinite, arm)
+        bad = self._active(NotFinite, arm)
         if bad is not None:
             name = "q" if bad.quantity == "position" else "qd"
             values: Array = getattr(state, name).copy()
             values[bad.joint] = float(bad.value)
             state = replace(state, **{name: values})
         arrived = [(stamp, state)]
-        if self._now(Freeze, arm) is not None:
+        if self._active(Freeze, arm) is not None:
             arrived = []
         elif (channel := self._channel(arm, STATE)) is not None:
-            arrived = channel.carry((stamp, state))
+            arrived = channel.transmit((stamp, state))
         if not self._lockstep:
             return arrived
-        # A receiver keeps the newest content; before the first packet there is none to keep.
+        # A receiver keeps the newest content; there is none before the first packet.
         shown = self._shown.get(arm, (stamp, state))
         self._shown[arm] = max([shown, *arrived], key=lambda item: item[0])
         return [(stamp, self._shown[arm][1])]
 
     def speaks(self, arm: str) -> bool:
         """Whether the robot link sends its status in this tick."""
-        return self._lockstep or self._now(Freeze, arm) is None
+        return self._lockstep or self._active(Freeze, arm) is None
 
     def jaw(self, arm: str) -> tuple[float, float] | None:
         """Jaw angle [rad] and velocity [rad/s] that leave the tool link; None: nothing does."""
-        if self._now(ToolLost, arm) is None:
+        if self._active(ToolLost, arm) is None:
             state = self._measured(arm)
             return state.jaw, state.jaw_velocity
         return (np.nan, 0.0) if self._lockstep else None
 
     def tool_lost(self, arm: str) -> bool:
         """Whether nobody can answer for the tool link in this tick."""
-        return self._now(ToolLost, arm) is not None
+        return self._active(ToolLost, arm) is not None
 
     def track(self, arm: str, stale: int) -> tuple[int, Array, Array] | None:
         """What a tracker says of the trocar: tick, point [m], velocity [m/s]; None: nothing."""
-        if self._now(TrackLost, arm) is not None:
+        if self._active(TrackLost, arm) is not None:
             return None
         return self._world.trocar(arm).point.observed(stale)
 
-    # --- what comes in ------------------------------------------------------------------------
+    # --- incoming ------------------------------------------------------------------------
 
     def commands(self, arrived: Mapping[str, tuple[int, ArmCommand]]) -> dict[str, ArmCommand]:
-        """What the world executes of what arrived; call it right before ``World.step``.
+        """Commands that the world executes; call it right before ``World.step``.
 
         Args:
             arrived: By arm: stamp of the robot command, and what came for robot and tool.
         """
-        self._disturb()
+        self._apply_trocar_faults()
         if not self._lasting:
             return {arm: command for arm, (_, command) in arrived.items()}
         return {arm: self._command(arm, *item) for arm, item in arrived.items()}
@@ -221,16 +221,16 @@ class Injector:
         jaw = None if self.tool_lost(arm) else command.jaw
         silent = command.velocity is None and command.twist is None
         packets = [] if silent else [(stamp, command)]
-        if self._now(Freeze, arm) is not None:
+        if self._active(Freeze, arm) is not None:
             packets = []
         elif packets and (channel := self._channel(arm, COMMAND)) is not None:
-            packets = channel.carry(packets[0])
-        # A link takes the newest of what comes in one tick; what was overtaken is of no use.
+            packets = channel.transmit(packets[0])
+        # A link takes the newest command of a tick and drops those that it overtook.
         _, command = max(packets, key=lambda item: item[0], default=(0, ArmCommand()))
         return ArmCommand(command.velocity, command.twist, jaw)
 
-    def _disturb(self) -> None:
-        """Move the trocars whose time has come: seen in the state of the coming tick."""
+    def _apply_trocar_faults(self) -> None:
+        """Apply due trocar faults; they show in the state of the next tick."""
         due = [fault for fault in self._coming if fault.at <= self._world.tick + 1]
         for fault in due:
             self._coming.remove(fault)
@@ -242,9 +242,9 @@ class Injector:
             else:
                 point.move(None)
 
-    # --- which fault --------------------------------------------------------------------------
+    # --- active faults --------------------------------------------------------------------------
 
-    def _now(self, kind: type[Active], arm: str) -> Active | None:
+    def _active(self, kind: type[Active], arm: str) -> Active | None:
         """The latest fault of a kind that shows on an arm at the present tick."""
         tick = self._world.tick
         for fault in reversed(self._lasting):

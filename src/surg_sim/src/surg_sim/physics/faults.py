@@ -1,7 +1,7 @@
-"""Faults on purpose, for tests and experiments: what can go wrong, and when.
+"""Injectable faults, for tests and experiments.
 
-A fault is a small value: its kind, an arm, the tick at which it begins, how long it lasts. It is
-read from JSON, so that a parameter or a message can name it::
+A fault has a kind, an arm, a first tick and a duration. It is read from JSON, so that a parameter
+or a message can state it::
 
     [{"fault": "freeze", "at": 600, "ticks": 30},
      {"fault": "wire", "topic": "robot/measured_js", "loss": 0.05, "burst": 3}]
@@ -24,7 +24,7 @@ FOREVER = 2**40
 
 
 class FaultError(ValueError):
-    """A fault that must not be used: what, where, value, allowed."""
+    """An invalid fault; the message states where, the value and what is allowed."""
 
 
 def _number(low: float, high: float, default: float | None = None) -> Any:
@@ -47,11 +47,11 @@ def _vector(limit: float, default: tuple[float, float, float] | None = None) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """What all faults have.
+    """Members of all faults.
 
     Attributes:
         arm: Name of the arm; empty: the first one.
-        at: First tick that shows the fault; 0: the coming one.
+        at: First tick with the fault; 0: the next tick.
     """
 
     kind: ClassVar[str] = ""
@@ -61,16 +61,16 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class Lasting(Fault):
-    """A fault that ends.
+    """A fault of limited duration.
 
     Attributes:
-        ticks: How long [ticks of 2 ms]; 0: to the end of the run.
+        ticks: Duration [ticks of 2 ms]; 0: until the end of the run.
     """
 
     ticks: int = _count(0, FOREVER, 0)
 
     def active(self, tick: int) -> bool:
-        """Whether it shows at this tick."""
+        """Whether it is active in this tick."""
         return self.at <= tick < self.at + (self.ticks or FOREVER)
 
 
@@ -80,8 +80,8 @@ class NotFinite(Lasting):
 
     Attributes:
         joint: Index of the joint.
-        quantity: What is spoilt.
-        value: By what.
+        quantity: The affected quantity.
+        value: The value reported instead.
     """
 
     kind: ClassVar[str] = "not_finite"
@@ -93,10 +93,10 @@ class NotFinite(Lasting):
 
 @dataclass(frozen=True, kw_only=True)
 class Freeze(Lasting):
-    """The robot link stands still: sends nothing and hears nothing (F10).
+    """The robot link freezes: it neither sends nor receives (F10).
 
-    The drives go on without it, so that their own dead-man counts. In lock-step, where a tick
-    without a state cannot be, the link shows the last state again under the new stamp.
+    The drives continue, so that their dead-man timer runs. In lock-step every tick needs a state:
+    the link repeats the last state with the new stamp.
     """
 
     kind: ClassVar[str] = "freeze"
@@ -104,11 +104,11 @@ class Freeze(Lasting):
 
 @dataclass(frozen=True, kw_only=True)
 class Wire(Lasting):
-    """A wire that loses, doubles and swaps packets (F11).
+    """A channel that loses, duplicates and reorders packets (F11).
 
-    In free-run the packets are really gone, doubled, late. In lock-step every tick has exactly one
-    state and one answer: there, a receiver sees the newest content that has arrived so far, and an
-    answer that is lost counts as given but is not executed.
+    In free-run the packets are lost, duplicated or late. In lock-step every tick has exactly one
+    state and one answer: a receiver sees the newest content so far, and a lost answer counts as
+    given but is not executed.
 
     Attributes:
         topic: The wire.
@@ -156,16 +156,16 @@ class TrocarJump(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class TrackLost(Lasting):
-    """The tracker of the trocar says nothing: no ``rcm/track``."""
+    """The tracker of the trocar is silent: no ``rcm/track``."""
 
     kind: ClassVar[str] = "track_lost"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ToolLost(Lasting):
-    """The instrument's link is gone: no jaw angle, no command taken (F31).
+    """The instrument's link is lost: no jaw angle, no command accepted (F31).
 
-    In lock-step the jaw is reported as not a number, which means unknown.
+    In lock-step the jaw is reported as NaN, which means unknown.
     """
 
     kind: ClassVar[str] = "tool_lost"
@@ -173,7 +173,7 @@ class ToolLost(Lasting):
 
 @dataclass(frozen=True, kw_only=True)
 class ToolOff(Fault):
-    """The instrument is mounted a little wrong from the start (calibration error).
+    """The instrument is mounted with an error (calibration error); at the start only.
 
     Attributes:
         tip: Displacement of the tip across the shaft [m].

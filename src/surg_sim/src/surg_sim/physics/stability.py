@@ -1,7 +1,7 @@
-"""Whether a simulation can still be believed. No ROS.
+"""Detects an unstable simulation. No ROS.
 
-MuJoCo goes on after numbers that are not finite: it writes a warning into its state, sets positions
-back, and the next state looks healthy. What comes after is no physics.
+MuJoCo continues after non-finite numbers: it records a warning and resets positions, and the next
+state looks healthy. The results after that are not physical.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 
 def all_finite(values: NDArray[np.float64]) -> bool:
-    """Whether every one of some numbers, (n,), is finite.
+    """Whether all values, (n,), are finite.
 
-    One product tells: it is finite only if all of them are. Only where it is not, which numbers
-    above 1e150 do as well, they are looked at one by one.
+    A finite dot product proves it. Only if it is not finite, as also for values above 1e150, each
+    value is checked.
     """
     return math.isfinite(values.dot(values)) or bool(np.isfinite(values).all())
 
@@ -26,10 +26,10 @@ def trouble(data: mujoco.MjData) -> str:
     """Why a simulation is unstable.
 
     Args:
-        data: Its state after a step.
+        data: State after a step.
 
     Returns:
-        A sentence; empty while all is well.
+        One sentence; empty if the simulation is stable.
     """
     numbers = data.warning.number
     if numbers.any():

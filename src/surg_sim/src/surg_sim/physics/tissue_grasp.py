@@ -1,10 +1,9 @@
-"""Grasping that can fail: jaws hold tissue only after closing on it, and lose it when it is pulled.
+"""Grasping of tissue that can fail: jaws must close on it, and tissue slips when it is pulled.
 
-Each finger has a pad that meets the tissue. When the jaws close, from open to nearly closed, and in
-this movement both pads touch the same piece, a connect constraint between the jaws and the nearest
-node holds it; a pull above the slip force lets the tissue slide, to the neighbouring node on its
-slack side first and out of the jaws in the end; opening releases. Jaws that close on nothing, that
-touch with one pad, or that were closed before they touched, hold nothing.
+Each finger has a contact pad. If both pads touch the same piece while the jaws close, a connect
+constraint ties the nearest node to the jaws. A pull above the slip force lets the tissue slide to
+the neighbouring node on its slack side, and finally out of the jaws. Opening releases it. Jaws that
+close on nothing, touch with one pad only, or were closed before contact hold nothing.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ from surg_sim.physics.tissue import Bowel
 Array = NDArray[np.float64]
 
 GRIP_DEPTH = 0.005
-"""Where tissue is held: this far behind the tip on the shaft axis [m]."""
+"""Distance of the grip from the tip along the shaft axis [m]."""
 
 _PAD = (0.0018, 0.0009, 0.0075)  # [m] half sizes across, thick, along the finger
 _PAD_START = 0.003  # [m] from the pivot to the near end of a pad
@@ -33,11 +32,11 @@ _MOST_TOOLS = 4
 
 @dataclass(frozen=True)
 class GraspParameters:
-    """When jaws hold. Fixed before any deviation is looked at; all assumed.
+    """Conditions of a grasp; assumed, and fixed before any evaluation.
 
     Attributes:
         close: Jaw angle below which the jaws hold what is between the pads [rad].
-        open: Jaw angle above which they let go [rad].
+        open: Jaw angle above which they release it [rad].
         attempt: Time after passing ``close`` in which both pads must touch [s]; jaws that were
             closed before they met the tissue hold nothing.
         reach: Largest distance of the grip to the axis of the tissue [m]: the jaws must be round
@@ -59,7 +58,7 @@ class GraspParameters:
 
 
 def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
-    """Give a jawed tool its pads and its hold; after ``add_bowel``.
+    """Add pads, force sensors and the grasp constraint of a tool; call it after ``add_bowel``.
 
     Args:
         spec: The scene, with the tool and the bowel in it.
@@ -102,14 +101,14 @@ def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
 
 
 class Grasp:
-    """The hold of one jawed tool on the bowel in a compiled scene.
+    """Grasp of one tool on the bowel in a compiled scene.
 
     Args:
         model: The compiled scene.
         data: Its state.
         name: Of the tool, as for ``add_grasp``.
-        bowel: What it can hold.
-        parameters: When it holds.
+        bowel: The bowel.
+        parameters: Conditions of a grasp.
     """
 
     def __init__(
@@ -136,7 +135,7 @@ class Grasp:
         self.reset()
 
     def reset(self) -> None:
-        """Nothing held, counts at zero; the bowel is reset by itself."""
+        """Hold nothing and clear the counters; the bowel resets itself."""
         self.held = None
         self._data.eq_active[self._equality] = 0
         self._attempt = 0.0  # [s] left in which closing jaws may take hold
@@ -144,9 +143,9 @@ class Grasp:
         self._rest = 0.0
         self._slides = 0
         self.slips = 0
-        """Times that held tissue slid since the reset, the slide in which it was lost included."""
+        """Number of slides since the reset, including one that lost the tissue."""
         self.losses = 0
-        """Times that held tissue was lost without the jaws being opened, since the reset."""
+        """Number of losses without opening the jaws since the reset."""
 
     @property
     def jaw(self) -> float:
@@ -187,7 +186,7 @@ class Grasp:
         return nodes
 
     def advance(self) -> None:
-        """Take, keep, let slip or release; called before the physics of each tick."""
+        """Update the grasp; call it before the physics of each tick."""
         jaw, p = self.jaw, self._parameters
         if self.held is not None:
             if jaw > p.open:
@@ -233,7 +232,7 @@ class Grasp:
         self.held = None
 
     def _keep(self) -> None:
-        """Judge the pull: hold, slide or lose."""
+        """Hold, slide or lose the tissue, depending on the pull."""
         p, limit = self._parameters, self._bowel.parameters.slip_force
         self._smooth += (1.0 - np.exp(-TICK / p.smoothing)) * (self.pull - self._smooth)
         strength = float(np.linalg.norm(self._smooth))

@@ -64,14 +64,14 @@ class World:
 
     Args:
         cell: A loaded cell.
-        seed: Seeds whatever is drawn at random (in this version the look of the tissue).
-        looks: True: with patient and room, for pictures; False: what moves only (same physics).
+        seed: Seed of the look of the tissue and of the first episode.
+        looks: Add patient and room for pictures; the physics is the same.
         arms: Names of the arms to simulate; default: all of the cell.
         actuators: Drive parameters.
         trocar: Wall parameters.
         tool_errors: By arm name, how the true tool differs from its URDF (calibration error).
-        setting: Physical parameters of a setting; None: those of the arguments, no breathing.
-        task: What is done in it.
+        setting: Physical parameters; None: those of the arguments, without breathing.
+        task: Task to perform; None: none.
 
     Raises:
         ValueError: An arm is not in the cell, or a URDF does not fit its YAML.
@@ -150,10 +150,10 @@ class World:
     def step(
         self, commands: Mapping[str, ArmCommand], assistant: AssistantCommand | None = None
     ) -> None:
-        """One tick: take the commands that answer this tick's state, then 2 x 1 ms of physics.
+        """Execute one tick: take the commands that answer its state, then 2 x 1 ms of physics.
 
         Args:
-            commands: By arm name; an arm that is not named received nothing.
+            commands: By arm name; an arm that is missing received nothing.
             assistant: What the assistant's instrument received; None: nothing.
         """
         for name, member in self._members.items():
@@ -190,19 +190,19 @@ class World:
         return member.truth.read(member.jaw.angle)
 
     def tip_force(self, arm: str) -> Array | None:
-        """What a force sensor in the jaws of an arm measures now, base frame [N]; None: no sensor.
+        """Force on the instrument's jaws, base frame [N], (3,); None: no sensor.
 
-        The force on the instrument, (3,). It is there where the task says what the jaws feel.
+        There is a sensor if the task provides ``jaw_force``.
         """
         force = None if self.task is None else self.task.jaw_force(arm)
         return None if force is None else self._R_WB[arm].T @ force
 
     def link(self, arm: str) -> ArmLink:
-        """The robot link of an arm: its dead-man and fault."""
+        """Robot link of an arm, with its dead-man timer and fault."""
         return self._members[arm].link
 
     def trocar(self, arm: str) -> Trocar:
-        """The trocar of an arm, to move it (``.point``) or to track it."""
+        """Trocar of an arm."""
         return self._members[arm].trocar
 
     @property

@@ -1,10 +1,9 @@
-"""A scripted sender whose hand is pushed about on the way.
+"""A scripted expert whose path is perturbed, so that demonstrations show recovery.
 
-Demonstrations of a script that always goes its own way say nothing about what lies beside it: a
-policy that learned from them does not know how to come back. Here a slow random offset is added to
-the tip on its way, and fades out towards every goal, so that what is done at a goal is done as well
-as without. What is recorded is the command that was sent, push and return; on average over many
-pushes an offset only decays, and that is what is learned.
+Demonstrations of an unperturbed script contain no states beside its path; a policy trained on them
+cannot return to it. This expert adds a slow random offset to the tip, which fades near every goal,
+so that actions at a goal stay precise. The recording contains the commands as sent. On average an
+offset decays, and that is what the policy learns.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ from surg_sim.tasks.scripted_sender import Action, Expert, Observation
 Array = NDArray[np.float64]
 
 TIME = 0.4
-"""Of each of the two low passes that make the offset smooth [s]."""
+"""Time constant of each of the two low-pass filters of the offset [s]."""
 NEAR = 0.015
-"""The offset fades within this distance of a goal [m]."""
+"""Distance from a goal within which the offset fades [m]."""
 
 
 class PerturbedExpert(Expert):
-    """Plays another sender's part with a less steady hand.
+    """Perturbs the path of another expert.
 
     Args:
-        expert: The sender.
-        seed: Of the offset.
+        expert: The expert.
+        seed: Seed of the offset.
         spread: Standard deviation of the offset, per axis [m].
     """
 
@@ -42,7 +41,7 @@ class PerturbedExpert(Expert):
         self._expert = expert
         self._rng = np.random.default_rng([seed, 7])
         self._keep = math.exp(-STEP / TIME)
-        # Variance of white noise behind two equal low passes, so that `spread` is what comes out.
+        # Gain of white noise before two equal low-pass filters that gives the output `spread`.
         a = self._keep
         self._gain = spread * math.sqrt((1 - a * a) ** 3 / ((1 - a) ** 4 * (1 + a * a)))
         self._slow, self._offset = np.zeros(3), np.zeros(3)

@@ -1,7 +1,6 @@
-"""The robot's sender: homes and enables the arm, then streams the tip along minimum-jerk profiles.
+"""Expert for one arm: homes and enables it, then streams the tip along minimum-jerk profiles.
 
-What differs from task to task is a script: a generator that moves ``path`` and ``jaw`` and yields
-once per action.
+A task adds a script: a generator that moves ``path`` and ``jaw`` and yields once per action.
 """
 
 from __future__ import annotations
@@ -32,17 +31,17 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SHARE = 0.4
-"""Of the arm's limits that a profile uses: a calm hand, and room for what a filter adds."""
+"""Share of the arm's limits that a profile uses; the rest is margin for the stream filter."""
 ROLL_VELOCITY, ROLL_ACCELERATION = 1.0, 4.0
 """[rad/s], [rad/s^2]"""
 
 
 class ArmExpert(Expert):
-    """A scripted sender for one arm.
+    """A scripted expert for one arm.
 
     Args:
         cell: The cell.
-        seed: Of its imperfections.
+        seed: Seed of its imperfections.
         arm: Name of the arm.
     """
 
@@ -57,13 +56,13 @@ class ArmExpert(Expert):
         instrument = cell.arms[arm].instrument
         self.jaw_open, self.jaw_closed = float(instrument.jaw_max), float(instrument.jaw_min)
         self.jaw: float | None = None
-        """Jaw angle to be sent [rad]; None: none is sent."""
+        """Jaw angle to send [rad]; None: no command."""
         self.path: MinimumJerk = MinimumJerk(np.zeros(3), *self._limits)
-        """Of the tip, rcm frame [m]."""
+        """Motion of the tip, rcm frame [m]."""
         self.roll = MinimumJerk(np.zeros(1), ROLL_VELOCITY, ROLL_ACCELERATION)
-        """Of the roll [rad]."""
+        """Motion of the roll [rad]."""
         self.done = False
-        """The script is over: the last pose is held."""
+        """The script has ended; the last pose is held."""
         self.observation: Observation
         self._script: Iterator[None] | None = None
         self._bring_up = BringUp()
@@ -76,7 +75,7 @@ class ArmExpert(Expert):
 
     @abstractmethod
     def script(self) -> Iterator[None]:
-        """What is done, action by action: move ``path``, ``roll``, ``jaw``; yield."""
+        """Moves ``path``, ``roll`` and ``jaw``; yields once per action."""
 
     def act(self, observation: Observation) -> Action:
         """See :class:`Expert`."""
@@ -109,7 +108,7 @@ class ArmExpert(Expert):
         commands.servo_cp = TipPose(p, float(self.roll.advance(STEP)[0]))
         commands.jaw = self.jaw
 
-    # --- what scripts are made of -------------------------------------------------------------
+    # --- building blocks of scripts -------------------------------------------------------------
 
     @property
     def p_set(self) -> Array:
@@ -121,7 +120,7 @@ class ArmExpert(Expert):
         return into(self.X_WR, p_W)
 
     def wait(self, seconds: float) -> Iterator[None]:
-        """Stay as things are."""
+        """Wait."""
         for _ in range(max(1, round(seconds / STEP))):
             yield
 
@@ -139,4 +138,4 @@ class ArmExpert(Expert):
 
 
 SETTLED = 0.15
-"""The arm follows its set-point a little later; after this it is there [s]."""
+"""Time after which the arm has reached its resting set-point [s]."""

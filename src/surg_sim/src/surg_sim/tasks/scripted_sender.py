@@ -1,7 +1,7 @@
-"""A sender's view, its commands, and the motion that both scripted senders share.
+"""Observations and actions of scripted experts, and the minimum-jerk motion they share.
 
-A sender looks and acts on every 25th tick (20 Hz). A target is where the set-point shall be at the
-next grid time, never a place far away: the path is a minimum-jerk profile inside the limits.
+An expert acts at 20 Hz. Each target is the set-point at the next grid time, on a minimum-jerk
+profile within the limits; it is never a distant goal.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Observation:
-    """Everything that a sender sees of tick k.
+    """Everything that an expert sees of tick k.
 
     Attributes:
         tick: k.
@@ -51,11 +51,11 @@ class Observation:
 
 @dataclass
 class Action:
-    """What a sender sends for one tick.
+    """Commands of an expert for one tick.
 
     Attributes:
-        arms: By arm.
-        assistant: To the assistant's instrument.
+        arms: Commands by arm.
+        assistant: Command to the assistant's instrument.
     """
 
     arms: dict[str, ArmCommands] = field(default_factory=dict)
@@ -63,10 +63,10 @@ class Action:
 
 
 class Expert(ABC):
-    """A scripted sender.
+    """A scripted expert.
 
     Attributes:
-        arms: Arms whose cycles it needs, which are those that it commands.
+        arms: Arms that it observes and commands.
         reason: Why it gave up; empty otherwise.
     """
 
@@ -74,19 +74,18 @@ class Expert(ABC):
     reason: str = ""
 
     def tick(self, observation: Observation) -> Action:
-        """What to send for k + 1; nothing off the grid, whose ticks need not be shown."""
+        """Action for tick k + 1; empty off the 20 Hz grid."""
         return self.act(observation) if observation.tick % GRID == 0 else Action()
 
     @abstractmethod
     def act(self, observation: Observation) -> Action:
-        """Look at a tick of the grid, one after another, and say what to send."""
+        """Action for an observation; called for consecutive grid ticks."""
 
 
 def home_frame(arm: surg_core.Arm) -> Array:
     """The rcm frame of an arm that is homed at its home posture, in the world, (4, 4).
 
-    A sender knows the cell and not the sensor noise of the moment of homing; the two differ by
-    what the encoders cannot see.
+    An expert knows the cell but not the encoder noise at homing; the two frames differ by that.
     """
     import surg_core
 
@@ -107,13 +106,13 @@ def out_of(X: Array, p: Array) -> Array:
 
 
 class MinimumJerk:
-    """A coordinate vector on its way along a minimum-jerk profile, from rest to rest.
+    """A coordinate vector that moves along minimum-jerk profiles, from rest to rest.
 
     s(u) = 10 u^3 - 15 u^4 + 6 u^5: the velocity peaks at 1.875 of the mean, the acceleration at
     5.774 distance / duration^2. The duration is the shortest that keeps both limits.
 
     Args:
-        start: Where it is, (n,).
+        start: Start value, (n,).
         velocity: Limit of the velocity of each coordinate, or (n,).
         acceleration: Limit of the acceleration.
     """
@@ -123,12 +122,12 @@ class MinimumJerk:
         self.stay(start)
 
     def stay(self, at: Array) -> None:
-        """Be at rest there."""
+        """Set the value and be at rest."""
         self._from = self._to = self.at = np.array(at, dtype=np.float64)
         self._duration = self._time = 0.0
 
     def go(self, target: Array, slowest: float = 0.0) -> None:
-        """Set out from here, at rest, to a target; take at least ``slowest`` [s]."""
+        """Start towards a target; take at least ``slowest`` [s]."""
         self._from, self._to = self.at, np.array(target, dtype=np.float64)
         way = np.abs(self._to - self._from)
         needed = np.maximum(1.875 * way / self._velocity, np.sqrt(5.774 * way / self._acceleration))
@@ -137,16 +136,16 @@ class MinimumJerk:
 
     @property
     def goal(self) -> Array:
-        """Where it comes to rest."""
+        """Final value."""
         return self._to
 
     @property
     def arrived(self) -> bool:
-        """Whether it is at rest."""
+        """Whether the value is at rest."""
         return self._time >= self._duration
 
     def advance(self, dt: float) -> Array:
-        """Where it is after dt [s] more, (n,)."""
+        """Value after another dt [s], (n,)."""
         self._time = min(self._time + dt, self._duration)
         u = self._time / self._duration if self._duration > 0.0 else 1.0
         s = u * u * u * (10.0 + u * (-15.0 + 6.0 * u))

@@ -1,9 +1,9 @@
-"""What a task is: things in the scene, a measure of success, and how an episode begins and ends.
+"""Base class of tasks: objects in the scene, episodes, and their success.
 
-A task is one file with one class. It puts its things into the scene before the scene is compiled
-(`add`), finds them in the compiled scene (`bind`), draws an episode (`reset`), goes along tick by
-tick (`advance`) and judges from ground truth (`verdict`). An episode changes the state of the model
-only, never the model's structure, so that one compiled scene serves all of them.
+A task adds its objects to the scene before compilation (``add``), looks them up in the compiled
+scene (``bind``), draws an episode (``reset``), is advanced in every tick (``advance``) and judges
+from ground truth (``verdict``). An episode changes the state of the model, never its structure, so
+that all episodes share one compiled scene.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 State = dict[str, "float | Array"]
-"""Ground truth of a task at one tick: fixed names, fixed shapes, SI."""
+"""Ground truth of a task at one tick: fixed names and shapes, SI units."""
 
 
 class TaskError(ValueError):
-    """A task that cannot be had, or that does not fit a cell: what is wrong and what would do."""
+    """A task does not exist or does not fit the cell; the message states what would fit."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How an episode stands.
+    """State of an episode.
 
     Attributes:
-        done: The episode ends here.
-        success: It was one; never without ``done``.
-        reason: Why it was none; empty before the end and after a success.
-        timeout: It ended because its time is over, not by what was done.
-        reward: For what was done up to this tick.
-        phase: Where in the task the episode is.
+        done: The episode has ended.
+        success: It ended with success; never without ``done``.
+        reason: Why it failed; empty before the end and after a success.
+        timeout: It ended at its time limit.
+        reward: Reward of this tick.
+        phase: Phase of the task.
     """
 
     done: bool = False
@@ -61,17 +61,16 @@ class Task(ABC):
     """One task; see the module.
 
     Attributes:
-        name: What a person types.
-        title: What a person reads.
+        name: Name on the command line.
+        title: Name for people.
         time_limit: Longest episode [s].
-        home_cell: The bundled cell that is taken when none is named.
-        fitting_cells: Bundled cells that fit, for who brought another one.
-        commanded: Arms that the task's policy commands, by CRTK name; the others stand still under
-            their controllers.
-        plotted: Numbers of the state that a figure of an episode shows, with their units.
+        home_cell: Bundled cell used if none is given.
+        fitting_cells: Bundled cells that fit, for error messages.
+        commanded: Arms that the task's policy commands, by CRTK name; all others hold still.
+        plotted: State values shown in the figure of an episode, with their units.
         tick: Ticks since the episode began.
-        assistant: The assistant's instrument in the scene, where there is one.
-        skins: What the renderer draws by itself (``render.Skin``).
+        assistant: The assistant's instrument, if there is one.
+        skins: Deformable surfaces for the renderer (``render.Skin``).
     """
 
     name: ClassVar[str]
@@ -92,17 +91,17 @@ class Task(ABC):
     # --- before an episode --------------------------------------------------------------------
 
     def prepare(self, cell: surg_core.Cell, setting: PatientSetting) -> None:
-        """Look at the cell and the setting before the scene is built.
+        """Check the cell and the setting before the scene is built.
 
         Raises:
-            TaskError: The cell does not fit; says why and which would.
+            TaskError: The cell does not fit.
         """
         missing = [name for name in self.commanded if name not in cell.arms]
         if missing:
             raise self.misfit(cell, f"needs the arms {', '.join(self.commanded)}")
 
     def misfit(self, cell: surg_core.Cell, needs: str) -> TaskError:
-        """The refusal of a cell: what the task needs, what the cell has, which cell would do."""
+        """Error about a cell: what the task needs, what the cell has, which cells fit."""
         has = ", ".join(f"{name} with {arm.instrument.name}" for name, arm in cell.arms.items())
         return TaskError(
             f"task '{self.name}' {needs}; the cell '{cell.config.name}' has {has}. Take a cell "
@@ -110,34 +109,34 @@ class Task(ABC):
         )
 
     def need_jaws(self, cell: surg_core.Cell, arm: str) -> None:
-        """Refuse a cell in which this arm is not there or has no jaws.
+        """Check that an arm exists and holds an instrument with jaws.
 
         Raises:
-            TaskError: It is not, or has none.
+            TaskError: It does not.
         """
         held = cell.arms[arm].instrument if arm in cell.arms else None
         if held is None or held.jaw_max <= held.jaw_min:
             raise self.misfit(cell, f"needs {arm} with an instrument that has jaws")
 
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-        """Put the task's things into the scene; ``looks``: also what only pictures need."""
+        """Add the task's objects to the scene; with ``looks`` also visual ones."""
         del spec, site, looks
 
     @abstractmethod
     def bind(self, world: World) -> None:
-        """Find the task's things in the compiled scene."""
+        """Look the task's objects up in the compiled scene."""
 
     @abstractmethod
     def reset(self, rng: np.random.Generator) -> None:
-        """Draw an episode and put the state there; the arms are at home, nothing has moved."""
+        """Draw an episode and set its initial state; the arms are at home."""
         self.tick = 0
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
-        """The scripted senders that can do this task, by node name; none by default.
+        """Scripted experts for this task, by node name; none by default.
 
         Args:
             cell: The cell.
-            seed: Of their imperfections.
+            seed: Seed of their imperfections.
         """
         del cell, seed
         return {}
@@ -145,7 +144,7 @@ class Task(ABC):
     # --- in an episode ------------------------------------------------------------------------
 
     def advance(self) -> None:
-        """One tick on, called with state k right before the physics that leads to state k + 1."""
+        """Advance by one tick; called with state k before the physics that leads to state k + 1."""
         self.tick += 1
 
     @property
@@ -155,7 +154,7 @@ class Task(ABC):
 
     @property
     def on_grid(self) -> bool:
-        """Whether this tick is one of the task's 20 looks per second."""
+        """Whether the task is evaluated in this tick (20 Hz)."""
         return self.tick % GRID == 0
 
     @abstractmethod
@@ -163,19 +162,19 @@ class Task(ABC):
         """Ground truth now; the same names and shapes at every call."""
 
     def jaw_force(self, arm: str) -> Array | None:
-        """Force of the task's things on the jaws of an arm now, world [N], (3,); None: no sensor.
+        """Force of the task's objects on an arm's jaws, world frame [N], (3,); None: no sensor.
 
-        Whether there is one must not change. Robots with a force limit at the tip stop by it.
+        Whether there is a sensor must not change. Controllers with a tip force limit use it.
         """
         del arm
         return None
 
     @abstractmethod
     def verdict(self) -> Verdict:
-        """How the episode stands now."""
+        """State of the episode."""
 
     def late(self, phase: str, reward: float = 0.0) -> Verdict | None:
-        """The verdict of an episode whose time is over; None while it is not."""
+        """Verdict at the time limit; None before it."""
         if self.time < self.time_limit:
             return None
         reason = f"time limit of {self.time_limit:g} s in phase '{phase}'"
