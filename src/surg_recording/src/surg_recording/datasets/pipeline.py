@@ -1,9 +1,8 @@
-"""From folders of recordings to a checked dataset: look, convert, put together, read back.
+"""Exports recordings as a dataset: inspect, convert, assemble, read back.
 
-Nothing is exported silently that is wrong: a recording is converted whole or refused with its
-reason, the others go on. The dataset appears under its name in one step, after it has been read
-back. Parts (converted recordings) lie beside it in ``<out>.parts`` until then, so that work that
-was cut off is taken up where it ended.
+A recording is converted completely or refused with a reason; the others continue. The dataset gets
+its name in one step, after it has been read back. Until then the converted recordings (parts) are
+in ``<out>.parts``, so that an interrupted export can continue.
 """
 
 from __future__ import annotations

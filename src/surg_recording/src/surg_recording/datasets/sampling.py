@@ -1,9 +1,9 @@
-"""One recording on the grid: every feature of every frame, with true stamps and ages.
+"""Resamples a recording onto the grid: every feature of every frame, with true stamps and ages.
 
-The grid begins with a picture: with the first at which all series have begun, the arms are homed
-and an action is known. It ends with the last time at which nothing has ended. An observation is
-what was known *at* a grid time, an action is the command in force at the *next* one: where
-set-point and jaw shall be then (as in surg_sim.envs.surg_env, whose names the numbers have).
+The grid begins with the first picture at which all series have begun, the arms are homed and an
+action is known. It ends when the first series ends. An observation is the state at a grid time; an
+action is the command in force at the next one: set-point and jaw at that time, with the names of
+surg_sim.envs.surg_env.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The recorder without ROS: messages go in, an episode folder comes out.
+"""Records one episode, without ROS: messages in, an episode folder out.
 
-``Recording`` is one episode. It never raises on what a disk or a camera does: ``problem`` says why
-the episode will be incomplete, and the rest goes on.
+Failures of the disk or a camera raise nothing: ``problem`` states why the episode will be
+incomplete, and everything else is still recorded.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ FREERUN_QUEUE = 5000
 """Rows per table that may wait in free-run: 10 s at 500 Hz."""
 
 DISK_CHECK_S = 0.5
-"""Free space is looked at this often [s]."""
+"""Period of the check of free disk space [s]."""
 
 ENCODER_START_S = 10.0
-"""Time given to the encoders to start [s]; frames wait in memory when they need longer."""
+"""Time for the encoders to start [s]; after that, frames wait in memory."""
 
 STOP_FREE_BYTES = 32 << 20
-"""A recording ends by itself when less than this is left [bytes]: room to finish it properly."""
+"""Free space at which a recording ends by itself [bytes]; leaves room to finish the folder."""
 
 STALL_PERIODS = 3
-"""A camera is silent when it misses so many of its periods (free-run)."""
+"""Number of missed frame periods after which a camera counts as silent (free-run)."""
 
 STALL_MIN_S = 0.15
-"""… and at least for so long [s]."""
+"""Shortest silence that counts [s]."""
 
 
 class Recording:
-    """One episode being recorded. All methods may be called from any thread."""
+    """An episode that is being recorded. All methods may be called from any thread."""
 
     def __init__(
         self,
@@ -65,14 +65,14 @@ class Recording:
         """Create the folder and start writing.
 
         Args:
-            final: the episode folder.
+            final: The episode folder.
             mode: ``lockstep`` (nothing is dropped, senders wait) or ``freerun`` (bounded queues).
-            arms: names of the arms.
-            cameras: names of the cameras.
-            manifest: what is known of the run.
-            min_free_bytes: free space needed to start [bytes].
-            video_preset: of x264.
-            stop_free_bytes: free space at which recording ends by itself [bytes].
+            arms: Names of the arms.
+            cameras: Names of the cameras.
+            manifest: Facts known at the start.
+            min_free_bytes: Free space needed to start [bytes].
+            video_preset: Preset of x264.
+            stop_free_bytes: Free space at which the recording ends by itself [bytes].
 
         Raises:
             EpisodeError: when the folder cannot be made.
@@ -114,18 +114,18 @@ class Recording:
 
     @property
     def problem(self) -> str | None:
-        """Why this episode will be incomplete; None while all is well."""
-        found = list(self._problems)
+        """Why this episode will be incomplete; None if it is complete so far."""
+        problems = list(self._problems)
         if self._writer.error:
-            found.append(f"rows lost: {self._writer.error}")
+            problems.append(f"rows lost: {self._writer.error}")
         for name, video in list(self._videos.items()):
             if video.error:
-                found.append(f"{name}: {video.error}")
-        return "; ".join(dict.fromkeys(found)) or None
+                problems.append(f"{name}: {video.error}")
+        return "; ".join(dict.fromkeys(problems)) or None
 
     @property
     def failed(self) -> bool:
-        """True when going on is pointless: the disk is full or broken."""
+        """Whether the disk is full or broken, so that recording must end."""
         if not self._disk_full and time.monotonic() - self._disk_checked > DISK_CHECK_S:
             self._disk_checked = time.monotonic()
             try:
@@ -184,7 +184,7 @@ class Recording:
         self._put(table, row)
 
     def clock_sync(self, message: Any, receive_ns: int) -> None:
-        """Record a surg_msgs/ClockSync: what a machine's PTP daemon says of its clock."""
+        """Record a surg_msgs/ClockSync: the status of a machine's PTP clock."""
         name = "clock_sync"
         table = self._tables.get(name) or self._table(name, table_columns.CLOCK_SYNC)
         self._put(table, table_rows.clock_sync(message, receive_ns))
@@ -210,21 +210,21 @@ class Recording:
             self._put(table, flat.row(table.columns, receive_ns, source))
 
     def topics(self) -> dict[str, dict[str, Any]]:
-        """By topic of the rest: type, tables, and what was too long to be kept."""
+        """Type, tables and truncated fields of every further topic."""
         return self._topics.describe()
 
-    def tag(self, said: Tag, text: str, source: str, receive_ns: int, stamp_ns: int) -> None:
+    def tag(self, tag: Tag, text: str, source: str, receive_ns: int, stamp_ns: int) -> None:
         """Record a stage, a tag or a verdict.
 
         Args:
-            said: the message, read.
-            text: the message as it came.
-            source: caller id of the sender.
-            receive_ns: wall clock at reception.
-            stamp_ns: now on the clock of the episode's stamps.
+            tag: The parsed message.
+            text: The message as received.
+            source: Caller id of the sender.
+            receive_ns: Wall clock at reception [ns].
+            stamp_ns: The present on the clock of the episode's stamps [ns].
         """
-        stamp = stamp_ns if said.stamp_ns is None else said.stamp_ns
-        self._annotations.add(said, stamp, source)
+        stamp = stamp_ns if tag.stamp_ns is None else tag.stamp_ns
+        self._annotations.add(tag, stamp, source)
         self.event("/record/tag", source, text, receive_ns, stamp)
 
     def clock_stepped(self, step_ns: int, wall_ns: int) -> None:
@@ -242,11 +242,11 @@ class Recording:
                 video.expect_earlier_stamps()
 
     def watch_cameras(self, now: float, wall_ns: int) -> None:
-        """Look for cameras that have fallen silent or have come back (free-run only).
+        """Detect cameras that have fallen silent or have come back (free-run only).
 
         Args:
-            now: steady clock [s].
-            wall_ns: wall clock [ns].
+            now: Steady clock [s].
+            wall_ns: Wall clock [ns].
         """
         if self._lockstep:
             return
@@ -265,16 +265,16 @@ class Recording:
 
     @property
     def silent_cameras(self) -> list[str]:
-        """Cameras that send nothing now, though they did."""
+        """Cameras that have fallen silent."""
         return sorted(self._silent)
 
     @property
     def warnings(self) -> list[str]:
-        """What somebody should know of this recording, so far."""
+        """Warnings so far."""
         return list(self._warnings)
 
     def warn(self, text: str) -> None:
-        """Keep a warning for the manifest: nothing is lost, but somebody should know."""
+        """Add a warning to the manifest; the recording stays complete."""
         if text not in self._warnings:
             self._warnings.append(text)
 
@@ -292,12 +292,12 @@ class Recording:
             self._orphans[camera] = self._orphans.get(camera, 0) + 1
             return
         stamp_ns = table_rows.nanoseconds(message.header.stamp)
-        self._look_ahead(camera, stamp_ns, receive_ns)
+        self._count_future_stamp(camera, stamp_ns, receive_ns)
         self._heard[camera] = time.monotonic()
         video.put(_frame(message, stamp_ns, receive_ns))
 
     def written_tick(self) -> int:
-        """Newest tick whose cycles (of every arm) and ground truths are with the kernel."""
+        """Newest tick whose cycles and ground truths of all arms have been handed to the kernel."""
         ticks = []
         for arm in self.arms:
             for name in (f"cycle_{arm}", f"ground_truth_{arm}"):
@@ -312,7 +312,7 @@ class Recording:
         return (video.last_stamp_ns, video.period_ns) if video else (0, 0)
 
     def note(self, problem: str) -> None:
-        """Say why this episode is incomplete."""
+        """Mark the episode as incomplete."""
         self._problems.append(problem)
 
     def encoder_pids(self) -> dict[str, int]:
@@ -320,7 +320,7 @@ class Recording:
         return {name: video.pid for name, video in self._videos.items()}
 
     def status(self) -> dict[str, Any]:
-        """Counters for people: rows, frames, drops, backlog."""
+        """Counters: rows, frames, drops, backlog."""
         tables, videos = dict(self._tables), dict(self._videos)
         return {
             "folder": str(self._folder.final),
@@ -349,16 +349,16 @@ class Recording:
         """Write every backlog, finish the videos and the folder.
 
         Args:
-            manifest: what has become known since the start.
-            video_timeout_s: how long a video's backlog may take [s].
-            topics: what is known of the other topics by name, also of those that never came.
-            end_stamp_ns: now on the clock of the episode's stamps: the last stage ends here.
+            manifest: Facts learnt since the start.
+            video_timeout_s: Longest time to write a video's backlog [s].
+            topics: Facts about further topics by name, including those that never sent.
+            end_stamp_ns: End of the last stage on the clock of the episode's stamps [ns].
 
         Returns:
             The finished folder.
 
         Raises:
-            EpisodeError: the folder could not be finished; it is mended at the next start.
+            EpisodeError: The folder could not be finished; the next start recovers it.
         """
         self._writer.close()
         for video in self._videos.values():
@@ -424,11 +424,11 @@ class Recording:
 
     def _put(self, table: CsvTable | None, row: table_rows.Row) -> None:
         if table is not None:
-            self._look_ahead(table.path.stem, row[0], row[1])
+            self._count_future_stamp(table.path.stem, row[0], row[1])
             self._writer.put(table, row)
 
-    def _look_ahead(self, name: str, stamp_ns: int, receive_ns: int) -> None:
-        """Count a stamp of the future; in lock-step stamps are the simulator's own time."""
+    def _count_future_stamp(self, name: str, stamp_ns: int, receive_ns: int) -> None:
+        """Count a stamp in the future; lock-step stamps are simulated time and do not count."""
         if stamp_ns > receive_ns + FUTURE_NS and not self._lockstep:
             self._future[name] = self._future.get(name, 0) + 1
 
@@ -439,12 +439,12 @@ class Recording:
         folder = self.folder / TOPICS
         try:
             folder.mkdir(exist_ok=True)
-            # Not synced: this is called by a callback, which must not wait for the disk.
+            # Not synced: a callback calls this and must not wait for the disk.
             (folder / f"{name}.json").write_text(json.dumps(about, indent=1) + "\n", "utf-8")
         except OSError as problem:
             self._problems.append(f"{TOPICS}/{name}: {problem.strerror}")
             return None
-        # Nobody waits for these topics, in lock-step neither: their queues are always bounded.
+        # Further topics are never waited for, even in lock-step: their queues are always bounded.
         return self._table(f"{TOPICS}/{name}", names, FREERUN_QUEUE)
 
     def _note_topic(self, topic: str, text: str) -> None:
@@ -465,12 +465,12 @@ class Recording:
 
 def _frame(message: Any, stamp_ns: int, receive_ns: int) -> Frame:
     """A sensor_msgs/Image, or the JPEG or PNG picture of a CompressedImage (which has a format)."""
-    data, said = message.data, getattr(message, "format", None)
-    if said is None:
+    data, coding = message.data, getattr(message, "format", None)
+    if coding is None:
         size = message.width, message.height, message.step
         return Frame(data, *size, message.encoding, stamp_ns, receive_ns)
     try:
-        coded = compressed_image.look(data, said)
+        coded = compressed_image.look(data, coding)
     except ValueError as problem:
-        return Frame(data, 0, 0, 0, said, stamp_ns, receive_ns, str(problem))
+        return Frame(data, 0, 0, 0, coding, stamp_ns, receive_ns, str(problem))
     return Frame(data, coded.width, coded.height, 0, coded.encoding, stamp_ns, receive_ns)

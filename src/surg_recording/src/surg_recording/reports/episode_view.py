@@ -1,4 +1,4 @@
-"""An episode as one page to look at: video, tip path and curves under a common cursor.
+"""Makes the page of an episode: video, tip path and curves under a common cursor.
 
 ``page`` makes a single HTML file that needs no network: ``view.html``, ``view.css`` and ``view.js``
 filled with what ``view_data`` collects. On the command line:
@@ -69,14 +69,14 @@ def page(
 
 
 def _badges(episode: Episode) -> str:
-    """Is the recording whole, and do its streams belong to one time?"""
+    """Badges: is the recording complete, and are its streams synchronised?"""
     outcome = str(episode.manifest.get("outcome"))
     reason = episode.manifest.get("reason")
     found = [("pass" if outcome == "complete" else "fail", outcome, reason or "nothing was lost")]
     sync = sync_report.load(episode)
     if sync is not None:
-        words = {"pass": "in sync", "fail": "OUT OF SYNC", "cannot_tell": "sync: cannot tell"}
-        said = "; ".join(sync.get("reasons") or []) or "all streams belong to one time"
+        words = {"pass": "in sync", "fail": "OUT OF SYNC", "cannot_tell": "sync: unknown"}
+        said = "; ".join(sync.get("reasons") or []) or "all streams are synchronised"
         found.append((sync["verdict"], words.get(sync["verdict"], sync["verdict"]), said))
     return "".join(
         f"<span class='badge {text(kind)}' title='{text(said)}'>{text(words)}</span>"

@@ -23,11 +23,11 @@ _DEFINITIONS = (
         "RCM deviation, kinematic",
         "Distance from the commanded pivot to the infinite shaft line, from joint states and"
         " calibration, at every control cycle of the commanded window. The paper's metric; it"
-        " cannot see a calibration that is wrong.",
+        " does not include calibration errors.",
     ),
     (
         "RCM deviation, true",
-        "Distance from the trocar's undisturbed point to the simulator's shaft axis.",
+        "Distance from the unloaded trocar point to the simulator's shaft axis.",
     ),
     (
         "SPARC, LDLJ",

@@ -319,7 +319,7 @@ FIGURES: dict[str, tuple[str, str, Callable[[Subject], Figure]]] = {
     "rcm_deviation": (
         "Does the shaft stay in the trocar?",
         "Kinematic: from the commanded pivot to the shaft line computed from the joints. True: from"
-        " the trocar's undisturbed point to the simulator's shaft axis. Logarithmic scale.",
+        " the trocar's unloaded point to the simulator's shaft axis. Logarithmic scale.",
         rcm_deviation,
     ),
     "tip_path": (

@@ -100,7 +100,7 @@ FIGURES: dict[str, tuple[str, str, Callable[[Groups, Mapping[str, Any]], Figure]
         smoothness,
     ),
     "load": (
-        "What does the wall bear, and how long does it take?",
+        "What load does the wall bear, and how long does an episode take?",
         "Of the first arm, from the simulator's truth.",
         load,
     ),

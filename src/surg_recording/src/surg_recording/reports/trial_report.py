@@ -13,30 +13,28 @@ from surg_recording.reports.html_page import definitions, document, figure_secti
 _DEFINITIONS = (
     (
         "Success",
-        "By the task's own definition, judged by the simulator's ground truth"
-        " (docs/reference/tasks.md)."
-        " An episode that ends for any other reason is a failure and names it.",
+        "By the task's definition, from the simulator's ground truth (docs/reference/tasks.md). An"
+        " episode that ends for any other reason is a failure; the table names the reason.",
     ),
     (
         "95 % interval",
-        "Wilson's score interval of the success rate: what the episodes say about the rate over"
-        " all seeds.",
+        "Wilson's score interval of the success rate over all seeds.",
     ),
     (
         "RCM deviation, kinematic",
         "Distance from the commanded pivot to the shaft line, from joint states and calibration,"
-        " at every control cycle from the first to the last stream command. It cannot see a"
-        " calibration that is wrong.",
+        " at every control cycle from the first to the last stream command. It does not"
+        " include calibration errors.",
     ),
     (
         "RCM deviation, true",
-        "Distance from the trocar's undisturbed point (rest and breathing) to the simulator's"
+        "Distance from the unloaded trocar point, which moves with breathing, to the simulator's"
         " shaft axis.",
     ),
     (
         "Bound",
-        "What the phantom and the other settings were held against; stated for information. The"
-        " settings' parameters were fixed before any deviation was looked at.",
+        "Reference value of the setting, for information. The parameters of the settings were fixed"
+        " before any deviation was evaluated.",
     ),
 )
 

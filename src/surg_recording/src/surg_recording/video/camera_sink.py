@@ -1,9 +1,9 @@
-"""One camera of an episode: usually one video, more parts when the picture changes or a kill bites.
+"""Writes one camera of an episode: one video, or several parts.
 
-A video has one size and times that go on. When the camera changes its size, its clock is set back
-or jumps far ahead, or its encoder has died, the next part begins: ``<camera>.2.mp4`` with a sidecar
-of its own. Frames that the encoder had not taken yet go into the next part. A camera that needs too
-many parts is given up and counted.
+A video has one size and increasing times. The next part, ``<camera>.2.mp4`` with its own sidecar,
+begins when the camera changes its size, its clock is set back or jumps far ahead, or its encoder
+dies. Frames that the encoder had not taken go into the next part. A camera that needs too many
+parts is no longer recorded, and its frames are counted as dropped.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from surg_recording.video.video_sink import Frame, VideoSink, unusable
 
 MAX_PARTS = 8
-"""A camera that goes on changing after so many parts is not recorded any further."""
+"""Largest number of parts of a camera."""
 
 MAX_GAP_NS = 600_000_000_000
 """A longer pause between two frames begins the next part: MP4 counts a frame's duration in 32 bits
@@ -83,10 +83,10 @@ class CameraSink:
     @property
     def error(self) -> str | None:
         """Why this video is not as it should be; None while all is well."""
-        found = [*self._faults, *([self._given_up] if self._given_up else [])]
+        faults = [*self._faults, *([self._given_up] if self._given_up else [])]
         if self._part.error is not None and not self._given_up:
-            found.append(self._part.error)
-        return "; ".join(found) or None
+            faults.append(self._part.error)
+        return "; ".join(faults) or None
 
     @property
     def last_skip(self) -> str | None:
@@ -125,12 +125,12 @@ class CameraSink:
     def put(self, frame: Frame) -> bool:
         """Queue one image; False when it was dropped. Blocks in lock-step only."""
         last, _ = self._stamps
-        torn = self._torn(frame, last)
-        if torn is not None:
+        discontinuity = self._discontinuity(frame, last)
+        if discontinuity is not None:
             self._clock_back, self._stamps, last = False, (0, 0), 0
             if self._part.error is not None:
                 self._next_part(f"the encoder failed ({self._part.error})")
-            self._next_part(torn, a_fault=False)
+            self._next_part(discontinuity, a_fault=False)
         if frame.stamp_ns > last:
             self._stamps = frame.stamp_ns, frame.stamp_ns - last if last else 0
         if frame.data == self._last_data:
@@ -143,7 +143,7 @@ class CameraSink:
             self._next_part(f"its size changed from {size} to {frame.width}x{frame.height}")
         return self._part.put_frame(frame)
 
-    def _torn(self, frame: Frame, last: int) -> str | None:
+    def _discontinuity(self, frame: Frame, last: int) -> str | None:
         """Why a frame cannot follow the one stamped ``last`` [ns] in one video; None: it can."""
         if not last or unusable(frame) is not None:
             return None

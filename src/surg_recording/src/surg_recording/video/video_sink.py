@@ -1,9 +1,8 @@
-"""The recorder's end of one video: a queue in front of an encoder process.
+"""Writes one video: a queue in front of an encoder process.
 
-A camera is a ``camera_sink.CameraSink``, which makes one of these for every part of its video.
-``put`` is what a callback calls. In free-run it never blocks: a full queue drops the frame and
-counts it. In lock-step it waits for room, so that the camera, and by it the simulator, waits too
-and no frame is lost.
+``camera_sink.CameraSink`` makes one of these for every part of a camera's video. Callbacks call
+``put``. In free-run it never blocks: a full queue drops the frame and counts it. In lock-step it
+waits for room, so that camera and simulator wait too and no frame is lost.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ class Frame(NamedTuple):
     stamp_ns: int
     receive_ns: int
     problem: str | None = None
-    """Why it cannot be recorded, where that has been seen before."""
+    """Why it cannot be recorded, if that is known already."""
 
 
 class VideoSink:
@@ -82,7 +81,7 @@ class VideoSink:
         self.frames = 0
         """Frames the encoder has written."""
         self.error: str | None = None
-        """Why this video stopped; None while all is well."""
+        """Why this video stopped; None if it is running."""
         self.last_skip: str | None = None
         """Why the newest unusable frame was skipped."""
         self.encoding = self.size = ""
@@ -290,7 +289,7 @@ class VideoSink:
                     elif word == "end":
                         ended = True
                     self._room.notify_all()
-        self._ready.set()  # it will never be more ready than now
+        self._ready.set()  # no later line will set it
         with self._room:
             if not ended and self.error is None:
                 self.error = "the encoder was killed or ended early"
