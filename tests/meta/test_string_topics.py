@@ -40,8 +40,8 @@ USED = {
     "teleop_status_node.py": {"~warning", "current_state", "desired_state"},
     "order_topics_node.py": {"/sim/by_hand"},
     "ros_system_node.py": {"warning"},
-    "recorder_node.py": {"name", "/record/tag", "/record/info"},
-    "bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/by_hand"},
+    "recorder_topics_node.py": {"name", "/record/tag", "/record/info"},
+    "sim_bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/by_hand"},
     "watch.py": {"topic"},
     "record.py": {"Bool", "name"},
 }
