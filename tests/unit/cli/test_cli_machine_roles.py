@@ -65,13 +65,32 @@ def test_without_the_guard_nothing_is_preloaded() -> None:
 
 
 def test_without_the_guard_a_second_network_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    here = {"eth1": "192.168.77.1"}
-    monkeypatch.setattr(network, "addresses", lambda: here)
+    here = {"192.168.77.1"}
+    monkeypatch.setattr(roles, "local_addresses", lambda _: here)
     link = roles.link_of(cell(), Role.ROBOT, 11311)
     network.refuse_foreign_ports([], link)
-    here["eth0"] = "10.1.2.3"
-    with pytest.raises(Problem, match=r"10\.1\.2\.3 \(eth0\).*--port-guard"):
+    here.add("10.1.2.3")
+    with pytest.raises(Problem, match=r"10\.1\.2\.3.*--port-guard"):
         network.refuse_foreign_ports([], link)
+
+
+def test_a_second_address_of_one_interface_is_seen() -> None:
+    table = """Main:
+  +-- 0.0.0.0/0 3 0 5
+     +-- 127.0.0.0/8 2 0 2
+           |-- 127.0.0.1
+              /32 host LOCAL
+     +-- 192.168.77.0/24 2 0 2
+        |-- 192.168.77.0
+           /24 link UNICAST
+        |-- 192.168.77.1
+           /32 host LOCAL
+        |-- 192.168.77.255
+           /32 link BROADCAST
+        |-- 10.1.2.3
+           /32 host LOCAL
+"""
+    assert roles.local_addresses(table) == {"192.168.77.1", "10.1.2.3"}
 
 
 @pytest.mark.parametrize(

@@ -85,13 +85,14 @@ def test_a_deferred_answer_holds_ready_back() -> None:
     assert [m.tick for m in node._ready.said] == [2]
 
 
-def test_nothing_is_done_after_done() -> None:
+def test_after_done_it_only_says_ready() -> None:
     seen: list[Seen] = []
     node = make(seen, answer=lambda each: each.tick == 3, arms=("PSM1",))
     for tick in range(1, 10):
         node.on_cycle(raw(RawCycle, tick), "PSM1")
     assert [each.tick for each in seen] == [1, 2, 3]
-    assert [m.done for m in node._ready.said] == [False, False, True]
+    assert [m.done for m in node._ready.said] == [False, False] + 7 * [True]
+    assert [m.tick for m in node._ready.said] == list(range(2, 11)), "the others wait for it"
 
 
 def test_without_arms_it_acts_on_the_grid() -> None:

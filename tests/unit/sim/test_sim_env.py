@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ gymnasium = pytest.importorskip("gymnasium", reason="gymnasium is not installed:
 
 from gymnasium.utils.env_checker import check_env  # noqa: E402
 
+from surg_core.arm_view import ArmState, ArmView  # noqa: E402
 from surg_core.contract import ARM_ACTION, ARM_STATE  # noqa: E402
 from surg_sim.envs.surg_env import SurgEnv  # noqa: E402
 
@@ -128,3 +130,13 @@ def test_environments_run_side_by_side() -> None:
     _, reward, terminated, truncated, _ = vector.step(action)
     assert reward.shape == terminated.shape == truncated.shape == (2,)
     vector.close()
+
+
+def test_an_arm_that_does_not_come_up_is_no_observation(
+    pegs: SurgEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ready is what every arm must be; a bring-up that ended otherwise raises."""
+    true = ArmView.of
+    monkeypatch.setattr(ArmView, "of", lambda out: replace(true(out), state=ArmState.FAULT))
+    with pytest.raises(RuntimeError, match="PSM1: the arm is in FAULT"):
+        pegs.reset(seed=1)

@@ -60,9 +60,9 @@ def addresses() -> dict[str, str]:
     return {name: text for name, text in found.items() if not text.startswith("127.")}
 
 
-def other_addresses(own: str) -> dict[str, str]:
-    """Addresses of this machine beside ``own`` and the loopback, by the interface's name."""
-    return {name: address for name, address in addresses().items() if address != own}
+def other_addresses(own: str) -> set[str]:
+    """IPv4 addresses of this machine beside ``own`` and the loopback, whatever the interface."""
+    return roles.local_addresses(Path("/proc/net/fib_trie").read_text("utf-8")) - {own}
 
 
 def refuse_other_addresses(own: str) -> None:
@@ -73,11 +73,10 @@ def refuse_other_addresses(own: str) -> None:
     """
     others = other_addresses(own)
     if others:
-        listed = ", ".join(f"{address} ({name})" for name, address in others.items())
         raise Problem(
-            f"this machine also has {listed}, and ROS 1 opens its ports on every address. Add "
-            f"--port-guard, which preloads a library that binds them to {own}, or disconnect the "
-            "other network",
+            f"this machine also has {', '.join(sorted(others))}, and ROS 1 opens its ports on "
+            "every address. Add --port-guard, which preloads a library that binds them to "
+            f"{own}, or disconnect the other network",
             2,
         )
 

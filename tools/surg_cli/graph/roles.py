@@ -9,6 +9,7 @@ this machine does not also use that network to reach others.
 from __future__ import annotations
 
 import enum
+import re
 import socket
 import struct
 from collections.abc import Mapping, Sequence
@@ -81,6 +82,21 @@ def routes(text: str) -> list[Route]:
             continue
         address, gateway, mask = (_swap(int(fields[i], 16)) for i in (1, 2, 7))
         found.append(Route(fields[0], (address, mask), gateway))
+    return found
+
+
+def local_addresses(text: str) -> set[str]:
+    """This machine's own IPv4 addresses, second ones of an interface too.
+
+    Args:
+        text: Of /proc/net/fib_trie.
+    """
+    found, address = set(), ""
+    for line in text.splitlines():
+        if match := re.match(r"\s*\|-- (\S+)", line):
+            address = match[1]
+        elif re.match(r"\s*/32 host LOCAL", line) and not address.startswith("127."):
+            found.add(address)
     return found
 
 

@@ -228,9 +228,12 @@ class Participant:
         on_grid = self._task and tick % GRID == 0
         if on_grid and self._state[0] != tick:
             return  # its state is still to come
-        if self._done or not complete or tick <= self.tick:
+        if not complete or tick <= self.tick:
             return
         self.tick = tick
+        if self._done:  # the others' ticks still wait for this Ready
+            self.ready(True)
+            return
         cycles = {arm: raw for arm, (_, raw) in self._cycles.items()}
         done = self._act(Seen(tick, cycles, self._state[1] if on_grid else None))
         if done is not None:

@@ -299,10 +299,20 @@ class ModelServerNode:
     def _connect(self) -> None:
         """Answer tick 1, which has no cycle before it, once nothing can get lost."""
         assert self._participant is not None
-        with contextlib.suppress(TimeoutError):
-            self._participant.connect(
-                math.inf, over=lambda: bool(self.finished.is_set() or rospy.is_shutdown())
-            )
+
+        def over() -> bool:
+            return bool(self.finished.is_set() or rospy.is_shutdown())
+
+        while not over():
+            try:
+                self._participant.connect(math.inf, over)
+            except TimeoutError:
+                pass  # the node ends
+            except OSError as error:
+                rospy.logwarn_throttle(10, "policy: the ROS master does not answer: %s", error)
+                time.sleep(0.5)
+                continue
+            return
 
     def _on_tick(self, seen: Seen) -> bool | None:
         """All cycles of a tick are here; a tick of the grid is answered by `_grid_tick`."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
+
 import rospy
 
-from surg_core.contract import STEP
+from surg_core.contract import SECOND_NS, STEP
 from surg_msgs.msg import PolicyStatus
 from surg_policy_bridge.server.model_server import ModelServer
 
@@ -51,5 +53,5 @@ def policy_status(server: ModelServer, refused: str, address: str) -> PolicyStat
     )
     message.obs_age_p50, message.obs_age_p99 = counters.obs_age.percentiles
     message.round_trip_p50, message.round_trip_p99 = counters.round_trip.percentiles
-    message.header.stamp = rospy.Time.now()
+    message.header.stamp = rospy.Time(*divmod(time.time_ns(), SECOND_NS))
     return message

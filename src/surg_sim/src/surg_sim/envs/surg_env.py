@@ -165,6 +165,9 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         Args:
             seed: Of the episode; None: drawn from ``seeds.TRAINING``.
             options: Not used.
+
+        Raises:
+            RuntimeError: An arm does not become ready; states why.
         """
         super().reset(seed=seed)
         drawn = int(
@@ -185,9 +188,13 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         for _ in range(_READY):
             asked = {arm: self._bring_up(bring_up, arm) for arm, bring_up in bring_ups.items()}
             if not any(bring_up.active for bring_up in bring_ups.values()):
-                return self._observation(), self._info()
+                break
             self._advance(Action(arms=asked))
-        raise RuntimeError(f"{self.arms} did not become ready: {self._info()['reason']}")
+        failed = {arm: each.reason for arm, each in bring_ups.items() if each.active or each.reason}
+        if failed:
+            why = "; ".join(f"{arm}: {reason or 'too late'}" for arm, reason in failed.items())
+            raise RuntimeError(f"not ready: {why} {self._info()['reason'] or ''}".rstrip())
+        return self._observation(), self._info()
 
     def _bring_up(self, bring_up: BringUp, arm: str) -> ArmCommands:
         assert self._tick is not None
