@@ -81,7 +81,7 @@ class ModelServerNode:
         self._lock = threading.RLock()
         self.finished = threading.Event()
         """Set to end the node."""
-        self._wake = os.eventfd(0, os.EFD_NONBLOCK)
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK)  # type: ignore[attr-defined]
         self._router = Router(settings.bind, keys)
         self._poller = zmq.Poller()
         self._poller.register(self._router.socket, zmq.POLLIN)
@@ -199,7 +199,7 @@ class ModelServerNode:
             self._rouse()
 
     def _rouse(self) -> None:
-        os.eventfd_write(self._wake, 1)
+        os.eventfd_write(self._wake, 1)  # type: ignore[attr-defined]
 
     # --- what is served ---------------------------------------------------------------------------
 
@@ -247,7 +247,7 @@ class ModelServerNode:
         left = max(0, due - time.monotonic_ns())
         ready = dict(self._poller.poll(100 if self._settings.lockstep else left // 1_000_000 + 1))
         if self._wake in ready:
-            os.eventfd_read(self._wake)
+            os.eventfd_read(self._wake)  # type: ignore[attr-defined]
 
     def _listen(self) -> None:
         """Receive all messages and reply."""

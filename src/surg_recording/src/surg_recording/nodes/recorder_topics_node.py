@@ -17,7 +17,8 @@ from std_msgs.msg import Bool, Empty, String
 from crtk_msgs.msg import OperatingState
 from surg_core.status_check import Newest
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
-from surg_recording.episode import annotations, table_rows
+from surg_recording.episode import table_rows
+from surg_recording.episode.annotations import parse_info, parse_tag
 from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES
 from surg_recording.nodes.message_decoder_node import MessageDecoder, sender
@@ -246,7 +247,7 @@ class RecorderTopics:
             rospy.logwarn("recorder: a tag while nothing is recorded: %s", message.data[:200])
             return
         try:
-            tag = annotations.parse_tag(message.data)
+            tag = parse_tag(message.data)
         except ValueError as problem:
             rospy.logwarn("recorder: %s", problem)
             return
@@ -255,7 +256,7 @@ class RecorderTopics:
 
     def _on_info(self, message: String) -> None:
         try:
-            info = annotations.parse_info(message.data)
+            info = parse_info(message.data)
         except ValueError as problem:
             rospy.logwarn("recorder: %s", problem)
             return

@@ -106,11 +106,11 @@ class StatePublisher:
             )
         observation = None if arm.track is None else injector.track(arm.name, arm.stale)
         if arm.track is not None and observation is not None:
-            observed_tick, point, velocity = observation
+            observed_tick, p_BRcm, v_BRcm = observation
             observed_ns = stamp_ns - (tick - observed_tick) * TICK_NS
             arm.tracked += 1
             arm.track.send(
-                bridge_messages.pack_point_velocity(observed_ns, tick, arm.frame, point, velocity)
+                bridge_messages.pack_point_velocity(observed_ns, tick, arm.frame, p_BRcm, v_BRcm)
             )
 
     def unconnected(

@@ -178,8 +178,9 @@ def main() -> int:
         signal.signal(number, lambda *_: ended.set())
     node: CheckNode | None = None
     try:
-        frames = task.cell.arms[task.camera.arm].instrument.camera.frames
-        node = CheckNode(task, wait_for_eyes(len(frames), CONNECT_TIMEOUT))
+        camera = task.cell.arms[task.camera.arm].instrument.camera
+        assert camera is not None  # read_task has found the arm by it
+        node = CheckNode(task, wait_for_eyes(len(camera.frames), CONNECT_TIMEOUT))
         node.connect()
         while not node.finished.wait(0.05) and not ended.is_set() and not rospy.is_shutdown():
             node.check_silence()

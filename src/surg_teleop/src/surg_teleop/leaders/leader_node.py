@@ -84,7 +84,11 @@ class LeaderNode:
         self._said_pedals: dict[str, bool] = {}
         self._says_pedals = pedals
         self._problem = ""
-        self._said = {"state": ("", -1.0), "joy": (None, -1.0), "pedals": (None, -1.0)}
+        self._said: dict[str, tuple[object, float]] = {
+            "state": ("", -1.0),
+            "joy": (None, -1.0),
+            "pedals": (None, -1.0),
+        }
 
     def tick(self, now: float) -> None:
         """Reads once and publishes; now is the steady clock [s]."""
@@ -120,7 +124,9 @@ class LeaderNode:
             self._out["gripper/measured_js"].publish(joint)
 
     def _say_joy(self, now: float, stamp: rospy.Time) -> None:
-        joy = self._leader.joy(now) if isinstance(self._leader, InputLeader) else None
+        if not isinstance(self._leader, InputLeader):
+            return
+        joy = self._leader.joy(now)
         if joy is not None and self._due("joy", joy, now, 1.0 / self._leader.layout.autorepeat):
             message = Joy(axes=list(joy.axes), buttons=list(joy.buttons))
             message.header.stamp = stamp
