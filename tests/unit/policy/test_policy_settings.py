@@ -41,6 +41,7 @@ def test_without_words_it_listens_on_this_machine_and_moves_nothing_by_itself() 
         pytest.param("task", "x" * 257, "at most 256", id="task"),
         pytest.param("instruction", "x" * 1025, "at most 1024", id="instruction"),
         ("cameras", list("abcdefg"), "at most 6"),
+        ("autostart", True, "~need_teleop: false"),
         ("cameras", "left,right,left", "each once"),
         ("arms", ["PSM1", "PSM1"], "each once"),
     ],

@@ -60,12 +60,15 @@ class Settings:
         """Rules between parameters.
 
         Raises:
-            ParamError: The address needs keys, or there are more cameras than fit.
+            ParamError: The address needs keys, an automatic start needs an operator, or there are
+                more cameras than fit.
         """
         try:
             listen_address.check(self.bind, bool(self.keys))
         except listen_address.BindError as error:
             raise ParamError("bind", self.bind, str(error)) from error
+        if self.autostart and self.need_teleop:  # its first status comes later than the session
+            raise ParamError("autostart", True, "false, or ~need_teleop: false (no operator)")
         most = MAX_PARTS - 2 - self.privileged  # beside the header and the arms' state
         if len(self.cameras) > most:
             raise ParamError("cameras", list(self.cameras), f"at most {most}")
