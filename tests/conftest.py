@@ -31,9 +31,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     chosen = config.getoption("-m")
     for item in items:
         for tier in ON_REQUEST:
-            if tier in item.keywords and tier not in chosen:
+            if item.get_closest_marker(tier) and tier not in chosen:
                 item.add_marker(pytest.mark.skip(reason=f"./surg test --tier {tier}"))
-        if "full" in item.keywords and not FULL:
+        if item.get_closest_marker("full") and not FULL:
             item.add_marker(pytest.mark.skip(reason="./surg test --full"))
 
 
