@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from surg_cli.commands import run_tests as run_tests_command
 from surg_cli.host import paths, pytest_run
 
 FILES, EACH = 12, 4
@@ -119,3 +121,14 @@ def test_one_core_has_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     program = "import sys; print(f'{len(sys.argv)} passed in 0.1s')"
     argv = [sys.executable, "-c", program]
     assert pytest_run.run(argv, os.environ, parallel=True) == (0, {"passed": 1})
+
+
+def test_a_whole_run_that_skips_everything_has_failed(
+    surg: Callable[..., int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(run_tests_command.cpp_tests, "run", lambda _: (3, 0))
+    counts = Counter({"skipped": 9})
+    monkeypatch.setattr(run_tests_command.pytest_run, "run", lambda *_, **__: (0, counts))
+    assert surg("test") == 1
+    counts["passed"] = 1
+    assert surg("test") == 0

@@ -9,6 +9,8 @@ from surg_cli.host import coverage, cpp_tests, environment, paths, pytest_run
 from surg_cli.host.terminal import Problem, say
 
 TIERS = ("oracle", "vm", "mutants")
+NO_TESTS = 5
+"""pytest's exit status for a run without tests."""
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -43,6 +45,8 @@ def main(options: argparse.Namespace, command: str) -> int:
     status, counts = pytest_run.run(argv, env, parallel=whole and not options.full)
     if options.coverage:
         coverage.report()
+    if whole and not counts["passed"]:
+        status = status or NO_TESTS  # all skipped: nothing was shown
     return _print_counts(cpp, status, counts)
 
 
