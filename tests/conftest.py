@@ -19,9 +19,10 @@ FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 ON_REQUEST = ("oracle", "vm", "mutants")
 
 
-def pytest_configure(config: pytest.Config) -> None:
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
     """Give way to the worker that runs in real time."""
-    worker_groups.configure(config)
+    worker_groups.begin(item)
 
 
 @pytest.hookimpl(tryfirst=True)  # xdist appends the groups to the tests' ids

@@ -1,8 +1,9 @@
 """Which tests one pytest-xdist worker must run, with ``--dist loadgroup``.
 
 Tests that drive graphs in real time share one group: two such graphs at once would take each
-other's cores. xdist gives the first group to worker gw0, so that group comes first, and the other
-workers run at a lower priority. Every other file is a group of its own: its fixtures are made once.
+other's cores. That group comes first, so xdist gives it to the first worker that is ready. A worker
+that begins with another group runs at a lower priority from then on. Every other file is a group of
+its own: its fixtures are made once.
 """
 
 from __future__ import annotations
@@ -15,15 +16,17 @@ import pytest
 REAL_TIME = "real-time"
 FOLDERS = ("ros", "e2e", "faults")
 """Folders of tests that drive graphs, in real time unless the file is marked `untimed`."""
-FIRST_WORKER = "gw0"
 NICE = 10
 """Added to the niceness of the other workers: a graph in real time must not wait for a core."""
+_began: list[str] = []  # the group that this worker began with
 
 
-def configure(config: pytest.Config) -> None:
-    """Lower the priority of this process, if it is not the worker for real time."""
-    worker = getattr(config, "workerinput", {}).get("workerid", FIRST_WORKER)
-    if worker != FIRST_WORKER:
+def begin(item: pytest.Item) -> None:
+    """Lower the priority of this process, if its first test is not one in real time."""
+    if _began or not hasattr(item.config, "workerinput"):
+        return
+    _began.append(group(item))
+    if _began[0] != REAL_TIME:
         os.nice(NICE)
 
 

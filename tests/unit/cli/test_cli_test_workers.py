@@ -28,8 +28,9 @@ here = Path(__file__).parent
 worker = os.environ.get("PYTEST_XDIST_WORKER")
 
 
-def pytest_configure(config):
-    worker_groups.configure(config)
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    worker_groups.begin(item)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -96,11 +97,11 @@ def test_every_test_runs_once_and_real_time_in_one_worker(
         workers.setdefault(name.split("::")[0], set()).add(worker)
     assert all(len(each) == 1 for each in workers.values())
     timed = {f"ros/test_{i:02d}.py" for i in range(0, FILES, 3) if i != UNTIMED}
-    assert {worker for file in timed for worker in workers[file]} == {"gw0"}
+    (first,) = {worker for file in timed for worker in workers[file]}
     assert len({worker for each in workers.values() for worker in each}) > 1
-    # The worker for real time has priority.
+    # The worker for real time has priority, whichever it is.
     niceness = {worker: int(nice) for worker, nice, _ in ran}
-    assert all(niceness["gw0"] < nice for worker, nice in niceness.items() if worker != "gw0")
+    assert all(niceness[first] < nice for worker, nice in niceness.items() if worker != first)
     # A module's fixture ends once, behind its last test.
     assert len((tmp_path / "ended").read_text().splitlines()) == FILES
 

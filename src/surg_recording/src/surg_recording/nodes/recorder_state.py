@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Hashable, Iterable
 from typing import Any
 
+from surg_core.contract import TICK_NS
 from surg_recording.clock.clock_steps import SteppedClock
 from surg_recording.episode.duplicate_filter import DuplicateFilter
 from surg_recording.episode.episode_recorder import Recording
@@ -14,8 +15,6 @@ from surg_recording.nodes.recorder_parameters import Settings
 
 FACTS = ("task", "setting", "operator", "seed")
 """Facts about a run that the manifest also states at its top level."""
-TICK_NS = 2_000_000
-"""Duration of a lock-step tick [ns]."""
 
 
 class RecorderState:

@@ -12,11 +12,12 @@ from typing import Any
 
 import rospy
 
+from surg_core.contract import TICK_NS
 from surg_recording.episode import provenance
 from surg_recording.episode.episode_reader import PARTIAL
 from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.recovery import recover
-from surg_recording.nodes.recorder_state import TICK_NS, RecorderState
+from surg_recording.nodes.recorder_state import RecorderState
 from surg_recording.nodes.ros_master_node import parameters
 from surg_recording.recording_errors import EpisodeError
 
