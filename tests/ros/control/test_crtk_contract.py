@@ -281,7 +281,7 @@ def test_services_answer_for_the_virtual_joints(
 def test_the_dvrk_node_wants_to_know_the_arms(ros_graph: RosGraph, rospy_node: str) -> None:
     child = ros_graph.node("surg_dvrk_compat", "dvrk_compat_node.py", "/dvrk_compat", {"arms": 3})
     ros_graph.wait_for(lambda: child.exit_code is not None, 10.0, "the node to refuse")
-    assert child.exit_code == 2 and "~arms is 3" in child.log_tail(5)
+    assert child.exit_code == 2 and "_arms:=PSM1" in child.log_tail(5)
 
 
 def test_the_page_names_every_reason() -> None:

@@ -272,4 +272,4 @@ def test_a_broken_parameter_ends_it_with_code_2(ros_graph: RosGraph) -> None:
 def test_the_command_refuses_before_anything_starts() -> None:
     done = surg("teleop", "sim_ur5e", "--bind", "0.0.0.0")
     assert done.returncode == 2
-    assert all(word in done.stderr for word in ("--bind 0.0.0.0", "TLS", "--token-file"))
+    assert "anybody there could move the arm" in done.stderr

@@ -71,7 +71,7 @@ def main() -> int:
     try:
         arms = read(Parameters, rospy.get_param("~", {})).arms
     except ParamError as error:
-        print(f"dvrk_compat: {error}", file=sys.stderr, flush=True)
+        print(f"dvrk_compat: {error}; such as _arms:=PSM1", file=sys.stderr, flush=True)
         return 2
     held = [Compatibility(arm.strip().strip("/")) for arm in arms]
     rospy.loginfo(f"dvrk_compat: answers for {len(held)} arm(s); moves nothing")
