@@ -7,6 +7,7 @@ tests' business.
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import shutil
 import signal
@@ -25,12 +26,12 @@ from std_msgs.msg import String
 import surg_core
 from crtk_msgs.msg import StringStamped
 from helpers.graph import socket_jitter
-from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
+from helpers.graph.control_rig import ANSWER_S, CELL, Rig, start, tip_in_rcm
 from helpers.graph.ros import RosGraph
 from helpers.results.reactions import Reactions
 from surg_cli.graph.processes import Child
 from surg_cli.host import paths
-from surg_msgs.msg import Cycle, GroundTruth
+from surg_msgs.msg import Cycle, GroundTruth, Ready
 
 pytestmark = pytest.mark.ros
 
@@ -160,59 +161,41 @@ def test_f22_a_cell_without_a_trocar_does_not_start(
 def test_f26_a_stranger_is_not_obeyed_and_may_stop_the_arm(
     ros_graph: RosGraph, rig: Rig, reactions: Reactions, full: bool
 ) -> None:
-    start(ros_graph, rig, mode="freerun", participants=[])
+    words = ("hold", "pause", "disable") * (2 if full else 1)
+    begins = [10 + 700 * n for n in range(len(words))]
+    plan: dict[int, list[str]] = {}
+    for tick, word in zip(begins, words, strict=True):
+        plan |= {tick + 50: ["stream"], tick + 400: ["quiet", word]}
+    heard: list[Ready] = []
+    ear = rospy.Subscriber("/sim/ready", Ready, heard.append, queue_size=None)
+    start(ros_graph, rig, participants=[rig.name, "stranger"])
     python_path = f"{paths.ROOT / 'tests'}:{os.environ.get('PYTHONPATH', '')}"
     script = paths.ROOT / "tests" / "helpers" / "graph" / "second_sender.py"
     ros_graph.supervisor.start(
-        "/stranger", [sys.executable, str(script)], extra_env={"PYTHONPATH": python_path}
-    )
-    say = rospy.Publisher("/test/say", String, queue_size=10, tcp_nodelay=True)
-    cycles: list[Cycle] = []
-    ear = rospy.Subscriber("/PSM1/cycle", Cycle, cycles.append, queue_size=None, tcp_nodelay=True)
+        "/stranger", [sys.executable, str(script), json.dumps(plan)],
+        extra_env={"PYTHONPATH": python_path},
+    )  # fmt: skip
+    ros_graph.wait_for(lambda: "stranger" in {r.participant for r in heard}, 20.0, "the stranger")
     others, still = [], []
-    with real_time(rig):
-        ros_graph.wait_for(lambda: say.get_num_connections() > 0, 20.0, "the stranger")
-        ros_graph.wait_for(lambda: len(cycles) > 50, 20.0, "cycles")
-        time.sleep(0.5)
-        rig.say("home")
-        for word in ("hold", "pause", "disable") * (2 if full else 1):
-            rig.say("disable")
-            time.sleep(0.1)
-            rig.say("enable")
-            ros_graph.wait_for(lambda: cycles[-1].state == Cycle.ENABLED, ANSWER_S, "ENABLED")
-            time.sleep(0.1)
-            for _ in range(5):
-                begin, first, refused = tip_in_rcm(cycles[-1]), len(cycles), cycles[-1].refused
-                # Placed by their number: a machine that makes a pause does not make a jump.
-                sent = [time.monotonic()]
-                for k in range(160):
-                    rig.pose(begin + np.array([1e-4 * k, 0.0, 0.0]))
-                    if k == 20:
-                        say.publish("stream")
-                    time.sleep(0.005)
-                    sent.append(time.monotonic())
-                if max(np.diff(sent)) < 0.05:
-                    break
-                say.publish("quiet")  # this process was held up: its own stream broke off
-                time.sleep(1.0)
-            seen = cycles[first:]
-            moving = [c for c in seen if np.linalg.norm(c.v_set) > 1e-3]
-            assert len(moving) > 100 and {c.source for c in moving} == {f"/{rig.name}"}
-            tips = np.array([tip_in_rcm(c) for c in moving]) - begin
-            others.append(1e6 * float(np.abs(tips[:, 1:]).max()))
-            assert cycles[-1].refused > refused + 20
-            told = time.monotonic()
-            say.publish("quiet")
-            say.publish(word)
-            while np.linalg.norm(cycles[-1].v_set) > 1e-6 and time.monotonic() < told + 3:
-                k += 1
-                rig.pose(begin + np.array([1e-4 * k, 0.0, 0.0]))
-                time.sleep(0.005)
-            still.append(1e3 * (time.monotonic() - told))
-            time.sleep(0.2)
-        assert "/stranger" in rig.wait_text("warning", "another node holds the arm")
+    cycle = rig.enable()
+    for begin in begins:
+        while rig.tick < begin - 1:
+            cycle = rig.step()
+        p0, refused, seen = tip_in_rcm(cycle), cycle.refused, []
+        while len(seen) < 400 or (len(seen) < 650 and np.any(cycle.v_set)):
+            rig.pose(p0 + np.array([4e-5 * (len(seen) + 1), 0.0, 0.0]))
+            seen.append(cycle := rig.step())
+        rest = rig.tick
+        before = [c for c in seen if begin + 50 <= c.tick < begin + 400]
+        assert len(before) == 350 and {c.source for c in before} == {f"/{rig.name}"}
+        assert all(np.linalg.norm(c.v_set) > 1e-3 for c in before[50:])
+        others.append(1e6 * float(np.abs([(tip_in_rcm(c) - p0)[1:] for c in before]).max()))
+        assert before[-1].refused == refused + 350
+        still.append(2.0 * (rest - (begin + 400)))
+        enable_again(rig)
     ear.unregister()
-    name = "a second sender at 200 Hz, the node"
+    assert "/stranger" in rig.wait_text("warning", "another node holds the arm")
+    name = "a second sender at 500 Hz, the node"
     reactions.add("F26", name, "tip aside of the holder's line", others, 200, "µm")
     reactions.add("F26", "hold, pause, disable by it, the node", "standstill", still, 300, "ms")
 

@@ -1,48 +1,52 @@
-"""A stranger to an arm, in a process of its own: streams beside another's stream, says words."""
+"""A second sender to an arm, in a process of its own and in lock-step."""
 
 from __future__ import annotations
 
+import json
 import sys
 
 import rospy
-from geometry_msgs.msg import PoseStamped
-from std_msgs.msg import Empty, String
 
-from crtk_msgs.msg import StringStamped
+from surg_core.arm_view import ArmCommands, TipPose
+from surg_ros.arm_port import ArmPort
+from surg_ros.participant import Participant, Seen
+
+ASIDE = (0.0, 0.001, 0.0)
+"""Offset of the stream from the measured tip in the trocar frame [m]: it would be accepted."""
 
 
-def main() -> int:
-    """Obeys /test/say: stream, quiet, hold, or a word for state_command.
+def main(argv: list[str]) -> int:
+    """Carry out a plan, given as JSON: words by tick.
 
-    The stream is at 200 Hz and 1 mm beside the set-point, where it would be accepted.
+    `stream` and `quiet` start and end a servo_cp in every tick; `hold` goes to its own topic, every
+    other word to state_command.
     """
     rospy.init_node("stranger")
-    newest: list[PoseStamped] = []
-    streaming = [False]
-    rospy.Subscriber("/PSM1/setpoint_cp", PoseStamped, lambda m: newest.__setitem__(slice(1), [m]))
-    stream = rospy.Publisher("/PSM1/servo_cp", PoseStamped, queue_size=1, tcp_nodelay=True)
-    state = rospy.Publisher("/PSM1/state_command", StringStamped, queue_size=10, tcp_nodelay=True)
-    hold = rospy.Publisher("/PSM1/hold", Empty, queue_size=10, tcp_nodelay=True)
+    plan: dict[str, list[str]] = json.loads(argv[1])
+    port = ArmPort("PSM1")
+    streaming = False
 
-    def say(message: String) -> None:
-        if message.data in ("stream", "quiet"):
-            streaming[0] = message.data == "stream"
-        elif message.data == "hold":
-            hold.publish(Empty())
-        else:
-            state.publish(StringStamped(string=message.data))
+    def act(seen: Seen) -> bool:
+        nonlocal streaming
+        for word in plan.get(str(seen.tick + 1), []):
+            if word in ("stream", "quiet"):
+                streaming = word == "stream"
+            elif word == "hold":
+                port.send(ArmCommands(seen.stamp_ns, hold=True))
+            else:
+                port.send(ArmCommands(seen.stamp_ns, state=word))
+        if streaming:
+            view = seen.view("PSM1")
+            assert view.R_BR is not None
+            tip = view.R_BR.T @ (view.p_BTip - view.p_BRcm)
+            port.send(ArmCommands(seen.stamp_ns, servo_cp=TipPose(tip + ASIDE, view.roll)))
+        return False
 
-    rospy.Subscriber("/test/say", String, say, tcp_nodelay=True)
-    rate = rospy.Rate(200)
-    while not rospy.is_shutdown():
-        if streaming[0] and newest:
-            message = PoseStamped()
-            message.pose = newest[0].pose
-            message.pose.position.y += 0.001
-            stream.publish(message)
-        rate.sleep()
+    participant = Participant({"PSM1": port}, act, arms=["PSM1"])
+    participant.connect()
+    rospy.spin()
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv))
