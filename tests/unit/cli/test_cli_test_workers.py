@@ -63,6 +63,18 @@ def test_it(number, made):
     assert number != {wrong}, "wrong:" + "-" * 40
 """
 
+FAILS = """
+from pathlib import Path
+
+
+def test_it():
+    tried = Path(__file__).parent / "tried"
+    with tried.open("a") as stream:
+        stream.write("x")
+    assert tried.stat().st_size > {failures}
+"""
+TESTS = paths.ROOT / "tests"
+
 
 def write_tests(root: Path) -> None:
     """Tests in two folders; the third of every other file fails."""
@@ -77,9 +89,9 @@ def write_tests(root: Path) -> None:
 
 def run_tests(root: Path) -> tuple[int, Counter[str]]:
     argv = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--import-mode=importlib"]
-    argv += ["--rootdir", str(root), "-c", os.devnull, str(root)]
-    env = {**os.environ, "PYTHONPATH": str(paths.ROOT / "tests"), "PYTHONDONTWRITEBYTECODE": "1"}
-    return pytest_run.run(argv, env, parallel=True)
+    argv += ["--rootdir", str(root), "-c", os.devnull]
+    env = {**os.environ, "PYTHONPATH": str(TESTS), "PYTHONDONTWRITEBYTECODE": "1"}
+    return pytest_run.run(argv, [str(root)], env, parallel=True)
 
 
 def test_every_test_runs_once_and_real_time_in_one_worker(
@@ -121,7 +133,43 @@ def test_one_core_has_one_process(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pytest_run.workspace, "jobs", lambda: 1)
     program = "import sys; print(f'{len(sys.argv)} passed in 0.1s')"
     argv = [sys.executable, "-c", program]
-    assert pytest_run.run(argv, os.environ, parallel=True) == (0, {"passed": 1})
+    assert pytest_run.run(argv, [], os.environ, parallel=True) == (0, {"passed": 1})
+
+
+@pytest.mark.parametrize(
+    ("folder", "failures", "expected"),
+    [
+        ("ros", 1, (0, 2, 0)),
+        ("ros", 2, (1, 1, 1)),
+        ("unit", 1, (1, 1, 1)),
+    ],
+)
+def test_a_failed_test_in_real_time_is_repeated_once_alone(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    folder: str,
+    failures: int,
+    expected: tuple[int, int, int],
+) -> None:
+    """Fails so many times; the other test passes."""
+    monkeypatch.setattr(pytest_run.paths, "ROOT", tmp_path)
+    monkeypatch.setattr(pytest_run.workspace, "jobs", lambda: 2)
+    (tmp_path / folder).mkdir()
+    (tmp_path / "conftest.py").write_text(CONFTEST)
+    (tmp_path / "test_other.py").write_text("def test_other():\n    pass\n")
+    (tmp_path / folder / "test_it.py").write_text(FAILS.format(failures=failures))
+    status, counts = run_tests(tmp_path)
+    assert (status, counts["passed"], counts["failed"]) == expected
+    assert not counts["errors"]
+    tried = (tmp_path / folder / "tried").read_text()
+    assert len(tried) == (2 if folder == "ros" else 1)
+
+
+def test_only_failures_in_real_time_are_repeated() -> None:
+    late = "FAILED tests/ros/test_a.py::test_b[x y]@real-time - assert 0\n"
+    assert pytest_run.failed_in_real_time(late) == ["tests/ros/test_a.py::test_b[x y]"]
+    assert pytest_run.failed_in_real_time(f"ERROR {late[7:]}") == [late[7:].split("@")[0]]
+    assert not pytest_run.failed_in_real_time(late + "FAILED tests/unit/test_c.py::test_d@test_c\n")
 
 
 def test_a_whole_run_that_skips_everything_has_failed(

@@ -36,13 +36,14 @@ def main(options: argparse.Namespace, command: str) -> int:
     if options.coverage:
         env["COVERAGE_FILE"] = str(coverage.DATA)
         cpp = coverage.run_core_tests(env)
-        argv += [*coverage.pytest_options(), *(options.pytest or coverage.TESTS)]
+        argv += coverage.pytest_options()
+        tests = options.pytest or coverage.TESTS
     else:
         cpp = cpp_tests.run(env) if whole else (0, 0)
-        argv += options.pytest or [str(paths.ROOT / "tests")]
+        tests = options.pytest or [str(paths.ROOT / "tests")]
         argv += ["-m", options.tier] if options.tier else []
     # Long counts also measure times: nothing may run beside them.
-    status, counts = pytest_run.run(argv, env, parallel=whole and not options.full)
+    status, counts = pytest_run.run(argv, tests, env, parallel=whole and not options.full)
     if options.coverage:
         coverage.report()
     if whole and not counts["passed"]:

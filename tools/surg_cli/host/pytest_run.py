@@ -10,16 +10,27 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 
 from surg_cli.host import paths, workspace
+from surg_cli.host.terminal import say
 
+GROUP = "@real-time"
+"""What pytest-xdist appends to the ids of the tests in real time."""
 MAX_WORKERS = 3
 """One that drives graphs in real time, and those that run the other tests."""
+MAX_REPEATED = 5
+"""Tests in real time that may be repeated; more failures are not the machine's."""
 
 
-def run(argv: Sequence[str], env: Mapping[str, str], parallel: bool) -> tuple[int, Counter[str]]:
+def run(
+    argv: Sequence[str], tests: Sequence[str], env: Mapping[str, str], parallel: bool
+) -> tuple[int, Counter[str]]:
     """Run pytest with its output shown, and count.
 
+    Beside other tests a test in real time can miss a core. If only such tests fail, they run once
+    more, alone, and that run decides.
+
     Args:
-        argv: The command line.
+        argv: The command line without the tests.
+        tests: Files, folders or ids.
         env: Its environment.
         parallel: Use pytest-xdist, with as many workers as there are cores for. The tests' conftest
             assigns the groups.
@@ -28,9 +39,27 @@ def run(argv: Sequence[str], env: Mapping[str, str], parallel: bool) -> tuple[in
         Exit status, and counts by word such as `passed`.
     """
     workers = min(MAX_WORKERS, workspace.jobs())
-    if parallel and workers > 1:
-        argv = [*argv, "-n", str(workers), "--dist", "loadgroup"]
-        argv += ["--max-worker-restart", "0"]  # a new worker would repeat the test that crashed
+    if not parallel or workers < 2:
+        status, tail = _run([*argv, *tests], env)
+        return status, parse_counts(tail)
+    groups = ["-n", str(workers), "--dist", "loadgroup"]
+    groups += ["--max-worker-restart", "0"]  # a new worker would repeat the test that crashed
+    status, tail = _run([*argv, *tests, *groups], env)
+    counts = parse_counts(tail)
+    failed = failed_in_real_time(tail)
+    if status == 1 and 0 < len(failed) <= MAX_REPEATED:
+        say(f"{len(failed)} tests in real time failed beside others; once more, alone:")
+        status, tail = _run([*argv, *failed], env)
+        again = parse_counts(tail)
+        counts.update(again)
+        counts["failed"], counts["error"], counts["errors"] = (
+            again[word] for word in ("failed", "error", "errors")
+        )
+    return status, counts
+
+
+def _run(argv: Sequence[str], env: Mapping[str, str]) -> tuple[int, str]:
+    """Exit status, and the end of the output."""
     process = subprocess.Popen(
         argv, env=env, cwd=paths.ROOT, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )
@@ -40,8 +69,14 @@ def run(argv: Sequence[str], env: Mapping[str, str], parallel: bool) -> tuple[in
         sys.stdout.buffer.write(chunk)
         sys.stdout.flush()
         tail = (tail + chunk)[-20_000:]
-    status = process.wait()
-    return status, parse_counts(tail.decode(errors="replace"))
+    return process.wait(), tail.decode(errors="replace")
+
+
+def failed_in_real_time(tail: str) -> list[str]:
+    """Ids of the failed tests; none unless all of them are in the group for real time."""
+    lines = re.findall(r"^(?:FAILED|ERROR) (.+)$", tail, re.MULTILINE)
+    ids = [line.split(GROUP)[0] for line in lines if GROUP in line]
+    return ids if len(ids) == len(lines) else []
 
 
 def parse_counts(tail: str) -> Counter[str]:
