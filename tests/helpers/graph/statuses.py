@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from typing import Any
 
 import rospy
 
+from surg_core.status_check import Newest, values
+from surg_msgs import msg
 from surg_msgs.msg import HandStatus, RecordStatus, SimStatus, TaskStatus, TeleopStatus
 
 
@@ -43,6 +47,105 @@ def record_status(state: str = "IDLE", **more: Any) -> RecordStatus:
     """A recorder without a problem; further fields of RecordStatus."""
     number, problem = getattr(RecordStatus, f"STATE_{state}"), RecordStatus.PROBLEM_NONE
     return stamped(RecordStatus(state=number, problem=problem, **more))
+
+
+def complete(kind: str, given: Mapping[str, Any] | None = None) -> Any:
+    """A valid status without a default value in any field.
+
+    Args:
+        kind: Name of the message.
+        given: Values by path, such as ``task.state``; an enumeration has its first value otherwise.
+    """
+    message = _filled(getattr(msg, kind))
+    if kind == "PolicyStatus":
+        message.state = message.STATE_READY
+    if kind == "TeleopStatus":
+        message.hands[0].arm = "PSM1"
+    for path, value in (given or {}).items():
+        _put(message, path, value)
+    return stamped(message)
+
+
+def _filled(kind: type[Any]) -> Any:
+    simple = {"string": "text", "bool": True, "time": rospy.Time(7), "float64": 0.5}
+    message = kind()
+    for name, slot_type in zip(kind.__slots__, kind._slot_types, strict=True):
+        base = slot_type.removesuffix("[]")
+        value: Any = simple.get(base, 200)
+        if "/" in base:
+            value = _filled(type(message.header) if name == "header" else _part(base))
+        elif known := values(kind, name):
+            value = min(known)
+        setattr(message, name, [value] if slot_type.endswith("[]") else value)
+    return message
+
+
+def _part(slot_type: str) -> type[Any]:
+    return getattr(msg, slot_type.partition("/")[2])  # type: ignore[no-any-return]
+
+
+def fields(message: Any, path: str = "") -> Iterator[tuple[str, Any, str]]:
+    """(path, the part that holds it, name) of every field, through parts and lists of parts."""
+    for name in message.__slots__:
+        content = getattr(message, name)
+        yield f"{path}{name}", message, name
+        for part in content if isinstance(content, list) else [content]:
+            if hasattr(part, "_slot_types"):
+                yield from fields(part, f"{path}{name}.")
+
+
+def removed(message: Any, path: str) -> Any:
+    """The message with the default value in one field."""
+    copy = deepcopy(message)
+    part, name = next((part, name) for at, part, name in fields(copy) if at == path)
+    setattr(part, name, getattr(type(part)(), name))
+    return copy
+
+
+def _put(message: Any, path: str, value: Any) -> None:
+    part, name = next((part, name) for at, part, name in fields(message) if at == path)
+    setattr(part, name, value)
+
+
+def newest(topic: str, message: Any, received: float = 0.0) -> Newest:
+    """The newest status of a topic; None: none has come."""
+    heard = Newest(topic)
+    if message is not None:
+        heard.take(message, received)
+    return heard
+
+
+def heard_by_watch(statuses: Mapping[str, Any], **attributes: Any) -> Any:
+    """The command line's `Watch` after these statuses by topic, without ROS.
+
+    Args:
+        statuses: By topic; None: nothing was heard there.
+        **attributes: Of the watch, in place of what its other topics would fill in.
+    """
+    from surg_cli.graph.watch import Watch
+
+    watch = Watch.__new__(Watch)
+    kinds = {
+        "/record/status": msg.RecordStatus,
+        "/sim/status": msg.SimStatus,
+        "/policy/status": msg.PolicyStatus,
+        "/expert/status": msg.SenderStatus,
+    }
+    watch.__dict__.update(
+        _lock=threading.Lock(),
+        _kinds=kinds,
+        _statuses={topic: Newest(topic) for topic in kinds},
+        _sim_changed=0.0,
+        _recording=False,
+        _gave_up={},
+        _faulted=[],
+        _errors={},
+    )
+    watch.__dict__.update(attributes)
+    for topic, message in statuses.items():
+        if message is not None:
+            watch._on_status(message, topic)
+    return watch
 
 
 class TeleopSpeaker:

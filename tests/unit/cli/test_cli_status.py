@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,33 +9,16 @@ import pytest
 
 pytest.importorskip("rospy")
 
-from helpers.graph.statuses import record_status, sim_status, stamped
+from helpers.graph.statuses import heard_by_watch, record_status, sim_status, stamped
 from surg_cli.graph import follow
 from surg_cli.graph.status_records import policy_record
-from surg_cli.graph.watch import Watch
-from surg_core.status_check import Newest
 from surg_msgs import msg
 
 
 def watch(record: Any = None, sim: Any = None) -> Any:
     """A watch that has heard these statuses, without ROS."""
-    made = Watch.__new__(Watch)
-    kinds = {"/record/status": msg.RecordStatus, "/sim/status": msg.SimStatus}
-    made.__dict__.update(
-        _lock=threading.Lock(),
-        _kinds=kinds,
-        _statuses={topic: Newest(topic) for topic in kinds},
-        _sim_changed=0.0,
-        _recording=False,
-        _gave_up={},
-        _faulted=[],
-        _errors={},
-        record=lambda on: None,
-    )
-    for topic, message in (("/record/status", record), ("/sim/status", sim)):
-        if message is not None:
-            made._on_status(message, topic)
-    return made
+    heard = {"/record/status": record, "/sim/status": sim}
+    return heard_by_watch(heard, record=lambda on: None)
 
 
 @pytest.fixture

@@ -85,9 +85,11 @@ def _start(recorder: Recorder, options: argparse.Namespace) -> int:
         time.sleep(0.2)  # another topic: it must be there before the start
     recorder.switch(True)
     with Progress("record"):
-        processes.wait_until(lambda: recorder.valid.starts not in (0, status.starts), START_S)
+        answered = processes.wait_until(
+            lambda: recorder.valid.starts not in (0, status.starts), START_S
+        )
     begun = recorder.status
-    if begun.state != begun.STATE_RECORDING:
+    if not answered or begun.state != begun.STATE_RECORDING:
         raise Problem(f"record start: {begun.detail or 'the recorder does not answer'}")
     say(f"recording {begun.folder}")
     return 0
