@@ -17,14 +17,10 @@ from surg_teleop.leaders.leader import LeaderSample
 
 @dataclass
 class ArmSwitch:
-    """The arms that one leader drives.
+    """The arms that one leader drives."""
 
-    Attributes:
-        instrument: Driven by default.
-        endoscope: Driven while the camera pedal is down; None: the pedal only clutches.
-    """
-
-    instrument: Teleop
+    instrument: Teleop  # driven by default
+    # driven while the camera pedal is down; None: the pedal only clutches
     endoscope: Teleop | None = None
 
     @property
@@ -44,13 +40,10 @@ class ArmSwitch:
             teleop.disable()
 
     def enables(self, buttons: frozenset[str]) -> bool:
-        """Whether the leader's button "enable" now means on rather than off.
+        """Whether the leader's button "enable" now means on rather than off; `buttons`: all down.
 
         It means off while the leader drives the instrument. An instrument that has let go by
         itself asks for enable, so it means on then.
-
-        Args:
-            buttons: All that are down.
         """
         state = self.instrument.state
         clutched = state is State.CLUTCHED and not buttons.isdisjoint(("clutch", "camera"))

@@ -34,27 +34,16 @@ _ALLOWED = {
 
 @dataclass(frozen=True)
 class CameraCalibration:
-    """A measured camera.
+    """A measured camera."""
 
-    Attributes:
-        R_FV: (3, 3) the view frame V, the left camera's optical axes, in the flange F.
-        residual: Of the fit, rms [rad].
-        n: Number of views.
-        date: When it was measured.
-    """
-
-    R_FV: Array
-    residual: float
+    R_FV: Array  # (3, 3) the view frame V, the left camera's optical axes, in the flange F
+    residual: float  # of the fit, rms [rad]
     n: int
-    date: datetime.date
+    date: datetime.date  # when it was measured
 
 
 def parse(values: Mapping[str, Any], file: str) -> CameraCalibration:
-    """The file's content, checked.
-
-    Args:
-        values: The document.
-        file: Its name, for messages.
+    """The content of a camera's file, checked; `file` is its name for messages.
 
     Raises:
         ConfigError: A key is missing, unknown or out of its range; names file, key and what is

@@ -19,19 +19,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HeldCamera:
-    """The left camera of an endoscope that an arm holds.
-
-    Attributes:
-        arm: The arm's name.
-        chain: Its joints, base to flange.
-        R_WB: (3, 3) its base in the world of the cell.
-        R_FV: (3, 3) the view frame V in its flange.
-    """
+    """The left camera of an endoscope that an arm holds."""
 
     arm: str
-    chain: surg_core.Chain
-    R_WB: Array
-    R_FV: Array
+    chain: surg_core.Chain  # its joints, base to flange
+    R_WB: Array  # (3, 3) its base in the world of the cell
+    R_FV: Array  # (3, 3) the view frame V in its flange
 
     def view(self, q: Array) -> Array:
         """R_WV (3, 3): the view in the world, at joint positions (n,) [rad]."""

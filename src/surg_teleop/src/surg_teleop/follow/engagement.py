@@ -34,14 +34,7 @@ class DisengagedError(Exception):
 
 
 class Engagement:
-    """Starts at the arm's set-point, so an engagement never makes a step.
-
-    Args:
-        settings: Constants of leader and arm.
-        now: Steady clock [s].
-        sample: The leader's newest sample.
-        arm: The arm's newest cycle.
-    """
+    """Starts at the arm's set-point, so an engagement never makes a step."""
 
     def __init__(
         self, settings: TeleopSettings, now: float, sample: LeaderSample, arm: ArmView
@@ -69,19 +62,7 @@ class Engagement:
         lock_translation: bool,
         commands: ArmCommands,
     ) -> Notice:
-        """Follow the leader for one tick.
-
-        Args:
-            now: Steady clock [s].
-            dt: Time since the last tick [s].
-            sample: The leader's newest sample.
-            arm: The arm's newest cycle.
-            R_WV: (3, 3) the view in the world.
-            mode: Position or rate control.
-            scale: Arm metres per metre of the hand.
-            lock_rotation: Keep the roll.
-            lock_translation: Keep the tip.
-            commands: Gets pose and jaw.
+        """Follow the leader for one tick, `dt` after the last [s], in the view R_WV (3, 3).
 
         Returns:
             The wall of the workspace that limits the target, if one does.

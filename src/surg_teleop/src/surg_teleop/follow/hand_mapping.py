@@ -18,21 +18,14 @@ class Mapping:
     """p = p_arm_0 + scale R_RL (p_leader - p_leader_0), roll = roll_arm_0 + roll_leader - roll_0.
 
     Roll is not scaled: a turn of the hand is a turn of the instrument.
-
-    Attributes:
-        scale: Arm metres per leader metre, above 0.
-        p_leader_0: (3,) leader position when latched [m].
-        roll_leader_0: Leader roll when latched [rad].
-        p_arm_0: (3,) tip when latched, in the rcm frame R [m].
-        roll_arm_0: Shaft roll when latched [rad].
-        R_RL: (3, 3) the leader's axes in the rcm frame; the identity where they are the same.
     """
 
-    scale: float
-    p_leader_0: Array
-    roll_leader_0: float
-    p_arm_0: Array
-    roll_arm_0: float
+    scale: float  # arm metres per leader metre, above 0
+    p_leader_0: Array  # (3,) leader position when latched [m]
+    roll_leader_0: float  # leader roll when latched [rad]
+    p_arm_0: Array  # (3,) tip when latched, in the rcm frame R [m]
+    roll_arm_0: float  # shaft roll when latched [rad]
+    # (3, 3) the leader's axes in the rcm frame; the identity where they are the same
     R_RL: Array = field(default_factory=lambda: np.eye(3))
 
     def position(self, p_leader: Array) -> Array:

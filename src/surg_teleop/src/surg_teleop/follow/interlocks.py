@@ -27,11 +27,7 @@ def following(
 ) -> Notice | None:
     """What blocks the arm from following now; None if nothing does.
 
-    Args:
-        inputs: What this tick reads.
-        settings: Names and options.
-        mode: The control mode in force.
-        enabling: The operator has just enabled the arm, which may clear its fault.
+    `enabling`: the operator has just enabled the arm, which may clear its fault.
     """
     return (
         _arm(inputs.now, inputs.arm, settings, enabling)
@@ -50,12 +46,7 @@ def engagement(
 ) -> Notice | None:
     """What keeps the arm from starting to follow; None if nothing does.
 
-    Args:
-        sample: The leader's newest sample, valid.
-        arm: The arm's newest cycle.
-        settings: Names and options.
-        mode: The control mode in force.
-        since_hold: Time since the arm was told to hold [s].
+    `since_hold`: time since the arm was told to hold [s].
     """
     depth = float(np.linalg.norm(arm.p_set))
     depth_min = settings.workspace.depth_min

@@ -22,7 +22,6 @@ class JawFollower:
     """Set-point of the jaw, tick by tick.
 
     Args:
-        jaw: Range of the jaw.
         fast: Rate once jaw and grip have met [rad/s].
         angle: Present set-point of the jaw [rad].
         grip: Present grip, 0 closed to 1 open.
@@ -38,15 +37,7 @@ class JawFollower:
         """Whether jaw and grip have met since the engagement."""
 
     def tick(self, grip: float, dt: float) -> float:
-        """Advance by one tick.
-
-        Args:
-            grip: The hand, 0 closed to 1 open.
-            dt: Time since the last tick [s].
-
-        Returns:
-            Set-point of the jaw [rad].
-        """
+        """Set-point of the jaw [rad], `dt` [s] later, for a grip of 0 (closed) to 1 (open)."""
         wanted = self._angle_of(grip)
         self._opening_left = max(0.0, self._opening_left + wanted - self._grip_angle)
         self._grip_angle = wanted

@@ -26,15 +26,7 @@ class Lateness:
         self._until = -math.inf
 
     def add(self, sent: float, received: float) -> float:
-        """Take in a message.
-
-        Args:
-            sent: On the sender's clock [s].
-            received: On the receiver's clock [s].
-
-        Returns:
-            Its delay above that of the fastest [s].
-        """
+        """Delay of a message above that of the fastest, from both ends' clocks [s]."""
         if received > self._until:
             self._previous, self._best = self._best, math.inf
             self._until = received + self._window
@@ -59,15 +51,7 @@ class Arrivals:
         self._lateness = Lateness(self.WINDOW)
 
     def of(self, stamp: float, now: float) -> float:
-        """Take in a message.
-
-        Args:
-            stamp: Of the message, on its sender's clock [s].
-            now: Its receipt on the steady clock [s].
-
-        Returns:
-            When it would have arrived without the delay [s]; never after now.
-        """
+        """When a message, received now, would have arrived without delay [s]; never after now."""
         if stamp == self._newest:
             return now
         if stamp < self._newest:

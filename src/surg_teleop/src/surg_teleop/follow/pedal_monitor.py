@@ -28,17 +28,7 @@ class PedalMonitor:
         self._alive: dict[str, float] = {}  # last message of every source that repeats
 
     def press(self, source: str, button: str, down: bool, now: float) -> bool:
-        """A source reports one of its buttons; it does not change those of other sources.
-
-        Args:
-            source: Sender of the message.
-            button: One of :data:`~surg_teleop.leaders.leader.BUTTONS`.
-            down: Whether it is pressed.
-            now: Steady clock [s].
-
-        Returns:
-            Whether the state has changed.
-        """
+        """A source reports a button, its own only; returns whether it has changed."""
         before, when, repeats = self._last.get((source, button), (None, -math.inf, 0))
         repeats = repeats + 1 if down is before and now - when <= PRESENCE_TIMEOUT else 0
         if source in self._alive or repeats >= PEDAL_REPEATS:

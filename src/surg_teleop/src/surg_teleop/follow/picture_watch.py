@@ -16,28 +16,17 @@ LONGEST = 1.0
 
 @dataclass
 class PictureWatch:
-    """Watches one camera.
+    """Watches one camera."""
 
-    Attributes:
-        name: Name of the camera, for messages.
-        period: Estimated time between two pictures [s].
-    """
-
-    name: str
-    period: float = 0.05
+    name: str  # name of the camera, for messages
+    period: float = 0.05  # estimated time between two pictures [s]
     _changed: float | None = field(default=None, repr=False)
     _stamp: int = field(default=0, repr=False)
     _checksum: int = field(default=0, repr=False)
     _arrived: float | None = field(default=None, repr=False)
 
     def picture(self, now: float, stamp_ns: int, checksum: int) -> None:
-        """A picture has arrived.
-
-        Args:
-            now: Steady clock [s].
-            stamp_ns: Its own stamp [ns].
-            checksum: Of its pixels; pictures of a live camera always differ.
-        """
+        """A picture has arrived; the checksum of a live camera's pixels always changes."""
         if self._arrived is not None:
             spacing = min(now - self._arrived, LONGEST)
             self.period += 0.1 * (spacing - self.period)

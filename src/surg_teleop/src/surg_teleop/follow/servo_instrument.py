@@ -23,15 +23,10 @@ Array = NDArray[np.float64]
 
 @dataclass
 class ServoInstrument:
-    """A servo-driven instrument as an arm.
+    """A servo-driven instrument as an arm."""
 
-    Attributes:
-        node: Caller id of the only sender.
-        R_WR: (3, 3) its trocar frame in the world of the cell.
-    """
-
-    node: str
-    R_WR: Array
+    node: str  # caller id of the only sender
+    R_WR: Array  # (3, 3) its trocar frame in the world of the cell
     _joints: Array | None = None
     _target: Array | None = None
     _jaw: float = math.nan

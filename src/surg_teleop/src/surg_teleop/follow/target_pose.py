@@ -44,22 +44,14 @@ class StepLimits:
 
     The gate counts whole cycles between receipts, so a late command makes the next one early. Half
     the slack and two cycles are kept in reserve for that.
-
-    Attributes:
-        velocity: [m/s].
-        slack: [m].
-        roll_velocity: [rad/s].
-        roll_slack: [rad].
-        longest: The step stops growing at this time since the last command [s].
-        period: Control cycle [s].
     """
 
-    velocity: float
-    slack: float
-    roll_velocity: float
-    roll_slack: float
-    longest: float
-    period: float = 0.002
+    velocity: float  # [m/s]
+    slack: float  # [m]
+    roll_velocity: float  # [rad/s]
+    roll_slack: float  # [rad]
+    longest: float  # the step stops growing at this time since the last command [s]
+    period: float = 0.002  # control cycle [s]
 
     def allowed(self, since: float) -> tuple[float, float]:
         """Largest step of the tip [m] and of the roll [rad], a time [s] after the last command."""
@@ -71,15 +63,7 @@ class StepLimits:
 
 
 class TargetPose:
-    """Target of the hand since the engagement, and the pose commanded on the way to it.
-
-    Args:
-        workspace: Where the tip may be commanded.
-        limits: Largest step between two commands.
-        arm: The arm at the engagement; the target starts at its set-point.
-        sample: The leader at the engagement.
-        now: Steady clock [s].
-    """
+    """The target of the hand and the command on the way to it; starts at the arm's set-point."""
 
     def __init__(
         self,
@@ -104,14 +88,7 @@ class TargetPose:
     def follow_hand(
         self, sample: LeaderSample, scale: float, R_RV: Array, *, moves: bool, rolls: bool
     ) -> None:
-        """Position control: move the target by the hand's motion since the last sample.
-
-        Args:
-            sample: The newest sample; a repeated one changes nothing.
-            scale: Arm metres per metre of the hand.
-            R_RV: (3, 3) the view in the rcm frame, now.
-            moves: False: the tip stays.
-            rolls: False: the roll stays.
+        """Position control: move the target by the hand's motion, seen in R_RV (3, 3).
 
         Raises:
             HandJumpError: The hand has jumped; the target is unchanged.
@@ -143,17 +120,7 @@ class TargetPose:
         moves: bool,
         rolls: bool,
     ) -> None:
-        """Rate control: integrate the rate, inside the workspace and close to the arm.
-
-        Args:
-            sample: The newest sample.
-            dt: Since the last tick [s].
-            factor: Scales the rates.
-            R_RV: (3, 3) the view in the rcm frame, now.
-            arm: The arm's newest cycle.
-            moves: False: the tip stays.
-            rolls: False: the roll stays.
-        """
+        """Rate control: integrate over dt [s], inside the workspace and close to the arm."""
         rate = sample.rate
         if rate is None:
             return

@@ -64,11 +64,7 @@ class TeleopNode:
     """Connects leaders, arms and the camera; :class:`Teleop` makes every decision."""
 
     def __init__(self, setup: TeleopSetup) -> None:
-        """Advertise and subscribe.
-
-        Args:
-            setup: What the parameters describe.
-        """
+        """Advertise and subscribe."""
         self._setup = setup
         self._lock = threading.Lock()
         self._wake = threading.Event()
@@ -300,11 +296,7 @@ def _listen(topic: str, kind: type, callback: Any, arguments: Any = None) -> ros
 
 
 def main() -> int:
-    """Run the node.
-
-    Returns:
-        The exit code.
-    """
+    """Run the node; returns the exit code."""
     if not rosgraph.is_master_online():
         print(
             f"teleop: no ROS master at {rosgraph.get_master_uri()}; start one with './surg teleop' "

@@ -66,11 +66,7 @@ class Parameters:
     second_need_present: bool = flag(False)
 
     def __post_init__(self) -> None:
-        """Rules between parameters.
-
-        Raises:
-            ParamError: ``enabled`` without ``lockstep``.
-        """
+        """Rules between parameters."""
         if self.enabled and not self.lockstep:
             raise ParamError("enabled", True, "true with ~lockstep: true only")
 
@@ -81,20 +77,12 @@ class Parameters:
 
 @dataclass
 class Hand:
-    """A leader and the arms that it drives.
-
-    Attributes:
-        leader: The device.
-        switch: Its arms.
-        problem: Why the leader cannot be read; empty if it can.
-        retry: Time of the next attempt to open it [s].
-        buttons: Those that were down last.
-    """
+    """A leader and the arms that it drives."""
 
     leader: Leader
     switch: ArmSwitch
-    problem: str = "it has not been opened yet"
-    retry: float = -math.inf
+    problem: str = "it has not been opened yet"  # why the leader cannot be read; empty if it can
+    retry: float = -math.inf  # time of the next attempt to open it [s]
     buttons: frozenset[str] = frozenset()
 
     def read(self, now: float) -> LeaderSample | None:
@@ -124,25 +112,15 @@ class Hand:
 
 @dataclass
 class TeleopSetup:
-    """What the parameters describe.
-
-    Attributes:
-        hands: Leaders with their arms.
-        bases: (3, 3) base in the world of every arm that a leader may drive.
-        camera: An endoscope held by an arm, or a fixed view.
-        assistant: The assistant's instrument, if a leader drives it.
-        picture: Topic of the supervised picture; empty: none.
-        lockstep: Every tick is answered with Ready.
-        duration: Of a lock-step run [s]; 0: no end.
-    """
+    """What the parameters describe."""
 
     hands: list[Hand]
-    bases: dict[str, Array]
-    camera: HeldCamera | CameraView
-    assistant: ServoInstrument | None
-    picture: str
+    bases: dict[str, Array]  # (3, 3) base in the world of every arm that a leader may drive
+    camera: HeldCamera | CameraView  # an endoscope held by an arm, or a fixed view
+    assistant: ServoInstrument | None  # the assistant's instrument, if a leader drives it
+    picture: str  # topic of the supervised picture; empty: none
     lockstep: bool
-    duration: float
+    duration: float  # of a lock-step run [s]; 0: no end
 
     @property
     def heard(self) -> list[str]:

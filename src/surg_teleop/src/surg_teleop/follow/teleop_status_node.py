@@ -29,11 +29,7 @@ STATUS_PERIOD = 0.5
 
 
 class TeleopStatusPublisher:
-    """Publishes states, warnings and the status.
-
-    Args:
-        hands: The leaders with their arms.
-    """
+    """Publishes states, warnings and the status."""
 
     def __init__(self, hands: list[Hand]) -> None:
         self._hands = hands
@@ -84,12 +80,7 @@ class TeleopStatusPublisher:
         self._messages[arm] = message
 
     def status(self, now: float, picture: str) -> None:
-        """Publish the status on a change, and periodically.
-
-        Args:
-            now: Time of the tick [s].
-            picture: Problem of the supervised picture; empty: none.
-        """
+        """Publish the status on a change and periodically; `picture`: problem of the picture."""
         if picture and self._picture == "":
             self.warn(picture)
         self._picture = picture

@@ -96,95 +96,55 @@ class Reason(enum.Enum):
 
 @dataclass(frozen=True)
 class Notice:
-    """A reason with its message for the operator.
-
-    Attributes:
-        reason: The code.
-        text: What is wrong and what to do; empty: nothing.
-        fault: Latched: only ``enable`` clears it.
-    """
+    """A reason with its message for the operator."""
 
     reason: Reason = Reason.NONE
-    text: str = ""
-    fault: bool = False
+    text: str = ""  # what is wrong and what to do; empty: nothing
+    fault: bool = False  # latched: only ``enable`` clears it
 
 
 @dataclass(frozen=True)
 class CameraView:
-    """Orientation of the endoscope's view.
+    """Orientation of the endoscope's view."""
 
-    Attributes:
-        R_WV: (3, 3) the view frame V, the left eye's optical axes, in the world of the cell.
-        received: Receipt on the steady clock [s]; infinite for a fixed camera.
-    """
-
-    R_WV: Array
-    received: float = math.inf
+    R_WV: Array  # (3, 3) the view frame V, the left eye's optical axes, in the world of the cell
+    received: float = math.inf  # receipt on the steady clock [s]; infinite for a fixed camera
 
 
 @dataclass(frozen=True)
 class TeleopSettings:
-    """Constants of one leader on one arm.
+    """Constants of one leader on one arm."""
 
-    Attributes:
-        leader: Name of the leader, for messages.
-        arm: Name of the arm.
-        node: Caller id under which the commands are sent.
-        workspace: Where the tip may be commanded.
-        step: Largest step between two commands.
-        quiet: Pause between ``hold`` and the next stream [s]; longer than the arm's
-            ``servo_timeout``.
-        jaw: Range of the jaw; None: the instrument has no jaw.
-        jaw_velocity: Rate of the jaw once jaw and grip have met [rad/s].
-        mode: The control mode at the start.
-        need_present: Follow only while the operator is detected at the controls.
-    """
-
-    leader: str
+    leader: str  # name of the leader, for messages
     arm: str
-    node: str
-    workspace: Workspace
+    node: str  # caller id under which the commands are sent
+    workspace: Workspace  # where the tip may be commanded
     step: StepLimits
+    # pause between ``hold`` and the next stream [s]; longer than the arm's ``servo_timeout``
     quiet: float = 0.15
-    jaw: JawRange | None = None
-    jaw_velocity: float = 3.0
-    mode: ControlMode = ControlMode.POSITION
-    need_present: bool = False
+    jaw: JawRange | None = None  # range of the jaw; None: the instrument has no jaw
+    jaw_velocity: float = 3.0  # rate of the jaw once jaw and grip have met [rad/s]
+    mode: ControlMode = ControlMode.POSITION  # the control mode at the start
+    need_present: bool = False  # follow only while the operator is detected at the controls
 
 
 @dataclass(frozen=True)
 class TeleopInputs:
-    """What one tick reads.
+    """What one tick reads."""
 
-    Attributes:
-        now: Steady clock [s].
-        dt: Time since the last tick [s].
-        sample: The leader's newest sample.
-        valid: Every number of the sample is finite, and its orientation is a rotation.
-        arm: The arm's newest cycle.
-        camera: Orientation of the view.
-    """
-
-    now: float
+    now: float  # steady clock [s]
     dt: float
     sample: LeaderSample | None
-    valid: bool
+    valid: bool  # every number of the sample is finite, and its orientation is a rotation
     arm: ArmView | None
     camera: CameraView | None
 
 
 @dataclass(frozen=True)
 class TeleopOutput:
-    """Result of one tick.
-
-    Attributes:
-        state: The new state.
-        commands: ArmCommands for the arm.
-        message: Why the arm does not follow, or what limits it, and what to do; may be empty.
-        reason: Code of the message.
-    """
+    """Result of one tick."""
 
     state: State
     commands: ArmCommands
-    message: str
+    message: str  # why the arm does not follow, or what limits it, and what to do; may be empty
     reason: Reason = Reason.NONE

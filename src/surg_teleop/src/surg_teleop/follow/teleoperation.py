@@ -58,25 +58,16 @@ NEVER = -math.inf
 
 @dataclass(frozen=True)
 class History:
-    """What a tick needs to know of the ticks before; times on the steady clock [s].
+    """What a tick needs to know of the ticks before; times on the steady clock [s]."""
 
-    Attributes:
-        ticked: Time of the last tick.
-        leader: Stamp of the last good sample.
-        buttons: Those that were down in it; None: there is a gap between it and now.
-        requested: The operator's last request to follow.
-        enabled: The last ``enable``.
-        paused: When the last ``pause`` was sent.
-        held: When the last engagement ended.
-    """
-
-    ticked: float = NEVER
-    leader: float = NEVER
+    ticked: float = NEVER  # time of the last tick
+    leader: float = NEVER  # stamp of the last good sample
+    # those that were down in it; None: there is a gap between it and now
     buttons: frozenset[str] | None = None
-    requested: float = NEVER
-    enabled: float = NEVER
-    paused: float = NEVER
-    held: float = NEVER
+    requested: float = NEVER  # the operator's last request to follow
+    enabled: float = NEVER  # the last ``enable``
+    paused: float = NEVER  # when the last ``pause`` was sent
+    held: float = NEVER  # when the last engagement ended
 
     def heard(self, sample: LeaderSample, need_present: bool) -> History:
         """After a good sample: button edges become requests, or cancel one."""
@@ -98,25 +89,15 @@ class History:
 
 @dataclass
 class Teleop:
-    """One leader on one arm.
-
-    Attributes:
-        settings: Its constants.
-        scale: Arm metres per metre of the hand; change it by :meth:`set_scale`.
-        lock_rotation: Keep the shaft's roll.
-        lock_translation: Keep the tip.
-        state: The state.
-        engagements: Number of engagements so far.
-        mode: The control mode in force.
-    """
+    """One leader on one arm."""
 
     settings: TeleopSettings
-    scale: float = DEFAULT_SCALE
+    scale: float = DEFAULT_SCALE  # arm metres per metre of the hand; change it by :meth:`set_scale`
     lock_rotation: bool = False
     lock_translation: bool = False
     state: State = State.DISABLED
-    engagements: int = 0
-    mode: ControlMode = field(init=False)
+    engagements: int = 0  # number of engagements so far
+    mode: ControlMode = field(init=False)  # the control mode in force
     _switch: bool | None = field(default=None, init=False, repr=False)
     _history: History = field(default_factory=History, init=False, repr=False)
     _notice: Notice = field(default_factory=Notice, init=False, repr=False)
@@ -138,11 +119,7 @@ class Teleop:
         self._switch = False
 
     def set_scale(self, scale: float) -> str:
-        """Change the scale; allowed at any time.
-
-        Returns:
-            Empty, or why the scale is refused.
-        """
+        """Change the scale at any time; returns why it is refused."""
         if not MIN_SCALE <= scale <= MAX_SCALE:
             return f"scale {scale:g} is refused; allowed: {MIN_SCALE:g} to {MAX_SCALE:g}"
         self.scale = scale
@@ -155,17 +132,7 @@ class Teleop:
         arm: ArmView | None,
         camera: CameraView | None,
     ) -> TeleopOutput:
-        """Evaluate everything once.
-
-        Args:
-            now: Steady clock, never backwards [s].
-            sample: The leader's newest sample, repeated while there is no newer one.
-            arm: The arm's newest cycle.
-            camera: Orientation of the view.
-
-        Returns:
-            State, commands and message.
-        """
+        """Evaluate everything once; a sample is repeated while there is no newer one."""
         commands = ArmCommands(stamp_ns=arm.stamp_ns + TICK_NS if arm else 0)
         last = self._history.ticked
         dt = now - last if math.isfinite(last) else 0.0

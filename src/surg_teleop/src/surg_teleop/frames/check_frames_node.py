@@ -42,12 +42,7 @@ FLUSH = 0.3
 
 
 class CheckNode:
-    """Wires a FramesCheck to an arm and the endoscope.
-
-    Args:
-        task: What to check.
-        eyes: Names of the eyes.
-    """
+    """Wires a FramesCheck to an arm and the endoscope."""
 
     def __init__(self, task: CheckTask, eyes: tuple[str, ...]) -> None:
         self.task = task
@@ -159,11 +154,7 @@ class CheckNode:
 
 
 def main() -> int:
-    """Run the node.
-
-    Returns:
-        The exit code.
-    """
+    """Run the node; returns the exit code."""
     if not rosgraph.is_master_online():
         print(f"check_frames: no ROS master at {rosgraph.get_master_uri()}", file=sys.stderr)
         return 1

@@ -18,23 +18,14 @@ from surg_teleop.frames.tip_tracker import Place
 
 @dataclass(frozen=True)
 class CheckTask:
-    """What to check.
-
-    Attributes:
-        cell: The cell.
-        arm: The arm to move.
-        camera: The endoscope, held by another arm.
-        enable: Home and enable the arm if needed.
-        lockstep: Run in lock-step with the simulator.
-        out: File of the report; None: no file.
-    """
+    """What to check."""
 
     cell: surg_core.Cell
     arm: str
     camera: HeldCamera
-    enable: bool
-    lockstep: bool
-    out: Path | None
+    enable: bool  # home and enable the arm if needed
+    lockstep: bool  # run in lock-step with the simulator
+    out: Path | None  # file of the report; None: no file
 
 
 @dataclass(frozen=True)

@@ -24,13 +24,9 @@ KEPT = 8
 class EndoscopePictures:
     """Pictures of one or two cameras, paired by their stamps.
 
-    Args:
-        names: Names of the eyes.
-
     Attributes:
         newest: Newest complete set; None: there is none yet.
         problem: Why the pictures cannot be used; empty: they can.
-        inputs: The subscribers.
     """
 
     def __init__(self, names: tuple[str, ...]) -> None:
@@ -91,14 +87,7 @@ def decode(message: Image) -> Picture | None:
 
 
 def wait_for_eyes(count: int, timeout: float) -> tuple[str, ...]:
-    """Wait for the endoscope's pictures.
-
-    Args:
-        count: Number of eyes of the endoscope, 1 or 2.
-        timeout: Longest wait [s].
-
-    Returns:
-        Names of the eyes that are published.
+    """Wait for the endoscope's pictures; returns the names of the eyes that are published.
 
     Raises:
         TimeoutError: The left eye is not published.

@@ -50,42 +50,25 @@ class Stage(enum.Enum):
 
 @dataclass(frozen=True)
 class Pair:
-    """Pictures of one exposure.
+    """Pictures of one exposure."""
 
-    Attributes:
-        stamp_ns: Exposure [ns].
-        left: (h, w, 3) rgb8.
-        right: Of the right eye; None: there is one eye.
-    """
-
-    stamp_ns: int
-    left: Picture
-    right: Picture | None
+    stamp_ns: int  # exposure [ns]
+    left: Picture  # (h, w, 3) rgb8
+    right: Picture | None  # of the right eye; None: there is one eye
 
 
 @dataclass
 class FramesCheck:
-    """One check of one arm under one camera.
+    """One check of one arm under one camera."""
 
-    Attributes:
-        arm: Name of the arm, for messages.
-        node: Caller id under which the commands are sent.
-        workspace: Where the tip may be commanded.
-        side: Distance from rest [m].
-        enable: Send ``home`` and ``enable`` if needed, instead of refusing.
-        stage: Present stage.
-        reason: Why it failed; empty otherwise.
-        pictures: Collected pictures, by step.
-    """
-
-    arm: str
+    arm: str  # name of the arm, for messages
     node: str
-    workspace: Workspace
-    side: float = SIDE
+    workspace: Workspace  # where the tip may be commanded
+    side: float = SIDE  # distance from rest [m]
     enable: bool = False
     stage: Stage = Stage.WAIT
-    reason: str = ""
-    pictures: dict[Step, Pair] = field(default_factory=dict)
+    reason: str = ""  # why it failed; empty otherwise
+    pictures: dict[Step, Pair] = field(default_factory=dict)  # collected pictures, by step
     _rest: Array = field(default_factory=lambda: np.zeros(3), repr=False)
     _from: Array = field(default_factory=lambda: np.zeros(3), repr=False)
     _roll: float = field(default=0.0, repr=False)
@@ -107,29 +90,17 @@ class FramesCheck:
         return left[0] if left else REST
 
     def stop(self, reason: str) -> ArmCommands:
-        """Abort the check.
-
-        Args:
-            reason: Why, for the operator.
-
-        Returns:
-            Commands to send now: hold, if the arm may be moving.
-        """
+        """Abort the check; returns the commands to send now: hold, if the arm may be moving."""
         commands = ArmCommands(hold=self.stage in (Stage.GO, Stage.LOOK, Stage.BACK))
         if not self.done:
             self.stage, self.reason = Stage.FAILED, reason
         return commands
 
     def tick(self, arm: ArmView, R_WV: Array | None, pair: Pair | None) -> ArmCommands:
-        """One control cycle.
+        """Commands for the next cycle.
 
-        Args:
-            arm: The arm's cycle.
-            R_WV: (3, 3) the view in the world according to the cell; None: unknown yet.
-            pair: The newest pictures; None: there are none yet.
-
-        Returns:
-            Commands for the next cycle.
+        R_WV (3, 3) is the view in the world according to the cell, `pair` the newest pictures;
+        None: not known yet.
         """
         commands = ArmCommands(stamp_ns=arm.stamp_ns + TICK_NS)
         if self.done or self._prepare(arm, commands):

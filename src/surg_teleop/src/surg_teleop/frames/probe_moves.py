@@ -50,19 +50,10 @@ STEPS = (REST, *(Step(axis, side) for axis in AXES for side in (1, -1)))
 
 
 def between(start: Array, end: Array, t: float, speed: float = SPEED) -> tuple[Array, bool]:
-    """Position on a straight line from start to end, from rest to rest.
+    """(3,) position [m] at a time t [s] on a line between two points, and whether it is the end.
 
     The share of the path is 3 s^2 - 2 s^3 for a share s of the time, so the largest speed is 1.5
     times the mean.
-
-    Args:
-        start: (3,) [m].
-        end: (3,) [m].
-        t: Time since the start [s].
-        speed: Largest speed [m/s].
-
-    Returns:
-        Position (3,) [m], and whether it is the end.
     """
     duration = 1.5 * float(np.linalg.norm(end - start)) / speed
     if t >= duration:

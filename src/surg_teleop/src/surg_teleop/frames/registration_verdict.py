@@ -53,53 +53,34 @@ class Outcome(enum.Enum):
 
 @dataclass(frozen=True)
 class Lens:
-    """Pinhole model of the camera.
+    """Pinhole model of the camera."""
 
-    Attributes:
-        f: Focal length [px].
-        centre: (2,) principal point of the left picture [px].
-        baseline: Distance from the left to the right eye [m]; 0: one eye.
-    """
-
-    f: float
-    centre: Array
-    baseline: float = 0.0
+    f: float  # focal length [px]
+    centre: Array  # (2,) principal point of the left picture [px]
+    baseline: float = 0.0  # distance from the left to the right eye [m]; 0: one eye
 
 
 @dataclass(frozen=True)
 class AxisMotion:
-    """Commanded and observed motion along one axis.
+    """Commanded and observed motion along one axis."""
 
-    Attributes:
-        commanded: "right", "down" or "away".
-        pixels: (2,) motion in the left picture from one side to the other [px].
-        disparity: Change of the disparity [px]; None with one eye.
-        metres: (3,) observed motion in the camera's axes per metre commanded. With one eye only
-            the direction across the view counts, and z is NaN.
-    """
-
-    commanded: str
-    pixels: Array
-    disparity: float | None
+    commanded: str  # "right", "down" or "away"
+    pixels: Array  # (2,) motion in the left picture from one side to the other [px]
+    disparity: float | None  # change of the disparity [px]; None with one eye
+    # (3,) observed motion in the camera's axes per metre commanded. With one eye only the direction
+    # across the view counts, and z is NaN
     metres: Array
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on the registration.
-
-    Attributes:
-        outcome: Pass, fail, or undecided.
-        cause: Most likely cause.
-        text: What was observed, the likely cause, and what to do.
-        seen: Motions along the axes right, down, away.
-        angle: Rotation between hand and picture [rad]; NaN if the tip was not seen.
-    """
+    """Verdict on the registration."""
 
     outcome: Outcome
     cause: Cause
-    text: str
-    seen: tuple[AxisMotion, ...] = ()
+    text: str  # what was observed, the likely cause, and what to do
+    seen: tuple[AxisMotion, ...] = ()  # motions along the axes right, down, away
+    # rotation between hand and picture [rad]; NaN if the tip was not seen
     angle: float = float("nan")
 
 
@@ -109,13 +90,7 @@ def not_seen(reason: str) -> Verdict:
 
 
 def judge(places: Mapping[Step, Place], lens: Lens, side: float = SIDE) -> Verdict:
-    """Compare observed with commanded motion.
-
-    Args:
-        places: Tip at rest and at both sides of every axis.
-        lens: Of the left eye.
-        side: Distance of each side from rest [m].
-    """
+    """Compare observed with commanded motion, at rest and at both sides of every axis."""
     rest = places[REST]
     two_eyes = rest.disparity is not None and lens.baseline > 0.0
     seen = tuple(_axis(places, axis, lens, side, two_eyes) for axis in AXES)

@@ -44,35 +44,22 @@ class NotSeen(ValueError):
 
 @dataclass(frozen=True)
 class Place:
-    """Tip in the pictures of one exposure.
+    """Tip in the pictures of one exposure."""
 
-    Attributes:
-        left: (2,) x right, y down, in the left picture [px].
-        disparity: (2,) position in the left minus position in the right picture [px]; None with
-            one eye.
-        likeness: Correlation with the tip at rest; 1: identical.
-    """
-
-    left: Array
+    left: Array  # (2,) x right, y down, in the left picture [px]
+    # (2,) position in the left minus position in the right picture [px]; None with one eye
     disparity: Array | None
-    likeness: float
+    likeness: float  # correlation with the tip at rest; 1: identical
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A piece of a picture with a weight per pixel.
+    """A piece of a picture with a weight per pixel."""
 
-    Attributes:
-        look: (h, w, 3) smoothed colours.
-        weight: (h, w) 1 on the instrument, 0 elsewhere.
-        corner: (2,) x, y of its first pixel.
-        tip: (2,) tip in the picture [px].
-    """
-
-    look: Smooth
-    weight: Smooth
-    corner: NDArray[np.int64]
-    tip: Array
+    look: Smooth  # (h, w, 3) smoothed colours
+    weight: Smooth  # (h, w) 1 on the instrument, 0 elsewhere
+    corner: NDArray[np.int64]  # (2,) x, y of its first pixel
+    tip: Array  # (2,) tip in the picture [px]
 
 
 def find_places(
@@ -83,9 +70,6 @@ def find_places(
     Args:
         left: (h, w, 3) rgb8 by step: ``REST`` and both sides of every axis.
         right: The same of the right eye, exposed at the same times.
-
-    Returns:
-        Tip positions by step.
 
     Raises:
         NotSeen: Nothing has moved, or the tip was not found.
@@ -204,22 +188,7 @@ def _find(
     where: str = "in the right picture",
     on_line: bool = False,
 ) -> tuple[Array, float]:
-    """Locate a patch in a picture.
-
-    Args:
-        patch: The patch.
-        picture: (h, w, 3) smoothed.
-        guess: (2,) shift at the centre of the search [px].
-        reach: Radius of the search [px].
-        where: For the error message.
-        on_line: Search only along the direction of the guess.
-
-    Returns:
-        Its shift (2,) [px] and the correlation there.
-
-    Raises:
-        NotSeen: There is no match.
-    """
+    """Shift (2,) [px] of a patch in a picture, near a guess, and the correlation there."""
     height, width = patch.weight.shape
     span = int(np.ceil(reach))
     low = patch.corner + np.round(guess).astype(np.int64) - span
@@ -244,14 +213,7 @@ def _find(
 
 
 def _on_line(score: Array, guess: Array, at: Array, reach: float) -> tuple[Array, float]:
-    """Best shift along the direction of the guess.
-
-    Args:
-        score: Correlation at whole shifts, (rows, columns).
-        guess: (2,) shift x, y [px].
-        at: (2,) column and row of the guess in ``score``.
-        reach: Length of the search [px].
-    """
+    """Best shift (2,) [px] along the guess, which lies at (column, row) of the score."""
     along = guess / np.hypot(*guess)
     t = np.arange(-reach, reach + FINE, FINE)
     columns, rows = at[:, None] + along[:, None] * t

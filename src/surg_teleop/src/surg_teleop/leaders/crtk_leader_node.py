@@ -21,13 +21,7 @@ JOINTS = ("yaw", "pitch", "insertion", "roll")
 
 
 class CrtkTopics:
-    """Subscribes to one leader.
-
-    Args:
-        leader: Takes what comes.
-        lock: Held while it does.
-        wake: Set when there is something new.
-    """
+    """Subscribes to one leader."""
 
     def __init__(self, leader: CrtkLeader, lock: threading.Lock, wake: threading.Event) -> None:
         self._leader, self._lock, self._wake = leader, lock, wake

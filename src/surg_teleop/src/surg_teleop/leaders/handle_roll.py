@@ -24,11 +24,7 @@ roll. A hand that has turned so far is latched anew."""
 
 
 class Handle:
-    """A live hand: its position, and its roll since it was latched, sample by sample.
-
-    Args:
-        pose: Where it is latched.
-    """
+    """A live hand: its position, and its roll since it was latched, sample by sample."""
 
     def __init__(self, pose: HandlePose) -> None:
         self._latched = pose.R_VH

@@ -47,13 +47,7 @@ means a broken driver, and its roll would be wrong."""
 
 
 class LeaderError(RuntimeError):
-    """A leader that cannot be used.
-
-    Args:
-        what: What is wrong.
-        device: Name of the device.
-        cure: What to do.
-    """
+    """A leader that cannot be used: what is wrong, with which device, and the cure."""
 
     def __init__(self, what: str, device: str, cure: str) -> None:
         """Make the message."""

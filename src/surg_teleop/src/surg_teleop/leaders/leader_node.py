@@ -59,12 +59,7 @@ class LeaderNode:
     """Reads one leader and says what it reads."""
 
     def __init__(self, leader: Leader, pedals: bool) -> None:
-        """Advertises; reads nothing.
-
-        Args:
-            leader: An open leader.
-            pedals: Its buttons are pedals.
-        """
+        """Advertises; reads nothing."""
         self._leader = leader
         self._out = {
             topic: rospy.Publisher(
@@ -216,11 +211,7 @@ class Parameters:
 
 
 def main() -> int:
-    """Runs the node.
-
-    Returns:
-        The exit code.
-    """
+    """Run the node; returns the exit code."""
     if not rosgraph.is_master_online():
         print(
             f"leader: no ROS master at {rosgraph.get_master_uri()}; start one with 'rosmaster "

@@ -49,18 +49,11 @@ class Segment:
 
 @dataclass
 class Script:
-    """Strings segments together; each starts where the last one ended.
+    """Strings segments together; each starts where the last one ended."""
 
-    Attributes:
-        p: (3,) where the hand is [m].
-        roll: Its roll [rad].
-        gripper: Its opening [rad].
-        segments: What it has done so far.
-    """
-
-    p: Array
-    roll: float = 0.0
-    gripper: float = 0.0
+    p: Array  # (3,) where the hand is [m]
+    roll: float = 0.0  # its roll [rad]
+    gripper: float = 0.0  # its opening [rad]
     segments: list[Segment] = field(default_factory=list)
 
     def move(
@@ -199,11 +192,7 @@ def tremor(t: Array) -> Array:
 
 
 def bundled_motion() -> Array:
-    """The bundled motion.
-
-    Returns:
-        (n, 6): t [s], x, y, z [m], roll [rad], gripper [rad], RATE samples per second.
-    """
+    """The bundled motion, (n, 6): t [s], x, y, z [m], roll, gripper [rad]; at RATE."""
     script = bundled_script()
     t = np.arange(round(DURATION * RATE) + 1) / RATE
     columns = np.empty((len(t), 6))

@@ -78,14 +78,7 @@ class Motion:
         return self.p.min(axis=0), self.p.max(axis=0)
 
     def cut(self, duration: float) -> Motion:
-        """The first seconds of the motion.
-
-        Args:
-            duration: Length to keep [s], at least MIN_DURATION; may exceed the motion.
-
-        Returns:
-            The motion up to the last sample within the duration.
-        """
+        """The motion up to the last sample within a duration [s], at least MIN_DURATION."""
         if duration >= self.duration:
             return self
         n = max(int(np.searchsorted(self.t, duration, side="right")), MIN_SAMPLES)
@@ -113,12 +106,6 @@ class Motion:
 
 def read_motion(path: Path) -> Motion:
     """Read and check a motion file.
-
-    Args:
-        path: The CSV file.
-
-    Returns:
-        The motion.
 
     Raises:
         MotionError: The file cannot be read, or an arm must not follow it.

@@ -89,7 +89,6 @@ class Plan:
     """Path of an arm over time, in the rcm frame; made by :func:`make_plan`.
 
     Attributes:
-        motion: The motion.
         mapping: From the motion's own frame to the rcm frame.
         run_in: Length of the run-in [s].
         played: Length of the played window [s]: run_in to run_in + played is recorded motion.
@@ -190,9 +189,6 @@ def make_plan(
         scale: Arm metres per recorded metre, MIN_SCALE to MAX_SCALE.
         duration: How long to play [s]; None: the motion once. A shorter motion is repeated, with a
             smooth return in between.
-
-    Returns:
-        The plan.
 
     Raises:
         ConstantMotionError: The motion does not move.

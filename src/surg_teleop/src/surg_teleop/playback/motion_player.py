@@ -57,10 +57,7 @@ class MotionPlayer:
     """Plays a plan on one arm.
 
     Attributes:
-        plan: The plan.
-        mode: The stream that carries it.
         jaw: Range of the jaw; the gripper's opening is clipped to it.
-        stage: Present stage.
         reason: Why it has failed; empty otherwise.
         started_ns: Stamp of the start of the stream; 0 before.
         refused: Commands that the arm has refused during the stream.
@@ -94,14 +91,7 @@ class MotionPlayer:
         )
 
     def tick(self, feedback: ArmView) -> ArmCommands:
-        """One control cycle.
-
-        Args:
-            feedback: The arm's cycle.
-
-        Returns:
-            Commands for the next cycle.
-        """
+        """Commands for the next cycle, after one of the arm."""
         commands = ArmCommands(stamp_ns=feedback.stamp_ns + TICK_NS)
         if self.stage is Stage.CONNECT:
             self._enter(Stage.HOME, feedback)

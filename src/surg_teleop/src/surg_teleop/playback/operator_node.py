@@ -42,13 +42,7 @@ class OperatorNode:
     """Wires an MotionPlayer to the topics of one arm."""
 
     def __init__(self, operator: MotionPlayer, arm: str, lockstep: bool) -> None:
-        """Advertises and subscribes; nothing is sent before :meth:`connect`.
-
-        Args:
-            operator: What to play.
-            arm: The arm's namespace, without slashes.
-            lockstep: True: every tick is answered with Ready.
-        """
+        """Advertises and subscribes; nothing is sent before :meth:`connect`."""
         self.operator = operator
         self.finished = threading.Event()
         self._lockstep, self._stage = lockstep, operator.stage
@@ -127,13 +121,7 @@ class Parameters:
 
 
 def load(parameters: dict[str, object]) -> tuple[MotionPlayer, str, bool]:
-    """Reads every file once and checks the motion before anything moves.
-
-    Args:
-        parameters: The node's private parameters.
-
-    Returns:
-        The operator, its arm's name, and whether it runs in lock-step.
+    """Read every file once and check the motion before anything moves.
 
     Raises:
         ParamError: A parameter must not be used.
@@ -169,11 +157,7 @@ def bundled_motion() -> Path:
 
 
 def main() -> int:
-    """Runs the node.
-
-    Returns:
-        The exit code.
-    """
+    """Run the node; returns the exit code."""
     if not rosgraph.is_master_online():
         print(
             f"operator: no ROS master at {rosgraph.get_master_uri()}; start one with 'rosmaster "

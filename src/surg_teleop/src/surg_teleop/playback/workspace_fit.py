@@ -95,9 +95,6 @@ def largest_scale(offsets: Array, depth: float, workspace: Workspace) -> Exit:
         offsets: (n, 3) samples relative to the box's centre, in axes of the rcm frame [m].
         depth: Depth of the box's centre on the axis [m]; must be inside the workspace.
         workspace: The walls.
-
-    Returns:
-        The first exit over all samples.
     """
     d2 = np.einsum("ij,ij->i", offsets, offsets)
     dz = offsets[:, 2]

@@ -58,7 +58,6 @@ class RosSystem:
     Args:
         arms: CRTK names, the driven one first.
         leader: Namespace of the leader's topics; empty: the page is not a leader.
-        teleop: Name of the teleoperation node.
         episodes: The recorder's folder; None: no list.
     """
 

@@ -31,12 +31,7 @@ POLL = 0.2
 
 
 class Encoder:
-    """Encodes in the main thread; pictures arrive in rospy's threads.
-
-    Args:
-        views: Cameras of the cell.
-        out: File descriptor for the packets.
-    """
+    """Encodes in the main thread; pictures arrive in rospy's threads."""
 
     def __init__(self, views: tuple[str, ...], out: int) -> None:
         self._out = out

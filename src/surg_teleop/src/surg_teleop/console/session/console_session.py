@@ -138,11 +138,7 @@ class Session:
             self._release(operator_messages.CLOSED)
 
     def take(self, name: str, now: float) -> str:
-        """A page requests control.
-
-        Returns:
-            Why it is refused; empty: it has control.
-        """
+        """A page requests control; returns why it is refused, empty: it has control."""
         page = self._pages[name]
         other = self._holder
         if other is page:
@@ -163,24 +159,14 @@ class Session:
     # --- the operator ---------------------------------------------------------------
 
     def in_time(self, name: str, at: float, now: float) -> bool:
-        """Whether a message has arrived without delay.
-
-        Args:
-            name: The page.
-            at: Time of sending, on the page's clock [s].
-            now: Time of receipt [s].
-        """
+        """Whether a message, sent at a time on the page's clock [s], came without delay."""
         page = self._pages[name]
         late = page.lateness.add(at, now) > LATENESS
         page.late += late
         return not late
 
     def enable(self, name: str, robot: Robot, now: float) -> str:
-        """Enable was pressed.
-
-        Returns:
-            Why it is refused; empty: the arm is being brought up.
-        """
+        """Enable was pressed; returns why it is refused, empty: the arm is being brought up."""
         page = self._pages[name]
         if page is not self._holder:
             return operator_messages.NO_CONTROL
@@ -197,12 +183,9 @@ class Session:
         return ""
 
     def policy(self, name: str, robot: Robot, now: float) -> str:
-        """Policy was pressed: start or stop the policy.
+        """Policy was pressed: start or stop the policy; returns why it is refused.
 
         The policy is enabled once the teleoperation has released the arm.
-
-        Returns:
-            Why it is refused; empty: it is not.
         """
         if self.holder != name:
             return operator_messages.NO_CONTROL
@@ -217,11 +200,7 @@ class Session:
         return ""
 
     def put_back(self, name: str, robot: Robot) -> str:
-        """Guide simulated arms in FAULT home; afterwards they need Enable.
-
-        Returns:
-            Why it is refused; empty: it is not.
-        """
+        """Guide simulated arms in FAULT home, to be enabled again; returns why it is refused."""
         if self.holder != name:
             return operator_messages.NO_CONTROL
         if not robot.astray:
@@ -231,12 +210,7 @@ class Session:
         return ""
 
     def stop(self, robot: Robot, who: str = "") -> None:
-        """Stop was pressed on any page: pause all arms.
-
-        Args:
-            robot: Present state of the system.
-            who: Name of the page.
-        """
+        """Stop was pressed on a page, whoever has control: pause all arms."""
         self._hold(operator_messages.stopped(who if who != self.holder else ""))
         self._orders += [
             StateCommand(arm.name, "pause") for arm in robot.arms if arm.state == "ENABLED"
@@ -245,12 +219,7 @@ class Session:
             self._orders.append(Policy(False))
 
     def hide(self, name: str, why: str) -> None:
-        """The page is hidden, or has lost its input device.
-
-        Args:
-            name: The page.
-            why: One of `page_protocol.HIDDEN`.
-        """
+        """The page is hidden or has lost its input device; `why`: of `page_protocol.HIDDEN`."""
         page = self._pages[name]
         page.visible = why in ("gamepad", "pointer")
         active = self.phase in (Phase.STARTING, Phase.DRIVING) or self._policy_requested > -math.inf
@@ -298,12 +267,7 @@ class Session:
     # --- periodic checks ---------------------------------------------------------------
 
     def tick(self, robot: Robot, now: float) -> None:
-        """Check everything; called at least every 20 ms.
-
-        Args:
-            robot: Present state of the system.
-            now: Steady clock [s].
-        """
+        """Check everything; called at least every 20 ms."""
         self._start_policy(robot, now)
         if self._holder is None or self.phase not in (Phase.STARTING, Phase.DRIVING):
             return

@@ -15,25 +15,15 @@ LARGEST_MANIFEST = 8 << 20
 
 @dataclass(frozen=True)
 class Entry:
-    """One episode.
-
-    Attributes:
-        name: Of its folder.
-        started: Wall clock [s].
-        seconds: Its length [s]; None: not known.
-        outcome: "complete", "incomplete", "unfinished" (no manifest yet), "unreadable".
-        reason: Why it is not complete.
-        task: The phantom's task; empty: none.
-        success: How that ended; None: no task, or not judged.
-    """
+    """One episode."""
 
     name: str
-    started: float
-    seconds: float | None
-    outcome: str
+    started: float  # wall clock [s]
+    seconds: float | None  # its length [s]; None: not known
+    outcome: str  # "complete", "incomplete", "unfinished" (no manifest yet), "unreadable"
     reason: str = ""
-    task: str = ""
-    success: bool | None = None
+    task: str = ""  # the phantom's task; empty: none
+    success: bool | None = None  # how that ended; None: no task, or not judged
 
 
 class Episodes:

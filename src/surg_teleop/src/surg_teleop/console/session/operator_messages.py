@@ -95,13 +95,7 @@ def let_go(robot: Robot) -> str:
 
 
 def not_ready(robot: Robot, since: float, seconds: float) -> str:
-    """Why following did not begin.
-
-    Args:
-        robot: Present state of the system.
-        since: When Enable was pressed [s].
-        seconds: Duration of the wait [s].
-    """
+    """Why following did not begin `seconds` after Enable, which was pressed at `since` [s]."""
     if not robot.follower.state:
         return NO_FOLLOWER
     arm = next((arm for arm in robot.arms if not arm.ready()), None)

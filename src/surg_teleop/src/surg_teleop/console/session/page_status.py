@@ -26,14 +26,7 @@ _HEADLINES = {
 def report(
     session: Session, robot: Robot, limits: Mapping[str, float], now: float
 ) -> dict[str, Any]:
-    """Content of the status.
-
-    Args:
-        session: The console's session.
-        robot: Present state of the system.
-        limits: Of the driven arm, by name [SI].
-        now: Steady clock [s].
-    """
+    """Content of the status, with the limits of the driven arm by name [SI]."""
     gauges = robot.gauges
     return {
         "say": "status",

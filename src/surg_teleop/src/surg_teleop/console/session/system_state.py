@@ -9,25 +9,15 @@ from surg_core import Reason
 
 @dataclass(frozen=True)
 class Arm:
-    """State of one arm.
-
-    Attributes:
-        name: CRTK name.
-        state: DISABLED, ENABLED, PAUSED, FAULT; empty: unknown.
-        homed: Whether it is homed.
-        heard: Receipt of its last state, on the steady clock [s].
-        reason: Why it is PAUSED or in FAULT; None: unknown.
-        warning: Its newest warning.
-        warned: Receipt of that [s].
-    """
+    """State of one arm."""
 
     name: str
-    state: str = ""
+    state: str = ""  # DISABLED, ENABLED, PAUSED, FAULT; empty: unknown
     homed: bool = False
-    heard: float = -1e9
-    reason: Reason | None = None
+    heard: float = -1e9  # receipt of its last state, on the steady clock [s]
+    reason: Reason | None = None  # why it is PAUSED or in FAULT; None: unknown
     warning: str = ""
-    warned: float = -1e9
+    warned: float = -1e9  # receipt of that [s]
 
     def ready(self) -> bool:
         """Whether it is enabled and homed."""
@@ -36,20 +26,11 @@ class Arm:
 
 @dataclass(frozen=True)
 class Follower:
-    """State of one leader on one arm, from the teleoperation node.
+    """State of one leader on one arm, from the teleoperation node."""
 
-    Attributes:
-        state: DISABLED, WAITING, FOLLOWING, CLUTCHED, FAULT; empty: unknown.
-        mapping: "position" or "rate".
-        reason: Why the tip does not follow, or what limits it.
-        scale: Motion scale.
-        leader: Name of the leader.
-        arm: Name of the arm.
-    """
-
-    state: str = ""
-    mapping: str = "position"
-    reason: str = ""
+    state: str = ""  # DISABLED, WAITING, FOLLOWING, CLUTCHED, FAULT; empty: unknown
+    mapping: str = "position"  # "position" or "rate"
+    reason: str = ""  # why the tip does not follow, or what limits it
     scale: float | None = None
     leader: str = ""
     arm: str = ""
@@ -62,36 +43,22 @@ class Follower:
 
 @dataclass(frozen=True)
 class Gauges:
-    """Live values of the driven arm; None: unknown.
+    """Live values of the driven arm; None: unknown."""
 
-    Attributes:
-        rcm: Deviation from the trocar point [m].
-        rcm_peak: Its largest value since the last report [m].
-        depth: Of the tip behind the trocar [m].
-        trocar: Force of the shaft on the trocar [N].
-        tip: Force at the tip [N].
-        age: Age of the values [s].
-    """
-
-    rcm: float | None = None
-    rcm_peak: float | None = None
-    depth: float | None = None
-    trocar: float | None = None
-    tip: float | None = None
+    rcm: float | None = None  # deviation from the trocar point [m]
+    rcm_peak: float | None = None  # its largest value since the last report [m]
+    depth: float | None = None  # of the tip behind the trocar [m]
+    trocar: float | None = None  # force of the shaft on the trocar [N]
+    tip: float | None = None  # force at the tip [N]
     age: float | None = None
 
 
 @dataclass(frozen=True)
 class Recorder:
-    """State of the recorder.
+    """State of the recorder."""
 
-    Attributes:
-        state: IDLE, RECORDING, FINISHING; empty: no valid status.
-        problem: What is wrong with the recording.
-    """
-
-    state: str = ""
-    problem: str = ""
+    state: str = ""  # IDLE, RECORDING, FINISHING; empty: no valid status
+    problem: str = ""  # what is wrong with the recording
 
     @property
     def recording(self) -> bool:
@@ -101,36 +68,22 @@ class Recorder:
 
 @dataclass(frozen=True)
 class SimTask:
-    """State of the phantom's task.
+    """State of the phantom's task."""
 
-    Attributes:
-        state: RUNNING, SUCCESS, FAILURE; NONE or empty: there is no task.
-        name: Its name.
-        phase: Phase of the task.
-        detail: Why it failed.
-    """
-
-    state: str = ""
+    state: str = ""  # RUNNING, SUCCESS, FAILURE; NONE or empty: there is no task
     name: str = ""
     phase: str = ""
-    detail: str = ""
+    detail: str = ""  # why it failed
 
 
 @dataclass(frozen=True)
 class PolicyServer:
-    """State of the model server.
+    """State of the model server."""
 
-    Attributes:
-        state: IDLE, READY, WAKING, RUNNING, PAUSED; empty: no valid status.
-        name: Name of the policy.
-        detail: Why it does not run.
-        refused: Why the last enable was refused.
-    """
-
-    state: str = ""
+    state: str = ""  # IDLE, READY, WAKING, RUNNING, PAUSED; empty: no valid status
     name: str = ""
-    detail: str = ""
-    refused: str = ""
+    detail: str = ""  # why it does not run
+    refused: str = ""  # why the last enable was refused
 
     @property
     def active(self) -> bool:
@@ -145,27 +98,15 @@ class PolicyServer:
 
 @dataclass(frozen=True)
 class Robot:
-    """Everything at one moment. What has no valid, fresh status has its default value.
+    """Everything at one moment. What has no valid, fresh status has its default value."""
 
-    Attributes:
-        arms: The driven arm first, then what must be ready beside it.
-        follower: The operator's hand on the driven arm.
-        scope: The same hand on the endoscope's arm, where one holds it.
-        helpers: Other hands on other arms.
-        gauges: Of the driven arm.
-        recorder: The recorder.
-        simulated: Whether a simulator moves the arms.
-        task: Its task.
-        policy: The model server.
-    """
-
-    arms: tuple[Arm, ...] = ()
-    follower: Follower = Follower()
-    scope: Follower = Follower()
-    helpers: tuple[Follower, ...] = ()
+    arms: tuple[Arm, ...] = ()  # the driven arm first, then what must be ready beside it
+    follower: Follower = Follower()  # the operator's hand on the driven arm
+    scope: Follower = Follower()  # the same hand on the endoscope's arm, where one holds it
+    helpers: tuple[Follower, ...] = ()  # other hands on other arms
     gauges: Gauges = Gauges()
     recorder: Recorder = Recorder()
-    simulated: bool = False
+    simulated: bool = False  # whether a simulator moves the arms
     task: SimTask = SimTask()
     policy: PolicyServer = PolicyServer()
 

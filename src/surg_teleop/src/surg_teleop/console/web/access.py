@@ -22,22 +22,14 @@ class AccessError(ValueError):
 
 @dataclass(frozen=True)
 class Access:
-    """The rules of one console.
-
-    Attributes:
-        bind: Listen address.
-        port: TCP port.
-        name: Host name or address that people open.
-        hosts: Accepted values of the header Host.
-        token: Secret that pages must send first; may be empty on loopback.
-        certificate: TLS certificate and key; None: no TLS, on loopback only.
-    """
+    """The rules of one console."""
 
     bind: str
     port: int
-    name: str
-    hosts: frozenset[str]
-    token: str = ""
+    name: str  # host name or address that people open
+    hosts: frozenset[str]  # accepted values of the header Host
+    token: str = ""  # secret that pages must send first; may be empty on loopback
+    # TLS certificate and key; None: no TLS, on loopback only
     certificate: tuple[Path, Path] | None = None
 
     @property
@@ -94,15 +86,7 @@ def rules(
     key: Path | None = None,
     token: str = "",
 ) -> Access:
-    """Check the options and make the rules.
-
-    Args:
-        bind: Address to listen on, "127.0.0.1" or another of this machine.
-        port: TCP port.
-        names: Further host names of the console, as people type them.
-        certificate: File of the TLS certificate (PEM).
-        key: File of its private key (PEM).
-        token: Secret that pages must send.
+    """Check the options and make the rules; `names`: further host names of the console.
 
     Raises:
         AccessError: The options are unsafe or inconsistent.

@@ -102,14 +102,7 @@ CODECS: dict[str, type[H264] | type[Jpeg]] = {"h264": H264, "jpeg": Jpeg}
 
 
 def image_of(data: bytes, width: int, height: int, step: int, encoding: str) -> Image:
-    """Pixels of a ROS image, without a copy if its rows are packed.
-
-    Args:
-        data: Its bytes.
-        width: [px].
-        height: [px].
-        step: Bytes per row.
-        encoding: As in `sensor_msgs/Image`.
+    """Pixels of a ROS image, without a copy if its rows are packed; `step`: bytes per row.
 
     Returns:
         (height, width, channels), or (height, width) of a grey image. H.264 needs even sizes, so an

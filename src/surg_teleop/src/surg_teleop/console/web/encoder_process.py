@@ -28,7 +28,6 @@ class EncoderProcess:
     """Keeps the encoder running and forwards its pictures.
 
     Args:
-        argv: Command line of the encoder.
         show: Called with every picture.
         problem: Called with why there are no pictures; empty: there are.
     """

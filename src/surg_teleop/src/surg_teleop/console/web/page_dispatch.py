@@ -16,17 +16,7 @@ from surg_teleop.console.web.page_protocol import (
 
 
 def dispatch(session: Session, message: PageMessage, page: str, robot: Robot, now: float) -> str:
-    """Hand one message of the control socket to the session.
-
-    Args:
-        session: Gets it.
-        message: Checked message, no `Ping`.
-        page: Name of the page.
-        robot: State of the system.
-        now: Steady clock [s].
-
-    Returns:
-        Why it is refused; empty: it is not.
+    """Hand a message of the control socket to the session; returns why it is refused.
 
     Raises:
         ProtocolError: It belongs on another socket.

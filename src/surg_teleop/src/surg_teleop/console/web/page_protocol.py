@@ -28,57 +28,34 @@ class ProtocolError(ValueError):
 
 @dataclass(frozen=True)
 class Hello:
-    """First message on every socket.
+    """First message on every socket."""
 
-    Attributes:
-        token: From the page's address; empty on loopback.
-    """
-
-    token: str
+    token: str  # from the page's address; empty on loopback
 
 
 @dataclass(frozen=True)
 class Input:
-    """State of the hand in the view frame V: x right, y down, z away from the viewer.
-
-    Attributes:
-        seq: Sequence number.
-        at: The page's own steady clock [s].
-        picture_us: Exposure stamp of the picture on the screen [µs]; 0: none yet.
-        hand: "position" (mouse) or "rate" (keys, gamepad).
-        p: (3,) handle [m].
-        roll: Of the handle about z [rad].
-        v: (3,) velocity of the tip [m/s].
-        roll_rate: [rad/s].
-        grip: 0 closed to 1 open; None: never touched.
-        clutch: The clutch is held.
-        camera: The camera pedal is held.
-    """
+    """State of the hand in the view frame V: x right, y down, z away from the viewer."""
 
     seq: int
-    at: float
-    picture_us: int = 0
-    hand: str = "position"
-    p: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    roll: float = 0.0
-    v: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    roll_rate: float = 0.0
-    grip: float | None = None
-    clutch: bool = False
-    camera: bool = False
+    at: float  # the page's own steady clock [s]
+    picture_us: int = 0  # exposure stamp of the picture on the screen [µs]; 0: none yet
+    hand: str = "position"  # "position" (mouse) or "rate" (keys, gamepad)
+    p: tuple[float, float, float] = (0.0, 0.0, 0.0)  # (3,) handle [m]
+    roll: float = 0.0  # of the handle about z [rad]
+    v: tuple[float, float, float] = (0.0, 0.0, 0.0)  # (3,) velocity of the tip [m/s]
+    roll_rate: float = 0.0  # [rad/s]
+    grip: float | None = None  # 0 closed to 1 open; None: never touched
+    clutch: bool = False  # the clutch is held
+    camera: bool = False  # the camera pedal is held
 
 
 @dataclass(frozen=True)
 class Press:
-    """A button of the page.
+    """A button of the page."""
 
-    Attributes:
-        button: One of `PRESSES`.
-        at: The page's own steady clock [s].
-    """
-
-    button: str
-    at: float
+    button: str  # one of `PRESSES`
+    at: float  # the page's own steady clock [s]
 
 
 @dataclass(frozen=True)
@@ -90,24 +67,16 @@ class Scale:
 
 @dataclass(frozen=True)
 class Hidden:
-    """The page is hidden, or has lost its input device.
+    """The page is hidden, or has lost its input device."""
 
-    Attributes:
-        why: One of `HIDDEN`.
-    """
-
-    why: str
+    why: str  # one of `HIDDEN`
 
 
 @dataclass(frozen=True)
 class Ping:
-    """Requests the server's clock.
+    """Requests the server's clock."""
 
-    Attributes:
-        at: Returned unchanged.
-    """
-
-    at: float
+    at: float  # returned unchanged
 
 
 @dataclass(frozen=True)
@@ -120,11 +89,7 @@ class Watch:
 
 @dataclass(frozen=True)
 class Shown:
-    """The page has drawn a picture.
-
-    Attributes:
-        seq: Of the picture.
-    """
+    """The page has drawn a picture."""
 
     seq: int
 
@@ -137,9 +102,6 @@ HIDDEN = ("hidden", "closed", "gamepad", "pointer")
 
 def parse(text: str) -> PageMessage:
     """Read one message.
-
-    Args:
-        text: From a page.
 
     Raises:
         ProtocolError: It is invalid; names key, value and what is allowed.

@@ -23,33 +23,19 @@ class PacketError(ValueError):
 
 @dataclass(frozen=True)
 class Packet:
-    """One encoded picture.
+    """One encoded picture."""
 
-    Attributes:
-        layout: "left" or "stereo" (left and right eye side by side).
-        codec: "h264" (Annex B) or "jpeg".
-        key: It can be decoded without earlier pictures.
-        profile: H.264's profile, constraints and level; zeros for JPEG.
-        width: [px].
-        height: [px].
-        seq: Sequence number within layout and codec.
-        exposed_us: Stamp of the picture, wall clock [µs].
-        received_us: Receipt by the encoder [µs].
-        encoded_us: End of the encoding [µs].
-        data: The encoded picture.
-    """
-
-    layout: str
-    codec: str
-    key: bool
-    profile: tuple[int, int, int]
-    width: int
-    height: int
-    seq: int
-    exposed_us: int
-    received_us: int
-    encoded_us: int
-    data: bytes
+    layout: str  # "left" or "stereo" (left and right eye side by side)
+    codec: str  # "h264" (Annex B) or "jpeg"
+    key: bool  # it can be decoded without earlier pictures
+    profile: tuple[int, int, int]  # H.264's profile, constraints and level; zeros for JPEG
+    width: int  # [px]
+    height: int  # [px]
+    seq: int  # sequence number within layout and codec
+    exposed_us: int  # stamp of the picture, wall clock [µs]
+    received_us: int  # receipt by the encoder [µs]
+    encoded_us: int  # end of the encoding [µs]
+    data: bytes  # the encoded picture
 
     def pack(self) -> bytes:
         """Header and picture."""

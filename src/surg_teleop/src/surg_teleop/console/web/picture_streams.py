@@ -23,19 +23,12 @@ EYES = {"left": ("left",), "stereo": ("left", "right")}
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """One picture of one camera.
+    """One picture of one camera."""
 
-    Attributes:
-        stamp_us: Exposure [µs].
-        received_us: Receipt [µs].
-        pixels: (height, width[, 3]).
-        encoding: As in `sensor_msgs/Image`.
-    """
-
-    stamp_us: int
-    received_us: int
-    pixels: Image
-    encoding: str
+    stamp_us: int  # exposure [µs]
+    received_us: int  # receipt [µs]
+    pixels: Image  # (height, width[, 3])
+    encoding: str  # as in `sensor_msgs/Image`
 
     @classmethod
     def of(
@@ -73,13 +66,7 @@ class StereoPairer:
 
 
 class PictureStream:
-    """One layout in one codec; restarts when the pictures change their size.
-
-    Args:
-        layout: "left" or "stereo".
-        codec: "h264" or "jpeg".
-        wall_us: Wall clock [µs].
-    """
+    """One layout in one codec; restarts when the pictures change their size."""
 
     def __init__(self, layout: str, codec: str, wall_us: Callable[[], int] | None = None) -> None:
         self.layout, self.codec = layout, codec

@@ -89,13 +89,8 @@ class Server:
     """One console.
 
     Args:
-        access: Who may connect.
-        session: Decides who drives and whether anything moves.
-        system: The robot's side.
-        pictures: Source of pictures.
         facts: Sent to the page once: cell, arm, views, ….
         limits: Of the driven arm [SI].
-        clock: Steady clock [s].
     """
 
     def __init__(

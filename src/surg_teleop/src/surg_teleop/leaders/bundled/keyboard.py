@@ -88,29 +88,18 @@ HELP = """\
 
 @dataclass
 class Typing:
-    """What the keys mean. Pure: text and time in, samples out.
-
-    Attributes:
-        clutch: The clutch is on.
-        speed: Index into SPEEDS.
-        grip: Opening of the jaw; None before its first key.
-    """
+    """What the keys mean. Pure: text and time in, samples out."""
 
     clutch: bool = False
-    speed: int = 2
-    grip: float | None = None
+    speed: int = 2  # index into SPEEDS
+    grip: float | None = None  # opening of the jaw; None before its first key
     _heard: dict[str, float] = field(default_factory=dict, repr=False)
     _last: float | None = field(default=None, repr=False)
     _rest: str = field(default="", repr=False)
     _now: float | None = field(default=None, repr=False)
 
     def type(self, text: str, now: float) -> None:
-        """Takes what was typed.
-
-        Args:
-            text: Characters and escape sequences; a sequence may come in pieces.
-            now: Steady clock [s].
-        """
+        """Take what was typed: characters and escape sequences, which may come in pieces."""
         text = self._rest + text
         self._rest = ""
         while text:
@@ -158,12 +147,7 @@ class Keyboard:
     mapping = "rate"
 
     def __init__(self, name: str = "keyboard", fd: int | None = None) -> None:
-        """Touches nothing yet.
-
-        Args:
-            name: What its user calls it.
-            fd: The terminal; standard input.
-        """
+        """Touches nothing yet."""
         self.name = name
         self._fd = fd
         self._saved: list[Any] | None = None

@@ -18,11 +18,9 @@ class MotionLeader:
     """Plays a motion file (``surg_teleop.playback.motion_file``) at a leader's rate.
 
     Args:
-        file: The CSV file.
         rate: Samples per second, 1 to 1000.
         delay: How long the hand holds still at the first sample after ``open`` [s].
         rotation: (3,) roll, pitch, yaw of the file's axes in the view frame V [rad].
-        name: For messages.
     """
 
     def __init__(

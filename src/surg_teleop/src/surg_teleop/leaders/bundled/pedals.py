@@ -24,14 +24,7 @@ class Pedals(InputLeader):
         super().__init__(name, layout, device, host)
 
     def read(self, now: float) -> LeaderSample:
-        """What the feet say now; never silent, never raises.
-
-        Args:
-            now: Steady clock [s].
-
-        Returns:
-            The actions that are pressed. Without the device: those that fail to pressed, and why.
-        """
+        """What the feet say now; never silent, never raises."""
         try:
             sample = super().read(now)
         except LeaderError:  # kept in self.lost

@@ -42,15 +42,7 @@ class Hand:
         now: float,
         grip: float | None = None,
     ) -> None:
-        """Start from a snapshot.
-
-        Args:
-            layout: Meaning of axes and buttons.
-            description: Of the device.
-            snapshot: Its state.
-            now: Steady clock [s].
-            grip: Opening of the jaw before a reconnection.
-        """
+        """Start from a snapshot; `grip`: opening of the jaw before a reconnection."""
         self.layout = layout
         self.grip = grip
         self._state = InputState(description, snapshot, now)
@@ -80,14 +72,7 @@ class Hand:
         )
 
     def sample(self, now: float) -> LeaderSample | None:
-        """The present sample.
-
-        Args:
-            now: Steady clock [s], never backwards.
-
-        Returns:
-            A sample stamped now; None: the device may be out of range.
-        """
+        """The present sample, stamped now; None: the device may be out of range."""
         layout = self.layout
         present = layout.dead_man is None or self._pressed(layout.dead_man)
         rates = {

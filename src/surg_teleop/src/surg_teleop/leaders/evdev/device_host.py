@@ -17,11 +17,7 @@ FOLDER = Path("/dev/input")
 
 
 class Device(Protocol):
-    """An open event device.
-
-    Attributes:
-        description: What it is and has.
-    """
+    """An open event device."""
 
     @property
     def description(self) -> Description:
@@ -55,9 +51,6 @@ class EvdevDevice:
 
     def __init__(self, path: str) -> None:
         """Open it.
-
-        Args:
-            path: Its node.
 
         Raises:
             OSError: It cannot be opened, or is not an event device.
@@ -123,13 +116,7 @@ def describe(device: evdev.InputDevice) -> Description:
 
 
 def read_bytes(fd: int) -> bytes:
-    """Read all available bytes without waiting.
-
-    Args:
-        fd: A non-blocking descriptor: an event device, or a pipe in tests.
-
-    Returns:
-        The bytes; may be empty.
+    """Read all available bytes of a non-blocking descriptor; there may be none.
 
     Raises:
         OSError: ENODEV if the device, or the other end of the pipe, is gone.

@@ -35,23 +35,14 @@ RATES = (5.0, 200.0)
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of the device.
-
-    Attributes:
-        name: Name in the layout.
-        code: Number in the kernel.
-        label: Name in the kernel, such as ``ABS_X``.
-        sign: -1 reverses it.
-        relative: A relative axis that reports a deflection.
-        one_sided: It rests at its minimum, a trigger: 0 ... 1 instead of -1 ... 1.
-    """
+    """One axis of the device."""
 
     name: str
     code: int
-    label: str
-    sign: float
-    relative: bool
-    one_sided: bool
+    label: str  # name in the kernel, such as ``ABS_X``
+    sign: float  # -1 reverses it
+    relative: bool  # a relative axis that reports a deflection
+    one_sided: bool  # it rests at its minimum, a trigger: 0 ... 1 instead of -1 ... 1
 
 
 @dataclass(frozen=True)
@@ -74,37 +65,21 @@ class Grip:
 
 @dataclass(frozen=True)
 class Layout:
-    """A layout checked by :func:`read_layout`.
-
-    Attributes:
-        file: Its file, for messages.
-        match: Part of the device's name; empty: any device with these axes and buttons.
-        grab: Take the device's events exclusively.
-        dead_zone: Half width of the zone around an axis' middle that counts as 0.
-        autorepeat: Rate of Joy while nothing changes [Hz].
-        axes: In the order of Joy.axes.
-        buttons: In the order of Joy.buttons.
-        hand: Axis and full speed by name of VIEW or SPHERICAL.
-        spherical: The names are those of SPHERICAL.
-        grip: What moves the jaw, or None.
-        dead_man: Button that must be held to move; None: reported elsewhere.
-        actions: Button by action, of BUTTONS.
-        fail_pressed: Actions that count as pressed while the device is missing.
-    """
+    """A layout checked by :func:`read_layout`."""
 
     file: str
-    match: str
-    grab: bool
-    dead_zone: float
-    autorepeat: float
-    axes: tuple[Axis, ...]
-    buttons: tuple[Button, ...]
-    hand: dict[str, tuple[str, float]]
-    spherical: bool
+    match: str  # part of the device's name; empty: any device with these axes and buttons
+    grab: bool  # take the device's events exclusively
+    dead_zone: float  # half width of the zone around an axis' middle that counts as 0
+    autorepeat: float  # rate of Joy while nothing changes [Hz]
+    axes: tuple[Axis, ...]  # in the order of Joy.axes
+    buttons: tuple[Button, ...]  # in the order of Joy.buttons
+    hand: dict[str, tuple[str, float]]  # axis and full speed by name of VIEW or SPHERICAL
+    spherical: bool  # the names are those of SPHERICAL
     grip: Grip | None
-    dead_man: str | None
-    actions: dict[str, str]
-    fail_pressed: frozenset[str]
+    dead_man: str | None  # button that must be held to move; None: reported elsewhere
+    actions: dict[str, str]  # button by action, of BUTTONS
+    fail_pressed: frozenset[str]  # actions that count as pressed while the device is missing
 
     def lacks(self, device: Description) -> list[str]:
         """Missing axes and buttons of a device, such as ``ABS_RX (right_x)``; empty: it fits."""

@@ -29,15 +29,7 @@ class _Candidates:
 
 
 def find(host: Host, layout: Layout, wanted: str = "") -> Device:
-    """Open the first device that fits a layout.
-
-    Args:
-        host: The machine.
-        layout: What the device must have.
-        wanted: Path of its node; empty: any, lowest number first.
-
-    Returns:
-        The open device, grabbed if the layout requires it.
+    """Open the first device that fits a layout, or that of a path; grab it if required.
 
     Raises:
         LeaderError: No device is connected or fits, there is no permission, or another process has

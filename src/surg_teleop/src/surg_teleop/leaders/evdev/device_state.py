@@ -33,23 +33,14 @@ class AxisRange:
 
 @dataclass(frozen=True)
 class Description:
-    """Description of a device.
+    """Description of a device."""
 
-    Attributes:
-        path: Its node, ``/dev/input/event3``.
-        name: Its own name.
-        bus: Bus type of <linux/input.h>.
-        keys: Codes of its keys and buttons.
-        axes: Absolute axes by code.
-        relative: Codes of its relative axes.
-    """
-
-    path: str
+    path: str  # its node, ``/dev/input/event3``
     name: str
-    bus: int = 0
-    keys: frozenset[int] = frozenset()
-    axes: Mapping[int, AxisRange] = field(default_factory=dict)
-    relative: frozenset[int] = frozenset()
+    bus: int = 0  # bus type of <linux/input.h>
+    keys: frozenset[int] = frozenset()  # codes of its keys and buttons
+    axes: Mapping[int, AxisRange] = field(default_factory=dict)  # absolute axes by code
+    relative: frozenset[int] = frozenset()  # codes of its relative axes
 
     @property
     def wireless(self) -> bool:
@@ -59,28 +50,17 @@ class Description:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The whole state of a device.
-
-    Attributes:
-        keys: Codes of the keys that are down.
-        axes: Readings of the absolute axes by code.
-    """
+    """The whole state of a device."""
 
     keys: frozenset[int] = frozenset()
-    axes: Mapping[int, int] = field(default_factory=dict)
+    axes: Mapping[int, int] = field(default_factory=dict)  # readings of the absolute axes by code
 
 
 class InputState:
     """Tracks the state of one device by its events."""
 
     def __init__(self, description: Description, snapshot: Snapshot, now: float) -> None:
-        """Start from a snapshot.
-
-        Args:
-            description: Of the device.
-            snapshot: Its state.
-            now: Time of the snapshot [s].
-        """
+        """Start from a snapshot."""
         self.description = description
         self.changed = now
         """Time of the last event [s]."""

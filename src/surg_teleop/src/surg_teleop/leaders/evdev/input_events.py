@@ -17,17 +17,11 @@ SYN_REPORT, SYN_DROPPED = 0, 3
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """One change.
+    """One change."""
 
-    Attributes:
-        kind: EV_SYN, EV_KEY, EV_REL, EV_ABS; others are ignored.
-        code: Key or axis.
-        value: Key: 0 released, 1 pressed, 2 repeated. Axis: its reading, or its change (EV_REL).
-    """
-
-    kind: int
-    code: int
-    value: int
+    kind: int  # EV_SYN, EV_KEY, EV_REL, EV_ABS; others are ignored
+    code: int  # key or axis
+    value: int  # key: 0 released, 1 pressed, 2 repeated. Axis: its reading, or its change (EV_REL)
 
     def to_bytes(self) -> bytes:
         """As the kernel writes it, at time 0."""
@@ -51,14 +45,7 @@ class Decoder:
         self._dropping = False
 
     def feed(self, data: bytes) -> list[list[Event] | None]:
-        """Decode bytes.
-
-        Args:
-            data: Any number of bytes.
-
-        Returns:
-            Complete groups without their SYN_REPORT; None stands for a loss of events.
-        """
+        """Complete groups of events, without SYN_REPORT; None stands for a loss of events."""
         data = self._bytes + data
         whole = len(data) - len(data) % EVENT.size
         self._bytes = data[whole:]
