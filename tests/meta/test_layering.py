@@ -147,8 +147,8 @@ BROKEN = {
     ),
     "a core imports the ROS library": (
         "surg_recording/src/surg_recording/metrics.py",
-        "from surg_ros.transport.raw_message import RawMessage\n",
-        "a core must not use ROS (surg_ros.transport.raw_message.RawMessage)",
+        "from surg_ros.transport.direct_publisher import DirectPublisher\n",
+        "a core must not use ROS (surg_ros.transport.direct_publisher.DirectPublisher)",
     ),
     "an unknown package": ("surg_more/a.py", "", "a package that the layering does not know"),
 }

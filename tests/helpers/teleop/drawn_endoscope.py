@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 import surg_core
-from surg_ros.transport.raw_message import RawCycle
+from surg_msgs.msg import Cycle
 from surg_sim.physics.endoscope_rig import camera_poses
 
 Array = NDArray[np.float64]
@@ -60,9 +60,7 @@ class DrawnEndoscope:
         self.topics: list[Any] = [p for image, info, _ in self._out for p in (image, info)]
         for _, info, shift in self._out:
             info.publish(self._info(shift))
-        self.topics.append(
-            rospy.Subscriber("/PSM1/cycle", RawCycle, self._on_cycle, tcp_nodelay=True)
-        )
+        self.topics.append(rospy.Subscriber("/PSM1/cycle", Cycle, self._on_cycle, tcp_nodelay=True))
 
     def _info(self, shift: float) -> CameraInfo:
         cx, cy = (WIDTH - 1) / 2, (HEIGHT - 1) / 2
@@ -70,10 +68,9 @@ class DrawnEndoscope:
         P = [F, 0.0, cx, -F * shift, 0.0, F, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
         return CameraInfo(width=WIDTH, height=HEIGHT, K=K, P=P)
 
-    def _on_cycle(self, raw: RawCycle) -> None:
-        if raw.tick() % EVERY:
+    def _on_cycle(self, cycle: Cycle) -> None:
+        if cycle.tick % EVERY:
             return
-        cycle = raw.read()
         p = self._X_WB[:3, :3] @ np.array(cycle.p_tip) + self._X_WB[:3, 3]
         p_V = self._X_VW[:3, :3] @ p + self._X_VW[:3, 3]
         pair = self._wiring(*(self.draw(p_V, shift) for _, _, shift in self._out))

@@ -82,12 +82,11 @@ class Link:
         from sensor_msgs.msg import JointState
 
         from surg_ros.transport.polled_subscriber import PolledSubscriber
-        from surg_ros.transport.raw_message import RawJointState
 
         self.graph, self.kind = graph, JointState
         self.topic = f"/polled_{next(_names)}"
         self.heard: list[float] = []
-        self.polled = PolledSubscriber(self.topic, RawJointState)
+        self.polled = PolledSubscriber(self.topic, JointState)
         self.make = lambda: rospy.Publisher(self.topic, JointState, queue_size=None)
         self.publisher = self.make()
         self.wait(lambda: self.polled.get_num_connections() == 1 and self._subscribed())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,7 +14,6 @@ from surg_core.contract import GRID  # noqa: E402
 from surg_msgs.msg import Cycle, Ready, TaskState  # noqa: E402
 from surg_ros import participant as module  # noqa: E402
 from surg_ros.participant import Participant, Seen  # noqa: E402
-from surg_ros.transport.raw_message import RawCycle, RawTaskState  # noqa: E402
 
 ARMS = ("PSM1", "PSM2")
 
@@ -34,12 +32,6 @@ class Output:
 def no_graph(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "DirectPublisher", Output)
     monkeypatch.setattr(module.rospy, "get_name", lambda: "/me")
-
-
-def raw(kind: type, tick: int) -> Any:
-    buffer = io.BytesIO()
-    {RawCycle: Cycle, RawTaskState: TaskState}[kind](tick=tick).serialize(buffer)
-    return kind().deserialize(buffer.getvalue())
 
 
 def make(seen: list[Seen], answer: Any = False, **options: Any) -> Participant:
@@ -62,16 +54,16 @@ def test_every_tick_is_answered_once_in_order_whatever_the_interleaving() -> Non
             for at in rng.permutation(len(parts)):
                 kind, arm = parts[at]
                 if kind == "cycle":
-                    node.on_cycle(raw(RawCycle, tick), arm)
+                    node.on_cycle(Cycle(tick=tick), arm)
                 else:
-                    node.on_task(raw(RawTaskState, tick))
+                    node.on_task(TaskState(tick=tick))
         assert [each.tick for each in seen] == list(range(1, 61))
         assert [m.tick for m in node._ready.said] == list(range(2, 62))
         for each in seen:
-            assert {arm: cycle.tick() for arm, cycle in each.cycles.items()} == dict.fromkeys(
+            assert {arm: cycle.tick for arm, cycle in each.cycles.items()} == dict.fromkeys(
                 ARMS, each.tick
             )
-            assert (each.task.tick() if each.task else 0) == (0 if each.tick % GRID else each.tick)
+            assert (each.task.tick if each.task else 0) == (0 if each.tick % GRID else each.tick)
     assert node._ready.said[-1].participant == "me"
     assert list(node._ready.said[-1].sent) == [3, 3]
 
@@ -79,7 +71,7 @@ def test_every_tick_is_answered_once_in_order_whatever_the_interleaving() -> Non
 def test_a_deferred_answer_holds_ready_back() -> None:
     seen: list[Seen] = []
     node = make(seen, answer=None, arms=("PSM1",))
-    node.on_cycle(raw(RawCycle, 1), "PSM1")
+    node.on_cycle(Cycle(tick=1), "PSM1")
     assert len(seen) == 1 and node._ready.said == []
     node.ready()
     assert [m.tick for m in node._ready.said] == [2]
@@ -89,7 +81,7 @@ def test_after_done_it_only_says_ready() -> None:
     seen: list[Seen] = []
     node = make(seen, answer=lambda each: each.tick == 3, arms=("PSM1",))
     for tick in range(1, 10):
-        node.on_cycle(raw(RawCycle, tick), "PSM1")
+        node.on_cycle(Cycle(tick=tick), "PSM1")
     assert [each.tick for each in seen] == [1, 2, 3]
     assert [m.done for m in node._ready.said] == [False, False] + 7 * [True]
     assert [m.tick for m in node._ready.said] == list(range(2, 11)), "the others wait for it"
@@ -99,7 +91,7 @@ def test_without_arms_it_acts_on_the_grid() -> None:
     seen: list[Seen] = []
     node = make(seen, arms=(), task=True)
     for tick in (GRID, GRID + 3, 2 * GRID):
-        node.on_task(raw(RawTaskState, tick))
+        node.on_task(TaskState(tick=tick))
     assert [each.tick for each in seen] == [GRID, 2 * GRID]
     assert [m.tick for m in node._ready.said] == [2 * GRID, 3 * GRID]
 
@@ -107,10 +99,10 @@ def test_without_arms_it_acts_on_the_grid() -> None:
 def test_in_free_run_the_first_arms_cycles_count() -> None:
     seen: list[Seen] = []
     node = make(seen, lockstep=False)
-    node.on_cycle(raw(RawCycle, 10), "PSM1")
+    node.on_cycle(Cycle(tick=10), "PSM1")
     assert node.silent == ["PSM2"] and not seen
-    node.on_cycle(raw(RawCycle, 990), "PSM2")  # its controller counts for itself
+    node.on_cycle(Cycle(tick=990), "PSM2")  # its controller counts for itself
     for tick in (11, 12, 12):
-        node.on_cycle(raw(RawCycle, tick), "PSM1")
+        node.on_cycle(Cycle(tick=tick), "PSM1")
     assert [each.tick for each in seen] == [11, 12]
-    assert seen[-1].cycles["PSM2"].tick() == 990
+    assert seen[-1].cycles["PSM2"].tick == 990

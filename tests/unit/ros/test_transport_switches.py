@@ -11,8 +11,8 @@ from surg_ros.transport import switches
     ("value", "off"),
     [
         ("", set()),
-        ("raw_message", {"raw_message"}),
-        ("raw_message, polled_subscriber", {"raw_message", "polled_subscriber"}),
+        ("direct_publisher", {"direct_publisher"}),
+        ("direct_publisher, polled_subscriber", {"direct_publisher", "polled_subscriber"}),
         ("all", set(switches.NAMES)),
     ],
 )
@@ -26,7 +26,7 @@ def test_only_what_is_named_is_off(
 def test_an_unknown_name_is_an_error_that_lists_what_is_allowed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv(switches.VARIABLE, "raw_messages")
-    with pytest.raises(ValueError, match="raw_messages") as caught:
-        switches.plain("raw_message")
+    monkeypatch.setenv(switches.VARIABLE, "direct_publishers")
+    with pytest.raises(ValueError, match="direct_publishers") as caught:
+        switches.plain("direct_publisher")
     assert all(name in str(caught.value) for name in switches.NAMES)

@@ -1,8 +1,7 @@
 """A declared sender in lock-step: it sees tick k, sends commands for tick k + 1, then says Ready.
 
 Ready carries the running totals of the commands sent, so that simulator and controllers know what
-is still on its way. In most ticks a sender has nothing to say: messages stay bytes until somebody
-reads them, and Ready is packed from a prebuilt layout.
+is still on its way. It is packed from a prebuilt layout, because it is sent in every tick.
 """
 
 from __future__ import annotations
@@ -19,11 +18,10 @@ import rospy
 
 from surg_core.arm_view import ArmView, Array
 from surg_core.contract import GRID, TICK_NS
-from surg_msgs.msg import Ready
+from surg_msgs.msg import Cycle, Ready, TaskState
 from surg_ros.arm_port import ArmPort, arm_view
 from surg_ros.peers import publishers, subscribers
 from surg_ros.transport.direct_publisher import DirectPublisher
-from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
 ASSISTANT = "assistant"
 """Name of the instrument that the simulator itself drives; it has no controller."""
@@ -57,13 +55,13 @@ class Seen:
 
     Attributes:
         tick: The tick.
-        cycles: Control cycle by arm, not read yet.
-        task: The task's state at this tick, not read yet; None off the grid, or not asked for.
+        cycles: Control cycle by arm.
+        task: The task's state at this tick; None off the grid, or not asked for.
     """
 
     tick: int
-    cycles: Mapping[str, RawCycle]
-    task: RawTaskState | None
+    cycles: Mapping[str, Cycle]
+    task: TaskState | None
 
     @property
     def stamp_ns(self) -> int:
@@ -72,7 +70,7 @@ class Seen:
 
     def view(self, arm: str, R_WB: Array | None = None) -> ArmView:
         """What an arm reports; arguments as of `arm_view`."""
-        return arm_view(self.cycles[arm].read(), R_WB)
+        return arm_view(self.cycles[arm], R_WB)
 
 
 class ReadyLayout:
@@ -130,8 +128,8 @@ class Participant:
         self._done = False
         self.tick = 0
         """The tick that was seen last."""
-        self._cycles: dict[str, tuple[int, RawCycle]] = {}
-        self._state: tuple[int, RawTaskState] = (0, RawTaskState())
+        self._cycles: dict[str, tuple[int, Cycle]] = {}
+        self._state: tuple[int, TaskState] = (0, TaskState())
         if lockstep:
             self._ready = DirectPublisher("/sim/ready", Ready, blocking=True, latch=True)
             self._layout = ReadyLayout(rospy.get_name().lstrip("/"), list(self._ports))
@@ -140,12 +138,11 @@ class Participant:
         if listen:
             keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
             self.inputs += [
-                rospy.Subscriber(f"/{arm}/cycle", RawCycle, self.on_cycle, arm, **keys)
-                for arm in arms
+                rospy.Subscriber(f"/{arm}/cycle", Cycle, self.on_cycle, arm, **keys) for arm in arms
             ]
             if task:
                 self.inputs.append(
-                    rospy.Subscriber("/sim/task_state", RawTaskState, self.on_task, **keys)
+                    rospy.Subscriber("/sim/task_state", TaskState, self.on_task, **keys)
                 )
 
     @property
@@ -199,19 +196,19 @@ class Participant:
                 return f"{topic} does not reach {', '.join(away)}"
         return ""
 
-    def on_cycle(self, message: RawCycle, arm: str) -> None:
+    def on_cycle(self, message: Cycle, arm: str) -> None:
         """A control cycle has come."""
         with self._lock:
-            tick = message.tick()
+            tick = message.tick
             if tick > self._cycles.get(arm, (0, None))[0]:
                 self._cycles[arm] = (tick, message)
                 if self._lockstep or arm == self._arms[0]:
                     self._advance()
 
-    def on_task(self, message: RawTaskState) -> None:
+    def on_task(self, message: TaskState) -> None:
         """A state of the task has come."""
         with self._lock:
-            tick = message.tick()
+            tick = message.tick
             # One off the grid ends the episode. It may overtake a cycle: a controller's answer can
             # lead to it before that controller's cycle has come. No participant acts on it.
             if tick > self._state[0] and tick % GRID == 0:
@@ -234,7 +231,7 @@ class Participant:
         if self._done:  # the others' ticks still wait for this Ready
             self.ready(True)
             return
-        cycles = {arm: raw for arm, (_, raw) in self._cycles.items()}
+        cycles = {arm: cycle for arm, (_, cycle) in self._cycles.items()}
         done = self._act(Seen(tick, cycles, self._state[1] if on_grid else None))
         if done is not None:
             self.ready(done)

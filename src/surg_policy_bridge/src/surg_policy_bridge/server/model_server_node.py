@@ -32,7 +32,7 @@ import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import GRID, SECOND_NS, TICK_NS
 from surg_core.status_check import Newest
-from surg_msgs.msg import TeleopStatus
+from surg_msgs.msg import Cycle, TaskState, TeleopStatus
 from surg_policy_bridge.server import operator_first
 from surg_policy_bridge.server.listen_address import BindError
 from surg_policy_bridge.server.model_server import ModelServer, ServerSettings, State
@@ -52,7 +52,6 @@ from surg_ros.arm_port import ArmPort, arm_view
 from surg_ros.camera_topic import camera_topic
 from surg_ros.params import ParamError, read
 from surg_ros.participant import Participant, Seen
-from surg_ros.transport.raw_message import RawCycle, RawTaskState
 
 COMMANDS = ("state_command", "authority/claim", "hold", "jaw/servo_jp", "servo_cp")
 """Topics of an arm that the server publishes."""
@@ -105,7 +104,7 @@ class ModelServerNode:
         self._sources = ObservationSources(settings, cell)
         self._observer = self._sources.observer
         self._serving = False
-        self._cycles: dict[str, tuple[int, RawCycle]] = {}
+        self._cycles: dict[str, tuple[int, Cycle]] = {}
         self._due: int | None = None
         self._episode_over = False
         self._teleop = Newest("/teleop/status")
@@ -139,9 +138,9 @@ class ModelServerNode:
             keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
             return rospy.Subscriber(topic, kind, callback, *arguments, **keys)
 
-        inputs = [listen(f"/{arm}/cycle", RawCycle, self._on_cycle, arm) for arm in settings.arms]
+        inputs = [listen(f"/{arm}/cycle", Cycle, self._on_cycle, arm) for arm in settings.arms]
         if settings.task or settings.privileged:
-            inputs.append(listen("/sim/task_state", RawTaskState, self._on_task_state))
+            inputs.append(listen("/sim/task_state", TaskState, self._on_task_state))
         for camera in settings.cameras:
             keys: dict[str, Any] = {"queue_size": 2, "buff_size": 1 << 24, "tcp_nodelay": True}
             topic = camera_topic(camera)[1]
@@ -153,22 +152,21 @@ class ModelServerNode:
                 listen(f"{source}/operator_present", Joy, self._on_present, source)
         return inputs
 
-    def _on_cycle(self, message: RawCycle, arm: str) -> None:
+    def _on_cycle(self, message: Cycle, arm: str) -> None:
         with self._lock:
             self._cycles[arm] = (time.monotonic_ns(), message)
             if self._participant is not None:
                 self._participant.on_cycle(message, arm)
 
-    def _on_task_state(self, message: RawTaskState) -> None:
+    def _on_task_state(self, message: TaskState) -> None:
         with self._lock:
-            state = message.read()
-            if self._settings.privileged and message.tick() % GRID == 0:
-                self._sources.add_task_state(state)
+            if self._settings.privileged and message.tick % GRID == 0:
+                self._sources.add_task_state(message)
                 self._begin_serving()
-            if state.done and not self._episode_over:
-                self._server.episode_over(bool(state.success), state.reason)
+            if message.done and not self._episode_over:
+                self._server.episode_over(bool(message.success), message.reason)
                 self._rouse()
-            self._episode_over = bool(state.done)
+            self._episode_over = bool(message.done)
             if self._participant is not None:
                 self._participant.on_task(message)
 
@@ -262,9 +260,7 @@ class ModelServerNode:
     def _beat(self, now: int) -> None:
         """Free-run: evaluate, observe, send."""
         views = {
-            arm: arm_view(raw.read())
-            for arm, (at, raw) in self._cycles.items()
-            if now - at <= FRESH
+            arm: arm_view(cycle) for arm, (at, cycle) in self._cycles.items() if now - at <= FRESH
         }
         cause, obstacle = self._refusal()
         commands = self._server.tick(
@@ -330,7 +326,7 @@ class ModelServerNode:
         at, number = tick * TICK_NS, tick // GRID
         # In every state, so that the start of a policy does not depend on rendering time.
         self._await(at, self._sources.image_keys)
-        views = {arm: arm_view(raw.read()) for arm, (_, raw) in self._cycles.items()}
+        views = {arm: arm_view(cycle) for arm, (_, cycle) in self._cycles.items()}
         cause, obstacle = self._refusal()
         commands = self._server.tick(views, at, time.monotonic_ns(), obstacle, cause=cause)
         if self._server.state is State.RUNNING:
@@ -388,7 +384,7 @@ class ModelServerNode:
         """End the session and pause the arms; no exit leaves an arm moving."""
         with self._lock:
             self._server.end("the model server has ended")
-            views = {arm: arm_view(raw.read()) for arm, (_, raw) in self._cycles.items()}
+            views = {arm: arm_view(cycle) for arm, (_, cycle) in self._cycles.items()}
             now = self._now()
             commands = self._server.tick(views, now, time.monotonic_ns())
             self._send(commands, views)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 
 VARIABLE = "SURG_PLAIN_ROS"
-NAMES = ("direct_publisher", "polled_subscriber", "raw_message")
+NAMES = ("direct_publisher", "polled_subscriber")
 
 
 def plain(name: str) -> bool:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import rospy
+from geometry_msgs.msg import TwistStamped
 from sensor_msgs.msg import JointState
 
 import surg_core
@@ -14,7 +15,6 @@ from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import LinkStatus, PointVelocityStamped
 from surg_ros.transport.direct_publisher import DirectPublisher, speakers
 from surg_ros.transport.polled_subscriber import PolledSubscriber
-from surg_ros.transport.raw_message import RawJointState, RawTwist
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.latest_value import LatestValue
 from surg_sim.physics.sim_arm import ArmCommand
@@ -26,6 +26,25 @@ Arrival = tuple[int, Any, Any]
 """A command: stamp [ns], joint velocities or jaw, twist; None where it has no such part."""
 Receiver = Callable[["ArmTopics", str, Arrival], None]
 """Called with the arm, ``robot`` or ``tool``, and the command."""
+
+
+class _Bytes:
+    """Put before a message class: keeps the bytes for the ``unpack`` functions."""
+
+    data = b""
+
+    def deserialize(self, data: bytes) -> Any:
+        """Called by rospy."""
+        self.data = data
+        return self
+
+
+class JointStateBytes(_Bytes, JointState):
+    """A JointState as on the wire."""
+
+
+class TwistBytes(_Bytes, TwistStamped):
+    """A TwistStamped as on the wire."""
 
 
 class ArmTopics:
@@ -64,10 +83,10 @@ class ArmTopics:
         self._lockstep, self._receive = lockstep, receive
         self._polled: list[tuple[PolledSubscriber, Callable[[bytes], None]]] = []
         self.inputs = [
-            self._subscribe("robot/servo_jv", RawJointState, self._on_velocity),
-            self._subscribe("robot/servo_cv", RawTwist, self._on_twist),
+            self._subscribe("robot/servo_jv", JointStateBytes, self._on_velocity),
+            self._subscribe("robot/servo_cv", TwistBytes, self._on_twist),
         ]
-        self.tool_input = self._subscribe("tool/servo_jp", RawJointState, self._on_jaw)
+        self.tool_input = self._subscribe("tool/servo_jp", JointStateBytes, self._on_jaw)
 
     def _subscribe(self, topic: str, kind: type, take: Callable[[bytes], None]) -> Any:
         name = f"/{self.name}/{topic}"

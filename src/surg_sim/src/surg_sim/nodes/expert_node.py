@@ -51,7 +51,7 @@ class ExpertNode:
     def _act(self, seen: Seen) -> bool:
         if seen.task is None:  # off the grid: nobody looks, nobody acts
             return False
-        message = seen.task.read()
+        message = seen.task
         arms = {arm: seen.view(arm) for arm in seen.cycles}
         state = bridge_messages.task_state(message.names, message.values)
         action = self._expert.tick(Observation(seen.tick, arms, state, message.phase))

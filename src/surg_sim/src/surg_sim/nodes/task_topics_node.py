@@ -15,9 +15,9 @@ from sensor_msgs.msg import JointState
 from surg_core.contract import GRID
 from surg_msgs.msg import TaskState, TaskStatus
 from surg_ros.transport.direct_publisher import DirectPublisher
-from surg_ros.transport.raw_message import RawJointState
 from surg_sim.envs.cell_session import FORCE_TICKS
 from surg_sim.nodes import bridge_messages
+from surg_sim.nodes.arm_topics_node import JointStateBytes
 from surg_sim.nodes.command_echo import CommandEcho
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.stability import trouble
@@ -64,7 +64,7 @@ class AssistantTopics:
                 bridge.on_assistant(self, sender, stamp_ns, what, position)
 
             return rospy.Subscriber(
-                f"/assistant/{topic}", RawJointState, callback, tcp_nodelay=True
+                f"/assistant/{topic}", JointStateBytes, callback, tcp_nodelay=True
             )
 
         self._inputs = [listen("servo_jp", "joints", 4), listen("jaw/servo_jp", "jaw", 1)]

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import os
 import signal
-import struct
 import sys
 import threading
 import time
@@ -24,6 +23,7 @@ from typing import Any
 import numpy as np
 import rosgraph
 import rospy
+from genpy import DeserializationError
 from sensor_msgs.msg import JointState, Joy
 from std_msgs.msg import Bool, Float64
 
@@ -36,7 +36,6 @@ from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
 from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
 from surg_ros.transport.polled_subscriber import PolledSubscriber
-from surg_ros.transport.raw_message import RawCycle
 from surg_teleop.follow.endoscope_pose import HeldCamera
 from surg_teleop.follow.message_lateness import Arrivals
 from surg_teleop.follow.pedal_monitor import PedalMonitor
@@ -71,7 +70,7 @@ class TeleopNode:
         self.finished = threading.Event()
         """Set to end the node."""
         self._pedals = PedalMonitor()
-        self._cycles: dict[str, tuple[float, RawCycle]] = {}
+        self._cycles: dict[str, tuple[float, Cycle]] = {}
         self._arrivals = {arm: Arrivals() for arm in setup.heard}
         self._recording = False
         self._picture = PictureWatch(setup.picture)
@@ -87,7 +86,7 @@ class TeleopNode:
                 self._ports, self._on_tick, setup.heard, lock=self._lock
             )
         else:
-            self._polled = {arm: PolledSubscriber(f"/{arm}/cycle", RawCycle) for arm in setup.heard}
+            self._polled = {arm: PolledSubscriber(f"/{arm}/cycle", Cycle) for arm in setup.heard}
         for hand in setup.hands:
             self._wire_hand(hand)
             if isinstance(hand.leader, CrtkLeader):
@@ -118,9 +117,9 @@ class TeleopNode:
         _listen("/console/teleop/set_scale", Float64, self._on_scale, teleops)
         _listen("/record/recording", Bool, self._on_recording)
 
-    def _keep_cycle(self, message: RawCycle, arm: str) -> None:
+    def _keep_cycle(self, message: Cycle, arm: str) -> None:
         # A cycle delayed by the network keeps its true age.
-        received = self._arrivals[arm].of(message.stamp(), time.monotonic())
+        received = self._arrivals[arm].of(message.header.stamp.to_sec(), time.monotonic())
         self._cycles[arm] = (received, message)
 
     def _on_pedal(self, message: Joy, which: tuple[str, str]) -> None:
@@ -211,7 +210,7 @@ class TeleopNode:
         if self.finished.is_set():
             return None
         now = seen.tick * TICK_NS / SECOND_NS
-        self._cycles = {name: (now, raw) for name, raw in seen.cycles.items()}
+        self._cycles = {name: (now, cycle) for name, cycle in seen.cycles.items()}
         self._act(now)
         done = 0.0 < self._setup.duration <= now
         if done:
@@ -223,30 +222,29 @@ class TeleopNode:
         for arm, polled in self._polled.items():
             if messages := polled.fetch():
                 try:
-                    self._keep_cycle(RawCycle().deserialize(messages[-1]), arm)
-                except struct.error as error:
+                    self._keep_cycle(Cycle().deserialize(messages[-1]), arm)
+                except DeserializationError as error:
                     rospy.logwarn_throttle(1.0, f"/{arm}/cycle: unreadable message: {error}")
-        cycles = {name: (received, raw.read()) for name, (received, raw) in self._cycles.items()}
         views = {
             name: arm_view(cycle, setup.bases[name], received)
-            for name, (received, cycle) in cycles.items()
+            for name, (received, cycle) in self._cycles.items()
             if name in setup.bases
         }
         if setup.assistant is not None and (view := setup.assistant.view()) is not None:
             views[ASSISTANT] = view
-        camera = self._camera(cycles)
+        camera = self._camera()
         for hand in setup.hands:
             self._move(hand, now, views, camera)
         picture = "" if setup.lockstep else self._picture.problem(time.monotonic())
         self._status.status(now, picture)
 
-    def _camera(self, cycles: dict[str, tuple[float, Cycle]]) -> CameraView | None:
+    def _camera(self) -> CameraView | None:
         held = self._setup.camera
         if not isinstance(held, HeldCamera):
             return held
-        if held.arm not in cycles:
+        if held.arm not in self._cycles:
             return None
-        received, cycle = cycles[held.arm]
+        received, cycle = self._cycles[held.arm]
         q = np.array(cycle.q)
         if q.shape != (held.chain.dof,):
             return None

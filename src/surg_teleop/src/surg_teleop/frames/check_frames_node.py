@@ -19,10 +19,10 @@ import rosgraph
 import rospy
 
 from surg_core import ConfigError
+from surg_msgs.msg import Cycle
 from surg_ros.arm_port import ArmPort
 from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
-from surg_ros.transport.raw_message import RawCycle
 from surg_teleop.frames.check_task import CheckTask, read_task, report
 from surg_teleop.frames.endoscope_pictures_node import EndoscopePictures, wait_for_eyes
 from surg_teleop.frames.frame_check import FramesCheck, Stage, split
@@ -67,13 +67,13 @@ class CheckNode:
         )
         self._participant.inputs += [
             rospy.Subscriber(
-                f"/{name}/cycle", RawCycle, self._on_cycle, name, queue_size=None, tcp_nodelay=True
+                f"/{name}/cycle", Cycle, self._on_cycle, name, queue_size=None, tcp_nodelay=True
             )
             for name in arms
         ]
         self._participant.inputs += self.eyes.inputs
 
-    def _on_cycle(self, cycle: RawCycle, name: str) -> None:
+    def _on_cycle(self, cycle: Cycle, name: str) -> None:
         with self._lock:
             self._heard[name] = time.monotonic()
             self._participant.on_cycle(cycle, name)
@@ -89,7 +89,7 @@ class CheckNode:
         return self.check.done
 
     def _look(self, seen: Seen) -> None:
-        scope = seen.cycles[self.task.camera.arm].read()
+        scope = seen.cycles[self.task.camera.arm]
         if self.eyes.problem:
             self._port.send(self.check.stop(self.eyes.problem))
         else:
