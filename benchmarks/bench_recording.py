@@ -53,7 +53,8 @@ def in_process(part: str, seconds: float, folder: Path) -> dict[str, Any]:
 
 def lockstep(folder: Path) -> dict[str, Any]:
     """A whole episode with two views in lock-step: complete to the tick?"""
-    from surg_cli.graph.episode_process import real_time_factor
+    from real_time_factor import real_time_factor
+
     from surg_recording.episode import episode_reader
 
     folder.mkdir(parents=True)

@@ -88,7 +88,7 @@ def stereo(pairs: int) -> dict[str, float]:
 
 def through_ros() -> dict[str, float]:
     """One recorded episode with one view."""
-    from surg_cli.graph.episode_process import real_time_factor
+    from real_time_factor import real_time_factor
 
     with tempfile.TemporaryDirectory() as folder:
         factor = real_time_factor(TASK, "ur5e", episode_seeds.TEST.start, Path(folder), "left")

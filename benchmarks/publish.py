@@ -5,8 +5,9 @@ import json
 from types import ModuleType
 from typing import Any
 
+from generated import write_part
+
 from surg_cli.host import paths
-from surg_cli.host.generated import write_part
 from surg_cli.host.terminal import say, table
 
 

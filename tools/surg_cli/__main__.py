@@ -19,22 +19,6 @@ from surg_cli.host.terminal import Problem, say, warn
 READY = "SURG_READY"
 
 
-def make_ready(force: bool = False) -> bool:
-    """Install packages, fill `.venv`, build: only what is not done yet.
-
-    Args:
-        force: Build even when nothing has changed.
-
-    Returns:
-        Whether anything had to be done.
-    """
-    logs = paths.STATE / "logs"
-    done = provision.install_packages(logs / "apt.log")
-    done |= provision.install_python(logs / "pip.log")
-    done |= workspace.build(logs / "build.log", force)
-    return done
-
-
 def run(arguments: Sequence[str]) -> int:
     """Run one command.
 
@@ -54,7 +38,8 @@ def run(arguments: Sequence[str]) -> int:
     if COMMANDS[name].needs_workspace and READY not in os.environ:
         wants_help = any(word in ("-h", "--help") for word in rest)
         if not (wants_help and name != "shell"):
-            make_ready()
+            provision.make_ready()
+            workspace.build(paths.STATE / "logs" / "build.log")
             env = environment.for_nodes()
             python_path = env.get("PYTHONPATH", "")
             env["PYTHONPATH"] = f"{paths.ROOT / 'tools'}:{python_path}".rstrip(":")

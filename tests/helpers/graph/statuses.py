@@ -138,7 +138,7 @@ def heard_by_watch(statuses: Mapping[str, Any], **attributes: Any) -> Any:
         _sim_changed=0.0,
         _recording=False,
         _gave_up={},
-        _faulted=[],
+        _fault=None,
         _errors={},
     )
     watch.__dict__.update(attributes)

@@ -147,7 +147,7 @@ def test_what_is_kept_of_a_roll_out_came_to_its_end(
 ) -> None:
     """The player asks what is there: a node that died is no result."""
     monkeypatch.setenv(rollouts.WEIGHTS, "")  # set by the player
-    plan = SimpleNamespace(run_info={"title": "t", "robot": "ur5e"})
+    plan = SimpleNamespace(run_info={"title": "t", "robot": "ur5e"}, seed=20_000)
     monkeypatch.setattr(rollouts.policy_program, "read", lambda *_: None)
     monkeypatch.setattr(rollouts.episode_plans, "make_plan", lambda *_: plan)
     monkeypatch.setattr(rollouts.episode_plans, "for_episode", lambda *_: plan)
@@ -155,9 +155,9 @@ def test_what_is_kept_of_a_roll_out_came_to_its_end(
     ends = iter((False, True))
     tried: list[bool] = []
 
-    def describe(seed: int, *_: Any) -> dict[str, Any]:
+    def describe(plan: Any, ended: Any) -> dict[str, Any]:
         tried.append(next(ends))
-        return {"rollout": rollout(seed) | {"played": tried[-1]}, "episode": entry(seed)}
+        return {"rollout": rollout(plan.seed) | {"played": tried[-1]}, "episode": entry(plan.seed)}
 
     monkeypatch.setattr(rollouts, "describe", describe)
     player = rollouts.Player("bgr", Path(), None, "phantom", Path("p.py"), Path("w.npz"), False)

@@ -55,11 +55,11 @@ def test_no_other_status_is_a_complete_recording(status: Any, supervisor: Any) -
 
 def test_an_invalid_simulator_status_neither_ends_nor_keeps_a_run(supervisor: Any) -> None:
     done = sim_status("DONE")
-    assert follow.failure(watch(sim=done), supervisor, None) == []
+    assert follow.failure(watch(sim=done), supervisor) == []
     done.version = 9
     heard = watch(sim=done)
     assert heard.sim.state == 0
-    (problem,) = follow.failure(heard, supervisor, None)
+    (problem,) = follow.failure(heard, supervisor)
     assert "version is 9" in problem, "its ticks do not count: the run ends by the stall"
 
 

@@ -104,7 +104,7 @@ def record_stop_succeeds(status: Any) -> bool:
 def record_start_succeeds(status: Any) -> bool:
     recorder = recorder_after(status)
     idle = complete("RecordStatus", {"state": RECORD.STATE_IDLE, "starts": 1})
-    recorder._newest.take(idle, TIME())
+    recorder._on_status(idle, "/record/status")
     facts = dict.fromkeys(("operator", "task", "setting", "seed"))
     return record._start(recorder, options(**facts)) == 0
 
@@ -197,13 +197,8 @@ def waiting_supervisor() -> Any:
 def recorder_after(status: Any) -> record.Recorder:
     """A recorder that answers every switch with this status."""
     made = record.Recorder.__new__(record.Recorder)
-    made.__dict__.update(
-        _lock=threading.Lock(),
-        _newest=newest("/record/status", None),
-        _kind=msg.RecordStatus,
-        say=lambda topic, text: None,
-    )
-    made.switch = lambda on: made._newest.take(status, TIME())  # type: ignore[method-assign]
+    made.__dict__.update(heard_by_watch({}).__dict__)
+    made.record = lambda on: made._on_status(status, "/record/status")  # type: ignore[method-assign]
     return made
 
 

@@ -7,6 +7,7 @@ import dataclasses
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -169,9 +170,8 @@ def test_a_roll_out_is_told_from_what_its_process_left(recorded: Path, tmp_path:
     shutil.copytree(recorded / str(SEEDS[0]), tmp_path / "episode")
     file = tmp_path / cli_episode.OUTCOME
     file.write_text(json.dumps(dataclasses.asdict(ended)), "utf-8")
-    found = cli_rollouts.describe(
-        SEEDS[0], "phantom", tmp_path, episode_process.read_outcome(tmp_path, "")
-    )
+    plan = SimpleNamespace(seed=SEEDS[0], setting="phantom", law="ours", out=tmp_path)
+    found = cli_rollouts.describe(plan, episode_process.read_outcome(tmp_path, ""))
     rollout = json.loads(json.dumps(found["rollout"]))
     assert (rollout["success"], rollout["reason"], rollout["played"]) == (False, "time limit", True)
     assert {name: rollout[name] for name in status} == status
@@ -181,7 +181,8 @@ def test_a_roll_out_is_told_from_what_its_process_left(recorded: Path, tmp_path:
     # A process that left nothing: not played, never a success, and nothing is called safe.
     nothing = tmp_path / "nothing"
     ended = episode_process.read_outcome(nothing, "the graph did not come up")
-    lost = cli_rollouts.describe(7, "phantom", nothing, ended)
+    plan.out = nothing
+    lost = cli_rollouts.describe(plan, ended)
     assert not lost["rollout"]["played"] and not lost["rollout"]["success"]
     assert "the graph did not come up" in lost["rollout"]["reason"]
     assert lost["rollout"]["unsafe"] is None

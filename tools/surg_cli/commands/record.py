@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import threading
 import time
 from typing import Any
 
-from surg_cli.graph import master, processes, running
+from surg_cli.graph import follow, master, processes, running
+from surg_cli.graph.watch import Watch
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say, warn
 
@@ -20,6 +20,7 @@ ACTIONS = {
     "tag": "note TEXT at this moment",
     "stage": "the stage TEXT begins now",
 }
+STATUS = "/record/status"
 CONNECT_S = 5.0
 START_S = 20.0
 STOP_S = 120.0
@@ -50,11 +51,8 @@ def main(options: argparse.Namespace, command: str) -> int:
     judged = options.success or options.failure is not None
     if judged and action != "stop":
         raise Problem("--success and --failure belong to record stop", 2)
-    recorder = Recorder(_port(options.port))
-    try:
+    with Recorder(_port(options.port)) as recorder:
         return _do(recorder, action, options)
-    finally:
-        recorder.close()
 
 
 def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:
@@ -69,7 +67,7 @@ def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:
         raise Problem(f"record {action}: nothing is being recorded (./surg record start)")
     if action == "stop":
         return _stop(recorder, options)
-    recorder.say("tag", json.dumps({action: options.text}))
+    recorder.publish("tag", {action: options.text})
     say(f"record: {action} {options.text!r}")
     return 0
 
@@ -81,12 +79,11 @@ def _start(recorder: Recorder, options: argparse.Namespace) -> int:
     facts = {k: getattr(options, k) for k in ("operator", "task", "setting", "seed")}
     known = {key: value for key, value in facts.items() if value is not None}
     if known:
-        recorder.say("info", json.dumps(known))
-        time.sleep(0.2)  # another topic: it must be there before the start
-    recorder.switch(True)
+        recorder.publish("info", known)
+    recorder.record(True)
     with Progress("record"):
         answered = processes.wait_until(
-            lambda: recorder.valid.starts not in (0, status.starts), START_S
+            lambda: recorder.record_status.starts not in (0, status.starts), START_S
         )
     begun = recorder.status
     if not answered or begun.state != begun.STATE_RECORDING:
@@ -97,12 +94,10 @@ def _start(recorder: Recorder, options: argparse.Namespace) -> int:
 
 def _stop(recorder: Recorder, options: argparse.Namespace) -> int:
     if options.success or options.failure is not None:
-        verdict = {"success": options.success, "reason": options.failure or ""}
-        recorder.say("tag", json.dumps(verdict))
-        time.sleep(0.2)
-    recorder.switch(False)
+        recorder.publish("tag", {"success": options.success, "reason": options.failure or ""})
+    recorder.record(False)
     with Progress("record"):
-        done = processes.wait_until(lambda: _idle(recorder.valid), STOP_S)
+        done = processes.wait_until(lambda: follow.recorder_idle(recorder), STOP_S)
     if not done:
         raise Problem(f"record stop: not finished after {STOP_S:g} s; ./surg record status")
     status = recorder.status
@@ -113,10 +108,6 @@ def _stop(recorder: Recorder, options: argparse.Namespace) -> int:
         warn(f"surg: incomplete: {status.detail}")
         return 1
     return 0
-
-
-def _idle(status: Any) -> bool:
-    return bool(status.state == status.STATE_IDLE)
 
 
 def _show(status: Any) -> None:
@@ -149,41 +140,34 @@ def _port(given: int | None) -> int:
     return systems[0].port
 
 
-class Recorder:
-    """The recorder of a running system, over its topics."""
+class Recorder(Watch):
+    """The recorder of a running system, over its topics.
+
+    Raises:
+        Problem: There is no master at this port, or no recorder.
+    """
 
     def __init__(self, port: int) -> None:
-        """Become a ROS node and find the recorder.
-
-        Raises:
-            Problem: There is no master, or no recorder.
-        """
         uri = f"http://localhost:{port}"
         master.nodes(uri)
         os.environ["ROS_MASTER_URI"] = uri
+        super().__init__((), "surg_record")
         import rospy
-        from std_msgs.msg import Bool, String
+        from std_msgs.msg import String
 
-        from surg_core.status_check import Newest
-        from surg_msgs.msg import RecordStatus
-
-        rospy.init_node("surg_record", anonymous=True, disable_signals=True)
-        self._lock = threading.Lock()
-        self._newest, self._kind = Newest("/record/status"), RecordStatus
-        self._bool, self._string = Bool, String
-        self._switch = rospy.Publisher("/record/record", Bool, queue_size=1)
-        self._said = {
+        self._texts = {
             name: rospy.Publisher(f"/record/{name}", String, queue_size=10)
             for name in ("tag", "info")
         }
-        self._ear = rospy.Subscriber("/record/status", RecordStatus, self._hear)
-        ends = [self._switch, *self._said.values()]
-        if not processes.wait_until(
-            lambda: not self._problem() and all(e.get_num_connections() > 0 for e in ends),
-            CONNECT_S,
-        ):
-            self.close()
-            why = f" ({problem})" if (problem := self._problem()) else ""
+        publishers = [self._record_switch, *self._texts.values()]
+
+        def connected() -> bool:
+            reached = all(publisher.get_num_connections() > 0 for publisher in publishers)
+            return reached and not self.problem(STATUS)
+
+        if not processes.wait_until(connected, CONNECT_S):
+            why = f" ({problem})" if (problem := self.problem(STATUS)) else ""
+            rospy.signal_shutdown("no recorder")
             raise Problem(f"no recorder runs beside the ROS master at {uri}{why}")
 
     @property
@@ -193,36 +177,11 @@ class Recorder:
         Raises:
             Problem: There is none that is valid and fresh.
         """
-        if problem := self._problem():
+        if problem := self.problem(STATUS):
             raise Problem(f"the recorder's status must not be acted on: {problem}")
-        with self._lock:
-            return self._newest.valid
+        return self.record_status
 
-    @property
-    def valid(self) -> Any:
-        """The newest valid one, however old; a default one, which is in no state: none."""
-        with self._lock:
-            return self._newest.valid or self._kind()
-
-    def _problem(self) -> str:
-        with self._lock:
-            return str(self._newest.problem(time.monotonic()))
-
-    def switch(self, on: bool) -> None:
-        """Start or stop."""
-        self._switch.publish(self._bool(on))
-
-    def say(self, topic: str, text: str) -> None:
-        """Publish a text on /record/TOPIC."""
-        self._said[topic].publish(self._string(text))
-
-    def close(self) -> None:
-        """Leave the graph."""
-        import rospy
-
-        time.sleep(0.1)  # what was published last must leave this process
-        rospy.signal_shutdown("surg is done")
-
-    def _hear(self, message: Any) -> None:
-        with self._lock:
-            self._newest.take(message, time.monotonic())
+    def publish(self, topic: str, content: dict[str, Any]) -> None:
+        """Publish JSON on /record/TOPIC."""
+        self._texts[topic].publish(json.dumps(content))
+        time.sleep(0.2)  # a start or stop on another topic must not overtake it

@@ -16,11 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """Set up the machine; build for `build`."""
-    logs = paths.STATE / "logs"
-    done = provision.install_packages(logs / "apt.log")
-    done |= provision.install_python(logs / "pip.log")
+    done = provision.make_ready()
     if command == "build":
-        done |= workspace.build(logs / "build.log", options.force)
+        done |= workspace.build(paths.STATE / "logs" / "build.log", options.force)
     if not done:
         say(f"{command}: nothing to do")
     return 0

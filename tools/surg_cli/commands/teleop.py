@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import argparse
 import os
-import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 from surg_cli.graph import (
     follow,
@@ -33,7 +32,6 @@ from surg_cli.host.terminal import Problem, Progress, say
 
 DEFAULT_CELL = "sim_two_arms"
 TASK_OF_TWO_ARMS = "bgr"
-START_TIMEOUT_S = 60.0
 
 
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
@@ -93,10 +91,10 @@ def main(options: argparse.Namespace, command: str) -> int:
     with processes.orphans_adopted(), processes.Supervisor(env, logs) as supervisor:
         if attached is not None:
             supervisor.env["ROS_MASTER_URI"] = attached.master_uri
-            return _keep(plan, supervisor, nodes, fragment, None, place)
+            _keep(plan, supervisor, nodes, fragment, None, place)
         master.start(supervisor, options.port)
         with running.announced(command, options.port, plan.cell, logs) as entry:
-            return _keep(plan, supervisor, [*_phantom(plan), *nodes], fragment, entry)
+            _keep(plan, supervisor, [*_phantom(plan), *nodes], fragment, entry)
 
 
 def _place(attached: running.System, options: argparse.Namespace) -> roles.Link | None:
@@ -272,7 +270,7 @@ def _keep(
     fragment: str,
     entry: running.System | None,
     place: roles.Link | None = None,
-) -> int:
+) -> NoReturn:
     """Start the nodes and stay until a signal arrives or a node dies."""
     for node in nodes:
         system.start(supervisor, node)
@@ -288,10 +286,7 @@ def _keep(
         if plan.record:
             say(f"Episodes: {plan.out}.")
         say(f"Logs: {supervisor.logs}. Ctrl-C ends everything started here.")
-        while True:
-            time.sleep(0.1)
-            follow.raise_if_failed(watch, supervisor)
-            follow.pass_on_news(watch, entry)
+        follow.keep(watch, supervisor, entry)
 
 
 def _await_page(
@@ -299,23 +294,14 @@ def _await_page(
 ) -> str:
     """Wait until every arm has a state and the page is served; returns its address."""
     console = supervisor.children[-1]
-    deadline = time.monotonic() + START_TIMEOUT_S
-    while True:
+    begin, address = "console: http", ""
+
+    def missing() -> list[str]:
+        nonlocal address
         follow.raise_if_failed(watch, supervisor)
-        address = next(
-            (
-                line.removeprefix("console: ")
-                for line in console.log_tail(50).splitlines()
-                if line.startswith("console: http")
-            ),
-            "",
-        )
-        states = watch.states
-        missing = [arm for arm in plan.arms if arm not in states] + ["the page"] * (not address)
-        if not missing:
-            return address
-        if time.monotonic() > deadline:
-            waited = f"waited {START_TIMEOUT_S:.0f} s for {', '.join(missing)}"
-            raise Problem(f"{waited}; see {supervisor.logs}")
-        progress.update(None, f"waiting for {', '.join(missing)}")
-        time.sleep(0.05)
+        lines = [line for line in console.log_tail(50).splitlines() if line.startswith(begin)]
+        address = lines[0].removeprefix("console: ") if lines else ""
+        return [arm for arm in plan.arms if arm not in watch.states] + ["the page"] * (not lines)
+
+    follow.wait_for(missing, supervisor, progress.update)
+    return address

@@ -6,9 +6,9 @@ import argparse
 import datetime
 import os
 import shlex
-import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NoReturn
 
 from surg_cli.graph import follow, join, master, network, processes, roles, running, system
 from surg_cli.graph.system import Plan
@@ -17,7 +17,6 @@ from surg_cli.host import cells, environment, paths
 from surg_cli.host.option_types import tcp_port
 from surg_cli.host.terminal import Problem, Progress, say
 
-START_TIMEOUT_S = 60.0
 READY_TICKS = 100
 """Ticks of the simulator after which every controller has received its link's state."""
 RECORDED = (
@@ -148,7 +147,7 @@ def _print_lines(plan: Plan, link: roles.Link | None, leader: str) -> int:
     return 0
 
 
-def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> int:
+def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> NoReturn:
     """Start all nodes and stay until a signal arrives or a node dies."""
     env = environment.for_nodes(ros_home=logs / "ros")
     if link is not None:
@@ -170,40 +169,23 @@ def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> int:
                 if link is not None:
                     network.refuse_foreign_ports(supervisor.children, link)
                 _greet(plan, port, logs, link)
-                while True:
-                    time.sleep(0.1)
-                    follow.raise_if_failed(watch, supervisor)
-                    follow.pass_on_news(watch, entry)
+                follow.keep(watch, supervisor, entry)
 
 
 def _await_arms(
     plan: Plan, watch: Watch, supervisor: processes.Supervisor, progress: Progress
 ) -> None:
-    """Wait until every arm has a state and a robot_description, and its controller has its link.
-
-    Raises:
-        Problem: When a node ends meanwhile, or after a minute.
-    """
+    """Wait until every arm has a state and a robot_description, and its controller has its link."""
     uri = supervisor.env["ROS_MASTER_URI"]
-    deadline = time.monotonic() + START_TIMEOUT_S
-    while True:
-        states = watch.states
-        missing = [arm for arm in plan.arms if arm not in states]
+
+    def missing() -> list[str]:
+        found = [arm for arm in plan.arms if arm not in watch.states]
         if not plan.lockstep and watch.sim.tick < READY_TICKS:
-            missing.append("the simulator")  # "enable" would be refused
-        described = all(
-            master.call(uri, "hasParam", f"/{arm}/robot_description") for arm in plan.arms
-        )
-        if not missing and described:
-            return
-        follow.raise_if_dead(supervisor)
-        if time.monotonic() > deadline:
-            raise Problem(
-                f"waited {START_TIMEOUT_S:.0f} s for {', '.join(missing) or 'robot_description'}; "
-                f"see {supervisor.logs}"
-            )
-        progress.update(None, f"waiting for {', '.join(missing) or 'robot_description'}")
-        time.sleep(0.05)
+            found.append("the simulator")  # "enable" would be refused
+        descriptions = [f"/{arm}/robot_description" for arm in plan.arms]
+        return found + [name for name in descriptions if not master.call(uri, "hasParam", name)]
+
+    follow.wait_for(missing, supervisor, progress.update)
 
 
 def _greet(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> None:

@@ -11,10 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import episode_plans, processes, task_episode
+from surg_cli.graph import processes, task_episode
 from surg_cli.graph.system import Plan
-from surg_cli.host import cells
-from surg_cli.host.terminal import Problem, Progress
 
 EPISODE_TIMEOUT_S = 1800.0
 """[s] wall clock: longest an episode may take, start and report included."""
@@ -76,21 +74,9 @@ def run_process(folder: Path, show: Callable[[float, str], None]) -> str:
 
 def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
     """The entry of an episode in the summary; writes its report beside its recording."""
-    from surg_recording.episode import episode_reader as episodes
-    from surg_recording.recording_errors import EpisodeError
-    from surg_recording.reports import run_report, trials
+    from surg_recording.reports import run_report
 
-    outcome = trials.Outcome(
-        ended.success, ended.reason, ended.phase, ended.duration_s, ended.played
-    )
-    try:
-        recorded = episodes.read(plan.out / "episode")
-        entry = trials.describe(plan.seed, plan.setting, plan.law, outcome, recorded)
-        run_report.make(plan.out)
-    except EpisodeError as error:
-        reason = "; ".join(filter(None, (ended.reason, str(error))))
-        outcome = replace(outcome, played=False, success=False, reason=reason)
-        entry = trials.describe(plan.seed, plan.setting, plan.law, outcome, None)
+    entry, _ = measure(plan, ended, lambda _, recorded: recorded and run_report.make(plan.out))
     entry["real_time_factor"] = ended.real_time_factor
     if plan.policy is not None:
         entry["policy"] = ended.policy
@@ -98,27 +84,26 @@ def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
     return entry
 
 
-def real_time_factor(task: str, robot: str, seed: int, out: Path, cameras: str = "left") -> float:
-    """Simulated by wall time of one recorded episode through the graph.
+def measure(
+    plan: Plan, ended: task_episode.Ended, also: Callable[[dict[str, Any], Any], Any]
+) -> tuple[dict[str, Any], Any]:
+    """The entry of an episode by `trials.describe`, and the result of ``also(entry, recording)``.
 
-    Args:
-        task: Its name.
-        robot: As for `--robot`.
-        seed: Of the episode.
-        out: Empty folder for it.
-        cameras: Which views of 640 x 480 at 20 fps are rendered and recorded.
-
-    Raises:
-        Problem: The episode was not played to its end.
+    A recording that cannot be read is None, and the episode was not played.
     """
-    condition = episode_plans.Condition("phantom", "ours")
-    cell = episode_plans.find_cell(robot)
-    views = episode_plans.VIEWS[cameras]
-    plan = episode_plans.make_plan(task, cell, cells.load(cell), [condition], seed, views, out)
-    plan = episode_plans.for_episode(plan, condition, seed, out)
-    with Progress("episode") as progress:
-        ended = run_episode(plan, lambda seconds, note: progress.update(None, f"{seconds:.1f} s"))
-    entry = describe(plan, ended)
-    if not entry["played"] or ended.real_time_factor is None:
-        raise Problem(f"no rate: {entry['failure_reason'] or 'the episode is too short'}")
-    return ended.real_time_factor
+    from surg_recording.episode import episode_reader
+    from surg_recording.recording_errors import EpisodeError
+    from surg_recording.reports import trials
+
+    def entry(outcome: trials.Outcome, recorded: Any) -> tuple[dict[str, Any], Any]:
+        made = trials.describe(plan.seed, plan.setting, plan.law, outcome, recorded)
+        return made, also(made, recorded)
+
+    outcome = trials.Outcome(
+        ended.success, ended.reason, ended.phase, ended.duration_s, ended.played
+    )
+    try:
+        return entry(outcome, episode_reader.read(plan.out / "episode"))
+    except EpisodeError as error:
+        reason = "; ".join(filter(None, (ended.reason, str(error))))
+        return entry(replace(outcome, played=False, success=False, reason=reason), None)

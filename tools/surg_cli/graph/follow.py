@@ -3,38 +3,29 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
+from typing import NoReturn
 
 from surg_cli.graph import processes, running, system
 from surg_cli.graph.watch import Watch
 from surg_cli.host.terminal import Problem, say
 
 START_TIMEOUT_S = 60.0
+LOOK_S = 0.05
 STALL_TIMEOUT_S = 30.0
 FIRST_TICK_TIMEOUT_S = system.CAMERA_START_S + 15.0
 """The simulator waits for everybody, gives up itself before that, and names who is missing."""
 RECORDER_TIMEOUT_S = 120.0
-FAULT_GRACE_S = 1.0
 STATUS_TIMEOUT_S = 5.0
 """The status comes on a connection of its own, perhaps after the flag."""
 
 
 def failure(
-    watch: Watch,
-    supervisor: processes.Supervisor,
-    fault_at: float | None,
-    may_end: Collection[str] = (),
+    watch: Watch, supervisor: processes.Supervisor, may_end: Collection[str] = ()
 ) -> list[str]:
-    """Why a run must end now.
+    """Why a run must end now, beside an arm in FAULT; empty while all is well.
 
-    Args:
-        watch: What the system says.
-        supervisor: Its processes.
-        fault_at: Steady clock [s] when the first FAULT was seen; it gets time to explain itself.
-        may_end: Names of nodes that may end by themselves, well, while the run goes on.
-
-    Returns:
-        Sentences; empty while all is well.
+    Nodes in ``may_end`` may end with exit status 0 while the run goes on.
     """
     sim = watch.sim
     if sim.state == sim.STATE_ABORTED:
@@ -44,16 +35,12 @@ def failure(
     dead = supervisor.first_dead()
     if dead is not None and not (dead.name in may_end and dead.exit_code == 0):
         return [death_notice(dead)]
-    if fault_at is not None and time.monotonic() - fault_at > FAULT_GRACE_S:
-        arm = watch.faulted[0]
-        return [f"{arm} went into FAULT: {watch.last_error(arm) or 'it gave no reason'}"]
-    tick = sim.tick
-    limit = FIRST_TICK_TIMEOUT_S if tick == 1 else STALL_TIMEOUT_S
-    if watch.stalled_s > limit and not sim.state:
+    limit = FIRST_TICK_TIMEOUT_S if sim.tick == 1 else STALL_TIMEOUT_S
+    if watch.stalled_s <= limit:
+        return []
+    if not sim.state:
         return [f"the simulator's status is missing: {watch.problem('/sim/status')}"]
-    if watch.stalled_s > limit:
-        return [f"the simulator has stood still for {limit:.0f} s at tick {tick}"]
-    return []
+    return [f"the simulator has stood still for {limit:.0f} s at tick {sim.tick}"]
 
 
 def finish_recording(watch: Watch, supervisor: processes.Supervisor) -> list[str]:
@@ -133,27 +120,40 @@ def pass_on_news(watch: Watch, entry: running.System | None) -> None:
         entry.save()
 
 
-def wait_for(
-    condition: Callable[[], bool],
-    supervisor: processes.Supervisor,
-    progress: Callable[[float, str], None],
-    what: str,
-) -> None:
-    """Wait for a condition while the system starts.
+def keep(watch: Watch, supervisor: processes.Supervisor, entry: running.System | None) -> NoReturn:
+    """Stay until a signal arrives or a node dies; print what the arms report."""
+    while True:
+        time.sleep(0.1)
+        raise_if_failed(watch, supervisor)
+        pass_on_news(watch, entry)
 
-    Args:
-        condition: Becomes true.
-        supervisor: Of the starting processes.
-        progress: Told what is waited for.
-        what: In words.
+
+def wait_for(
+    missing: Callable[[], Sequence[str]],
+    supervisor: processes.Supervisor,
+    progress: Callable[[float | None, str], None],
+    timeout_s: float = START_TIMEOUT_S,
+) -> None:
+    """Wait while the system starts, until nothing is missing.
 
     Raises:
-        Problem: When a node ends meanwhile (its exit code is kept), or after a minute.
+        Problem: A node has ended (its exit code is kept), or the time is over: names what is
+            missing.
     """
-    deadline = time.monotonic() + START_TIMEOUT_S
-    while not condition():
+    deadline = time.monotonic() + timeout_s
+    while names := ", ".join(missing()):
         raise_if_dead(supervisor)
         if time.monotonic() > deadline:
-            raise Problem(f"waited {START_TIMEOUT_S:.0f} s for {what}; see {supervisor.logs}")
-        progress(0.0, f"waiting for {what}")
-        time.sleep(0.02)
+            raise Problem(f"waited {timeout_s:.0f} s for {names}; see {supervisor.logs}")
+        progress(None, f"waiting for {names}")
+        time.sleep(LOOK_S)
+
+
+def start_recording(
+    watch: Watch,
+    supervisor: processes.Supervisor,
+    progress: Callable[[float | None, str], None],
+) -> None:
+    """Start the recorder and wait until it records."""
+    watch.record(True)
+    wait_for(lambda: [] if watch.recording else ["the recorder"], supervisor, progress)

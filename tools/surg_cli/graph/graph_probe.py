@@ -1,22 +1,28 @@
 """What a running ROS graph offers: topics and services with type, md5, direction, latching.
 
-Asks the master, and each publisher and service by the first words of ROS's own TCP protocol. No
-rospy: nothing is subscribed, nobody's queue fills.
+Asks the master, and each publisher and service by the connection header of ROS's TCP protocol. No
+rospy: nothing is subscribed, so nobody's queue fills.
 """
 
 from __future__ import annotations
 
+import io
 import socket
-import struct
 import xmlrpc.client
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlparse
 
+from rosgraph.network import (
+    ROSHandshakeException,
+    encode_ros_handshake_header,
+    read_ros_handshake_header,
+)
+
 from surg_cli.graph import master
 
 CALLER = "/surg_cli"
-_PATIENCE = 5.0  # [s]
+TIMEOUT_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,8 @@ def observe(uri: str) -> list[Seen]:
     ]
     for topic, nodes in publishers:
         for node in nodes:
-            words = _publisher_words(master.call(uri, "lookupNode", node), topic)
+            link, words = connect(master.call(uri, "lookupNode", node), topic)
+            link.close()
             latched = words.get("latching", "0") == "1"
             seen.append(Seen(topic, node, "out", words["type"], words["md5sum"], latched))
     for service, nodes in services:
@@ -70,12 +77,6 @@ def observe(uri: str) -> list[Seen]:
         link.close()
         seen += [Seen(service, node, "service", words["type"], words["md5sum"]) for node in nodes]
     return sorted(seen, key=lambda s: (s.name, s.node, s.direction))
-
-
-def _publisher_words(node_uri: str, topic: str) -> dict[str, str]:
-    link, words = connect(node_uri, topic)
-    link.close()
-    return words
 
 
 def connect(node_uri: str, topic: str) -> tuple[socket.socket, dict[str, str]]:
@@ -101,33 +102,13 @@ def connect(node_uri: str, topic: str) -> tuple[socket.socket, dict[str, str]]:
 
 def _greet(host: str, port: int, words: dict[str, str]) -> tuple[socket.socket, dict[str, str]]:
     """Connect and send one connection header; the connection and the other side's header."""
-    fields = [f"{key}={value}".encode() for key, value in {"callerid": CALLER, **words}.items()]
-    header = b"".join(struct.pack("<I", len(field)) + field for field in fields)
-    link = socket.create_connection((host, port), timeout=_PATIENCE)
+    link = socket.create_connection((host, port), timeout=TIMEOUT_S)
     try:
-        link.sendall(struct.pack("<I", len(header)) + header)
-        (length,) = struct.unpack("<I", _read(link, 4))
-        return link, _words(_read(link, length))
+        link.sendall(encode_ros_handshake_header({"callerid": CALLER, **words}))
+        return link, read_ros_handshake_header(link, io.BytesIO(), 4096)
+    except ROSHandshakeException as error:
+        link.close()
+        raise OSError(str(error)) from error
     except BaseException:
         link.close()
         raise
-
-
-def _words(data: bytes) -> dict[str, str]:
-    answer, at = {}, 0
-    while at < len(data):
-        (size,) = struct.unpack_from("<I", data, at)
-        key, _, value = data[at + 4 : at + 4 + size].decode().partition("=")
-        answer[key] = value
-        at += 4 + size
-    return answer
-
-
-def _read(link: socket.socket, count: int) -> bytes:
-    data = b""
-    while len(data) < count:
-        more = link.recv(count - len(data))
-        if not more:
-            raise OSError(f"the connection ended after {len(data)} of {count} bytes")
-        data += more
-    return data

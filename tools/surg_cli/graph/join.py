@@ -145,17 +145,14 @@ def _await_master(place: roles.Link) -> None:
     Raises:
         Problem: It does not answer within the role's time-out.
     """
-    deadline = time.monotonic() + place.waits.master
-    with Progress("up") as progress:
-        while not master.alive(place.uri):
-            if time.monotonic() > deadline:
-                raise Problem(
-                    f"no ROS master answered at {place.uri} within {place.waits.master:.0f} s: "
-                    "start the robot's machine with --role robot, and check the cable and "
-                    f"machines.robot = {place.robot}"
-                )
-            progress.update(None, f"waiting for the robot's machine, {place.uri}")
-            time.sleep(ASK_S)
+    patience = place.waits.master
+    with Progress(f"up: waiting for the robot's machine, {place.uri}"):
+        if not processes.wait_until(lambda: master.alive(place.uri), patience, ASK_S):
+            raise Problem(
+                f"no ROS master answered at {place.uri} within {patience:.0f} s: start the robot's "
+                "machine with --role robot, and check the cable and machines.robot = "
+                f"{place.robot}"
+            )
 
 
 def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
+import math
 from collections.abc import Callable
 from pathlib import Path
 
 from surg_cli.graph import follow, master, system
-from surg_cli.graph.processes import Child, Supervisor
+from surg_cli.graph.processes import Supervisor
 from surg_cli.graph.system import Plan, Policy
 from surg_cli.graph.watch import Watch
 from surg_cli.host import paths
@@ -55,7 +55,7 @@ def connect(
     plan: Plan,
     supervisor: Supervisor,
     watch: Watch,
-    progress: Callable[[float, str], None],
+    progress: Callable[[float | None, str], None],
 ) -> None:
     """Start the model server and the client, and wait until one has connected.
 
@@ -76,24 +76,15 @@ def connect(
         argv = [str(paths.VENV_PYTHON), "-s", policy.script, "--server", policy.address]
         argv += ["--keys", policy.keys] if policy.keys else []
         client = supervisor.start(CLIENT, argv, essential=False)
-    deadline = time.monotonic() + CLIENT_TIMEOUT_S
-    while not watch.policy.waiting:
-        follow.raise_if_dead(supervisor)
-        if client is not None:
-            _check(client, deadline)
-        progress(0.0, f"waiting for a policy at {policy.address}")
-        time.sleep(0.05)
+    waited_for = f"a policy at {policy.address}"
 
+    def missing() -> list[str]:
+        if client is not None and client.exit_code is not None:
+            raise Problem(f"the policy's script ended before it connected:\n{client.log_tail()}")
+        return [] if watch.policy.waiting else [waited_for]
 
-def _check(client: Child, deadline: float) -> None:
-    """The script runs, and has still time to connect."""
-    if client.exit_code is not None:
-        raise Problem(f"the policy's script ended before it had connected:\n{client.log_tail()}")
-    if time.monotonic() > deadline:
-        raise Problem(
-            f"the policy's script has not connected for {CLIENT_TIMEOUT_S:.0f} s:\n"
-            f"{client.log_tail()}"
-        )
+    timeout_s = math.inf if client is None else CLIENT_TIMEOUT_S
+    follow.wait_for(missing, supervisor, progress, timeout_s)
 
 
 def absent(supervisor: Supervisor, watch: Watch) -> list[str]:

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from surg_cli.graph import processes
-from surg_cli.host import paths
+from surg_cli.graph import master, processes
+from surg_cli.host import environment, paths
 
 
 @dataclass
@@ -104,6 +104,23 @@ def announced(
         yield system
     finally:
         system.file.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def launched(
+    command: str, cell: Path, out: Path, port: int | None = None
+) -> Iterator[tuple[processes.Supervisor, System]]:
+    """A ROS master under a supervisor, listed as running; all children end with the context.
+
+    This process becomes part of the same graph. Logs go to ``out``; without a port a free one.
+    """
+    env = environment.for_nodes(ros_home=out / "logs" / "ros")
+    with processes.orphans_adopted(), processes.Supervisor(env, out / "logs") as supervisor:
+        port = port or master.free_port()
+        master.start(supervisor, port)
+        os.environ.update(supervisor.env)
+        with announced(command, port, cell, supervisor.logs) as entry:
+            yield supervisor, entry
 
 
 def systems() -> list[System]:

@@ -8,7 +8,6 @@ it prints a JSON object per line on how far it is.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -16,18 +15,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from surg_cli.graph import follow, master, policy_program, processes, running, system
+from surg_cli.graph import follow, policy_program, processes, running, system
 from surg_cli.graph.status_records import policy_record
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
-from surg_cli.host import environment, paths
+from surg_cli.host import paths
 from surg_cli.host.terminal import Problem, warn
 
 PLAN, OUTCOME = "plan.json", "outcome.json"
 WARM_UP_S = 0.5
 """[s simulated] The rate is measured from here on."""
-END_GRACE_S = 5.0
-"""[s] How long the last status may take after the simulator has stopped."""
 
 
 @dataclass(frozen=True)
@@ -78,46 +75,33 @@ def play(plan: Plan) -> Ended:
     Raises:
         Problem: The graph does not come up.
     """
-    env = environment.for_nodes(ros_home=plan.out / "logs" / "ros")
-    with processes.orphans_adopted(), processes.Supervisor(env, plan.out / "logs") as supervisor:
-        port = master.free_port()
-        master.start(supervisor, port)
-        with running.announced("run", port, plan.cell, supervisor.logs) as entry:
-            os.environ.update(supervisor.env)
-            senders = [name for name in plan.senders if name != system.POLICY]
-            with Watch(plan.arms, senders=senders) as watch:
-                if plan.policy is not None:
-                    policy_program.connect(plan, supervisor, watch, _progress)
-                watch.begin()
-                for node in [*system.nodes(plan), *system.senders(plan)]:
-                    system.start(supervisor, node)
-                entry.list_nodes(supervisor.children)
-                return _follow(plan, supervisor, watch)
+    with running.launched("run", plan.cell, plan.out) as (supervisor, entry):
+        senders = [name for name in plan.senders if name != system.POLICY]
+        with Watch(plan.arms, senders=senders) as watch:
+            if plan.policy is not None:
+                policy_program.connect(plan, supervisor, watch, _progress)
+            watch.begin()
+            for node in [*system.nodes(plan), *system.senders(plan)]:
+                system.start(supervisor, node)
+            entry.list_nodes(supervisor.children)
+            return _follow(plan, supervisor, watch)
 
 
 def _follow(plan: Plan, supervisor: processes.Supervisor, watch: Watch) -> Ended:
     """Watch the episode until it is over or must end."""
-    watch.record(True)
-    follow.wait_for(lambda: watch.recording is True, supervisor, _progress, "the recorder")
-    fault_at: float | None = None
+    follow.start_recording(watch, supervisor, _progress)
     broken: list[str] = []
     fault = ""
     rate = _Rate()
-    while (sim := watch.sim).state != sim.STATE_DONE:
+    while (sim := watch.sim).state != sim.STATE_DONE and not broken:
         time.sleep(0.02)
         rate.look(sim.sim_time)
         _progress(sim.sim_time, sim.task.phase)
-        if watch.faulted and fault_at is None:
-            fault_at = time.monotonic()
-        if fault_at is not None and time.monotonic() - fault_at > follow.FAULT_GRACE_S:
-            arm = watch.faulted[0]
-            fault = f"{arm} went into FAULT: {watch.last_error(arm) or 'it gave no reason'}"
+        if fault := watch.fault:
             break
-        broken = follow.failure(watch, supervisor, None)
+        broken = follow.failure(watch, supervisor)
         if plan.policy is not None:
             broken += policy_program.absent(supervisor, watch)
-        if broken:
-            break
     sim = watch.sim
     rate.look(sim.sim_time)
     broken += follow.finish_recording(watch, supervisor)
@@ -165,9 +149,9 @@ class _Rate:
         return simulated / wall
 
 
-def _progress(seconds: float, note: str) -> None:
+def _progress(seconds: float | None, note: str) -> None:
     """A line for the process that watches this one."""
-    print(json.dumps({"seconds": seconds, "note": note}), flush=True)
+    print(json.dumps({"seconds": seconds or 0.0, "note": note}), flush=True)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -6,9 +6,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 from surg_cli.host.terminal import warn
+
+FAULT_GRACE_S = 1.0
+"""[s] An arm in FAULT gets this time to send its error."""
 
 
 class Watch:
@@ -50,16 +53,15 @@ class Watch:
         self._sim_changed = time.monotonic()
         self._recording: bool | None = None
         self._states: dict[str, str] = {}
-        self._faulted: list[str] = []
+        self._fault: tuple[str, float] | None = None
+        """The first arm in FAULT, and since when on the steady clock [s]."""
         self._errors: dict[str, str] = {}
         self._gave_up: dict[str, str] = {}
         self._news: deque[tuple[str, str]] = deque(maxlen=self.KEPT)
         self._bool = Bool
         self._record_switch = rospy.Publisher("/record/record", Bool, queue_size=1, latch=True)
         subscribe = rospy.Subscriber
-        self._subscribers = [
-            subscribe("/record/recording", Bool, self._on_recording),
-        ]
+        self._subscribers = [subscribe("/record/recording", Bool, self._on_recording)]
         for topic, kind in self._kinds.items():
             self._subscribers.append(subscribe(topic, kind, self._on_status, topic))
         for arm in arms:
@@ -69,7 +71,7 @@ class Watch:
                 topic = f"/{arm}/{kind}"
                 self._subscribers.append(subscribe(topic, String, self._on_text, (arm, kind)))
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> Self:
         """Return itself."""
         return self
 
@@ -134,10 +136,13 @@ class Watch:
             return dict(self._states)
 
     @property
-    def faulted(self) -> list[str]:
-        """Arms that have been in FAULT, in the order it happened."""
+    def fault(self) -> str:
+        """The first arm that went into FAULT, after `FAULT_GRACE_S`, and its error; empty: none."""
         with self._lock:
-            return list(self._faulted)
+            if self._fault is None or time.monotonic() - self._fault[1] <= FAULT_GRACE_S:
+                return ""
+            arm = self._fault[0]
+            return f"{arm} went into FAULT: {self._errors.get(arm) or 'it gave no reason'}"
 
     @property
     def gave_up(self) -> dict[str, str]:
@@ -154,11 +159,6 @@ class Watch:
             fresh = list(self._news)
             self._news.clear()
         return fresh
-
-    def last_error(self, arm: str) -> str:
-        """The newest error of an arm, empty when it has none."""
-        with self._lock:
-            return self._errors.get(arm, "")
 
     def _on_status(self, message: Any, topic: str) -> None:
         now = time.monotonic()
@@ -182,10 +182,9 @@ class Watch:
 
     def _on_state(self, message: Any, arm: str) -> None:
         with self._lock:
-            before = self._states.get(arm)
             self._states[arm] = message.state
-            if message.state == "FAULT" and before != "FAULT":
-                self._faulted.append(arm)
+            if message.state == "FAULT" and self._fault is None:
+                self._fault = arm, time.monotonic()
 
     def _on_text(self, message: Any, origin: tuple[str, str]) -> None:
         with self._lock:

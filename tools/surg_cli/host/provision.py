@@ -22,6 +22,13 @@ APT_OPTIONS = ("-o", "DPkg::Lock::Timeout=600", "-y", "--no-install-recommends")
 APT_LINES_PER_PACKAGE = 5
 
 
+def make_ready() -> bool:
+    """Install missing packages and fill `.venv`; returns whether anything had to be done."""
+    logs = paths.STATE / "logs"
+    done = install_packages(logs / "apt.log")
+    return install_python(logs / "pip.log") or done
+
+
 def listed_packages(path: Path = paths.APT_LIST) -> list[str]:
     """Names in the package list: the first word of each line that is not a comment.
 

@@ -16,6 +16,7 @@ from typing import Any
 
 from surg_cli.graph import episode_plans, episode_process, policy_program, task_episode
 from surg_cli.graph.episode_plans import Condition
+from surg_cli.graph.system import Plan
 from surg_cli.host import paths
 
 RESULT = "result.json"
@@ -89,28 +90,18 @@ class Player:
         plan = episode_plans.for_episode(self._plan, self._condition, seed, folder)
         os.environ[WEIGHTS] = str(self.weights.absolute())
         ended = episode_process.run_episode(plan, show)
-        result = describe(seed, self.setting, folder, ended)
+        result = describe(plan, ended)
         # A roll-out that broke off is played again when the run is resumed.
         if result["rollout"]["played"]:
             paths.write_text(file, json.dumps(result, indent=1) + "\n")
         return result
 
 
-def describe(seed: int, setting: str, folder: Path, ended: task_episode.Ended) -> dict[str, Any]:
+def describe(plan: Plan, ended: task_episode.Ended) -> dict[str, Any]:
     """Both entries of a roll-out: that of the policy, and that of the episode."""
-    from surg_recording.episode import episode_reader as episodes
-    from surg_recording.recording_errors import EpisodeError
-    from surg_recording.reports import learning, trials
+    from surg_recording.reports import learning
 
-    reason = ended.reason
-    try:
-        recorded = episodes.read(folder / "episode")
-        outcome = trials.Outcome(ended.success, reason, ended.phase, ended.duration_s, ended.played)
-        entry = trials.describe(seed, setting, "ours", outcome, recorded)
-        rollout = learning.roll_out(entry, ended.policy or {}, recorded)
-    except EpisodeError as error:
-        reason = "; ".join(filter(None, (reason, str(error))))
-        outcome = trials.Outcome(False, reason, ended.phase, ended.duration_s, False)
-        entry = trials.describe(seed, setting, "ours", outcome, None)
-        rollout = learning.roll_out(entry, ended.policy or {}, None)
+    entry, rollout = episode_process.measure(
+        plan, ended, lambda entry, recorded: learning.roll_out(entry, ended.policy or {}, recorded)
+    )
     return {"rollout": rollout, "episode": entry}
