@@ -43,7 +43,7 @@ USED = {
     "recorder_topics_node.py": {"name", "/record/tag", "/record/info"},
     "sim_bridge_node.py": {"/sim/undeclared", "/sim/inject", "/sim/by_hand"},
     "watch.py": {"topic"},
-    "record.py": {"Bool", "name"},
+    "record.py": {"name"},
 }
 """File -> last part of the topics that it offers or takes as std_msgs/String."""
 

@@ -67,7 +67,7 @@ def _do(recorder: Recorder, action: str, options: argparse.Namespace) -> int:
         raise Problem(f"record {action}: nothing is being recorded (./surg record start)")
     if action == "stop":
         return _stop(recorder, options)
-    recorder.publish("tag", {action: options.text})
+    recorder.annotate("tag", json.dumps({action: options.text}))
     say(f"record: {action} {options.text!r}")
     return 0
 
@@ -79,7 +79,7 @@ def _start(recorder: Recorder, options: argparse.Namespace) -> int:
     facts = {k: getattr(options, k) for k in ("operator", "task", "setting", "seed")}
     known = {key: value for key, value in facts.items() if value is not None}
     if known:
-        recorder.publish("info", known)
+        recorder.annotate("info", json.dumps(known))
     recorder.record(True)
     with Progress("record"):
         answered = processes.wait_until(
@@ -94,7 +94,8 @@ def _start(recorder: Recorder, options: argparse.Namespace) -> int:
 
 def _stop(recorder: Recorder, options: argparse.Namespace) -> int:
     if options.success or options.failure is not None:
-        recorder.publish("tag", {"success": options.success, "reason": options.failure or ""})
+        verdict = {"success": options.success, "reason": options.failure or ""}
+        recorder.annotate("tag", json.dumps(verdict))
     recorder.record(False)
     with Progress("record"):
         done = processes.wait_until(lambda: follow.recorder_idle(recorder), STOP_S)
@@ -181,7 +182,7 @@ class Recorder(Watch):
             raise Problem(f"the recorder's status must not be acted on: {problem}")
         return self.record_status
 
-    def publish(self, topic: str, content: dict[str, Any]) -> None:
-        """Publish JSON on /record/TOPIC."""
-        self._texts[topic].publish(json.dumps(content))
+    def annotate(self, topic: str, text: str) -> None:
+        """Publish JSON for the manifest on /record/TOPIC."""
+        self._texts[topic].publish(text)
         time.sleep(0.2)  # a start or stop on another topic must not overtake it
