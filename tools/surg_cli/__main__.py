@@ -20,14 +20,7 @@ READY = "SURG_READY"
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command.
-
-    Args:
-        arguments: The words behind `./surg`.
-
-    Returns:
-        The exit status.
-    """
+    """Run one command, given the words behind `./surg`; returns the exit status."""
     if not arguments or arguments[0] in ("help", "-h", "--help"):
         say(usage())
         return 0

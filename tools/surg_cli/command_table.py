@@ -79,14 +79,7 @@ def parser(name: str) -> tuple[argparse.ArgumentParser, Callable[[Any, str], int
 
 
 def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable[[Any, str], int]]:
-    """Parse the options of a command.
-
-    Args:
-        name: Of the command.
-        words: Behind it on the command line.
-
-    Returns:
-        The options, and the function that runs the command.
+    """Parse the words behind a command; returns the options and the function that runs it.
 
     Raises:
         Problem: An option belongs to other commands; names them.

@@ -64,11 +64,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def choose_arm(cell: Any, name: str | None) -> Any:
-    """The arm to calibrate.
-
-    Args:
-        cell: A loaded cell.
-        name: Its CRTK name; None if the cell has one arm.
+    """The arm of a loaded cell with this CRTK name; None names the only arm.
 
     Raises:
         Problem: There is no such arm, or the cell has several and none is named.
@@ -83,15 +79,7 @@ def choose_arm(cell: Any, name: str | None) -> Any:
 
 
 def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: bool) -> None:
-    """Solve a recording, print the residuals, write the file.
-
-    Args:
-        folder: The cell's folder.
-        arm: One of its arms.
-        what: `tool` or `trocar`.
-        source: The recording.
-        date: Of the calibration.
-        dry_run: Write nothing.
+    """Solve a recording for ``what`` (`tool` or `trocar`), print the residuals, write the file.
 
     Raises:
         Problem: The recording cannot be read, or its poses do not determine the result.

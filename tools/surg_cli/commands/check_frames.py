@@ -56,11 +56,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def _refuse(config: Any, cell: Path, arm: str | None) -> None:
-    """Check cell and arm before anything starts.
-
-    Raises:
-        Problem: No arm holds an endoscope, or there is no such arm.
-    """
+    """Check that an arm holds an endoscope and that the arm to move is another one."""
     scopes = [a.name for a in config.arms.values() if a.instrument.camera is not None]
     if not scopes:
         raise Problem(
@@ -134,11 +130,7 @@ def _node(params: dict[str, object]) -> Node:
 
 
 def _await(child: processes.Child, supervisor: processes.Supervisor) -> None:
-    """Wait for the node's end and show its instructions to the operator.
-
-    Raises:
-        Problem: The check could not start, a node ended, or it takes too long.
-    """
+    """Wait for the node's end and show its instructions to the operator."""
     deadline = time.monotonic() + TIMEOUT_S
     with Progress("check-frames") as progress:
         while child.exit_code is None:

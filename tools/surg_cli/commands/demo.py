@@ -76,13 +76,10 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 @dataclass(frozen=True)
 class CheckedMotion:
-    """A motion that fits.
+    """A motion that fits, and the seconds of it that are played, run-in and run-out included.
 
-    Attributes:
-        file: The CSV.
-        duration_s: What will be played of it, run-in and run-out included.
-        whole: Whether it is the bundled motion at full length and size: only then the shaft's
-            sweep is a measure of the run rather than of the motion.
+    ``whole``: it is the bundled motion at full length and size. Only then does the shaft's sweep
+    measure the run rather than the motion.
     """
 
     file: Path
@@ -91,17 +88,12 @@ class CheckedMotion:
 
 
 def make_report(out: Path, reasons: list[str]) -> dict[str, Any]:
-    """Compute the figures, write summary.json, report.html and PNGs.
+    """Write summary.json, report.html and PNGs; returns the summary.
 
-    Args:
-        out: Folder of the run.
-        reasons: Why the run failed, as far as the recording cannot know it.
-
-    Returns:
-        The summary, with `reasons` in it.
+    ``reasons`` are those for a failure that the recording cannot know.
 
     Raises:
-        Problem: When the episode cannot be read.
+        Problem: The episode cannot be read.
     """
     from surg_recording.recording_errors import EpisodeError
     from surg_recording.reports import run_report
@@ -209,11 +201,7 @@ def _plan(
 
 
 def _check_motion(options: argparse.Namespace, arm: Any) -> CheckedMotion:
-    """Read the motion and fit it into the arm's workspace, as the operator node does later.
-
-    Raises:
-        Problem: The file is broken or the motion does not fit: file, line, value, what is allowed.
-    """
+    """Read the motion and fit it into the arm's workspace, as the operator node does later."""
     from surg_teleop.playback.motion_errors import MotionError
     from surg_teleop.playback.motion_file import read_motion
     from surg_teleop.playback.motion_plan import ConstantMotionError, make_plan

@@ -29,14 +29,7 @@ RENDER = (
 
 @dataclass(frozen=True)
 class Finding:
-    """One line of the report.
-
-    Attributes:
-        good: Whether it is in order; None for information.
-        what: What was checked.
-        text: The result.
-        to do: What to do; empty for nothing.
-    """
+    """One line of the report, with what to do; ``good`` is None for information."""
 
     good: bool | None
     what: str

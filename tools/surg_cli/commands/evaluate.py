@@ -73,11 +73,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def _find(wanted: list[Path]) -> list[Path]:
-    """The episodes to evaluate.
-
-    Raises:
-        Problem: There is none; names a command that records some.
-    """
+    """The episodes to evaluate; if there are none, the error names a command that records some."""
     from surg_recording.recording_errors import EpisodeError
     from surg_recording.reports import evaluation
 

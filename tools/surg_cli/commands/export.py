@@ -164,11 +164,7 @@ def _write_report(report: Any, out: Path) -> None:
 
 
 def _about(path: Path) -> dict[str, Any]:
-    """Facts for the dataset card.
-
-    Raises:
-        Problem: The file cannot be read, or has an unknown key.
-    """
+    """Facts for the dataset card, from a YAML file with known keys only."""
     import yaml  # missing before the first setup
 
     from surg_recording.datasets.readme import KNOWN

@@ -131,11 +131,7 @@ def _info(
 
 
 def _check(options: argparse.Namespace) -> Request:
-    """Check all options before anything starts.
-
-    Raises:
-        Problem: One is wrong; says what is allowed.
-    """
+    """Check all options before anything starts."""
     from surg_sim.tasks import episode_seeds
 
     if options.task not in STATE_RECIPES:
@@ -166,11 +162,7 @@ def _check(options: argparse.Namespace) -> Request:
 
 
 def _folder(wanted: Path | None, request: Request) -> Path:
-    """The folder of the run: a new one, or that of a run with the same options.
-
-    Raises:
-        Problem: It holds something else.
-    """
+    """The folder of the run: a new one, or that of a run with the same options."""
     if wanted is not None and (wanted / "wanted.json").is_file():
         try:
             before = json.loads((wanted / "wanted.json").read_text("utf-8"))

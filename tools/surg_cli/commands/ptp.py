@@ -91,14 +91,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def configuration(role: str, interface: str, socket: Path, free_running: bool) -> str:
-    """The text of ptp4l's configuration file.
-
-    Args:
-        role: `master` or `slave`.
-        interface: Name of the network interface.
-        socket: Control socket of the daemon.
-        free_running: Whether the clock is only measured.
-    """
+    """The text of ptp4l's configuration file; ``socket`` is the daemon's control socket."""
     lines = [
         f"# Written by ./surg ptp {role}; docs/guide/clock_sync.md explains it.",
         "[global]",
@@ -131,11 +124,7 @@ def _program(name: str) -> str:
 
 
 def _interface(wanted: str | None) -> str:
-    """The interface to use, checked.
-
-    Raises:
-        Problem: None or several to choose from, unknown, or down.
-    """
+    """The interface to use: named, or the only one that is up; not loopback, and not down."""
     names = sorted(entry.name for entry in NETWORK.iterdir() if (entry / "operstate").exists())
     others = [name for name in names if name != "lo"]
     listed = ", ".join(f"{name} ({_state(name)})" for name in others) or "none"
@@ -178,11 +167,7 @@ def _check_permission(options: argparse.Namespace) -> None:
 
 
 def _check_rivals() -> None:
-    """Check that no other program steers the clock.
-
-    Raises:
-        Problem: One does; names it and how to stop it.
-    """
+    """Check that no other program steers the clock."""
     found = set()
     for comm in Path("/proc").glob("[0-9]*/comm"):
         with contextlib.suppress(OSError):
@@ -225,11 +210,7 @@ def _announcement(role: str, interface: str, free_running: bool, file: Path) -> 
 
 
 def _watch(child: processes.Child, socket: Path, steers: bool) -> None:
-    """Print the status until the daemon ends.
-
-    Raises:
-        Problem: The daemon has ended.
-    """
+    """Print the status until the daemon ends, which is a Problem."""
     processes.wait_until(lambda: socket.exists() or child.exit_code is not None, START_TIMEOUT_S)
     _share_socket(socket)
     printed, printed_at = "", -math.inf

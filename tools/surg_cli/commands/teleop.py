@@ -98,11 +98,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 
 
 def _place(attached: running.System, options: argparse.Namespace) -> roles.Link | None:
-    """This machine's place in a running cell of several machines; None for a single machine.
-
-    Raises:
-        Problem: It is another cell's, or ROS ports may not be opened here.
-    """
+    """This machine's place in a running cell of several machines; None for a single machine."""
     if options.cell and cells.find(options.cell) != Path(attached.cell):
         raise Problem(
             f"port {options.port}: {attached.command} of {attached.cell} runs there; end it with "
@@ -132,11 +128,7 @@ def _operator_nodes(
 ) -> list[Node]:
     """Teleoperation and console, or the console alone if a teleoperation runs already.
 
-    Args:
-        options: Of the command line.
-        plan: The system.
-        web: Who may open the page.
-        there: Names of the nodes that run already.
+    ``web`` holds who may open the page, ``there`` the names of the nodes that run already.
     """
     if operator_nodes.TELEOP in there:
         if options.leader != BROWSER or options.second_leader:
@@ -155,11 +147,7 @@ def _operator_nodes(
 
 
 def _web(options: argparse.Namespace) -> tuple[dict[str, object], str]:
-    """Check the console's access parameters.
-
-    Returns:
-        The parameters, and the fragment of the page's address: the token.
-    """
+    """Check who may open the page; returns the console's parameters and the address's token."""
     from surg_teleop.console.web import access
 
     try:

@@ -53,14 +53,10 @@ def main(options: argparse.Namespace, command: str) -> int:
 def reference_graph(contract: Contract) -> Iterator[list[Seen]]:
     """Simulator, controller with everything on, and the dVRK node, in free-run on a private master.
 
-    Args:
-        contract: The graph is up when it is complete.
-
-    Yields:
-        Topics and services of the graph.
+    Yields its topics and services once they fulfil the contract, or after a timeout.
 
     Raises:
-        Problem: When it does not come up.
+        Problem: A node ends.
     """
     with tempfile.TemporaryDirectory(prefix="surg_topics_") as folder:
         env = {**os.environ, "ROS_IP": "127.0.0.1", "ROS_HOSTNAME": "localhost"}
@@ -91,7 +87,7 @@ def reference_nodes(mode: str) -> list[system.Node]:
 
 
 def await_graph(supervisor: Supervisor, contract: Contract) -> list[Seen]:
-    """Topics and services of the graph once it fulfils the contract, or after a time-out."""
+    """Topics and services of the graph once it fulfils the contract, or after a timeout."""
     uri = supervisor.env["ROS_MASTER_URI"]
     seen: list[Seen] = []
 

@@ -111,12 +111,7 @@ def main(options: argparse.Namespace, command: str) -> int:
 def recorded_too(
     topics: Sequence[str], cameras: Sequence[str], link: roles.Link | None
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Check the further topics and cameras of the recording.
-
-    Args:
-        topics: Names and patterns.
-        cameras: Names of image topics.
-        link: This machine's place among several; None for a single machine.
+    """Check the further topics and cameras of the recording; returns both without duplicates.
 
     Raises:
         Problem: One is not a topic name, or another machine records.

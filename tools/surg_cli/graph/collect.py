@@ -16,14 +16,10 @@ from surg_cli.host.terminal import Problem, say
 
 
 def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Namespace) -> int:
-    """Write one row whenever the arm has come to rest in a new pose.
+    """Append one row of joint angles to a recording whenever the arm has come to rest anew.
 
-    Args:
-        arm: The cell's arm.
-        to: The recording; created if missing, otherwise rows are appended.
-        motion: First column of the rows.
-        count: Rows to write.
-        options: `port` of the ROS master and `timeout` for one pose [s].
+    ``motion`` is the first column of the rows; ``options`` has the `port` of the ROS master and the
+    `timeout` for one pose [s].
 
     Raises:
         Problem: The file has other columns, no system runs, or the arm does not come to rest.

@@ -27,10 +27,7 @@ class Condition:
 
 
 def find_cell(robot: str) -> Path:
-    """The two-arm cell of `--robot`.
-
-    Args:
-        robot: Name of a bundled robot, or a cell.
+    """The two-arm cell of `--robot`: of a bundled robot, or a cell's own name.
 
     Raises:
         Problem: It is neither.
@@ -43,10 +40,7 @@ def find_cell(robot: str) -> Path:
 
 
 def parse_settings(text: str) -> list[str]:
-    """Physical settings of `--setting`, each once.
-
-    Args:
-        text: Names with commas, or `all`.
+    """Physical settings of `--setting`, names with commas or `all`, each once.
 
     Raises:
         Problem: One does not exist; lists those that do.
@@ -74,15 +68,7 @@ def make_plan(
 ) -> Plan:
     """What all episodes of a run have in common; starts nothing.
 
-    Args:
-        task: Its name, or the path of its file.
-        cell: Folder of the cell.
-        loaded: The cell.
-        conditions: What it is played in.
-        seed: Of the first episode.
-        cameras: Views that are rendered and recorded.
-        out: Folder of the run.
-        policy: Plays in the place of the scripted expert.
+    ``task`` is a name or the path of a file; ``policy`` plays in the place of the scripted expert.
 
     Raises:
         Problem: The task is unknown, does not fit the cell, or nobody plays it.
@@ -118,11 +104,7 @@ def _load_task(
     seed: int,
     policy: system.Policy | None,
 ) -> tuple[Any, Mapping[str, tuple[str, ...]]]:
-    """The task, and the names of the nodes that play it with the arms that each commands.
-
-    Raises:
-        Problem: The task is unknown, does not fit the cell, or nobody plays it.
-    """
+    """The task, and the names of the nodes that play it with the arms that each commands."""
     from surg_sim import tasks
     from surg_sim.physics.patient_settings import find_setting
 

@@ -19,26 +19,16 @@ EPISODE_TIMEOUT_S = 1800.0
 
 
 def run_episode(plan: Plan, show: Callable[[float, str], None]) -> task_episode.Ended:
-    """Write the plan, play it, and read the outcome.
+    """Play one episode; ``show`` gets the simulated time [s] and a note on the progress.
 
-    Args:
-        plan: Of one episode.
-        show: Called with the simulated time [s] and a note on the progress.
-
-    Returns:
-        How it ended; where the process left no outcome, the end of its log is the reason.
+    If the process leaves no outcome, the end of its log is the reason.
     """
     task_episode.write_plan(plan)
     return read_outcome(plan.out, run_process(plan.out, show))
 
 
 def read_outcome(folder: Path, error: str) -> task_episode.Ended:
-    """How an episode ended.
-
-    Args:
-        folder: Of the episode.
-        error: The reason where the process left no outcome.
-    """
+    """How an episode ended; ``error`` is the reason if its process left no outcome."""
     file = folder / task_episode.OUTCOME
     if file.exists():
         return task_episode.Ended(**json.loads(file.read_text("utf-8")))
@@ -46,15 +36,7 @@ def read_outcome(folder: Path, error: str) -> task_episode.Ended:
 
 
 def run_process(folder: Path, show: Callable[[float, str], None]) -> str:
-    """Run the process of one episode.
-
-    Args:
-        folder: With its plan.
-        show: Called with the simulated time [s] and a note on the progress.
-
-    Returns:
-        The end of its log if it failed; empty when there is an outcome.
-    """
+    """Run the process of the plan in a folder; returns the end of its log if it failed."""
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
     argv = [sys.executable, "-s", "-m", "surg_cli.graph.task_episode", str(folder)]
     with processes.Supervisor(env, folder / "logs") as supervisor:

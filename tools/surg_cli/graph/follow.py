@@ -97,11 +97,7 @@ def raise_if_dead(supervisor: processes.Supervisor) -> None:
 
 
 def raise_if_failed(watch: Watch, supervisor: processes.Supervisor) -> None:
-    """Check that all essential nodes run and the simulator has not aborted.
-
-    Raises:
-        Problem: One has ended, or the simulator names the reason why it aborted.
-    """
+    """Check that all essential nodes run and that the simulator has not aborted."""
     raise_if_dead(supervisor)
     sim = watch.sim
     if sim.state == sim.STATE_ABORTED:

@@ -29,13 +29,8 @@ TIMEOUT_S = 5.0
 class Seen:
     """One topic at one node, or one service.
 
-    Attributes:
-        name: Resolved name.
-        node: Caller id of the node.
-        direction: `in`, `out` or `service`, seen from the node.
-        type: ROS type.
-        md5: What the node itself says; empty for `in`, where only a sender could ask.
-        latched: Whether a late subscriber is sent the last message.
+    ``direction`` is `in`, `out` or `service`, seen from the node; ``md5`` is what the node itself
+    states, empty for `in`, where only a sender could ask.
     """
 
     name: str
@@ -47,10 +42,7 @@ class Seen:
 
 
 def observe(uri: str) -> list[Seen]:
-    """Everything that the graph offers, sorted by name.
-
-    Args:
-        uri: ROS_MASTER_URI.
+    """Everything that the graph of a master offers, sorted by name.
 
     Raises:
         Problem: No master answers there.
@@ -82,12 +74,7 @@ def observe(uri: str) -> list[Seen]:
 def connect(node_uri: str, topic: str) -> tuple[socket.socket, dict[str, str]]:
     """Connect to a topic as a subscriber of any type.
 
-    Args:
-        node_uri: Of the publisher.
-        topic: Resolved name.
-
-    Returns:
-        The connection, on which the messages will come, and what the publisher says of itself.
+    Returns the connection, on which the messages will come, and the publisher's header.
 
     Raises:
         OSError: The node does not answer, or refuses.

@@ -32,14 +32,9 @@ ASK_S = 0.5
 def link(config: Any, role: roles.Role, port: int, guard: bool | None = None) -> roles.Link:
     """Check this machine's network, and give this process the role's environment.
 
-    Restarts this command with that environment, because it is a ROS node itself.
-
-    Args:
-        config: A ``surg_core`` CellConfig.
-        role: This machine's.
-        port: Of the ROS master.
-        guard: Whether the nodes get the port guard. None: as the running role of this machine,
-            which needs it if the machine has another address.
+    Restarts this command with that environment, because it is a ROS node itself. ``guard``: the
+    nodes get the port guard. None: as the running role of this machine, which needs it if the
+    machine has another address.
 
     Raises:
         Problem: ROS ports may not be opened here; says what to do.
@@ -56,13 +51,7 @@ def link(config: Any, role: roles.Role, port: int, guard: bool | None = None) ->
 
 
 def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[Node]:
-    """The nodes of this machine, without the robot_state_publishers.
-
-    Args:
-        plan: The whole system.
-        place: Of this machine; None for a single machine.
-        leader: The operator's input device.
-    """
+    """The nodes of this machine, without the robot_state_publishers; no place: a single machine."""
     every = system.nodes(plan)
     if place is None:
         return every
@@ -83,12 +72,7 @@ def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[No
 
 
 def clock_monitor(role: roles.Role, daemon: Path | None = None) -> list[Node]:
-    """The node that monitors this machine's clock, if a PTP daemon runs here.
-
-    Args:
-        role: Of this machine, for the node's name.
-        daemon: Socket of the daemon of `./surg ptp`; None for its default.
-    """
+    """The node that monitors this machine's clock, if a PTP daemon runs here."""
     from surg_recording.clock import clock_sync
 
     socket = daemon or Path(clock_sync.SOCKET)
@@ -111,13 +95,7 @@ def warn_without_ptp(place: roles.Link) -> None:
 
 
 def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
-    """Join the robot's machine; return on a signal, or when a node or the robot is lost.
-
-    Args:
-        plan: The whole system.
-        place: Of this machine.
-        logs: Folder of the nodes' output.
-        leader: The operator's input device.
+    """Join the robot's machine; return on a signal.
 
     Raises:
         Problem: The master does not answer any more, or a node has ended.
@@ -140,11 +118,7 @@ def keep(plan: Plan, place: roles.Link, logs: Path, leader: str) -> int:
 
 
 def _await_master(place: roles.Link) -> None:
-    """Wait for the robot's machine.
-
-    Raises:
-        Problem: It does not answer within the role's time-out.
-    """
+    """Wait for the robot's machine."""
     patience = place.waits.master
     with Progress(f"up: waiting for the robot's machine, {place.uri}"):
         if not processes.wait_until(lambda: master.alive(place.uri), patience, ASK_S):
@@ -156,11 +130,7 @@ def _await_master(place: roles.Link) -> None:
 
 
 def _stay(place: roles.Link, supervisor: processes.Supervisor) -> None:
-    """Watch the nodes, their ports and the connection to the robot's machine.
-
-    Raises:
-        Problem: Always, in the end.
-    """
+    """Watch the nodes, their ports and the robot's machine; ends with a Problem."""
     heard = time.monotonic()
     while True:
         follow.raise_if_dead(supervisor)

@@ -40,18 +40,10 @@ def port_in_use(port: int, host: str = "127.0.0.1") -> bool:
 
 
 def call(uri: str, method: str, *arguments: object) -> Any:
-    """Call the master's XML-RPC interface.
-
-    Args:
-        uri: ROS_MASTER_URI.
-        method: Such as `getSystemState`.
-        *arguments: Behind the caller's name.
-
-    Returns:
-        The value of the answer.
+    """Call a method of the master's XML-RPC interface; returns the value of the answer.
 
     Raises:
-        Problem: When no master answers there, or it refuses.
+        Problem: No master answers there, or it refuses.
     """
     proxy = xmlrpc.client.ServerProxy(uri, transport=_Transport())
     try:
@@ -76,20 +68,13 @@ def alive(uri: str) -> bool:
 
 
 def start(supervisor: Supervisor, port: int, host: str = "localhost") -> Child:
-    """Start `rosmaster --core` and wait until it answers.
+    """Start `rosmaster --core` as the supervisor's first child, and wait until it answers.
 
-    Sets ROS_MASTER_URI in the supervisor's environment.
-
-    Args:
-        supervisor: Takes the master in as its first child.
-        port: The port to listen on.
-        host: This machine's address for the other nodes.
-
-    Returns:
-        The running master.
+    Sets ROS_MASTER_URI in the supervisor's environment; ``host`` is this machine's address for the
+    other nodes.
 
     Raises:
-        Problem: When the port is taken or the master does not come up.
+        Problem: The port is taken, or the master does not come up.
     """
     if port_in_use(port, host):
         raise Problem(

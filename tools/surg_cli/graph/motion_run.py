@@ -15,18 +15,12 @@ AROUND_MOTION_S = 2.5
 
 
 def play(plan: Plan, duration_s: float, port: int | None) -> list[str]:
-    """Run a plan with an operator to its end.
+    """Run a plan with an operator to its end; without a port on a free one.
 
-    Args:
-        plan: What to start; its folder receives `episode/` and `logs/`.
-        duration_s: Length of the motion, for the progress line.
-        port: Of the master, None for a free one.
-
-    Returns:
-        Why the run failed, one sentence each; empty when it came to its end.
+    Returns why the run failed, one sentence each.
 
     Raises:
-        Problem: When the system does not come up, or nothing was recorded.
+        Problem: The system does not come up.
     """
     with running.launched("demo", plan.cell, plan.out, port) as (supervisor, entry):
         for node in system.nodes(plan):

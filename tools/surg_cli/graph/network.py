@@ -20,12 +20,7 @@ _SIOCGIFADDR = 0x8915
 
 
 def check(address: str, role: roles.Role, guard: bool) -> None:
-    """Refuse an address that this machine may not open ROS ports on.
-
-    Args:
-        address: The role's.
-        role: This machine's.
-        guard: Whether the nodes get the port guard.
+    """Refuse an address on which this machine may not open ROS ports.
 
     Raises:
         Problem: With the cure.
@@ -66,11 +61,7 @@ def other_addresses(own: str) -> set[str]:
 
 
 def refuse_other_addresses(own: str) -> None:
-    """Refuse a machine with an address on another network, where ROS 1 would open its ports too.
-
-    Raises:
-        Problem: With the cure.
-    """
+    """Refuse a machine with an address on another network, where ROS 1 would open its ports too."""
     others = other_addresses(own)
     if others:
         raise Problem(
@@ -82,11 +73,7 @@ def refuse_other_addresses(own: str) -> None:
 
 
 def refuse_foreign_ports(children: Iterable[processes.Child], link: roles.Link) -> None:
-    """Check that no port of the nodes can be reached from another network.
-
-    Args:
-        children: The role's nodes; this process is checked too.
-        link: This machine's place.
+    """Check that no port of this process and the nodes can be reached from another network.
 
     Raises:
         Problem: Without the guard: the machine has an address on another network. With it: a port

@@ -26,8 +26,8 @@ def teleoperation(
     Args:
         plan: The system that it drives.
         leader: What the first hand holds, ``browser`` for the console's page.
-        page: Whether a console says that the operator is there; without it nothing then moves.
-        scale: Tip metres per metre of that hand; None: the node's own.
+        page: Whether a console reports the operator's presence; without it nothing then moves.
+        scale: Motion of the tip per motion of that hand; None: the node's own.
         second: What a second hand holds, which moves the assistant's instrument; empty: nobody.
 
     Raises:
@@ -53,12 +53,9 @@ def teleoperation(
 
 
 def console(plan: Plan, leads: bool, web: Mapping[str, object]) -> Node:
-    """The node that serves the operator's page.
+    """The node that serves the operator's page; ``web`` holds who may open it.
 
-    Args:
-        plan: The system that it shows.
-        leads: Whether the page is the hand. If not, it shows, enables, stops and records.
-        web: Who may open the page.
+    ``leads``: the page is the hand. If not, it shows, enables, stops and records.
 
     Raises:
         Problem: The cell has nothing to drive.

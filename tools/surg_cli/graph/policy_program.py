@@ -19,15 +19,10 @@ CLIENT_TIMEOUT_S = 120.0
 
 
 def read(given: str, keys: Path | None, privileged: bool) -> Policy:
-    """A policy from the command line.
-
-    Args:
-        given: Address to listen at, or the path of a client's script.
-        keys: Folder of `./surg keys`.
-        privileged: Whether the simulator's truth is served.
+    """A policy from the command line: an address to listen at, or the path of a client's script.
 
     Raises:
-        Problem: It is neither, or may not be listened at; says what would do.
+        Problem: It is neither, or must not be listened at; says what is allowed.
     """
     from surg_policy_bridge.server import listen_address
     from surg_policy_client.errors import BadKeys
@@ -58,12 +53,6 @@ def connect(
     progress: Callable[[float | None, str], None],
 ) -> None:
     """Start the model server and the client, and wait until one has connected.
-
-    Args:
-        plan: With `policy` set.
-        supervisor: Takes the processes in.
-        watch: Hears the server's status.
-        progress: Told what is waited for.
 
     Raises:
         Problem: The server or the client ends, or the script does not connect in time.

@@ -25,11 +25,7 @@ PR_SET_CHILD_SUBREAPER = 36
 
 
 def session_members(session: int) -> list[int]:
-    """Ids of the live processes of a session: a child and whatever it has started.
-
-    Args:
-        session: The session's id, which is the process id of its leader.
-    """
+    """Ids of the live processes of a session: its leader (whose id it is) and what that started."""
     members = []
     for entry in os.scandir("/proc"):
         if not entry.name.isdigit():
@@ -41,14 +37,7 @@ def session_members(session: int) -> list[int]:
 
 
 def start_time(pid: int) -> int | None:
-    """Start of a process in clock ticks since boot: with the id it names one process for good.
-
-    Args:
-        pid: The process.
-
-    Returns:
-        The value, or None when the process is gone.
-    """
+    """Start of a process in clock ticks since boot; None: it is gone. With the id it is unique."""
     fields = _stat_fields(pid)
     return None if fields is None or fields[0] in "ZX" else int(fields[19])
 
@@ -65,15 +54,7 @@ def _stat_fields(pid: int) -> list[str] | None:
 
 @dataclass
 class Child:
-    """One running program.
-
-    Attributes:
-        name: What people call it, such as a node's name.
-        argv: Its command line.
-        process: The handle of the started program.
-        log: The file its output goes to.
-        essential: Whether its end ends the run.
-    """
+    """One running program; its end ends the run if it is essential."""
 
     name: str
     argv: tuple[str, ...]
@@ -114,21 +95,10 @@ def spawn(
     cwd: Path | None = None,
     essential: bool = True,
 ) -> Child:
-    """Start a program that dies with its parent.
-
-    Args:
-        name: What people call it.
-        argv: Program and arguments.
-        log: File for its output; replaced.
-        env: Its whole environment.
-        cwd: Its working folder; the parent's when None.
-        essential: Whether its end ends the run.
-
-    Returns:
-        The running child.
+    """Start a program that dies with its parent; ``env`` is its whole environment.
 
     Raises:
-        OSError: When the program cannot be started.
+        OSError: The program cannot be started.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     command = tuple(str(part) for part in argv)
@@ -148,13 +118,8 @@ def spawn(
 def stop_all(children: Sequence[Child]) -> list[str]:
     """End children and everything in their groups: interrupt, terminate, kill.
 
-    The last started is asked first, all are waited for together.
-
-    Args:
-        children: In the order they were started.
-
-    Returns:
-        Names of those that had to be killed.
+    All are waited for together, the last started is asked first. Returns the names of those that
+    had to be killed.
     """
     waiting = list(reversed(children))
     stages = (
@@ -183,10 +148,8 @@ def stop_all(children: Sequence[Child]) -> list[str]:
 class Supervisor:
     """A set of children that lives and dies together; a context manager.
 
-    Attributes:
-        env: Environment given to every child.
-        logs: Folder of the log files, one per child.
-        children: Running and ended children in the order of their start.
+    ``env`` is given to every child, ``logs`` has a file for each, ``children`` are in the order of
+    their start.
     """
 
     env: dict[str, str]
@@ -204,17 +167,7 @@ class Supervisor:
         essential: bool = True,
         extra_env: Mapping[str, str] | None = None,
     ) -> Child:
-        """Start one child; see `spawn`.
-
-        Args:
-            name: What people call it; names the log file too.
-            argv: Program and arguments.
-            essential: Whether its end ends the run.
-            extra_env: Added to `env` for this child.
-
-        Returns:
-            The running child.
-        """
+        """Start one child with ``extra_env``; its name names the log file too."""
         log = self.logs / (name.strip("/").replace("/", "_") + ".log")
         child = spawn(name, argv, log, {**self.env, **(extra_env or {})}, essential=essential)
         self.children.append(child)
@@ -263,16 +216,7 @@ def signals_ignored() -> Iterator[None]:
 
 
 def wait_until(condition: Callable[[], bool], timeout_s: float, period_s: float = 0.02) -> bool:
-    """Poll a condition on the steady clock.
-
-    Args:
-        condition: Called until it is true.
-        timeout_s: How long to wait at most.
-        period_s: Pause between two calls.
-
-    Returns:
-        Whether the condition came true in time.
-    """
+    """Poll a condition on the steady clock; returns whether it came true in time."""
     deadline = time.monotonic() + timeout_s
     while True:
         if condition():
@@ -286,11 +230,8 @@ def wait_until(condition: Callable[[], bool], timeout_s: float, period_s: float 
 def orphans_adopted(grace_s: float = 5.0) -> Iterator[None]:
     """Be the parent of orphaned descendants, and end them with the context.
 
-    An orphan is, for example, a video encoder that completes its file. The context must end without
-    other children: every child counts as adopted.
-
-    Args:
-        grace_s: Longest wait for them to end by themselves; then they are killed.
+    An orphan is, for example, a video encoder that completes its file; it gets ``grace_s`` to end
+    by itself. The context must end without other children: every child counts as adopted.
     """
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     try:

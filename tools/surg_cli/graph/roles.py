@@ -60,13 +60,7 @@ WAITS = {
 
 @dataclass(frozen=True)
 class Route:
-    """One line of the kernel's table of routes.
-
-    Attributes:
-        interface: Such as ``eth0``.
-        network: (address, mask) as 32-bit numbers.
-        gateway: 0: none.
-    """
+    """One line of the kernel's table of routes; addresses as 32-bit numbers, gateway 0: none."""
 
     interface: str
     network: tuple[int, int]
@@ -86,11 +80,7 @@ def routes(text: str) -> list[Route]:
 
 
 def local_addresses(text: str) -> set[str]:
-    """This machine's own IPv4 addresses, second ones of an interface too.
-
-    Args:
-        text: Of /proc/net/fib_trie.
-    """
+    """IPv4 addresses of this machine from /proc/net/fib_trie, second ones of an interface too."""
     found, address = set(), ""
     for line in text.splitlines():
         if match := re.match(r"\s*\|-- (\S+)", line):
@@ -110,12 +100,7 @@ def _number(address: str) -> int:
 
 
 def link_of(config: Any, role: Role, port: int) -> Link:
-    """A role's place in the cell.
-
-    Args:
-        config: A ``surg_core`` CellConfig.
-        role: This machine's.
-        port: Of the ROS master.
+    """A role's place in a ``surg_core`` CellConfig.
 
     Raises:
         Problem: The cell does not name this machine, or does not call its network isolated.
@@ -217,12 +202,7 @@ class Link:
         return WAITS[self.role]
 
     def environment(self, base: Mapping[str, str], guard: Path) -> dict[str, str]:
-        """The environment of the machine's nodes.
-
-        Args:
-            base: Environment to start from.
-            guard: The library that binds every port to ``address``; used if ``self.guard``.
-        """
+        """The environment of the machine's nodes; ``guard`` binds every port to ``address``."""
         env = {name: value for name, value in base.items() if name != "ROS_HOSTNAME"}
         env.update(ROS_IP=self.address, ROS_MASTER_URI=self.uri)
         if not self.guard:
@@ -237,12 +217,9 @@ class Link:
 
 
 def foreign_ports(sockets: Mapping[int, str], held: Mapping[str, set[int]], own: str) -> list[str]:
-    """TCP ports that are open on other addresses than they may be, one text each.
+    """TCP ports that are open on other addresses than ``own`` and the loopback, one text each.
 
-    Args:
-        sockets: Listening sockets: inode -> "address:port".
-        held: Node name -> inodes of the sockets that it has.
-        own: The address that is allowed, beside the loopback.
+    ``sockets``: listening, inode -> "address:port". ``held``: node name -> inodes of its sockets.
     """
     allowed = (own, "127.0.0.1", "::1")
     return [

@@ -75,19 +75,7 @@ def tag(port: int, role: str = "") -> str:
 def announced(
     command: str, port: int, cell: Path, logs: Path, role: str = "", uri: str = ""
 ) -> Iterator[System]:
-    """List this process as the supervisor of a system while the context lasts.
-
-    Args:
-        command: `up` or `demo`.
-        port: Port of the ROS master.
-        cell: Folder of the cell.
-        logs: Folder of the nodes' output.
-        role: Of this machine in a cell of several.
-        uri: ROS_MASTER_URI, where it is not the port on this machine.
-
-    Yields:
-        The entry; change it and `save`.
-    """
+    """List this process as the supervisor of a system while the context lasts; yields the entry."""
     pid = os.getpid()
     system = System(
         port,

@@ -28,14 +28,9 @@ class Standstill:
         self._last: FloatArray | None = None
 
     def add(self, time: float, q: FloatArray) -> FloatArray | None:
-        """Add a joint state.
+        """Add a joint state (n,) [rad] at an increasing time [s]; a step back resets the detector.
 
-        Args:
-            time: [s], increasing; a step back resets the detector.
-            q: (n,) [rad].
-
-        Returns:
-            (n,) mean joint positions of a new standstill, or None.
+        Returns the (n,) mean joint positions of a new standstill, or None.
         """
         q = np.asarray(q, dtype=np.float64)
         if not np.all(np.isfinite(q)) or (self._window and time <= self._window[-1][0]):

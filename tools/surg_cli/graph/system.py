@@ -31,13 +31,10 @@ POLICY_TOPICS = ("/policy/action", "/policy/rejected", "/policy/status")
 
 @dataclass(frozen=True)
 class Policy:
-    """A policy that plays in the place of the scripted expert.
+    """A policy in the place of the scripted expert.
 
-    Attributes:
-        address: Where the model server listens.
-        script: Client that is started with it; empty: somebody connects.
-        keys: Folder of CURVE keys; empty: none.
-        privileged: Whether the simulator's truth is served.
+    ``script`` is a client that is started with the server (empty: somebody connects), ``keys`` the
+    folder of CURVE keys (empty: none), ``privileged`` whether the simulator's truth is served.
     """
 
     address: str
@@ -145,12 +142,11 @@ class Node:
 
     Attributes:
         name: Absolute node name.
-        package: ROS package of its executable.
         executable: As `rosrun` takes it.
         params: Private parameters.
         arguments: Words behind the executable.
         essential: Whether its end ends the system.
-        prompt: Whether it must answer soon: it gets short turns on the processor.
+        prompt: Whether it must answer soon: it gets short slices of the processor.
     """
 
     name: str
@@ -174,11 +170,7 @@ class Node:
 
 
 def nodes(plan: Plan) -> list[Node]:
-    """The nodes of a system in the order they are started, without those that play.
-
-    Args:
-        plan: What is wanted.
-    """
+    """The nodes of a system in the order they are started, without those that play."""
     params: dict[str, object] = {
         **plan.scene,
         "participants": plan.participants,
@@ -240,11 +232,7 @@ def senders(plan: Plan) -> list[Node]:
 
 
 def model_server(plan: Plan) -> Node:
-    """The node that a policy connects to.
-
-    Args:
-        plan: With `policy` set.
-    """
+    """The node that the plan's policy connects to."""
     policy = plan.policy
     assert policy is not None
     params: dict[str, object] = {
@@ -264,11 +252,7 @@ def model_server(plan: Plan) -> Node:
 
 
 def operator_node(plan: Plan) -> Node:
-    """The operator's node.
-
-    Args:
-        plan: With `operator` set.
-    """
+    """The plan's operator."""
     assert plan.operator is not None
     return Node(f"/{OPERATOR}", "surg_teleop", "operator_node.py", dict(plan.operator))
 
@@ -289,17 +273,10 @@ def robot_state_publisher(arm: str) -> Node:
 
 
 def start(supervisor: Supervisor, node: Node) -> Child:
-    """Set a node's parameters and start it.
-
-    Args:
-        supervisor: Takes it in; its environment names the master.
-        node: What to start.
-
-    Returns:
-        The running child.
+    """Set a node's parameters and start it at the master that the supervisor's environment names.
 
     Raises:
-        Problem: When its executable does not exist.
+        Problem: Its executable does not exist.
     """
     uri = supervisor.env["ROS_MASTER_URI"]
     for key, value in node.params.items():
@@ -310,14 +287,10 @@ def start(supervisor: Supervisor, node: Node) -> Child:
 
 
 def executable(package: str, name: str) -> Path:
-    """Find what `rosrun PACKAGE NAME` would start.
-
-    Args:
-        package: ROS package.
-        name: Name of its executable.
+    """What `rosrun PACKAGE NAME` would start.
 
     Raises:
-        Problem: When it is in neither the devel space nor the system.
+        Problem: It is neither in the devel space nor in the system.
     """
     for prefix in (paths.DEVEL, Path("/usr")):
         candidate = prefix / "lib" / package / name

@@ -122,13 +122,8 @@ def compare(
 ) -> list[str]:
     """Where contract and graph differ, one sentence each.
 
-    Args:
-        contract: What is promised.
-        seen: What the graph offers.
-        arm: Name of the arm.
-        nodes: Base names of the nodes that run; others are not looked at.
-        lockstep: Mode of the graph.
-        parameters: Optional parameters that its nodes have.
+    ``nodes`` are the base names of the nodes that run (others are skipped), ``parameters`` their
+    optional parameters.
     """
     running = set(nodes)
     there = {(s.name, s.node.rpartition("/")[2], s.direction): s for s in seen}
@@ -191,15 +186,9 @@ def _internal(contract: Contract, arm: str) -> set[tuple[str, str, str]]:
 
 
 def render(contract: Contract, seen: Iterable[Seen], arm: str) -> str:
-    """The page docs/reference/topics.md.
+    """The page docs/reference/topics.md, for the reference graph in free-run.
 
-    Type, direction and latching of what the graph offers are taken from the graph, the rest from
-    the contract.
-
-    Args:
-        contract: Rates, frames, meaning and prose.
-        seen: What the reference graph offers, in free-run.
-        arm: Name of the arm on it.
+    Type, direction and latching come from the graph, the rest from the contract.
     """
     there = {(s.name, s.node.rpartition("/")[2], s.direction): s for s in seen}
     parts = [

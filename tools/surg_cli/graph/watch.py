@@ -15,11 +15,11 @@ FAULT_GRACE_S = 1.0
 
 
 class Watch:
-    """What a running system says of itself, kept up to date by rospy's threads.
+    """What a running system reports, kept up to date by rospy's threads.
 
-    A context manager: leave it before the master ends.
-
-    ROS is imported on construction: the environment must be sourced and a master must answer.
+    A context manager: leave it before the master ends. ROS is imported on construction: the
+    environment must be sourced and a master must answer. ``senders`` are the scripted nodes whose
+    reasons are wanted.
     """
 
     KEPT = 50
@@ -27,13 +27,6 @@ class Watch:
     def __init__(
         self, arms: Sequence[str], name: str = "surg", senders: Sequence[str] = ()
     ) -> None:
-        """Become a ROS node and subscribe.
-
-        Args:
-            arms: CRTK names of the arms.
-            name: Name of the node; a number is added.
-            senders: Names of scripted nodes whose reasons are wanted.
-        """
         import rospy
         from std_msgs.msg import Bool, String
 
@@ -72,7 +65,6 @@ class Watch:
                 self._subscribers.append(subscribe(topic, String, self._on_text, (arm, kind)))
 
     def __enter__(self) -> Self:
-        """Return itself."""
         return self
 
     def __exit__(self, kind: object, value: object, trace: object) -> None:

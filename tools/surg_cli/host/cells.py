@@ -15,13 +15,10 @@ DEPTH_M = 0.120
 
 
 def find(name: str) -> Path:
-    """A cell's folder, by its name in `cells/` or by path.
-
-    Args:
-        name: Such as `sim_ur5e`, or a path to a folder or its `cell.yaml`.
+    """A cell's folder, by its name in `cells/` or by the path of it or of its `cell.yaml`.
 
     Raises:
-        Problem: When there is none; names the bundled ones.
+        Problem: There is none; names the bundled ones.
     """
     for candidate in (Path(name), paths.CELLS / name):
         folder = candidate.parent if candidate.name == "cell.yaml" else candidate
@@ -34,20 +31,13 @@ def find(name: str) -> Path:
 
 
 def for_robot(robot: str, folder: Path) -> Path:
-    """The cell for `--robot`: a bundled one, or one made round a robot's YAML.
+    """The cell for `--robot`: a bundled one, or one made in a folder round a robot's YAML.
 
     A made cell has the robot base at the world's origin, the bundled instrument, and the trocar on
     the shaft at home with the tip 120 mm deep.
 
-    Args:
-        robot: `ur5e`, `panda`, or the path of a robot's YAML.
-        folder: Where a made cell is written.
-
-    Returns:
-        The cell's folder.
-
     Raises:
-        Problem: When the robot is unknown or its files are wrong.
+        Problem: The robot is unknown, or its files are wrong.
     """
     if robot in BUNDLED_ROBOTS:
         return find(BUNDLED_ROBOTS[robot])
@@ -66,16 +56,10 @@ def for_robot(robot: str, folder: Path) -> Path:
 
 
 def load(folder: Path) -> Any:
-    """Read and check a cell with everything it names.
-
-    Args:
-        folder: The cell's folder.
-
-    Returns:
-        A `surg_core` Cell.
+    """Read and check a cell with everything it names; returns a `surg_core` Cell.
 
     Raises:
-        Problem: When anything in it is wrong: file, key, value, what is allowed.
+        Problem: Anything in it is wrong: file, key, value, what is allowed.
     """
     import surg_core
 

@@ -33,14 +33,7 @@ def pytest_options() -> list[str]:
 
 
 def run_core_tests(env: Mapping[str, str]) -> tuple[int, int]:
-    """Build surg_core with gcov and run its tests.
-
-    Args:
-        env: The nodes' environment.
-
-    Returns:
-        Numbers of passed and failed tests.
-    """
+    """Build surg_core with gcov and run its tests; returns how many passed and failed."""
     plain = {**cpp_tests.plain_environment(env), "LC_ALL": "C"}
     options = [*cpp_tests.core_options(), "-DCMAKE_CXX_FLAGS=--coverage -O1"]
     cpp_tests.cmake("coverage: build", cpp_tests.CORE, CORE_BUILD, options, [], plain)

@@ -19,17 +19,13 @@ CONTROL_TEST = "surg_control_test"
 
 
 def run(env: Mapping[str, str]) -> tuple[int, int]:
-    """Build and run all of them.
+    """Build and run all of them; returns how many passed and failed.
 
-    Args:
-        env: The nodes' environment; SURG_TEST_FULL in it raises the counts, SURG_RESULTS_DIR
-            takes the tables of measured figures.
-
-    Returns:
-        Numbers of passed and failed tests.
+    In the nodes' environment SURG_TEST_FULL raises the counts, and SURG_RESULTS_DIR takes the
+    tables of measured figures.
 
     Raises:
-        Problem: When something does not build.
+        Problem: Something does not build.
     """
     plain = plain_environment(env)
     counts = [core_tests(plain), sanitized_tests(plain), control_tests(env)]
@@ -45,17 +41,7 @@ def plain_environment(env: Mapping[str, str]) -> dict[str, str]:
 
 
 def core_tests(env: Mapping[str, str]) -> tuple[int, int]:
-    """Build surg_core by CMake alone, as on a machine without ROS, and run its tests.
-
-    Args:
-        env: Their environment, with no workspace in it.
-
-    Returns:
-        Numbers of passed and failed tests.
-
-    Raises:
-        Problem: When it does not build.
-    """
+    """Build surg_core by CMake alone, as on a machine without ROS, and run its tests."""
     cmake("C++ tests: build", CORE, CORE_BUILD, core_options(), [], env)
     # Long counts measure times as well: then one program after the other.
     jobs = 1 if "SURG_TEST_FULL" in env else workspace.jobs()
@@ -65,17 +51,7 @@ def core_tests(env: Mapping[str, str]) -> tuple[int, int]:
 
 
 def control_tests(env: Mapping[str, str]) -> tuple[int, int]:
-    """Build the control node's tests in the workspace, where its libraries are, and run them.
-
-    Args:
-        env: The nodes' environment; no test asks for a ROS master.
-
-    Returns:
-        Numbers of passed and failed tests.
-
-    Raises:
-        Problem: When they do not build.
-    """
+    """Build the control node's tests in the workspace, where its libraries are, and run them."""
     build("control tests: build", CONTROL_TEST, [compilation(paths.BUILD, CONTROL_TEST)], env)
     program = paths.DEVEL / "lib" / "surg_control" / CONTROL_TEST
     return gtests([str(program)], f"{CONTROL_TEST}_run", env)
@@ -84,14 +60,9 @@ def control_tests(env: Mapping[str, str]) -> tuple[int, int]:
 def sanitized_tests(env: Mapping[str, str]) -> tuple[int, int]:
     """Run what crosses threads under ThreadSanitizer, and with long counts the fuzz of the core.
 
-    The fuzz goes under AddressSanitizer and UndefinedBehaviorSanitizer; its build alone takes a
-    minute or two, so the short run has it without them.
-
-    Args:
-        env: Their environment; SURG_TEST_FULL in it asks for the long counts.
-
-    Returns:
-        Numbers of programs that were content, and that were not.
+    The fuzz runs under AddressSanitizer and UndefinedBehaviorSanitizer; its build alone takes a
+    minute or two, so the short run has it without them. Returns how many programs passed and
+    failed.
     """
     core = [f"-DSURG_CORE_BUILD={CORE_BUILD}"]
     cmake("thread sanitizer: build", RACE, RACE_BUILD, core, [], env)
@@ -130,18 +101,12 @@ def cmake(
     targets: Sequence[str],
     env: Mapping[str, str],
 ) -> None:
-    """Configure and build a stand-alone CMake project.
+    """Configure and build targets (none: all) of a stand-alone CMake project.
 
-    Args:
-        title: Shown while it builds.
-        source: Folder with its CMakeLists.txt.
-        folder: Its build folder, which also names the log.
-        options: For the configuration.
-        targets: What to build; everything when empty.
-        env: The compilers' environment.
+    ``folder`` is the build folder, which also names the log.
 
     Raises:
-        Problem: When it does not build.
+        Problem: It does not build.
     """
     configuration = ["cmake", "-S", str(source), "-B", str(folder), *options]
     build(title, folder.name, [configuration, compilation(folder, *targets)], env)
@@ -154,16 +119,10 @@ def compilation(folder: Path, *targets: str) -> list[str]:
 
 
 def build(title: str, name: str, commands: Sequence[Sequence[str]], env: Mapping[str, str]) -> None:
-    """Run the commands of a build.
-
-    Args:
-        title: Shown while it builds.
-        name: Of the log.
-        commands: One after the other.
-        env: The compilers' environment.
+    """Run the commands of a build, with a log of this name.
 
     Raises:
-        Problem: When one of them fails.
+        Problem: One of them fails.
     """
     log = paths.STATE / "logs" / f"{name}.log"
     log.parent.mkdir(parents=True, exist_ok=True)
@@ -176,18 +135,13 @@ def build(title: str, name: str, commands: Sequence[Sequence[str]], env: Mapping
 
 
 def gtests(argv: Sequence[str], name: str, env: Mapping[str, str]) -> tuple[int, int]:
-    """Run gtest programs; what they print is shown where one fails.
+    """Run gtest programs; their output is shown if one fails.
 
-    Args:
-        argv: A program, or what runs several and shows their output.
-        name: Of the log.
-        env: Their environment.
-
-    Returns:
-        Numbers of passed and failed tests. What ends otherwise than gtest does counts as failed.
+    Returns how many tests passed and failed; a program that ends otherwise than gtest does counts
+    as failed.
 
     Raises:
-        Problem: When there was no test.
+        Problem: There was no test.
     """
     done = subprocess.run(
         argv, env=env, capture_output=True, text=True, errors="replace", check=False

@@ -25,12 +25,9 @@ SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 
 
 def clean(base: Mapping[str, str] | None = None) -> dict[str, str]:
-    """The caller's environment without foreign Pythons and ROS workspaces.
+    """The caller's environment, or ``base``, without foreign Pythons and ROS workspaces.
 
     The platform's `.venv` and Debian's folders come first on PATH, the caller's follow.
-
-    Args:
-        base: Environment to start from; `os.environ` when None.
     """
     env = dict(os.environ if base is None else base)
     for name in (*FOREIGN_PYTHON, *FOREIGN_ROS):
@@ -46,12 +43,11 @@ def clean(base: Mapping[str, str] | None = None) -> dict[str, str]:
 def for_nodes(port: int | None = None, ros_home: Path | None = None) -> dict[str, str]:
     """The environment nodes run in: the built workspace, a master, the loopback interface.
 
-    Args:
-        port: Port of the ROS master; ROS_MASTER_URI stays as the caller has it when None.
-        ros_home: Folder for ROS_HOME; its `ros_log` becomes ROS_LOG_DIR. Default `.surg/ros`.
+    Without a port ROS_MASTER_URI stays as the caller has it. ``ros_home`` (default `.surg/ros`)
+    becomes ROS_HOME, and its `ros_log` ROS_LOG_DIR.
 
     Raises:
-        Problem: When the workspace has not been built.
+        Problem: The workspace has not been built.
     """
     setup = paths.DEVEL / "setup.bash"
     if not setup.exists():

@@ -13,14 +13,7 @@ OTHER = {"right": "left", "down": "up", "away": "nearer"}
 
 
 def draw(folder: Path) -> Path | None:
-    """Draw `check_frames.png` beside the verdict.
-
-    Args:
-        folder: With `check_frames.json` and `check_frames.npz`.
-
-    Returns:
-        The picture; None where the check got no pictures of the tip at rest.
-    """
+    """Draw `check_frames.png` in a folder with results; None: no tip was seen at rest."""
     import matplotlib as mpl
     import numpy as np
 

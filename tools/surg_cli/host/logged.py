@@ -32,7 +32,7 @@ def run(
         failure: From all lines and `log` to the text of the problem (default: the last lines).
 
     Raises:
-        Problem: When the program fails.
+        Problem: The program fails.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
     lines: list[str] = []

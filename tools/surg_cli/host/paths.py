@@ -25,12 +25,7 @@ LOCK_FILE = ROOT / "requirements.lock"
 
 
 def write_text(path: Path, text: str) -> None:
-    """Replace a file in one step, so that a reader sees the old or the new text, never half.
-
-    Args:
-        path: The file; its folder is made when missing.
-        text: The new content.
-    """
+    """Replace a file in one step, so that a reader sees the old or the new text whole."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     with os.fdopen(handle, "w", encoding="utf-8") as stream:
@@ -44,13 +39,10 @@ def file_digest(path: Path) -> str:
 
 
 def run_folder(wanted: Path | None) -> Path:
-    """The folder of a run: a new one, or an empty one. Nothing is made.
-
-    Args:
-        wanted: What a person asked for; None for one named by the time, in UTC.
+    """The folder of a run: the wanted one, or one named by the UTC time. Nothing is made.
 
     Raises:
-        Problem: When the wanted folder holds something.
+        Problem: The wanted folder is not empty.
     """
     if wanted is not None:
         out = wanted.absolute()

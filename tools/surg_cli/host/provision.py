@@ -30,23 +30,16 @@ def make_ready() -> bool:
 
 
 def listed_packages(path: Path = paths.APT_LIST) -> list[str]:
-    """Names in the package list: the first word of each line that is not a comment.
-
-    Args:
-        path: One package per line, `#` starts a comment.
-    """
+    """Names in the package list: the first word of each line, `#` starts a comment."""
     lines = (line.partition("#")[0].split() for line in path.read_text("utf-8").splitlines())
     return [words[0] for words in lines if words]
 
 
 def missing_packages(names: Sequence[str]) -> list[str]:
-    """Those of `names` that dpkg does not call installed.
-
-    Args:
-        names: Debian package names.
+    """Those Debian packages that dpkg does not call installed.
 
     Raises:
-        Problem: When this is not a Debian system.
+        Problem: This is not a Debian system.
     """
     if shutil.which("dpkg-query", path="/usr/bin:/bin") is None:
         raise Problem("dpkg-query is missing: the platform is set up on Debian 12 (bookworm)")
@@ -64,16 +57,10 @@ def missing_packages(names: Sequence[str]) -> list[str]:
 
 
 def install_packages(log: Path) -> bool:
-    """Install what is missing from the package list.
-
-    Args:
-        log: File for the output of apt-get.
-
-    Returns:
-        Whether anything had to be installed.
+    """Install what is missing from the package list; returns whether anything was.
 
     Raises:
-        Problem: Without root and sudo, with the one line to run; or when apt-get fails.
+        Problem: Without root and sudo, with the one line to run; or apt-get fails.
     """
     missing = missing_packages(listed_packages())
     if not missing:
@@ -98,19 +85,13 @@ def install_packages(log: Path) -> bool:
 
 
 def install_python(log: Path) -> bool:
-    """Make `.venv` and fill it from the lock file.
+    """Make `.venv` and fill it from the lock file; returns whether anything had to be done.
 
     numpy, OpenCV and pyzmq stay Debian's: `.venv` sees the system's packages, and the lock names
     only what Debian 12 does not have.
 
-    Args:
-        log: File for the output of pip.
-
-    Returns:
-        Whether anything had to be done.
-
     Raises:
-        Problem: When a step fails; the text holds the last lines of its output.
+        Problem: A step fails; the text holds the last lines of its output.
     """
     wanted = paths.file_digest(paths.LOCK_FILE)
     if paths.VENV_PYTHON.exists() and VENV_STAMP.exists() and VENV_STAMP.read_text() == wanted:

@@ -10,14 +10,12 @@ from collections.abc import Sequence
 
 
 class Problem(Exception):
-    """An error a person can act on: ends the command with its text and no traceback.
+    """An error that a person can act on: ends the command with its text and no traceback.
 
-    Attributes:
-        code: Exit status of the command: 1 for a failed run, 2 for wrong input.
+    ``code`` is the command's exit status: 1 for a failed run, 2 for wrong input.
     """
 
     def __init__(self, text: str, code: int = 1) -> None:
-        """Keep the text and the exit status."""
         super().__init__(text)
         self.code = code
 
@@ -48,11 +46,6 @@ class Progress:
     REDRAW_PERIOD_S = 0.1
 
     def __init__(self, title: str) -> None:
-        """Start the line.
-
-        Args:
-            title: What is being done, in a word or two.
-        """
         self._title = title
         self._started = time.monotonic()
         self._last = -1e9
@@ -66,12 +59,7 @@ class Progress:
         return self
 
     def update(self, fraction: float | None, note: str = "") -> None:
-        """Show how far the work is.
-
-        Args:
-            fraction: Done part in [0, 1], or None when unknown.
-            note: A few words shown behind the bar.
-        """
+        """Show how far the work is, 0 to 1 (None: unknown), with a few words."""
         now = time.monotonic()
         period = self.REDRAW_PERIOD_S if self._interactive else self.QUIET_PERIOD_S
         if now - self._last < period:
@@ -98,15 +86,7 @@ class Progress:
 
 
 def table(rows: Sequence[Sequence[str]], indent: str = "  ") -> str:
-    """Lay out rows in columns, left-justified.
-
-    Args:
-        rows: Cells as text; every row has the same number of cells.
-        indent: Put before each row.
-
-    Returns:
-        The lines joined with newlines; empty for no rows.
-    """
+    """Lay out rows of equal length in columns, left-justified; empty for no rows."""
     if not rows:
         return ""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]

@@ -58,17 +58,10 @@ def jobs() -> int:
 
 
 def build(log: Path, force: bool = False) -> bool:
-    """Configure and build into `build/` and `devel/`.
-
-    Args:
-        log: File for the output of CMake and the compilers.
-        force: Build even when nothing has changed.
-
-    Returns:
-        Whether anything had to be done.
+    """Configure and build into `build/` and `devel/`; returns whether anything had to be done.
 
     Raises:
-        Problem: When a step fails; the text holds the last lines of its output.
+        Problem: A step fails; the text holds the last lines of its output.
     """
     before = fingerprint()
     if not force and is_current():
@@ -116,12 +109,7 @@ def _make_fraction(lines: Sequence[str]) -> float | None:
 
 
 def failure_text(lines: Sequence[str], log: Path) -> str:
-    """What to show of a failed build: the first errors, else the last lines.
-
-    Args:
-        lines: Output of CMake and the compilers.
-        log: Where all of it is.
-    """
+    """What to show of a failed build: the first errors, else the last lines."""
     errors = [
         i
         for i, line in enumerate(lines)

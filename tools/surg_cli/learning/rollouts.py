@@ -26,17 +26,10 @@ WEIGHTS = "SURG_BGR_WEIGHTS"
 
 @dataclass
 class Player:
-    """Plays roll-outs of one policy.
+    """Plays roll-outs of one policy, whose client is ``script``.
 
-    Attributes:
-        task: Name of the task.
-        cell: Folder of the cell.
-        loaded: The cell.
-        setting: Physical setting.
-        script: Client of the policy.
-        weights: Its weights.
-        privileged: Whether the simulator's truth is served.
-        cameras: Views of the endoscope that are served, and recorded.
+    ``privileged``: the simulator's truth is served. ``cameras``: views that are served and
+    recorded.
     """
 
     task: str
@@ -73,15 +66,9 @@ class Player:
         return str(self._plan.run_info["robot"])
 
     def play(self, seed: int, folder: Path, show: Callable[[float, str], None]) -> dict[str, Any]:
-        """Play one, or return its stored result.
+        """Play one, or return its stored result; remains of an interrupted roll-out are removed.
 
-        Args:
-            seed: Of the episode.
-            folder: Of the roll-out; the remains of an interrupted roll-out are removed.
-            show: Called with the simulated time [s] and a note on the progress.
-
-        Returns:
-            ``rollout`` (`learning.roll_out`) and ``episode`` (`trials.describe`).
+        ``show`` gets the simulated time [s] and a note on the progress.
         """
         file = folder / RESULT
         if file.is_file():

@@ -22,11 +22,9 @@ FORMAT = "surg_stages/1"
 
 
 class Ledger:
-    """Results and durations of the stages.
+    """Results and durations of the stages, in a JSON file that is written when a first stage ends.
 
-    Args:
-        file: The JSON file; written when a first stage ends.
-        resume: Command line that resumes the work, for the error message.
+    ``resume`` is the command line that resumes the work, for the error message.
 
     Raises:
         Problem: The file is there and is no ledger.
