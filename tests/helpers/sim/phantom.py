@@ -10,11 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
+from helpers.sim.assistant_pose import forward, joints_for
 from surg_cli.host import paths
+from surg_sim.looks.tissue_skin import add_skin
 from surg_sim.physics import scene
-from surg_sim.physics.assistant_arm import Assistant, AssistantCommand, add_assistant, forward
+from surg_sim.physics.assistant_arm import Assistant, AssistantCommand
+from surg_sim.physics.assistant_scene import add_assistant
+from surg_sim.physics.bowel import Bowel
 from surg_sim.physics.sim_arm import SUBSTEPS, ActuatorParameters, ArmLink
-from surg_sim.physics.tissue import Bowel, TissueParameters, add_bowel
+from surg_sim.physics.tissue import TissueParameters, add_bowel
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH, Grasp, add_grasp
 
 Array = NDArray[np.float64]
@@ -35,8 +39,10 @@ def compiled(cell: str, parameters: TissueParameters, looks: bool) -> mujoco.MjM
     arm = arm_of(cell)
 
     def add(spec: mujoco.MjSpec, site: scene.Site) -> None:
-        add_bowel(spec, site, parameters, looks)
-        add_assistant(spec, site, arm.instrument_urdf, looks=looks)
+        add_bowel(spec, site, parameters)
+        if looks:
+            add_skin(spec, site, parameters)
+        add_assistant(spec, site, arm.instrument_urdf, looks)
         add_grasp(spec, "PSM1")
         add_grasp(spec, "assistant")
 
@@ -66,7 +72,7 @@ class Phantom:
         self.site = scene.site_of([arm])
         self.link = ArmLink(self.model, self.data, arm, ActuatorParameters())
         self.bowel = Bowel(self.model, self.data, self.site, parameters)
-        self.assistant = Assistant(self.model, self.data, arm.instrument_urdf)
+        self.assistant = Assistant(self.model, self.data)
         self.grasp = Grasp(self.model, self.data, "assistant", self.bowel)
         self.robot_grasp = Grasp(self.model, self.data, "PSM1", self.bowel)
         self.reset()
@@ -110,7 +116,7 @@ class Phantom:
         """Roll of the assistant with which its jaws close across the tube at a node [rad]."""
         nodes = self.bowel.nodes
         along = nodes[min(node + 1, len(nodes) - 1)] - nodes[max(node - 1, 0)]
-        X = self.assistant.X_WRcm[:3, :3] @ forward(self.assistant.joints_for(nodes[node]))[:3, :3]
+        X = self.assistant.X_WRcm[:3, :3] @ forward(joints_for(self.assistant, nodes[node]))[:3, :3]
         local = X.T @ along
         roll = float(np.arctan2(local[1], local[0]))
         return (roll + np.pi / 2) % np.pi - np.pi / 2
@@ -122,7 +128,7 @@ class Phantom:
 
     def go(self, p_W: Array, roll: float = 0.0, jaw: float | None = None, ticks: int = 300) -> None:
         """Bring the assistant's tip to a point in the world."""
-        self.run(ticks, self.assistant.joints_for(p_W, roll), jaw)
+        self.run(ticks, joints_for(self.assistant, p_W, roll), jaw)
 
     def approach(self, node: int, aside: float = 0.0, depth: float = GRIP_DEPTH) -> float:
         """Open the jaws and bring them round a node; returns the roll.
@@ -134,7 +140,7 @@ class Phantom:
         """
         place, roll = self.bowel.nodes[node], self.across(node)
         shaft = self.shaft(place)
-        X = self.assistant.X_WRcm[:3, :3] @ forward(self.assistant.joints_for(place, roll))[:3, :3]
+        X = self.assistant.X_WRcm[:3, :3] @ forward(joints_for(self.assistant, place, roll))[:3, :3]
         place = place + aside * X[:, 1]
         self.go(place - 0.03 * shaft, roll, OPEN)
         self.go(place + depth * shaft, roll, OPEN, 150)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_cli.host import paths
+from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.looks.render import NoOpenGL, Picture, StereoRenderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.trocar import shaft_in_flange, wall_frame
@@ -64,7 +65,7 @@ class Stage:
         show_only(self.world.model, lamps=False)
         try:
             self.renderer = StereoRenderer(
-                self.world.model, width, height, vignette=True, hidden=[scene.OUTSIDE]
+                self.world.model, width, height, vignette=True, hidden=[OUTSIDE]
             )
         except NoOpenGL as error:
             pytest.skip(str(error))

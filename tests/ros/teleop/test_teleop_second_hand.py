@@ -11,11 +11,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from helpers.graph.ros import RosGraph
+from helpers.sim.assistant_pose import forward
 from surg_cli.graph import operator_nodes, system
 from surg_cli.graph.processes import Child
 from surg_cli.host import cells, paths
 from surg_core.status_check import value_name
-from surg_sim.physics.assistant_arm import forward
 
 pytestmark = pytest.mark.ros
 

@@ -10,12 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import surg_core
+from helpers.sim.assistant_pose import forward
 from surg_cli.commands import teleop
 from surg_cli.graph import master
 from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 from surg_sim import tasks
-from surg_sim.physics.assistant_arm import AssistantCommand, forward
+from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.world import World
 from surg_teleop.console.ros.console_node import Settings
 from surg_teleop.follow.teleop_setup import read_setup

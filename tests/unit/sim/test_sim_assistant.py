@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from helpers.results.tissue_results import note
+from helpers.sim.assistant_pose import forward
 from helpers.sim.phantom import Phantom, arm_of
 from surg_core.transforms import virtual_joints
+from surg_sim.looks.patient import wall_height
 from surg_sim.physics import scene
 from surg_sim.physics.assistant_arm import (
     ACCELERATION,
@@ -15,10 +17,8 @@ from surg_sim.physics.assistant_arm import (
     UPPER,
     VELOCITY,
     AssistantCommand,
-    AssistantPort,
-    forward,
-    port_frame,
 )
+from surg_sim.physics.assistant_scene import port_frame, port_place
 
 TICK = 0.002
 
@@ -133,14 +133,13 @@ def test_the_shaft_stays_in_its_trocar_and_stiff_under_load(phantom: Phantom) ->
 @pytest.mark.parametrize("cell", ["sim_ur5e", "sim_panda"])
 def test_it_comes_from_the_other_side_through_the_wall(cell: str) -> None:
     site = scene.site_of([arm_of(cell)])
-    port = AssistantPort.opposite(site)
-    x, y, z = port.trocar
+    x, y, z = port_place(site)
     robot = site.local(site.trocar)
-    print(f"{cell}: robot {robot.round(3)}, assistant {np.round(port.trocar, 3)} m")
+    print(f"{cell}: robot {robot.round(3)}, assistant {np.round([x, y, z], 3)} m")
     assert x * robot[0] < 0 or abs(robot[0]) < 0.02
     assert abs(x - robot[0]) > 0.06  # room for two cannulas and two hands
-    assert z == pytest.approx(scene.wall_height(site, x, y))
-    assert scene.wall_height(site, *robot[:2]) == pytest.approx(robot[2], abs=1e-9)
-    X = port_frame(site, port)
+    assert z == pytest.approx(wall_height(site, x, y))
+    assert wall_height(site, *robot[:2]) == pytest.approx(robot[2], abs=1e-9)
+    X = port_frame(site)
     assert np.abs(X[:3, :3].T @ X[:3, :3] - np.eye(3)).max() < 1e-12
     assert X[:3, 2] @ (site.work - X[:3, 3]) > 0.05  # into the patient

@@ -8,6 +8,7 @@ import pytest
 import surg_core
 from surg_cli.host import paths
 from surg_sim.looks import anatomy, render
+from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.looks.render import Intrinsics, NoOpenGL, Renderer
 from surg_sim.physics import scene
 from surg_sim.physics.world import World
@@ -22,7 +23,7 @@ def world(request: pytest.FixtureRequest) -> World:
 
 def renderer_of(world: World, **keys: object) -> Renderer:
     try:
-        hidden = [scene.OUTSIDE]
+        hidden = [OUTSIDE]
         return Renderer(world.model, scene.ENDOSCOPE, 640, 480, hidden=hidden, **keys)
     except NoOpenGL as error:
         pytest.skip(str(error))

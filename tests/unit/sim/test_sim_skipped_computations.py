@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from helpers.sim.phantom import Phantom, arm_of
+from helpers.sim.phantom import Phantom
 from surg_sim.physics.assistant_arm import Assistant, AssistantCommand
 from surg_sim.physics.sim_arm import evenly
 from surg_sim.physics.stability import all_finite
@@ -72,8 +72,7 @@ def test_an_assistant_at_rest_is_told_what_it_would_be_told(full: bool) -> None:
     """Against one that moves its targets in every tick, through commands and long rests."""
     phantom, rng = Phantom(), np.random.default_rng(5)
     one = phantom.assistant
-    urdf = arm_of("sim_ur5e").instrument_urdf
-    other = Assistant(phantom.model, mujoco.MjData(phantom.model), urdf)
+    other = Assistant(phantom.model, mujoco.MjData(phantom.model))
     rested = 0
     for _ in range(20000 if full else 4000):
         if rng.random() < 0.003:

@@ -248,7 +248,7 @@ def test_the_robot_does_not_feel_a_bowel_that_it_does_not_touch() -> None:
     """Pads and tissue change neither the arm's masses nor its motion."""
     arm, parameters = arm_of("sim_ur5e"), TissueParameters()
     q = []
-    for add in (None, lambda spec, site: add_bowel(spec, site, parameters, False)):
+    for add in (None, lambda spec, site: add_bowel(spec, site, parameters)):
         model = scene.build([arm], add=add)
         data = mujoco.MjData(model)
         link = ArmLink(model, data, arm, ActuatorParameters())

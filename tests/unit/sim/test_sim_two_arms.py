@@ -22,6 +22,7 @@ from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, StateCommand
 from surg_description.make_cell import home_pose
 from surg_sim.looks import patient
+from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.looks.render import NoOpenGL, StereoRenderer, show_only
 from surg_sim.looks.render_speed import stereo_speed
 from surg_sim.physics import endoscope_rig, scene
@@ -53,7 +54,7 @@ def seen(cell: surg_core.Cell) -> World:
 
 def stereo(model: mujoco.MjModel, **keys: object) -> StereoRenderer:
     try:
-        return StereoRenderer(model, 640, 480, hidden=[scene.OUTSIDE], **keys)
+        return StereoRenderer(model, 640, 480, hidden=[OUTSIDE], **keys)
     except NoOpenGL as error:
         pytest.skip(str(error))
 

@@ -11,7 +11,9 @@ from surg_teleop.follow.servo_instrument import ServoInstrument
 
 def test_a_virtual_arm_is_the_simulators_assistant() -> None:
     """The simulator's own kinematics is the oracle for pose and joints."""
-    assistant = pytest.importorskip("surg_sim.physics.assistant_arm")
+    pytest.importorskip("surg_sim.physics.assistant_arm")
+    from helpers.sim.assistant_pose import forward
+
     arm = ServoInstrument("/teleop", np.eye(3))
     assert arm.view() is None
     rng = np.random.default_rng(2)
@@ -20,7 +22,7 @@ def test_a_virtual_arm_is_the_simulators_assistant() -> None:
         arm = ServoInstrument("/teleop", np.eye(3))
         arm.joints(1.0, 0, joints)
         view = arm.view()
-        assert view.p_set == pytest.approx(assistant.forward(joints)[:3, 3])
+        assert view.p_set == pytest.approx(forward(joints)[:3, 3])
         assert (view.state, view.stream) == (ArmState.ENABLED, "/teleop")
         pose = TipPose(view.p_set, joints[3] + 0.1)
         asked = arm.convert(ArmCommands(servo_cp=pose, jaw=0.3, state="pause", claim=True))
@@ -28,7 +30,7 @@ def test_a_virtual_arm_is_the_simulators_assistant() -> None:
             [*TipPose(view.p_set, 0.0).joints[:3], joints[3] + 0.1]
         )
         R = Rotation.from_quat(pose.q).as_matrix()
-        assert assistant.forward(asked.servo_jp)[:3, :3] == pytest.approx(R)
+        assert forward(asked.servo_jp)[:3, :3] == pytest.approx(R)
         assert (asked.jaw, asked.state, asked.claim, asked.servo_cp) == (0.3, None, False, None)
         assert arm.convert(ArmCommands(hold=True)).servo_jp == pytest.approx(joints)
     arm.joints(2.0, 0, np.full(4, np.nan))

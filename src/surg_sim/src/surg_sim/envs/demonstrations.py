@@ -22,25 +22,15 @@ from surg_sim.tasks.scripted_arm import ArmExpert
 
 @dataclass(frozen=True)
 class Plan:
-    """What all demonstrations have in common.
+    """What all demonstrations have in common."""
 
-    Attributes:
-        out: Folder of the recordings; each is ``<out>/<seed>``.
-        cell: Folder of the cell.
-        task: Name.
-        setting: Of ``patient_settings.SETTINGS``.
-        cameras: Views to record.
-        size: Of the pictures [px].
-        shake: Of every second demonstration, see ``experts.shaken`` [m]; 0: of none.
-    """
-
-    out: Path
-    cell: Path
-    task: str
-    setting: str = "phantom"
-    cameras: tuple[str, ...] = ()
-    size: tuple[int, int] = (640, 480)
-    shake: float = 0.0
+    out: Path  # folder of the recordings; each is ``<out>/<seed>``
+    cell: Path  # folder of the cell
+    task: str  # name
+    setting: str = "phantom"  # of ``patient_settings.SETTINGS``
+    cameras: tuple[str, ...] = ()  # views to record
+    size: tuple[int, int] = (640, 480)  # of the pictures [px]
+    shake: float = 0.0  # of every second demonstration, see ``perturbed_sender`` [m]; 0: of none
 
     def folder(self, seed: int) -> Path:
         """Where the recording of a seed lies."""

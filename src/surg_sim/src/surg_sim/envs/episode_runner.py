@@ -10,13 +10,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core.contract import GRID, TICK
+from surg_sim.arrays import Array
 from surg_sim.envs.cell_session import Session, Tick, merge
 from surg_sim.tasks.scripted_sender import Expert
-
-Array = NDArray[np.float64]
 
 _Sample = tuple[float, float, float, float]  # kinematic, true, force, displacement
 
@@ -38,42 +36,25 @@ class Spread:
 
 @dataclass(frozen=True)
 class ArmReport:
-    """What one arm did to its trocar; SI.
+    """What one arm did to its trocar; SI."""
 
-    Attributes:
-        kinematic: Distance of the commanded pivot to the shaft by joint states: the paper's.
-        true: Distance of the undisturbed trocar point to the true shaft axis.
-        force: Of the shaft on the wall.
-        displacement: Of the wall's hole from its undisturbed point.
-    """
-
-    kinematic: Spread
-    true: Spread
-    force: Spread
-    displacement: Spread
+    kinematic: Spread  # distance of the commanded pivot to the shaft by joint states: the paper's
+    true: Spread  # distance of the undisturbed trocar point to the true shaft axis
+    force: Spread  # of the shaft on the wall
+    displacement: Spread  # of the wall's hole from its undisturbed point
 
 
 @dataclass(frozen=True)
 class EpisodeReport:
-    """One episode.
+    """One episode."""
 
-    Attributes:
-        seed: Its seed.
-        success: Whether it was one.
-        reason: Why not; empty after a success.
-        duration: [s] of simulated time.
-        reward: Sum over the episode.
-        arms: By name.
-        hash: Of the states of all ticks.
-    """
-
-    seed: int
-    success: bool
-    reason: str
-    duration: float
-    reward: float
-    arms: Mapping[str, ArmReport]
-    hash: str
+    seed: int  # its seed
+    success: bool  # whether it was one
+    reason: str  # why not; empty after a success
+    duration: float  # [s] of simulated time
+    reward: float  # sum over the episode
+    arms: Mapping[str, ArmReport]  # by name
+    hash: str  # of the states of all ticks
 
 
 def run_episode(

@@ -37,23 +37,14 @@ GONE = TrocarParameters(stiffness=0.1, friction=0.0)
 
 @dataclass(frozen=True)
 class Series:
-    """Episodes of one task under one condition.
+    """Episodes of one task under one condition."""
 
-    Attributes:
-        label: What a reader sees.
-        cell: Name or path.
-        task: Name.
-        condition: Physical parameters.
-        law: Of ``session.LAWS``.
-        seeds: Of the episodes.
-    """
-
-    label: str
-    cell: str
-    task: str
-    condition: PatientSetting
-    law: str
-    seeds: tuple[int, ...]
+    label: str  # what a reader sees
+    cell: str  # name or path
+    task: str  # name
+    condition: PatientSetting  # physical parameters
+    law: str  # of ``session.LAWS``
+    seeds: tuple[int, ...]  # of the episodes
 
     def run(self) -> list[EpisodeReport]:
         """All episodes, one after another, in one compiled scene."""

@@ -12,12 +12,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core.contract import ARM_STATE, STATE_KEY, TASK_STATE_KEY, TICK, image_key
+from surg_sim.arrays import Array
 from surg_sim.envs.surg_env import SurgEnv
-
-Array = NDArray[np.float64]
 
 
 class Acts(Protocol):
@@ -32,27 +30,16 @@ class Acts(Protocol):
 
 @dataclass(frozen=True)
 class Rollout:
-    """How an episode went.
+    """How an episode went."""
 
-    Attributes:
-        seed: Its seed.
-        success: Whether it was one.
-        reason: Why not.
-        phase: Where it ended.
-        duration: [s] simulated.
-        refused: Commands that the controller refused.
-        rcm_max: Largest kinematic deviation of the commanded arm [m].
-        hash: Of the states of all ticks.
-    """
-
-    seed: int
-    success: bool
-    reason: str
-    phase: str
-    duration: float
-    refused: int
-    rcm_max: float
-    hash: str
+    seed: int  # its seed
+    success: bool  # whether it was one
+    reason: str  # why not
+    phase: str  # where it ended
+    duration: float  # [s] simulated
+    refused: int  # commands that the controller refused
+    rcm_max: float  # largest kinematic deviation of the commanded arm [m]
+    hash: str  # of the states of all ticks
 
 
 def names(env: SurgEnv) -> dict[str, list[str]]:

@@ -18,6 +18,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_sim.arrays import Array
+
 try:
     import gymnasium
     from gymnasium import spaces
@@ -41,8 +43,6 @@ from surg_sim.tasks.scripted_sender import (
 
 if TYPE_CHECKING:
     from surg_sim.tasks.scripted_sender import Expert, Observation
-
-Array = NDArray[np.float64]
 
 POLICY = "expert"
 """Name of the expert that the policy replaces; the others stay scripted."""

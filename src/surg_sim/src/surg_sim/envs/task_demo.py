@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core.contract import GRID, GRID_RATE, TICK
 from surg_sim import tasks
+from surg_sim.arrays import Picture
 from surg_sim.envs.cell_session import LAWS, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
@@ -25,27 +25,19 @@ from surg_sim.looks.render import NoOpenGL
 from surg_sim.physics import cell_files, patient_settings
 from surg_sim.tasks import episode_seeds
 
-Picture = NDArray[np.uint8]
-
 
 @dataclass
 class Watch:
-    """Collects what video and figure show.
+    """Collects what video and figure show."""
 
-    Attributes:
-        session: The episode's.
-        camera: Draws the endoscope's picture; None: no pictures.
-        pictures: At 20 fps.
-        phases: (time [s], name) of every change.
-        deviation: Rows of time [s], kinematic and true deviation of the commanded arm [m].
-        numbers: Rows of time [s] and the task's plotted numbers.
-    """
-
-    session: Session
-    camera: EndoscopeRenderer | None
-    pictures: list[Picture] = field(default_factory=list)
+    session: Session  # the episode's
+    camera: EndoscopeRenderer | None  # draws the endoscope's picture; None: no pictures
+    pictures: list[Picture] = field(default_factory=list)  # at 20 fps
+    # (time [s], name) of every change.
     phases: list[tuple[float, str]] = field(default_factory=list)
+    # Rows of time [s], kinematic and true deviation of the commanded arm [m].
     deviation: list[tuple[float, float, float]] = field(default_factory=list)
+    # Rows of time [s] and the task's plotted numbers.
     numbers: list[tuple[float, ...]] = field(default_factory=list)
 
     def __call__(self, tick: Tick) -> None:

@@ -11,22 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from surg_sim.arrays import Array
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle mesh with one texture coordinate per vertex.
+    """A triangle mesh with one texture coordinate per vertex."""
 
-    Attributes:
-        vertices: (n, 3) positions [m].
-        faces: (m, 3) vertex numbers, counter-clockwise from outside.
-        uv: (n, 2) texture coordinates.
-    """
-
-    vertices: Array
-    faces: NDArray[np.int32]
-    uv: Array
+    vertices: Array  # (n, 3) positions [m]
+    faces: NDArray[np.int32]  # (m, 3) vertex numbers, counter-clockwise from outside
+    uv: Array  # (n, 2) texture coordinates
 
     def flipped(self) -> Mesh:
         """The same surface seen from the other side."""
@@ -161,23 +155,14 @@ def disc(
 
 @dataclass(frozen=True)
 class Dome:
-    """The inflated abdominal wall: half an ellipsoid with a window through which one looks in.
+    """The inflated abdominal wall: half an ellipsoid with a window through which one looks in."""
 
-    Attributes:
-        half_length: Half axis along x (head to feet) [m].
-        half_width: Half axis along y [m].
-        height: Top above the base plane [m].
-        window: Half angle of the opening [rad].
-        window_top: Polar height of its upper edge, 0 at the base, pi/2 at the top [rad].
-        towards: Azimuth of its middle from +x [rad].
-    """
-
-    half_length: float
-    half_width: float
-    height: float
-    window: float
-    window_top: float
-    towards: float = -np.pi / 2
+    half_length: float  # half axis along x (head to feet) [m]
+    half_width: float  # half axis along y [m]
+    height: float  # top above the base plane [m]
+    window: float  # half angle of the opening [rad]
+    window_top: float  # polar height of its upper edge, 0 at the base, pi/2 at the top [rad]
+    towards: float = -np.pi / 2  # azimuth of its middle from +x [rad]
 
     def point(self, azimuth: Array, rise: Array) -> Array:
         """Points of the surface; azimuth from +x [rad], rise 0..pi/2 from base to top."""

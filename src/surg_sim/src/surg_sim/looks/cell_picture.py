@@ -8,15 +8,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image
 
+import surg_core
 from surg_sim import tasks
+from surg_sim.arrays import Array
+from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.looks.render import NoOpenGL, Picture, Renderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.world import World
-
-Array = NDArray[np.float64]
 
 
 def take(world: World, camera: str, width: int, height: int) -> Picture:
@@ -46,7 +46,7 @@ def series(
         factor * width,
         factor * height,
         vignette=inside,
-        hidden=[scene.OUTSIDE] if inside else [],
+        hidden=[OUTSIDE] if inside else [],
         skins=world.task.skins if world.task is not None else (),
     )
 
@@ -71,8 +71,6 @@ VIEWS = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Entry point; returns the exit code (2: broken configuration, 1: no OpenGL)."""
-    import surg_core
-
     parser = argparse.ArgumentParser(
         prog="python -m surg_sim.looks.cell_picture", description=__doc__
     )

@@ -25,7 +25,7 @@ from surg_sim.looks import cell_picture
 from surg_sim.looks.drawing import look
 from surg_sim.looks.render import NoOpenGL, Picture
 from surg_sim.physics import cell_files, endoscope_rig, scene
-from surg_sim.physics.sim_arm import quaternion
+from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.world import World
 from surg_sim.tasks import State, episode_seeds
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_sim.arrays import Array
 from surg_sim.looks import textures
 from surg_sim.looks.anatomy import Mesh
-
-Array = NDArray[np.float64]
 
 OUTSIDE = 2
 """Group of geoms that the endoscope does not see: room, drape, skin. (URDF visuals: group 1.)"""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.looks.render import Picture, Renderer, StereoRenderer, show_only
 from surg_sim.physics.endoscope_rig import FRAMES
-from surg_sim.physics.scene import OUTSIDE
 
 if TYPE_CHECKING:
     from surg_sim.physics.world import World

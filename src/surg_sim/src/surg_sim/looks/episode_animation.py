@@ -11,10 +11,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core.contract import GRID, TICK
 from surg_sim import tasks
+from surg_sim.arrays import Array
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.looks import cell_picture
@@ -22,8 +22,6 @@ from surg_sim.looks.documentation_pictures import close_up
 from surg_sim.looks.render import NoOpenGL, Picture
 from surg_sim.physics import cell_files, scene
 from surg_sim.tasks import episode_seeds
-
-Array = NDArray[np.float64]
 
 FRAME_MS = 60
 LAST_FRAME_MS = 1200

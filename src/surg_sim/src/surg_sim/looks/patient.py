@@ -1,26 +1,20 @@
 """What the patient looks like: bed, bowel, abdominal wall with its ports, body under the drape.
 
-Everything in patient axes about the work point (``scene.Site``); the body's frame lies
+Everything in patient axes about the work point (``patient_site``); the body's frame lies
 ``BED_DEPTH`` below it. Only the wall's height is of use elsewhere: a port must lie in it.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_sim.arrays import Array
 from surg_sim.looks import anatomy
 from surg_sim.looks.drawing import OUTSIDE, add_mesh, add_seen
 from surg_sim.looks.room import BED_DEPTH, table_of
-from surg_sim.physics.sim_arm import quaternion
-
-if TYPE_CHECKING:
-    from surg_sim.physics.scene import Site
-
-Array = NDArray[np.float64]
+from surg_sim.physics.patient_site import Site
+from surg_sim.physics.spec_parts import quaternion
 
 _LOOPS = {
     "near": (0.0125, [(-0.17, 0.036, 0.010), (-0.090, 0.040, 0.011), (-0.052, 0.008, 0.010),

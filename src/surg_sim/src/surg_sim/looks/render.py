@@ -15,16 +15,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_sim.arrays import Array, Picture
 from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.physics import endoscope_rig
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
-
-Array = NDArray[np.float64]
-Picture = NDArray[np.uint8]
 
 APT_LINE = "sudo apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libgles2 libosmesa6"
 """What brings off-screen OpenGL to a Debian machine."""
@@ -120,21 +117,13 @@ def choose_backend() -> str:
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """Pinhole model of a rendered picture; pixel centres have integer coordinates.
+    """Pinhole model of a rendered picture; pixel centres have integer coordinates."""
 
-    Attributes:
-        width: [px].
-        height: [px].
-        f: Focal length, the same in x and y [px].
-        cx: Principal point [px].
-        cy: Principal point [px].
-    """
-
-    width: int
-    height: int
-    f: float
-    cx: float
-    cy: float
+    width: int  # [px]
+    height: int  # [px]
+    f: float  # focal length, the same in x and y [px]
+    cx: float  # principal point [px]
+    cy: float  # principal point [px]
 
     @classmethod
     def from_fovy(cls, width: int, height: int, fovy: float) -> Intrinsics:

@@ -20,17 +20,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RenderSpeed:
-    """What rendering stereo pairs took.
+    """What rendering stereo pairs took."""
 
-    Attributes:
-        pairs_per_s: Pairs in a second of wall-clock time.
-        cpu_s_per_pair: Processor time of a pair, over all threads [s].
-        backend: The OpenGL platform.
-    """
-
-    pairs_per_s: float
-    cpu_s_per_pair: float
-    backend: str
+    pairs_per_s: float  # pairs in a second of wall-clock time
+    cpu_s_per_pair: float  # processor time of a pair, over all threads [s]
+    backend: str  # the OpenGL platform
 
 
 def stereo_speed(

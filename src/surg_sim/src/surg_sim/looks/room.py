@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_sim.arrays import Array
 from surg_sim.looks.drawing import add_seen, look
-from surg_sim.physics.sim_arm import quaternion
-
-if TYPE_CHECKING:
-    from surg_sim.physics.scene import Site
-
-Array = NDArray[np.float64]
+from surg_sim.physics.patient_site import Site
+from surg_sim.physics.spec_parts import quaternion
 
 OVERVIEW = "overview"
 """Name of the camera that looks at the room."""

@@ -10,14 +10,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Field = NDArray[np.float64]
-Picture = NDArray[np.uint8]
+from surg_sim.arrays import Array, Picture
+
 Colour = Sequence[float]
 
 
-def noise(n: int, roughness: float, rng: np.random.Generator) -> Field:
+def noise(n: int, roughness: float, rng: np.random.Generator) -> Array:
     """Tileable noise, (n, n), zero mean, unit variance.
 
     Args:
@@ -36,7 +35,7 @@ def noise(n: int, roughness: float, rng: np.random.Generator) -> Field:
 
 def vessels(
     n: int, trunks: int, width: float, rng: np.random.Generator, wander: float = 0.05
-) -> Field:
+) -> Array:
     """Branching vessels, (n, n) in 0..1: 1 in the middle of a vessel.
 
     Args:
@@ -73,31 +72,23 @@ def vessels(
     return picture
 
 
-def _blend(base: Field, colour: Colour, weight: Field) -> Field:
+def _blend(base: Array, colour: Colour, weight: Array) -> Array:
     return base + weight[..., None] * (np.asarray(colour, dtype=np.float64) - base)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a texture is made: base colour, patches, vessels, grain.
+    """How a texture is made: base colour, patches, vessels, grain."""
 
-    Attributes:
-        base: Colour.
-        light: Colour of light patches, weights of soft and grainy noise, largest weight.
-        dark: The same for dark patches.
-        vessels: Colour, weight, number of trunks and their radius [px], largest turn [rad/px].
-        soft: Exponent of the soft noise.
-        grain: Exponent of the grainy noise; None: there is none.
-        speckle: Brightness of the grain added at the end.
-    """
-
-    base: Colour
+    base: Colour  # colour
+    # Colour of light patches, weights of soft and grainy noise, largest weight.
     light: tuple[Colour, float, float, float]
-    dark: tuple[Colour, float, float, float]
+    dark: tuple[Colour, float, float, float]  # the same for dark patches
+    # Colour, weight, number of trunks and their radius [px], largest turn [rad/px].
     vessels: tuple[tuple[Colour, float, int, float, float], ...] = ()
-    soft: float = 1.8
-    grain: float | None = None
-    speckle: float = 0.0
+    soft: float = 1.8  # exponent of the soft noise
+    grain: float | None = None  # exponent of the grainy noise; None: there is none
+    speckle: float = 0.0  # brightness of the grain added at the end
 
 
 RECIPES: Mapping[str, Recipe] = {

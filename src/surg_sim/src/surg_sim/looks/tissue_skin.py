@@ -8,20 +8,16 @@ nodes; its frame is parallel-transported, and the normals come from the surface.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_sim.arrays import Array
 from surg_sim.looks.anatomy import grid_faces
 from surg_sim.looks.drawing import add_material
+from surg_sim.physics.patient_site import Site
 from surg_sim.physics.tissue import NAME, TissueParameters, rest_shape
-
-if TYPE_CHECKING:
-    from surg_sim.physics.scene import Site
-
-Array = NDArray[np.float64]
 
 TUBE, SHEET = f"{NAME}_tube", f"{NAME}_sheet"
 """Names of the two skins."""

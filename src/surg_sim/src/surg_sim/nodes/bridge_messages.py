@@ -12,12 +12,10 @@ import struct
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core.contract import SECOND_NS
+from surg_sim.arrays import Array
 from surg_sim.physics.ground_truth import ArmTruth
-
-Array = NDArray[np.float64]
 
 
 def text(words: str) -> bytes:

@@ -17,41 +17,29 @@ _SEEDS = 2**31 - 1
 
 @dataclass(frozen=True)
 class BridgeSettings:
-    """Parameters of the node ``/sim``.
+    """Parameters of the node ``/sim``."""
 
-    Attributes:
-        cell: Path of the cell.
-        mode: ``lockstep`` or ``freerun``.
-        participants: Declared commanders, waited for in every tick.
-        observers: Which of recorder and endoscope take part.
-        arms: Arms to simulate; empty: all of the cell.
-        seed: Seed of the world.
-        view: Open a viewer window where there is a display.
-        track_stale: The simulator tracks the trocars and publishes ``rcm/track``, this old [s];
-            -1: it does not. In lock-step the controller must have ``sim`` among its participants.
-        task: Name or file of the task that is played; empty: none.
-        setting: Name of the physical setting; empty: the simulator's own parameters.
-        endless: Free-run: the phantom goes on when its task is over, for people who try again.
-        faults: Faults from the start, as JSON (``faults``).
-        inject: Take further faults on ``/sim/inject``.
-        connect_timeout: Longest wait for everybody to connect in lock-step [s].
-        abort_timeout: Longest wait for the answer to a tick in lock-step [s].
-    """
-
-    cell: str = text()
-    mode: str = one_of(MODES, "lockstep")
-    participants: tuple[str, ...] = names(())
+    cell: str = text()  # path of the cell
+    mode: str = one_of(MODES, "lockstep")  # ``lockstep`` or ``freerun``
+    participants: tuple[str, ...] = names(())  # declared commanders, waited for in every tick
+    # Which of recorder and endoscope take part.
     observers: tuple[str, ...] = names((), options=tuple(OBSERVER_WINDOWS))
-    arms: tuple[str, ...] = names(())
-    seed: int = whole(0, _SEEDS, 0)
-    view: bool = flag(False)
+    arms: tuple[str, ...] = names(())  # arms to simulate; empty: all of the cell
+    seed: int = whole(0, _SEEDS, 0)  # seed of the world
+    view: bool = flag(False)  # open a viewer window where there is a display
+    # The simulator tracks the trocars and publishes ``rcm/track``, this old [s]; -1: it does not.
+    # In lock-step the controller must have ``sim`` among its participants.
     track_stale: float = real(-1.0, 1.0, -1.0)
-    task: str = text("", empty=True)
+    task: str = text("", empty=True)  # name or file of the task that is played; empty: none
+    # Name of the physical setting; empty: the simulator's own parameters.
     setting: str = text("", empty=True)
+    # Free-run: the phantom goes on when its task is over, for people who try again.
     endless: bool = flag(False)
-    faults: str = text("", empty=True)
-    inject: bool = flag(False)
+    faults: str = text("", empty=True)  # faults from the start, as JSON (``faults``)
+    inject: bool = flag(False)  # take further faults on ``/sim/inject``
+    # Longest wait for everybody to connect in lock-step [s].
     connect_timeout: float = real(1.0, 3600.0, 60.0)
+    # Longest wait for the answer to a tick in lock-step [s].
     abort_timeout: float = real(1.0, 600.0, 10.0)
 
     def __post_init__(self) -> None:
@@ -61,31 +49,19 @@ class BridgeSettings:
 
 @dataclass(frozen=True)
 class EndoscopeSettings:
-    """Parameters of the node ``/endoscope``.
+    """Parameters of the node ``/endoscope``."""
 
-    Attributes:
-        cell: Path of the cell, the same as the bridge's.
-        mode: ``lockstep`` (every snapshot) or ``freerun`` (the newest one only).
-        arms: As for the bridge.
-        seed: As for the bridge: it draws the tissue.
-        task: As for the bridge.
-        setting: As for the bridge.
-        views: Which of ``left`` and ``right`` are rendered.
-        width: [px].
-        height: [px].
-        vignette: Draw the round edge of an endoscope's picture.
-    """
-
-    cell: str = text()
+    cell: str = text()  # path of the cell, the same as the bridge's
+    # ``lockstep`` (every snapshot) or ``freerun`` (the newest one only).
     mode: str = one_of(MODES, "lockstep")
-    arms: tuple[str, ...] = names(())
-    seed: int = whole(0, _SEEDS, 0)
-    task: str = text("", empty=True)
-    setting: str = text("", empty=True)
-    views: tuple[str, ...] = names(("left",))
-    width: int = whole(16, 1920, 640)
-    height: int = whole(16, 1080, 480)
-    vignette: bool = flag(True)
+    arms: tuple[str, ...] = names(())  # as for the bridge
+    seed: int = whole(0, _SEEDS, 0)  # as for the bridge: it draws the tissue
+    task: str = text("", empty=True)  # as for the bridge
+    setting: str = text("", empty=True)  # as for the bridge
+    views: tuple[str, ...] = names(("left",))  # which of ``left`` and ``right`` are rendered
+    width: int = whole(16, 1920, 640)  # [px]
+    height: int = whole(16, 1080, 480)  # [px]
+    vignette: bool = flag(True)  # draw the round edge of an endoscope's picture
 
     def __post_init__(self) -> None:
         """Gives a task without a setting the default one.
@@ -100,17 +76,11 @@ class EndoscopeSettings:
 
 @dataclass(frozen=True)
 class SenderSettings:
-    """Parameters of a scripted sender.
+    """Parameters of a scripted sender."""
 
-    Attributes:
-        cell: Path of the cell, the same as the bridge's.
-        task: As for the bridge.
-        seed: Of the sender's imperfections.
-    """
-
-    cell: str = text()
-    task: str = text()
-    seed: int = whole(0, _SEEDS, 0)
+    cell: str = text()  # path of the cell, the same as the bridge's
+    task: str = text()  # as for the bridge
+    seed: int = whole(0, _SEEDS, 0)  # of the sender's imperfections
 
 
 def _setting(task: str, setting: str) -> str:

@@ -40,7 +40,7 @@ class AssistantTopics:
 
     def __init__(self, bridge: Bridge) -> None:
         self._bridge = bridge
-        # Tick, sender, what, value; in free-run put in without a lock (newest.py says why).
+        # Tick, sender, what, value; in free-run put in without a lock (see latest_value.py).
         self._waiting: deque[tuple[int, str, str, Any]] = deque()
         self._state = DirectPublisher("/assistant/measured_js", JointState, bridge.lockstep)
         self._jaw = DirectPublisher("/assistant/jaw/measured_js", JointState, bridge.lockstep)

@@ -14,19 +14,14 @@ import math
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
 from surg_sim.physics.world import World
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 MOTIONS = ("tip", "roll", "trocar")
 ENCODER_SIGMA = 2e-5
@@ -45,8 +40,6 @@ NO_WALL = TrocarParameters(stiffness=0.1, friction=0.0)
 
 def turn(axis: Array, angle: float) -> Array:
     """Rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
-    import surg_core
-
     return surg_core.axis_angle_to_matrix(np.asarray(axis, dtype=float), angle)
 
 
@@ -157,8 +150,6 @@ class Bench:
 
 def main(words: Sequence[str] | None = None) -> int:
     """Record motions of a cell's arm on the bench."""
-    import surg_core
-
     parser = argparse.ArgumentParser(
         prog="surg_sim.physics.calibration_bench", description=main.__doc__
     )

@@ -13,10 +13,7 @@ def folders() -> list[Path]:
 
 
 def find(name_or_path: str | Path) -> Path:
-    """The folder of a cell.
-
-    Args:
-        name_or_path: A bundled cell's name, a cell's folder, or its cell.yaml.
+    """The folder of a bundled cell by its name, of a cell's folder, or of its cell.yaml.
 
     Raises:
         ValueError: There is none; lists the bundled ones.
@@ -24,10 +21,11 @@ def find(name_or_path: str | Path) -> Path:
     path = Path(name_or_path)
     if (path / "cell.yaml").is_file() or path.is_file():
         return path
-    found = {cell.parent.name: cell.parent for f in folders() for cell in f.glob("*/cell.yaml")}
-    if str(name_or_path) in found:
-        return found[str(name_or_path)]
+    cells = (cell for folder in folders() for cell in folder.glob("*/cell.yaml"))
+    bundled = {cell.parent.name: cell.parent for cell in cells}
+    if str(name_or_path) in bundled:
+        return bundled[str(name_or_path)]
     raise ValueError(
-        f"no cell '{name_or_path}': there are {', '.join(sorted(found)) or 'none'}, or the path of "
-        "a folder with a cell.yaml"
+        f"no cell '{name_or_path}': there are {', '.join(sorted(bundled)) or 'none'}, or the path "
+        "of a folder with a cell.yaml"
     )

@@ -4,36 +4,26 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from surg_sim.physics import scene
-
-Array = NDArray[np.float64]
+from surg_sim.arrays import Array
+from surg_sim.physics.endoscope_rig import LEFT
 
 CIRCLE = 0.56
 """Radius of the endoscope's round picture, as a share of its height."""
 
 
 class EndoscopeView:
-    """A camera of the endoscope in a compiled scene as a pinhole.
+    """A camera of the endoscope in a compiled scene as a pinhole; by default the left one."""
 
-    Args:
-        model: The compiled scene.
-        data: Its state; kinematics up to date.
-        camera: Its name; the left one.
-    """
-
-    def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, camera: str = scene.ENDOSCOPE
-    ) -> None:
+    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, camera: str = LEFT) -> None:
         self._data = data
-        self._camera = int(model.camera(camera).id)
-        self._mount = int(model.cam_bodyid[self._camera])
-        self._place = np.array(model.cam_pos[self._camera])
+        camera_id = int(model.camera(camera).id)
+        self._mount = int(model.cam_bodyid[camera_id])
+        self._place = np.array(model.cam_pos[camera_id])
         R = np.empty(9)
-        mujoco.mju_quat2Mat(R, model.cam_quat[self._camera])
+        mujoco.mju_quat2Mat(R, model.cam_quat[camera_id])
         self._turn = R.reshape(3, 3)
-        self.f = 0.5 / np.tan(np.radians(float(model.cam_fovy[self._camera])) / 2.0)
+        self.f = 0.5 / np.tan(np.radians(float(model.cam_fovy[camera_id])) / 2.0)
         """Focal length in picture heights."""
 
     @property
@@ -46,12 +36,9 @@ class EndoscopeView:
         return X
 
     def project(self, points: Array) -> Array:
-        """Places in the picture in picture heights from its centre, x right, y down, (n, 2).
+        """Places of points (n, 3) [m] of the world, in picture heights from the picture's centre.
 
-        Not a number for what is not in front of the lens.
-
-        Args:
-            points: In the world, (n, 3) [m].
+        (n, 2), x right, y down; not a number for what is not in front of the lens.
         """
         X = self.pose
         p = (np.atleast_2d(points) - X[:3, 3]) @ X[:3, :3]
@@ -59,12 +46,9 @@ class EndoscopeView:
         return np.asarray(self.f * p[:, :2] / depth[:, None])
 
     def sees(self, points: Array, width: float = 4.0 / 3.0, margin: float = 0.03) -> bool:
-        """Whether all points are in the round picture.
+        """Whether all points of the world, (n, 3) [m], are in the round picture.
 
-        Args:
-            points: In the world, (n, 3) [m].
-            width: Of the picture, in picture heights.
-            margin: Width of a border that does not count, in picture heights.
+        Width of the picture and of a margin that does not count are in picture heights.
         """
         uv = self.project(points)
         inside = np.hypot(uv[:, 0], uv[:, 1]) < CIRCLE - margin

@@ -6,20 +6,14 @@ such an arm one camera stands still where a surgeon would hold it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.looks.drawing import add_seen, look
-from surg_sim.physics.sim_arm import quaternion
-
-if TYPE_CHECKING:
-    import surg_core
-    from surg_sim.physics.scene import Site
-
-Array = NDArray[np.float64]
+from surg_sim.physics.patient_site import Site
+from surg_sim.physics.spec_parts import quaternion
 
 LEFT, RIGHT = "endoscope_left", "endoscope_right"
 """Names of the cameras, and of their optical frames on the wire."""
@@ -53,8 +47,6 @@ def camera_poses(arm: surg_core.Arm) -> list[Array]:
     Raises:
         ValueError: A frame is not in the URDF, or the two do not fit the stated baseline.
     """
-    import surg_core
-
     instrument = arm.instrument
     camera = instrument.camera
     if camera is None:
@@ -93,13 +85,7 @@ def add_held(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
 
 
 def add_standing(spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
-    """Put one camera and its light where a surgeon would hold them.
-
-    Args:
-        spec: The scene.
-        site: The patient.
-        looks: Draw the scope behind the camera.
-    """
+    """Put one camera and its light where a surgeon would hold them; ``looks`` draws the scope."""
     eye = site.place(
         _STANDING_DISTANCE
         * np.array([0.0, -np.cos(_STANDING_ELEVATION), np.sin(_STANDING_ELEVATION)])

@@ -12,8 +12,8 @@ from dataclasses import replace
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_sim.arrays import Array
 from surg_sim.physics.faults import (
     Fault,
     FaultError,
@@ -31,7 +31,6 @@ from surg_sim.physics.sim_arm import ArmCommand, ToolError
 from surg_sim.physics.trocar_motion import Sinusoid
 from surg_sim.physics.world import ArmState, World
 
-Array = NDArray[np.float64]
 Packet = TypeVar("Packet")
 Active = TypeVar("Active", bound=Lasting)
 

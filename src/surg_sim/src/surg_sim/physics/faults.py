@@ -47,27 +47,18 @@ def _vector(limit: float, default: tuple[float, float, float] | None = None) -> 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Members of all faults.
-
-    Attributes:
-        arm: Name of the arm; empty: the first one.
-        at: First tick with the fault; 0: the next tick.
-    """
+    """Members of all faults."""
 
     kind: ClassVar[str] = ""
-    arm: str = ""
-    at: int = _count(0, FOREVER, 0)
+    arm: str = ""  # name of the arm; empty: the first one
+    at: int = _count(0, FOREVER, 0)  # first tick with the fault; 0: the next tick
 
 
 @dataclass(frozen=True, kw_only=True)
 class Lasting(Fault):
-    """A fault of limited duration.
+    """A fault of limited duration."""
 
-    Attributes:
-        ticks: Duration [ticks of 2 ms]; 0: until the end of the run.
-    """
-
-    ticks: int = _count(0, FOREVER, 0)
+    ticks: int = _count(0, FOREVER, 0)  # duration [ticks of 2 ms]; 0: until the end of the run
 
     def active(self, tick: int) -> bool:
         """Whether it is active in this tick."""
@@ -76,19 +67,13 @@ class Lasting(Fault):
 
 @dataclass(frozen=True, kw_only=True)
 class NotFinite(Lasting):
-    """One joint is measured as not a number (F02).
-
-    Attributes:
-        joint: Index of the joint.
-        quantity: The affected quantity.
-        value: The value reported instead.
-    """
+    """One joint is measured as not a number (F02)."""
 
     kind: ClassVar[str] = "not_finite"
     ticks: int = _count(0, FOREVER, 1)
-    joint: int = _count(0, 15, 0)
-    quantity: str = _word(("position", "velocity"), "position")
-    value: str = _word(("nan", "inf", "-inf"), "nan")
+    joint: int = _count(0, 15, 0)  # index of the joint
+    quantity: str = _word(("position", "velocity"), "position")  # the affected quantity
+    value: str = _word(("nan", "inf", "-inf"), "nan")  # the value reported instead
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,49 +94,34 @@ class Wire(Lasting):
     In free-run the packets are lost, duplicated or late. In lock-step every tick has exactly one
     state and one answer: a receiver sees the newest content so far, and a lost answer counts as
     given but is not executed.
-
-    Attributes:
-        topic: The wire.
-        loss: Probability that a loss begins with a packet.
-        burst: Packets that one loss takes.
-        duplicate: Probability that a packet arrives twice.
-        reorder: Probability that a packet arrives behind its successor.
     """
 
     kind: ClassVar[str] = "wire"
-    topic: str = _word(WIRES, WIRES[0])
-    loss: float = _number(0.0, 1.0, 0.0)
-    burst: int = _count(1, 500, 1)
-    duplicate: float = _number(0.0, 1.0, 0.0)
+    topic: str = _word(WIRES, WIRES[0])  # the wire
+    loss: float = _number(0.0, 1.0, 0.0)  # probability that a loss begins with a packet
+    burst: int = _count(1, 500, 1)  # packets that one loss takes
+    duplicate: float = _number(0.0, 1.0, 0.0)  # probability that a packet arrives twice
+    # Probability that a packet arrives behind its successor.
     reorder: float = _number(0.0, 1.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrocarMotion(Fault):
-    """The hole at rest begins a sinusoid from where it is, or stops where it is (amplitude 0).
-
-    Attributes:
-        amplitude: [m].
-        frequency: [1/s].
-        axis: Direction in the arm's base frame.
-    """
+    """The hole at rest begins a sinusoid from where it is, or stops where it is (amplitude 0)."""
 
     kind: ClassVar[str] = "trocar_motion"
-    amplitude: float = _number(0.0, 0.05)
-    frequency: float = _number(0.0, 10.0, 0.25)
+    amplitude: float = _number(0.0, 0.05)  # [m]
+    frequency: float = _number(0.0, 10.0, 0.25)  # [1/s]
+    # Direction in the arm's base frame.
     axis: tuple[float, float, float] = _vector(1e6, (1.0, 0.0, 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrocarJump(Fault):
-    """The hole at rest is displaced at once (F23).
-
-    Attributes:
-        offset: [m] in the arm's base frame.
-    """
+    """The hole at rest is displaced at once (F23)."""
 
     kind: ClassVar[str] = "trocar_jump"
-    offset: tuple[float, float, float] = _vector(0.1)
+    offset: tuple[float, float, float] = _vector(0.1)  # [m] in the arm's base frame
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,16 +143,11 @@ class ToolLost(Lasting):
 
 @dataclass(frozen=True, kw_only=True)
 class ToolOff(Fault):
-    """The instrument is mounted with an error (calibration error); at the start only.
-
-    Attributes:
-        tip: Displacement of the tip across the shaft [m].
-        axis: Turn of the shaft about the tip [rad].
-    """
+    """The instrument is mounted with an error (calibration error); at the start only."""
 
     kind: ClassVar[str] = "tool_off"
-    tip: float = _number(0.0, 0.02, 0.001)
-    axis: float = _number(0.0, 0.2, math.radians(0.5))
+    tip: float = _number(0.0, 0.02, 0.001)  # displacement of the tip across the shaft [m]
+    axis: float = _number(0.0, 0.2, math.radians(0.5))  # turn of the shaft about the tip [rad]
 
 
 _KINDS: tuple[type[Fault], ...] = (

@@ -2,42 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.physics.trocar import Trocar
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 
 class ArmTruth(NamedTuple):
-    """One arm at one tick; every vector in the arm's base frame, (3,), SI.
+    """One arm at one tick; every vector in the arm's base frame, (3,), SI."""
 
-    Attributes:
-        shaft_point: A point of the shaft axis (the tip) [m].
-        shaft_axis: Unit vector, flange to tip.
-        tip: Tip [m].
-        tip_velocity: [m/s].
-        trocar: Undisturbed trocar point [m].
-        trocar_loaded: The wall's hole under load [m].
-        trocar_force: Force of the shaft on the wall [N].
-        jaw: Opening angle [rad].
-    """
-
-    shaft_point: Array
-    shaft_axis: Array
-    tip: Array
-    tip_velocity: Array
-    trocar: Array
-    trocar_loaded: Array
-    trocar_force: Array
-    jaw: float
+    shaft_point: Array  # a point of the shaft axis (the tip) [m]
+    shaft_axis: Array  # unit vector, flange to tip
+    tip: Array  # tip [m]
+    tip_velocity: Array  # [m/s]
+    trocar: Array  # undisturbed trocar point [m]
+    trocar_loaded: Array  # the wall's hole under load [m]
+    trocar_force: Array  # force of the shaft on the wall [N]
+    jaw: float  # opening angle [rad]
 
     @property
     def deviation(self) -> float:
@@ -52,14 +37,7 @@ class ArmTruth(NamedTuple):
 
 
 class TruthReader:
-    """Reads the truth of one arm out of a scene whose kinematics are up to date.
-
-    Args:
-        model: The compiled scene.
-        data: Its state.
-        arm: The cell's arm.
-        trocar: Its trocar.
-    """
+    """Reads the truth of one arm out of a scene whose kinematics are up to date."""
 
     def __init__(
         self, model: mujoco.MjModel, data: mujoco.MjData, arm: surg_core.Arm, trocar: Trocar

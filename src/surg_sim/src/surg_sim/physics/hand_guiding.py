@@ -22,11 +22,7 @@ STILL = 1e-3
 
 
 class HandGuiding:
-    """Guides one arm home.
-
-    Args:
-        home: Home posture, (n,) [rad].
-    """
+    """Guides one arm to its home posture, (n,) [rad]."""
 
     def __init__(self, home: NDArray[np.float64]) -> None:
         self._home = np.asarray(home, dtype=float)
@@ -34,12 +30,9 @@ class HandGuiding:
     def guide(self, q: NDArray[np.float64], command: ArmCommand) -> ArmCommand | None:
         """The command that replaces the controller's in this tick.
 
-        Args:
-            q: Joint positions, (n,) [rad].
-            command: Command of the controller.
-
-        Returns:
-            The guiding command; None once the arm is home or its controller moves it.
+        q is the arm's joint positions, (n,) [rad]. None once the arm is home, or its controller
+        moves
+        it.
         """
         for commanded in (command.velocity, command.twist):
             if commanded is not None and not np.abs(commanded).max() <= STILL:

@@ -14,29 +14,22 @@ from dataclasses import dataclass, field
 from math import degrees, pi, radians
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_sim.arrays import Array
 from surg_sim.physics.sim_arm import ActuatorParameters, ToolError
 from surg_sim.physics.tissue import TissueParameters
 from surg_sim.physics.trocar import TrocarParameters
 from surg_sim.physics.trocar_motion import Sinusoid
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Breathing:
-    """How the abdomen rises and falls: a sinusoid along the vertical.
+    """How the abdomen rises and falls: a sinusoid along the vertical."""
 
-    Attributes:
-        amplitude: Of the wall at the trocar [m], half of peak to peak; 0: it does not breathe.
-        period: Of one breath [s].
-        bed_share: Share of the amplitude with which what lies in the abdomen moves.
-    """
-
+    # Of the wall at the trocar [m], half of peak to peak; 0: it does not breathe.
     amplitude: float = 0.0
-    period: float = 4.0
-    bed_share: float = 0.5
+    period: float = 4.0  # of one breath [s]
+    bed_share: float = 0.5  # share of the amplitude with which what lies in the abdomen moves
 
     def wall(self, R_WB: Array) -> Sinusoid | None:
         """Motion of a trocar in the axes of its arm's base, for ``Trocar.point.move``.
@@ -59,24 +52,17 @@ class Breathing:
 
 @dataclass(frozen=True)
 class PatientSetting:
-    """One setting.
+    """One setting."""
 
-    Attributes:
-        name: Of the setting.
-        actuators: Drives of the robot arms: servo stiffness, lag, delay.
-        trocar: Wall and seal.
-        breathing: Motion of the wall and of what lies below it.
-        tool_error: How wrong the instrument's calibration is; None: exact.
-        encoder: Smallest joint angle that the robot reports [rad]; 0: exact.
-        tissue: The bowel and how it is held.
-    """
-
-    name: str
+    name: str  # of the setting
+    # Drives of the robot arms: servo stiffness, lag, delay.
     actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
-    trocar: TrocarParameters = field(default_factory=TrocarParameters)
+    trocar: TrocarParameters = field(default_factory=TrocarParameters)  # wall and seal
+    # Motion of the wall and of what lies below it.
     breathing: Breathing = field(default_factory=Breathing)
-    tool_error: ToolError | None = None
-    encoder: float = 0.0
+    tool_error: ToolError | None = None  # how wrong the instrument's calibration is; None: exact
+    encoder: float = 0.0  # smallest joint angle that the robot reports [rad]; 0: exact
+    # The bowel and how it is held.
     tissue: TissueParameters = field(default_factory=TissueParameters)
 
 

@@ -10,11 +10,8 @@ from collections.abc import Sequence
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from surg_sim.physics.jaw_pads import add_pad
-
-Array = NDArray[np.float64]
+from surg_sim.physics.spec_parts import add_pad
 
 PAD_BIT = 1 << 16
 """Contact bit of the pads."""
@@ -29,13 +26,9 @@ _PAD_MIDDLE = 0.0105  # [m] from the pivot
 
 
 def add_rigid_grasp(spec: mujoco.MjSpec, name: str, tip: str, objects: Sequence[str]) -> None:
-    """Give a jawed tool pads, and one hold per object; switches contacts on.
+    """Give a jawed tool pads, and one hold per body that it can hold; switches contacts on.
 
-    Args:
-        spec: The scene with tool and objects in it.
-        name: Of the tool: bodies and joints begin with ``<name>_``.
-        tip: Its tip body without the prefix.
-        objects: Bodies that can be held.
+    Bodies and joints of the tool begin with ``<name>_``; ``tip`` is its tip without the prefix.
 
     Raises:
         ValueError: The tool has no jaws.
@@ -57,15 +50,7 @@ def add_rigid_grasp(spec: mujoco.MjSpec, name: str, tip: str, objects: Sequence[
 
 
 class RigidGrasp:
-    """The hold of one jawed tool on rigid objects in a compiled scene.
-
-    Args:
-        model: The compiled scene.
-        data: Its state.
-        name: Of the tool.
-        tip: Its tip body without the prefix.
-        objects: As for ``add_rigid_grasp``.
-    """
+    """The hold of one jawed tool on rigid objects in a compiled scene; see ``add_rigid_grasp``."""
 
     def __init__(
         self,

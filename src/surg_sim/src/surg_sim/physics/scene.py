@@ -8,29 +8,21 @@ so that it looks along the patient's y axis. URDF is the single source of truth 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.looks import room
-from surg_sim.looks.drawing import OUTSIDE, add_materials
-from surg_sim.looks.patient import add_patient, draw_cannula, wall_height
+from surg_sim.looks.drawing import add_materials
+from surg_sim.looks.patient import add_patient, draw_cannula
 from surg_sim.physics import endoscope_rig
+from surg_sim.physics.patient_site import Site
 from surg_sim.physics.sim_arm import ActuatorParameters, ToolError, add_arm
 from surg_sim.physics.tool_drive import add_tool_drive
 from surg_sim.physics.trocar import TrocarParameters, add_trocar, shaft_in_flange, wall_frame
-
-if TYPE_CHECKING:
-    import surg_core
-
-__all__ = ["ENDOSCOPE", "OUTSIDE", "OVERVIEW", "WORK_DEPTH", "Site", "build", "check_reach",
-           "choose_arms", "draw_cannula", "site_of", "wall_height"]  # fmt: skip
-
-Array = NDArray[np.float64]
 
 WORK_DEPTH = 0.120
 """Depth of the work point behind the trocar [m]: the home tip of the bundled cells."""
@@ -44,36 +36,6 @@ VIEW_NEAR = 0.02
 """Smallest distance of the work point from the endoscope's lenses [m]."""
 HOME_MISS = 0.010
 """Largest distance of the shaft from its trocar at home [m]: the wall gives way by as much."""
-
-
-@dataclass(frozen=True)
-class Site:
-    """Where things are, in the world frame; derived from the arms' trocars and home axes.
-
-    Attributes:
-        work: Work point, WORK_DEPTH behind the trocar along the home shaft axis, (3,) [m].
-        trocar: Trocar point, (3,) [m].
-        base: Origin of the arm's base, (3,) [m].
-        R: Patient axes as columns, (3, 3): z up, y horizontal as the endoscope looks. Where no arm
-            holds it, x points away from the robot.
-        ports: Trocar points of all arms, the instrument's first, (k, 3) [m].
-        bases: Origins of their bases, in the same order, (k, 3) [m].
-    """
-
-    work: Array
-    trocar: Array
-    base: Array
-    R: Array
-    ports: Array
-    bases: Array
-
-    def place(self, offset: Iterable[float]) -> Array:
-        """World position of a point given in patient axes from the work point [m], (3,)."""
-        return np.asarray(self.work + self.R @ np.asarray(list(offset)))
-
-    def local(self, point: Array) -> Array:
-        """The inverse of ``place``."""
-        return np.asarray(self.R.T @ (point - self.work))
 
 
 def site_of(arms: list[surg_core.Arm]) -> Site:
@@ -121,8 +83,7 @@ def check_reach(arms: Iterable[surg_core.Arm]) -> None:
     """Refuse arms that do not stand at their trocars, or at one patient: an episode begins there.
 
     Raises:
-        ValueError: A shaft misses its trocar at home, its tip is not as deep as it may be, the
-            trocars are too far apart, or the endoscope does not see where the instrument works.
+        ValueError: The reason, what is allowed, and what to change.
     """
     arms = list(arms)
     for arm in arms:
@@ -207,7 +168,7 @@ def build(
         actuators: Drive parameters.
         trocar: Wall parameters.
         tool_errors: By arm name, how the true tool differs from its URDF.
-        add: Puts more into the scene, after arms and trocars: what a task needs.
+        add: Puts what a task needs into the scene, after arms and trocars.
 
     Raises:
         ValueError: A URDF does not fit its YAML, or an arm does not reach its trocar.

@@ -11,20 +11,17 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+import surg_core
 from surg_core.contract import TICK
+from surg_sim.arrays import Array
 from surg_sim.looks.drawing import OUTSIDE
+from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.stability import all_finite
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 _URDF_VISUAL = 1  # group that MuJoCo gives to what a URDF calls visual
 
@@ -34,33 +31,31 @@ SUBSTEPS = 2
 
 @dataclass(frozen=True)
 class ActuatorParameters:
-    """What a velocity-commanded arm does to its commands. Fixed before any deviation is looked at.
+    """What a velocity-commanded arm does to its commands.
 
-    Attributes:
-        stiffness: Servo stiffness of a joint [N m/rad]; assumed: 2e4 deflects visibly under a
-            surgeon's accelerations, which industrial arms do not.
-        small_share: Share of the stiffness (and armature) that the last ``small_joints`` joints
-            have; assumed from the sizes of a six-axis arm's joints.
-        small_joints: Number of small joints at the wrist.
-        damping_ratio: Damping of the servo relative to critical at the home posture; assumed.
-        armature: Reflected rotor inertia of a large joint [kg m^2]; assumed.
-        lag: Time constant of the velocity servo [s]; assumed, of the order reported for
-            velocity interfaces of collaborative arms.
-        delay: Ticks between receipt and execution of a command; assumed (one for the network, one
-            for the robot's own cycle).
-        dead_man: Ticks without a command after which the arm stops by itself (F10: 100 ms in the
-            simulator's free-run).
-        posture_gain: Pull of a redundant arm to its home posture behind a twist command [1/s].
+    Fixed before any deviation is looked at.
     """
 
+    # Servo stiffness of a joint [N m/rad]; assumed: 2e4 deflects visibly under a surgeon's
+    # accelerations, which industrial arms do not.
     stiffness: float = 1e5
+    # Share of the stiffness (and armature) that the last ``small_joints`` joints have; assumed from
+    # the sizes of a six-axis arm's joints.
     small_share: float = 0.35
-    small_joints: int = 3
+    small_joints: int = 3  # number of small joints at the wrist
+    # Damping of the servo relative to critical at the home posture; assumed.
     damping_ratio: float = 1.0
-    armature: float = 0.3
+    armature: float = 0.3  # reflected rotor inertia of a large joint [kg m^2]; assumed
+    # Time constant of the velocity servo [s]; assumed, of the order reported for velocity
+    # interfaces of collaborative arms.
     lag: float = 0.008
+    # Ticks between receipt and execution of a command; assumed (one for the network, one for the
+    # robot's own cycle).
     delay: int = 2
+    # Ticks without a command after which the arm stops by itself (F10: 100 ms in the simulator's
+    # free-run).
     dead_man: int = 50
+    # Pull of a redundant arm to its home posture behind a twist command [1/s].
     posture_gain: float = 1.0
 
     def stiffnesses(self, dof: int) -> Array:
@@ -79,18 +74,13 @@ class ActuatorParameters:
 
 @dataclass(frozen=True)
 class ArmCommand:
-    """What arrives at the links of one arm in one tick; ``None`` means nothing did.
+    """What arrives at the links of one arm in one tick; ``None`` means nothing did."""
 
-    Attributes:
-        velocity: (n,) joint velocities [rad/s], or None.
-        twist: (6,) flange twist v [m/s], omega [rad/s] in the base frame at the flange origin, or
-            None. At most one of velocity and twist is given.
-        jaw: Jaw angle [rad], or None.
-    """
-
-    velocity: Array | None = None
+    velocity: Array | None = None  # (n,) joint velocities [rad/s], or None
+    # (6,) flange twist v [m/s], omega [rad/s] in the base frame at the flange origin, or None. At
+    # most one of velocity and twist is given.
     twist: Array | None = None
-    jaw: float | None = None
+    jaw: float | None = None  # jaw angle [rad], or None
 
 
 @dataclass(frozen=True)
@@ -99,25 +89,16 @@ class ToolError:
 
     The controller believes its calibration; the simulator mounts the instrument a little wrong.
     The directions are drawn by the seed.
-
-    Attributes:
-        tip: Displacement of the tip across the shaft [m].
-        axis: Turn of the shaft about the tip [rad].
-        seed: Of the two directions.
     """
 
-    tip: float
-    axis: float
-    seed: int = 0
+    tip: float  # displacement of the tip across the shaft [m]
+    axis: float  # turn of the shaft about the tip [rad]
+    seed: int = 0  # of the two directions
 
     def mount(self, X_FTip: Array) -> Array:
-        """The motion that carries the believed tool to the true one, in the flange frame.
+        """The motion D (4, 4) in the flange frame with X_FTrueTip = D X_FTip.
 
-        Args:
-            X_FTip: (4, 4) believed pose of the tip, z along the shaft.
-
-        Returns:
-            (4, 4) D with X_FTrueTip = D X_FTip.
+        X_FTip (4, 4) is the believed pose of the tip, z along the shaft.
         """
         towards, about = np.random.default_rng(self.seed).uniform(0.0, 2.0 * np.pi, 2)
         R, p = X_FTip[:3, :3], X_FTip[:3, 3]
@@ -139,20 +120,14 @@ def add_arm(
     """Put a robot and its instrument, both from URDF, into the scene.
 
     Names in the scene carry the prefix ``<arm>_``. The instrument's mount link is attached to the
-    robot's flange link with equal frames.
-
-    Args:
-        spec: The scene.
-        arm: The cell's arm.
-        parameters: Drive parameters.
-        error: How the instrument is mounted wrong; None: as its URDF says.
+    robot's flange link with equal frames, or as wrong as ``error`` says.
 
     Raises:
         ValueError: A link or joint of the YAML is not in the URDF.
     """
     prefix = f"{arm.name}_"
-    robot = _load_urdf(arm.urdf_path)
-    instrument = _load_urdf(arm.instrument_urdf)
+    robot = mujoco.MjSpec.from_string(arm.urdf_path.read_text("utf-8"))
+    instrument = mujoco.MjSpec.from_string(arm.instrument_urdf.read_text("utf-8"))
     base = _find_body(robot, arm.robot.base_link, arm.urdf_path)
     _find_body(robot, arm.robot.flange_link, arm.urdf_path)
     mount = _find_body(instrument, arm.instrument.mount_link, arm.instrument_urdf)
@@ -170,7 +145,7 @@ def add_arm(
         pos=arm.X_WB[:3, 3].tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
     )
     root = pose.attach_body(base, prefix, "")
-    D = np.eye(4) if error is None else _mount_error(arm, error)
+    D = np.eye(4) if error is None else error.mount(tip_in_flange(arm))
     flange = spec.body(prefix + arm.robot.flange_link)
     seat = flange.add_frame(pos=D[:3, 3].tolist(), quat=quaternion(D[:3, :3]).tolist())
     seat.attach_body(mount, prefix, "")
@@ -185,19 +160,10 @@ def add_arm(
         _add_servo(spec, prefix + name, stiffness[i])
 
 
-def _mount_error(arm: surg_core.Arm, error: ToolError) -> Array:
-    """Where the instrument's mount sits in the flange frame when it is mounted wrong, (4, 4)."""
-    import surg_core
-
-    X_FTip = surg_core.fixed_transform(
-        arm.instrument_urdf, arm.instrument.mount_link, arm.instrument.tip_link
-    )
-    return error.mount(np.asarray(X_FTip))
-
-
-def _load_urdf(path: Path) -> mujoco.MjSpec:
-    with open(path, encoding="utf-8") as file:
-        return mujoco.MjSpec.from_string(file.read())
+def tip_in_flange(arm: surg_core.Arm) -> Array:
+    """Pose of the tip in the flange frame by the instrument's URDF, (4, 4)."""
+    mount, tip = arm.instrument.mount_link, arm.instrument.tip_link
+    return np.asarray(surg_core.fixed_transform(arm.instrument_urdf, mount, tip))
 
 
 def _find_body(spec: mujoco.MjSpec, name: str, path: Path) -> mujoco.MjsBody:
@@ -230,13 +196,6 @@ def _add_servo(spec: mujoco.MjSpec, joint: str, stiffness: float) -> None:
     damper.biasprm[2] = -1.0
 
 
-def quaternion(R: Array) -> Array:
-    """Rotation matrix (3, 3) to quaternion w, x, y, z (MuJoCo's order)."""
-    quat = np.empty(4)
-    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R, dtype=np.float64).ravel())
-    return quat
-
-
 def evenly(indices: Sequence[int] | NDArray[np.int_]) -> slice | NDArray[np.int_]:
     """Indices as a slice where they are evenly apart, which numpy takes in half the time."""
     first, *others = map(int, indices)
@@ -248,14 +207,7 @@ def evenly(indices: Sequence[int] | NDArray[np.int_]) -> slice | NDArray[np.int_
 
 
 class ArmLink:
-    """One arm of a compiled scene: takes commands, reports its state.
-
-    Args:
-        model: The compiled scene.
-        data: Its state.
-        arm: The cell's arm.
-        parameters: The drive parameters that ``add_arm`` was given.
-    """
+    """One arm of a compiled scene, with the drives that it was added with."""
 
     def __init__(
         self,
@@ -329,9 +281,6 @@ class ArmLink:
 
         A command that is not finite or has the wrong length counts as no command and is named in
         ``fault`` until a good one arrives.
-
-        Args:
-            command: Joint velocities or a flange twist; None or an empty one: nothing arrived.
         """
         usable = command is not None and self._usable(command)
         if usable:

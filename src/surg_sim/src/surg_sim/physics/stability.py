@@ -23,14 +23,7 @@ def all_finite(values: NDArray[np.float64]) -> bool:
 
 
 def trouble(data: mujoco.MjData) -> str:
-    """Why a simulation is unstable.
-
-    Args:
-        data: State after a step.
-
-    Returns:
-        One sentence; empty if the simulation is stable.
-    """
+    """Why a simulation is unstable after a step, in one sentence; empty if it is stable."""
     numbers = data.warning.number
     if numbers.any():
         kind = int(np.flatnonzero(numbers)[0])

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core.contract import TICK
-from surg_sim.physics.jaw_pads import add_pad
+from surg_sim.arrays import Array
+from surg_sim.physics.bowel import Bowel
+from surg_sim.physics.spec_parts import add_pad
 from surg_sim.physics.tissue import NAME as BOWEL
-from surg_sim.physics.tissue import Bowel
-
-Array = NDArray[np.float64]
 
 GRIP_DEPTH = 0.005
 """Distance of the grip from the tip along the shaft axis [m]."""
@@ -32,39 +30,27 @@ _MOST_TOOLS = 4
 
 @dataclass(frozen=True)
 class GraspParameters:
-    """Conditions of a grasp; assumed, and fixed before any evaluation.
+    """Conditions of a grasp; assumed, and fixed before any evaluation."""
 
-    Attributes:
-        close: Jaw angle below which the jaws hold what is between the pads [rad].
-        open: Jaw angle above which they release it [rad].
-        attempt: Time after passing ``close`` in which both pads must touch [s]; jaws that were
-            closed before they met the tissue hold nothing.
-        reach: Largest distance of the grip to the axis of the tissue [m]: the jaws must be round
-            it, not only on it.
-        slides: How often held tissue slides to a neighbouring place before it is lost.
-        rest: Time after a slide in which the pull is not judged again [s].
-        tear: Pull, as a multiple of the slip force, that takes the tissue out at once.
-        smoothing: Time constant with which the pull is judged [s].
-    """
-
-    close: float = 0.25
-    open: float = 0.32
+    close: float = 0.25  # jaw angle below which the jaws hold what is between the pads [rad]
+    open: float = 0.32  # jaw angle above which they release it [rad]
+    # Time after passing ``close`` in which both pads must touch [s]; jaws that were closed before
+    # they met the tissue hold nothing.
     attempt: float = 0.15
+    # Largest distance of the grip to the axis of the tissue [m]: the jaws must be round it, not
+    # only on it.
     reach: float = 0.012
-    slides: int = 2
-    rest: float = 0.10
-    tear: float = 3.0
-    smoothing: float = 0.010
+    slides: int = 2  # how often held tissue slides to a neighbouring place before it is lost
+    rest: float = 0.10  # time after a slide in which the pull is not judged again [s]
+    tear: float = 3.0  # pull, as a multiple of the slip force, that takes the tissue out at once
+    smoothing: float = 0.010  # time constant with which the pull is judged [s]
 
 
 def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
     """Add pads, force sensors and the grasp constraint of a tool; call it after ``add_bowel``.
 
-    Args:
-        spec: The scene, with the tool and the bowel in it.
-        name: Of the tool: its bodies and joints begin with ``<name>_``; its jaw joints are called
-            ``jaw`` and ``jaw_mirror``.
-        tip: Name of its tip body without the prefix; z along the shaft, outwards.
+    Bodies and joints of the tool begin with ``<name>_``, its jaw joints are called ``jaw`` and
+    ``jaw_mirror``, and ``tip`` is its tip body, z along the shaft, outwards.
 
     Raises:
         ValueError: The tool has no jaws, or there are too many tools.
@@ -101,15 +87,7 @@ def add_grasp(spec: mujoco.MjSpec, name: str, tip: str = "tip") -> None:
 
 
 class Grasp:
-    """Grasp of one tool on the bowel in a compiled scene.
-
-    Args:
-        model: The compiled scene.
-        data: Its state.
-        name: Of the tool, as for ``add_grasp``.
-        bowel: The bowel.
-        parameters: Conditions of a grasp.
-    """
+    """Grasp of one tool on the bowel in a compiled scene."""
 
     def __init__(
         self,
@@ -168,21 +146,14 @@ class Grasp:
         """The part of ``force`` that goes through the hold [N], world, (3,)."""
         return np.zeros(3) if self.held is None else -self._bowel.held_force(self.held)
 
-    @property
-    def pressures(self) -> tuple[float, float]:
-        """Contact force on the two pads in the last MuJoCo step [N]."""
-        first, second = (float(np.linalg.norm(self._data.sensordata[p])) for p in self._forces)
-        return first, second
-
     def touched(self) -> tuple[set[int], set[int]]:
         """Nodes that each of the two pads touches now."""
         nodes: tuple[set[int], set[int]] = (set(), set())
         for a, b in self._data.contact.geom[: self._data.ncon]:
-            for pad, found in zip(self._pads, nodes, strict=True):
-                if pad in (a, b):
-                    other = int(b if pad == a else a)
-                    if other in self._node_of:
-                        found.add(self._node_of[other])
+            for pad, touched in zip(self._pads, nodes, strict=True):
+                node = self._node_of.get(int(b if pad == a else a))
+                if pad in (a, b) and node is not None:
+                    touched.add(node)
         return nodes
 
     def advance(self) -> None:
@@ -205,17 +176,16 @@ class Grasp:
     def _between(self) -> int | None:
         """The free node that both pads touch, or nearly, and that the jaws are round."""
         first, second = self.touched()
-        near = [i for i in first | second if self._near(i, first) and self._near(i, second)]
-        near = [i for i in near if self._bowel.free(i)]
+        near = [
+            i
+            for i in first | second
+            if self._bowel.free(i) and _beside(i, first) and _beside(i, second)
+        ]
         if not near:
             return None
         distance = np.linalg.norm(self._bowel.nodes[near] - self.place, axis=1)
         best = int(np.argmin(distance))
         return near[best] if distance[best] <= self._parameters.reach else None
-
-    @staticmethod
-    def _near(node: int, touched: set[int]) -> bool:
-        return any(abs(node - other) <= 1 for other in touched)
 
     def _hold(self, node: int) -> None:
         self.held = node
@@ -258,3 +228,7 @@ class Grasp:
         neighbour = node + 1 if before >= after else node - 1
         inside = 0 <= neighbour <= len(tensions)
         return neighbour if inside and self._bowel.free(neighbour) else None
+
+
+def _beside(node: int, touched: set[int]) -> bool:
+    return any(abs(node - other) <= 1 for other in touched)

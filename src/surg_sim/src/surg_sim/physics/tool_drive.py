@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
+import surg_core
 from surg_core.contract import TICK
-
-if TYPE_CHECKING:
-    import surg_core
+from surg_sim.physics.spec_parts import add_position_servo
 
 JOINT = "jaw"
 """Name of the jaw joint in an instrument's URDF."""
-_STIFFNESS = 5.0  # [N m/rad] assumed: strong against a finger of a few grams
-_ARMATURE = 1e-3  # [kg m^2] assumed: the drive's rotor
+STIFFNESS, ARMATURE = 5.0, 1e-3
+"""[N m/rad], [kg m^2]; assumed: strong against a finger of a few grams, the drive's rotor."""
 
 
 def jaw_joints(urdf_path: Path) -> list[tuple[str, float, float]]:
@@ -30,39 +28,23 @@ def jaw_joints(urdf_path: Path) -> list[tuple[str, float, float]]:
     Empty when the URDF has no joint named ``jaw``.
     """
     joints = ElementTree.parse(urdf_path).getroot().findall("joint")
-    found = [(JOINT, 1.0, 0.0) for joint in joints if joint.get("name") == JOINT]
+    shown = [(JOINT, 1.0, 0.0) for joint in joints if joint.get("name") == JOINT]
     for joint in joints:
         mimic = joint.find("mimic")
-        if found and mimic is not None and mimic.get("joint") == JOINT:
+        if shown and mimic is not None and mimic.get("joint") == JOINT:
             multiplier = float(mimic.get("multiplier", "1"))
-            found.append((joint.get("name", ""), multiplier, float(mimic.get("offset", "0"))))
-    return found
+            shown.append((joint.get("name", ""), multiplier, float(mimic.get("offset", "0"))))
+    return shown
 
 
 def add_tool_drive(spec: mujoco.MjSpec, arm: surg_core.Arm) -> None:
     """Put a position servo on every jaw joint of the arm's instrument."""
     for name, _, _ in jaw_joints(arm.instrument_urdf):
-        joint = spec.joint(f"{arm.name}_{name}")
-        joint.armature = _ARMATURE
-        servo = spec.add_actuator(
-            name=f"{arm.name}_{name}_servo",
-            target=joint.name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-        )
-        damping = 2.0 * np.sqrt(_STIFFNESS * _ARMATURE)
-        servo.gainprm[0] = _STIFFNESS
-        servo.biasprm[1:3] = [-_STIFFNESS, -damping]
+        add_position_servo(spec, f"{arm.name}_{name}", STIFFNESS, ARMATURE)
 
 
 class ToolDrive:
-    """The jaw of one arm in a compiled scene.
-
-    Args:
-        model: The compiled scene.
-        data: Its state.
-        arm: The cell's arm.
-    """
+    """The jaw of one arm in a compiled scene."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, arm: surg_core.Arm) -> None:
         self._data = data

@@ -12,36 +12,25 @@ moving point.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from surg_sim.physics.sim_arm import ToolError, quaternion
+import surg_core
+from surg_sim.arrays import Array
+from surg_sim.physics.sim_arm import ToolError, tip_in_flange
+from surg_sim.physics.spec_parts import quaternion, state_mass
 from surg_sim.physics.trocar_motion import MovingPoint
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class TrocarParameters:
-    """Mechanics of the wall at the trocar. Fixed before any deviation is looked at.
+    """Mechanics of the wall at the trocar. Fixed before any deviation is looked at."""
 
-    Attributes:
-        stiffness: Of the wall, in its plane and across it alike [N/m]; assumed.
-        mass: Of the wall and cannula that move along [kg]; assumed.
-        damping_ratio: Of the wall on its springs; assumed.
-        friction: Of the seal on the shaft [N]; assumed.
-    """
-
-    stiffness: float = 800.0
-    mass: float = 0.05
-    damping_ratio: float = 0.7
-    friction: float = 0.5
+    stiffness: float = 800.0  # of the wall, in its plane and across it alike [N/m]; assumed
+    mass: float = 0.05  # of the wall and cannula that move along [kg]; assumed
+    damping_ratio: float = 0.7  # of the wall on its springs; assumed
+    friction: float = 0.5  # of the seal on the shaft [N]; assumed
 
     @property
     def damping(self) -> float:
@@ -50,33 +39,18 @@ class TrocarParameters:
 
 
 def shaft_in_flange(arm: surg_core.Arm, error: ToolError | None = None) -> tuple[Array, Array]:
-    """The true tip point and unit shaft axis in the flange frame, from the URDF (not calibrated).
+    """True tip p_FTip (3,) [m] and unit shaft axis s_F (3,), flange to tip, by the URDF.
 
-    Args:
-        arm: The cell's arm.
-        error: How the true tool differs from the URDF.
-
-    Returns:
-        p_FTip: (3,) [m].
-        s_F: (3,) unit vector, flange to tip.
+    Not by the calibration; ``error`` is how the true tool differs from the URDF.
     """
-    import surg_core
-
-    X_FTip = surg_core.fixed_transform(
-        arm.instrument_urdf, arm.instrument.mount_link, arm.instrument.tip_link
-    )
+    X_FTip = tip_in_flange(arm)
     if error is not None:
         X_FTip = error.mount(X_FTip) @ X_FTip
     return np.array(X_FTip[:3, 3]), np.array(X_FTip[:3, 2])
 
 
 def wall_frame(arm: surg_core.Arm) -> tuple[Array, Array]:
-    """The wall at rest, in the world: taught trocar point and home shaft axis.
-
-    Returns:
-        p_WRcm: (3,) [m].
-        s_W: (3,) unit vector into the patient.
-    """
+    """The wall at rest: taught trocar point p_WRcm (3,) [m], home shaft axis s_W (3,), inwards."""
     p_WRcm = arm.X_WB[:3, :3] @ np.asarray(arm.trocar.p_BRcm) + arm.X_WB[:3, 3]
     _, s_F = shaft_in_flange(arm)
     R_BF = arm.chain.forward(np.asarray(arm.robot.home))[:3, :3]
@@ -91,13 +65,8 @@ def add_trocar(
 ) -> None:
     """Add the sleeve, the wall and the constraint between them to the scene.
 
-    The wall's axes are those of the arm's base, so that its slides are read in the base frame.
-
-    Args:
-        spec: The scene.
-        arm: The cell's arm.
-        parameters: Wall parameters.
-        error: How the true tool differs from the URDF; the sleeve rides on the true shaft.
+    The wall's axes are those of the arm's base, so that its slides are read in the base frame. The
+    sleeve rides on the true shaft, which differs from the URDF by ``error``.
     """
     _add_wall(spec, arm, parameters)
     _add_sleeve(spec, arm, parameters, error)
@@ -118,10 +87,7 @@ def _add_wall(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParamet
     wall = spec.worldbody.add_body(
         name=f"{arm.name}_wall", pos=p_WRcm.tolist(), quat=quaternion(arm.X_WB[:3, :3]).tolist()
     )
-    wall.gravcomp = 1.0
-    wall.mass = parameters.mass
-    wall.inertia = [1e-5] * 3
-    wall.explicitinertial = True
+    state_mass(wall, parameters.mass, [1e-5] * 3)
     for axis, name in zip(np.eye(3), "xyz", strict=True):
         wall.add_joint(
             name=f"{arm.name}_wall_{name}",
@@ -148,10 +114,7 @@ def _add_sleeve(
     sleeve = spec.body(f"{arm.name}_{arm.robot.flange_link}").add_body(
         name=f"{arm.name}_sleeve", pos=(p_FTip - depth * s_F).tolist()
     )
-    sleeve.gravcomp = 1.0
-    sleeve.mass = 0.01
-    sleeve.inertia = [1e-6] * 3
-    sleeve.explicitinertial = True
+    state_mass(sleeve, 0.01, [1e-6] * 3)
     sleeve.add_joint(
         name=f"{arm.name}_sleeve",
         type=mujoco.mjtJoint.mjJNT_SLIDE,
@@ -165,14 +128,7 @@ def _add_sleeve(
 
 
 class Trocar:
-    """The trocar of one arm in a compiled scene: position, displacement and force.
-
-    Args:
-        model: The compiled scene.
-        data: Its state.
-        arm: The cell's arm.
-        parameters: The wall parameters that ``add_trocar`` was given.
-    """
+    """The trocar of one arm in a compiled scene: position, displacement and force."""
 
     def __init__(
         self,

@@ -10,11 +10,9 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core.contract import TICK
-
-Array = NDArray[np.float64]
+from surg_sim.arrays import Array
 
 MAX_STALE = 500
 """Oldest observation that a tracker can give [ticks]: 1 s."""
@@ -22,34 +20,23 @@ MAX_STALE = 500
 
 @dataclass(frozen=True)
 class Sinusoid:
-    """A motion of the hole at rest: amplitude * sin(2 pi frequency t) along one axis.
+    """A motion of the hole at rest: amplitude * sin(2 pi frequency t) along one axis."""
 
-    Attributes:
-        amplitude: [m]; 5 mm is a large respiratory motion at a trocar.
-        frequency: [1/s]; 0.25 is fifteen breaths a minute.
-        axis: Direction in the arm's base frame, of any length but zero.
-    """
-
-    amplitude: float
-    frequency: float
+    amplitude: float  # [m]; 5 mm is a large respiratory motion at a trocar
+    frequency: float  # [1/s]; 0.25 is fifteen breaths a minute
+    # Direction in the arm's base frame, of any length but zero.
     axis: tuple[float, float, float] = (1.0, 0.0, 0.0)
 
     def at(self, t: float) -> tuple[Array, Array]:
         """Offset [m] and velocity [m/s] at t [s] after the start, base frame, each (3,)."""
         axis = np.array(self.axis) / np.linalg.norm(self.axis)
         angular = 2.0 * np.pi * self.frequency
-        return (
-            self.amplitude * np.sin(angular * t) * axis,
-            self.amplitude * angular * np.cos(angular * t) * axis,
-        )
+        offset = self.amplitude * np.sin(angular * t) * axis
+        return offset, self.amplitude * angular * np.cos(angular * t) * axis
 
 
 class MovingPoint:
-    """The hole at rest over time, with a memory for trackers.
-
-    Args:
-        p_B: Where it is at tick 1 [m], base frame, (3,).
-    """
+    """The hole at rest over time, first at p_B (3,) [m], base frame; with a memory for trackers."""
 
     def __init__(self, p_B: Array) -> None:
         self._start = np.array(p_B, dtype=np.float64)

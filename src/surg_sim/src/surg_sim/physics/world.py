@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.physics import scene
 from surg_sim.physics.ground_truth import ArmTruth, TruthReader
 from surg_sim.physics.patient_settings import PatientSetting
@@ -22,11 +23,8 @@ from surg_sim.physics.tool_drive import ToolDrive
 from surg_sim.physics.trocar import Trocar, TrocarParameters
 
 if TYPE_CHECKING:
-    import surg_core
     from surg_sim.physics.assistant_arm import AssistantCommand
     from surg_sim.tasks.task import Task
-
-Array = NDArray[np.float64]
 
 
 _NOTHING = ArmCommand()
@@ -34,19 +32,12 @@ _NOTHING = ArmCommand()
 
 @dataclass(frozen=True)
 class ArmState:
-    """What an arm's links measure at one tick.
+    """What an arm's links measure at one tick."""
 
-    Attributes:
-        q: (n,) joint positions [rad].
-        qd: (n,) joint velocities [rad/s].
-        jaw: Jaw angle [rad].
-        jaw_velocity: [rad/s].
-    """
-
-    q: Array
-    qd: Array
-    jaw: float
-    jaw_velocity: float
+    q: Array  # (n,) joint positions [rad]
+    qd: Array  # (n,) joint velocities [rad/s]
+    jaw: float  # jaw angle [rad]
+    jaw_velocity: float  # [rad/s]
 
 
 @dataclass
@@ -66,11 +57,11 @@ class World:
         cell: A loaded cell.
         seed: Seed of the look of the tissue and of the first episode.
         looks: Add patient and room for pictures; the physics is the same.
-        arms: Names of the arms to simulate; default: all of the cell.
-        actuators: Drive parameters.
-        trocar: Wall parameters.
-        tool_errors: By arm name, how the true tool differs from its URDF (calibration error).
-        setting: Physical parameters; None: those of the arguments, without breathing.
+        arms: Names of the arms to simulate; None: all of the cell.
+        actuators: Drives; None: the setting's.
+        trocar: Wall; None: the setting's.
+        tool_errors: Calibration error by arm name; None: the setting's.
+        setting: Physical parameters; None: the defaults, without breathing.
         task: Task to perform; None: none.
 
     Raises:
@@ -126,10 +117,9 @@ class World:
         return tuple(self._members)
 
     def reset(self, seed: int | None = None) -> None:
-        """Home posture at rest, tick 1, fresh hash, a new episode of the task.
+        """Home posture at rest, tick 1, fresh hash, a new episode of the task drawn by the seed.
 
-        Args:
-            seed: Draws the episode; None: the seed that the world was made with.
+        None: the seed that the world was made with.
         """
         mujoco.mj_resetData(self.model, self.data)
         for member in self._members.values():
@@ -152,9 +142,7 @@ class World:
     ) -> None:
         """Execute one tick: take the commands that answer its state, then 2 x 1 ms of physics.
 
-        Args:
-            commands: By arm name; an arm that is missing received nothing.
-            assistant: What the assistant's instrument received; None: nothing.
+        An arm without a command received nothing, as does the assistant's instrument with None.
         """
         for name, member in self._members.items():
             command = commands.get(name, _NOTHING)

@@ -5,18 +5,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.physics.sim_arm import ActuatorParameters, add_arm
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 _PATIENT = np.array([0.18, 0.27, 0.19])  # [m] half axes of the dome that no link may touch
 

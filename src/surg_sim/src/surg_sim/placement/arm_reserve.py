@@ -4,38 +4,25 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.physics.trocar import shaft_in_flange
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Workspace:
-    """What an arm must be able to do around its home posture.
+    """What an arm must be able to do around its home posture."""
 
-    Attributes:
-        depth: Of the tip behind the trocar at home [m].
-        box: Half sides of the box that the tip must reach, across and along the shaft, (3,) [m].
-        roll: Largest roll in either direction [rad].
-        speed: Tip speed at which joint speeds are judged [m/s].
-        roll_speed: Roll speed in addition to it [rad/s].
-        acceleration: Tip acceleration at which joint accelerations are judged [m/s^2].
-    """
-
-    depth: float
+    depth: float  # of the tip behind the trocar at home [m]
+    # Half sides of the box that the tip must reach, across and along the shaft, (3,) [m].
     box: tuple[float, float, float]
-    roll: float
-    speed: float
-    roll_speed: float
-    acceleration: float
+    roll: float  # largest roll in either direction [rad]
+    speed: float  # tip speed at which joint speeds are judged [m/s]
+    roll_speed: float  # roll speed in addition to it [rad/s]
+    acceleration: float  # tip acceleration at which joint accelerations are judged [m/s^2]
 
 
 INSTRUMENT = Workspace(0.120, (0.035, 0.035, 0.030), 1.0, 0.12, 1.0, 2.0)
@@ -46,21 +33,13 @@ ENDOSCOPE = Workspace(0.060, (0.015, 0.015, 0.020), 0.6, 0.03, 0.3, 0.3)
 
 @dataclass(frozen=True)
 class Reserve:
-    """Worst values of an arm over the corners of its workspace.
+    """Worst values of an arm over the corners of its workspace."""
 
-    Attributes:
-        margin: Smallest distance of a joint from its limit [rad].
-        speed: Largest share of a joint's velocity limit.
-        acceleration: Largest share of a joint's acceleration limit at the tip's own.
-        singular: Smallest singular value of the flange Jacobian.
-        postures: (m, n) the joint positions of the corners [rad].
-    """
-
-    margin: float
-    speed: float
-    acceleration: float
-    singular: float
-    postures: Array
+    margin: float  # smallest distance of a joint from its limit [rad]
+    speed: float  # largest share of a joint's velocity limit
+    acceleration: float  # largest share of a joint's acceleration limit at the tip's own
+    singular: float  # smallest singular value of the flange Jacobian
+    postures: Array  # (m, n) the joint positions of the corners [rad]
 
     @property
     def score(self) -> float:
@@ -143,8 +122,6 @@ def reserve(arm: surg_core.Arm, q_home: Array, workspace: Workspace) -> Reserve 
 
 def turn(axis: Array, angle: float) -> Array:
     """Rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
-    import surg_core
-
     return np.asarray(surg_core.axis_angle_to_matrix(np.asarray(axis, dtype=float), angle))
 
 

@@ -20,8 +20,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.physics.trocar import shaft_in_flange
 from surg_sim.placement.arm_reserve import ENDOSCOPE, INSTRUMENT, Reserve, inverse, reserve, turn
 from surg_sim.placement.placement_search import (
@@ -34,10 +35,7 @@ from surg_sim.placement.placement_search import (
 )
 
 if TYPE_CHECKING:
-    import surg_core
     from surg_description.make_cell import ArmPlan
-
-Array = NDArray[np.float64]
 
 _OWN_HOME = "its own holds the shaft across the scope's view; this one has as much reserve"
 _SCOPE_HOME = "the lenses 100 mm before the instrument's home tip, the picture upright"
@@ -51,19 +49,13 @@ _LIMITS = {
 
 @dataclass(frozen=True)
 class ArmFiles:
-    """The files that describe one arm.
+    """The files that describe one arm."""
 
-    Attributes:
-        robot: Its robot's YAML.
-        instrument: Its instrument's YAML.
-    """
-
-    robot: Path
-    instrument: Path
+    robot: Path  # its robot's YAML
+    instrument: Path  # its instrument's YAML
 
     def load(self, name: str, depth: float) -> surg_core.Arm:
         """Load the arm as the only one of a temporary cell."""
-        import surg_core
         from surg_description.make_cell import make_cell
 
         with tempfile.TemporaryDirectory() as folder:

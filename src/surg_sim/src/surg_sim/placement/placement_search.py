@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
+from surg_sim.arrays import Array
 from surg_sim.physics.trocar import shaft_in_flange
 from surg_sim.placement.arm_clearance import ClearanceModel
 from surg_sim.placement.arm_reserve import (
@@ -28,11 +28,6 @@ from surg_sim.placement.arm_reserve import (
     reserve,
     turn,
 )
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 VIEW = 0.100
 """Distance from the scope's lenses to the work point at home [m]."""
@@ -65,19 +60,12 @@ def scope_pose(work: Array, outwards: Array) -> Array:
 
 @dataclass(frozen=True)
 class Placement:
-    """Base and home posture of one arm.
+    """Base and home posture of one arm."""
 
-    Attributes:
-        base: Position of the base from the work point, patient axes, (3,) [m].
-        yaw: Of the base [rad].
-        q: Home posture, (n,) [rad].
-        reserve: Reserve of the arm there.
-    """
-
-    base: Array
-    yaw: float
-    q: Array
-    reserve: Reserve
+    base: Array  # position of the base from the work point, patient axes, (3,) [m]
+    yaw: float  # of the base [rad]
+    q: Array  # home posture, (n,) [rad]
+    reserve: Reserve  # reserve of the arm there
 
     @property
     def X_PB(self) -> Array:
@@ -136,8 +124,6 @@ def find_placements(
 
 def tip_in_flange(arm: surg_core.Arm) -> Array:
     """Pose of the tip in the flange frame by the instrument's URDF, (4, 4)."""
-    import surg_core
-
     mount, tip = arm.instrument.mount_link, arm.instrument.tip_link
     return np.asarray(surg_core.fixed_transform(arm.instrument_urdf, mount, tip))
 
@@ -209,15 +195,10 @@ def place_instrument(arm: surg_core.Arm, rng: np.random.Generator) -> Placement:
 
 @dataclass(frozen=True)
 class Clearances:
-    """Smallest distances of a robot to the other arm, the table and the patient [m].
+    """Smallest distances of a robot to the other arm, the table and the patient [m]."""
 
-    Attributes:
-        home: Both at home.
-        corner: One of them in any corner of its box.
-    """
-
-    home: float
-    corner: float
+    home: float  # both at home
+    corner: float  # one of them in any corner of its box
 
 
 def place_endoscope(

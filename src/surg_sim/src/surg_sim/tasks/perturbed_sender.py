@@ -12,14 +12,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core.arm_view import TipPose
 from surg_core.contract import STEP
 from surg_sim.tasks.scripted_arm import ArmExpert
 from surg_sim.tasks.scripted_sender import Action, Expert, Observation
-
-Array = NDArray[np.float64]
 
 TIME = 0.4
 """Time constant of each of the two low-pass filters of the offset [s]."""

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import STEP, TICK_NS
+from surg_sim.arrays import Array
 from surg_sim.tasks.scripted_sender import (
     Action,
     Expert,
@@ -24,11 +24,6 @@ from surg_sim.tasks.scripted_sender import (
     into,
     out_of,
 )
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 SHARE = 0.4
 """Share of the arm's limits that a profile uses; the rest is margin for the stream filter."""

@@ -12,16 +12,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.contract import GRID
+from surg_sim.arrays import Array
 
 if TYPE_CHECKING:
-    import surg_core
     from surg_sim.physics.assistant_arm import AssistantCommand
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -87,8 +85,6 @@ def home_frame(arm: surg_core.Arm) -> Array:
 
     An expert knows the cell but not the encoder noise at homing; the two frames differ by that.
     """
-    import surg_core
-
     R_BF = np.asarray(arm.chain.forward(np.asarray(arm.robot.home)))[:3, :3]
     s_home = R_BF @ np.asarray(arm.tool.s_F)
     X_BR = np.asarray(surg_core.rcm_frame(s_home, np.asarray(arm.trocar.p_BRcm)))

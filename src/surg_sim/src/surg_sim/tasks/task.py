@@ -14,20 +14,19 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_core.contract import GRID, TICK
+from surg_sim.arrays import Array
 
 if TYPE_CHECKING:
     import mujoco
 
-    import surg_core
     from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.scene import Site
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
 
-Array = NDArray[np.float64]
 State = dict[str, "float | Array"]
 """Ground truth of a task at one tick: fixed names and shapes, SI units."""
 

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_core.contract import STEP
 from surg_core.transforms import minimal_rotation, virtual_joints
+from surg_sim.arrays import Array
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH
 from surg_sim.tasks.bgr.bgr_definition import PHASES, ROBOT, TAUT
 from surg_sim.tasks.scripted_arm import ArmExpert
 from surg_sim.tasks.scripted_sender import Action, Expert, MinimumJerk, Observation, into
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 UP = np.array([0.0, 0.0, 1.0])
 OPEN, CLOSED = 0.68, 0.0

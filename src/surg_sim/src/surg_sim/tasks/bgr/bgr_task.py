@@ -12,12 +12,17 @@ from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_core.contract import GRID, TICK
-from surg_sim.physics.assistant_arm import Assistant, add_assistant
+from surg_sim.arrays import Array
+from surg_sim.looks.tissue_skin import BowelSkin, add_skin
+from surg_sim.physics.assistant_arm import Assistant
+from surg_sim.physics.assistant_scene import add_assistant
+from surg_sim.physics.bowel import Bowel
 from surg_sim.physics.endoscope_projection import EndoscopeView
-from surg_sim.physics.tissue import Bowel, add_bowel
+from surg_sim.physics.patient_site import Site
+from surg_sim.physics.tissue import add_bowel
 from surg_sim.physics.tissue_grasp import Grasp, add_grasp
 from surg_sim.tasks.bgr.bgr_definition import (
     ASSISTANT,
@@ -37,13 +42,9 @@ from surg_sim.tasks.bgr.bgr_expert import AssistantExpert, RobotExpert
 from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
-    import surg_core
     from surg_sim.physics.patient_settings import PatientSetting
-    from surg_sim.physics.scene import Site
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
-
-Array = NDArray[np.float64]
 
 
 class Bgr(Task):
@@ -65,8 +66,10 @@ class Bgr(Task):
     def add(self, spec: mujoco.MjSpec, site: Site, looks: bool) -> None:
         """Bowel, the assistant's instrument, both holds."""
         self._site, self._looks = site, looks
-        add_bowel(spec, site, self._tissue, looks)
-        add_assistant(spec, site, self._urdf, looks=looks)
+        add_bowel(spec, site, self._tissue)
+        if looks:
+            add_skin(spec, site, self._tissue)
+        add_assistant(spec, site, self._urdf, looks)
         add_grasp(spec, ROBOT, self._tip)
         add_grasp(spec, ASSISTANT)
 
@@ -75,12 +78,10 @@ class Bgr(Task):
         model, data = world.model, world.data
         self._data = data
         self.bowel = Bowel(model, data, self._site, self._tissue)
-        self.assistant = Assistant(model, data, self._urdf)
+        self.assistant = Assistant(model, data)
         self.grasps = {name: Grasp(model, data, name, self.bowel) for name in (ROBOT, ASSISTANT)}
         self.view = EndoscopeView(model, data)
         if self._looks:
-            from surg_sim.looks.tissue_skin import BowelSkin
-
             self.skins = [BowelSkin(model, self._site, self._tissue)]
         self._tip_body = int(model.body(f"{ROBOT}_{self._tip}").id)
 

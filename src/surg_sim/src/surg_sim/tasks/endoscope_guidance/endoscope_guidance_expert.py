@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_core.contract import STEP
 from surg_sim.tasks.scripted_arm import ArmExpert
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 AHEAD = 0.30
 """So far ahead the instrument's motion is extrapolated: the arm's stream needs that long [s]."""

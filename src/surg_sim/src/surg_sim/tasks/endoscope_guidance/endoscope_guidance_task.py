@@ -13,9 +13,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_core.contract import GRID, TICK
+from surg_sim.arrays import Array
 from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.endoscope_rig import cameras
 from surg_sim.tasks.endoscope_guidance.endoscope_guidance_expert import (
@@ -25,12 +26,9 @@ from surg_sim.tasks.endoscope_guidance.endoscope_guidance_expert import (
 from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
-    import surg_core
     from surg_sim.physics.patient_settings import PatientSetting
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
-
-Array = NDArray[np.float64]
 
 INSTRUMENT, SCOPE = "PSM1", "ECM"
 HEIGHT = 480

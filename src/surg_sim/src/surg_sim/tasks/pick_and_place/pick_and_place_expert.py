@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_sim.physics.rigid_grasp import GRIP_DEPTH
 from surg_sim.tasks.scripted_arm import ArmExpert
-
-if TYPE_CHECKING:
-    import surg_core
-
-Array = NDArray[np.float64]
 
 UP = np.array([0.0, 0.0, 1.0])
 CLEARANCE = 0.012

@@ -12,22 +12,20 @@ from typing import TYPE_CHECKING, ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+import surg_core
 from surg_core.contract import TICK
+from surg_sim.arrays import Array
+from surg_sim.physics.patient_site import Site
 from surg_sim.physics.rigid_grasp import PAD_BIT, RigidGrasp, add_rigid_grasp
-from surg_sim.physics.sim_arm import quaternion
+from surg_sim.physics.spec_parts import quaternion
 from surg_sim.tasks.pick_and_place.pick_and_place_expert import PegTransferExpert
 from surg_sim.tasks.task import State, Task, Verdict
 
 if TYPE_CHECKING:
-    import surg_core
     from surg_sim.physics.patient_settings import PatientSetting
-    from surg_sim.physics.scene import Site
     from surg_sim.physics.world import World
     from surg_sim.tasks.scripted_sender import Expert
-
-Array = NDArray[np.float64]
 
 ARM = "PSM1"
 RING = "ring"

@@ -1,0 +1,84 @@
+"""Pieces that several parts of a scene are made of: stated masses, servos, pads of jaws."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from surg_sim.arrays import Array
+
+
+def quaternion(R: Array) -> Array:
+    """Rotation matrix (3, 3) to quaternion w, x, y, z (MuJoCo's order)."""
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.ascontiguousarray(R, dtype=np.float64).ravel())
+    return quat
+
+
+def state_mass(body: mujoco.MjsBody, mass: float, inertia: Sequence[float]) -> None:
+    """State mass [kg] and principal inertia (3,) [kg m^2]; the weight is compensated."""
+    body.mass, body.inertia, body.explicitinertial, body.gravcomp = mass, inertia, True, 1.0
+
+
+def add_position_servo(spec: mujoco.MjSpec, joint: str, stiffness: float, armature: float) -> None:
+    """Put the servo ``<joint>_servo`` on a joint, critically damped for its armature.
+
+    Stiffness in N m/rad or N/m, armature in kg m^2 or kg.
+    """
+    target = spec.joint(joint)
+    target.armature = armature
+    servo = spec.add_actuator(
+        name=f"{joint}_servo",
+        target=joint,
+        trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+    )
+    servo.gainprm[0] = stiffness
+    servo.biasprm[1:3] = [-stiffness, -2.0 * np.sqrt(stiffness * armature)]
+
+
+def add_pad(
+    spec: mujoco.MjSpec,
+    name: str,
+    side: str,
+    size: Sequence[float],
+    middle: float,
+    bit: int,
+    solref: Sequence[float],
+    solimp: Sequence[float],
+) -> None:
+    """Put the pad ``<name>_<side>_pad`` on a finger of a tool; its joints begin with ``<name>_``.
+
+    Args:
+        spec: The scene with the tool in it.
+        name: Of the tool.
+        side: Joint of the finger, ``jaw`` or ``jaw_mirror``.
+        size: Half lengths of the box (3,) [m].
+        middle: Its middle along the finger [m].
+        bit: Of the contacts that it makes.
+        solref: Softness of these contacts, whatever the finger weighs.
+        solimp: As MuJoCo defines it.
+
+    Raises:
+        ValueError: The tool has no such joint.
+    """
+    joint = spec.joint(f"{name}_{side}")
+    if joint is None:
+        raise ValueError(f"'{name}' has no joint '{side}': it cannot grasp")
+    outward = np.cross(joint.axis, [0.0, 0.0, 1.0])  # where the finger goes when it opens
+    joint.parent.add_geom(
+        name=f"{name}_{side}_pad",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=list(size),
+        pos=(outward * size[1] + [0.0, 0.0, middle]).tolist(),
+        group=4,
+        mass=0.0,
+        contype=bit,
+        conaffinity=0,
+        condim=1,
+        priority=1,
+        solref=list(solref),
+        solimp=list(solimp),
+    )
