@@ -481,12 +481,12 @@ def test_what_an_encoder_gets_wrong_is_found(
     recordings: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames that are swapped, lost or doubled on the way into a video."""
-    from surg_recording.datasets import lerobot_tables, pictures
+    from surg_recording.datasets import pictures
 
     right = pictures.encode
 
     def spoiled(order: Any) -> Any:
-        def encode(frames: Any, path: Path, how: pictures.Encoding) -> int:
+        def encode(frames: Any, path: Path, how: ExportOptions) -> int:
             given = [frame.reformat(format="rgb24") for frame in frames]
             return right(order(given), path, how)
 
@@ -497,7 +497,7 @@ def test_what_an_encoder_gets_wrong_is_found(
         (lambda f: f[:-1], "frames were written"),
         (lambda f: [*f, f[-1]], "more than the"),
     ):
-        monkeypatch.setattr(lerobot_tables.pictures, "encode", spoiled(order))
+        monkeypatch.setattr(pictures, "encode", spoiled(order))
         with pytest.raises(ExportError, match=said):
             export([recordings["one"]], tmp_path / "out", "lerobot")
     assert not (tmp_path / "out").exists()

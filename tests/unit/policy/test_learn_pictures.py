@@ -58,7 +58,7 @@ def test_what_the_codec_leaves_of_a_view(tmp_path: Path) -> None:
     """Learned from are decoded videos, acted on are pictures: a grey level apart, scaled."""
     import av
 
-    from surg_recording.datasets import pictures
+    from surg_recording.datasets import ExportOptions, pictures
 
     rng = np.random.default_rng(3)
     y, x = np.mgrid[0:480, 0:640]
@@ -71,7 +71,7 @@ def test_what_the_codec_leaves_of_a_view(tmp_path: Path) -> None:
     shown = [picture.astype(np.uint8) for picture in shown]
     file = tmp_path / "video.mp4"
     frames = (av.VideoFrame.from_ndarray(picture, format="rgb24") for picture in shown)
-    pictures.encode(frames, file, pictures.Encoding(20))
+    pictures.encode(frames, file, ExportOptions())
     seen = train_bgr_images.views_of(file).astype(int)
     off = np.abs(seen - np.stack([bgr_image_policy.small(picture) for picture in shown]))
     print(f"mean {off.mean():.2f}, 99 % {np.percentile(off, 99):.0f} of 255")

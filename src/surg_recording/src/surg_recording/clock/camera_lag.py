@@ -1,4 +1,4 @@
-"""Does a video show what the kinematics state, at the time they state it?"""
+"""Whether a video shows the state that the kinematics have at the same time."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def lags(
 def _paths(
     episode: Episode, segment: Segment | None
 ) -> tuple[int, dict[str, video_lag.TipPath], list[str]]:
-    """Origin of time [ns], path of each arm's tip, and what could not be read."""
+    """Origin of time [ns], path of each arm's tip, and read errors."""
     paths, problems, origin = {}, [], 0
 
     def within(table: Table, name: str) -> Table:
@@ -93,12 +93,7 @@ def _paths(
 
 
 def _tip_path(ns: Stamps, p: Column) -> video_lag.TipPath | None:
-    """Path of a tip over increasing times; None if it is never known.
-
-    Args:
-        ns: Times, (N,) [ns]; rows that are not later than all before are left out.
-        p: Positions, (N, 3) [m]; NaN where unknown.
-    """
+    """Path of a tip over increasing times (N,) [ns], (N, 3) [m]; None if it is never known."""
     good = np.isfinite(p).all(axis=1)
     ns, p = ns[good], p[good]
     later = np.append(True, ns[1:] > np.maximum.accumulate(ns)[:-1])

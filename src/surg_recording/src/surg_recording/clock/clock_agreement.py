@@ -1,4 +1,4 @@
-"""Did the machines' clocks agree while an episode was recorded?"""
+"""Whether the machines' clocks agreed while an episode was recorded."""
 
 from __future__ import annotations
 
@@ -33,10 +33,9 @@ def machines(manifest: Any) -> int:
 
 
 def agreement(episode: Episode) -> dict[str, Any]:
-    """Verdict on the machines' clocks; steps of the recorder's own clock are not judged.
+    """Verdict on the machines' clocks: the key ``clock`` of ``sync.json``.
 
-    Returns:
-        The key ``clock`` of ``sync.json``.
+    Steps of the recorder's own clock are not judged here.
     """
     result: dict[str, Any] = {
         "verdict": PASS,

@@ -1,8 +1,8 @@
-"""The stretches of a recording between the steps of its clock (free-run).
+"""The segments of a recording between the steps of its clock (free-run).
 
-Stamps on either side of a step cannot be compared, so whoever needs one time for all streams uses
-one stretch: the longest. What lies within ``GUARD_NS`` of a step is left out, because a message may
-be stamped before the step and received after it. In lock-step the stamps are the simulator's ticks
+Stamps before and after a step cannot be compared, so whoever needs one time for all streams uses
+the longest segment. What lies within ``GUARD_NS`` of a step is excluded, because a message may be
+stamped before the step and received after it. In lock-step the stamps are the simulator's ticks
 and no step matters.
 """
 
@@ -29,7 +29,7 @@ Mask = npt.NDArray[np.bool_]
 
 @dataclasses.dataclass(frozen=True)
 class Segment:
-    """One stretch."""
+    """One segment."""
 
     number: int
     """From 1."""
@@ -48,19 +48,19 @@ class Segment:
 
     @property
     def words(self) -> str:
-        """For people."""
+        """The segment in words."""
         return (
             f"the clock was set {self.count - 1} times while it was recorded: of its"
             f" {self.count} stretches number {self.number}, the longest ({self.seconds:.1f} s)"
         )
 
     def rows(self, name: str, receive_ns: npt.NDArray[np.int64], lost: Any = 0) -> Mask:
-        """Which rows of a table, or frames of a video, belong to it.
+        """Mask (N,) of the rows of a table, or frames of a video, that belong to the segment.
 
         Args:
-            name: Of the table or camera.
-            receive_ns: (N,) their reception, by the recorder's clock [ns].
-            lost: Before each of them, as many were received and not written; a number or (N,).
+            name: Table or camera.
+            receive_ns: (N,) reception by the recorder's clock [ns].
+            lost: Number of rows received before each but not written; a number or (N,).
         """
         place = np.arange(len(receive_ns)) + lost
         found = np.ones(len(receive_ns), dtype=bool)
@@ -71,14 +71,14 @@ class Segment:
         return found
 
     def table(self, table: Table, name: str) -> Table:
-        """The rows of a table that belong to it."""
+        """The rows of a table within the segment."""
         return table.select(np.flatnonzero(self.rows(name, table["receive_ns"])))
 
     def video(self, recorded: Episode, camera: str) -> Video:
-        """The video of a camera with the lines of its sidecar that belong to it.
+        """The video of a camera with the lines of its sidecar within the segment.
 
         Raises:
-            EpisodeError: It has no frame of the camera, or frames in several files.
+            EpisodeError: The segment has no frame of the camera, or frames in several files.
         """
         found, before = [], 0
         for video in recorded.parts(camera):
@@ -95,10 +95,10 @@ class Segment:
 
 
 def longest(manifest: Mapping[str, Any]) -> Segment | None:
-    """The longest stretch between the steps of a recording's clock; None: it has no step.
+    """The longest segment between the steps of a recording's clock; None without a step.
 
     Raises:
-        EpisodeError: The steps are not said as the recorder says them, or nothing is left.
+        EpisodeError: The steps are not as the recorder writes them, or no segment is left.
     """
     steps = manifest.get("segments") or []
     if not steps or manifest.get("mode") == "lockstep":

@@ -1,4 +1,4 @@
-"""A wall clock that notices when somebody sets it.
+"""A wall clock that detects when it is set.
 
 Stamps are wall-clock time, and NTP, PTP or a person may set that clock while a recording runs. The
 steady clock cannot be set: when the distance between the two jumps, the wall clock has stepped.
@@ -24,15 +24,11 @@ _TRIES = 5
 
 
 class SteppedClock:
-    """Wall time in nanoseconds; tells of steps. May be read from any thread.
+    """Wall time in nanoseconds that reports its steps. May be read from any thread.
 
-    Args:
-        on_step: called with (step [ns], wall time after it [ns]) by the thread that reads the clock
-            first after the step, before any thread gets a time behind it. It must be quick, and
-            must not read this clock.
-        wall: the wall clock [ns].
-        steady: a clock that nobody can set [ns].
-        threshold_ns: what is a step.
+    ``on_step`` is called with (step [ns], wall time after it [ns]) by the thread that first reads
+    the clock after the step, before any thread gets a later time. It must be quick and must not
+    read this clock. ``wall`` and ``steady`` are the clocks [ns].
     """
 
     def __init__(
@@ -66,7 +62,7 @@ class SteppedClock:
         return wall
 
     def _measure(self) -> tuple[int, int]:
-        """Wall minus steady time and the wall time [ns], as exactly as the scheduler lets."""
+        """Wall minus steady time and the wall time [ns], as precisely as the scheduler allows."""
         best: tuple[int, int, int] | None = None
         for _ in range(_TRIES):
             before = self._steady()

@@ -1,7 +1,7 @@
-"""What a PTP daemon says of this machine's clock: reading the answer of ``pmc``, and judging it.
+"""Parses and judges what a PTP daemon reports about this machine's clock through ``pmc``.
 
-Pure: text in, values out. ``clock_sync_node`` asks once a second, ``sync_report`` judges what was
-recorded. linuxptp's offsets are *this clock minus the master's*, and so are ours.
+Text in, values out. ``clock_sync_node`` queries once a second, ``sync_report`` judges the recorded
+values. linuxptp's offsets are *this clock minus the master's*, and so are ours.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _PAIR = re.compile(r"^\s+(\w+)\s+(\S+)\s*$")
 
 @dataclasses.dataclass(frozen=True)
 class ClockStatus:
-    """One look at the clock."""
+    """One sample of the clock's state."""
 
     port_state: str = ""
     """Of the PTP port, as linuxptp calls it; empty when the daemon did not answer."""
@@ -48,11 +48,7 @@ class ClockStatus:
     """Why nothing is known; empty when the daemon answered."""
 
     def fault(self, bound: float = OFFSET_BOUND) -> str:
-        """Why this clock does not count as being in step; empty when it does.
-
-        Args:
-            bound: how far the clocks may be apart [s].
-        """
+        """Why this clock is not synchronised within ``bound`` [s]; empty if it is."""
         if self.problem:
             return self.problem
         if self.port_state == MASTER:
@@ -70,13 +66,10 @@ class ClockStatus:
 
 
 def parse(text: str) -> ClockStatus:
-    """Read the output of ``pmc`` for ``QUESTIONS``.
+    """Parse the standard output of ``pmc`` for ``QUESTIONS``.
 
     Answers may be missing, broken or in any order; what they do not state stays unknown. Of several
     ports, the one that follows a master counts, otherwise the first.
-
-    Args:
-        text: Standard output of ``pmc``.
     """
     answers = _Answers(text)
     if not answers.sets and not answers.ports:

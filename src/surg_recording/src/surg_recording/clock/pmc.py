@@ -1,4 +1,4 @@
-"""Asks a running PTP daemon, by linuxptp's ``pmc``; only with GET, so nothing is changed."""
+"""Queries a running PTP daemon through linuxptp's ``pmc``, with GET only."""
 
 from __future__ import annotations
 
@@ -18,20 +18,15 @@ FOLDERS = ("/usr/sbin", "/sbin", "/usr/local/sbin")
 
 
 def program(name: str) -> str | None:
-    """Path of one of linuxptp's programs, or None when it is not installed."""
+    """Path of one of linuxptp's programs; None if it is not installed."""
     path = os.pathsep.join([os.environ.get("PATH", os.defpath), *FOLDERS])
     return shutil.which(name, path=path)
 
 
 def ask(socket: Path | str = clock_sync.SOCKET, timeout: float = ANSWER) -> ClockStatus:
-    """Look at the clock once.
+    """Query the daemon at ``socket`` (its ``uds_address``) once; waits at most ``timeout`` [s].
 
-    Args:
-        socket: where the daemon can be asked (its ``uds_address``).
-        timeout: longest time to wait for ``pmc`` [s].
-
-    Returns:
-        What the daemon says. Whatever goes wrong is in ``problem``; nothing is raised.
+    Never raises: errors are in ``problem``.
     """
     found = program("pmc")
     if found is None:

@@ -1,4 +1,4 @@
-"""Does every sample of a stream have a sample of the reference stream at its stamp?"""
+"""Whether every sample of a stream has a sample of the reference stream at its stamp."""
 
 from __future__ import annotations
 
@@ -72,12 +72,7 @@ _NO_STAMPS: Stamps = np.zeros(0, dtype=np.int64)
 
 
 def skew(streams: Sequence[Stream], wall_clock: bool) -> dict[str, Any]:
-    """Distances between the stamps of the streams, and ages at reception.
-
-    Args:
-        streams: The streams.
-        wall_clock: Stamps are wall-clock times, so that ages can be judged.
-    """
+    """Distances between the stamps of the streams; ages at reception for wall-clock stamps."""
     reasons = [stream.problem for stream in streams if stream.problem]
     verdict = CANNOT_TELL if reasons else PASS
     periodic = [s for s in streams if s.periodic and len(s.stamp)]
@@ -117,12 +112,7 @@ def skew(streams: Sequence[Stream], wall_clock: bool) -> dict[str, Any]:
 
 
 def nearest_ns(stamps: Stamps, reference: Stamps) -> Stamps:
-    """Distance of every stamp to the nearest one of the reference, exact integers [ns].
-
-    Args:
-        stamps: (N,) in any order.
-        reference: (M,) with M > 0, in any order.
-    """
+    """Distance of every stamp (N,) to the nearest one of the reference (M,), M > 0 [ns]."""
     ordered = np.sort(reference)
     after = np.searchsorted(ordered, stamps)
     above = ordered[np.minimum(after, len(ordered) - 1)]

@@ -2,15 +2,15 @@
 
 Three questions, each answered ``pass``, ``fail`` or ``cannot_tell`` with reasons:
 
-* ``clock_agreement``: did the machines' clocks agree while it was recorded?
+* ``clock_agreement``: did the machines' clocks agree?
 * ``stream_skew``: does every sample of a stream have a sample of the reference stream at its stamp,
   and are stamps in the past when they are received?
-* ``camera_lag``: does a video show what the kinematics state, at the time they state it?
+* ``camera_lag``: does a video show what the kinematics state for the same time?
 
 If the clock was set during a free-run recording, the first answer is ``fail``. The other two then
 cover the longest segment between clock steps, whose own verdict is under ``segment``.
 
-On the command line: ``python -m surg_recording.clock.sync_report EPISODE…``.
+Command line: ``python -m surg_recording.clock.sync_report EPISODE…``.
 """
 
 from __future__ import annotations
@@ -41,15 +41,10 @@ FILE = "sync.json"
 
 
 def make(episode: Episode, progress: Progress | None = None) -> dict[str, Any]:
-    """Examine an episode.
+    """Content of ``sync.json`` of a finished episode; docs/guide/clock_sync.md lists the keys.
 
-    Args:
-        episode: A finished episode of any version.
-        progress: Called with a short text about the current step.
-
-    Returns:
-        Content of ``sync.json``; docs/guide/clock_sync.md lists the keys. A part that cannot be
-        read is named under ``reasons`` and makes the verdict ``cannot_tell``.
+    A part that cannot be read is named under ``reasons`` and makes the verdict ``cannot_tell``.
+    ``progress`` is called with a short text about the current step.
     """
     segment, stepped = _steps(episode.manifest)
     unset = clock_agreement.agreement(episode)
@@ -127,11 +122,7 @@ def write(folder: Path | str, progress: Progress | None = None) -> dict[str, Any
 
 
 def ensure(episode: Episode, progress: Progress | None = None) -> dict[str, Any]:
-    """The report of an episode: from disk, or made now and written if possible.
-
-    Raises:
-        EpisodeError: The manifest has disappeared.
-    """
+    """The report of an episode: from disk, or made now and written if possible."""
     known = load(episode)
     if known is not None:
         return known
@@ -151,7 +142,7 @@ def load(episode: Episode) -> dict[str, Any] | None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; exit code 0: all pass, 1: a failure, 2: no readable episode."""
+    """The command line; exit code 0: no failure, 1: a failure, 2: no readable episode."""
     parser = argparse.ArgumentParser(
         prog="python -m surg_recording.clock.sync_report",
         description="Examine the synchronisation of episodes; write sync.json and mark manifests.",

@@ -5,6 +5,7 @@ exports; docs/reference/datasets.md says what comes out, docs/guide/adding_an_ex
 add a format.
 """
 
+from surg_recording.datasets.export_manifest import check
 from surg_recording.datasets.exporter import (
     GROUP,
     Dataset,
@@ -16,7 +17,7 @@ from surg_recording.datasets.exporter import (
     names,
 )
 from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.pipeline import check, dry_run
+from surg_recording.datasets.pipeline import dry_run
 from surg_recording.datasets.sampling import Sampled, sample
 from surg_recording.datasets.schema import Feature
 

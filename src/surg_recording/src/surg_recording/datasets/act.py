@@ -22,12 +22,16 @@ import numpy as np
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.datasets import hdf5, pictures, schema
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
+from surg_recording.datasets.frames import check_frames
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.recording_errors import EpisodeError
 
 _FILE = "episode.hdf5"
-_VELOCITIES = "observation.joint_velocities"
+_OBSERVATIONS = {
+    "observations/qpos": STATE_KEY,
+    "observations/qvel": "observation.joint_velocities",
+}
 
 
 class Act(Exporter):
@@ -58,7 +62,7 @@ class Act(Exporter):
         with h5py.File(path, "r") as root:
             for place, name in layout.items():
                 if by_name[name].is_video:
-                    hdf5.check_pictures(root[place], sampled, by_name[name], options)
+                    check_frames(root[place], path, sampled, by_name[name], options)
                 else:
                     hdf5.check_array(root[place], sampled.columns[name])
             hdf5.check_array(root["timestamp"], sampled.grid.timestamps)
@@ -70,11 +74,9 @@ class Act(Exporter):
         stated = {
             "episodes": len(dataset.parts),
             "episode_len": [part.frames for part in dataset.parts],
-            "camera_names": [
-                camera_name(feature) for feature in schema.videos_of(dataset.features)
-            ],
-            "state_dim": len(_feature(dataset, STATE_KEY).names),
-            "action_dim": len(_feature(dataset, ACTION_KEY).names),
+            "camera_names": [video.camera for video in schema.videos_of(dataset.features)],
+            "state_dim": _size(dataset, STATE_KEY),
+            "action_dim": _size(dataset, ACTION_KEY),
             "robot_type": dataset.robot_type,
             "splits": {name: list(ends) for name, ends in dataset.splits.items()},
         }
@@ -83,71 +85,52 @@ class Act(Exporter):
     def validate(self, out: Path) -> Report:
         """Open every file as ACT's reader does, and read everything."""
         report = Report(self.name, out)
-        try:
+        with report.reading():
             stated: dict[str, Any] = json.loads((out / "dataset.json").read_text("utf-8"))
             for index in range(stated["episodes"]):
-                self._validate(out / f"episode_{index}.hdf5", stated, index, report)
+                with h5py.File(out / f"episode_{index}.hdf5", "r") as root:
+                    _validate(root, stated, stated["episode_len"][index], report)
             extra = len(list(out.glob("episode_*.hdf5"))) - stated["episodes"]
             if extra:
                 report.errors.append(f"{extra} files more than dataset.json says")
             report.facts["splits"] = stated["splits"]
-        except Exception as problem:  # damaged files fail in many ways
-            report.errors.append(f"{type(problem).__name__}: {problem}")
         return report
 
-    def _validate(self, path: Path, stated: Mapping[str, Any], index: int, report: Report) -> None:
-        with h5py.File(path, "r") as root:
-            length = stated["episode_len"][index]
-            action, qpos = root["/action"], root["/observations/qpos"]
-            images = [root[f"/observations/images/{name}"] for name in stated["camera_names"]]
-            every = [action, qpos, root["/observations/qvel"], root["timestamp"], *images]
-            report.errors += hdf5.same_length(path, every, length)
-            if "sim" not in root.attrs:
-                report.errors.append(f"{path.name}: no attribute 'sim'")
-            shapes = (action.shape[1:], qpos.shape[1:])
-            if shapes != ((stated["action_dim"],), (stated["state_dim"],)):
-                report.errors.append(f"{path.name}: action and qpos have shapes {shapes}")
-            for array in (action, qpos, root["/observations/qvel"]):
-                if not np.isfinite(array[()]).all():
-                    report.errors.append(
-                        f"{path.name}: {array.name} holds values that are no numbers"
-                    )
-            if not np.array_equal(root["timestamp"][()], np.arange(length) / root.attrs["fps"]):
-                report.errors.append(f"{path.name}: timestamp is not on the grid")
-            for image in images:
-                if image.dtype != np.uint8 or image.ndim != 4 or image.shape[3] != 3:
-                    report.errors.append(
-                        f"{path.name}: {image.name} is {image.dtype} {image.shape}"
-                    )
-                for number in range(length):  # every chunk can be unpacked
-                    image[number]
-            report.recordings += 1
-            report.frames += length
+
+def _validate(root: h5py.File, stated: Mapping[str, Any], length: int, report: Report) -> None:
+    name = Path(root.filename).name
+    action, qpos, qvel = (root[key] for key in ("action", *_OBSERVATIONS))
+    images = [root[f"observations/images/{camera}"] for camera in stated["camera_names"]]
+    report.errors += hdf5.read_all([action, qpos, qvel, root["timestamp"], *images], length)
+    if "sim" not in root.attrs:
+        report.errors.append(f"{name}: no attribute 'sim'")
+    shapes = (action.shape[1:], qpos.shape[1:])
+    if shapes != ((stated["action_dim"],), (stated["state_dim"],)):
+        report.errors.append(f"{name}: action and qpos have shapes {shapes}")
+    if not np.array_equal(root["timestamp"][()], np.arange(length) / root.attrs["fps"]):
+        report.errors.append(f"{name}: timestamp is not on the grid")
+    for image in images:
+        if image.dtype != np.uint8 or image.ndim != 4 or image.shape[3] != 3:
+            report.errors.append(f"{name}: {image.name} is {image.dtype} {image.shape}")
+    report.recordings += 1
+    report.frames += length
 
 
 def arrays(sampled: Sampled) -> dict[str, str]:
     """Place in the file → feature."""
-    found = {
-        "observations/qpos": STATE_KEY,
-        "observations/qvel": _VELOCITIES,
-        "action": ACTION_KEY,
-    }
-    have = {feature.name: feature for feature in sampled.features}
-    missing = [name for name in found.values() if name not in have]
+    places = {**_OBSERVATIONS, "action": ACTION_KEY}
+    features = {feature.name: feature for feature in sampled.features}
+    missing = [name for name in places.values() if name not in features]
     if missing:
         raise EpisodeError(f"format act needs {', '.join(missing)}: do not --drop it")
-    for name, feature in have.items():
+    for name, feature in features.items():
         if feature.is_video:
-            found[f"observations/images/{camera_name(feature)}"] = name
-        elif name not in found.values():
-            found[f"extra/{name}"] = name
-    return found
+            places[f"observations/images/{feature.camera}"] = name
+        elif name not in places.values():
+            places[f"extra/{name}"] = name
+    return places
 
 
-def camera_name(feature: schema.Feature) -> str:
-    """Name of a camera in the file, as in the recording."""
-    return feature.camera
-
-
-def _feature(dataset: Dataset, name: str) -> schema.Feature:
-    return next(feature for feature in dataset.features if feature.name == name)
+def _size(dataset: Dataset, name: str) -> int:
+    """Length of a feature's vector."""
+    return next(len(feature.names) for feature in dataset.features if feature.name == name)

@@ -20,6 +20,7 @@ from numcodecs import Blosc
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.datasets import pictures
 from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
+from surg_recording.datasets.frames import check_frames, put_frames
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
@@ -48,12 +49,7 @@ class DiffusionPolicy(Exporter):
             name = _key(feature)
             if feature.is_video:
                 stored = _pictures(root, name, sampled.grid.frames, feature)
-                done = 0
-                for frame in sampled.frames(feature.name):
-                    stored[done] = pictures.rgb(frame, options.size)
-                    done += 1
-                if done != sampled.grid.frames:
-                    raise EpisodeError(f"{feature.name}: {done} of {sampled.grid.frames} frames")
+                put_frames(stored, sampled, feature, options)
             elif feature.dtype != "string":
                 values = sampled.columns[feature.name]
                 stored = root.array(name, values, chunks=(_ROWS, *values.shape[1:]))
@@ -63,12 +59,7 @@ class DiffusionPolicy(Exporter):
         again = zarr.open_group(str(folder / _PART), mode="r")
         for feature in sampled.features:
             if feature.is_video:
-                stored = again[_key(feature)]
-                for number, frame in enumerate(sampled.frames(feature.name)):
-                    if not np.array_equal(stored[number], pictures.rgb(frame, options.size)):
-                        raise EpisodeError(
-                            f"{folder / _PART}: {feature.name}: frame {number} differs"
-                        )
+                check_frames(again[_key(feature)], folder / _PART, sampled, feature, options)
             elif feature.dtype != "string" and not np.array_equal(
                 again[_key(feature)][:], sampled.columns[feature.name]
             ):
@@ -114,7 +105,7 @@ class DiffusionPolicy(Exporter):
     def validate(self, out: Path) -> Report:
         """Open the store as ReplayBuffer does, and read everything."""
         report = Report(self.name, out)
-        try:
+        with report.reading():
             root = zarr.open_group(str(out / STORE), mode="r")
             stated = json.loads((out / STORE / ".zgroup").read_text("utf-8"))
             if stated != {"zarr_format": 2}:
@@ -128,8 +119,6 @@ class DiffusionPolicy(Exporter):
             report.errors += _off_grid(root, ends)
             report.facts["splits"] = dict(root.attrs["splits"])
             report.facts["data"] = {n: list(a.shape) for n, a in root["data"].arrays()}
-        except Exception as problem:  # damaged files fail in many ways
-            report.errors.append(f"{type(problem).__name__}: {problem}")
         return report
 
     def _validate(self, name: str, stored: Any, report: Report) -> None:

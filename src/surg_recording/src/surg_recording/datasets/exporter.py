@@ -8,10 +8,11 @@ see docs/guide/adding_an_exporter.md.
 from __future__ import annotations
 
 import abc
+import contextlib
 import dataclasses
 import importlib.util
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -70,6 +71,14 @@ class Report:
     warnings: list[str] = dataclasses.field(default_factory=list)
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Sizes, splits, counts, for people."""
+
+    @contextlib.contextmanager
+    def reading(self) -> Iterator[None]:
+        """Damaged files fail in many ways: every exception becomes an error of the report."""
+        try:
+            yield
+        except Exception as problem:
+            self.errors.append(f"{type(problem).__name__}: {problem}")
 
     @property
     def ok(self) -> bool:

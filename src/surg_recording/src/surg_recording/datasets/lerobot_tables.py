@@ -15,17 +15,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from surg_recording.datasets import pictures, schema, statistics
+from surg_recording.datasets import schema, statistics
 from surg_recording.datasets.exporter import Dataset, Part, Report
-from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.pictures import Encoding, Seen
-from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
 from surg_recording.recording_errors import EpisodeError
-
-NEEDS = {"pyarrow": "pip install 'surg_recording[lerobot]'"}
 
 DATA = "data.parquet"
 COLOURS = "colours.json"
@@ -41,9 +35,6 @@ INDEX_FEATURES: dict[str, dict[str, Any]] = {
 }
 """Columns that every LeRobot dataset has."""
 
-LONGEST_S = 1000.0
-"""Longest video [s]: float32 seconds stay exact to lerobot's tolerance of 0.1 ms up to 1024 s."""
-
 _ARROW = {
     "float32": pa.float32(),
     "float64": pa.float64(),
@@ -51,43 +42,6 @@ _ARROW = {
     "bool": pa.bool_(),
     "string": pa.string(),
 }
-
-
-# --- parts ------------------------------------------------------------------------------------
-
-
-def write_part(sampled: Sampled, folder: Path, options: ExportOptions) -> None:
-    """A recording as a table and a video per camera, read back.
-
-    Raises:
-        EpisodeError: too long, or what was written is not what was meant.
-    """
-    if sampled.grid.frames / sampled.grid.fps > LONGEST_S:
-        raise EpisodeError(
-            f"{sampled.candidate.folder}: {sampled.grid.frames / sampled.grid.fps:.0f} s long;"
-            f" LeRobot keeps time in float32 seconds, exact enough up to {LONGEST_S:g} s"
-        )
-    table = table_of(sampled.columns, sampled.features)
-    path = folder / DATA
-    pq.write_table(table, path)
-    if not pq.read_table(path).equals(table):
-        raise EpisodeError(f"{path}: what was read back is not what was written")
-    counted: dict[str, Any] = {}
-    how = Encoding(sampled.grid.fps, options.crf, options.gop, options.preset, options.size)
-    for feature in schema.videos_of(sampled.features):
-        seen = Seen()
-        target = folder / f"{feature.name}.mp4"
-        frames = sampled.frames(feature.name)
-        pictures.encode(
-            pictures.watch(frames, seen, sampled.grid.frames, options.size), target, how
-        )
-        pictures.check_video(target, how, seen.prints)
-        if len(seen.prints) != sampled.grid.frames:
-            raise EpisodeError(
-                f"{target}: {len(seen.prints)} frames, the grid has {sampled.grid.frames}"
-            )
-        counted[feature.name] = {"sampled": seen.sampled, "histogram": seen.histogram.tolist()}
-    (folder / COLOURS).write_text(json.dumps(counted) + "\n", "utf-8")
 
 
 def table_of(columns: Mapping[str, npt.NDArray[Any]], features: Iterable[Feature]) -> pa.Table:
@@ -131,9 +85,6 @@ def numbers(table: pa.Table, name: str) -> npt.NDArray[Any]:
     if pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type):
         return column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), -1)
     return column.to_numpy(zero_copy_only=False)
-
-
-# --- statistics -------------------------------------------------------------------------------
 
 
 def colours_of(part: Part) -> dict[str, tuple[npt.NDArray[np.int64], int]]:

@@ -7,32 +7,25 @@ Read by lerobot up to 0.3.3, asked for by Open-H-Embodiment and GR00T. With Open
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import pyarrow.parquet as pq
 
 from surg_recording.datasets import lerobot_tables, pictures, readme, schema, statistics
-from surg_recording.datasets.exporter import Dataset, Exporter, Report
-from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import Sampled
+from surg_recording.datasets.exporter import Dataset, Report
+from surg_recording.datasets.lerobot_part import LeRobotExporter
 from surg_recording.recording_errors import EpisodeError
 
 DATA_PATH = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 VIDEO_PATH = "videos/chunk-{episode_chunk:03d}/{video_key}/episode_{episode_index:06d}.mp4"
 
 
-class LeRobotV21(Exporter):
+class LeRobotV21(LeRobotExporter):
     """LeRobot 2.1 with Open-H's conventions."""
 
     name = "lerobot_v21"
     title = "LeRobot 2.1 (Open-H, GR00T)"
-    needs: ClassVar[Mapping[str, str]] = lerobot_tables.NEEDS
-
-    def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
-        """A table and a video per camera."""
-        lerobot_tables.write_part(sampled, folder, options)
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Number the rows, place the videos, write ``meta``."""
@@ -76,10 +69,8 @@ class LeRobotV21(Exporter):
     def validate(self, out: Path) -> Report:
         """Read everything: rows, videos, statistics, splits, the page."""
         report = Report(self.name, out)
-        try:
+        with report.reading():
             self._validate(out, report)
-        except Exception as problem:  # damaged files fail in many ways
-            report.errors.append(f"{type(problem).__name__}: {problem}")
         return report
 
     def _validate(self, out: Path, report: Report) -> None:

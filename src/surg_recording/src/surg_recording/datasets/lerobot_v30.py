@@ -8,16 +8,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from surg_recording.datasets import lerobot_tables, pictures, readme, schema, statistics
-from surg_recording.datasets.exporter import Dataset, Exporter, Part, Report
-from surg_recording.datasets.options import ExportOptions
-from surg_recording.datasets.sampling import Sampled
+from surg_recording.datasets.exporter import Dataset, Part, Report
+from surg_recording.datasets.lerobot_part import LONGEST_S, LeRobotExporter
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
@@ -29,16 +28,11 @@ DATA_MB, VIDEO_MB = 100, 200
 _PANDAS_INDEX = "__index_level_0__"
 
 
-class LeRobotV30(Exporter):
+class LeRobotV30(LeRobotExporter):
     """LeRobot 3.0."""
 
     name = "lerobot_v30"
     title = "LeRobot 3.0 (lerobot 0.4 and later)"
-    needs: ClassVar[Mapping[str, str]] = lerobot_tables.NEEDS
-
-    def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
-        """A table and a video per camera."""
-        lerobot_tables.write_part(sampled, folder, options)
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Join tables and videos into files, write ``meta``."""
@@ -105,7 +99,7 @@ class LeRobotV30(Exporter):
     ) -> None:
         """Join the videos of one camera, and say in the rows where each recording begins."""
         paths = [part.folder / f"{name}.mp4" for part in parts]
-        longest = [part.frames / fps / lerobot_tables.LONGEST_S for part in parts]
+        longest = [part.frames / fps / LONGEST_S for part in parts]
         sizes = [path.stat().st_size / (VIDEO_MB << 20) for path in paths]
         weights = [max(pair) for pair in zip(longest, sizes, strict=True)]
         for file, members in enumerate(_groups(weights, 1.0)):
@@ -121,10 +115,8 @@ class LeRobotV30(Exporter):
     def validate(self, out: Path) -> Report:
         """Read everything: rows, videos, statistics, splits."""
         report = Report(self.name, out)
-        try:
+        with report.reading():
             self._validate(out, report)
-        except Exception as problem:  # damaged files fail in many ways
-            report.errors.append(f"{type(problem).__name__}: {problem}")
         return report
 
     def _validate(self, out: Path, report: Report) -> None:

@@ -84,29 +84,18 @@ class ExportOptions:
         good = set(shares) <= set(SPLITS) and all(0 <= share <= 1 for share in shares.values())
         good = good and abs(sum(shares.values()) - 1.0) < 1e-9
         _need(good, "splits", shares, f"shares of {', '.join(SPLITS)} that add up to 1")
-        _need(
-            self.scheduler is None or self.executor == "dask",
-            "scheduler",
-            self.scheduler,
-            "only with the executor dask",
-        )
+        dask = self.scheduler is None or self.executor == "dask"
+        _need(dask, "scheduler", self.scheduler, "only with the executor dask")
 
     def content(self) -> dict[str, Any]:
         """The choices that change what a recording becomes, for its input hash."""
-        return {
-            "fps": self.fps,
-            "cameras": None if self.cameras is None else list(self.cameras),
-            "size": None if self.size is None else list(self.size),
-            "max_image_age_s": self.max_image_age_s,
-            "max_gap_s": self.max_gap_s,
-            "drop": sorted(self.drop),
-            "instruction": self.instruction,
-            "crf": self.crf,
-            "gop": self.gop,
-            "preset": self.preset,
-            "allow_incomplete": self.allow_incomplete,
-            "allow_unsynchronised": self.allow_unsynchronised,
-        }
+        return {**{name: getattr(self, name) for name in _CONTENT}, "drop": sorted(self.drop)}
+
+
+_CONTENT = (
+    *("fps", "cameras", "size", "max_image_age_s", "max_gap_s", "drop", "instruction"),
+    *("crf", "gop", "preset", "allow_incomplete", "allow_unsynchronised"),
+)
 
 
 def _need(condition: bool, name: str, value: object, allowed: str) -> None:

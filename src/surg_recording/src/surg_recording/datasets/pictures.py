@@ -17,7 +17,9 @@ import av
 import numpy as np
 import numpy.typing as npt
 
+from surg_recording.datasets.options import ExportOptions
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import video_file
 
 Image = npt.NDArray[np.uint8]
 Print = npt.NDArray[np.uint8]
@@ -27,18 +29,6 @@ PRINT_SIZE = (16, 12)
 
 TICKS = 1000
 """Time base of a video: 1 / (fps · TICKS), in which every n / fps is whole."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Encoding:
-    """How a video is written."""
-
-    fps: int
-    crf: int = 18
-    gop: int = 2
-    preset: str = "veryfast"
-    size: tuple[int, int] | None = None
-    """Width and height [px]; None: as they come."""
 
 
 @dataclasses.dataclass
@@ -92,11 +82,15 @@ def _decoded(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
     yield from container.decode(video=0)
 
 
+def _scaled(frame: av.VideoFrame, size: tuple[int, int] | None) -> av.VideoFrame:
+    if size is None or (frame.width, frame.height) == size:
+        return frame
+    return frame.reformat(width=size[0], height=size[1], interpolation="AREA")
+
+
 def rgb(frame: av.VideoFrame, size: tuple[int, int] | None = None) -> Image:
     """A frame as (height, width, 3) RGB, scaled to ``size`` (width, height)."""
-    if size is not None and (frame.width, frame.height) != size:
-        frame = frame.reformat(width=size[0], height=size[1], interpolation="AREA")
-    return frame.to_ndarray(format="rgb24")
+    return _scaled(frame, size).to_ndarray(format="rgb24")
 
 
 def thumbnail(frame: av.VideoFrame) -> Print:
@@ -126,8 +120,7 @@ def watch(
     """
     chosen = set(np.unique(np.linspace(0, max(count - 1, 0), num=_sampled(count)).astype(int)))
     for number, frame in enumerate(frames):
-        if size is not None and (frame.width, frame.height) != size:
-            frame = frame.reformat(width=size[0], height=size[1], interpolation="AREA")
+        frame = _scaled(frame, size)
         seen.prints.append(thumbnail(frame))
         if number in chosen:
             seen.histogram += colours(frame.to_ndarray(format="rgb24"))
@@ -140,8 +133,8 @@ def _sampled(count: int) -> int:
     return min(count, max(100, int(count**0.75)))
 
 
-def encode(frames: Iterable[av.VideoFrame], path: Path, how: Encoding) -> int:
-    """Write frames as H.264 (yuv420p) of constant rate; returns how many."""
+def encode(frames: Iterable[av.VideoFrame], path: Path, how: ExportOptions) -> int:
+    """Write frames as H.264 (yuv420p) of constant rate; returns their number."""
     count = 0
     options = {"movflags": "faststart", "video_track_timescale": str(how.fps * TICKS)}
     with av.open(str(path), "w", format="mp4", options=options) as container:
@@ -188,43 +181,20 @@ def join(parts: Sequence[Path], path: Path, fps: int) -> list[int]:
         for part in parts:
             starts.append(done)
             with av.open(str(part)) as source:
-                video = source.streams.video[0]
+                video, done_here = source.streams.video[0], 0
                 if stream is None:
                     header = bytes(video.codec_context.extradata or b"")
-                    stream = _like(target, video)
+                    stream = video_file.like(target, video)
                 elif bytes(video.codec_context.extradata or b"") != header:
                     raise EpisodeError(f"{part}: encoded differently from {parts[0]}")
-                for packet in source.demux(video):
-                    if packet.pts is None or packet.size == 0:
-                        continue
+                for packet in video_file.packets(source):
                     frame = Fraction(packet.pts) * packet.time_base * fps
                     packet.pts = packet.dts = round((done + frame) / (fps * packet.time_base))
                     packet.stream = stream
                     target.mux(packet)
-                done += count_frames(part)
+                    done_here += 1
+                done += done_here
     return starts
-
-
-def _like(container: av.container.OutputContainer, video: av.VideoStream) -> av.VideoStream:
-    """A stream of a container that takes another's packets."""
-    from_template = getattr(container, "add_stream_from_template", None)
-    if from_template is not None:
-        return from_template(video)
-    return container.add_stream(template=video)
-
-
-def count_frames(path: Path) -> int:
-    """Packets with a picture in a video.
-
-    Raises:
-        EpisodeError: the file cannot be read.
-    """
-    try:
-        with av.open(str(path)) as container:
-            video = container.streams.video[0]
-            return sum(1 for p in container.demux(video) if p.pts is not None and p.size > 0)
-    except (av.error.FFmpegError, IndexError, OSError) as problem:
-        raise EpisodeError(f"{path}: no readable video ({problem})") from None
 
 
 def size_of(path: Path) -> tuple[int, int]:
@@ -241,7 +211,7 @@ def size_of(path: Path) -> tuple[int, int]:
         raise EpisodeError(f"{path}: cannot be read ({problem})") from None
 
 
-def check_video(path: Path, how: Encoding, expected: Sequence[Print]) -> None:
+def check_video(path: Path, how: ExportOptions, expected: Sequence[Print]) -> None:
     """Read a written video back: number of frames, their times, and what they show.
 
     Raises:
@@ -277,11 +247,7 @@ def video_facts(path: Path) -> dict[str, object]:
     with av.open(str(path)) as container:
         video = container.streams.video[0]
         context = video.codec_context
-        times = sorted(
-            Fraction(p.pts) * p.time_base
-            for p in container.demux(video)
-            if p.pts is not None and p.size > 0
-        )
+        times = sorted(Fraction(p.pts) * p.time_base for p in video_file.packets(container))
         rate = video.average_rate
         return {
             "width": context.width,

@@ -8,7 +8,6 @@ in ``<out>.parts``, so that an interrupted export can continue.
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
@@ -17,8 +16,8 @@ from typing import Any
 
 from surg_core.plugins import source_file
 from surg_recording.datasets import executors, inspection
+from surg_recording.datasets.export_manifest import is_up_to_date, write_manifest
 from surg_recording.datasets.exporter import (
-    MANIFEST,
     PART,
     Dataset,
     Exporter,
@@ -29,19 +28,18 @@ from surg_recording.datasets.exporter import (
 )
 from surg_recording.datasets.inspection import FAILURE, RECOVERY, SUCCESS, Candidate
 from surg_recording.datasets.options import SPLITS, ExportOptions
-from surg_recording.datasets.parts import Job, Outcome, file_hash, input_hash, sweep
+from surg_recording.datasets.parts import Job, Outcome, input_hash, sweep
 from surg_recording.datasets.sampling import sample
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
 
-FORMAT = "surg_export/1"
 UNFINISHED = ".unfinished"
-"""Suffix of a dataset that is being put together."""
+"""Suffix of a dataset that is being assembled."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Plan:
-    """What will be exported."""
+    """The recordings to export, with their input hashes, and those refused."""
 
     candidates: tuple[Candidate, ...]
     keys: tuple[str, ...]
@@ -54,34 +52,22 @@ def export(
     out: Path,
     options: ExportOptions,
     progress: Progress,
-    locator: str | None = None,
 ) -> Report:
-    """Export recordings with an exporter; see ``Exporter.write``.
-
-    Args:
-        exporter: does it.
-        episodes: folders of recordings, or folders that hold some.
-        out: the folder to make.
-        options: all choices.
-        progress: is told how far the work is.
-        locator: name or path by which other processes load the exporter; default: its name, or the
-            file it comes from.
-
-    Raises:
-        ExportError: nothing can be exported at all.
-    """
+    """Export recordings; see ``Exporter.write``."""
     exporter.require()
     plan = make_plan(exporter, episodes, options, progress)
     report = Report(exporter.name, out, refused=dict(plan.refused))
     if not plan.candidates:
         _nothing_left(report)
     parts = out.with_name(out.name + ".parts")
-    if out.exists() and _is_same(out, exporter, plan, options, report):
+    if out.exists() and is_up_to_date(out, exporter, plan.keys, options, report):
         return report
     parts.mkdir(parents=True, exist_ok=True)
     sweep(parts)
+    # Other processes load the exporter by its file, or by name.
+    locator = source_file(exporter) or exporter.name
     jobs = [
-        Job(c.folder, locator or _locator(exporter), options, c.layout, key, parts)
+        Job(c.folder, locator, options, c.layout, key, parts)
         for c, key in zip(plan.candidates, plan.keys, strict=True)
     ]
     _convert(jobs, options, report, progress)
@@ -90,15 +76,13 @@ def export(
         report.recordings = sum(1 for job in jobs if (parts / job.key / PART).exists())
         return report
     finished = [Part.load(parts / job.key) for job in jobs if (parts / job.key / PART).exists()]
-    kept = {part.source: part.features for part in finished}
-    for part in finished[1:]:
+    for part in finished:
         if part.features != finished[0].features:
             report.refused[part.source] = "its features are not those of the first recording"
-            kept.pop(part.source)
-    finished = [part for part in finished if part.source in kept]
+    finished = [part for part in finished if part.features == finished[0].features]
     if not finished:
         _nothing_left(report)
-    progress(None, "putting together")
+    progress(None, "assembling")
     dataset = arrange(out.name, finished, plan.candidates[0].layout, options)
     _assemble(exporter, dataset, out, options, report)
     if not report.errors and not options.keep_parts:
@@ -114,9 +98,16 @@ def make_plan(
     The first good one decides what the export holds; those that hold something else are refused.
 
     Raises:
-        ExportError: there is no recording at all.
+        ExportError: There is no recording at all.
     """
-    folders, refused = find(episodes)
+    try:
+        below = [folder for path in episodes for folder in episode_reader.below(path)]
+    except EpisodeError as problem:
+        raise ExportError(f"{problem}; name folders of recordings") from None
+    folders = list({folder.resolve(): folder for folder in reversed(below)}.values())[::-1]
+    if not folders:
+        raise ExportError(f"no recording in {', '.join(map(str, episodes))}")
+    refused: dict[str, str] = {}
     candidates: list[Candidate] = []
     keys: dict[str, Path] = {}
     for number, folder in enumerate(folders):
@@ -138,41 +129,13 @@ def make_plan(
     return Plan(tuple(candidates), tuple(keys), refused)
 
 
-def find(episodes: Sequence[Path]) -> tuple[list[Path], dict[str, str]]:
-    """Folders of recordings in the order given (by name inside a folder), and what is none.
-
-    Raises:
-        ExportError: a path does not exist, or nothing was found.
-    """
-    found: list[Path] = []
-    refused: dict[str, str] = {}
-    for path in episodes:
-        if not path.is_dir():
-            raise ExportError(f"{path}: no such folder; name folders of recordings")
-        if (path / episode_reader.MANIFEST).exists():
-            inside = [path]
-        else:
-            inside = sorted(file.parent for file in path.rglob(episode_reader.MANIFEST))
-        for folder in inside:
-            if folder.name.endswith(episode_reader.PARTIAL):
-                refused[str(folder)] = (
-                    f"{folder}: never finished; the next recorder start mends it, or"
-                    " surg_recording.episode.recovery.recover(parent folder)"
-                )
-            elif folder.resolve() not in {other.resolve() for other in found}:
-                found.append(folder)
-    if not found and not refused:
-        raise ExportError(f"no recording in {', '.join(map(str, episodes))}")
-    return found, refused
-
-
 def dry_run(
     exporter: Exporter, episodes: Sequence[Path], options: ExportOptions, progress: Progress
 ) -> Report:
-    """Everything but pictures: read and check all tables, and say what an export would hold.
+    """Read and check everything but pictures; report what an export would hold.
 
     Raises:
-        ExportError: nothing can be exported at all.
+        ExportError: Nothing can be exported at all.
     """
     exporter.require()
     plan = make_plan(exporter, episodes, options, progress)
@@ -187,7 +150,7 @@ def dry_run(
             continue
         report.recordings += 1
         report.frames += sampled.grid.frames
-        report.warnings += _stretch(str(candidate.folder), sampled.notes)
+        report.warnings += _segment_warning(str(candidate.folder), sampled.notes)
         kinds[candidate.kind] = kinds.get(candidate.kind, 0) + 1
         report.facts.setdefault("features", {f.name: list(f.shape) for f in sampled.features})
     report.facts["kinds"] = kinds
@@ -217,92 +180,8 @@ def arrange(
     return Dataset(name, tuple(ordered), splits, layout, options)
 
 
-def check(out: Path, exporter: Exporter) -> Report:
-    """Check a finished export: the exporter's own reading, and the checksum of every file.
-
-    Raises:
-        ExportError: it is no export, or of another format.
-    """
-    stated = read_manifest(out)
-    if stated["exporter"] != exporter.name:
-        raise ExportError(f"{out}: an export of format {stated['exporter']}, not {exporter.name}")
-    report = exporter.validate(out)
-    for name, entry in stated["files"].items():
-        path = out / name
-        if not path.is_file():
-            report.errors.append(f"{name}: missing")
-        elif file_hash(path) != entry["sha256"]:
-            report.errors.append(f"{name}: changed since it was written")
-    report.facts["files"] = len(stated["files"])
-    return report
-
-
-def read_manifest(out: Path) -> dict[str, Any]:
-    """``surg_export.json`` of an export.
-
-    Raises:
-        ExportError: there is none that can be read.
-    """
-    try:
-        stated = json.loads((out / MANIFEST).read_text("utf-8"))
-    except (OSError, ValueError) as problem:
-        raise ExportError(f"{out}: no export of this program ({MANIFEST}: {problem})") from None
-    if not isinstance(stated, dict) or stated.get("format") != FORMAT:
-        raise ExportError(f"{out / MANIFEST}: format is not {FORMAT}")
-    return stated
-
-
-def _is_same(
-    out: Path, exporter: Exporter, plan: Plan, options: ExportOptions, report: Report
-) -> bool:
-    """True: the export is there already, of these recordings. False: it may be replaced.
-
-    Raises:
-        ExportError: something else lies there.
-    """
-    if not out.is_dir() or (any(out.iterdir()) and not (out / MANIFEST).exists()):
-        raise ExportError(f"--out {out}: holds something that is no export; name another folder")
-    if not any(out.iterdir()):
-        out.rmdir()
-        return False
-    stated = read_manifest(out)
-    same = stated["exporter"] == exporter.name
-    same = same and sorted(r["key"] for r in stated["recordings"]) == sorted(plan.keys)
-    same = same and stated["arranged"] == _arranged(options)
-    if same:
-        sizes = {name: entry["bytes"] for name, entry in stated["files"].items()}
-        gone = [n for n, size in sizes.items() if not _has_size(out / n, size)]
-        if gone:
-            raise ExportError(
-                f"{out}: {gone[0]} is missing or changed since it was written; --replace makes the"
-                " export anew"
-            )
-        report.recordings = len(stated["recordings"])
-        report.frames = sum(r["frames"] for r in stated["recordings"])
-        report.facts["up_to_date"] = True
-        return True
-    if not options.replace:
-        raise ExportError(
-            f"--out {out}: holds an export of other recordings or with other options; name another"
-            " folder, or take its place with --replace"
-        )
-    return False
-
-
-def _has_size(path: Path, size: int) -> bool:
-    return path.is_file() and path.stat().st_size == size
-
-
-def _arranged(options: ExportOptions) -> dict[str, Any]:
-    """Choices that change how recordings are put together."""
-    return {
-        "splits": dict(options.splits),
-        "about": json.loads(json.dumps(options.about, default=str)),
-    }
-
-
 def _convert(jobs: list[Job], options: ExportOptions, report: Report, progress: Progress) -> None:
-    """Do the jobs that are not done; put what fails under ``refused``."""
+    """Do the remaining jobs; failures go to ``refused``."""
     if options.shard is not None:
         index, count = options.shard
         jobs[:] = jobs[index::count]
@@ -324,7 +203,7 @@ def _convert(jobs: list[Job], options: ExportOptions, report: Report, progress: 
 def _assemble(
     exporter: Exporter, dataset: Dataset, out: Path, options: ExportOptions, report: Report
 ) -> None:
-    """Put together under a temporary name, read back, and give it its name."""
+    """Assemble under a temporary name, validate, and rename."""
     staging = out.with_name(out.name + UNFINISHED)
     shutil.rmtree(staging, ignore_errors=True)
     staging.mkdir(parents=True)
@@ -335,7 +214,7 @@ def _assemble(
         report.errors += found.errors
         report.warnings += found.warnings
         for part in dataset.parts:
-            report.warnings += _stretch(part.source, part.notes)
+            report.warnings += _segment_warning(part.source, part.notes)
         report.facts.update(found.facts)
         if found.recordings != len(dataset.parts) or found.frames != dataset.frames:
             report.errors.append(
@@ -357,52 +236,11 @@ def _assemble(
         shutil.rmtree(staging, ignore_errors=True)
 
 
-def write_manifest(exporter: Exporter, dataset: Dataset, out: Path, report: Report) -> None:
-    """Write ``surg_export.json`` into a finished export."""
-    files = {
-        str(path.relative_to(out)): {"bytes": path.stat().st_size, "sha256": file_hash(path)}
-        for path in sorted(out.rglob("*"))
-        if path.is_file()
-    }
-    stated = {
-        "format": FORMAT,
-        "exporter": exporter.name,
-        "exporter_version": exporter.version,
-        "options": dataset.options.content(),
-        "arranged": _arranged(dataset.options),
-        "layout": dataclasses.asdict(dataset.layout),
-        "splits": {name: list(ends) for name, ends in dataset.splits.items()},
-        "features": [feature.describe() for feature in dataset.features],
-        "recordings": [
-            {
-                "index": index,
-                "source": part.source,
-                "key": part.key,
-                "kind": part.kind,
-                "frames": part.frames,
-                "instruction": part.instruction,
-                "about": dict(part.about),
-                "notes": dict(part.notes),
-            }
-            for index, part in enumerate(dataset.parts)
-        ],
-        "refused": report.refused,
-        "files": files,
-    }
-    (out / MANIFEST).write_text(json.dumps(stated, indent=1, default=str) + "\n", "utf-8")
-
-
-def _stretch(source: str, notes: Mapping[str, Any]) -> list[str]:
-    """What is said of a recording of which a stretch is exported only."""
+def _segment_warning(source: str, notes: Mapping[str, Any]) -> list[str]:
+    """Tells that only a segment of a recording is exported."""
     return [f"{source}: {notes['segment']} is exported"] if "segment" in notes else []
 
 
-def _locator(exporter: Exporter) -> str:
-    """How another process finds the exporter: by name, or by its file."""
-    return source_file(exporter) or exporter.name
-
-
 def _nothing_left(report: Report) -> None:
-    reasons: Mapping[str, str] = report.refused
-    shown = "\n".join(f"  {reason}" for reason in list(reasons.values())[:10])
+    shown = "\n".join(f"  {reason}" for reason in list(report.refused.values())[:10])
     raise ExportError(f"no recording can be exported:\n{shown}")

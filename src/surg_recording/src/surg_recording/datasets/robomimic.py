@@ -20,6 +20,7 @@ import numpy as np
 from surg_core.contract import ACTION_KEY, STATE_KEY
 from surg_recording.datasets import hdf5, schema
 from surg_recording.datasets.exporter import Dataset, Exporter, Report
+from surg_recording.datasets.frames import check_frames
 from surg_recording.datasets.options import ExportOptions
 from surg_recording.datasets.sampling import Sampled
 from surg_recording.datasets.schema import Feature
@@ -72,7 +73,7 @@ class Robomimic(Exporter):
             for place, feature in by_place.items():
                 stored = root["demo"][place]
                 if feature.is_video:
-                    hdf5.check_pictures(stored, sampled, feature, options)
+                    check_frames(stored, path, sampled, feature, options)
                 else:
                     hdf5.check_array(stored, columns[feature.name])
 
@@ -109,11 +110,8 @@ class Robomimic(Exporter):
     def validate(self, out: Path) -> Report:
         """Open the file as robomimic's reader does, and read everything."""
         report = Report(self.name, out)
-        try:
-            with h5py.File(out / FILE, "r", libver="latest", swmr=True) as root:
-                self._validate(root, report)
-        except Exception as problem:  # damaged files fail in many ways
-            report.errors.append(f"{type(problem).__name__}: {problem}")
+        with report.reading(), h5py.File(out / FILE, "r", libver="latest", swmr=True) as root:
+            self._validate(root, report)
         return report
 
     def _validate(self, root: h5py.File, report: Report) -> None:
@@ -134,13 +132,7 @@ class Robomimic(Exporter):
                 report.errors.append(f"{name}: other observations than the first demo")
             every = [demo[key] for key in ("actions", "rewards", "dones", "timestamp")]
             every += [*demo["obs"].values(), *demo["next_obs"].values()]
-            report.errors += hdf5.same_length(Path(FILE), every, n)
-            for array in every:
-                if array.dtype == np.uint8:
-                    for frame in range(n):
-                        array[frame]
-                elif not np.isfinite(array[()]).all():
-                    report.errors.append(f"{array.name}: holds values that are no numbers")
+            report.errors += hdf5.read_all(every, n)
             if not np.array_equal(demo["timestamp"][()], np.arange(n) / fps):
                 report.errors.append(f"{name}: timestamp is not on the grid")
             report.recordings += 1

@@ -1,9 +1,9 @@
-"""What people and scripts say about an episode: stages, tags, a verdict, facts for the manifest.
+"""Annotations of an episode: stages, tags, a verdict, facts for the manifest.
 
 ``/record/tag`` carries a text, which is a tag, or a JSON object with any of the keys ``tag``,
 ``stage`` (a new stage begins; empty: none), ``success`` (true, false or null) with ``reason``, and
 ``stamp_ns``. ``/record/info`` carries a JSON object of facts: ``operator``, ``task``, ``setting``,
-``seed`` or whatever else the manifest's ``run`` shall hold.
+``seed`` or anything else for the manifest's ``run``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ MAX_INFO = 16_384
 
 @dataclasses.dataclass(frozen=True)
 class Tag:
-    """One message of /record/tag; None: it does not say."""
+    """One message of /record/tag; None: not stated."""
 
     tag: str | None = None
     stage: str | None = None
@@ -36,11 +36,7 @@ class Tag:
 
 
 def parse_tag(text: str) -> Tag:
-    """Read one message of /record/tag.
-
-    Raises:
-        ValueError: what was wrong and what is allowed.
-    """
+    """Read one message of /record/tag; a ValueError states what is wrong and what is allowed."""
     text = text.strip()
     if not text:
         raise ValueError('an empty tag; give a text, or JSON such as {"stage": "approach"}')
@@ -71,11 +67,7 @@ def parse_tag(text: str) -> Tag:
 
 
 def parse_info(text: str) -> dict[str, Any]:
-    """Read one message of /record/info.
-
-    Raises:
-        ValueError: what was wrong and what is allowed.
-    """
+    """Read one message of /record/info; a ValueError states what is wrong and what is allowed."""
     if len(text) > MAX_INFO:
         raise ValueError(f"info of {len(text)} characters; at most {MAX_INFO} are taken")
     try:
@@ -88,7 +80,7 @@ def parse_info(text: str) -> dict[str, Any]:
 
 
 class Annotations:
-    """Stages, tags and verdict of one episode, as the manifest keeps them."""
+    """Stages, tags and verdict of one episode, as in the manifest."""
 
     def __init__(self) -> None:
         self.tags: list[dict[str, Any]] = []
@@ -96,13 +88,7 @@ class Annotations:
         self.result: dict[str, Any] = {"success": None, "reason": "", "by": None}
 
     def add(self, said: Tag, stamp_ns: int, by: str) -> None:
-        """Take a tag in.
-
-        Args:
-            said: the message.
-            stamp_ns: when it came [ns]; its own ``stamp_ns`` goes before.
-            by: caller id of the sender.
-        """
+        """Add a tag received at ``stamp_ns`` [ns]; its own stamp takes precedence."""
         stamp = stamp_ns if said.stamp_ns is None else said.stamp_ns
         if said.tag is not None:
             self.tags.append({"stamp_ns": stamp, "text": said.tag, "by": by})
@@ -114,12 +100,12 @@ class Annotations:
             self.result = {"success": said.success, "reason": said.reason, "by": by}
 
     def end(self, stamp_ns: int) -> None:
-        """The stage that runs ends now."""
+        """End the current stage."""
         if self.stages and self.stages[-1]["end_ns"] is None:
             self.stages[-1]["end_ns"] = max(stamp_ns, self.stages[-1]["begin_ns"])
 
     def judged(self, task: Any) -> dict[str, Any]:
-        """The verdict: a person's where there is one, else the simulated task's."""
+        """The verdict: a person's if there is one, else the simulated task's."""
         if self.result["by"] is None and isinstance(task, dict) and task.get("done"):
             success = task.get("success")
             reason = str(task.get("reason") or "")

@@ -1,9 +1,9 @@
 """Crash-safe CSV files, written by one thread for all tables of an episode.
 
-Callbacks only append a row to a queue. The thread wakes every 10 ms, formats what has arrived and
-hands it to the kernel with one ``write`` per table, so that a ``kill -9`` loses what came in during
-the last few milliseconds and at most one line is cut. Floats are written by ``repr``, the shortest
-text that reads back to the same bits.
+Callbacks only append a row to a queue. The thread wakes every 10 ms and hands what has arrived to
+the kernel with one ``write`` per table: a ``kill -9`` loses the last few milliseconds and truncates
+at most one line. Floats are written by ``repr``, the shortest text that reads back to the same
+bits.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _FIELD: dict[type, Callable[[Any], str]] = {
 
 
 class CsvTable:
-    """One table: its file, its queue and its counters. Made by ``CsvWriter.table``."""
+    """One table: its file, queue and counters. Created by ``CsvWriter.table``."""
 
     def __init__(self, path: Path, columns: Sequence[str], queue_limit: int | None) -> None:
         self.path = path
@@ -85,15 +85,15 @@ class CsvTable:
 
     @property
     def backlog(self) -> int:
-        """Rows that wait to be written."""
+        """Rows waiting to be written."""
         return len(self._queue)
 
 
 class CsvWriter:
     """The writer thread and its tables.
 
-    A full or broken disk does not raise in a callback: ``error`` says what happened, rows that come
-    later are counted as dropped, and ``close`` still returns.
+    A full or broken disk does not raise in a callback: ``error`` states what happened, later rows
+    are counted as dropped, and ``close`` still returns.
     """
 
     def __init__(self, wake_s: float = WAKE_S) -> None:
@@ -106,22 +106,17 @@ class CsvWriter:
         self._thread.start()
 
     def table(self, path: Path, columns: Sequence[str], queue_limit: int | None = None) -> CsvTable:
-        """Create a table.
-
-        Args:
-            path: the CSV file; it must not exist yet.
-            columns: the header.
-            queue_limit: rows that may wait; None for no limit (lock-step, where the sender waits).
+        """Create a table; ``queue_limit`` rows may wait (None: any number, the sender waits).
 
         Raises:
-            OSError: when the file cannot be created.
+            OSError: The file exists or cannot be created.
         """
         table = CsvTable(path, columns, queue_limit)
         self.tables = [*self.tables, table]  # a new list: the thread iterates over the old one
         return table
 
     def put(self, table: CsvTable, row: Row) -> bool:
-        """Queue a row; returns False when it was dropped (and counted). Never blocks."""
+        """Queue a row; False if it was dropped (and counted). Never blocks."""
         if self.error is not None or (
             table.queue_limit is not None and len(table._queue) >= table.queue_limit
         ):
@@ -132,7 +127,7 @@ class CsvWriter:
         return True
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until every queued row is with the kernel; False when time ran out."""
+        """Wait until every queued row is with the kernel; False after the timeout."""
         deadline = time.monotonic() + timeout_s
         while any(t.backlog for t in self.tables) and self.error is None:
             if time.monotonic() > deadline:
@@ -141,7 +136,7 @@ class CsvWriter:
         return self.error is None
 
     def close(self) -> None:
-        """Write what is queued, sync to disk, close. Safe to call twice."""
+        """Write what is queued, sync to disk, close. May be called twice."""
         if self._stop.is_set():
             return
         self._stop.set()

@@ -30,10 +30,7 @@ class DuplicateFilter:
     def is_duplicate(self, connection: int, key: Hashable, now: float) -> bool:
         """Whether another connection has already delivered this message.
 
-        Args:
-            connection: Identity of the connection that delivered it.
-            key: Identity of the message: sequence number and stamp, or its content.
-            now: Steady clock [s].
+        ``key`` is sequence number and stamp, or the content; ``now`` is the steady clock [s].
         """
         with self._lock:
             self._forget(now)

@@ -1,8 +1,7 @@
-"""Reading an episode folder. Writing one is ``episode_writer``.
+"""Reads an episode folder; ``episode_writer`` writes one.
 
 A folder holds ``manifest.json``, CSV tables, and per camera an MP4 with a sidecar CSV. The format
-is versioned: a reader for every version that was ever written stays here
-(docs/reference/recording.md).
+is versioned; a reader for every published version stays here (docs/reference/recording.md).
 """
 
 from __future__ import annotations
@@ -35,10 +34,10 @@ Column = npt.NDArray[Any]
 
 
 class Table:
-    """One CSV table as numpy arrays by column name.
+    """One CSV table as read-only numpy arrays by column name.
 
     Integer columns (all stamps) are int64, so a nanosecond stamp keeps every digit; text columns
-    are object arrays; the rest is float64, an empty field NaN. The arrays are read-only.
+    are object arrays; the rest is float64, an empty field NaN.
     """
 
     def __init__(self, name: str, arrays: Mapping[str, Column]) -> None:
@@ -67,7 +66,7 @@ class Table:
             ) from None
 
     def vector(self, prefix: str, axes: str = "xyz") -> npt.NDArray[np.float64]:
-        """Columns ``<prefix>_x``, ``_y``, … as (N, len(axes)); no prefix: ``x``, ``y``."""
+        """Columns ``<prefix>_x``, ``_y``, … as (N, len(axes)); without a prefix ``x``, ``y``, …."""
         names = [f"{prefix}_{axis}" if prefix else axis for axis in axes]
         return np.stack([self[name] for name in names], axis=1)
 
@@ -77,7 +76,7 @@ class Table:
         return np.stack([self[f"{prefix}{i}"] for i in range(count)], axis=1)
 
     def select(self, rows: npt.NDArray[Any] | slice) -> Table:
-        """The table with only these rows (a mask, indices or a slice)."""
+        """The table with these rows only."""
         return Table(self.name, {name: kept[rows].copy() for name, kept in self._arrays.items()})
 
 
@@ -92,7 +91,7 @@ class Video:
 
 
 class Episode:
-    """A finished episode folder. Tables are read when they are asked for, and kept."""
+    """A finished episode folder. Tables are read on first use."""
 
     def __init__(self, folder: Path, manifest: Mapping[str, Any]) -> None:
         self.folder = folder
@@ -116,7 +115,7 @@ class Episode:
 
     @property
     def topics(self) -> dict[str, list[str]]:
-        """Topics recorded besides those with a table of their own kind → names of their tables."""
+        """Names of the tables of each further topic."""
         stated = self.manifest.get("topics")
         found = stated.items() if isinstance(stated, dict) else ()
         tables = self.manifest["tables"]
@@ -138,24 +137,24 @@ class Episode:
 
     @property
     def segments(self) -> list[dict[str, Any]]:
-        """Steps of the wall clock; stamps on either side of one cannot be compared."""
+        """Steps of the wall clock; stamps before and after one cannot be compared."""
         return list(self.manifest.get("segments") or [])
 
     @property
     def warnings(self) -> list[str]:
-        """What somebody should know of this recording."""
+        """Warnings of the recorder."""
         return list(self.manifest.get("warnings") or [])
 
     @property
     def complete(self) -> bool:
-        """True when the recording ended as it should and nothing was lost on the way."""
+        """Whether the recording ended normally and nothing was lost."""
         return self.manifest.get("outcome") == "complete"
 
     def table(self, name: str) -> Table:
         """Read a table.
 
         Raises:
-            EpisodeError: no such table, or a broken file (named with its line).
+            EpisodeError: No such table, or a broken file; states the line.
         """
         if name not in self._tables:
             if name not in self.manifest["tables"]:
@@ -169,10 +168,10 @@ class Episode:
         return self._tables[name]
 
     def topic(self, topic: str) -> list[Table]:
-        """The tables of a topic, e.g. ``/tf``: usually one, more where its arrays grew.
+        """The tables of a topic, e.g. ``/tf``; more than one if its arrays grew.
 
         Raises:
-            EpisodeError: the topic was not recorded.
+            EpisodeError: The topic was not recorded.
         """
         if topic not in self.topics:
             known = ", ".join(self.topics) or "none"
@@ -184,7 +183,7 @@ class Episode:
         return self.table(f"cycle_{arm}")
 
     def ground_truth(self, arm: str) -> Table | None:
-        """The simulator's truth of an arm, or None where there was no simulator."""
+        """The simulator's ground truth of an arm; None without a simulator."""
         name = f"ground_truth_{arm}"
         if name not in self.manifest["tables"]:
             return None
@@ -195,7 +194,7 @@ class Episode:
         """A camera's video with its sidecar.
 
         Raises:
-            EpisodeError: no such camera, or a file is missing.
+            EpisodeError: No such camera, or a file is missing.
         """
         if name not in self.manifest["videos"]:
             raise EpisodeError(
@@ -207,10 +206,10 @@ class Episode:
         return Video(name, path, read_table(self.folder / f"{name}.csv"))
 
     def parts(self, camera: str) -> list[Video]:
-        """All videos of a camera in order: more than one when its size changed or a kill bit.
+        """All videos of a camera in order: several if its size changed or its encoder was killed.
 
         Raises:
-            EpisodeError: no such camera, or a file is missing.
+            EpisodeError: No such camera, or a file is missing.
         """
         further = [n for n, entry in self.manifest["videos"].items() if _part_of(entry) == camera]
         further.sort(key=lambda name: int(name.rpartition(".")[2]))
@@ -218,7 +217,7 @@ class Episode:
 
 
 def _part_of(entry: Any) -> str | None:
-    """The camera that a video continues; None: it is its first."""
+    """The camera that a video continues; None for its first video."""
     return entry.get("part_of") if isinstance(entry, dict) else None
 
 
@@ -226,7 +225,7 @@ def read(folder: Path | str) -> Episode:
     """Open an episode folder of any version.
 
     Raises:
-        EpisodeError: when it is no finished episode, with what to do.
+        EpisodeError: It is no finished episode; states what to do.
     """
     folder = Path(folder)
     path = folder / MANIFEST
@@ -252,6 +251,27 @@ def read(folder: Path | str) -> Episode:
     return _READERS[name](folder, manifest)
 
 
+def below(path: Path) -> list[Path]:
+    """The folders of episodes at or below a path, by name; unfinished and broken ones too.
+
+    Raises:
+        EpisodeError: There is no such folder.
+    """
+    if not path.is_dir():
+        raise EpisodeError(f"{path}: no such folder")
+    if (path / MANIFEST).is_file():
+        return [path]
+    return [file.parent for file in sorted(path.rglob(MANIFEST)) if _may_be_an_episode(file)]
+
+
+def _may_be_an_episode(manifest: Path) -> bool:
+    try:
+        content = json.loads(manifest.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return True
+    return isinstance(content, dict) and str(content.get("format", "")).startswith("surg_episode/")
+
+
 def _read_1(folder: Path, manifest: dict[str, Any]) -> Episode:
     for key in ("tables", "videos"):
         if not isinstance(manifest.get(key), dict):
@@ -265,17 +285,17 @@ _READERS: dict[str, Callable[[Path, dict[str, Any]], Episode]] = {"surg_episode/
 def read_table(
     path: Path, kinds: Mapping[str, str] | None = None, wanted: Collection[str] | None = None
 ) -> Table:
-    """Read one CSV table, line by line: no more is held in memory than the columns kept.
+    """Read one CSV table line by line; memory holds only the columns kept.
 
     Args:
-        path: the file.
-        kinds: column → ``int``, ``float`` or ``text``; None: by the names of ``columns``. With
-            them, a column of integers in which a field is empty comes as floats.
-        wanted: only these columns, as far as the file has them; None for all.
+        path: The file.
+        kinds: Column → ``int``, ``float`` or ``text``; None: by the names in ``table_columns``.
+            With them, a column of integers with an empty field becomes floats.
+        wanted: Columns to keep, if the file has them; None for all.
 
     Raises:
-        EpisodeError: missing or empty file, a line with another number of fields, or a value that
-            does not fit its column, with file, line, column and value.
+        EpisodeError: Missing or empty file, a wrong number of fields, or a wrong value; states
+            file, line, column and value.
     """
     try:
         with open(path, newline="", encoding="utf-8") as file:
@@ -321,7 +341,7 @@ class _Column:
         self._values: Any = [] if self._kind is str else array.array(_CODE[self._kind])
 
     def append(self, text: str, line: int) -> None:
-        """Take one field."""
+        """Add one field."""
         if not text and self._kind is int and self._holey:
             self._kind, self._values = float, array.array("d", self._values)
         try:
@@ -333,7 +353,7 @@ class _Column:
             ) from None
 
     def array(self) -> Column:
-        """What was taken, as numpy holds it."""
+        """The fields as a numpy array."""
         if self._kind is str:
             found = np.empty(len(self._values), dtype=object)
             found[:] = self._values

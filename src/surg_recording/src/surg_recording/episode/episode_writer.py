@@ -1,8 +1,8 @@
-"""Making an episode folder that survives a crash.
+"""Creates an episode folder that survives a crash.
 
-While it is being written a folder is called ``<name>.partial`` and held by a file lock that the
-recorder and its encoders share. ``finalise`` completes it and renames it in one step, so a folder
-without the suffix is always whole. ``recovery`` finishes what a killed recorder left.
+While it is written a folder is called ``<name>.partial`` and held by a file lock that the recorder
+and its encoders share. ``finalise`` completes it and renames it in one step, so a folder without
+the suffix is always complete. ``recovery`` finishes the folder of a killed recorder.
 """
 
 from __future__ import annotations
@@ -28,20 +28,18 @@ _RESERVE_BYTES = 1 << 20
 
 
 class EpisodeWriter:
-    """A folder under construction.
+    """A folder under construction: ``folder`` (``<final>.partial``) will be renamed to ``final``.
 
-    Attributes:
-        folder: where to put files now, ``<final>.partial``.
-        final: where it will be. When that name is taken, ``_2``, ``_3``, … is appended.
+    If that name is taken, ``_2``, ``_3``, … is appended.
     """
 
     def __init__(
         self, final: Path, manifest: Mapping[str, Any], min_free_bytes: int = MIN_FREE_BYTES
     ) -> None:
-        """Create the folder and a first manifest, so that a killed recording can be told apart.
+        """Create the folder and a first manifest, so that a killed recording can be recognised.
 
         Raises:
-            EpisodeError: too little space, or the folder cannot be made.
+            EpisodeError: Too little space, or the folder cannot be created.
         """
         try:
             final.parent.mkdir(parents=True, exist_ok=True)
@@ -75,7 +73,7 @@ class EpisodeWriter:
 
     @property
     def lock(self) -> int:
-        """File descriptor of the lock: encoders inherit it."""
+        """File descriptor of the lock, inherited by encoders."""
         return self._lock
 
     def free_bytes(self) -> int:
@@ -85,19 +83,15 @@ class EpisodeWriter:
     def finalise(
         self, manifest: Mapping[str, Any], drops: Mapping[str, int], reason: str | None
     ) -> Path:
-        """Complete the folder and give it its name.
+        """Complete the folder, rename it and return it.
 
         Args:
-            manifest: keys to add to those given at the start.
-            drops: per table or video, what was received but not written.
-            reason: why the recording is incomplete; None when it is complete.
-
-        Returns:
-            The finished folder.
+            manifest: Keys to add to those given at the start.
+            drops: Per table or video: received but not written.
+            reason: Why the recording is incomplete; None if it is complete.
 
         Raises:
-            EpisodeError: when the disk refuses even the manifest; the folder then stays
-                ``.partial`` and is mended by ``recovery``.
+            EpisodeError: The disk refuses even the manifest; ``recovery`` finishes the folder.
         """
         try:
             (self.folder / RESERVE).unlink(missing_ok=True)

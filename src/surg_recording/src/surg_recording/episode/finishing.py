@@ -1,6 +1,6 @@
-"""Completing an episode folder: cut broken ends, count what is there, write the manifest.
+"""Completes an episode folder: truncates broken ends, counts rows, writes the manifest.
 
-The recorder ends with this, and so does the recovery of what a killed recorder left.
+The recorder and the recovery of a killed recorder's folder end with this.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _TICKED = ("cycle_", "ground_truth_")
 def complete(
     folder: Path, manifest: dict[str, Any], drops: Mapping[str, int], reason: str | None
 ) -> None:
-    """Mend every file, describe it in the manifest, and write that.
+    """Repair every file, describe it in the manifest, and write that.
 
     Args:
-        folder: the episode, still ``.partial``.
-        manifest: what is known; gets ``tables``, ``videos``, ``outcome``, ``reason``, ``finished``.
-        drops: per table or video, what was received but not written.
-        reason: why the recording is incomplete; None when nothing is known against it.
+        folder: The episode, still ``.partial``.
+        manifest: Gets ``tables``, ``videos``, ``outcome``, ``reason``, ``finished``.
+        drops: Per table or video: received but not written.
+        reason: Why the recording is incomplete; None: no reason known.
 
     Raises:
-        OSError: the disk refuses.
+        OSError: The disk refuses.
     """
     for leftover in [*folder.glob("*.tmp"), *folder.glob(f"{TOPICS}/*.tmp")]:
         leftover.unlink()
@@ -55,7 +55,7 @@ def complete(
 
 
 def _videos(folder: Path, drops: Mapping[str, int], reasons: list[str]) -> dict[str, Any]:
-    """Mend and describe the videos; those that hold no frame at all are removed."""
+    """Repair and describe the videos; those without any frame are removed."""
     found: dict[str, Any] = {}
     for path in sorted(folder.glob("*.mp4")):
         sidecar = path.with_suffix(".csv")
@@ -83,7 +83,7 @@ def _videos(folder: Path, drops: Mapping[str, int], reasons: list[str]) -> dict[
 def _tables(
     folder: Path, videos: Mapping[str, Any], drops: Mapping[str, int], reasons: list[str]
 ) -> dict[str, Any]:
-    """Mend and describe the tables; a file without even a header is removed."""
+    """Repair and describe the tables; a file without even a header is removed."""
     found: dict[str, Any] = {}
     for path in [*sorted(folder.glob("*.csv")), *sorted(folder.glob(f"{TOPICS}/*.csv"))]:
         name = str(path.relative_to(folder).with_suffix(""))
@@ -108,7 +108,7 @@ def _tables(
 
 
 def _topics(tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Topics of the tables below ``topics/``, for a recorder that could not tell any more."""
+    """Topics of the tables below ``topics/``, for a recorder that was killed."""
     found: dict[str, Any] = {}
     for name, entry in tables.items():
         if "topic" in entry:
@@ -120,7 +120,7 @@ def _topics(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _about(path: Path) -> dict[str, Any]:
-    """What the recorder noted of a topic's table when it opened it: topic, type, kinds."""
+    """Topic, type and kinds that the recorder noted when it opened a topic's table."""
     try:
         said = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -129,10 +129,10 @@ def _about(path: Path) -> dict[str, Any]:
 
 
 def cut_broken_end(path: Path) -> int:
-    """Cut a CSV file behind its last whole line; returns the number of bytes removed.
+    """Truncate a CSV file behind its last complete line; returns the number of bytes removed.
 
     A kill or a full disk can only break the last line, because lines are appended. A machine that
-    went down may leave zeros from some place on: a line never holds one.
+    went down may leave zeros at the end; a line never holds one.
     """
     with open(path, "rb+") as file:
         size = end = file.seek(0, os.SEEK_END)
@@ -160,10 +160,9 @@ def cut_broken_end(path: Path) -> int:
 def describe_table(path: Path) -> dict[str, Any]:
     """Rows, rate and gaps of a CSV file, from its stamps and ticks.
 
-    ``rate_hz`` is rows − 1 over the time from first to last stamp (of reception where the messages
-    have none). A gap is a distance of more than 1.5 times the median; ``missing_ticks`` counts
-    ticks between the first and the last that have no row. ``problem`` is there when the file is not
-    as the recorder writes it.
+    ``rate_hz`` is rows − 1 over the time from first to last stamp (of reception if there are none).
+    A gap is a distance above 1.5 times the median; ``missing_ticks`` counts ticks between the first
+    and the last without a row. ``problem``: the recorder did not write this file.
     """
     with open(path, encoding="utf-8", errors="replace", newline="") as file:
         header: list[str] = next(csv.reader([file.readline()]), [])
@@ -198,12 +197,12 @@ def describe_table(path: Path) -> dict[str, Any]:
 
 
 def utc_now() -> str:
-    """Now in UTC, ISO 8601 with seconds."""
+    """The present in UTC, ISO 8601 with seconds."""
     return datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def clean_json(value: Any) -> Any:
-    """The value with numpy numbers as Python's and non-finite ones as None (JSON has no NaN)."""
+    """The value with Python's numbers instead of numpy's, and None for non-finite ones."""
     if isinstance(value, Mapping):
         return {str(key): clean_json(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -222,7 +221,7 @@ def clean_json(value: Any) -> Any:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write JSON by way of a temporary file, so that a reader never sees half of it."""
+    """Write JSON atomically, through a temporary file."""
     temporary = path.with_name(path.name + ".tmp")
     with open(temporary, "w", encoding="utf-8") as file:
         json.dump(clean_json(value), file, indent=1, allow_nan=False, default=str)

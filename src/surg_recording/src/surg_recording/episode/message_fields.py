@@ -32,10 +32,10 @@ class Flat:
     """A message as values by column.
 
     Attributes:
-        stamp_ns: stamp of the message's header [ns]; 0 where it has none.
-        values: column → value; bools are integers.
-        kinds: column → ``int``, ``float`` or ``text``.
-        cut: what was too long to be kept, in words; empty when everything is there.
+        stamp_ns: Stamp of the message's header [ns]; 0 without one.
+        values: Column → value; bools are integers.
+        kinds: Column → ``int``, ``float`` or ``text``.
+        cut: What was too long and truncated, in words.
     """
 
     def __init__(self, message: Any) -> None:
@@ -50,7 +50,7 @@ class Flat:
         self._message(message, "", skip_stamp=stamp is not None)
 
     def row(self, columns: Sequence[str], receive_ns: int, source: str) -> tuple[Any, ...]:
-        """The row for these columns; a value the message does not have is None."""
+        """The row for these columns; None for a value that the message does not have."""
         get = self.values.get
         return (self.stamp_ns, receive_ns, source, *map(get, columns[len(FIRST) :]))
 
@@ -102,16 +102,11 @@ class Flat:
 
 
 def columns_for(flat: Flat, earlier: Mapping[str, str]) -> dict[str, str]:
-    """Columns of a table that takes this message and those before it, with their kinds.
-
-    Args:
-        flat: the message that needs a table.
-        earlier: columns of the table before, in which it found no room; may be empty.
-    """
+    """Columns with kinds of a table for this message and for those of the ``earlier`` table."""
     first = {"stamp_ns": "int", "receive_ns": "int", "source": "text"}
     return {**first, **flat.kinds, **{k: v for k, v in earlier.items() if k not in flat.kinds}}
 
 
 def file_name(topic: str) -> str:
-    """A topic's name as that of a file: ``/PSM1/jaw/measured_js`` is ``PSM1_jaw_measured_js``."""
+    """File name of a topic: ``/PSM1/jaw/measured_js`` is ``PSM1_jaw_measured_js``."""
     return topic.strip("/").replace("/", "_") or "root"

@@ -24,10 +24,7 @@ _PACKAGES = ("numpy", "scipy", "mujoco", "av", "opencv-python", "surg_core", "su
 
 
 def describe_cell(cell: Path) -> dict[str, Any]:
-    """Everything that a cell consists of.
-
-    Args:
-        cell: Folder of the cell, or its ``cell.yaml``.
+    """Everything that a cell (its folder or its ``cell.yaml``) consists of.
 
     Returns:
         ``name``, ``folder``, ``files`` {path: SHA-256}, ``hash`` (SHA-256 over those), ``arms``
@@ -54,13 +51,7 @@ def describe_cell(cell: Path) -> dict[str, Any]:
 
 
 class _CellFiles:
-    """Reads the files of a cell and keeps their hashes.
-
-    Attributes:
-        cell_file: The ``cell.yaml``.
-        hashes: SHA-256 by path relative to the cell.
-        problems: What could not be read.
-    """
+    """Reads the files of a cell; keeps their hashes by relative path, and read errors."""
 
     def __init__(self, cell_file: Path) -> None:
         self.cell_file = cell_file
@@ -116,11 +107,7 @@ def _describe_arm(name: str, arm: dict[str, Any], files: _CellFiles) -> dict[str
 
 
 def versions(source: Path | None = None) -> dict[str, str | None]:
-    """Versions of what computes, and of this software.
-
-    Args:
-        source: a folder of the source tree for ``git describe``; default: where this file lies.
-    """
+    """Versions of this software (``git describe`` in ``source``) and of what it computes with."""
     found: dict[str, str | None] = {
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",

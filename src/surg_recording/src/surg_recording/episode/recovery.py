@@ -1,9 +1,9 @@
-"""Finishing what a killed recorder, or a machine that went down, has left behind.
+"""Finishes the folder of a killed recorder, or of a machine that went down.
 
-An episode that was never finished lies in a folder with the suffix ``.partial``. Its rows and
-fragments of video are whole up to the kill; here its broken ends are cut, its manifest is completed
-and says why it is incomplete, and only then it gets its final name. Nothing is copied, so that it
-works on a disk that is nearly full. An interrupted recovery can be repeated.
+Such a folder has the suffix ``.partial``. Its rows and video fragments are complete up to the kill.
+Broken ends are truncated, the manifest states why the episode is incomplete, and only then the
+folder gets its final name. Nothing is copied, so a nearly full disk is enough. An interrupted
+recovery can be repeated.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BY_HAND = "the recorder was killed; recovered by hand"
 
 
 class HeldError(EpisodeError):
-    """A folder that a living recorder or encoder is writing."""
+    """A folder that a running recorder or encoder is writing."""
 
 
 def recover(
@@ -35,15 +35,12 @@ def recover(
     name: str | None = None,
     on_problem: Callable[[str], None] | None = None,
 ) -> list[Path]:
-    """Finish the ``.partial`` folders in ``parent`` that no living recorder holds.
+    """Finish the ``.partial`` folders in ``parent`` that no running recorder holds; returns them.
 
     Args:
-        parent: the folder that holds episode folders.
-        name: only episodes of this name (and ``name_2``, …); None for all.
-        on_problem: told in a sentence of each folder that cannot be mended; it is left as it is.
-
-    Returns:
-        The finished folders.
+        parent: The folder that holds episode folders.
+        name: Only episodes of this name (and ``name_2``, …); None for all.
+        on_problem: Called with a sentence per folder that cannot be repaired and stays as it is.
     """
     done: list[Path] = []
     for folder in unfinished(parent):
@@ -66,15 +63,11 @@ def unfinished(parent: Path) -> list[Path]:
 
 
 def recover_one(folder: Path, reason: str = REASON) -> Path:
-    """Finish one ``.partial`` folder; returns it under its final name.
-
-    Args:
-        folder: the folder.
-        reason: what the manifest says of it.
+    """Finish one ``.partial`` folder and rename it; ``reason`` goes into the manifest.
 
     Raises:
-        HeldError: somebody is still writing it.
-        EpisodeError: it is none, or cannot be finished; it stays as it is.
+        HeldError: A process is still writing it.
+        EpisodeError: It is no such folder, or cannot be finished; it stays as it is.
     """
     if not folder.name.endswith(PARTIAL) or not folder.is_dir():
         raise EpisodeError(f"{folder}: no unfinished recording (a folder that ends in {PARTIAL})")
@@ -135,7 +128,7 @@ def _said(folder: Path) -> dict[str, Any]:
 
 
 def _manifest(folder: Path) -> dict[str, Any]:
-    """The manifest of the start, or the little that is known without one."""
+    """The manifest written at the start, or what is known without one."""
     try:
         manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError):

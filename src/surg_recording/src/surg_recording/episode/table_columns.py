@@ -1,6 +1,6 @@
 """The fields of an episode's CSV tables, format version 1: columns, kinds, units and sources.
 
-Everything that lists fields is made from these tables: the heads of the CSV files, the rows
+Everything that lists fields is derived from these tables: the headers of the CSV files, the rows
 (``table_rows``), the kinds with which ``episode_reader`` reads them, and the messages of episodes
 that are played without ROS (``surg_sim.envs.recorded_episode``). Vectors are in the arm's base
 frame unless docs/reference/recording.md says otherwise.
@@ -20,13 +20,13 @@ class Field:
 
     Attributes:
         source: Attribute of the message, with dots; empty: not from the message.
-        columns: Names of its columns; with ``{}`` for the number of a joint.
-        kind: What the columns hold: ``int``, ``float`` or ``str``.
+        columns: Names of its columns; ``{}`` stands for the number of a joint.
+        kind: Type of the columns: ``int``, ``float`` or ``str``.
         unit: SI; empty for numbers without a unit and for texts.
         members: Attributes of the value, one per column; empty: a scalar, or an array.
-        truth_value: True for a bool, recorded as 0 or 1.
-        optional: True where a number that is not finite leaves the column empty.
-        first: True for an array of which the first value counts.
+        truth_value: A bool, recorded as 0 or 1.
+        optional: A non-finite number leaves the column empty.
+        first: Only the first value of the array is recorded.
     """
 
     source: str
@@ -50,7 +50,7 @@ class Field:
 
     @property
     def is_scalar(self) -> bool:
-        """Whether the value is recorded as it is, in one column."""
+        """Whether the value is recorded unchanged, in one column."""
         plain = not (self.members or self.truth_value or self.optional)
         return plain and not self.is_array
 
@@ -246,10 +246,7 @@ def task(names: Iterable[str]) -> list[str]:
     """Columns of ``task_state.csv`` for the names of a surg_msgs/TaskState.
 
     A number ``name`` has a column ``task.name``, an array ``name[2,3]`` has ``task.name_0_0``,
-    ``task.name_0_1``, … row by row.
-
-    Raises:
-        ValueError: A name that is none of these.
+    ``task.name_0_1``, … row by row; any other name is a ValueError.
     """
     found = list(TASK)
     for entry in names:
@@ -264,10 +261,10 @@ def task(names: Iterable[str]) -> list[str]:
 
 
 def kind(column: str) -> type:
-    """What a column holds: ``int``, ``float`` or ``str``; unknown columns are numbers."""
+    """Type of a column: ``int``, ``float`` or ``str``; unknown columns are numbers."""
     return _KINDS.get(column, float)
 
 
 def joint_count(names: list[str]) -> int:
-    """How many joints a cycle table describes (columns q0, q1, …)."""
+    """Number of joints of a cycle table (columns q0, q1, …)."""
     return sum(1 for name in names if _JOINT.match(name))

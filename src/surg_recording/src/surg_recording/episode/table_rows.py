@@ -1,4 +1,4 @@
-"""From messages to CSV rows, without ROS: a message is any object with these members.
+"""Converts messages to CSV rows, without ROS: a message is any object with these members.
 
 A row is a tuple in the order of ``table_columns``; ``None`` becomes an empty field.
 """
@@ -46,7 +46,7 @@ def _finite(number: float) -> float | None:
 
 
 def _readers(fields: Fields) -> tuple[Read, ...]:
-    """Reads the fields of a table; scalars that follow one another in one go, at 500 Hz."""
+    """Readers of a table's fields; consecutive scalars are read at once, for 500 Hz."""
     found: list[Read] = []
     for is_scalar, run in groupby((f for f in fields if f.source), key=lambda f: f.is_scalar):
         group = list(run)
@@ -96,17 +96,10 @@ def clock_sync(message: Any, receive_ns: int) -> Row:
 
 
 def command(topic: str, message: Any, source: str, receive_ns: int) -> Row:
-    """A motion command as a row of ``table_columns.COMMAND``.
+    """A motion command as a row of ``table_columns.COMMAND``, as far as the message goes.
 
-    A message of another length than its columns is recorded as far as it goes.
-
-    Args:
-        topic: name below the arm, e.g. ``servo_cp`` or ``jaw/servo_jp``; its ending decides how the
-            message is read: ``_cp`` PoseStamped, ``_cv`` TwistStamped, ``_jp``, ``_jr`` and
-            ``_jv`` JointState.
-        message: the message as received.
-        source: caller id of the sender.
-        receive_ns: wall clock at reception.
+    ``topic`` below the arm (``servo_cp``, ``jaw/servo_jp``) tells the type: ``_cp`` PoseStamped,
+    ``_cv`` TwistStamped, ``_jp``, ``_jr`` and ``_jv`` JointState.
     """
     row: list[Any] = [None] * len(table_columns.COMMAND)
     row[:4] = nanoseconds(message.header.stamp), receive_ns, topic, source

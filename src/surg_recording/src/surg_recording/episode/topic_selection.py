@@ -1,8 +1,8 @@
-"""Which of a system's topics are recorded besides those that every episode has.
+"""Which topics are recorded besides those that every episode has.
 
-A request is a topic's name or a pattern with ``*``, ``?`` or ``[…]``, as in a shell; ``*`` stands
-for slashes too. A named topic is listened to from the start, be there a publisher or not; what a
-pattern matches is found when it appears.
+A request is a topic's name or a shell pattern with ``*``, ``?`` or ``[…]``; ``*`` matches slashes
+too. A named topic is subscribed to from the start, with or without a publisher; topics that match
+a pattern are subscribed to when they appear.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _OURS = ("/record/",)
 
 
 class TopicChoice:
-    """The requests, and what has become of them.
+    """Requested names and patterns, and what has become of them.
 
     Args:
-        requests: names and patterns.
-        taken: topics that are recorded anyway.
+        requests: Names and patterns.
+        taken: Topics that are recorded anyway.
 
     Raises:
-        ValueError: a request that is no topic, with what is allowed.
+        ValueError: A request that is no topic; states what is allowed.
     """
 
     def __init__(self, requests: list[str], taken: frozenset[str]) -> None:
@@ -50,11 +50,7 @@ class TopicChoice:
         """Topics to listen to."""
 
     def look(self, published: Mapping[str, str]) -> list[str]:
-        """Topics that have to be listened to from now on.
-
-        Args:
-            published: topic → type, as the master knows them now.
-        """
+        """Topics to subscribe to from now on; ``published`` maps topics to types."""
         found = []
         for topic, kind in sorted(published.items()):
             if topic in self.chosen or topic in self._taken or topic.startswith(_OURS):
@@ -69,18 +65,14 @@ class TopicChoice:
         return found
 
     def refuse(self, topic: str, why: str) -> bool:
-        """Take a topic out; True when that is news."""
+        """Exclude a topic; True if that is new."""
         self.chosen.discard(topic)
         news = topic not in self.refused
         self.refused.setdefault(topic, why)
         return news
 
     def silent(self, messages: Mapping[str, int]) -> list[str]:
-        """Topics that were asked for by name and have sent nothing, and patterns without a topic.
-
-        Args:
-            messages: topic → number of messages recorded.
-        """
+        """Named topics without a message (``messages`` counts), and patterns without a topic."""
         quiet = [t for t in self.named if t not in self.refused and not messages.get(t)]
         for pattern in self._patterns:
             known = {*self.chosen, *self.refused, *self._taken}
@@ -89,11 +81,7 @@ class TopicChoice:
         return quiet
 
     def describe(self, repeats: Mapping[str, int]) -> dict[str, dict[str, Any]]:
-        """What the manifest says of each topic besides its tables.
-
-        Args:
-            repeats: topic → messages that came twice over two connections.
-        """
+        """The manifest's entry of each topic, without tables; ``repeats`` counts duplicates."""
         found: dict[str, dict[str, Any]] = {}
         for topic in [*self.chosen, *(p for p in self._patterns)]:
             found[topic] = {"type": None, "messages": 0, "tables": [], "repeats": 0}

@@ -1,8 +1,7 @@
-"""Tables of topics that nobody foresaw: which columns, and when a further table is needed.
+"""Tables of topics of any type: their columns, and when a further table is needed.
 
-A table's columns are those of its first message. A message with a longer array finds no room in
-it: then a further table of the same topic begins, with room for both. Values are never shifted and
-never silently left out.
+A table's columns are those of its first message. A message with a longer array does not fit: a
+further table of the topic begins, with columns for both. Values are never shifted or lost silently.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ Opener = Callable[[str, Sequence[str], Mapping[str, Any]], CsvTable | None]
 
 
 class TopicTables:
-    """The tables of all other topics of one episode. May be used from any thread.
+    """The tables of all further topics of one episode. May be used from any thread.
 
     Args:
-        opener: makes a table of a file name, its columns, and what a reader must know of it.
-        note: told (topic, sentence) when something cannot be kept whole.
+        opener: Creates a table from a file name, its columns, and facts for a reader.
+        note: Called with (topic, sentence) when a message cannot be kept complete.
     """
 
     def __init__(self, opener: Opener, note: Callable[[str, str], None]) -> None:
@@ -35,7 +34,7 @@ class TopicTables:
         self._names: set[str] = set()
 
     def table(self, topic: str, kind: str, flat: Flat) -> CsvTable | None:
-        """The table a message goes into; None where there can be none."""
+        """The table for a message; None if there can be none."""
         with self._lock:
             known = self._known.get(topic)
             if known is None:

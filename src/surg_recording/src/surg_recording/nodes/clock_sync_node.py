@@ -1,9 +1,8 @@
-"""The clock monitor: asks the machine's PTP daemon once a second and says what it answers.
+"""The clock monitor: queries the machine's PTP daemon once a second and publishes its status.
 
-Publishes ``/clock_sync/status`` (surg_msgs/ClockSync), which the recorder stores, and an entry on
-``/diagnostics``. Parameters (private): ``socket`` of the daemon (/run/surg_ptp/ptp4l), ``bound``
-within which clocks count as being in step (0.001) [s], ``rate`` (1.0) [Hz]. Run one on every
-machine whose stamps are recorded, each under a name of its own. It changes nothing.
+``/clock_sync/status`` (surg_msgs/ClockSync) is recorded; ``/diagnostics`` gets an entry. Private
+parameters: ``socket`` of the daemon (/run/surg_ptp/ptp4l), ``bound`` on the offset (0.001) [s],
+``rate`` (1.0) [Hz]. Run one per machine whose stamps are recorded, each under its own name.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ TOPIC = "/clock_sync/status"
 
 
 class ClockSyncNode:
-    """Asks, judges, publishes."""
+    """Queries, judges, publishes."""
 
     def __init__(self, socket: str, bound: float, rate: float) -> None:
         self._socket, self._bound, self._period = socket, bound, 1.0 / rate
@@ -35,7 +34,7 @@ class ClockSyncNode:
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
 
     def spin(self) -> None:
-        """Look at the clock until the node is ended, paced by the steady clock."""
+        """Query the clock until shutdown, paced by the steady clock."""
         due = time.monotonic()
         while not rospy.is_shutdown():
             asked = rospy.Time(*divmod(time.time_ns(), 10**9))
@@ -83,13 +82,7 @@ def _microseconds(seconds: float) -> str:
 
 @dataclass(frozen=True)
 class Parameters:
-    """Parameters of the node.
-
-    Attributes:
-        socket: Path of ptp4l's socket.
-        bound: Largest offset of a clock that is in step [s].
-        rate: Of the reports [1/s].
-    """
+    """Socket of ptp4l, largest offset of a synchronised clock [s], rate of the reports [Hz]."""
 
     socket: str = text(clock_sync.SOCKET)
     bound: float = real(1e-9, 3600.0, clock_sync.OFFSET_BOUND)

@@ -26,13 +26,7 @@ class Pacing:
     """One thread: acknowledges written ticks, publishes the status, ends a failed recording.
 
     The simulator runs ahead of an acknowledged tick by a window only. A slow disk therefore slows
-    the simulation down instead of losing rows.
-
-    Args:
-        state: Shared with the node's other parts.
-        switch: Stops a recording whose disk has failed.
-        status: Publishes the status.
-        subscribers: By topic; the simulator waits until the needed ones are connected.
+    the simulation down instead of losing rows. ``subscribers`` by topic must be connected first.
     """
 
     def __init__(

@@ -20,10 +20,7 @@ FACTS = ("task", "setting", "operator", "seed")
 class RecorderState:
     """Read and written by the callbacks of the node's topics and by its threads.
 
-    Args:
-        settings: Parameters of the node.
-        own_topics: Topics that have a table of their own.
-        warn: Logs a warning; called from a thread of its own, because a log may be slow.
+    ``warn`` logs from a thread of its own, because a log may be slow.
 
     Attributes:
         recording: The running recording; None while there is none.
@@ -92,10 +89,7 @@ class RecorderState:
     def is_duplicate(self, topic: str, header: Any, key: Hashable) -> bool:
         """Whether a second connection to the same publisher has delivered this message before.
 
-        Args:
-            topic: Name of the topic.
-            header: Connection header; one object per connection.
-            key: Identity of the message.
+        ``header`` is the connection's (one object per connection), ``key`` identifies the message.
         """
         publisher = (topic, str(header.get("callerid", "")))
         known = self._filters.get(publisher)

@@ -14,11 +14,7 @@ from surg_recording.nodes.status_messages_node import describe_recording
 
 
 class StatusPublisher:
-    """Tells other nodes what the recorder does.
-
-    Args:
-        state: Shared with the node's other parts.
-    """
+    """Reports the recorder's state to other nodes."""
 
     def __init__(self, state: RecorderState) -> None:
         self._state = state

@@ -62,15 +62,7 @@ def own_topics(arms: Sequence[str]) -> list[str]:
 
 
 class RecorderTopics:
-    """Subscribes to everything that is recorded.
-
-    Args:
-        state: Shared with the node's other parts.
-        switch: Obeys /record/record.
-
-    Attributes:
-        subscribers: By topic.
-    """
+    """Subscribes to everything that is recorded; ``subscribers`` by topic."""
 
     def __init__(self, state: RecorderState, switch: RecordingSwitch) -> None:
         self._state, self._switch = state, switch

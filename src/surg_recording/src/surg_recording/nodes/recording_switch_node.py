@@ -34,9 +34,7 @@ FRAME_WAIT_S = 2.0
 class RecordingSwitch:
     """Begins and ends episodes; calls from several threads are serialised.
 
-    Args:
-        state: Shared with the node's other parts.
-        announce: Called after every start and stop.
+    ``announce`` is called after every start and stop.
     """
 
     def __init__(self, state: RecorderState, announce: Callable[[], None]) -> None:
@@ -80,7 +78,7 @@ class RecordingSwitch:
             self._announce()
 
     def stop(self) -> None:
-        """End the episode: wait for messages under way, write everything, finish the folder."""
+        """End the episode: wait for messages in transit, write everything, finish the folder."""
         with self._lock:
             state, recording = self._state, self._state.recording
             if recording is None:

@@ -30,11 +30,7 @@ def _master() -> Any:
 
 
 def published_topics() -> dict[str, str]:
-    """Type by topic of everything that is published.
-
-    Raises:
-        Exception: One of ``ERRORS``.
-    """
+    """Type by topic of everything that is published; raises one of ``ERRORS``."""
     return dict(_master().getPublishedTopics(rospy.get_name(), "")[2])
 
 

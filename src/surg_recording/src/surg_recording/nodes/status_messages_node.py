@@ -13,13 +13,7 @@ from surg_recording.episode.episode_recorder import Recording
 def describe_recording(
     message: RecordStatus, recording: Recording, waiting_for: Sequence[str]
 ) -> None:
-    """Fill in what a running recording holds.
-
-    Args:
-        message: To be completed.
-        recording: The recording.
-        waiting_for: Topics that have sent nothing yet.
-    """
+    """Fill in what a recording holds; ``waiting_for``: topics that have sent nothing yet."""
     status = recording.status()
 
     def stream(name: str, received: int, kind: int) -> RecordStream:

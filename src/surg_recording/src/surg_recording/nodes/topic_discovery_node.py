@@ -17,12 +17,7 @@ SILENT_S = 5.0
 
 
 class TopicDiscovery:
-    """One thread that asks the ROS master once a second.
-
-    Args:
-        state: Shared with the node's other parts.
-        subscribe: Records a topic of any type.
-    """
+    """One thread that queries the ROS master once a second; ``subscribe`` records a topic."""
 
     def __init__(self, state: RecorderState, subscribe: Callable[[str], None]) -> None:
         self._state, self._subscribe = state, subscribe

@@ -22,7 +22,7 @@ from surg_recording import metrics
 from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError
-from surg_recording.reports.run_figures import EXECUTED, TRUE
+from surg_recording.reports.figure_style import EXECUTED, TRUE
 from surg_recording.video import video_embed
 
 MAX_ROWS = 20_000

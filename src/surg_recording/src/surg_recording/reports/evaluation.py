@@ -7,7 +7,6 @@ whether robot and patient were simulated. What the numbers mean is said in docs/
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -35,10 +34,10 @@ class Metric:
     """One number per episode.
 
     Attributes:
-        name: In ``summary.json`` and the tables.
-        title: For people.
-        unit: Empty for a number without.
-        path: Keys from an episode's entry down to the number; ``{preset}`` stands for its name.
+        name: Key in ``summary.json`` and the tables.
+        title: Name in the report.
+        unit: Empty for a number without one.
+        path: Keys from an episode's entry to the number; ``{preset}`` is the preset's name.
     """
 
     name: str
@@ -46,9 +45,18 @@ class Metric:
     unit: str
     path: tuple[str, ...]
 
+    @property
+    def heading(self) -> str:
+        """Title and unit."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
+
     def values(self, entries: Iterable[Mapping[str, Any]], preset: str) -> list[float]:
-        """Of every entry that has the number."""
+        """The number of every entry that has it."""
         return trials.values(entries, *(key.format(preset=preset) for key in self.path))
+
+    def value(self, entry: Mapping[str, Any], preset: str) -> float | None:
+        """The number of one entry; None if it has none."""
+        return next(iter(self.values([entry], preset)), None)
 
 
 METRICS = (
@@ -86,27 +94,12 @@ def find(paths: Sequence[Path]) -> list[Path]:
     Raises:
         EpisodeError: A path that does not exist or holds no episode.
     """
-    found: dict[Path, Path] = {}
+    folders: dict[Path, Path] = {}
     for path in paths:
-        if not path.is_dir():
-            raise EpisodeError(f"{path}: no such folder")
-        if (path / episodes.MANIFEST).is_file():
-            here = [path]
-        else:
-            here = [file.parent for file in sorted(path.rglob(episodes.MANIFEST)) if _ours(file)]
-        if not here:
+        if not (here := episodes.below(path)):
             raise EpisodeError(f"{path}: no episode (a folder with {episodes.MANIFEST}) in it")
-        found.update((folder.resolve(), folder) for folder in here)
-    return list(found.values())
-
-
-def _ours(manifest: Path) -> bool:
-    """Whether a file found on the way is an episode's; a broken one may be."""
-    try:
-        content = json.loads(manifest.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return True
-    return isinstance(content, dict) and str(content.get("format", "")).startswith("surg_episode/")
+        folders.update((folder.resolve(), folder) for folder in here)
+    return list(folders.values())
 
 
 # --- measuring ----------------------------------------------------------------------------------

@@ -1,24 +1,31 @@
-"""The figures of an evaluation: deviation, smoothness beside a reference, effort; per condition."""
+"""The figures of an evaluation, by condition."""
 
 from __future__ import annotations
 
+import dataclasses
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 from matplotlib.figure import Figure
 
 from surg_recording.metrics import PRESETS
 from surg_recording.reports import evaluation, trial_figures
-from surg_recording.reports.run_figures import EXECUTED, GRID, INK, INPUT, STYLE, Drawn, blank
-
-FORMATS = ("png", "svg")
+from surg_recording.reports.figure_style import (
+    EXECUTED,
+    GRID,
+    INK,
+    INPUT,
+    Drawn,
+    Figures,
+    blank,
+    save_all,
+)
 
 
 def deviation(summary: Mapping[str, Any]) -> Figure:
-    """Mean and maximum of the RCM deviation of each episode, a box per condition."""
+    """Mean and maximum of the RCM deviation of each episode."""
     groups = _groups(summary)
     figure = trial_figures.deviation(groups, {"conditions": list(summary["conditions"].values())})
     figure.supxlabel(origin(summary), fontsize=8.5, color=INK)
@@ -26,7 +33,7 @@ def deviation(summary: Mapping[str, Any]) -> Figure:
 
 
 def smoothness(summary: Mapping[str, Any]) -> Figure:
-    """SPARC and LDLJ of each episode's tip, by one preset, beside the reference set."""
+    """SPARC and LDLJ of each episode's tip beside the reference set."""
     preset = PRESETS[summary["preset"]["name"]]
     groups, others = _groups(summary), _references(summary)
     labels = [label for label, _ in [*groups, *others]]
@@ -61,7 +68,7 @@ def effort(summary: Mapping[str, Any]) -> Figure:
     return figure
 
 
-FIGURES = {
+FIGURES: Figures = {
     "rcm_deviation": (
         "Does the shaft stay in the trocar?",
         "One dot per episode, first arm. Box: quartiles, line: median, whiskers: 1.5 times the"
@@ -81,37 +88,23 @@ FIGURES = {
         effort,
     ),
 }
-"""Name → question it answers, caption, function."""
 
 
-def save_all(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
-    """Draw every figure as ``<folder>/<name>.png`` and ``.svg``.
-
-    Args:
-        summary: Made by ``evaluation.summarise``, with at least one condition.
-        folder: Where they go.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    drawn = []
-    for name, (title, caption, draw) in FIGURES.items():
-        with matplotlib.rc_context({**STYLE, "svg.hashsalt": name}):
-            figure = draw(summary)
-            figure.savefig(folder / f"{name}.png", metadata={"Software": None})
-            figure.savefig(folder / f"{name}.svg", metadata={"Date": None})
-        whole = f"{caption} {origin(summary)}."
-        drawn.append(Drawn(name, title, whole, folder / f"{name}.png"))
-    return drawn
+def save_figures(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
+    """Draw every figure of at least one condition as PNG and SVG files in a folder."""
+    drawn = save_all(FIGURES, folder, summary, formats=("png", "svg"))
+    return [dataclasses.replace(d, caption=f"{d.caption} {origin(summary)}.") for d in drawn]
 
 
 def origin(summary: Mapping[str, Any]) -> str:
-    """Whether this is simulation, and what else all conditions have in common."""
+    """Source (simulation or real), and whatever else all conditions have in common."""
     conditions = list(summary["conditions"].values())
     common = [_common(conditions, key) for key in ("source", "task", "robot", "law")]
     sources = {condition["source"] for condition in conditions}
     if len(sources) > 1:
         common[0] = "simulation and real, see the labels"
-    words = [common[0], common[1], common[2], common[3] and f"law {common[3]}"]
-    text = ", ".join(str(word) for word in words if word)
+    common[3] = common[3] and f"law {common[3]}"
+    text = ", ".join(str(value) for value in common if value)
     return text[:1].upper() + text[1:]
 
 
@@ -129,7 +122,7 @@ def _groups(summary: Mapping[str, Any]) -> trial_figures.Groups:
 
 
 def _references(summary: Mapping[str, Any]) -> trial_figures.Groups:
-    """The reference set, and its experts apart where there are others."""
+    """The reference set; its experts also on their own, if not all are experts."""
     compared = summary["reference"]
     if compared is None:
         return []

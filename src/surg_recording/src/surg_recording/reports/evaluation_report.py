@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from surg_recording.episode.finishing import clean_json, write_json
+from surg_recording.episode.finishing import write_json
 from surg_recording.metrics import PRESETS
 from surg_recording.reports import evaluation_figures, evaluation_tables
 from surg_recording.reports.evaluation import METRICS
-from surg_recording.reports.html_page import definitions, document, figure_section, number, text
+from surg_recording.reports.html_page import (
+    Html,
+    bullets,
+    definitions,
+    document,
+    facts,
+    figure_section,
+    note,
+    section,
+    table,
+    text,
+)
 from surg_recording.reports.trial_report import interval
 
 _DEFINITIONS = (
@@ -48,38 +59,47 @@ _DEFINITIONS = (
 )
 
 
+_REFERENCE_METRICS = {
+    "sparc": "SPARC",
+    "ldlj": "LDLJ",
+    "path_length_mm": "path length [mm]",
+    "duration_s": "duration [s]",
+    "idle_s": "idle time [s]",
+}
+
+
 def write(summary: Mapping[str, Any], folder: Path) -> None:
-    """Write everything.
+    """Write summary, tables, figures and page of an evaluation.
 
     Args:
-        summary: Made by ``evaluation.summarise``.
-        folder: Where it goes; made where missing.
+        summary: From ``evaluation.summarise``.
+        folder: Where the files go; created if missing.
 
     Raises:
         OSError: The folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "summary.json", clean_json(dict(summary)))
+    write_json(folder / "summary.json", summary)
     evaluation_tables.save_all(summary, folder / "tables")
     drawn = []
     if summary["conditions"]:
-        drawn = evaluation_figures.save_all(summary, folder / "figures")
+        drawn = evaluation_figures.save_figures(summary, folder / "figures")
     title = "Evaluation of recorded episodes"
+    left_out = [each["reason"] for each in summary["left_out"]]
     sections = [
         f"<h1>{text(title)}</h1>",
-        _what(summary),
+        _what_was_evaluated(summary),
         _conditions(summary),
         *map(figure_section, drawn),
         _reference(summary["reference"]),
         _episodes(summary),
-        _left_out(summary["left_out"]),
+        section("Left out", bullets(left_out, "small")) if left_out else "",
         definitions(_DEFINITIONS),
     ]
-    page = document(title, [section for section in sections if section])
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    (folder / "report.html").write_text(document(title, filter(None, sections)), encoding="utf-8")
 
 
-def _what(summary: Mapping[str, Any]) -> str:
+def _what_was_evaluated(summary: Mapping[str, Any]) -> str:
     conditions = summary["conditions"]
     rows = [
         ("Episodes", len(summary["episodes"])),
@@ -89,105 +109,64 @@ def _what(summary: Mapping[str, Any]) -> str:
         ("Smoothness", PRESETS[summary["preset"]["name"]].label()),
         ("Reference", (summary["reference"] or {}).get("source")),
     ]
-    cells = "".join(f"<tr><th>{name}</th><td>{text(value)}</td></tr>" for name, value in rows)
-    return f"<section><h2>What was evaluated</h2><table>{cells}</table></section>"
+    return section("What was evaluated", facts(rows))
 
 
 def _conditions(summary: Mapping[str, Any]) -> str:
-    conditions = summary["conditions"]
-    if not conditions:
-        return "<section class='verdict bad'><h2>No episode could be evaluated</h2></section>"
-    heads = "".join(f"<th class='n'>{text(label)}</th>" for label in conditions)
-    counts = "".join(f"<td class='n'>{found['n']}</td>" for found in conditions.values())
-    rates = "".join(f"<td class='n'>{_rate(f['success_rate'])}</td>" for f in conditions.values())
-    rows = [f"<tr><td>episodes</td>{counts}</tr>", f"<tr><td>success</td>{rates}</tr>"]
-    for metric in METRICS:
-        name = f"{metric.title} [{metric.unit}]" if metric.unit else metric.title
-        cells = "".join(
-            f"<td class='n'>{_spread(f[metric.name])}</td>" for f in conditions.values()
-        )
-        rows.append(f"<tr><td>{text(name)}</td>{cells}</tr>")
-    return (
-        "<section><h2>By condition</h2><p class='faint small'>Median [quartiles] over the"
-        " episodes; below it the 95 % interval of the median. First arm.</p>"
-        f"<table class='small'><tr><th></th>{heads}</tr>{''.join(rows)}</table></section>"
+    columns = summary["conditions"].values()
+    if not columns:
+        return section("No episode could be evaluated", verdict="bad")
+    rates = [c["success_rate"] for c in columns]
+    rows = [
+        ("episodes", *(c["n"] for c in columns)),
+        ("success", *("not judged" if rate is None else interval(rate) for rate in rates)),
+        *((m.heading, *(_spread(c[m.name]) for c in columns)) for m in METRICS),
+    ]
+    return section(
+        "By condition",
+        note(
+            "Median [quartiles] over the episodes; below it the 95 % interval of the median. First"
+            " arm."
+        ),
+        table(("", *summary["conditions"]), rows, right=range(1, len(columns) + 1)),
     )
 
 
-def _rate(rate: Mapping[str, Any] | None) -> str:
-    return "not judged" if rate is None else text(interval(rate))
-
-
-def _spread(found: Mapping[str, Any]) -> str:
-    if not found["n"]:
-        return "–"
-    first, third = found["quartiles"]
-    words = f"{number(found['median'])} [{number(first)}, {number(third)}]"
-    if found["interval"] is None:
-        return words
-    low, high = found["interval"]
-    return f"{words}<br><span class='faint'>{number(low)} to {number(high)}</span>"
+def _spread(spread: Mapping[str, Any]) -> Html:
+    median, bounds = map(text, evaluation_tables.spread_words(spread))
+    return Html(f"{median}<br><span class='faint'>{bounds}</span>" if bounds else median)
 
 
 def _reference(compared: Mapping[str, Any] | None) -> str:
     if compared is None:
         return ""
-    groups = [("all", compared), *compared["by_skill"].items()]
-    rows = "".join(
-        f"<tr><td>{text(name)}</td><td class='n'>{found['trials']}</td>"
-        + "".join(f"<td class='n'>{_spread(found[key])}</td>" for key in _OF_A_REFERENCE)
-        + "</tr>"
-        for name, found in groups
+    rows = [
+        (name, level["trials"], *(_spread(level[key]) for key in _REFERENCE_METRICS))
+        for name, level in {"all": compared, **compared["by_skill"]}.items()
+    ]
+    left_out = bullets(compared["left_out"], "small")
+    return section(
+        f"Reference: {compared['name']}",
+        note(f"{compared['source']}; through the same computation as the episodes."),
+        table(("", "Trials", *_REFERENCE_METRICS.values()), rows, right=range(1, 7)),
+        f"<p>Left out:</p>{left_out}" if left_out else "",
     )
-    left_out = "".join(f"<li>{text(reason)}</li>" for reason in compared["left_out"])
-    heads = "".join(f"<th class='n'>{title}</th>" for title in _OF_A_REFERENCE.values())
-    return (
-        f"<section><h2>Reference: {text(compared['name'])}</h2><p class='faint small'>"
-        f"{text(compared['source'])}; through the same computation as the episodes.</p>"
-        f"<table class='small'><tr><th></th><th class='n'>Trials</th>{heads}</tr>{rows}</table>"
-        + (f"<p>Left out:</p><ul class='small'>{left_out}</ul>" if left_out else "")
-        + "</section>"
-    )
-
-
-_OF_A_REFERENCE = {
-    "sparc": "SPARC",
-    "ldlj": "LDLJ",
-    "path_length_mm": "path length [mm]",
-    "duration_s": "duration [s]",
-    "idle_s": "idle time [s]",
-}
 
 
 def _episodes(summary: Mapping[str, Any]) -> str:
-    preset = summary["preset"]["name"]
     shown = [m for m in METRICS if m.name in evaluation_tables.LATEX]
     rows = []
     for entry in summary["episodes"]:
         end = {True: "success", False: f"failed: {entry['failure_reason']}", None: "not judged"}
         mark = "" if entry["complete"] else f"; incomplete: {entry['problem']}"
-        numbers = "".join(
-            f"<td class='n'>{number(next(iter(m.values([entry], preset)), None))}</td>"
-            for m in shown
-        )
         rows.append(
-            f"<tr><td><code>{text(entry['folder'])}</code></td>"
-            f"<td>{text(entry['setting'])}</td><td>{text(entry['robot'])}</td>"
-            f"<td>{text(entry['law'])}</td><td>{text(end[entry['success']] + mark)}</td>"
-            f"{numbers}</tr>"
+            (
+                Html(f"<code>{text(entry['folder'])}</code>"),
+                *(entry[key] for key in ("setting", "robot", "law")),
+                end[entry["success"]] + mark,
+                *(m.value(entry, summary["preset"]["name"]) for m in shown),
+            )
         )
-    heads = "".join(
-        f"<th class='n'>{text(m.title)}{f' [{m.unit}]' if m.unit else ''}</th>" for m in shown
-    )
-    return (
-        "<section><h2>Every episode</h2><details><summary>Show</summary><table class='small'><tr>"
-        f"<th>Folder</th><th>Setting</th><th>Robot</th><th>Law</th><th>End</th>{heads}</tr>"
-        f"{''.join(rows)}</table></details></section>"
-    )
-
-
-def _left_out(left_out: Sequence[Mapping[str, Any]]) -> str:
-    if not left_out:
-        return ""
-    rows = "".join(f"<li>{text(each['reason'])}</li>" for each in left_out)
-    return f"<section><h2>Left out</h2><ul class='small'>{rows}</ul></section>"
+    head = ("Folder", "Setting", "Robot", "Law", "End", *(m.heading for m in shown))
+    rows_table = table(head, rows, right=range(5, len(head)))
+    return section("Every episode", f"<details><summary>Show</summary>{rows_table}</details>")

@@ -1,4 +1,4 @@
-"""The tables of an evaluation: CSV for programs, LaTeX for a manuscript, Markdown for a page."""
+"""The tables of an evaluation as CSV, LaTeX and Markdown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surg_recording.reports.html_page import number
 from surg_recording.reports.trial_report import interval
 
 _SPREAD = ("n", "min", "q1", "median", "q3", "max", "low", "high")
-"""Of a metric, in the columns <metric>_<one of these>; low, high: the median's 95 % interval."""
+"""Endings of a metric's columns; ``low``, ``high``: the median's 95 % interval."""
 LATEX = (
     *("rcm_kinematic_mean_mm", "rcm_kinematic_max_mm", "rcm_true_max_mm", "sparc", "ldlj"),
     *("path_length_mm", "duration_s", "idle_s"),
@@ -22,12 +22,7 @@ LATEX = (
 
 
 def save_all(summary: Mapping[str, Any], folder: Path) -> None:
-    """Write ``episodes.csv`` and ``conditions.csv``, ``.tex`` and ``.md``.
-
-    Args:
-        summary: Made by ``evaluation.summarise``.
-        folder: Where they go.
-    """
+    """Write ``episodes.csv`` and ``conditions.csv``, ``.tex`` and ``.md``."""
     folder.mkdir(parents=True, exist_ok=True)
     _write(folder / "episodes.csv", episodes(summary))
     _write(folder / "conditions.csv", conditions(summary))
@@ -41,7 +36,7 @@ def episodes(summary: Mapping[str, Any]) -> list[list[Any]]:
     own = (*IDENTITY, "seed", "success", "complete", "folder")
     rows: list[list[Any]] = [[*own, "preset", *(metric.name for metric in METRICS)]]
     for entry in summary["episodes"]:
-        numbers = [next(iter(metric.values([entry], preset)), None) for metric in METRICS]
+        numbers = [metric.value(entry, preset) for metric in METRICS]
         rows.append([*(entry[key] for key in own), preset, *numbers])
     return rows
 
@@ -67,7 +62,6 @@ def conditions(summary: Mapping[str, Any]) -> list[list[Any]]:
 def latex(summary: Mapping[str, Any]) -> str:
     """A tabular of medians with quartiles; needs no package."""
     shown = [metric for metric in METRICS if metric.name in LATEX]
-    titles = [f"{m.title} [{m.unit}]" if m.unit else m.title for m in shown]
     preset = PRESETS[summary["preset"]["name"]]
     sources = sorted({found["source"] for found in summary["conditions"].values()})
     lines = [
@@ -76,7 +70,8 @@ def latex(summary: Mapping[str, Any]) -> str:
         f"% smoothness: {preset.label()}",
         rf"\begin{{tabular}}{{lrr{'r' * len(shown)}}}",
         r"\hline",
-        " & ".join(["Condition", "$n$", r"success [\%]", *map(escape, titles)]) + r" \\",
+        " & ".join(["Condition", "$n$", r"success [\%]", *(escape(m.heading) for m in shown)])
+        + r" \\",
         r"\hline",
     ]
     for label, found in summary["conditions"].items():
@@ -99,8 +94,8 @@ def markdown(summary: Mapping[str, Any]) -> str:
     rates = [found.get("success_rate") for _, found in columns]
     rows.append(["success", *(interval(rate) if rate else "–" for rate in rates)])
     for metric in METRICS:
-        cells = [_plain(found.get(metric.name)) for _, found in columns]
-        rows.append([f"{metric.title} [{metric.unit}]" if metric.unit else metric.title, *cells])
+        cells = ["; ".join(filter(None, spread_words(f.get(metric.name)))) for _, f in columns]
+        rows.append([metric.heading, *cells])
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
 
 
@@ -115,22 +110,20 @@ def escape(text: str) -> str:
     return "".join(special.get(character, character) for character in text)
 
 
-def _latex(found: Mapping[str, Any] | None) -> str:
-    if not found or not found["n"]:
+def _latex(spread: Mapping[str, Any] | None) -> str:
+    if not spread or not spread["n"]:
         return "--"
-    first, third = found["quartiles"]
-    return f"${number(found['median'])}$ $[{number(first)},\\,{number(third)}]$"
+    first, third = map(number, spread["quartiles"])
+    return f"${number(spread['median'])}$ $[{first},\\,{third}]$"
 
 
-def _plain(found: Mapping[str, Any] | None) -> str:
-    if not found or not found["n"]:
-        return "–"
-    first, third = found["quartiles"]
-    words = f"{number(found['median'])} [{number(first)}, {number(third)}]"
-    if found["interval"]:
-        low, high = found["interval"]
-        words += f"; {number(low)} to {number(high)}"
-    return words
+def spread_words(spread: Mapping[str, Any] | None) -> tuple[str, str]:
+    """Median with quartiles, and the interval of the median; empty where there is none."""
+    if not spread or not spread["n"]:
+        return "–", ""
+    first, third = map(number, spread["quartiles"])
+    interval = " to ".join(map(number, spread["interval"] or ()))
+    return f"{number(spread['median'])} [{first}, {third}]", interval
 
 
 def _rate(rate: Mapping[str, Any] | None) -> str:
@@ -144,18 +137,16 @@ def _references(summary: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]
     compared = summary["reference"]
     if compared is None:
         return []
-    skills = compared["by_skill"].items()
-    return [(compared["name"], compared)] + [
-        (f"{compared['name']}, {skill}", found) for skill, found in skills
-    ]
+    name = compared["name"]
+    levels = [(f"{name}, {skill}", level) for skill, level in compared["by_skill"].items()]
+    return [(name, compared), *levels]
 
 
 def _parts(found: Mapping[str, Any] | None) -> Sequence[Any]:
     """The values under ``_SPREAD``."""
     if not found or not found["n"]:
         return [0, *[None] * (len(_SPREAD) - 1)]
-    first, third = found["quartiles"]
-    low, high = found["interval"] or (None, None)
+    (first, third), (low, high) = found["quartiles"], found["interval"] or (None, None)
     return [found["n"], found["min"], first, found["median"], third, found["max"], low, high]
 
 

@@ -1,13 +1,13 @@
-"""A self-contained HTML page: its frame, its style and the small things that fill it."""
+"""Parts of a self-contained HTML page."""
 
 from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
-from surg_recording.reports.run_figures import Drawn
+from surg_recording.reports.figure_style import Drawn
 
 CSS = """
 :root { color-scheme: light; }
@@ -34,8 +34,12 @@ code { font-size: 13px; overflow-wrap: anywhere; }
 """
 
 
+class Html(str):
+    """Markup that is not escaped."""
+
+
 def document(title: str, sections: Iterable[str]) -> str:
-    """The page with this title around these sections of HTML."""
+    """The whole page, from the markup of its sections."""
     return (
         "<!DOCTYPE html>\n<html lang='en'><head><meta charset='utf-8'>"
         "<meta name='viewport' content='width=device-width, initial-scale=1'>"
@@ -45,25 +49,68 @@ def document(title: str, sections: Iterable[str]) -> str:
     )
 
 
+def section(title: str, *content: str, verdict: str | None = None) -> str:
+    """A section under a heading, from markup; ``verdict`` ``ok`` or ``bad`` gives it a colour."""
+    style = "" if verdict is None else f" class='verdict {verdict}'"
+    return f"<section{style}><h2>{text(title)}</h2>{''.join(content)}</section>"
+
+
+def note(words: str) -> str:
+    """A paragraph in small print."""
+    return f"<p class='faint small'>{text(words)}</p>"
+
+
+def bullets(items: Iterable[Any], style: str = "") -> str:
+    """A list; nothing if it is empty."""
+    entries = "".join(f"<li>{cell(item)}</li>" for item in items)
+    return f"<ul class='{style}'>{entries}</ul>" if entries else ""
+
+
+def facts(rows: Iterable[tuple[str, Any]]) -> str:
+    """A table of names and values."""
+    cells = "".join(f"<tr><th>{text(name)}</th><td>{cell(value)}</td></tr>" for name, value in rows)
+    return f"<table>{cells}</table>"
+
+
+def table(
+    head: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    right: Collection[int] = (),
+    style: str = "small",
+) -> str:
+    """A table with a header; the columns in ``right`` are right-aligned."""
+    alignment = [" class='n'" if column in right else "" for column in range(len(head))]
+
+    def line(tag: str, values: Sequence[Any]) -> str:
+        pairs = zip(alignment, values, strict=True)
+        return f"<tr>{''.join(f'<{tag}{n}>{cell(value)}</{tag}>' for n, value in pairs)}</tr>"
+
+    body = "".join(line("td", row) for row in rows)
+    return f"<table class='{style}'>{line('th', head)}{body}</table>"
+
+
 def definitions(terms: Iterable[tuple[str, str]]) -> str:
     """A section that defines the terms of the page."""
     entries = "".join(f"<dt>{text(term)}</dt><dd>{text(meaning)}</dd>" for term, meaning in terms)
-    return f"<section><h2>Definitions</h2><dl>{entries}</dl></section>"
+    return section("Definitions", f"<dl>{entries}</dl>")
 
 
 def figure_section(figure: Drawn) -> str:
     """A figure under its question, with its caption."""
-    image = embed(figure.path.read_bytes(), "png")
-    return (
-        f"<section><h2>{text(figure.title)}</h2>"
-        f"<img alt='{text(figure.title)}' src='{image}'>"
-        f"<p class='faint small'>{text(figure.caption)}</p></section>"
-    )
+    image = f"<img alt='{text(figure.title)}' src='{embed(figure.path.read_bytes(), 'png')}'>"
+    return section(figure.title, image, note(figure.caption))
 
 
 def embed(data: bytes, kind: str) -> str:
     """An image as the source of an <img>."""
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+
+
+def cell(value: Any) -> str:
+    """Safe markup of a value: four figures of a float."""
+    if isinstance(value, Html):
+        return value
+    return text(number(value) if isinstance(value, float) else value)
 
 
 def text(value: Any) -> str:

@@ -1,10 +1,8 @@
-"""The figures of a run: PNG files for people, papers and the report. One style for all."""
+"""The figures of a run."""
 
 from __future__ import annotations
 
-import dataclasses
-import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,73 +10,33 @@ import matplotlib
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from surg_core.transforms import rotate
 from surg_recording import metrics
+from surg_recording.reports.figure_style import (
+    EXECUTED,
+    INK,
+    INPUT,
+    LIMIT,
+    TRUE,
+    Drawn,
+    Figures,
+    blank,
+    save_all,
+)
 from surg_recording.reports.run_series import Run
+from surg_recording.reports.tip_path_figure import tip_path
 
 Array = npt.NDArray[np.float64]
+Values = Mapping[str, Any]
 
-INK, FAINT, GRID = "#1f2933", "#7b8794", "#e4e7eb"
-INPUT, EXECUTED, TRUE, LIMIT, GOOD = "#8a94a0", "#1d6fb8", "#d9762b", "#c62f3b", "#2f8f5b"
 JOINTS = ("#1d6fb8", "#d9762b", "#2f8f5b", "#8a5cb8", "#c62f3b", "#4a5568", "#b8a11d")
-
-STYLE: dict[str, Any] = {
-    "figure.facecolor": "white",
-    "figure.dpi": 100,
-    "savefig.dpi": 150,
-    "font.family": "DejaVu Sans",
-    "font.size": 9.5,
-    "axes.titlesize": 10.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.labelcolor": INK,
-    "axes.edgecolor": FAINT,
-    "axes.linewidth": 0.8,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": GRID,
-    "grid.linewidth": 0.8,
-    "xtick.color": FAINT,
-    "ytick.color": FAINT,
-    "text.color": INK,
-    "lines.linewidth": 1.1,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-    "path.simplify_threshold": 0.5,
-}
-
-WIDTH = 9.0
-"""Of every figure [inch]."""
+"""Colours of the joints."""
 
 
-@dataclasses.dataclass(frozen=True)
-class Drawn:
-    """One figure that was written."""
-
-    name: str
-    title: str
-    caption: str
-    path: Path
-
-
-@dataclasses.dataclass(frozen=True)
-class Subject:
-    """What the figures draw."""
-
-    run: Run
-    summary: Mapping[str, Any]
-    robot: Mapping[str, Any]
-    """The robot's YAML from the manifest; empty when unknown."""
-
-
-def rcm_deviation(subject: Subject) -> Figure:
+def rcm_deviation(run: Run, summary: Values, robot: Values) -> Figure:
     """Distance between pivot and shaft over time, with its distribution."""
-    run, figure = subject.run, blank(3.4)
+    figure = blank(3.4)
     over_time, spread = figure.subplots(1, 2, width_ratios=[4.2, 1], sharey=True)
     series = [("kinematic", run.t, run.rcm_kinematic, EXECUTED)]
     if run.truth is not None:
@@ -94,7 +52,7 @@ def rcm_deviation(subject: Subject) -> Figure:
         mean = float(np.mean(mm))
         spread.plot(np.linspace(0, 100, 201), levels, color=colour, linewidth=3.2 if broad else 1.4)
         over_time.plot([], [], color=colour, linewidth=2.5, label=f"{name}: mean {mean:.3f} mm")
-    bounds = {limit["name"]: limit["bound"] for limit in subject.summary["limits"]}
+    bounds = {limit["name"]: limit["bound"] for limit in summary["limits"]}
     for axes in (over_time, spread):
         for name, style in (("rcm_kinematic_max", "--"), ("rcm_true_max", ":")):
             if name in bounds:
@@ -122,53 +80,16 @@ def rcm_deviation(subject: Subject) -> Figure:
     return figure
 
 
-def tip_path(subject: Subject) -> Figure:
-    """Input and executed tip path about the trocar, with the shaft's fan."""
-    run, figure = subject.run, blank(5.2)
-    figure.set_layout_engine("none")  # a 3D axes reserves far more room than it draws
-    space = figure.add_axes((0.02, 0.1, 0.36, 0.8), projection="3d")
-    side = figure.add_axes((0.44, 0.11, 0.2, 0.82))
-    top = figure.add_axes((0.69, 0.4, 0.29, 0.53))
-    given, done = _in_rcm(run, run.t_input, run.input), _in_rcm(run, run.t_executed, run.executed)
-    inside = (run.t_input >= run.t[0]) & (run.t_input <= run.t[-1])
-    given = given[inside]
-    fan = _fan(run)
-    for line in fan:
-        space.plot(*_plotted(line), color=FAINT, linewidth=0.5, alpha=0.45)
-        side.plot(line[:, 0], line[:, 2], color=FAINT, linewidth=0.5, alpha=0.45)
-    space.plot(*_plotted(given), color=INPUT, linewidth=2.2)
-    space.plot(*_plotted(done), color=EXECUTED, linewidth=0.8)
-    space.scatter([0], [0], [0], color=TRUE, s=30, depthshade=False)
-    _equal_box(space, np.concatenate([done, given, *fan]))
-    space.view_init(elev=14, azim=-60)
-    for axes, (i, j), names in ((side, (0, 2), ("x", "depth")), (top, (0, 1), ("x", "y"))):
-        axes.plot(given[:, i], given[:, j], color=INPUT, linewidth=2.2, label="input")
-        axes.plot(done[:, i], done[:, j], color=EXECUTED, linewidth=0.8, label="executed")
-        axes.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
-        axes.set_aspect("equal", adjustable="box")
-        axes.set_anchor("NW")
-    side.plot([0], [0], "o", color=TRUE, markersize=5, label="trocar")
-    side.invert_yaxis()
-    side.set_title("From the side")
-    figure.text(0.02, 0.945, "Shaft fan through the trocar", fontweight="bold", size=10.5)
-    for artist in (*space.lines, *space.collections):
-        artist.set_clip_on(False)  # the box is drawn larger than its axes
-    top.set_title("Along the home axis")
-    handles, labels = side.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower left", bbox_to_anchor=(0.69, 0.1))
-    return figure
-
-
-def tip_error(subject: Subject) -> Figure:
+def tip_error(run: Run, summary: Values, robot: Values) -> Figure:
     """Distance between executed tip and input over time, lag removed."""
-    run, figure = subject.run, blank(3.0)
+    figure = blank(3.0)
     axes = figure.subplots()
     tracking = run.tracking
     assert tracking is not None
     mm = tracking.error * 1e3
     axes.plot(run.t_executed, mm, color=EXECUTED, linewidth=0.8)
     axes.axhline(tracking.rms * 1e3, color=INK, linewidth=1.0)
-    bounds = {limit["name"]: limit["bound"] for limit in subject.summary["limits"]}
+    bounds = {limit["name"]: limit["bound"] for limit in summary["limits"]}
     bound = bounds.get("tip_error_rms", np.inf)
     top = max(1.15 * float(np.nanmax(mm)), 1e-3)
     if bound < 4 * top:
@@ -184,12 +105,12 @@ def tip_error(subject: Subject) -> Figure:
     return figure
 
 
-def speed(subject: Subject) -> Figure:
+def speed(run: Run, summary: Values, robot: Values) -> Figure:
     """Tip speed of input and executed motion, at loop rate and at the metrics' rate."""
-    run, figure = subject.run, blank(3.6)
+    figure = blank(3.6)
     axes = figure.subplots()
     fs = run.fs
-    smoothness = subject.summary["smoothness"]
+    smoothness = summary["smoothness"]
     preset = metrics.PRESETS[smoothness["preset"]]
     executed = metrics.uniform(run.t_executed, run.executed, fs)
     given = metrics.uniform(run.t, metrics.interpolate(run.t, run.t_input, run.input), fs)
@@ -227,11 +148,11 @@ def speed(subject: Subject) -> Figure:
     return figure
 
 
-def joints(subject: Subject) -> Figure:
+def joints(run: Run, summary: Values, robot: Values) -> Figure:
     """Joint positions and velocities beside their limits."""
-    run, figure = subject.run, blank(5.2)
+    figure = blank(5.2)
     position, velocity = figure.subplots(2, 1, sharex=True)
-    stated = subject.robot.get("joints") or {}
+    stated = robot.get("joints") or {}
     q, qd = run.cycle.joints("q"), run.cycle.joints("qd")
     names = stated.get("names") or [f"q{i}" for i in range(q.shape[1])]
     low, high = _numbers(stated, "position_min", q), _numbers(stated, "position_max", q)
@@ -271,9 +192,9 @@ def joints(subject: Subject) -> Figure:
     return figure
 
 
-def trocar(subject: Subject) -> Figure:
+def trocar(run: Run, summary: Values, robot: Values) -> Figure:
     """Force on the wall and how far it gave way."""
-    run, figure = subject.run, blank(3.8)
+    figure = blank(3.8)
     force, moved = figure.subplots(2, 1, sharex=True)
     truth = run.truth
     assert truth is not None
@@ -293,14 +214,14 @@ def trocar(subject: Subject) -> Figure:
     return figure
 
 
-def timing(subject: Subject) -> Figure:
+def timing(run: Run, summary: Values, robot: Values) -> Figure:
     """How long a cycle computes and, in free-run, how regular the cycles are."""
-    controller = subject.summary["controller"]
+    controller = summary["controller"]
     period = controller["period_us"]
     figure = blank(2.9)
     drawn = figure.subplots(1, 2 if period else 1)
     panels: Sequence[Axes] = list(np.atleast_1d(drawn))
-    compute = subject.run.cycle["compute_us"]
+    compute = run.cycle["compute_us"]
     _histogram(
         panels[0],
         compute,
@@ -308,14 +229,14 @@ def timing(subject: Subject) -> Figure:
         f"Compute time of {len(compute)} cycles",
     )
     if period:
-        periods = subject.run.cycle["period_us"]
+        periods = run.cycle["period_us"]
         rate = controller["rate_hz"]
         title = f"Period between cycles, mean rate {rate:.2f} Hz"
         _histogram(panels[1], periods[periods > 0], period, title)
     return figure
 
 
-FIGURES: dict[str, tuple[str, str, Callable[[Subject], Figure]]] = {
+FIGURES: Figures = {
     "rcm_deviation": (
         "Does the shaft stay in the trocar?",
         "Kinematic: from the commanded pivot to the shaft line computed from the joints. True: from"
@@ -326,7 +247,7 @@ FIGURES: dict[str, tuple[str, str, Callable[[Subject], Figure]]] = {
         "Where does the tip go?",
         "Tip path in the rcm frame: the trocar is the origin, depth points into the patient along"
         " the shaft's home axis. Thin grey lines: the shaft at regular times.",
-        tip_path,
+        lambda run, *_: tip_path(run),
     ),
     "tip_error": (
         "How closely does the tip follow its input?",
@@ -357,95 +278,25 @@ FIGURES: dict[str, tuple[str, str, Callable[[Subject], Figure]]] = {
         timing,
     ),
 }
-"""Name → question it answers, caption, function."""
 
 
-def save_all(
-    run: Run, summary: Mapping[str, Any], robot: Mapping[str, Any], folder: Path
-) -> list[Drawn]:
-    """Draw every figure that this run has data for as ``<folder>/<name>.png``."""
-    folder.mkdir(parents=True, exist_ok=True)
-    subject, drawn = Subject(run, summary, robot), []
-    for name, (title, caption, draw) in FIGURES.items():
-        if not _has_data(name, run):
-            continue
-        drawn.append(save(folder, name, title, caption, functools.partial(draw, subject)))
-    return drawn
+def save_figures(run: Run, summary: Values, robot: Values, folder: Path) -> list[Drawn]:
+    """Draw every figure that the run has data for as ``<folder>/<name>.png``.
 
-
-def save(folder: Path, name: str, title: str, caption: str, draw: Callable[[], Figure]) -> Drawn:
-    """Draw a figure in the common style and write it as ``<folder>/<name>.png``."""
-    path = folder / f"{name}.png"
-    with matplotlib.rc_context(STYLE):
-        draw().savefig(path, metadata={"Software": None})
-    return Drawn(name, title, caption, path)
-
-
-def _has_data(figure: str, run: Run) -> bool:
-    """Whether a run has what a figure shows; a recording made in process has no wall clock."""
-    needed = {
+    Args:
+        run: The time series.
+        summary: The run's ``summary.json``.
+        robot: The robot's YAML from the manifest; empty when unknown.
+        folder: Where the files go.
+    """
+    has_data = {
         "trocar": run.truth is not None,
         "tip_error": run.tracking is not None,
+        # A recording made in process has no wall clock.
         "timing": bool(np.isfinite(run.cycle["compute_us"]).any()),
     }
-    return needed.get(figure, True)
-
-
-# --- helpers ------------------------------------------------------------------------------------
-
-
-def blank(height: float) -> Figure:
-    """An empty figure of the common width and this height [inch]."""
-    figure = Figure(figsize=(WIDTH, height), layout="constrained")
-    figure.get_layout_engine().set(w_pad=0.09, h_pad=0.09)
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def _in_rcm(run: Run, t: Array, p_B: Array) -> Array:
-    """Positions in the rcm frame [mm], by the frame of the cycle nearest in time."""
-    row = np.clip(np.searchsorted(run.t, t), 0, len(run.t) - 1)
-    q = run.cycle.vector("q_br", "xyzw")[row] * np.array([-1.0, -1.0, -1.0, 1.0])
-    return np.asarray(rotate(q, p_B - run.p_rcm[row]) * 1e3)
-
-
-def _fan(run: Run, count: int = 24) -> list[Array]:
-    """Shaft segments in the rcm frame, from 40 mm outside the trocar to the tip [mm]."""
-    rows = np.linspace(0, len(run.t_executed) - 1, count).astype(int)
-    t = run.t_executed[rows]
-    tips, axes = run.executed[rows], run.shaft[rows]
-    row = np.clip(np.searchsorted(run.t, t), 0, len(run.t) - 1)
-    depth = np.sum((tips - run.p_rcm[row]) * axes, axis=1)
-    outside = tips - axes * (depth + 0.04)[:, None]
-    ends = np.stack([_in_rcm(run, t, outside), _in_rcm(run, t, tips)], axis=1)
-    return list(ends)
-
-
-def _plotted(points: Array) -> tuple[Array, Array, Array]:
-    """For a 3D axes whose vertical axis shows depth downwards."""
-    return points[:, 0], points[:, 1], -points[:, 2]
-
-
-def _equal_box(axes: Any, points: Array) -> None:
-    """Equal scales in a 3D axes; depth is written as a positive number, downwards."""
-    x, y, z = _plotted(points)
-    spans = [max(float(np.ptp(v)), 1.0) for v in (x, y, z)]
-    width = max(spans[0], spans[1])
-    for set_limits, v in ((axes.set_xlim, x), (axes.set_ylim, y)):
-        middle = (float(v.min()) + float(v.max())) / 2
-        set_limits(middle - width / 2, middle + width / 2)
-    axes.set_zlim(float(z.min()), max(float(z.max()), 20.0))
-    axes.set_box_aspect((width, width, spans[2]), zoom=1.16)
-    axes.zaxis.set_major_formatter(matplotlib.ticker.FuncFormatter(lambda v, _: f"{0 - v:g}"))
-    axes.set_xlabel("x [mm]", labelpad=-2)
-    axes.set_ylabel("y [mm]", labelpad=-2)
-    axes.set_zlabel("depth [mm]", labelpad=4)
-    axes.tick_params(labelsize=8, pad=0)
-    for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.pane.set_facecolor("#f7f8fa")
-        axis.pane.set_edgecolor(GRID)
-        axis._axinfo["grid"].update(color=GRID, linewidth=0.6)
-        axis.set_major_locator(matplotlib.ticker.MaxNLocator(3 if axis is not axes.zaxis else 5))
+    figures = {name: figure for name, figure in FIGURES.items() if has_data.get(name, True)}
+    return save_all(figures, folder, run, summary, robot)
 
 
 def _numbers(stated: Mapping[str, Any], key: str, q: Array) -> Array | None:

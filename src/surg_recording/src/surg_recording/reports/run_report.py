@@ -1,8 +1,7 @@
 """The report of a run: ``summary.json``, ``figures/*.png`` and one self-contained ``report.html``.
 
-On the command line: ``python -m surg_recording.reports.run_report RUN_DIR`` (exit code 0 when the
-run met its
-limits, 1 when not, 2 when there is no readable episode).
+Command line: ``python -m surg_recording.reports.run_report RUN_DIR``. Exit code 0: the run met its
+limits; 1: it did not; 2: there is no readable episode.
 """
 
 from __future__ import annotations
@@ -22,12 +21,18 @@ from surg_recording.episode import episode_reader as episodes
 from surg_recording.episode.finishing import clean_json, write_json
 from surg_recording.recording_errors import EpisodeError, NoMotionError
 from surg_recording.reports import run_figures, run_series, run_summary
+from surg_recording.reports.figure_style import Drawn
 from surg_recording.reports.html_page import (
+    Html,
+    bullets,
     definitions,
     document,
     embed,
+    facts,
     figure_section,
     number,
+    section,
+    table,
     text,
 )
 from surg_recording.video import video_file
@@ -67,10 +72,7 @@ _DEFINITIONS = (
         " 1 mm/s.",
     ),
     ("Shaft sweep", "The largest angle between any two shaft directions of the run."),
-    (
-        "Unscaled",
-        "Cycles in which no limit slowed the motion (limit factor 1).",
-    ),
+    ("Unscaled", "Cycles in which no limit slowed the motion (limit factor 1)."),
     (
         "SPARC, LDLJ",
         "Spectral arc length and log dimensionless jerk of the tip motion at 5 Hz; closer to zero"
@@ -91,18 +93,15 @@ _DEFINITIONS = (
 def make(
     run_dir: Path | str, episode: Path | str | None = None, arm: str | None = None
 ) -> dict[str, Any]:
-    """Measure, draw and write the report of a run.
+    """Measure a run, draw its figures and write its report; returns ``summary.json``.
 
     Args:
-        run_dir: the run's folder; ``summary.json``, ``figures/`` and ``report.html`` go there.
-        episode: the episode folder; default ``<run_dir>/episode``.
-        arm: default: the first arm.
-
-    Returns:
-        What was written to ``summary.json``.
+        run_dir: The run's folder; everything is written there.
+        episode: The episode folder; default ``<run_dir>/episode``.
+        arm: Default: the first arm.
 
     Raises:
-        EpisodeError: when there is no readable episode.
+        EpisodeError: There is no readable episode.
     """
     folder = Path(run_dir)
     recorded = episodes.read(Path(episode) if episode is not None else folder / "episode")
@@ -111,73 +110,55 @@ def make(
     except NoMotionError:
         run = None
     result = clean_json(run_summary.summarise(recorded, arm, run))
-    drawn: list[run_figures.Drawn] = []
+    drawn: list[Drawn] = []
     if run is not None:
-        drawn = run_figures.save_all(run, result, _robot(recorded, run.arm), folder / "figures")
-    strip, video_problem = _strip(recorded)
+        arms = (recorded.manifest.get("cell") or {}).get("arms") or {}
+        robot = (arms.get(run.arm) or {}).get("robot") or {}
+        drawn = run_figures.save_figures(run, result, robot, folder / "figures")
     write_json(folder / "summary.json", result)
-    page = _page(recorded, result, drawn, strip, video_problem)
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    (folder / "report.html").write_text(_page(recorded, result, drawn), encoding="utf-8")
     return dict(result)
 
 
-def _robot(recorded: episodes.Episode, arm: str) -> Mapping[str, Any]:
-    arms = (recorded.manifest.get("cell") or {}).get("arms") or {}
-    return (arms.get(arm) or {}).get("robot") or {}
-
-
-# --- the page -----------------------------------------------------------------------------------
-
-
-def _page(
-    recorded: episodes.Episode,
-    result: Mapping[str, Any],
-    drawn: Sequence[run_figures.Drawn],
-    strip: Sequence[tuple[str, bytes]],
-    video_problem: str | None,
-) -> str:
+def _page(recorded: episodes.Episode, result: Mapping[str, Any], drawn: Sequence[Drawn]) -> str:
     what = result["motion"] or recorded.manifest.get("task") or "motion"
     title = f"{result['robot'] or 'robot'}: {what}"
-    body = [
-        f"<h1>{text(title)}</h1>",
-        f"<p class='faint'>Recorded {text(recorded.manifest.get('created'))}"
-        f" with software version {text(result['versions'].get('software') or 'unknown')}</p>",
-        _verdict(result),
-        _what_was_run(recorded, result),
-    ]
-    if result["limits"]:
-        body.append(_limits(result))
-        body.append(_numbers(result))
-    if strip or video_problem:
-        body.append(_frames(strip, video_problem))
-    body += [figure_section(figure) for figure in drawn]
-    body.append(sync_page.section(sync_report.ensure(recorded)))
-    body += [_recording(recorded, result), definitions(_DEFINITIONS)]
-    return document(title, body)
+    measured = [_limits(result), _numbers(result)] if result["limits"] else []
+    return document(
+        title,
+        [
+            f"<h1>{text(title)}</h1>",
+            f"<p class='faint'>Recorded {text(recorded.manifest.get('created'))}"
+            f" with software version {text(result['versions'].get('software') or 'unknown')}</p>",
+            _verdict(result),
+            _what_was_run(recorded, result),
+            *measured,
+            _frames(recorded),
+            *map(figure_section, drawn),
+            sync_page.section(sync_report.ensure(recorded)),
+            _recording(recorded, result),
+            definitions(_DEFINITIONS),
+        ],
+    )
 
 
 def _verdict(result: Mapping[str, Any]) -> str:
     if result["ok"]:
-        return (
-            "<section class='verdict ok'><h2>The run met every limit</h2>"
-            "<p>The shaft stayed in the trocar while the tip followed its input.</p></section>"
-        )
-    reasons = "".join(f"<li>{text(reason)}</li>" for reason in result["reasons"])
-    return (
-        "<section class='verdict bad'><h2>The run did not meet its limits</h2>"
-        f"<ul>{reasons}</ul></section>"
-    )
+        words = "<p>The shaft stayed in the trocar while the tip followed its input.</p>"
+        return section("The run met every limit", words, verdict="ok")
+    return section("The run did not meet its limits", bullets(result["reasons"]), verdict="bad")
 
 
 def _what_was_run(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
+    manifest = recorded.manifest
+    run = manifest.get("run") or {}
     lockstep = result["time"] == "lockstep"
-    deterministic = {True: "yes", False: "no", None: "not stated"}[result["deterministic"]]
     rows = [
         ("Robot and arm", f"{result['robot']}, {result['arm']}"),
-        ("Cell", (recorded.manifest.get("cell") or {}).get("name")),
+        ("Cell", (manifest.get("cell") or {}).get("name")),
         ("Motion", result["motion"]),
-        ("Task", None if result["motion"] else recorded.manifest.get("task")),
-        ("Setting", (recorded.manifest.get("run") or {}).get("setting")),
+        ("Task", None if result["motion"] else manifest.get("task")),
+        ("Setting", run.get("setting")),
         ("Duration", None if result["duration_s"] is None else f"{result['duration_s']:.2f} s"),
         ("Scale", result["scale"]),
         ("Mode", result["mode"]),
@@ -185,145 +166,113 @@ def _what_was_run(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
         ("Link", result["link"]),
         ("Seed", result["seed"]),
         ("Time", "lock-step (simulated time)" if lockstep else "free-run (real time)"),
-        ("Repeatable", deterministic),
+        ("Repeatable", {True: "yes", False: "no", None: "not stated"}[result["deterministic"]]),
         ("State hash", result["state_hash"]),
-        ("Operator", (recorded.manifest.get("run") or {}).get("operator")),
+        ("Operator", run.get("operator")),
     ]
-    cells = "".join(
-        f"<tr><th>{text(name)}</th><td>{text(value)}</td></tr>"
-        for name, value in rows
-        if value is not None
-    )
-    return f"<section><h2>What was run</h2><table>{cells}</table></section>"
+    return section("What was run", facts(row for row in rows if row[1] is not None))
 
 
 def _limits(result: Mapping[str, Any]) -> str:
     rows = []
     for limit in result["limits"]:
-        mark = (
-            "<span class='met'>met</span>"
-            if limit["met"]
-            else ("<span class='missed'>missed</span>" if limit["judged"] else "not reached")
-        )
+        missed = "<span class='missed'>missed</span>" if limit["judged"] else "not reached"
+        mark = "<span class='met'>met</span>" if limit["met"] else missed
         if not limit["judged"]:
             mark += " <span class='faint small'>(for information)</span>"
         sign = "≥" if limit["sense"] == "at least" else "≤"
-        rows.append(
-            f"<tr><td>{text(limit['text'])}</td><td class='n'>{number(limit['measured'])}</td>"
-            f"<td class='n'>{sign} {limit['bound']:g}</td><td>{mark}</td></tr>"
-        )
-    return (
-        "<section><h2>Measured against the limits</h2><table><tr><th>Quantity</th><th>Measured</th>"
-        f"<th>Limit</th><th></th></tr>{''.join(rows)}</table></section>"
-    )
+        rows.append((limit["text"], limit["measured"], f"{sign} {limit['bound']:g}", Html(mark)))
+    head = ("Quantity", "Measured", "Limit", "")
+    return section("Measured against the limits", table(head, rows, right=(1, 2), style=""))
 
 
 def _numbers(result: Mapping[str, Any]) -> str:
-    controller, smooth = result["controller"], result["smoothness"]
-    rows = [
-        ("Kinematic RCM deviation", _spread(result["rcm_kinematic_mm"]), "mm"),
-        ("True RCM deviation", _spread(result["rcm_true_mm"]), "mm"),
-        ("Tip error", _pair(result["tip_error_mm"], "rms", "max"), "mm"),
-        ("Tip error by joint states", _pair(result["tip_error_measured_mm"], "rms", "max"), "mm"),
-        ("Tip lag", number(result["tip_lag_ms"]), "ms"),
-        ("Path length", _pair(result["path_length_mm"], "input", "executed"), "mm"),
-        ("Idle time", f"{number(result['idle']['s'])} s, pauses: {result['idle']['pauses']}", ""),
-        ("Shaft sweep", number(result["shaft_sweep_deg"]), "°"),
+    controller, trocar = result["controller"], result["trocar"] or {}
+    spread = ("mean", "median", "p95", "max")
+    smoothness = [
+        (
+            f"{metric.upper()} (preset {name})",
+            f"executed {number(values[metric])}, input {number(values['input'][metric])}",
+        )
+        for name, values in result["smoothness"]["presets"].items()
+        for metric in ("sparc", "ldlj")
     ]
-    for name, values in smooth["presets"].items():
-        for metric in ("sparc", "ldlj"):
-            words = f"executed {number(values[metric])}, input {number(values['input'][metric])}"
-            rows.append((f"{metric.upper()} (preset {name})", words, ""))
-    if result["trocar"]:
-        rows.append(("Trocar force", _pair(result["trocar"]["force_n"], "mean", "max"), "N"))
-        moved = _pair(result["trocar"]["displacement_mm"], "mean", "max")
-        rows.append(("Trocar displacement", moved, "mm"))
-    rows.append(("Controller rate", number(controller["rate_hz"]), "Hz"))
-    rows.append(("Compute time", _pair(controller["compute_us"], "p50", "p99"), "µs"))
-    if controller["period_us"]:
-        rows.append(("Period", _pair(controller["period_us"], "p50", "p99", "max"), "µs"))
-    rows.append(("Overruns", number(controller["overruns"]), ""))
-    cells = "".join(
-        f"<tr><td>{text(name)}</td><td>{text(value)} {unit}</td></tr>" for name, value, unit in rows
-    )
-    return f"<section><h2>All numbers</h2><table>{cells}</table></section>"
+    rows = [
+        ("Kinematic RCM deviation", _levels(result["rcm_kinematic_mm"], "mm", *spread)),
+        ("True RCM deviation", _levels(result["rcm_true_mm"], "mm", *spread)),
+        ("Tip error", _levels(result["tip_error_mm"], "mm", "rms", "max")),
+        ("Tip error by joint states", _levels(result["tip_error_measured_mm"], "mm", "rms", "max")),
+        ("Tip lag", f"{number(result['tip_lag_ms'])} ms"),
+        ("Path length", _levels(result["path_length_mm"], "mm", "input", "executed")),
+        ("Idle time", f"{number(result['idle']['s'])} s, pauses: {result['idle']['pauses']}"),
+        ("Shaft sweep", f"{number(result['shaft_sweep_deg'])} °"),
+        *smoothness,
+        ("Trocar force", _levels(trocar.get("force_n"), "N", "mean", "max")),
+        ("Trocar displacement", _levels(trocar.get("displacement_mm"), "mm", "mean", "max")),
+        ("Controller rate", f"{number(controller['rate_hz'])} Hz"),
+        ("Compute time", _levels(controller["compute_us"], "µs", "p50", "p99")),
+        ("Period", _levels(controller["period_us"], "µs", "p50", "p99", "max")),
+        ("Overruns", controller["overruns"]),
+    ]
+    return section("All numbers", facts(rows))
 
 
-def _frames(strip: Sequence[tuple[str, bytes]], problem: str | None) -> str:
-    shown = "".join(
-        f"<figure><img alt='endoscope at {text(caption)}' src='{embed(data, 'jpeg')}'>"
-        f"<figcaption>{text(caption)}</figcaption></figure>"
-        for caption, data in strip
-    )
-    note = f"<p class='missed'>{text(problem)}</p>" if problem else ""
-    return (
-        f"<section><h2>Through the endoscope</h2>{note}<div class='strip'>{shown}</div></section>"
-    )
+def _levels(values: Mapping[str, Any] | None, unit: str, *keys: str) -> str:
+    if values is None:
+        return "–"
+    return ", ".join(f"{key} {number(values[key])}" for key in keys) + f" {unit}"
+
+
+def _frames(recorded: episodes.Episode) -> str:
+    """Frames of the first camera, evenly over the run; nothing without a camera."""
+    if not recorded.cameras:
+        return ""
+    try:
+        video = recorded.video(recorded.cameras[0])
+        if not len(video.frames):
+            raise EpisodeError(f"{video.name}: no frame was recorded")
+        rows = np.unique(np.linspace(0, len(video.frames) - 1, STRIP_FRAMES).astype(int))
+        images = video_file.grab(video.path, rows.tolist())
+    except EpisodeError as problem:
+        return section("Through the endoscope", f"<p class='missed'>{text(problem)}</p>")
+    seconds = (video.frames["stamp_ns"] - video.frames["stamp_ns"][0]) * 1e-9
+    figures = []
+    for row, image in zip(rows, images, strict=False):  # a truncated video may hold fewer
+        buffer = io.BytesIO()
+        Image.fromarray(image).save(buffer, "JPEG", quality=85)
+        caption = f"{seconds[row]:.1f} s"
+        figures.append(
+            f"<figure><img alt='endoscope at {caption}' src='{embed(buffer.getvalue(), 'jpeg')}'>"
+            f"<figcaption>{caption}</figcaption></figure>"
+        )
+    return section("Through the endoscope", f"<div class='strip'>{''.join(figures)}</div>")
 
 
 def _recording(recorded: episodes.Episode, result: Mapping[str, Any]) -> str:
-    rows = []
-    entries = {**recorded.manifest["tables"], **recorded.manifest["videos"]}
-    for name, entry in entries.items():
-        count = entry.get("rows", entry.get("frames"))
-        gap = None if entry.get("gap_max_s") is None else entry["gap_max_s"] * 1e3
-        rows.append(
-            f"<tr><td>{text(name)}</td><td class='n'>{count}</td>"
-            f"<td class='n'>{number(entry.get('rate_hz'))}</td><td class='n'>{number(gap)}</td>"
-            f"<td class='n'>{entry.get('dropped', 0)}</td></tr>"
+    manifest = recorded.manifest
+    rows = [
+        (
+            name,
+            entry.get("rows", entry.get("frames")),
+            entry.get("rate_hz"),
+            None if entry.get("gap_max_s") is None else entry["gap_max_s"] * 1e3,
+            entry.get("dropped", 0),
         )
+        for name, entry in {**manifest["tables"], **manifest["videos"]}.items()
+    ]
+    outcome = ": ".join(filter(None, (manifest["outcome"], manifest.get("reason"))))
     versions = ", ".join(f"{k} {v}" for k, v in result["versions"].items() if v)
-    outcome = recorded.manifest["outcome"]
-    if recorded.manifest.get("reason"):
-        outcome = f"{outcome}: {recorded.manifest['reason']}"
-    cell = recorded.manifest.get("cell") or {}
-    files = "".join(
-        f"<tr><td><code>{text(name)}</code></td><td><code>{text(sha[:16])}…</code></td></tr>"
-        for name, sha in (cell.get("files") or {}).items()
+    files = ((manifest.get("cell") or {}).get("files") or {}).items()
+    hashes = [(Html(f"<code>{text(name)}</code>"), f"{sha[:16]}…") for name, sha in files]
+    head = ("Stream", "Rows or frames", "Rate [Hz]", "Largest gap [ms]", "Dropped")
+    return section(
+        "The recording",
+        f"<p>{text(outcome)}</p>",
+        table(head, rows, right=range(1, 5), style=""),
+        f"<p class='small faint'>Versions: {text(versions)}</p>",
+        f"<details><summary class='small'>Configuration files</summary>"
+        f"{table(('File', 'SHA-256'), hashes)}</details>",
     )
-    return (
-        f"<section><h2>The recording</h2><p>{text(outcome)}</p><table><tr><th>Stream</th>"
-        "<th>Rows or frames</th><th>Rate [Hz]</th><th>Largest gap [ms]</th><th>Dropped</th></tr>"
-        f"{''.join(rows)}</table><p class='small faint'>Versions: {text(versions)}</p>"
-        f"<details><summary class='small'>Configuration files and their SHA-256</summary>"
-        f"<table class='small'>{files}</table></details></section>"
-    )
-
-
-# --- small things -------------------------------------------------------------------------------
-
-
-def _strip(recorded: episodes.Episode) -> tuple[list[tuple[str, bytes]], str | None]:
-    """Frames of the first camera, evenly over the run, as captions and JPEG files."""
-    if not recorded.cameras:
-        return [], None
-    try:
-        video = recorded.video(recorded.cameras[0])
-        count = len(video.frames)
-        if count == 0:
-            return [], f"{video.name}: no frame was recorded"
-        rows = np.unique(np.linspace(0, count - 1, STRIP_FRAMES).astype(int))
-        images = video_file.grab(video.path, [int(row) for row in rows])
-    except EpisodeError as problem:
-        return [], str(problem)
-    stamps = video.frames["stamp_ns"]
-    strip = []
-    for row, image in zip(rows, images, strict=False):  # a cut video may hold fewer
-        buffer = io.BytesIO()
-        Image.fromarray(image).save(buffer, "JPEG", quality=85)
-        seconds = (int(stamps[row]) - int(stamps[0])) * 1e-9
-        strip.append((f"{seconds:.1f} s", buffer.getvalue()))
-    return strip, None
-
-
-def _pair(values: Mapping[str, Any] | None, *keys: str) -> str:
-    if values is None:
-        return "–"
-    return ", ".join(f"{key} {number(values[key])}" for key in keys)
-
-
-def _spread(values: Mapping[str, Any] | None) -> str:
-    return _pair(values, "mean", "median", "p95", "max")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,10 +1,8 @@
-"""Box plots of many episodes, one box per condition, every episode a dot."""
+"""Box plots of many episodes: a box per condition, a dot per episode."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib
@@ -13,16 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from surg_recording.reports import trials
-from surg_recording.reports.run_figures import (
-    EXECUTED,
-    FAINT,
-    INK,
-    LIMIT,
-    TRUE,
-    Drawn,
-    blank,
-    save,
-)
+from surg_recording.reports.figure_style import EXECUTED, FAINT, INK, LIMIT, TRUE, Figures, blank
 
 Entries = Sequence[Mapping[str, Any]]
 Groups = Sequence[tuple[str, Entries]]
@@ -72,7 +61,7 @@ def smoothness(groups: Groups, summary: Mapping[str, Any]) -> Figure:
 
 
 def load(groups: Groups, summary: Mapping[str, Any]) -> Figure:
-    """Greatest force on the trocar and displacement of it in each episode, and how long it took."""
+    """Maximum force on the trocar, its maximum displacement, and the duration of each episode."""
     figure = blank(3.5)
     panels = (
         ("Trocar force, max", "N", ("trocar", "force_n", "max"), TRUE),
@@ -86,7 +75,7 @@ def load(groups: Groups, summary: Mapping[str, Any]) -> Figure:
     return figure
 
 
-FIGURES: dict[str, tuple[str, str, Callable[[Groups, Mapping[str, Any]], Figure]]] = {
+FIGURES: Figures = {
     "rcm_deviation": (
         "Does the shaft stay in the trocar?",
         "One dot per episode, first arm. Box: quartiles, line: median, whiskers: 1.5 times the"
@@ -105,26 +94,10 @@ FIGURES: dict[str, tuple[str, str, Callable[[Groups, Mapping[str, Any]], Figure]
         load,
     ),
 }
-"""Name → question it answers, caption, function."""
-
-
-def save_all(summary: Mapping[str, Any], folder: Path) -> list[Drawn]:
-    """Draw every figure of a run as ``<folder>/<name>.png``.
-
-    Args:
-        summary: Made by ``trials.summarise``.
-        folder: Where they go.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    groups = grouped(summary)
-    return [
-        save(folder, name, title, caption, functools.partial(draw, groups, summary))
-        for name, (title, caption, draw) in FIGURES.items()
-    ]
 
 
 def grouped(summary: Mapping[str, Any]) -> Groups:
-    """Label and episodes of each condition; a law is named where it is not ours."""
+    """Label and episodes of each condition; the label names a law other than ours."""
     groups: list[tuple[str, Entries]] = []
     for condition in summary["conditions"]:
         setting, law = condition["setting"], condition["law"]
@@ -135,7 +108,7 @@ def grouped(summary: Mapping[str, Any]) -> Groups:
 
 
 def _boxes(axes: Axes, groups: Groups, series: Series) -> None:
-    """Boxes of every series beside one another, for each group."""
+    """Boxes of all series side by side, for each group."""
     width = 0.7 / len(series)
     for j, (label, colour, path) in enumerate(series):
         offset = (j - (len(series) - 1) / 2) * width
@@ -146,7 +119,7 @@ def _boxes(axes: Axes, groups: Groups, series: Series) -> None:
 
 
 def box(axes: Axes, x: float, width: float, numbers: Sequence[float], colour: str) -> None:
-    """One box with its numbers as dots; nothing where there are none."""
+    """One box with its numbers as dots; nothing without numbers."""
     if not numbers:
         return
     axes.boxplot(
@@ -160,13 +133,13 @@ def box(axes: Axes, x: float, width: float, numbers: Sequence[float], colour: st
         whiskerprops={"color": colour},
         capprops={"color": colour},
     )
-    # Spread the dots evenly over the box, by rank of seed order: no random numbers.
+    # The dots are spread evenly over the box in the episodes' order: no random numbers.
     across = x + np.linspace(-0.25, 0.25, len(numbers) + 2)[1:-1] * width
     axes.plot(across, numbers, "o", color=colour, markersize=3.2, alpha=0.65, zorder=3)
 
 
 def name_groups(axes: Axes, labels: Sequence[str]) -> None:
-    """The labels under the groups at 0, 1, …, smaller where there are many."""
+    """Label the groups at 0, 1, …; in smaller type if there are many."""
     crowded = len(labels) * len(axes.figure.axes) > 9
     axes.set_xticks(range(len(labels)), labels, fontsize=7 if crowded else None)
     axes.set_xlim(-0.6, len(labels) - 0.4)

@@ -1,4 +1,4 @@
-"""The report of many episodes: ``summary.json``, ``figures/*.png``, one self-contained page."""
+"""The report of many episodes: ``summary.json``, ``figures/*.png``, ``report.html``."""
 
 from __future__ import annotations
 
@@ -6,9 +6,21 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from surg_recording.episode.finishing import clean_json, write_json
+from surg_recording.episode.finishing import write_json
 from surg_recording.reports import trial_figures
-from surg_recording.reports.html_page import definitions, document, figure_section, number, text
+from surg_recording.reports.figure_style import save_all
+from surg_recording.reports.html_page import (
+    Html,
+    bullets,
+    definitions,
+    document,
+    figure_section,
+    note,
+    number,
+    section,
+    table,
+    text,
+)
 
 _DEFINITIONS = (
     (
@@ -40,19 +52,20 @@ _DEFINITIONS = (
 
 
 def write(summary: Mapping[str, Any], folder: Path) -> None:
-    """Write ``summary.json``, ``figures/`` and ``report.html``.
+    """Write ``summary.json``, ``figures/`` and ``report.html`` of a run.
 
     Args:
-        summary: Made by ``trials.summarise``; an episode may carry ``folder``, its own folder
-            below this one.
+        summary: From ``trials.summarise``; an episode's ``folder`` is relative to the run's.
         folder: The run's folder.
 
     Raises:
         OSError: The folder cannot be written.
     """
-    result = clean_json(dict(summary))
-    write_json(folder / "summary.json", result)
-    drawn = trial_figures.save_all(summary, folder / "figures") if summary["episodes"] else []
+    write_json(folder / "summary.json", summary)
+    drawn = []
+    if summary["episodes"]:
+        groups = trial_figures.grouped(summary)
+        drawn = save_all(trial_figures.FIGURES, folder / "figures", groups, summary)
     title = f"{summary['task']}: {summary['robot']}"
     sections = [
         f"<h1>{text(title)}</h1>",
@@ -66,51 +79,47 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
 
 
 def interval(rate: Mapping[str, Any]) -> str:
-    """A success rate with its interval, as people write it."""
+    """A success rate with its interval, in words."""
     low, high = 100.0 * rate["low"], 100.0 * rate["high"]
     return f"{rate['k']} of {rate['n']} (95 % interval {low:.1f} to {high:.1f} %)"
 
 
 def _verdict(summary: Mapping[str, Any]) -> str:
-    kind = "ok" if summary["ok"] else "bad"
-    reasons = "".join(f"<li>{text(reason)}</li>" for reason in summary["reasons"])
-    words = f"<p>Not every episode was played to its end:</p><ul>{reasons}</ul>" if reasons else ""
-    return (
-        f"<section class='verdict {kind}'><h2>{text(interval(summary['success_rate']))} succeeded"
-        f"</h2>{words}</section>"
+    return section(
+        f"{interval(summary['success_rate'])} succeeded",
+        "<p>Not every episode was played to its end:</p>" if summary["reasons"] else "",
+        bullets(summary["reasons"]),
+        verdict="ok" if summary["ok"] else "bad",
     )
 
 
 def _conditions(conditions: Sequence[Mapping[str, Any]]) -> str:
-    rows = []
-    for c in conditions:
-        bounds = [
-            f"{b['metric']} &lt; {b['value']:g}: "
-            + (
-                "<span class='met'>met</span>"
-                if b["met"]
-                else f"<span class='missed'>missed</span> ({number(b['worst'])})"
-            )
-            for b in c["bounds"]
-        ]
-        kinematic, true = c["rcm_kinematic_mm"], c["rcm_true_mm"]
-        rows.append(
-            f"<tr><td>{text(c['setting'])}</td><td>{text(c['law'])}</td>"
-            f"<td>{text(interval(c['success_rate']))}</td>"
-            f"<td class='n'>{_median_max(kinematic['mean'])}</td>"
-            f"<td class='n'>{_median_max(kinematic['max'])}</td>"
-            f"<td class='n'>{_median_max(true['max'])}</td>"
-            f"<td class='n'>{_median_max(c['trocar_force_n'])}</td>"
-            f"<td class='n'>{_median_max(c['trocar_displacement_mm'])}</td>"
-            f"<td>{'<br>'.join(bounds)}</td></tr>"
+    head = ("Setting", "Law", "Success", "RCM mean", "RCM max", "true RCM max")
+    head += ("trocar force max", "trocar displacement max", "Bounds")
+    rows = [
+        (
+            *(c["setting"], c["law"], interval(c["success_rate"])),
+            *map(_median_max, (c["rcm_kinematic_mm"]["mean"], c["rcm_kinematic_mm"]["max"])),
+            *map(_median_max, (c["rcm_true_mm"]["max"], c["trocar_force_n"])),
+            _median_max(c["trocar_displacement_mm"]),
+            Html("<br>".join(map(_bound, c["bounds"]))),
         )
-    return (
-        "<section><h2>By condition</h2><p class='faint small'>Median and worst over the episodes;"
-        " deviations and displacement in mm, force in N; first arm.</p><table><tr><th>Setting</th>"
-        "<th>Law</th><th>Success</th><th>RCM mean</th><th>RCM max</th><th>true RCM max</th>"
-        "<th>trocar force max</th><th>trocar displacement max</th><th>Bounds</th></tr>"
-        f"{''.join(rows)}</table></section>"
+        for c in conditions
+    ]
+    return section(
+        "By condition",
+        note(
+            "Median and worst over the episodes; deviations and displacement in mm, force in N;"
+            " first arm."
+        ),
+        table(head, rows, right=range(3, 8), style=""),
     )
+
+
+def _bound(bound: Mapping[str, Any]) -> str:
+    missed = f"<span class='missed'>missed</span> ({number(bound['worst'])})"
+    mark = "<span class='met'>met</span>" if bound["met"] else missed
+    return f"{bound['metric']} &lt; {bound['value']:g}: {mark}"
 
 
 def _median_max(spread: Mapping[str, Any]) -> str:
@@ -118,24 +127,20 @@ def _median_max(spread: Mapping[str, Any]) -> str:
 
 
 def _episodes(episodes: Sequence[Mapping[str, Any]]) -> str:
+    head = ("", "Seed", "Setting", "Law", "End", "Duration [s]", "RCM mean [mm]", "RCM max [mm]")
     rows = []
     for i, e in enumerate(episodes):
-        end = "<span class='met'>success</span>" if e["success"] else text(e["failure_reason"])
-        name = f"{i}"
-        if e.get("folder"):
-            name = f"<a href='{text(e['folder'])}/report.html'>{i}</a>"
-        kinematic = e["rcm_kinematic_mm"] or {"mean": None, "max": None}
-        true = e["rcm_true_mm"] or {"max": None}
+        folder = e.get("folder")
+        kinematic, true = e["rcm_kinematic_mm"] or {}, e["rcm_true_mm"] or {}
         rows.append(
-            f"<tr><td>{name}</td><td>{e['seed']}</td><td>{text(e['setting'])}</td>"
-            f"<td>{text(e['law'])}</td><td>{end}</td><td class='n'>{number(e['duration_s'])}</td>"
-            f"<td class='n'>{number(kinematic['mean'])}</td>"
-            f"<td class='n'>{number(kinematic['max'])}</td><td class='n'>{number(true['max'])}</td>"
-            f"<td><code>{text((e['state_hash'] or '–')[:12])}</code></td></tr>"
+            (
+                Html(f"<a href='{text(folder)}/report.html'>{i}</a>") if folder else i,
+                *(e["seed"], e["setting"], e["law"]),
+                Html("<span class='met'>success</span>") if e["success"] else e["failure_reason"],
+                *(e["duration_s"], kinematic.get("mean"), kinematic.get("max"), true.get("max")),
+                Html(f"<code>{text((e['state_hash'] or '–')[:12])}</code>"),
+            )
         )
-    return (
-        "<section><h2>Every episode</h2><table class='small'><tr><th></th><th>Seed</th>"
-        "<th>Setting</th><th>Law</th><th>End</th><th>Duration [s]</th><th>RCM mean [mm]</th>"
-        "<th>RCM max [mm]</th><th>true max [mm]</th><th>State hash</th></tr>"
-        f"{''.join(rows)}</table></section>"
+    return section(
+        "Every episode", table((*head, "true max [mm]", "State hash"), rows, right=range(5, 9))
     )

@@ -1,1 +1,1 @@
-"""Videos of an episode: encoding, reading, mending, and how late they are."""
+"""Videos of an episode: encoding, reading, repair, and their lag."""

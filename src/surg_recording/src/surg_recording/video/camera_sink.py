@@ -62,17 +62,17 @@ class CameraSink:
 
     @property
     def received(self) -> int:
-        """Frames that came."""
+        """Frames received."""
         return sum(part.received for part in self._parts)
 
     @property
     def frames(self) -> int:
-        """Frames that were written."""
+        """Frames written."""
         return sum(part.frames for part in self._parts)
 
     @property
     def dropped(self) -> int:
-        """Frames that were not written."""
+        """Frames not written."""
         return sum(part.dropped for part in self._parts)
 
     @property
@@ -82,7 +82,7 @@ class CameraSink:
 
     @property
     def error(self) -> str | None:
-        """Why this video is not as it should be; None while all is well."""
+        """Why this video is incomplete; None if it is fine."""
         faults = [*self._faults, *([self._given_up] if self._given_up else [])]
         if self._part.error is not None and not self._given_up:
             faults.append(self._part.error)
@@ -90,7 +90,7 @@ class CameraSink:
 
     @property
     def last_skip(self) -> str | None:
-        """Why the newest frame that could not be encoded was left out."""
+        """Why the newest skipped frame could not be encoded."""
         return next((part.last_skip for part in reversed(self._parts) if part.last_skip), None)
 
     @property
@@ -104,7 +104,7 @@ class CameraSink:
         return self._stamps[1]
 
     def describe(self) -> dict[str, Any]:
-        """What the manifest says of the camera's stream."""
+        """The manifest's entry of the camera's stream."""
         return {
             "size": self._parts[0].size,
             "encoding": self._parts[0].encoding,
@@ -154,7 +154,7 @@ class CameraSink:
         return None
 
     def close(self, timeout_s: float = 60.0) -> None:
-        """Write the backlog and finish the files. Safe to call twice."""
+        """Write the backlog and finish the files. May be called twice."""
         if self._part.error is not None and self._part.backlog:
             self._next_part(f"the encoder failed ({self._part.error})")
         for part in self._parts:

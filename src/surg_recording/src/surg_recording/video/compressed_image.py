@@ -1,8 +1,8 @@
-"""What a JPEG or PNG picture says of itself, without decoding it.
+"""Reads the header of a JPEG or PNG picture, without decoding it.
 
-A recorder must know the size of a picture before it hands it on, and must not pass on one that was
-cut: decoders fill what is missing with grey and say nothing. Source: ITU-T T.81 (markers), ISO/IEC
-15948 (``IHDR``, ``IEND``).
+A recorder must know the size of a picture before it passes it on, and must not pass on a truncated
+one: decoders fill what is missing with grey and report nothing. Source: ITU-T T.81 (markers),
+ISO/IEC 15948 (``IHDR``, ``IEND``).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MAX_PIXELS = 1 << 26
 
 
 class Coded(NamedTuple):
-    """A picture as its head describes it."""
+    """A picture as its header describes it."""
 
     encoding: str
     width: int
@@ -33,14 +33,10 @@ class Coded(NamedTuple):
 
 
 def look(data: bytes, said: str = "") -> Coded:
-    """Kind and size of a picture.
-
-    Args:
-        data: The whole file.
-        said: What its sender calls it (``format`` of the message), for the error.
+    """Kind and size of a picture; ``said`` is the sender's ``format``, for the error.
 
     Raises:
-        ValueError: It is neither JPEG nor PNG, it is cut, or its pixels cannot be recorded.
+        ValueError: It is neither JPEG nor PNG, it is truncated, or its pixels cannot be recorded.
     """
     if data[:2] == bytes((0xFF, _START)):
         found = Coded(JPEG, *_jpeg(data))

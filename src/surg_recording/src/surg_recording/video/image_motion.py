@@ -1,10 +1,9 @@
-"""How much a picture changes from frame to frame, whatever the light does.
+"""How much a picture changes from frame to frame, independent of the light.
 
-Each frame is made small, its logarithm taken and the local mean subtracted: a light that gets
-brighter, also unevenly, adds a constant that drops out. The difference of two such pictures is
-averaged over cells, and of each cell its usual activity (the median over time) is subtracted, so
-that a background that moves all the time, as tissue does with breathing, counts little beside an
-instrument that passes.
+Each frame is scaled down, its logarithm taken and the local mean subtracted: a change of light,
+also an uneven one, adds a constant that drops out. The difference of two such pictures is averaged
+over cells. Each cell's usual activity (the median over time) is subtracted, so that a background in
+motion, such as tissue that breathes, counts little beside a passing instrument.
 """
 
 from __future__ import annotations
@@ -39,16 +38,12 @@ class ImageMotion:
     """(N,) False where the change is the codec's: frame k + 1 was coded anew."""
 
     def between(self, first: int, end: int) -> ImageMotion:
-        """That of the frames from ``first`` on and before ``end``."""
+        """The motion from frame ``first`` to the frame before ``end``."""
         return ImageMotion(self.energy[first : end - 1], self.usable[first : end - 1])
 
 
 def of_frames(frames: Iterable[tuple[npt.NDArray[np.uint8], bool]]) -> ImageMotion:
-    """Measure a sequence of small grey pictures.
-
-    Args:
-        frames: (HEIGHT, WIDTH) uint8, and whether the codec coded it without its predecessor.
-    """
+    """Motion of small grey pictures (HEIGHT, WIDTH) uint8, each with whether it is a key frame."""
     cells: list[Array] = []
     usable: list[bool] = []
     before: Array | None = None
@@ -66,14 +61,10 @@ def of_frames(frames: Iterable[tuple[npt.NDArray[np.uint8], bool]]) -> ImageMoti
 
 
 def of_video(path: Path, progress: Callable[[int], None] | None = None) -> ImageMotion:
-    """Measure a video file; one that is cut is read as far as it goes.
-
-    Args:
-        path: the video.
-        progress: told the number of frames read so far, now and then.
+    """Motion of a video file; a truncated one is read as far as possible.
 
     Raises:
-        EpisodeError: nothing in it can be read.
+        EpisodeError: Nothing in it can be read.
     """
     return of_frames(_small_frames(path, progress))
 
@@ -116,6 +107,6 @@ def _box(values: Array, axis: int) -> Array:
 
 
 def _by_cell(change: Array) -> Array:
-    """Means over cells, as one row."""
+    """Means over cells, (cells,)."""
     rows, columns = HEIGHT // CELL, WIDTH // CELL
     return change.reshape(rows, CELL, columns, CELL).mean(axis=(1, 3)).ravel()

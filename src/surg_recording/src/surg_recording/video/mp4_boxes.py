@@ -1,7 +1,7 @@
-"""The outer structure of a fragmented MP4 file, read and cut without decoding anything.
+"""Reads and truncates the box structure of a fragmented MP4 file, without decoding anything.
 
 Such a file is a sequence of boxes: ``ftyp``, ``moov`` (no frames), then for every fragment ``moof``
-(how many frames, how long) and ``mdat`` (the frames), and ``mfra`` (an index) where it was closed.
+(how many frames, how long) and ``mdat`` (the frames), and ``mfra`` (an index) if it was closed.
 Source: ISO/IEC 14496-12, boxes ``moof``, ``traf``, ``trun``.
 """
 
@@ -19,18 +19,14 @@ _HEAD = struct.Struct(">I4s")
 
 @dataclasses.dataclass(frozen=True)
 class Fragment:
-    """A whole fragment: where in the file it ends, and its number of frames."""
+    """A complete fragment: its end in the file, and its number of frames."""
 
     end: int
     frames: int
 
 
 def fragments(path: Path) -> list[Fragment]:
-    """The whole fragments of a file, in order; a cut one at its end is left out.
-
-    Raises:
-        OSError: when the file cannot be read.
-    """
+    """The complete fragments of a file, in order."""
     found: list[Fragment] = []
     with open(path, "rb") as file:
         frames: int | None = None
@@ -44,9 +40,9 @@ def fragments(path: Path) -> list[Fragment]:
 
 
 def cut_behind(path: Path, end: int) -> int:
-    """Cut a file behind a fragment; returns the number of bytes removed.
+    """Truncate a file behind a fragment.
 
-    The index of a closed file goes too: players do without it.
+    This removes the index of a closed file too; players do not need it.
     """
     removed = path.stat().st_size - end
     if removed > 0:
@@ -57,7 +53,7 @@ def cut_behind(path: Path, end: int) -> int:
 
 
 def is_closed(path: Path) -> bool:
-    """Whether the file ends with the index that a proper end writes."""
+    """Whether the file ends with the index that closing it writes."""
     with open(path, "rb") as file:
         size = file.seek(0, os.SEEK_END)
         boxes = list(_boxes(file, 0, size))
@@ -65,7 +61,7 @@ def is_closed(path: Path) -> bool:
 
 
 def is_plain(path: Path) -> bool:
-    """Whether it is an MP4 of another kind, which has its frames in no fragments."""
+    """Whether it is an MP4 without fragments."""
     with open(path, "rb") as file:
         size = file.seek(0, os.SEEK_END)
         kinds = {kind for kind, _, _ in _boxes(file, 0, size)}
@@ -73,7 +69,7 @@ def is_plain(path: Path) -> bool:
 
 
 def _written(file: BinaryIO) -> int:
-    """Size without the zeros at the end that a machine leaves when it goes down.
+    """Size without the zeros that a machine leaves at the end when it goes down.
 
     Neither a coded picture nor the index ends with a zero (H.264 ends it with a one and its
     padding, ``mfra`` with its size).
@@ -90,7 +86,7 @@ def _written(file: BinaryIO) -> int:
 
 
 def _boxes(file: BinaryIO, start: int, stop: int) -> Iterator[tuple[bytes, int, int]]:
-    """Kind, start and end of the boxes that lie whole between two places."""
+    """Kind, start and end of the complete boxes between two positions."""
     while start + _HEAD.size <= stop:
         file.seek(start)
         size, kind = _HEAD.unpack(file.read(_HEAD.size))
@@ -106,7 +102,7 @@ def _boxes(file: BinaryIO, start: int, stop: int) -> Iterator[tuple[bytes, int, 
 
 
 def _frames(file: BinaryIO, start: int, end: int) -> int:
-    """Number of frames a ``moof`` announces: the sum over its runs."""
+    """Number of frames that a ``moof`` announces: the sum over its runs."""
     count = 0
     for kind, first, last in list(_boxes(file, start + _HEAD.size, end)):
         if kind != b"traf":

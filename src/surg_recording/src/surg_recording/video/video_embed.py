@@ -1,4 +1,4 @@
-"""A recorded video made fit for a page: whole and seekable, thinned out when it is too large."""
+"""Makes a recorded video fit for a page: one seekable file, thinned out if it is too large."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from surg_recording.recording_errors import EpisodeError
+from surg_recording.video import video_file
 from surg_recording.video.video_encoder import MICROSECONDS
 
 SMALL_WIDTH = 480
@@ -37,16 +38,11 @@ class Embedded:
 def embed(path: Path, budget: int, progress: Callable[[int], None] | None = None) -> Embedded:
     """Read a video so that a browser can seek in it.
 
-    The recorder's fragments are copied into one piece without coding them anew. A file above the
-    budget is coded anew: smaller, and only every n-th frame.
-
-    Args:
-        path: the recorded MP4.
-        budget: largest size of the result [bytes]; a guide for what is coded anew.
-        progress: told the number of frames read so far, now and then.
+    The recorder's fragments are joined without encoding them again. A file of more than ``budget``
+    bytes is encoded again: smaller, and only every n-th frame.
 
     Raises:
-        EpisodeError: nothing in it can be read.
+        EpisodeError: Nothing in it can be read.
     """
     try:
         if path.stat().st_size <= budget:
@@ -59,11 +55,9 @@ def embed(path: Path, budget: int, progress: Callable[[int], None] | None = None
 def _copy(path: Path) -> Embedded:
     target, pts = io.BytesIO(), []
     with av.open(str(path)) as source, av.open(target, "w", format="mp4") as out:
-        stream = out.add_stream(template=source.streams.video[0])
+        stream = video_file.like(out, source.streams.video[0])
         try:
-            for packet in source.demux(source.streams.video[0]):
-                if packet.pts is None or packet.size == 0:
-                    continue
+            for packet in video_file.packets(source):
                 pts.append(_microseconds(packet))
                 packet.stream = stream
                 out.mux(packet)

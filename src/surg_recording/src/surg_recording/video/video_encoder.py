@@ -1,12 +1,12 @@
-"""The encoder of one camera: a process of its own that reads frames from standard input.
+"""The encoder of one camera: a process that reads frames from standard input.
 
 Started by ``video_sink.VideoSink``; needs PyAV and numpy, and OpenCV for compressed pictures. The
-files are made with the first frame. It ends when its input ends, also when the recorder was killed,
-and then leaves a finished file. It answers on standard output, one line each: ``ready`` at the
-start, ``frame N``, ``skip REASON`` for a frame it could not take, ``error REASON`` before it gives
-up, ``end`` after a clean finish.
+files are created with the first frame. It ends when its input ends, also when the recorder was
+killed, and then leaves a finished file. It answers on standard output, one line each: ``ready`` at
+the start, ``frame N``, ``skip REASON`` for a frame it could not take, ``error REASON`` before it
+gives up, ``end`` after a clean finish.
 
-Input: per frame ``HEADER`` and then the image as it came in the message: rows, or JPEG or PNG.
+Input: per frame ``HEADER`` and then the image as in the message: rows, or JPEG or PNG.
 """
 
 from __future__ import annotations
@@ -86,8 +86,7 @@ class Encoder:
     ) -> str | None:
         """Encode one image; returns why it was skipped, or None.
 
-        ``dropped`` counts the frames that were lost before this one; the sidecar adds those that
-        were skipped here.
+        ``dropped`` counts the frames lost before this one; the sidecar adds those skipped here.
         """
         self._missing += dropped
         height, width = image.shape[:2]
@@ -121,7 +120,7 @@ class Encoder:
         return None
 
     def miss(self, dropped: int) -> None:
-        """Count an image that could not be decoded, and those that were lost before it."""
+        """Count an image that could not be decoded, and those lost before it."""
         self._missing += dropped + 1
 
     def close(self) -> None:
@@ -137,7 +136,7 @@ class Encoder:
             os.close(self._sidecar)
 
     def _open(self, width: int, height: int, stamp_ns: int) -> None:
-        """Make the files, now that there is a first image."""
+        """Create the files for the first image."""
         flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND
         self._sidecar = os.open(self._sidecar_path, flags, 0o644)
         os.write(self._sidecar, b"frame,stamp_ns,receive_ns,pts,dropped\n")
@@ -193,10 +192,10 @@ def rows_of(data: bytes, width: int, height: int, step: int, channels: int) -> I
 
 
 def decoded(data: bytes) -> Image:
-    """A compressed picture, (height, width, 3) BGR, as the camera saw it: not turned by its tags.
+    """A compressed picture, (height, width, 3) BGR, not rotated by its tags.
 
     Raises:
-        ValueError: It cannot be decoded, or there is nothing to decode it with.
+        ValueError: It cannot be decoded, or OpenCV is missing.
     """
     try:
         import cv2

@@ -1,11 +1,11 @@
-"""Reading videos of an episode, and mending those of a killed recorder."""
+"""Reads videos of an episode, and repairs those of a killed recorder."""
 
 from __future__ import annotations
 
 import csv
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import av
@@ -21,21 +21,33 @@ Image = npt.NDArray[np.uint8]
 _INTEGER = re.compile(r"-?\d+$")
 
 
+def packets(container: av.container.InputContainer) -> Iterator[av.Packet]:
+    """The packets of a video that hold a frame."""
+    for packet in container.demux(container.streams.video[0]):
+        if packet.pts is not None and packet.size > 0:
+            yield packet
+
+
+def like(container: av.container.OutputContainer, video: av.VideoStream) -> av.VideoStream:
+    """A new stream of a container for the packets of another video."""
+    if hasattr(container, "add_stream_from_template"):  # PyAV 14 and later
+        return container.add_stream_from_template(video)
+    return container.add_stream(template=video)
+
+
 def presentation_times(path: Path) -> list[int]:
     """Presentation time of every readable frame, in microseconds from the first.
 
-    Reads packets only. A file that a kill has cut is read as far as it goes.
+    Reads packets only; a truncated file is read as far as possible.
 
     Raises:
-        EpisodeError: when the file holds no readable video.
+        EpisodeError: The file holds no readable video.
     """
     times: list[int] = []
     try:
         with av.open(str(path)) as container:
-            stream = container.streams.video[0]
-            for packet in container.demux(stream):
-                if packet.pts is not None and packet.size > 0:
-                    times.append(round(packet.pts * packet.time_base * 1_000_000))
+            for packet in packets(container):
+                times.append(round(packet.pts * packet.time_base * 1_000_000))
     except (av.error.FFmpegError, IndexError) as problem:
         if not times:
             raise EpisodeError(f"{path}: no readable video ({problem})") from problem
@@ -43,7 +55,7 @@ def presentation_times(path: Path) -> list[int]:
 
 
 def grab(path: Path, indices: Sequence[int]) -> list[Image]:
-    """Decode chosen frames as (H, W, 3) RGB; indices must increase. Missing ones are left out."""
+    """Decode frames by increasing index as (H, W, 3) RGB; missing ones are left out."""
     wanted, images = list(indices), []
     try:
         with av.open(str(path)) as container:
@@ -60,11 +72,11 @@ def grab(path: Path, indices: Sequence[int]) -> list[Image]:
 
 
 def mend(path: Path, sidecar: Path) -> int:
-    """Make a video and its sidecar agree; returns the number of frames kept.
+    """Make a video and its sidecar agree, in place; returns the number of frames kept.
 
-    A cut fragment at the end of the video and sidecar lines without a frame are removed, in place.
-    A video with more frames than the sidecar has lines loses the fragments behind the last stamp. A
-    file in which nothing is readable is left as it is, with an empty sidecar.
+    A truncated fragment at the end and sidecar lines without a frame are removed. A video with more
+    frames than the sidecar has lines loses the fragments behind the last stamp. A file in which
+    nothing is readable is left as it is, with an empty sidecar.
     """
     lines = _sidecar_lines(sidecar)
     whole = mp4_boxes.fragments(path)
@@ -84,20 +96,20 @@ def mend(path: Path, sidecar: Path) -> int:
 
 
 def is_empty(path: Path) -> bool:
-    """Whether a video holds no frame that can be read."""
+    """Whether a video holds no readable frame."""
     if mp4_boxes.is_plain(path):
         return not _readable(path)
     return not any(fragment.frames for fragment in mp4_boxes.fragments(path))
 
 
 def last_stamp(sidecar: Path) -> int:
-    """Stamp of the last line of a sidecar [ns]; -1: there is none."""
+    """Stamp of the last line of a sidecar [ns]; -1 without one."""
     lines = _sidecar_lines(sidecar)
     return int(lines[-1][table_columns.VIDEO.index("stamp_ns")]) if lines else -1
 
 
 def _sidecar_lines(sidecar: Path) -> list[list[str]]:
-    """The whole lines of a sidecar, up to the first that is none; empty without a file."""
+    """The valid lines at the start of a sidecar; empty without a file."""
     good: list[list[str]] = []
     if not sidecar.exists():
         return good
@@ -113,7 +125,7 @@ def _sidecar_lines(sidecar: Path) -> list[list[str]]:
 
 
 def _keep(sidecar: Path, lines: list[list[str]]) -> None:
-    """Cut a sidecar behind its first whole lines, these; in place, as the disk may be full."""
+    """Truncate a sidecar behind these lines, in place: the disk may be full."""
     data = sidecar.read_bytes() if sidecar.exists() else b""
     ends = [place + 1 for place, byte in enumerate(data) if byte == ord("\n")]
     head = (",".join(table_columns.VIDEO) + "\n").encode()
@@ -127,7 +139,7 @@ def _keep(sidecar: Path, lines: list[list[str]]) -> None:
 
 
 def _ends_whole(sidecar: Path) -> bool:
-    """Whether the last line of a file is a whole one."""
+    """Whether the last line of a file is complete."""
     if not sidecar.exists() or sidecar.stat().st_size == 0:
         return False
     with open(sidecar, "rb") as file:

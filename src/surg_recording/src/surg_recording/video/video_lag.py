@@ -1,9 +1,9 @@
-"""How late a video is against the kinematics, estimated from what both show: motion.
+"""The lag of a video against the kinematics, estimated from the motion that both show.
 
-The picture changes much while the tip goes far. For every lag that is tried, the way of the tip
-between the two stamps of a pair of frames, taken at *stamp − lag*, is held against the change
-between the two frames. The lag of the highest correlation is the estimate; positive: the picture
-shows an older state than its stamp says. It is believed only when it stands out: see ``estimate``.
+The picture changes much while the tip moves far. For every lag tried, the tip's travel between the
+two stamps of a pair of frames, taken at *stamp − lag*, is correlated with the change between the
+two frames. The lag of the highest correlation is the estimate; positive: the picture shows an older
+state than its stamp says. It is accepted only if it stands out: see ``estimate``.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ as how much of the instrument is in view, does not count."""
 
 @dataclasses.dataclass(frozen=True)
 class LagEstimate:
-    """What was found."""
+    """The result."""
 
     verdict: str
     """``pass``, ``fail`` or ``cannot_tell``."""
@@ -64,7 +64,7 @@ class LagEstimate:
 
 @dataclasses.dataclass(frozen=True)
 class TipPath:
-    """Where an arm's tip was."""
+    """Positions of an arm's tip."""
 
     t: Array
     """(M,) increasing times [s], on the same clock as the frames' stamps."""
@@ -77,17 +77,17 @@ def estimate(
 ) -> LagEstimate:
     """Estimate the lag of a video.
 
-    The arms' ways are tried one by one and summed; the best correlation counts. *Cannot tell* when
+    The arms' paths are tried one by one and summed; the best correlation counts. *Cannot tell* when
     nothing moves, the correlation is low or not above what unrelated motions reach by chance
-    (Bartlett's formula, which knows that a periodic motion has little to say), the motion is too
-    slow, another lag fits nearly as well, the best lag lies at the end of the search, or leaving
-    out parts of the video moves it by more than a frame.
+    (Bartlett's formula, which accounts for periodic motion), the motion is too slow, another lag
+    fits nearly as well, the best lag lies at the end of the search, or leaving out parts of the
+    video moves it by more than a frame.
 
     Args:
         stamps: (N + 1,) of the frames [s].
-        motion: of the same frames.
-        paths: by arm.
-        search: largest lag that is tried [s].
+        motion: Of the same frames.
+        paths: By arm.
+        search: Largest lag tried [s].
     """
     count = min(len(stamps) - 1, len(motion.energy))
     if count < MIN_FRAMES:
@@ -117,7 +117,7 @@ def estimate(
 
 
 class _Match:
-    """One motion held against the picture at every lag."""
+    """One motion correlated with the picture at every lag."""
 
     def __init__(
         self,
@@ -211,14 +211,14 @@ class _Match:
         return float(np.sqrt(max((2.0 * np.sum(shape * product) - product[0]) / count, 1 / count)))
 
     def _width(self) -> float:
-        """Over which lags about the best the correlation is nine tenths of it or more [s]."""
+        """Range of lags with at least nine tenths of the best correlation [s]."""
         low = np.flatnonzero(self._r < 0.9 * self.peak)
         left = low[low < self._best].max(initial=0)
         right = low[low > self._best].min(initial=len(self._r) - 1)
         return float(self._lags[right] - self._lags[left])
 
     def _rival(self) -> int | None:
-        """The highest other maximum: beyond the valleys on both sides of the best."""
+        """The highest other maximum, beyond the valleys on both sides of the best."""
         left = right = self._best
         while left > 0 and self._r[left - 1] <= self._r[left]:
             left -= 1
@@ -243,13 +243,13 @@ class _Match:
 
 
 def _moving(path: TipPath, stamps: Array) -> int:
-    """Between how many pairs of frames the tip moves."""
+    """Number of pairs of frames between which the tip moves."""
     way, inside = _way([path], stamps)
     return int(np.sum(way[inside] > STILL_WAY))
 
 
 def _way(paths: list[TipPath], t: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """How far the tips go from one time to the next, together [m], and where that is known."""
+    """Travel of the tips from one time to the next, summed [m], and where it is known."""
     way = np.zeros(len(t) - 1)
     known = np.ones(len(t), dtype=bool)
     for path in paths:
@@ -262,7 +262,7 @@ def _way(paths: list[TipPath], t: Array) -> tuple[Array, npt.NDArray[np.bool_]]:
 def _centred(
     values: Array, good: npt.NDArray[np.bool_], block: npt.NDArray[np.int64], blocks: int
 ) -> Array:
-    """Values about the mean of their block; 0 where they do not count."""
+    """Values minus the mean of their block; 0 where they do not count."""
     weight = good.astype(float)
     number = np.maximum(np.bincount(block, weight, blocks), 1.0)
     mean = np.bincount(block, weight * values, blocks) / number
@@ -296,7 +296,7 @@ def _autocorrelation(values: Array) -> Array:
 
 
 def _vertex(x: Array, y: Array, i: int) -> float:
-    """Where the parabola through three points about the i-th has its top."""
+    """Vertex of the parabola through three points about the i-th."""
     if not 0 < i < len(x) - 1:
         return float(x[i])
     below, above = y[i] - y[i - 1], y[i] - y[i + 1]

@@ -1,8 +1,8 @@
 """Writes one video: a queue in front of an encoder process.
 
-``camera_sink.CameraSink`` makes one of these for every part of a camera's video. Callbacks call
-``put``. In free-run it never blocks: a full queue drops the frame and counts it. In lock-step it
-waits for room, so that camera and simulator wait too and no frame is lost.
+``camera_sink.CameraSink`` creates one per part of a camera's video. In free-run ``put`` never
+blocks: a full queue drops the frame and counts it. In lock-step it waits for room, so that camera
+and simulator wait too and no frame is lost.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _LARGE_PIPE = 1 << 20
 
 
 class Frame(NamedTuple):
-    """One image as it came in a sensor_msgs/Image or CompressedImage (step 0), and when [ns]."""
+    """One image of a sensor_msgs/Image or CompressedImage (step 0), and its times [ns]."""
 
     data: bytes
     width: int
@@ -174,9 +174,9 @@ class VideoSink:
             return True
 
     def abandon(self) -> tuple[list[Frame], int]:
-        """End at once; returns the frames that are not in the file, and how many are lost for good.
+        """Stop at once; returns the frames that are not in the file, and how many are lost.
 
-        Lost are those that were dropped since the last one, and those of a cut fragment.
+        Lost are those dropped since the last one, and those of a truncated fragment.
         """
         with self._room:
             self._ending = True
@@ -199,7 +199,7 @@ class VideoSink:
             return left, max(0, self.dropped - before) + self._dropped_since
 
     def _count_what_is_there(self) -> int:
-        """Mend the files of an encoder that failed; returns the newest stamp in them [ns]."""
+        """Repair the files of an encoder that failed; returns the newest stamp in them [ns]."""
         if not self.path.exists():
             self.frames = 0
             return -1
@@ -207,7 +207,7 @@ class VideoSink:
         return video_file.last_stamp(self.sidecar)
 
     def close(self, timeout_s: float = 60.0) -> None:
-        """Write the backlog and finish the file, within ``timeout_s``. Safe to call twice."""
+        """Write the backlog and finish the file, within ``timeout_s``. May be called twice."""
         with self._room:
             self._ending = True
             self._room.notify_all()
