@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 import surg_core
 from surg_cli.host import paths
 from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.render import NoOpenGL, Picture, StereoRenderer, show_only
+from surg_sim.looks.opengl import NoOpenGL
+from surg_sim.looks.render import Picture, Renderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.trocar import shaft_in_flange, wall_frame
 from surg_sim.physics.world import World
@@ -64,8 +65,9 @@ class Stage:
         self.world = World(cell, looks=True)
         show_only(self.world.model, lamps=False)
         try:
-            self.renderer = StereoRenderer(
-                self.world.model, width, height, vignette=True, hidden=[OUTSIDE]
+            eyes = [endoscope_rig.LEFT, endoscope_rig.RIGHT]
+            self.renderer = Renderer(
+                self.world.model, eyes, width, height, vignette=True, hidden=[OUTSIDE]
             )
         except NoOpenGL as error:
             pytest.skip(str(error))
@@ -143,7 +145,8 @@ class Stage:
 
     def pictures(self) -> tuple[Picture, Picture]:
         """What both eyes see now."""
-        return self.renderer.pair(np.array(self.world.data.qpos))
+        left, right = self.renderer.render(np.array(self.world.data.qpos))
+        return left, right
 
     def X_WV(self) -> Array:
         """True pose of the left eye's optical frame in the world, (4, 4); after ``pictures``."""

@@ -7,9 +7,10 @@ import pytest
 
 import surg_core
 from surg_cli.host import paths
-from surg_sim.looks import anatomy, render
+from surg_sim.looks import anatomy, opengl
 from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.render import Intrinsics, NoOpenGL, Renderer
+from surg_sim.looks.opengl import NoOpenGL
+from surg_sim.looks.render import Intrinsics, Renderer
 from surg_sim.physics import scene
 from surg_sim.physics.world import World
 
@@ -24,7 +25,7 @@ def world(request: pytest.FixtureRequest) -> World:
 def renderer_of(world: World, **keys: object) -> Renderer:
     try:
         hidden = [OUTSIDE]
-        return Renderer(world.model, scene.ENDOSCOPE, 640, 480, hidden=hidden, **keys)
+        return Renderer(world.model, [scene.ENDOSCOPE], 640, 480, hidden=hidden, **keys)
     except NoOpenGL as error:
         pytest.skip(str(error))
 
@@ -66,7 +67,7 @@ def test_intrinsics_are_those_of_the_picture(world: World) -> None:
         centre = X_WC[:3, :3] @ place + X_WC[:3, 3]
         R_WWall = world.data.xmat[wall].reshape(3, 3)
         model.site_pos[ball] = R_WWall.T @ (centre - world.data.xpos[wall])
-        image = renderer.render(world.data.qpos).astype(float)
+        image = renderer.render(world.data.qpos)[0].astype(float)
         green = image[..., 1] - np.maximum(image[..., 0], image[..., 2]) > 15
         rows, columns = np.nonzero(green)
         assert len(rows) > 20
@@ -81,15 +82,15 @@ def test_intrinsics_are_those_of_the_picture(world: World) -> None:
 
 def test_the_picture_is_worth_looking_at(world: World) -> None:
     renderer = renderer_of(world, vignette=True)
-    first = renderer.render(world.data.qpos)
+    first = renderer.render(world.data.qpos)[0]
     assert first.shape == (480, 640, 3) and first.dtype == np.uint8
-    assert np.array_equal(first, renderer.render(world.data.qpos)), "same state, other picture"
+    assert np.array_equal(first, renderer.render(world.data.qpos)[0]), "same state, other picture"
     middle = first[120:360, 160:480].astype(float)
     assert 50 < middle.mean() < 200 and middle.std() > 20
     assert first[0, 0].max() == 0, "the vignette is round"
     moved = world.data.qpos.copy()
     moved[0] += 0.05
-    assert not np.array_equal(first, renderer.render(moved))
+    assert not np.array_equal(first, renderer.render(moved)[0])
     with pytest.raises(ValueError, match="this scene has"):
         renderer.render(moved[:-1])
     renderer.close()
@@ -97,21 +98,21 @@ def test_the_picture_is_worth_looking_at(world: World) -> None:
 
 def test_without_opengl_one_message_with_the_cure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    monkeypatch.setattr(render, "probe", lambda backend: f"no lib{backend}")
+    monkeypatch.setattr(opengl, "probe", lambda backend: f"no lib{backend}")
     with pytest.raises(NoOpenGL) as error:
-        render.choose_backend.__wrapped__()
+        opengl.choose_backend.__wrapped__()
     text = str(error.value)
-    assert "no libegl" in text and "no libosmesa" in text and render.APT_LINE in text
+    assert "no libegl" in text and "no libosmesa" in text and opengl.APT_LINE in text
 
 
 def test_osmesa_steps_in_for_egl(monkeypatch: pytest.MonkeyPatch) -> None:
     """EGL is broken for real: a device that does not exist."""
-    if render.probe("osmesa"):
+    if opengl.probe("osmesa"):
         pytest.skip("no OSMesa on this machine")
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     monkeypatch.setenv("MUJOCO_EGL_DEVICE_ID", "99")
-    assert "99" in render.probe("egl")
-    assert render.choose_backend.__wrapped__() == "osmesa"
+    assert "99" in opengl.probe("egl")
+    assert opengl.choose_backend.__wrapped__() == "osmesa"
 
 
 def test_intrinsics_formula() -> None:

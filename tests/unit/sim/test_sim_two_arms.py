@@ -23,7 +23,8 @@ from surg_core import Motion, MotionCommand, StateCommand
 from surg_description.make_cell import home_pose
 from surg_sim.looks import patient
 from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.render import NoOpenGL, StereoRenderer, show_only
+from surg_sim.looks.opengl import NoOpenGL
+from surg_sim.looks.render import Renderer, show_only
 from surg_sim.looks.render_speed import stereo_speed
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.sim_arm import ArmCommand
@@ -37,6 +38,7 @@ from surg_sim.placement.placement_search import Placement
 
 FULL = os.environ.get("SURG_TEST_FULL", "") not in ("", "0")
 CELLS = ("sim_two_arms", "sim_two_arms_panda")
+EYES = [endoscope_rig.LEFT, endoscope_rig.RIGHT]
 DESCRIPTION = paths.ROOT / "src/surg_description"
 TASKS = {"PSM1": arm_reserve.INSTRUMENT, "ECM": arm_reserve.ENDOSCOPE}
 
@@ -52,9 +54,9 @@ def seen(cell: surg_core.Cell) -> World:
     return World(cell, looks=True)
 
 
-def stereo(model: mujoco.MjModel, **keys: object) -> StereoRenderer:
+def stereo(model: mujoco.MjModel, **keys: object) -> Renderer:
     try:
-        return StereoRenderer(model, 640, 480, hidden=[OUTSIDE], **keys)
+        return Renderer(model, EYES, 640, 480, hidden=[OUTSIDE], **keys)
     except NoOpenGL as error:
         pytest.skip(str(error))
 
@@ -393,7 +395,7 @@ def test_a_stereo_pair_triangulates_a_bead(cell: surg_core.Cell) -> None:
     for _ in range(200 if FULL else 12):
         p_C = np.array([*rng.uniform(-0.012, 0.012, 2), 0.060])
         home[slides] = X_WC[:3, :3] @ p_C + X_WC[:3, 3] - site.work
-        found = triangulate(projections, [centre(picture) for picture in renderer.pair(home)])
+        found = triangulate(projections, [centre(picture) for picture in renderer.render(home)])
         errors.append(float(np.linalg.norm(found - p_C)))
     renderer.close()
     print(f"a bead at 60 mm is found within {1e3 * max(errors):.3f} mm, {len(errors)} places")
@@ -407,7 +409,7 @@ def test_the_instrument_is_in_both_views(cell: surg_core.Cell, seen: World) -> N
     world = seen
     show_only(world.model, lamps=False)
     renderer = stereo(world.model)
-    left, right = renderer.pair(np.array(world.data.qpos))
+    left, right = renderer.render(np.array(world.data.qpos))
     X_WC = renderer.camera_pose()
     X_WB = cell.arms["PSM1"].X_WB
     tip = X_WB[:3, :3] @ world.truth("PSM1").tip + X_WB[:3, 3]
@@ -437,7 +439,7 @@ def test_skins_are_drawn_once_per_pair(seen: World) -> None:
     counter = Counter()
     home = np.array(seen.data.qpos)
     renderer = stereo(seen.model, skins=[counter])
-    renderer.pair(home)
+    renderer.render(home)
     assert counter.drawn == 1
     renderer.render(home)
     assert counter.drawn == 2
@@ -448,8 +450,8 @@ def test_a_pair_needs_two_cameras() -> None:
     model = mujoco.MjModel.from_xml_string(
         f'<mujoco><worldbody><camera name="{endoscope_rig.LEFT}"/></worldbody></mujoco>'
     )
-    with pytest.raises(ValueError, match="one camera: a pair needs a cell with"):
-        StereoRenderer(model, 640, 480)
+    with pytest.raises(ValueError, match="no camera 'endoscope_right'; a pair needs a cell with"):
+        Renderer(model, EYES, 640, 480)
 
 
 def test_stereo_is_fast_enough_for_two_cores(seen: World) -> None:

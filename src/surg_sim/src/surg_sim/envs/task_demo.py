@@ -21,7 +21,7 @@ from surg_sim.arrays import Picture
 from surg_sim.envs.cell_session import LAWS, Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.render import NoOpenGL
+from surg_sim.looks.opengl import NoOpenGL
 from surg_sim.physics import cell_files, patient_settings
 from surg_sim.tasks import episode_seeds
 

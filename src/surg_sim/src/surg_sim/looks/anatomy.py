@@ -63,12 +63,8 @@ def tube(
 ) -> Mesh:
     """A tube about a curve with a parallel-transported frame, so that it never twists.
 
-    Args:
-        centre: (n, 3) centre line [m].
-        radius: (n,) radius at each point [m].
-        segments: Vertices round the circumference.
-        texture_length: Length of one repetition of the texture along the tube [m].
-        texture_start: Texture coordinates of the first vertex.
+    Centre line (n, 3) [m], radius at each of its points (n,) [m]; the texture repeats after
+    ``texture_length`` [m] along the tube.
     """
     tangent = np.gradient(centre, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -112,13 +108,9 @@ def bowel_loop(centre: Array, radius: float, rng: np.random.Generator) -> Mesh:
 def surface(
     height: Callable[[Array, Array], Array], x: Array, y: Array, texture_size: float
 ) -> Mesh:
-    """The surface z = height(x, y) over the grid x by y, seen from above.
+    """The surface z = height(x, y) over increasing grid lines x by y [m], seen from above.
 
-    Args:
-        height: Vectorised function of two (len(x), len(y)) arrays [m].
-        x: Increasing grid lines [m].
-        y: Increasing grid lines [m].
-        texture_size: Side of one repetition of the texture [m].
+    The height takes two (len(x), len(y)) arrays; the texture repeats after ``texture_size`` [m].
     """
     xx, yy = np.meshgrid(x, y, indexing="ij")
     vertices = np.stack([xx, yy, height(xx, yy)], -1).reshape(-1, 3)
@@ -134,15 +126,9 @@ def disc(
     rings: int = 26,
     segments: int = 48,
 ) -> Mesh:
-    """The surface z = height(x, y) over an ellipse about the origin, seen from above.
+    """The surface z = height(x, y) over an ellipse with these half axes [m], seen from above.
 
-    Args:
-        height: Vectorised function of two equally shaped arrays [m].
-        half_length: Half axis along x [m].
-        half_width: Half axis along y [m].
-        texture_size: Side of one repetition of the texture [m].
-        rings: Vertices from the middle to the edge.
-        segments: Vertices round.
+    The height takes two equally shaped arrays; the texture repeats after ``texture_size`` [m].
     """
     r, angle = np.meshgrid(
         np.linspace(0, 1, rings), np.linspace(0, 2 * np.pi, segments + 1), indexing="ij"

@@ -12,9 +12,10 @@ from PIL import Image
 
 import surg_core
 from surg_sim import tasks
-from surg_sim.arrays import Array
+from surg_sim.arrays import Array, Picture
 from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.render import NoOpenGL, Picture, Renderer, show_only
+from surg_sim.looks.opengl import NoOpenGL
+from surg_sim.looks.render import Renderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.world import World
 
@@ -29,12 +30,8 @@ def series(
 ) -> list[Picture]:
     """Pictures of states of the world, supersampled twice for smooth edges.
 
-    Args:
-        world: Built with ``looks=True``.
-        camera: Name of the camera.
-        width: Of each picture [px].
-        height: Of each picture [px].
-        states: MuJoCo joint positions (nq,), one per picture.
+    The world is built with ``looks=True``; a state is MuJoCo's joint positions (nq,); width and
+    height in px.
     """
     inside = camera != scene.OVERVIEW
     show_only(world.model, lamps=not inside)
@@ -42,7 +39,7 @@ def series(
     factor = 2 if 2 * width <= limit.offwidth and 2 * height <= limit.offheight else 1
     renderer = Renderer(
         world.model,
-        camera,
+        [camera],
         factor * width,
         factor * height,
         vignette=inside,
@@ -51,7 +48,7 @@ def series(
     )
 
     def small(qpos: Array) -> Picture:
-        blocks = renderer.render(qpos).reshape(height, factor, width, factor, 3).astype(np.float64)
+        blocks = renderer.render(qpos)[0].reshape(height, factor, width, factor, 3)
         return np.asarray(blocks.mean(axis=(1, 3)).round(), dtype=np.uint8)
 
     try:
@@ -87,8 +84,6 @@ def main(arguments: list[str] | None = None) -> int:
             looks=True,
             task=tasks.load(options.task) if options.task else None,
         )
-        if options.view == "stereo" and endoscope_rig.RIGHT not in _cameras(world):
-            raise ValueError(f"{options.cell}: its endoscope has one camera; --view endoscope")
         pictures = [take(world, *view) for view in VIEWS[options.view]]
     except (surg_core.ConfigError, ValueError) as error:
         print(f"surg_sim.looks.cell_picture: {error}", file=sys.stderr)
@@ -99,10 +94,6 @@ def main(arguments: list[str] | None = None) -> int:
     Image.fromarray(np.concatenate(pictures, axis=1)).save(options.out, "PNG", optimize=True)
     print(options.out)
     return 0
-
-
-def _cameras(world: World) -> set[str]:
-    return {world.model.camera(i).name for i in range(world.model.ncam)}
 
 
 if __name__ == "__main__":

@@ -19,11 +19,12 @@ from PIL import Image
 
 from surg_core.contract import GRID, TICK
 from surg_sim import tasks
+from surg_sim.arrays import Picture
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.looks import cell_picture
 from surg_sim.looks.drawing import look
-from surg_sim.looks.render import NoOpenGL, Picture
+from surg_sim.looks.opengl import NoOpenGL
 from surg_sim.physics import cell_files, endoscope_rig, scene
 from surg_sim.physics.spec_parts import quaternion
 from surg_sim.physics.world import World
@@ -86,11 +87,7 @@ def episode(
 ) -> dict[str, Picture]:
     """Run one episode and take a picture at the first moment of each kind.
 
-    Args:
-        task: A bundled task, in its home cell.
-        wanted: By name of the picture: when, and how. Asked on every tick of the grid.
-        seed: Of the episode.
-        setting: Of the episode.
+    ``wanted`` says when, asked on every tick of the grid, and how, by name of the picture.
 
     Raises:
         ValueError: The episode fails, or a moment does not come.

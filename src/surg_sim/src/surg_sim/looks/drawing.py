@@ -55,29 +55,16 @@ def add_mesh(
         inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
         smoothnormal=1,
     )
-    body.add_geom(
-        name=name,
-        type=mujoco.mjtGeom.mjGEOM_MESH,
-        meshname=name,
-        material=material,
-        group=group,
-        contype=0,
-        conaffinity=0,
-        mass=0.0,
-    )
+    kind = mujoco.mjtGeom.mjGEOM_MESH
+    add_seen(body, kind, material, group, name=name, meshname=name)
 
 
-def add_seen(body: mujoco.MjsBody, type_: mujoco.mjtGeom, material: str, **keys: object) -> None:
-    """Add a visual primitive that the endoscope does not see."""
-    body.add_geom(
-        type=type_,
-        material=material,
-        group=OUTSIDE,
-        contype=0,
-        conaffinity=0,
-        mass=0.0,
-        **keys,
-    )
+def add_seen(
+    body: mujoco.MjsBody, kind: mujoco.mjtGeom, material: str, group: int = OUTSIDE, **keys: object
+) -> None:
+    """Add a geom that is only seen, by default not by the endoscope."""
+    unfelt = {"contype": 0, "conaffinity": 0, "mass": 0.0}
+    body.add_geom(type=kind, material=material, group=group, **unfelt, **keys)
 
 
 def look(forward: Array, up: Array) -> Array:

@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surg_sim.arrays import Array, Picture
 from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.looks.render import Picture, Renderer, StereoRenderer, show_only
+from surg_sim.looks.render import Renderer, show_only
 from surg_sim.physics.endoscope_rig import FRAMES
-
-if TYPE_CHECKING:
-    from surg_sim.physics.world import World
+from surg_sim.physics.world import World
 
 
 class EndoscopeRenderer:
-    """Use it from the thread that made it.
+    """The endoscope of a world that was built with looks; see ``Renderer``.
 
-    Args:
-        world: Built with ``looks=True``.
-        views: ``left`` and ``right`` in this order, or one of them.
-        width: Of each picture [px].
-        height: Of each picture [px].
-        vignette: Draw the round edge of an endoscope's picture.
-
-    Raises:
-        NoOpenGL: No OpenGL platform works.
-        ValueError: The scene has no second camera, or the picture is too large.
+    The views are ``left`` and ``right`` in this order, or one of them; width and height in px.
     """
 
     def __init__(
@@ -37,26 +23,13 @@ class EndoscopeRenderer:
         show_only(world.model, lamps=False)
         skins = () if world.task is None else world.task.skins
         self.views = tuple(views)
-        size = (width, height, vignette, [OUTSIDE], skins)
-        self._renderer: Renderer
-        if len(self.views) == 2:
-            self._renderer = StereoRenderer(world.model, *size)
-        else:
-            self._renderer = Renderer(world.model, FRAMES[self.views[0]], *size)
-        self.intrinsics = self._renderer.intrinsics
-        self.backend = self._renderer.backend
-
-    @property
-    def baseline(self) -> float:
+        cameras = [FRAMES[view] for view in views]
+        self._renderer = Renderer(world.model, cameras, width, height, vignette, [OUTSIDE], skins)
+        self.intrinsics, self.backend = self._renderer.intrinsics, self._renderer.backend
+        self.baseline = self._renderer.baseline
         """Distance of the right camera from the left one [m]; 0 with one view."""
-        return getattr(self._renderer, "baseline", 0.0)
+        self.close = self._renderer.close
 
-    def render(self, qpos: NDArray[np.float64]) -> dict[str, Picture]:
+    def render(self, qpos: Array) -> dict[str, Picture]:
         """Picture of each view at joint positions qpos, (height, width, 3), rgb8."""
-        if isinstance(self._renderer, StereoRenderer):
-            return dict(zip(self.views, self._renderer.pair(qpos), strict=True))
-        return {self.views[0]: self._renderer.render(qpos)}
-
-    def close(self) -> None:
-        """Release the OpenGL context."""
-        self._renderer.close()
+        return dict(zip(self.views, self._renderer.render(qpos), strict=True))

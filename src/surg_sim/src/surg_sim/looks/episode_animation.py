@@ -14,12 +14,12 @@ import numpy as np
 
 from surg_core.contract import GRID, TICK
 from surg_sim import tasks
-from surg_sim.arrays import Array
+from surg_sim.arrays import Array, Picture
 from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.looks import cell_picture
 from surg_sim.looks.documentation_pictures import close_up
-from surg_sim.looks.render import NoOpenGL, Picture
+from surg_sim.looks.opengl import NoOpenGL
 from surg_sim.physics import cell_files, scene
 from surg_sim.tasks import episode_seeds
 
@@ -32,15 +32,9 @@ _QUALITY = 70  # of WebP, 0 to 100
 
 
 def states_of(session: Session, seed: int, count: int) -> tuple[list[Array], float]:
-    """Play an episode and return states at equal distances in time.
+    """Play an episode of a session built with looks.
 
-    Args:
-        session: Built with ``looks=True``.
-        seed: Of the episode.
-        count: How many states are wanted.
-
-    Returns:
-        ``count`` joint positions (nq,), and the episode's duration [s].
+    Returns ``count`` joint positions (nq,) at equal distances in time, and the duration [s].
 
     Raises:
         ValueError: The episode fails.

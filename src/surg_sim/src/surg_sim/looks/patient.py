@@ -148,10 +148,7 @@ def _body(x: Array, y: Array) -> Array:
 def draw_cannula(sleeve: mujoco.MjsBody, axis: Array, bore: float = 0.0045) -> None:
     """Draw a cannula on a body whose origin is the trocar point.
 
-    Args:
-        sleeve: The body.
-        axis: Unit vector into the patient, in the body's axes, (3,).
-        bore: Outer radius of its tube [m].
+    Unit vector into the patient in the body's axes, (3,); outer radius of the tube [m].
     """
 
     def ring(start: float, end: float, radius: float, material: str) -> None:

@@ -1,118 +1,21 @@
-"""Off-screen pictures of a scene: EGL, or OSMesa where there is no EGL.
-
-``mujoco.Renderer`` fixes the OpenGL platform when MuJoCo is imported; here it is chosen when a
-picture is first wanted, so that the physics modules stay free of OpenGL.
-"""
+"""Off-screen pictures of a scene."""
 
 from __future__ import annotations
 
-import functools
-import os
-import subprocess
-import sys
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from surg_sim.arrays import Array, Picture
 from surg_sim.looks.drawing import OUTSIDE
-from surg_sim.physics import endoscope_rig
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-APT_LINE = "sudo apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libgles2 libosmesa6"
-"""What brings off-screen OpenGL to a Debian machine."""
-
-BACKENDS = ("egl", "osmesa")
-"""Platforms in the order in which they are tried."""
+from surg_sim.looks.opengl import choose_backend, context
+from surg_sim.physics.endoscope_projection import CIRCLE
 
 LAMPS = ("lamp", "fill")
 """Lights of the room; the endoscope does not see them."""
-
-
-class NoOpenGL(RuntimeError):
-    """No way to render off screen on this machine; the message says what to install."""
-
-
-_PROBE = """
-import mujoco
-from surg_sim.looks.render import context
-gl, mjr = context({backend!r}, mujoco.MjModel.from_xml_string("<mujoco/>"), 64, 64)
-mjr.free()
-gl.free()
-"""
-
-
-def context(
-    backend: str, model: mujoco.MjModel, width: int, height: int
-) -> tuple[Any, mujoco.MjrContext]:
-    """An OpenGL context of one platform, current in this thread, with the model's meshes in it.
-
-    A process can do this for one platform only: the libraries stay loaded, also after a failure.
-
-    Args:
-        backend: ``egl`` or ``osmesa``.
-        model: What will be drawn.
-        width: Of the pictures [px].
-        height: Of the pictures [px].
-    """
-    os.environ["PYOPENGL_PLATFORM"] = backend
-    # Mesa's renderer without a graphics card: two threads draw these scenes no sooner than one, and
-    # take a fifth more of the processor.
-    os.environ.setdefault("LP_NUM_THREADS", "0")
-    if backend == "egl":
-        from mujoco.egl import GLContext
-    else:
-        from mujoco.osmesa import GLContext  # type: ignore[assignment]
-    gl = GLContext(width, height)
-    gl.make_current()
-    # MuJoCo draws into a buffer of the size that the model names. Without a GPU it is 7 % faster in
-    # one of the picture's own size.
-    largest = model.vis.global_
-    named = largest.offwidth, largest.offheight
-    largest.offwidth, largest.offheight = width, height
-    try:
-        return gl, mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-    finally:
-        largest.offwidth, largest.offheight = named
-
-
-def probe(backend: str) -> str:
-    """Try a platform in a process of its own; returns why it does not work, or nothing."""
-    search = os.pathsep.join([p for p in sys.path if p])
-    result = subprocess.run(
-        [sys.executable, "-c", _PROBE.format(backend=backend)],
-        env={**os.environ, "PYTHONPATH": search, "MUJOCO_GL": backend},
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    return (
-        "" if result.returncode == 0 else (result.stderr.strip() or "no message").splitlines()[-1]
-    )
-
-
-@functools.cache
-def choose_backend() -> str:
-    """The platform this process renders with: ``MUJOCO_GL`` if it names one, else egl, else osmesa.
-
-    Raises:
-        NoOpenGL: Neither works; the message gives the reason of each and the apt line.
-    """
-    wished = os.environ.get("MUJOCO_GL", "").lower()
-    reasons = []
-    for backend in (wished,) if wished in BACKENDS else BACKENDS:
-        reason = probe(backend)
-        if not reason:
-            return backend
-        reasons.append(f"{backend}: {reason}")
-    raise NoOpenGL(
-        f"No off-screen OpenGL ({'; '.join(reasons)}). The endoscope needs it: {APT_LINE}"
-    )
 
 
 @dataclass(frozen=True)
@@ -159,11 +62,11 @@ class Skin(Protocol):
 
 
 class Renderer:
-    """Renders one camera of a compiled scene. Use it from the thread that made it.
+    """Renders cameras of a compiled scene. Use it from the thread that made it.
 
     Args:
         model: A scene built with ``looks=True``.
-        camera: Name of the camera.
+        cameras: Names, with the same field of view.
         width: [px].
         height: [px].
         vignette: Draw the round edge of an endoscope's picture.
@@ -172,13 +75,13 @@ class Renderer:
 
     Raises:
         NoOpenGL: No platform works.
-        ValueError: The picture is larger than the scene's off-screen buffer.
+        ValueError: A camera is not in the scene, or the picture does not fit its buffer.
     """
 
     def __init__(
         self,
         model: mujoco.MjModel,
-        camera: str,
+        cameras: Sequence[str],
         width: int,
         height: int,
         vignette: bool = False,
@@ -210,13 +113,16 @@ class Renderer:
             self._option.geomgroup[group] = 0
             if group == OUTSIDE:  # nor its sky: 7 % of the work, for nothing that is seen
                 self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
-        self._camera = _fixed(model, camera)
+        self._cameras = [_fixed(model, name) for name in cameras]
         self._rect = mujoco.MjrRect(0, 0, seen, height)
         self._upside_down = np.empty((height, seen, 3), dtype=np.uint8)
         self.intrinsics = Intrinsics.from_fovy(
-            width, height, float(model.cam_fovy[self._camera.fixedcamid])
+            width, height, float(model.cam_fovy[self._cameras[0].fixedcamid])
         )
         mujoco.mj_forward(model, self._data)
+        first, last = (self._data.cam_xpos[self._cameras[i].fixedcamid] for i in (0, -1))
+        self.baseline = float(np.linalg.norm(last - first))
+        """Distance between the cameras [m]; 0 with one."""
 
     def _sharpen(self) -> None:
         """Sample one mipmap level instead of two: a third less work without a GPU."""
@@ -229,14 +135,20 @@ class Renderer:
                     GL.GL_TEXTURE_2D, GL.GL_TEXTURE_MIN_FILTER, GL.GL_LINEAR_MIPMAP_NEAREST
                 )
 
-    def render(self, qpos: Array) -> Picture:
-        """The picture at joint positions qpos, (height, width, 3), rgb8, a new array.
+    def render(self, qpos: Array) -> list[Picture]:
+        """A new picture of each camera at joint positions qpos, (height, width, 3), rgb8.
+
+        The scene is set up once, skins included.
 
         Raises:
             ValueError: qpos has the wrong length: the snapshot is of another scene.
         """
         self._arrange(qpos)
-        return self._shoot()
+        pictures = [self._shoot()]
+        for camera in self._cameras[1:]:
+            mujoco.mjv_updateCamera(self._model, self._data, camera, self._scene)
+            pictures.append(self._shoot())
+        return pictures
 
     def _arrange(self, qpos: Array) -> None:
         """Put everything in its place, once for all cameras."""
@@ -250,7 +162,7 @@ class Renderer:
             self._data,
             self._option,
             None,
-            self._camera,
+            self._cameras[0],
             mujoco.mjtCatBit.mjCAT_ALL,
             self._scene,
         )
@@ -269,11 +181,11 @@ class Renderer:
         return picture
 
     def camera_pose(self) -> Array:
-        """Pose of the optical frame (x right, y down, z away) in the world, (4, 4)."""
-        pose = np.eye(4)
-        R = self._data.cam_xmat[self._camera.fixedcamid].reshape(3, 3)
+        """Pose of the first optical frame (x right, y down, z away) in the world, (4, 4)."""
+        pose, camera = np.eye(4), self._cameras[0].fixedcamid
+        R = self._data.cam_xmat[camera].reshape(3, 3)
         pose[:3, :3] = R @ np.diag([1.0, -1.0, -1.0])
-        pose[:3, 3] = self._data.cam_xpos[self._camera.fixedcamid]
+        pose[:3, 3] = self._data.cam_xpos[camera]
         return pose
 
     def close(self) -> None:
@@ -282,53 +194,12 @@ class Renderer:
         self._gl.free()
 
 
-class StereoRenderer(Renderer):
-    """Renders both cameras of an endoscope that has two.
-
-    The scene is set up once per pair, skins included: only the second view is added.
-
-    Args:
-        model: A scene built with ``looks=True``, with the cameras of ``endoscope``.
-        width: Of each picture [px].
-        height: Of each picture [px].
-        vignette: As for ``Renderer``.
-        hidden: As for ``Renderer``.
-        skins: As for ``Renderer``.
-
-    Raises:
-        NoOpenGL: No platform works.
-        ValueError: The scene has one camera only, or the picture is too large.
-    """
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        width: int,
-        height: int,
-        vignette: bool = False,
-        hidden: Iterable[int] = (),
-        skins: Sequence[Skin] = (),
-    ) -> None:
-        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, endoscope_rig.RIGHT) < 0:
-            raise ValueError(
-                "this scene's endoscope has one camera: a pair needs a cell with an arm that holds "
-                "a stereo endoscope, such as cells/sim_two_arms"
-            )
-        super().__init__(model, endoscope_rig.LEFT, width, height, vignette, hidden, skins)
-        self._right = _fixed(model, endoscope_rig.RIGHT)
-        left, right = (self._data.cam_xpos[c.fixedcamid] for c in (self._camera, self._right))
-        self.baseline = float(np.linalg.norm(right - left))
-        """Distance between the cameras [m]."""
-
-    def pair(self, qpos: Array) -> tuple[Picture, Picture]:
-        """The left and the right picture at joint positions qpos, as ``render``."""
-        self._arrange(qpos)
-        left = self._shoot()
-        mujoco.mjv_updateCamera(self._model, self._data, self._right, self._scene)
-        return left, self._shoot()
-
-
 def _fixed(model: mujoco.MjModel, name: str) -> mujoco.MjvCamera:
+    if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name) < 0:
+        raise ValueError(
+            f"this scene has no camera '{name}'; a pair needs a cell with an arm that holds a "
+            "stereo endoscope, such as cells/sim_two_arms"
+        )
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
     camera.fixedcamid = model.camera(name).id
@@ -344,12 +215,11 @@ def show_only(model: mujoco.MjModel, lamps: bool) -> None:
 class _Vignette:
     """The round edge of an endoscope's picture: black outside, soft over three pixels.
 
-    Attributes:
-        left: Columns at either side that are all black.
+    ``left`` columns at either side are all black.
     """
 
     def __init__(self, width: int, height: int) -> None:
-        radius = 0.56 * height
+        radius = CIRCLE * height
         self.left = max(0, int(width / 2 - radius))
         x = np.arange(self.left, width - self.left) - (width - 1) / 2
         y = np.arange(height) - (height - 1) / 2

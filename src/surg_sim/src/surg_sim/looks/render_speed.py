@@ -32,17 +32,8 @@ def stereo_speed(
 ) -> RenderSpeed:
     """Render pairs of a world in which everything moves a little from pair to pair.
 
-    Args:
-        world: Built with ``looks=True``, from a cell with a stereo endoscope; with its task, if it
-            has one, whose skins are drawn.
-        width: Of a picture [px].
-        height: Of a picture [px].
-        pairs: How many.
-        seed: Of the motion.
-
-    Raises:
-        NoOpenGL: No platform works.
-        ValueError: The scene has one camera only, or the picture is too large.
+    The world is built with ``looks=True`` from a cell with a stereo endoscope; the skins of its
+    task, if it has one, are drawn. Width and height in px.
     """
     renderer = EndoscopeRenderer(world, ("left", "right"), width, height)
     rng = np.random.default_rng(seed)

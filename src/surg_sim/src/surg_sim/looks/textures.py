@@ -19,10 +19,7 @@ Colour = Sequence[float]
 def noise(n: int, roughness: float, rng: np.random.Generator) -> Array:
     """Tileable noise, (n, n), zero mean, unit variance.
 
-    Args:
-        n: Side in pixels.
-        roughness: Exponent of the amplitude spectrum, 1/f^roughness; larger is smoother.
-        rng: Source of the phases.
+    The amplitude spectrum falls as 1/f^roughness; larger is smoother.
     """
     fx = np.fft.fftfreq(n, 1.0)[:, None]
     fy = np.fft.rfftfreq(n, 1.0)[None, :]
@@ -38,12 +35,8 @@ def vessels(
 ) -> Array:
     """Branching vessels, (n, n) in 0..1: 1 in the middle of a vessel.
 
-    Args:
-        n: Side in pixels.
-        trunks: Number of vessels that start with the full width.
-        width: Radius of a trunk in pixels; branches taper.
-        rng: Source of the course.
-        wander: Largest turn per pixel of length [rad].
+    The trunks start with the full radius ``width`` [px], branches taper; ``wander`` is the largest
+    turn per pixel of length [rad].
     """
     picture = np.zeros((n, n))
     reach = int(np.ceil(width)) + 2

@@ -106,14 +106,7 @@ def _normals(grid: Array, closed: bool) -> Array:
 
 
 class BowelSkin:
-    """Draws the bowel of a compiled scene; a ``Skin`` for the renderer.
-
-    Args:
-        model: A scene with the bowel, built with looks.
-        site: The patient.
-        parameters: What ``add_bowel`` was given.
-        seed: Of the swellings along the tube.
-    """
+    """Draws the bowel of a scene with looks: a ``Skin`` whose swellings the seed draws."""
 
     def __init__(
         self, model: mujoco.MjModel, site: Site, parameters: TissueParameters, seed: int = 0

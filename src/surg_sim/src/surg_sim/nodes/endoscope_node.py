@@ -14,8 +14,10 @@ import surg_core
 from surg_msgs.msg import Ready, SimSnapshot
 from surg_ros.params import read
 from surg_sim import tasks
+from surg_sim.arrays import Picture
 from surg_sim.looks.endoscope_renderer import EndoscopeRenderer
-from surg_sim.looks.render import Intrinsics, NoOpenGL, Picture
+from surg_sim.looks.opengl import NoOpenGL
+from surg_sim.looks.render import Intrinsics
 from surg_sim.nodes.exposure_schedule import RENDERER
 from surg_sim.nodes.sim_parameters import EndoscopeSettings
 from surg_sim.physics import patient_settings
@@ -26,33 +28,23 @@ from surg_sim.physics.world import World
 def camera_info(intrinsics: Intrinsics, frame: str, baseline: float = 0.0) -> CameraInfo:
     """The camera's model as a message without a stamp.
 
-    Args:
-        intrinsics: Of the camera.
-        frame: Its optical frame.
-        baseline: How far it stands to the right of the first camera [m].
+    Its optical frame lies ``baseline`` to the right of the first camera's [m].
     """
-    f, cx, cy = intrinsics.f, intrinsics.cx, intrinsics.cy
     info = CameraInfo(
         width=intrinsics.width,
         height=intrinsics.height,
         distortion_model="plumb_bob",
         D=[0.0] * 5,
-        K=[f, 0.0, cx, 0.0, f, cy, 0.0, 0.0, 1.0],
-        R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        P=[f, 0.0, cx, -f * baseline, 0.0, f, cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+        K=intrinsics.K.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=intrinsics.P(baseline).ravel().tolist(),
     )
     info.header.frame_id = frame
     return info
 
 
 class CameraTopics:
-    """The topics of one camera.
-
-    Args:
-        name: ``left`` or ``right``.
-        info: Its model.
-        queue: Of the publishers; 0: without end.
-    """
+    """The topics of the camera ``left`` or ``right``; queue 0 of its publishers: without end."""
 
     def __init__(self, name: str, info: CameraInfo, queue: int) -> None:
         self._info = info
@@ -80,24 +72,18 @@ class CameraTopics:
 class Endoscope:
     """Renders in the main thread what the subscriber's thread has put into the queue.
 
-    Args:
-        renderer: Of the endoscope's camera, or of both.
-        keep_all: True: every snapshot in order (lock-step); False: the newest only (free-run).
+    ``keep_all``: every snapshot in order (lock-step); else the newest only (free-run).
     """
 
     def __init__(self, renderer: EndoscopeRenderer, keep_all: bool) -> None:
         self._renderer, self._keep_all = renderer, keep_all
         self._waiting: deque[SimSnapshot] = deque(maxlen=None if keep_all else 1)
         self._arrived = threading.Condition()
-        baselines = {"left": 0.0, "right": renderer.baseline}
-        self._cameras = {
-            view: CameraTopics(
-                view,
-                camera_info(renderer.intrinsics, FRAMES[view], baselines[view]),
-                0 if keep_all else 2,
-            )
-            for view in renderer.views
-        }
+        self._cameras = {}
+        for view in renderer.views:
+            baseline = renderer.baseline if view == "right" else 0.0
+            info = camera_info(renderer.intrinsics, FRAMES[view], baseline)
+            self._cameras[view] = CameraTopics(view, info, 0 if keep_all else 2)
         self._ready = rospy.Publisher("/sim/ready", Ready, queue_size=0, tcp_nodelay=True)
         rospy.Subscriber("/sim/snapshot", SimSnapshot, self._on_snapshot, tcp_nodelay=True)
 
