@@ -17,8 +17,8 @@ from helpers.control.fault_bench import STRANGER, STREAMS, Bench, command, force
 from helpers.control.lagging_arm import SOURCE, TICK
 from helpers.results.reactions import Reactions
 from surg_core import Reason, State, StateCommand, _core
-from surg_sim.physics.fault_injector import Channel
-from surg_sim.physics.faults import Wire
+from surg_sim.nodes.fault_injector import Channel
+from surg_sim.nodes.faults import Wire
 
 pytestmark = pytest.mark.untimed
 

@@ -13,8 +13,8 @@ import surg_core
 from helpers.results.reactions import Reactions
 from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, Reason, State, StateCommand
-from surg_sim.physics.fault_injector import Injector
-from surg_sim.physics.faults import Fault, Freeze, ToolLost, TrocarJump, Wire
+from surg_sim.nodes.fault_injector import Injector
+from surg_sim.nodes.faults import Fault, Freeze, ToolLost, TrocarJump, Wire
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World
 

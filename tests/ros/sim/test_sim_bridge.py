@@ -248,8 +248,8 @@ def test_faults_in_lockstep_are_one_hash_and_the_package_agrees(
 ) -> None:
     """Losses, swaps, a frozen link, a lost tool and a moving trocar: node twice, package once."""
     import surg_core
-    from surg_sim.physics.fault_injector import Injector
-    from surg_sim.physics.faults import parse
+    from surg_sim.nodes.fault_injector import Injector
+    from surg_sim.nodes.faults import parse
     from surg_sim.physics.sim_arm import ArmCommand
     from surg_sim.physics.world import World
 

@@ -12,8 +12,8 @@ import pytest
 import surg_core
 from surg_cli.host import paths
 from surg_core.contract import TICK
-from surg_sim.physics.fault_injector import Channel, Injector, tool_errors
-from surg_sim.physics.faults import KINDS, FaultError, Wire, parse
+from surg_sim.nodes.fault_injector import Channel, Injector, tool_errors
+from surg_sim.nodes.faults import KINDS, FaultError, Wire, parse
 from surg_sim.physics.sim_arm import ArmCommand, ToolError
 from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
 from surg_sim.physics.trocar_motion import MovingPoint, Sinusoid

@@ -17,10 +17,11 @@ import rospy
 import surg_core
 from surg_ros.params import read
 from surg_sim import tasks
+from surg_sim.nodes import faults
+from surg_sim.nodes.fault_injector import Injector, tool_errors
 from surg_sim.nodes.sim_bridge_node import Bridge
 from surg_sim.nodes.sim_parameters import BridgeSettings
-from surg_sim.physics import faults, patient_settings
-from surg_sim.physics.fault_injector import Injector, tool_errors
+from surg_sim.physics import patient_settings
 from surg_sim.physics.world import World
 
 

@@ -16,14 +16,14 @@ import surg_core
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import Ready, SimStatus, TaskStatus
 from surg_ros.transport.direct_publisher import speakers
+from surg_sim.nodes import faults
 from surg_sim.nodes.arm_topics_node import ArmTopics, Arrival
 from surg_sim.nodes.exposure_schedule import RENDERER, ExposureSchedule
+from surg_sim.nodes.fault_injector import Injector
 from surg_sim.nodes.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.nodes.sim_parameters import BridgeSettings
 from surg_sim.nodes.state_publisher_node import StatePublisher
 from surg_sim.nodes.task_topics_node import AssistantTopics, TaskTopics
-from surg_sim.physics import faults
-from surg_sim.physics.fault_injector import Injector
 from surg_sim.physics.hand_guiding import HandGuiding
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World

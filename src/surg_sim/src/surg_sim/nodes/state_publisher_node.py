@@ -15,8 +15,8 @@ from surg_ros.transport.direct_publisher import DirectPublisher, listeners
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.arm_topics_node import ArmTopics
 from surg_sim.nodes.exposure_schedule import ExposureSchedule
+from surg_sim.nodes.fault_injector import Injector
 from surg_sim.nodes.task_topics_node import TaskTopics
-from surg_sim.physics.fault_injector import Injector
 from surg_sim.physics.world import World
 
 _JAW = bridge_messages.JointStateLayout(["jaw"])

@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from surg_sim.arrays import Array
-from surg_sim.physics.faults import (
+from surg_sim.nodes.faults import (
     Fault,
     FaultError,
     Freeze,
