@@ -21,7 +21,7 @@ from surg_sim.looks.render import Picture, Renderer, show_only
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.trocar import shaft_in_flange, wall_frame
 from surg_sim.physics.world import World
-from surg_sim.placement.base_placement import inverse
+from surg_sim.placement.arm_reserve import inverse
 
 Array = NDArray[np.float64]
 

@@ -160,6 +160,8 @@ def vector(size: int, default: Any = MISSING, *, meaning: str = "") -> Any:
     """Some finite numbers, not all zero; ``meaning`` names them for the error."""
 
     def convert(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list | tuple) or any(isinstance(v, bool | str) for v in value):
+            raise ValueError
         numbers = tuple(float(each) for each in value)
         if len(numbers) != size or not all(map(math.isfinite, numbers)) or not any(numbers):
             raise ValueError

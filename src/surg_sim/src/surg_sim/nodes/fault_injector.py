@@ -48,10 +48,6 @@ class Channel(Generic[Packet]):
 
     Three numbers are drawn for every packet in any case, so that a change of one probability does
     not affect the other two faults.
-
-    Args:
-        wire: The probabilities.
-        rng: Draws.
     """
 
     def __init__(self, wire: Wire, rng: np.random.Generator) -> None:
@@ -63,11 +59,8 @@ class Channel(Generic[Packet]):
 
     def transmit(self, packet: Packet) -> list[Packet]:
         """Send one packet; returns the packets that arrive, in order of arrival."""
-        loses, doubles, swaps = self._rng.random(3) < (
-            self._wire.loss,
-            self._wire.duplicate,
-            self._wire.reorder,
-        )
+        wire = self._wire
+        loses, doubles, swaps = self._rng.random(3) < (wire.loss, wire.duplicate, wire.reorder)
         late, self._late = self._late, []
         if self._to_lose == 0 and loses:
             self._to_lose = self._wire.burst
@@ -84,13 +77,9 @@ class Channel(Generic[Packet]):
 
 
 class Injector:
-    """The faults of one run.
+    """The faults of one run, in a world at tick 1; the seed is that of the wires.
 
-    Args:
-        world: The world; at tick 1.
-        faults: Known from the start.
-        seed: Of the wires.
-        lockstep: Whether every tick must have one state and one answer; see ``Wire``, ``Freeze``.
+    In lock-step every tick must have one state and one answer; see ``Wire``, ``Freeze``.
 
     Raises:
         FaultError: A fault does not fit the world.
@@ -105,9 +94,8 @@ class Injector:
         self._channels: dict[tuple[str, str], tuple[Wire, Channel]] = {}
         self._shown: dict[str, tuple[int, ArmState]] = {}  # newest that has arrived, lock-step
         self._read: dict[str, tuple[int, ArmState]] = {}
-        self._answers: dict[
-            str, tuple[int, list[tuple[int, ArmState]]]
-        ] = {}  # by arm: tick, states
+        # By arm: tick, and the states that leave in it.
+        self._answers: dict[str, tuple[int, list[tuple[int, ArmState]]]] = {}
         for fault in faults:
             if not isinstance(fault, ToolOff):
                 self.add(fault)
@@ -208,8 +196,7 @@ class Injector:
     def commands(self, arrived: Mapping[str, tuple[int, ArmCommand]]) -> dict[str, ArmCommand]:
         """Commands that the world executes; call it right before ``World.step``.
 
-        Args:
-            arrived: By arm: stamp of the robot command, and what came for robot and tool.
+        ``arrived`` by arm: stamp of the robot command, and what came for robot and tool.
         """
         self._apply_trocar_faults()
         if not self._lasting:

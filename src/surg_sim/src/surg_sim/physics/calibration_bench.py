@@ -10,6 +10,7 @@ with an encoder's noise and quantisation. ::
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import sys
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import surg_core
+from surg_core import axis_angle_to_matrix
 from surg_sim.arrays import Array
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import TrocarParameters, shaft_in_flange
@@ -38,11 +40,6 @@ NO_WALL = TrocarParameters(stiffness=0.1, friction=0.0)
 """A wall that is not felt: the instrument is on a bench, not in a patient."""
 
 
-def turn(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
-    return surg_core.axis_angle_to_matrix(np.asarray(axis, dtype=float), angle)
-
-
 def across(s: Array, rng: np.random.Generator) -> Array:
     """A random unit vector (3,) perpendicular to s (3,)."""
     v = np.cross(s, rng.normal(size=3))
@@ -50,13 +47,7 @@ def across(s: Array, rng: np.random.Generator) -> Array:
 
 
 class Bench:
-    """One arm of a cell on the bench.
-
-    Args:
-        cell: A loaded cell.
-        seed: Of hands and encoders.
-        arm: Its name; default: the cell's first.
-    """
+    """One arm of a cell, by default the first, on the bench; hands and encoders have the seed."""
 
     def __init__(self, cell: surg_core.Cell, seed: int, arm: str | None = None) -> None:
         self.cell = cell
@@ -69,17 +60,10 @@ class Bench:
         self.tip_home = self.X_home[:3, :3] @ self.p_FTip + self.X_home[:3, 3]
 
     def record(self, path: Path, motions: Sequence[str], count: int = 12) -> None:
-        """Perform motions by hand and write the recording.
-
-        Args:
-            path: CSV file.
-            motions: Of ``MOTIONS``.
-            count: Poses of each.
-        """
+        """Perform motions of ``MOTIONS`` by hand, ``count`` poses each, and write the CSV file."""
         lines = [",".join(["motion", *self.arm.robot.joint_names])]
         for motion in motions:
-            wall = None if motion == "trocar" else NO_WALL
-            world = World(self.cell, trocar=wall)
+            world = World(self.cell, trocar=None if motion == "trocar" else NO_WALL)
             for q in self._poses(motion, count):
                 measured = self._measure(world, q)
                 lines.append(",".join([motion, *(f"{value:.9f}" for value in measured)]))
@@ -87,27 +71,25 @@ class Bench:
 
     def _poses(self, motion: str, count: int) -> Iterator[Array]:
         """Joint positions (n,) of the hand-guided poses; what the arm cannot reach is not tried."""
-        found = 0
-        for _ in range(20 * count):
-            q = self._inverse(self._pose(motion))
-            if q is not None:
-                found += 1
-                yield q
-            if found == count:
-                return
-        raise RuntimeError(f"{motion}: only {found} of {count} poses are within reach")
+        tried = (self._inverse(self._pose(motion)) for _ in range(20 * count))
+        reached = 0
+        for q in itertools.islice((q for q in tried if q is not None), count):
+            reached += 1
+            yield q
+        if reached < count:
+            raise RuntimeError(f"{motion}: only {reached} of {count} poses are within reach")
 
     def _pose(self, motion: str) -> Array:
         """A flange pose (4, 4) that puts the true instrument where the hands want it."""
         rng, R = self.rng, self.X_home[:3, :3]
         if motion == "roll":
-            R = turn(self.s_home, rng.uniform(-1.2, 1.2)) @ R
+            R = axis_angle_to_matrix(self.s_home, rng.uniform(-1.2, 1.2)) @ R
             play = rng.normal(scale=GUIDE_PLAY, size=3)
-            R = turn(play / np.linalg.norm(play), float(np.linalg.norm(play))) @ R
+            R = axis_angle_to_matrix(play / np.linalg.norm(play), float(np.linalg.norm(play))) @ R
             tip = self.tip_home + rng.uniform(-0.02, 0.02) * self.s_home
         else:
-            tilt = turn(across(self.s_home, rng), rng.uniform(0.15, 0.5))
-            R = tilt @ turn(self.s_home, rng.uniform(-1.0, 1.0)) @ R
+            tilt = axis_angle_to_matrix(across(self.s_home, rng), rng.uniform(0.15, 0.5))
+            R = tilt @ axis_angle_to_matrix(self.s_home, rng.uniform(-1.0, 1.0)) @ R
             if motion == "tip":
                 tip = self.tip_home + rng.normal(scale=DIVOT_PLAY, size=3)
             else:

@@ -32,11 +32,7 @@ class Breathing:
     bed_share: float = 0.5  # share of the amplitude with which what lies in the abdomen moves
 
     def wall(self, R_WB: Array) -> Sinusoid | None:
-        """Motion of a trocar in the axes of its arm's base, for ``Trocar.point.move``.
-
-        Args:
-            R_WB: Orientation of the arm's base in the world, (3, 3).
-        """
+        """Motion of a trocar in the axes of its arm's base, R_WB (3, 3) in the world."""
         return self._vertical(self.amplitude, np.asarray(R_WB)[2])
 
     def bed(self) -> Sinusoid | None:
@@ -54,7 +50,7 @@ class Breathing:
 class PatientSetting:
     """One setting."""
 
-    name: str  # of the setting
+    name: str
     # Drives of the robot arms: servo stiffness, lag, delay.
     actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
     trocar: TrocarParameters = field(default_factory=TrocarParameters)  # wall and seal
@@ -72,7 +68,6 @@ SETTINGS: Mapping[str, PatientSetting] = {
     "phantom": PatientSetting(
         name="phantom",
         trocar=TrocarParameters(stiffness=1500.0, friction=0.5),
-        breathing=Breathing(),
         tool_error=ToolError(tip=0.0001, axis=radians(0.07)),
         encoder=_ENCODER,
         tissue=TissueParameters(stretch=21.0, slip_force=3.0),
@@ -80,7 +75,6 @@ SETTINGS: Mapping[str, PatientSetting] = {
     "ex_vivo": PatientSetting(
         name="ex_vivo",
         trocar=TrocarParameters(stiffness=800.0, friction=1.0),
-        breathing=Breathing(),
         tool_error=ToolError(tip=0.0002, axis=radians(0.14)),
         encoder=_ENCODER,
         tissue=TissueParameters(stretch=33.0, slip_force=2.0),
@@ -88,7 +82,7 @@ SETTINGS: Mapping[str, PatientSetting] = {
     "in_vivo": PatientSetting(
         name="in_vivo",
         trocar=TrocarParameters(stiffness=800.0, friction=1.5),
-        breathing=Breathing(amplitude=0.002, period=4.0, bed_share=0.5),
+        breathing=Breathing(amplitude=0.002),
         tool_error=ToolError(tip=0.0003, axis=radians(0.21)),
         encoder=_ENCODER,
         tissue=TissueParameters(stretch=33.0, slip_force=2.0),

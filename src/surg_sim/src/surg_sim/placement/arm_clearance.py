@@ -19,10 +19,8 @@ _PATIENT = np.array([0.18, 0.27, 0.19])  # [m] half axes of the dome that no lin
 class ClearanceModel:
     """Two arms, table and patient in one MuJoCo scene, to measure clearances.
 
-    Args:
-        arms: Both arms.
-        bases: Pose of each base in the patient's frame, (4, 4).
-        bed: Height of the table's top above the work point [m]; negative.
+    Poses of the bases in the patient's frame, (4, 4); height of the table's top above the work
+    point [m].
     """
 
     def __init__(
@@ -53,11 +51,9 @@ class ClearanceModel:
     def clearance(self, first: Array, second: Array) -> float:
         """Smallest distance of a robot to the other arm, the table and the patient [m].
 
-        The two shafts inside the patient may come arbitrarily close to each other.
-
-        Args:
-            first: Joint positions of the first arm, (n,) [rad].
-            second: Joint positions of the second arm, (n,) [rad].
+        At joint positions of the two arms, (n,) [rad] each. The two shafts inside the patient may
+        come
+        arbitrarily close to each other.
         """
         for qpos, q in zip(self._qpos, (first, second), strict=True):
             self.data.qpos[qpos] = q

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import surg_core
+from surg_core import axis_angle_to_matrix
 from surg_sim.arrays import Array
 from surg_sim.physics.trocar import shaft_in_flange
 
@@ -70,12 +71,9 @@ def inverse(chain: surg_core.Chain, start: Array, X: Array, steps: int = 60) -> 
 
 
 def reserve(arm: surg_core.Arm, q_home: Array, workspace: Workspace) -> Reserve | None:
-    """Reserve of an arm around a home posture; None: a corner is out of reach.
+    """Reserve of an arm around a home posture (n,) [rad]; None: a corner is out of reach.
 
-    Args:
-        arm: The arm; its tool and limits count, its trocar does not.
-        q_home: Home posture, (n,) [rad].
-        workspace: What the arm must be able to do.
+    The arm's tool and limits count, its trocar does not.
     """
     depth = workspace.depth
     p_FTip, s_F = shaft_in_flange(arm)
@@ -93,7 +91,7 @@ def reserve(arm: surg_core.Arm, q_home: Array, workspace: Workspace) -> Reserve 
             for share in (0.5, 1.0):
                 p = (1 - share) * depth * s + share * corner
                 axis = p / np.linalg.norm(p)
-                R = between(s, axis) @ turn(s, share * roll) @ R_home
+                R = between(s, axis) @ axis_angle_to_matrix(s, share * roll) @ R_home
                 X = np.eye(4)
                 X[:3, :3], X[:3, 3] = R, p_Rcm + p - R @ p_FTip
                 reached = inverse(arm.chain, q, X, 20)
@@ -111,22 +109,19 @@ def reserve(arm: surg_core.Arm, q_home: Array, workspace: Workspace) -> Reserve 
             back = np.linalg.pinv(J)
             rows = np.linalg.norm(back @ np.vstack((V.T, W.T)), axis=1)
             rolls = np.abs(back @ np.concatenate((np.cross(axis, r), axis)))
-            share_v = (workspace.speed * rows + workspace.roll_speed * rolls) / np.asarray(
-                robot.velocity
-            )
-            speed = max(speed, float(share_v.max()))
-            share_a = workspace.acceleration * rows / np.asarray(robot.acceleration)
-            acceleration = max(acceleration, float(share_a.max()))
+            velocity = workspace.speed * rows + workspace.roll_speed * rolls
+            speed = max(speed, float((velocity / robot.velocity).max()))
+            share = float((workspace.acceleration * rows / robot.acceleration).max())
+            acceleration = max(acceleration, share)
     return Reserve(margin, speed, acceleration, singular, np.array(postures))
-
-
-def turn(axis: Array, angle: float) -> Array:
-    """Rotation (3, 3) about a unit axis (3,) by an angle [rad]."""
-    return np.asarray(surg_core.axis_angle_to_matrix(np.asarray(axis, dtype=float), angle))
 
 
 def between(a: Array, b: Array) -> Array:
     """Smallest rotation (3, 3) that carries unit vector a to b."""
     axis = np.cross(a, b)
     sine = float(np.linalg.norm(axis))
-    return np.eye(3) if sine < 1e-12 else turn(axis / sine, float(np.arctan2(sine, a @ b)))
+    return (
+        np.eye(3)
+        if sine < 1e-12
+        else axis_angle_to_matrix(axis / sine, float(np.arctan2(sine, a @ b)))
+    )

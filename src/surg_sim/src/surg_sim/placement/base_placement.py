@@ -17,25 +17,22 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 import surg_core
 from surg_sim.arrays import Array
+from surg_sim.physics.sim_arm import tip_in_flange
 from surg_sim.physics.trocar import shaft_in_flange
-from surg_sim.placement.arm_reserve import ENDOSCOPE, INSTRUMENT, Reserve, inverse, reserve, turn
+from surg_sim.placement.arm_reserve import ENDOSCOPE, INSTRUMENT, Reserve, inverse, reserve
 from surg_sim.placement.placement_search import (
     Placement,
     place_endoscope,
     place_instrument,
     scope_direction,
     scope_pose,
-    tip_in_flange,
+    upright,
 )
-
-if TYPE_CHECKING:
-    from surg_description.make_cell import ArmPlan
 
 _OWN_HOME = "its own holds the shaft across the scope's view; this one has as much reserve"
 _SCOPE_HOME = "the lenses 100 mm before the instrument's home tip, the picture upright"
@@ -66,19 +63,13 @@ class ArmFiles:
 def make_two_arm_cell(out: Path, instrument: ArmFiles, scope: ArmFiles) -> str:
     """Place PSM1 with an instrument and ECM with an endoscope, and write the cell.
 
-    Args:
-        out: Folder to write; its name is the cell's name.
-        instrument: Robot and instrument of PSM1.
-        scope: Robot and endoscope of ECM.
-
-    Returns:
-        A description of the result for people.
+    The name of the folder is the cell's. Returns a description of the result for people.
 
     Raises:
         RuntimeError: There is no placement for one of them.
         ValueError: A file cannot be used.
     """
-    from surg_description.make_cell import make_cell_of
+    from surg_description.make_cell import ArmPlan, make_cell_of
 
     rng = np.random.default_rng(0)
     psm, ecm = instrument.load("PSM1", INSTRUMENT.depth), scope.load("ECM", ENDOSCOPE.depth)
@@ -94,9 +85,27 @@ def make_two_arm_cell(out: Path, instrument: ArmFiles, scope: ArmFiles) -> str:
         f"The shafts meet at {angle:.0f} degrees; a robot comes no nearer to the other arm than "
         f"{1000 * near.home:.0f} mm at home and {1000 * near.corner:.0f} mm in a corner of its box."
     )
+    own = bool(np.abs(first.q - np.asarray(psm.robot.home)).max() < 1e-9)
+    share = min(1.0, 1.0 / remaining.acceleration)
+    acceleration = float(np.floor(100 * ENDOSCOPE.acceleration * share) / 100)
     plans = {
-        "PSM1": _instrument_plan(instrument, psm, first),
-        "ECM": _scope_plan(scope, base, yaw, q, remaining),
+        "PSM1": ArmPlan(
+            instrument.robot,
+            instrument.instrument,
+            INSTRUMENT.depth,
+            home=None if own else first.q.tolist(),
+            home_reason=_OWN_HOME,
+        ),
+        "ECM": ArmPlan(
+            scope.robot,
+            scope.instrument,
+            ENDOSCOPE.depth,
+            base_xyz=base.tolist(),
+            base_rpy=(0.0, 0.0, yaw),
+            home=q.tolist(),
+            home_reason=_SCOPE_HOME,
+            limits={**_LIMITS, "tip_acceleration": (acceleration, "m/s^2; for the same reason")},
+        ),
     }
     note = (
         "PSM1 holds the instrument, ECM the endoscope; placed by "
@@ -109,51 +118,18 @@ def make_two_arm_cell(out: Path, instrument: ArmFiles, scope: ArmFiles) -> str:
 def _in_first_base(
     ecm: surg_core.Arm, first: Placement, second: Placement
 ) -> tuple[Array, float, Array]:
-    """Base of the second arm in that of the first, rounded as in the file, and its home posture.
+    """Base (3,) [m] and yaw [rad] of the second arm in that of the first, rounded as in the file.
 
-    Returns:
-        Position (3,) [m], yaw [rad], joint positions (n,) [rad] for the rounded base.
+    And its joint positions (n,) [rad] for the rounded base.
     """
     X_WP = np.linalg.inv(first.X_PB)
     base = np.round((X_WP @ np.append(second.base, 1.0))[:3], 3)
     yaw = round(second.yaw - first.yaw, 3)
-    X_WB = np.eye(4)
-    X_WB[:3, :3], X_WB[:3, 3] = turn(np.array([0.0, 0.0, 1.0]), yaw), base
     X_WTip = X_WP @ scope_pose(np.zeros(3), scope_direction())
-    X_BF = np.linalg.inv(X_WB) @ X_WTip @ np.linalg.inv(tip_in_flange(ecm))
+    X_BF = np.linalg.inv(upright(base, yaw)) @ X_WTip @ np.linalg.inv(tip_in_flange(ecm))
     q = inverse(ecm.chain, second.q, X_BF)
     assert q is not None  # rounding moved the base by half a millimetre at most
     return base, yaw, q
-
-
-def _instrument_plan(files: ArmFiles, psm: surg_core.Arm, placement: Placement) -> ArmPlan:
-    from surg_description.make_cell import ArmPlan
-
-    own = bool(np.abs(placement.q - np.asarray(psm.robot.home)).max() < 1e-9)
-    return ArmPlan(
-        files.robot,
-        files.instrument,
-        INSTRUMENT.depth,
-        home=None if own else placement.q.tolist(),
-        home_reason=_OWN_HOME,
-    )
-
-
-def _scope_plan(files: ArmFiles, base: Array, yaw: float, q: Array, remaining: Reserve) -> ArmPlan:
-    from surg_description.make_cell import ArmPlan
-
-    share = min(1.0, 1.0 / remaining.acceleration)
-    acceleration = float(np.floor(100 * ENDOSCOPE.acceleration * share) / 100)
-    return ArmPlan(
-        files.robot,
-        files.instrument,
-        ENDOSCOPE.depth,
-        base_xyz=base.tolist(),
-        base_rpy=(0.0, 0.0, yaw),
-        home=q.tolist(),
-        home_reason=_SCOPE_HOME,
-        limits={**_LIMITS, "tip_acceleration": (acceleration, "m/s^2; for the same reason")},
-    )
 
 
 def _describe(remaining: Reserve) -> str:

@@ -15,7 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import surg_core
+from surg_core import axis_angle_to_matrix
 from surg_sim.arrays import Array
+from surg_sim.physics.sim_arm import tip_in_flange
 from surg_sim.physics.trocar import shaft_in_flange
 from surg_sim.placement.arm_clearance import ClearanceModel
 from surg_sim.placement.arm_reserve import (
@@ -26,7 +28,6 @@ from surg_sim.placement.arm_reserve import (
     between,
     inverse,
     reserve,
-    turn,
 )
 
 VIEW = 0.100
@@ -44,17 +45,22 @@ FROM_THE_SIDE = 0.3
 
 
 def scope_pose(work: Array, outwards: Array) -> Array:
-    """Pose (4, 4) of the scope's tip that looks at the work point, its picture upright.
+    """Pose (4, 4) of the scope's tip that looks at the work point (3,) [m], its picture upright.
 
-    Args:
-        work: (3,) work point [m].
-        outwards: (3,) unit vector from the work point to the lenses.
+    The unit vector (3,) points from the work point to the lenses.
     """
     right = np.cross(-outwards, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     X = np.eye(4)
     X[:3, :3] = np.column_stack([right, np.cross(-outwards, right), -outwards])
     X[:3, 3] = work + VIEW * outwards
+    return X
+
+
+def upright(p: Array, yaw: float) -> Array:
+    """Pose (4, 4) at p (3,) [m], turned by yaw [rad] about the vertical."""
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = axis_angle_to_matrix([0.0, 0.0, 1.0], yaw), p
     return X
 
 
@@ -70,9 +76,7 @@ class Placement:
     @property
     def X_PB(self) -> Array:
         """Pose of the base in the patient's frame at the work point, (4, 4)."""
-        X = np.eye(4)
-        X[:3, :3], X[:3, 3] = turn(np.array([0.0, 0.0, 1.0]), self.yaw), self.base
-        return X
+        return upright(self.base, self.yaw)
 
 
 def find_placements(
@@ -99,8 +103,7 @@ def find_placements(
     candidates: list[tuple[float, Array, float, Array]] = []
     for base in bases:
         yaw = round(float(np.arctan2(-base[1], -base[0])), 3)
-        X_PB = np.eye(4)
-        X_PB[:3, :3], X_PB[:3, 3] = turn(np.array([0.0, 0.0, 1.0]), yaw), base
+        X_PB = upright(base, yaw)
         for tip in tips:
             X_BF = np.linalg.inv(X_PB) @ tip @ np.linalg.inv(X_FTip)
             for attempt in range(6):
@@ -122,12 +125,6 @@ def find_placements(
     return sorted(best, key=lambda placement: -placement.reserve.score)
 
 
-def tip_in_flange(arm: surg_core.Arm) -> Array:
-    """Pose of the tip in the flange frame by the instrument's URDF, (4, 4)."""
-    mount, tip = arm.instrument.mount_link, arm.instrument.tip_link
-    return np.asarray(surg_core.fixed_transform(arm.instrument_urdf, mount, tip))
-
-
 def _elbow_up(arm: surg_core.Arm, q: Array) -> bool:
     """Whether every joint from the second on stays above the base: no forearm in the drapes."""
     return all(_joint_origin(arm.chain, q, i)[2] > 0.05 for i in range(2, len(q)))
@@ -139,9 +136,9 @@ def _joint_origin(chain: surg_core.Chain, q: Array, i: int) -> Array:
     return np.asarray(p - np.cross(J[:3, i], J[3:, i]))  # v = w x (p - o)
 
 
-def scope_direction(elevation: float = ELEVATION) -> Array:
+def scope_direction() -> Array:
     """Unit vector (3,) from the work point to the lenses in patient axes: towards -y, raised."""
-    return np.array([0.0, -np.cos(elevation), np.sin(elevation)])
+    return np.array([0.0, -np.cos(ELEVATION), np.sin(ELEVATION)])
 
 
 def suits_scope(outwards: Array) -> bool:
@@ -165,7 +162,7 @@ def place_instrument(arm: surg_core.Arm, rng: np.random.Generator) -> Placement:
     # The patient's x points from the base to the trocar, as in ``scene``.
     away = tip - workspace.depth * s
     yaw = -float(np.arctan2(away[1], away[0]))
-    R = turn(np.array([0.0, 0.0, 1.0]), yaw)
+    R = axis_angle_to_matrix([0.0, 0.0, 1.0], yaw)
     own = reserve(arm, q, workspace)
     if own is not None and suits_scope(-(R @ s)):
         return Placement(-(R @ tip), yaw, q, own)
@@ -181,7 +178,7 @@ def place_instrument(arm: surg_core.Arm, rng: np.random.Generator) -> Placement:
         tips = []
         for roll in np.arange(8) * np.pi / 4:
             X = np.eye(4)
-            X[:3, :3] = turn(-u, roll) @ between(np.array([0.0, 0.0, 1.0]), -u)
+            X[:3, :3] = axis_angle_to_matrix(-u, roll) @ between(np.array([0.0, 0.0, 1.0]), -u)
             tips.append(X)
         best_of_azimuth += find_placements(arm, tips, bases, workspace, rng)[:1]
     if not best_of_azimuth:
