@@ -76,8 +76,8 @@ def test_f13_a_killed_encoder_costs_half_a_second_and_the_camera_goes_on(
             k += 1
             recording.image("cam", synthetic.image(k * PERIOD_NS, k), k)
             time.sleep(0.004)
-        os.kill(recording.encoder_pids()["cam"], signal.SIGKILL)
-        until(lambda: recording._videos["cam"]._part.error is not None)
+        os.kill(recording.cameras.sinks["cam"].pid, signal.SIGKILL)
+        until(lambda: recording.cameras.sinks["cam"]._part.error is not None)
         k += 1
         recording.image("cam", synthetic.image(k * PERIOD_NS, k), k)  # starts the next encoder
         until(lambda: recording.status()["backlog"]["frames"] == 0)
@@ -107,13 +107,13 @@ def test_f08_a_camera_that_stalls_is_said_and_may_come_back(tmp_path: Path) -> N
         recording.image("cam", synthetic.image(k * PERIOD_NS, k), k * PERIOD_NS)
     heard = time.monotonic()
     recording.watch_cameras(heard + 0.10, 1)
-    assert recording.silent_cameras == []
+    assert recording.cameras.silent == []
     recording.watch_cameras(heard + 0.2, 2)  # more than 3 periods of 50 ms
-    assert recording.silent_cameras == ["cam"]
+    assert recording.cameras.silent == ["cam"]
     recording.watch_cameras(heard + 0.3, 3)
     recording.image("cam", synthetic.image(11 * PERIOD_NS, 11), 11 * PERIOD_NS)
     recording.watch_cameras(time.monotonic(), 4)
-    assert recording.silent_cameras == []
+    assert recording.cameras.silent == []
     recorded = episode_reader.read(recording.close({}))
     events = recorded.table("events")
     assert list(events["topic"]) == ["camera_stall", "camera_back"]

@@ -18,6 +18,7 @@ from surg_recording.episode import episode_reader, finishing, recovery
 from surg_recording.episode.episode_writer import LOCK, EpisodeWriter
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import mp4_boxes, video_file
+from surg_recording.video.image_frame import frame_of
 from surg_recording.video.video_sink import VideoSink
 
 
@@ -28,15 +29,7 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sink = VideoSink(folder, "cam", block=True)
     for k in range(60):
         image = synthetic.image(k * 50_000_000 + 1, k)
-        sink.put(
-            image.data,
-            width=image.width,
-            height=image.height,
-            step=image.step,
-            encoding=image.encoding,
-            stamp_ns=k * 50_000_000 + 1,
-            receive_ns=k,
-        )
+        sink.put(frame_of(image, k * 50_000_000 + 1, k))
     sink.close()
     assert sink.error is None
     return folder

@@ -16,7 +16,7 @@ from helpers.results.recording_results import note
 from surg_recording.episode import episode_reader
 from surg_recording.recording_errors import EpisodeError
 from surg_recording.video import video_file
-from surg_recording.video.video_sink import VideoSink
+from surg_recording.video.video_sink import Frame, VideoSink
 
 WIDTH, HEIGHT = 160, 120
 START_NS = 1_732_147_200_123_456_789
@@ -46,8 +46,7 @@ def put(sink: VideoSink, number: int, **changed: object) -> bool:
         "receive_ns": number,
         **changed,
     }
-    data = picture(number, given["width"], given["height"])
-    return sink.put(data, **given)
+    return sink.put(Frame(picture(number, given["width"], given["height"]), **given))
 
 
 def test_every_frame_comes_back_with_its_number_and_stamp(tmp_path: Path) -> None:
@@ -112,15 +111,7 @@ def test_other_encodings_and_odd_sizes(tmp_path: Path) -> None:
         sink = VideoSink(tmp_path, encoding, block=True)
         value = np.full((121, step), 90, np.uint8).tobytes()
         for k in range(3):
-            sink.put(
-                value,
-                width=161,
-                height=121,
-                step=step,
-                encoding=encoding,
-                stamp_ns=k * 10**9 + 1,
-                receive_ns=0,
-            )
+            sink.put(Frame(value, 161, 121, step, encoding, k * 10**9 + 1, 0))
         sink.close()
         assert (sink.frames, sink.error) == (3, None)
         (image,) = video_file.grab(tmp_path / f"{encoding}.mp4", [2])
@@ -149,7 +140,7 @@ _VICTIM = """
 import sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
-from surg_recording.video.video_sink import VideoSink
+from surg_recording.video.video_sink import Frame, VideoSink
 import numpy as np
 sink = VideoSink(Path(sys.argv[1]), "cam", block=False)
 rng = np.random.default_rng(0)
@@ -161,8 +152,7 @@ while True:
     k += 1
     time.sleep(max(0.0, begun + k * 0.05 - time.monotonic()))
     data = np.roll(ground, 5 * k, axis=1).tobytes()
-    sink.put(data, width=640, height=480, step=1920, encoding="rgb8",
-             stamp_ns=time.monotonic_ns(), receive_ns=0)
+    sink.put(Frame(data, 640, 480, 1920, "rgb8", time.monotonic_ns(), 0))
 """
 
 

@@ -1,7 +1,7 @@
-"""Datasets from recordings: a resampler, a feature schema, and exporters for what people train in.
+"""Datasets from recordings: a resampler, a feature schema, and exporters for training formats.
 
 Plain Python; no ROS, no torch, no lerobot. ``load("lerobot").write(folders, out, ExportOptions())``
-exports; docs/reference/datasets.md says what comes out, docs/guide/adding_an_exporter.md how to
+exports. docs/reference/datasets.md describes the result, docs/guide/adding_an_exporter.md how to
 add a format.
 """
 

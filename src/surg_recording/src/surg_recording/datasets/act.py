@@ -3,8 +3,8 @@
 Facts about that reader (``EpisodicDataset``): attribute ``sim``; ``/action``,
 ``/observations/qpos``, ``/observations/qvel``, ``/observations/images/<camera>`` as (N, H, W, 3)
 uint8, one frame per chunk. With ``sim`` false it shifts actions by one frame against observations,
-to correct for recorders that store the action *after* the observation it led to; ours stand beside
-the observation they answer, so ``sim`` is true whatever was recorded (``simulated`` says which).
+to correct for recorders that store the action *after* the observation it led to. Ours are stored
+with the observation they answer, so ``sim`` is always true (``simulated`` states the source).
 ``qpos`` is ``observation.state``. Recordings differ in length, as in ACT's later versions; the
 original stacks them and needs equal lengths, see ``attrs["frames"]``.
 """

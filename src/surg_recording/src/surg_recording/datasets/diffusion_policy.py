@@ -1,8 +1,8 @@
 """Zarr (format 2) as diffusion_policy reads it: ``replay.zarr`` with all recordings end to end.
 
 Facts about that reader (``ReplayBuffer``): groups ``data`` and ``meta``; every array in ``data``
-has one row per frame of all recordings; ``meta/episode_ends`` (int64) says where each ends.
-Pictures are (N, H, W, 3) uint8. What is one text per recording stands in ``meta``.
+has one row per frame of all recordings; ``meta/episode_ends`` (int64) states where each ends.
+Pictures are (N, H, W, 3) uint8. One text per recording is stored in ``meta``.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class DiffusionPolicy(Exporter):
                 raise EpisodeError(f"{folder / _PART}: {feature.name}: read back something else")
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
-        """Put the recordings end to end; pictures are chunks of one frame, so files just move."""
+        """Concatenate the recordings; pictures are chunks of one frame, so files are only moved."""
         root = _new(out / STORE)
         data, meta = root.create_group("data"), root.create_group("meta")
         ends = np.cumsum([part.frames for part in dataset.parts]).astype(np.int64)
@@ -158,7 +158,7 @@ def _describe(stored: Any, feature: Feature) -> None:
 
 
 def _key(feature: Feature) -> str:
-    """Name of an array: ``state``, ``action``, the camera, else as it is."""
+    """Name of an array: ``state``, ``action``, the camera, else unchanged."""
     if feature.name == STATE_KEY:
         return "state"
     return feature.camera if feature.is_video else feature.name
@@ -169,7 +169,7 @@ def _key_of(dataset: Dataset, name: str) -> str | None:
 
 
 def _off_grid(root: Any, ends: npt.NDArray[np.int64]) -> list[str]:
-    """Recordings whose grid times are not 1 / fps apart (rounded to a nanosecond)."""
+    """Errors for recordings whose grid times are not 1 / fps apart (rounded to a nanosecond)."""
     if "timing.grid_ns" not in root["data"]:
         return []
     times, fps = root["data"]["timing.grid_ns"][:], root.attrs["fps"]

@@ -1,7 +1,7 @@
-"""Who does the work: this process, a pool of processes, or a Dask cluster.
+"""Runs the jobs of an export: in this process, a pool of processes, or a Dask cluster.
 
-Tasks are idempotent, so a worker that dies costs time and nothing else: a broken pool is replaced,
-and Dask gives the task to another worker.
+Jobs are idempotent, so a worker that dies only costs time: a broken pool is replaced, and Dask
+gives the job to another worker.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ CONNECT_S = 20
 
 
 def run(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
-    """Do the jobs in any order; ``done`` is called here for each.
+    """Do the jobs in any order; ``done`` is called in this thread for each.
 
     Raises:
-        ExportError: the executor is not installed or cannot be reached.
+        ExportError: The executor is not installed or cannot be reached.
     """
     if not jobs:
         return
@@ -49,12 +49,12 @@ def run(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
 
 
 def workers_of(options: ExportOptions, jobs: int) -> int:
-    """How many processes are worth having."""
+    """Number of processes worth starting."""
     return max(1, min(options.workers or len(os.sched_getaffinity(0)), jobs))
 
 
 def _processes(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
-    """A pool; when a process of it dies, what was under way is tried again one by one."""
+    """A pool; when one of its processes dies, the jobs in progress are repeated one by one."""
     left = _pool(list(jobs), workers_of(options, len(jobs)), done)
     for job in left:
         if _pool([job], 1, done):  # alone in its pool: it is this recording that kills the process
@@ -83,12 +83,12 @@ def _pool(jobs: list[Job], workers: int, done: Done) -> list[Job]:
 
 
 def _leave_signals_to_the_parent() -> None:
-    """Ctrl-C reaches the whole terminal group: the parent ends its workers itself."""
+    """Ctrl-C reaches the whole terminal group; the parent ends its workers itself."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _dask(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
-    """A Dask cluster: one of its own, or the scheduler at an address (with the same disk)."""
+    """An own Dask cluster, or the scheduler at an address (with the same disk)."""
     try:
         import distributed
     except ImportError as problem:

@@ -1,8 +1,7 @@
-"""What an exporter is, and how one is found: by name, by entry point, by the path of a file.
+"""The interface of an exporter, and how one is found: by name, entry point, or file.
 
 An entry point in the group ``surg_recording.exporters`` names a class:
-``my_format = my_package.my_format:MyExporter``;
-see docs/guide/adding_an_exporter.md.
+``my_format = my_package.my_format:MyExporter``; see docs/guide/adding_an_exporter.md.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ class ExportError(Exception):
 
 @dataclasses.dataclass
 class Report:
-    """What an export or a check of one found."""
+    """Result of an export or of a check of one."""
 
     format: str
     out: Path
@@ -82,7 +81,7 @@ class Report:
 
     @property
     def ok(self) -> bool:
-        """The export is good, and every recording is in it."""
+        """The export is good, and contains every recording."""
         return not self.errors and not self.refused
 
     def to_json(self) -> dict[str, Any]:
@@ -92,7 +91,7 @@ class Report:
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """One converted recording, waiting to be put together with others."""
+    """One converted recording, to be assembled with others."""
 
     folder: Path
     key: str
@@ -118,7 +117,7 @@ class Part:
         """Read ``part.json``.
 
         Raises:
-            EpisodeError: it is missing or broken; the folder should be deleted.
+            EpisodeError: It is missing or broken; the folder should be deleted.
         """
         try:
             stated = json.loads((folder / PART).read_text("utf-8"))
@@ -134,7 +133,7 @@ PART = "part.json"
 
 @dataclasses.dataclass(frozen=True)
 class Dataset:
-    """Everything an exporter needs to put parts together."""
+    """Everything an exporter needs to assemble parts."""
 
     name: str
     parts: tuple[Part, ...]
@@ -151,7 +150,7 @@ class Dataset:
 
     @property
     def robot_type(self) -> str:
-        """Robots by name, such as ``ur5e`` or ``ur5e+panda``."""
+        """Names of the robots, such as ``ur5e`` or ``ur5e+panda``."""
         return "+".join(dict.fromkeys(self.layout.robots))
 
     @property
@@ -166,7 +165,7 @@ class Dataset:
 
 
 class Exporter(abc.ABC):
-    """A dataset format. Recordings are converted one by one, anywhere, then put together."""
+    """A dataset format. Recordings are converted one by one, anywhere, then assembled."""
 
     name: ClassVar[str]
     """On the command line."""
@@ -187,16 +186,13 @@ class Exporter(abc.ABC):
         """Export recordings.
 
         Args:
-            episodes: folders of recordings, or folders that hold some.
-            out: the folder to make.
-            options: all choices.
-            progress: is told how far the work is.
-
-        Returns:
-            What was done, what was refused and why, what is wrong.
+            episodes: Folders of recordings, or folders that hold some.
+            out: The folder to create.
+            options: All choices.
+            progress: Called with the state of the work.
 
         Raises:
-            ExportError: nothing can be exported at all.
+            ExportError: Nothing can be exported at all.
         """
         from surg_recording.datasets import pipeline
 
@@ -204,18 +200,18 @@ class Exporter(abc.ABC):
 
     @abc.abstractmethod
     def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
-        """Write one recording into an empty folder, and read back what was written.
+        """Write one recording into an empty folder, and compare what is read back.
 
         Raises:
-            EpisodeError: the recording is broken, or what was written is not what was meant.
+            EpisodeError: The recording is broken, or the comparison fails.
         """
 
     @abc.abstractmethod
     def assemble(self, dataset: Dataset, out: Path) -> None:
-        """Put parts together in an empty folder.
+        """Assemble parts in an empty folder.
 
         Raises:
-            EpisodeError: they do not fit together.
+            EpisodeError: They do not fit together.
         """
 
     @abc.abstractmethod
@@ -223,10 +219,10 @@ class Exporter(abc.ABC):
         """Check a finished export by reading everything in it."""
 
     def require(self) -> None:
-        """Check that what the format needs is installed.
+        """Check that the format's packages are installed.
 
         Raises:
-            ExportError: names the modules and how to get them.
+            ExportError: Names the missing modules and how to get them.
         """
         missing = [name for name in self.needs if importlib.util.find_spec(name) is None]
         if missing:
@@ -240,17 +236,13 @@ def names() -> tuple[str, ...]:
 
 
 def load(name_or_path: str) -> Any:
-    """A new exporter.
+    """A new exporter, by one of ``names`` or the path of a ``.py`` file that defines one.
 
-    Args:
-        name_or_path: One of ``names``, or the path of a ``.py`` file that defines one. A file is
-            executed: load none that you would not run.
-
-    Returns:
-        An object with ``name``, ``write`` and ``validate``; the bundled ones are ``Exporter``.
+    A file is executed: load none that you would not run. The exporter has ``name``, ``write`` and
+    ``validate``; the bundled ones are ``Exporter``.
 
     Raises:
-        ExportError: There is no such exporter; lists what exists.
+        ExportError: There is no such exporter; lists those that exist.
     """
     try:
         return _KIND.find(name_or_path)()

@@ -1,4 +1,4 @@
-"""The columns of a dataset in the making: features with their values, on one grid."""
+"""The columns of a dataset under construction: features with their values, on one grid."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Columns:
-    """The features in the making."""
+    """The features of one recording, and their values."""
 
     def __init__(self, grid: Grid, options: ExportOptions) -> None:
         self.grid, self.options = grid, options
@@ -26,7 +26,7 @@ class Columns:
         self.notes: dict[str, Any] = {}
 
     def add(self, feature: Feature, values: npt.NDArray[Any] | None) -> None:
-        """Add a feature unless it is to be left out."""
+        """Add a feature unless ``options.drop`` names it."""
         if feature.name in self.options.drop:
             self.dropped.append(feature.name)
             return
@@ -53,7 +53,7 @@ class Columns:
         text: str,
         privileged: bool = False,
     ) -> None:
-        """A vector of float32."""
+        """Add a vector of float32."""
         values = values[:, 0] if len(names) == 1 else values
         shape = (len(names),)
         self.add(
@@ -70,17 +70,17 @@ class Columns:
         text: str = "",
         privileged: bool = False,
     ) -> None:
-        """A single number per frame."""
+        """Add a single number per frame."""
         last = name.rpartition(".")[2]
         self.add(Feature(name, dtype, (1,), (last,), units, "", method, text, privileged), values)
 
     def text(self, name: str, value: str, text: str) -> None:
-        """The same words for every frame."""
+        """Add the same text for every frame."""
         words = np.full(self.grid.frames, value, dtype=object)
         self.add(Feature(name, "string", (1,), ("text",), text=text, method="constant"), words)
 
     def timing(self, name: str, stamps: Stamps, index: Stamps, times: Stamps, text: str) -> None:
-        """True stamps and ages of the samples behind a series."""
+        """Add true stamps and ages of the samples behind a series."""
         self.number(f"timing.{name}.stamp_ns", stamps[index], "int64", ("ns",), text=text)
         ages = ages_s(stamps, index, times)
         self.number(f"timing.{name}.age_s", ages, "float32", ("s",), text="its age at that time")

@@ -1,7 +1,7 @@
 """Inspects the manifest of a recording: can it be exported, and together with which others?
 
-Nothing large is read here. Damaged files, gaps and stalls are found when the recording is converted
-(``sampling``).
+Nothing large is read here. ``sampling`` finds damaged files, gaps and stalls when it converts the
+recording.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SYNC_REPORT = "sync.json"
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """What all recordings of one export share."""
+    """Properties that all recordings of one export share."""
 
     arms: tuple[str, ...]
     robots: tuple[str, ...]
@@ -51,7 +51,7 @@ class Layout:
     """Whether the simulator's truth of every arm is there."""
 
     def difference(self, other: Layout) -> str | None:
-        """What keeps ``other`` out of an export with this layout; None: nothing."""
+        """The property that excludes ``other`` from an export with this layout, or None."""
         words = {
             "arms": "arms",
             "robots": "robots",
@@ -90,7 +90,7 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
     """Judge a recording by its manifest.
 
     Raises:
-        EpisodeError: it cannot be exported; says why, and what would allow it.
+        EpisodeError: It cannot be exported; states why, and what would allow it.
     """
     recorded = episode_reader.read(folder)
     manifest = recorded.manifest
@@ -219,10 +219,9 @@ def kind_of(manifest: Mapping[str, Any]) -> str:
 
 
 def _sync(recorded: Episode, segment: Segment | None) -> dict[str, Any] | None:
-    """The recording's sync report, if there is one that can be read.
+    """The recording's sync report, if there is a readable one.
 
-    Of a recording whose clock was set, and which fails as a whole for that, it is the report on the
-    stretch that is exported.
+    If the clock was set and only a segment is exported, the report on that segment.
     """
     try:
         found = json.loads((recorded.folder / SYNC_REPORT).read_text("utf-8"))
@@ -237,10 +236,10 @@ def _sync(recorded: Episode, segment: Segment | None) -> dict[str, Any] | None:
 
 
 def _segment(recorded: Episode) -> Segment | None:
-    """The stretch that is exported of a recording whose clock was set.
+    """The segment to export of a recording whose clock was set.
 
     Raises:
-        EpisodeError: There is none whose stamps can be compared.
+        EpisodeError: Its stamps cannot be compared.
     """
     try:
         segment = clock_segments.longest(recorded.manifest)
@@ -267,7 +266,7 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 
 
 def _texts(tags: Any) -> list[str]:
-    """Words of a manifest's tags: texts, or objects with one."""
+    """Texts of a manifest's tags, which are strings or objects."""
     found = tags if isinstance(tags, list) else []
     return [str(tag.get("text")) if isinstance(tag, dict) else str(tag) for tag in found]
 

@@ -64,7 +64,7 @@ def _array(values: npt.NDArray[Any], dtype: str, length: int) -> pa.Array:
 
 
 def indexed(table: pa.Table, fps: int, episode: int, first: int, task: int) -> pa.Table:
-    """A part's table with the columns that say where it stands in the dataset."""
+    """A part's table with the columns of its position in the dataset."""
     k = np.arange(table.num_rows)
     places: dict[str, npt.NDArray[Any]] = {
         "timestamp": (k / fps).astype(np.float32),
@@ -147,7 +147,7 @@ def described(features: Sequence[Feature], fps: int) -> dict[str, dict[str, Any]
 
 
 def info(dataset: Dataset, version: str) -> dict[str, Any]:
-    """What info.json says in both versions."""
+    """Content of info.json that both versions share."""
     return {
         "codebase_version": version,
         "robot_type": dataset.robot_type,
@@ -162,24 +162,20 @@ def info(dataset: Dataset, version: str) -> dict[str, Any]:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """JSON with its folder."""
+    """Write JSON, creating its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(value, indent=4, ensure_ascii=False) + "\n", "utf-8")
 
 
 def write_lines(path: Path, values: Iterable[Any]) -> None:
-    """JSON, one value per line."""
+    """Write JSON, one value per line."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.dumps(value, ensure_ascii=False) + "\n" for value in values]
     path.write_text("".join(lines), "utf-8")
 
 
 def read_json(path: Path) -> Any:
-    """Read JSON.
-
-    Raises:
-        EpisodeError: missing or broken.
-    """
+    """Read JSON; an EpisodeError if it is missing or broken."""
     try:
         return json.loads(path.read_text("utf-8"))
     except (OSError, ValueError) as problem:
@@ -190,7 +186,7 @@ def read_json(path: Path) -> Any:
 
 
 def check_rows(table: pa.Table, stated: Mapping[str, Any], episode: int, first: int) -> list[str]:
-    """What is wrong with the rows of one recording."""
+    """Errors in the rows of one recording."""
     where, fps, n = f"recording {episode}", stated["fps"], table.num_rows
     k = np.arange(n)
     expected: dict[str, npt.NDArray[Any]] = {
@@ -229,7 +225,7 @@ def check_splits(stated: Mapping[str, Any]) -> list[str]:
 
 
 def check_openness(stated: Mapping[str, Any], report: Report) -> None:
-    """What Open-H asks for beyond the format: rate, resolution, names; said as warnings."""
+    """Warn of what Open-H requires beyond the format: rate, resolution, names."""
     if stated["fps"] < 20:
         report.warnings.append(f"{stated['fps']} frames per second; Open-H asks for at least 20")
     videos = {k: f for k, f in stated["features"].items() if f["dtype"] == "video"}

@@ -1,6 +1,6 @@
 """LeRobot 2.1: one Parquet file and one video per camera for each recording.
 
-Read by lerobot up to 0.3.3, asked for by Open-H-Embodiment and GR00T. With Open-H's conventions:
+Read by lerobot up to 0.3.3, required by Open-H-Embodiment and GR00T. With Open-H's conventions:
 ``meta/README.md`` filled from the manifests, splits with recovery and failure.
 """
 

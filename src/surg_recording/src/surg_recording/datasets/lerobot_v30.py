@@ -1,6 +1,6 @@
 """LeRobot 3.0: many recordings per Parquet file and per video, found by their first frame.
 
-Read by lerobot from 0.4 on. Videos of recordings are joined packet by packet, not encoded again.
+Read by lerobot 0.4 and later. Videos are joined packet by packet, not encoded again.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class LeRobotV30(LeRobotExporter):
     def _write_tables(
         self, dataset: Dataset, rows: list[dict[str, Any]], tasks: Mapping[str, int], out: Path
     ) -> dict[str, statistics.Stats]:
-        """Join the tables; add place and statistics to the rows; statistics of the dataset."""
+        """Join the tables, note their places and statistics; returns the dataset's statistics."""
         parts = dataset.parts
         files: list[pa.Table] = []
         colours: dict[str, list[Any]] = {}
@@ -97,7 +97,7 @@ class LeRobotV30(LeRobotExporter):
     def _join(
         self, name: str, parts: tuple[Part, ...], rows: list[dict[str, Any]], fps: int, out: Path
     ) -> None:
-        """Join the videos of one camera, and say in the rows where each recording begins."""
+        """Join the videos of one camera, and note in the rows where each recording begins."""
         paths = [part.folder / f"{name}.mp4" for part in parts]
         longest = [part.frames / fps / LONGEST_S for part in parts]
         sizes = [path.stat().st_size / (VIDEO_MB << 20) for path in paths]
@@ -187,9 +187,9 @@ def _episode_rows(parts: Sequence[Part]) -> list[dict[str, Any]]:
 
 
 def tasks_table(tasks: Mapping[str, int]) -> pa.Table:
-    """``tasks.parquet``: the task's words are the pandas index, as lerobot asks for.
+    """``tasks.parquet``: the task's text is the pandas index, as lerobot requires.
 
-    pandas is not needed to write it: it finds the index by this entry of the schema.
+    This schema entry marks the index, so writing it does not need pandas.
     """
     described = {
         "index_columns": [_PANDAS_INDEX],
@@ -223,7 +223,7 @@ def tasks_table(tasks: Mapping[str, int]) -> pa.Table:
 
 
 def _groups(sizes: list[float] | list[int], limit: float) -> list[list[int]]:
-    """Indices in order, in groups whose sizes add up to at most the limit (one at least)."""
+    """Indices in order, in groups whose sizes sum to at most the limit (one at least)."""
     groups: list[list[int]] = []
     filled = 0.0
     for index, size in enumerate(sizes):

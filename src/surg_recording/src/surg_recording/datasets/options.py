@@ -1,4 +1,4 @@
-"""What a person may choose about an export."""
+"""The options of an export."""
 
 from __future__ import annotations
 
@@ -62,11 +62,7 @@ class ExportOptions:
     """Take the place of an earlier export."""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be meant.
-
-        Raises:
-            ValueError: names the option, its value and what is allowed.
-        """
+        """Check the options; a ValueError names the option, its value and what is allowed."""
         _need(isinstance(self.fps, int) and 1 <= self.fps <= 1000, "fps", self.fps, "1 to 1000")
         _need(0 <= self.crf <= 51, "crf", self.crf, "0 to 51")
         _need(1 <= self.gop <= 1000, "gop", self.gop, "1 to 1000")

@@ -1,7 +1,7 @@
-"""One recording, one task: convert it, check it, put it in its place in one step.
+"""Converts one recording, checks it, and renames it to its final place in one step.
 
-The place is named after the hash of everything that goes in, so the task may run twice, anywhere,
-or be killed: whoever comes first wins, and half a part is never seen.
+The place is named after the hash of all inputs, so a job may run twice, anywhere, or be killed: the
+first result wins, and a partial result is never visible.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _UNFINISHED = ".unfinished-"
 
 @dataclasses.dataclass(frozen=True)
 class Job:
-    """What a worker needs to know; it can be sent to another machine with the same disk."""
+    """The input of a worker; it can be sent to another machine with the same disk."""
 
     folder: Path
     exporter: str
@@ -44,7 +44,7 @@ class Job:
 
 @dataclasses.dataclass(frozen=True)
 class Outcome:
-    """How a task ended."""
+    """Result of a job."""
 
     folder: Path
     key: str
@@ -56,10 +56,10 @@ class Outcome:
 
 
 def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: Exporter) -> str:
-    """SHA-256 of everything that decides what a recording becomes.
+    """SHA-256 of everything that decides how a recording is converted.
 
     Raises:
-        EpisodeError: a file is missing.
+        EpisodeError: A file is missing.
     """
     names = ["manifest.json", inspection.SYNC_REPORT]
     names += [f"cycle_{arm}.csv" for arm in layout.arms]
@@ -84,11 +84,7 @@ def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: E
 
 
 def file_hash(path: Path) -> str:
-    """SHA-256 of a file.
-
-    Raises:
-        EpisodeError: it cannot be read.
-    """
+    """SHA-256 of a file; an EpisodeError if it cannot be read."""
     digest = hashlib.sha256()
     try:
         with open(path, "rb") as file:
@@ -100,7 +96,7 @@ def file_hash(path: Path) -> str:
 
 
 def make(job: Job) -> Outcome:
-    """Convert a recording unless that is done already. Never raises: the outcome says why not."""
+    """Convert a recording unless that is done. Never raises: the outcome states the problem."""
     started = time.monotonic()
     try:
         made = _make(job)
@@ -148,7 +144,7 @@ def _make(job: Job) -> bool:
 
 
 def sweep(parts: Path) -> None:
-    """Remove what killed workers of this machine left unfinished."""
+    """Remove unfinished folders of killed workers of this machine."""
     here = f"{_UNFINISHED}{socket.gethostname()}-"
     for folder in parts.glob(f"{here}*"):
         owner = folder.name[len(here) :].partition("-")[0]

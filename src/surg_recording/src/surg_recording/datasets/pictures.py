@@ -1,8 +1,8 @@
 """Pictures of an export: recorded frames in the grid's order, encoding, joining, reading back.
 
-A video of an export has a constant rate: frame n is shown at n / fps exactly, key frames are near
+A video of an export has a constant rate: frame n is shown at n / fps exactly. Key frames are close
 (training reads in random order) and there are no B-frames, so that packets can be joined without
-another generation of losses.
+encoding again.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ TICKS = 1000
 
 @dataclasses.dataclass
 class Seen:
-    """What was noted of the frames on their way: thumbnails of all, colours of some."""
+    """Notes about passing frames: thumbnails of all, colours of some."""
 
     prints: list[Print] = dataclasses.field(default_factory=list)
     histogram: npt.NDArray[np.int64] = dataclasses.field(
@@ -45,14 +45,10 @@ class Seen:
 
 
 def recorded_frames(path: Path, indices: Sequence[int]) -> Iterator[av.VideoFrame]:
-    """Decode a recorded video's frames by index; equal indices give the same frame again.
-
-    Args:
-        path: the video.
-        indices: of the frames, never decreasing.
+    """Decode a recorded video's frames by never decreasing indices; equal indices repeat a frame.
 
     Raises:
-        EpisodeError: the video cannot be read, or ends before an index.
+        EpisodeError: The video cannot be read, or ends before an index.
     """
     wanted = iter(indices)
     due = next(wanted, None)
@@ -74,8 +70,8 @@ def recorded_frames(path: Path, indices: Sequence[int]) -> Iterator[av.VideoFram
 def _decoded(container: av.container.InputContainer) -> Iterator[av.VideoFrame]:
     """Frames of a video, decoded in this thread.
 
-    Recordings are converted side by side, so threads would gain nothing; and a decoder thread that
-    logs while its container is being closed waits for the interpreter for ever.
+    Recordings are converted in parallel, so threads would gain nothing; and a decoder thread that
+    logs while its container is being closed waits for the interpreter forever.
     """
     context = container.streams.video[0].codec_context
     context.thread_type, context.thread_count = "NONE", 1
@@ -94,14 +90,14 @@ def rgb(frame: av.VideoFrame, size: tuple[int, int] | None = None) -> Image:
 
 
 def thumbnail(frame: av.VideoFrame) -> Print:
-    """Mean grey of a few blocks: enough to tell frames apart, blind to compression."""
+    """Mean grey of a few blocks: enough to tell frames apart, insensitive to compression."""
     width, height = PRINT_SIZE
     small = frame.reformat(width=width, height=height, format="gray", interpolation="AREA")
     return small.to_ndarray()
 
 
 def colours(image: Image) -> npt.NDArray[np.int64]:
-    """(3, 256) counts of the levels in a picture, of every n-th pixel each way."""
+    """(3, 256) counts of the levels in a picture, of every n-th pixel in each direction."""
     step = max(1, min(image.shape[:2]) // 150)
     part = image[::step, ::step]
     return np.stack([np.bincount(part[..., c].ravel(), minlength=256) for c in range(3)])
@@ -110,14 +106,7 @@ def colours(image: Image) -> npt.NDArray[np.int64]:
 def watch(
     frames: Iterable[av.VideoFrame], seen: Seen, count: int, size: tuple[int, int] | None = None
 ) -> Iterator[av.VideoFrame]:
-    """Pass frames on; note the thumbnails of all and the colours of evenly spaced ones.
-
-    Args:
-        frames: to pass on.
-        seen: takes the notes.
-        count: how many frames will come.
-        size: width and height they are scaled to; None: as they are.
-    """
+    """Pass on ``count`` frames; note thumbnails of all, and colours of evenly spaced ones."""
     chosen = set(np.unique(np.linspace(0, max(count - 1, 0), num=_sampled(count)).astype(int)))
     for number, frame in enumerate(frames):
         frame = _scaled(frame, size)
@@ -129,7 +118,7 @@ def watch(
 
 
 def _sampled(count: int) -> int:
-    """Frames whose colours are counted: at least 100, then growing as count^0.75."""
+    """Number of frames whose colours are counted: at least 100, then growing as count^0.75."""
     return min(count, max(100, int(count**0.75)))
 
 
@@ -159,18 +148,13 @@ def encode(frames: Iterable[av.VideoFrame], path: Path, how: ExportOptions) -> i
 
 
 def join(parts: Sequence[Path], path: Path, fps: int) -> list[int]:
-    """Put videos of ``encode`` one behind the other without encoding them again.
-
-    Args:
-        parts: of one size and one set of encoder settings.
-        path: the file to make.
-        fps: of all.
+    """Concatenate videos written by ``encode`` without encoding them again.
 
     Returns:
         First frame of each part in the joined video.
 
     Raises:
-        EpisodeError: a part was encoded differently.
+        EpisodeError: A part was encoded differently.
     """
     starts: list[int] = []
     done = 0
@@ -198,11 +182,7 @@ def join(parts: Sequence[Path], path: Path, fps: int) -> list[int]:
 
 
 def size_of(path: Path) -> tuple[int, int]:
-    """Width and height of a video [px].
-
-    Raises:
-        EpisodeError: the file cannot be read.
-    """
+    """Width and height of a video [px]; an EpisodeError if it cannot be read."""
     try:
         with av.open(str(path)) as container:
             context = container.streams.video[0].codec_context
@@ -212,10 +192,10 @@ def size_of(path: Path) -> tuple[int, int]:
 
 
 def check_video(path: Path, how: ExportOptions, expected: Sequence[Print]) -> None:
-    """Read a written video back: number of frames, their times, and what they show.
+    """Read a written video back: number of frames, their times, and thumbnails.
 
     Raises:
-        EpisodeError: what was written is not what was meant, with the frame.
+        EpisodeError: A frame is not as expected.
     """
     tolerance = 4 + 0.4 * how.crf
     number = -1
@@ -261,7 +241,7 @@ def video_facts(path: Path) -> dict[str, object]:
 
 
 def place(source: Path, target: Path) -> None:
-    """The file once more under another name: a hard link, or a copy where there are none."""
+    """Hard-link a file under another name, or copy it where links are impossible."""
     target.parent.mkdir(parents=True, exist_ok=True)
     try:
         os.link(source, target)

@@ -1,8 +1,8 @@
 """Exports recordings as a dataset: inspect, convert, assemble, read back.
 
-A recording is converted completely or refused with a reason; the others continue. The dataset gets
-its name in one step, after it has been read back. Until then the converted recordings (parts) are
-in ``<out>.parts``, so that an interrupted export can continue.
+A recording is converted completely or refused with a reason; the others continue. The dataset is
+renamed to its final name in one step, after it has been read back. Until then the converted
+recordings (parts) are in ``<out>.parts``, so that an interrupted export can continue.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Tables and videos of a recording that are as the recorder left them, or not at all.
+"""Reads tables and videos of a recording that are as the recorder left them.
 
-A hand that edits a file, a disk that cuts one, a clock that was set: each is found here, before a
-dataset is made of it, and named with file, line and value.
+An edited file, a truncated file and a clock step are found here, before a dataset is made of it;
+the error states file, line and value.
 """
 
 from __future__ import annotations
@@ -19,15 +19,10 @@ from surg_recording.video import video_file
 
 
 def checked_table(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
-    """A table that is as the recorder left it: as many rows and the stamps of the manifest.
-
-    Args:
-        recorded: The recording.
-        name: Of the table.
-        segment: Only its rows; None: all.
+    """A table with the rows and stamps of the manifest, or its rows within a segment.
 
     Raises:
-        EpisodeError: torn, edited or missing; no row in the segment.
+        EpisodeError: Truncated, edited or missing; no row in the segment.
     """
     table = recorded.table(name)
     entry = recorded.manifest["tables"][name]
@@ -45,15 +40,10 @@ def checked_table(recorded: Episode, name: str, segment: Segment | None = None) 
 def checked_video(
     recorded: Episode, camera: str, segment: Segment | None = None
 ) -> episode_reader.Video:
-    """A video whose frames and times are those of its sidecar.
-
-    Args:
-        recorded: The recording.
-        camera: Name of the camera.
-        segment: Only its frames: of a recording whose clock was set; None: all.
+    """A video whose frames and times are those of its sidecar; only its frames within a segment.
 
     Raises:
-        EpisodeError: a file is missing, shorter than the other, or their times differ.
+        EpisodeError: A file is missing, shorter than the other, or their times differ.
     """
     if segment is None:
         return _whole_video(recorded, recorded.video(camera))
@@ -94,7 +84,7 @@ def _whole_video(recorded: Episode, video: episode_reader.Video) -> episode_read
 
 
 def _as_recorded(path: Path, entry: Any, rows: Any, table: Table) -> None:
-    """Compare a file with what the manifest says of it."""
+    """Compare a file with its entry in the manifest."""
     if rows is not None and rows != len(table):
         raise EpisodeError(
             f"{path}: {len(table)} rows, the manifest says {rows}: the file was cut or edited after"
@@ -112,7 +102,7 @@ def _as_recorded(path: Path, entry: Any, rows: Any, table: Table) -> None:
 
 
 def _forward(path: Path, table: Table, first: int = 0) -> None:
-    """Refuse stamps that go back; ``first`` is the place of the first row in the file."""
+    """Refuse stamps that go back; ``first`` is the position of the first row in the file."""
     stamps = table["stamp_ns"]
     back = np.flatnonzero(np.diff(stamps) < 0)
     if len(back):
@@ -124,7 +114,7 @@ def _forward(path: Path, table: Table, first: int = 0) -> None:
 
 
 def _of_the_segment(path: Path, table: Table, segment: Segment) -> None:
-    """Refuse a stretch without rows, and stamps that may be of another side of a step."""
+    """Refuse a segment without rows, and stamps that may be on the other side of a step."""
     if not len(table):
         raise EpisodeError(f"{path}: holds no row in it; {segment.words}")
     stamps = table["stamp_ns"]
@@ -138,10 +128,10 @@ def _of_the_segment(path: Path, table: Table, segment: Segment) -> None:
 
 
 def checked_cycle(recorded: Episode, name: str, segment: Segment | None = None) -> Table:
-    """An arm's control cycles with strictly later stamps, all measured values finite.
+    """An arm's control cycles with strictly increasing stamps, all measured values finite.
 
     Raises:
-        EpisodeError: torn, edited or missing, or a value that is no number.
+        EpisodeError: Truncated, edited or missing, or a non-finite value.
     """
     path = recorded.folder / f"cycle_{name}.csv"
     cycle = checked_table(recorded, f"cycle_{name}", segment)

@@ -1,7 +1,7 @@
 """The README of a dataset, as Open-H-Embodiment requires it, filled from the manifests.
 
-Facts that only people know (licence, contact, operators) come from ``--about FILE.yaml``. A missing
-fact reads "not stated".
+Facts unknown to the manifests (licence, contact, operators) come from ``--about FILE.yaml``. A
+missing fact reads "not stated".
 """
 
 from __future__ import annotations
@@ -185,7 +185,7 @@ def _attribution(about: Mapping[str, Any]) -> list[str]:
 
 
 def missing_sections(text: str) -> list[str]:
-    """Sections that a page lacks, in words."""
+    """Errors for sections that a page lacks."""
     return [f"README.md has no section '{name}'" for name in SECTIONS if f"## {name}" not in text]
 
 
@@ -220,7 +220,7 @@ def _data_type(simulated: int, total: int) -> str:
 
 
 def _clocks(dataset: Dataset) -> str:
-    """What the recordings state about their clocks."""
+    """The recordings' clocks and sync verdicts."""
     clocks = list(dict.fromkeys(str(p.about.get("clock") or "not stated") for p in dataset.parts))
     verdicts: dict[str, int] = {}
     for part in dataset.parts:
@@ -235,7 +235,7 @@ def _clocks(dataset: Dataset) -> str:
 
 
 def _notes(dataset: Dataset) -> list[str]:
-    """Repeated and skipped pictures of each camera, and the oldest."""
+    """Repeated, skipped and oldest pictures of each camera."""
     rows = []
     for camera in dataset.layout.cameras:
         repeated = sum(int(p.notes.get(f"repeated_{camera}", 0)) for p in dataset.parts)

@@ -1,8 +1,8 @@
-"""Recorded series on a strict grid: previous sample, linear, slerp, zero-order hold.
+"""Resamples recorded series to a strict grid: previous sample, linear, slerp, zero-order hold.
 
 Stamps are int64 nanoseconds of one clock and increase strictly. Nothing is extrapolated: a grid
-time before the first sample, or too far from one, is an error that names the time. Every function
-also gives the index of the sample it stood on, from which true stamps and ages are taken.
+time before the first sample, or too far from one, is an error that states the time. Every function
+also returns the index of the sample used, from which true stamps and ages are taken.
 """
 
 from __future__ import annotations
@@ -50,19 +50,16 @@ def offsets_ns(k: npt.NDArray[np.int64], fps: int) -> Stamps:
 
 
 def previous(stamps: Stamps, times: Stamps, what: str, max_age_ns: int | None = None) -> Stamps:
-    """Index of the newest sample that is not later than each time.
+    """Index (K,) of the newest sample that is not later than each time.
 
     Args:
         stamps: (N,) of the samples, strictly increasing [ns].
-        times: (K,) asked for [ns].
-        what: the series, for messages.
-        max_age_ns: a sample older than this does not count; None: it holds for ever.
-
-    Returns:
-        (K,) indices.
+        times: (K,) requested times [ns].
+        what: The series, for messages.
+        max_age_ns: Largest age of a sample; None: it holds forever.
 
     Raises:
-        EpisodeError: there is no sample yet, or it is too old.
+        EpisodeError: There is no sample yet, or it is too old.
     """
     index = np.searchsorted(stamps, times, side="right") - 1
     early = np.flatnonzero(index < 0)
@@ -90,7 +87,7 @@ def previous(stamps: Stamps, times: Stamps, what: str, max_age_ns: int | None = 
 def _brackets(
     stamps: Stamps, times: Stamps, what: str, max_gap_ns: int
 ) -> tuple[Stamps, Stamps, Array]:
-    """Samples before and after each time, and how far between them it lies, in [0, 1]."""
+    """Samples before and after each time, and its position between them in [0, 1]."""
     before = previous(stamps, times, what)
     after = np.where(stamps[before] == times, before, before + 1)
     late = np.flatnonzero(after >= len(stamps))
@@ -113,21 +110,21 @@ def _brackets(
 def linear(
     stamps: Stamps, values: Array, times: Stamps, what: str, max_gap_ns: int
 ) -> tuple[Array, Stamps]:
-    """Linear interpolation between the samples on both sides.
+    """Linear interpolation between the samples before and after.
 
     Args:
         stamps: (N,) [ns].
         values: (N, D).
         times: (K,) [ns].
-        what: the series, for messages.
-        max_gap_ns: samples further apart are not bridged.
+        what: The series, for messages.
+        max_gap_ns: Samples further apart are not bridged.
 
     Returns:
         (K, D) values, exactly the sample's where a time meets one, and (K,) the index of the
         sample before.
 
     Raises:
-        EpisodeError: a time outside the samples, or in a gap.
+        EpisodeError: A time outside the samples, or in a gap.
     """
     before, after, part = _brackets(stamps, times, what, max_gap_ns)
     a, b, part = values[before], values[after], part[:, None]
@@ -139,21 +136,9 @@ def slerp(
 ) -> tuple[Array, Stamps]:
     """Spherical linear interpolation of unit quaternions x, y, z, w, along the shorter arc.
 
-    Successive results are in one hemisphere (no sign flips), so that the series is
-    continuous; the first has w ≥ 0.
-
-    Args:
-        stamps: (N,) [ns].
-        quaternions: (N, 4), of any sign; normalised here.
-        times: (K,) [ns].
-        what: the series, for messages.
-        max_gap_ns: samples further apart are not bridged.
-
-    Returns:
-        (K, 4) and (K,) the index of the sample before.
-
-    Raises:
-        EpisodeError: a time outside the samples, or in a gap; a quaternion without length.
+    Successive results are in one hemisphere (no sign flips), so that the series is continuous; the
+    first has w ≥ 0. Arguments, results and errors as for ``linear``; quaternions (N, 4) of any sign
+    are normalised here, and one without length is an error.
     """
     before, after, part = _brackets(stamps, times, what, max_gap_ns)
     length = np.linalg.norm(quaternions, axis=1)
@@ -166,7 +151,7 @@ def slerp(
 
 
 def ages_s(stamps: Stamps, index: Stamps, times: Stamps) -> Array:
-    """How old the sample of each time is [s]."""
+    """Age of the sample of each time [s]."""
     return (times - stamps[index]) * 1e-9
 
 

@@ -1,8 +1,8 @@
 """HDF5 as robomimic reads it: ``demos.hdf5`` with ``data/demo_<n>`` and split masks.
 
 Facts about that reader (``SequenceDataset``): demos are sorted by the number behind ``demo_``;
-``attrs["num_samples"]`` of each; ``actions``, ``rewards``, ``dones``; ``obs/<key>`` and, where it
-is asked for, ``next_obs/<key>``; ``data.attrs["env_args"]`` as JSON with ``env_name``, ``type``,
+``attrs["num_samples"]`` of each; ``actions``, ``rewards``, ``dones``; ``obs/<key>`` and, on
+request, ``next_obs/<key>``; ``data.attrs["env_args"]`` as JSON with ``env_name``, ``type``,
 ``env_kwargs``; ``mask/<split>`` holds names of demos. Keys hold no "/". Actions are in SI units, so
 robomimic must normalise them itself (``action_config``: ``min_max``); ``data.attrs`` has the range.
 """
@@ -78,7 +78,7 @@ class Robomimic(Exporter):
                     hdf5.check_array(stored, columns[feature.name])
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
-        """Copy the demos into one file, without unpacking their pictures."""
+        """Copy the demos into one file, without decompressing their pictures."""
         low, high = [], []
         with h5py.File(out / FILE, "w", libver="latest") as root:
             data, mask = root.create_group("data"), root.create_group("mask")
@@ -151,7 +151,7 @@ class Robomimic(Exporter):
 
 
 def _place(feature: Feature) -> str:
-    """Where a feature stands in a demo."""
+    """Path of a feature in a demo."""
     if feature.name == ACTION_KEY:
         return "actions"
     if feature.is_video:
@@ -162,7 +162,7 @@ def _place(feature: Feature) -> str:
 
 
 def _next_pictures(demo: h5py.Group, place: str) -> None:
-    """``next_obs`` of a camera: a view of ``obs``, one frame on; the last frame repeats."""
+    """``next_obs`` of a camera: a view of ``obs``, one frame later; the last frame repeats."""
     pictures = demo[place]
     n = pictures.shape[0]
     layout = h5py.VirtualLayout(pictures.shape, pictures.dtype)

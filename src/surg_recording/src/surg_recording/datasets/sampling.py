@@ -1,4 +1,4 @@
-"""Resamples a recording onto the grid: every feature of every frame, with true stamps and ages.
+"""Resamples a recording to the grid: every feature of every frame, with true stamps and ages.
 
 The grid begins with the first picture at which all series have begun, the arms are homed and an
 action is known. It ends when the first series ends. An observation is the state at a grid time; an
@@ -51,7 +51,7 @@ _NEXT = "zero-order hold at the next grid time"
 
 @dataclasses.dataclass(frozen=True)
 class Pictures:
-    """Which recorded frame stands at each grid time."""
+    """The recorded frame of each grid time."""
 
     video: episode_reader.Video
     index: Stamps
@@ -96,10 +96,10 @@ class _Arm:
 
 
 def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
-    """Read a recording and put it on the grid.
+    """Read a recording and resample it.
 
     Raises:
-        EpisodeError: something is missing, torn, edited, too old or too short; says what and where.
+        EpisodeError: Data are missing, truncated, edited, too old or too short; states where.
     """
     recorded = episode_reader.read(candidate.folder)
     layout, segment = candidate.layout, candidate.segment
@@ -150,7 +150,7 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
 
 
 def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
-    """A commanded arm, from homing on, with the vectors that are resampled."""
+    """A commanded arm from homing on, with the vectors to resample."""
     homed = np.flatnonzero(cycle["homed"] == 1)
     if not len(homed):
         path = recorded.folder / f"cycle_{name}.csv"
@@ -231,7 +231,7 @@ def _grid(
 def _observe(
     made: Columns, candidate: Candidate, arms: list[_Arm], cycles: dict[str, Table]
 ) -> None:
-    """What the arms measured: joints of all, tips of those that are commanded and so homed."""
+    """Measured values: joints of all arms, tips of those that are commanded and so homed."""
     grid, gap = made.grid, round(made.options.max_gap_s * SECOND_NS)
     states, poses = [], []
     for arm in arms:
@@ -306,7 +306,7 @@ def _act(made: Columns, arms: list[_Arm]) -> None:
 def _show(
     made: Columns, candidate: Candidate, videos: dict[str, episode_reader.Video]
 ) -> dict[str, Pictures]:
-    """Which picture stands at each grid time."""
+    """The picture of each grid time."""
     shown: dict[str, Pictures] = {}
     limit = round(made.options.max_image_age_s * SECOND_NS)
     for camera, video in videos.items():

@@ -1,9 +1,9 @@
-"""What an exported frame holds: features with names, units, frames and how they were resampled.
+"""The features of an exported frame, with names, units, frames and resampling method.
 
-A feature is one column of numbers or one text, on the grid. Whatever a policy may read begins with
-``observation`` or ``action``; what no robot can measure begins with ``privileged``; true stamps and
-ages begin with ``timing``. No name but a picture's contains "image": lerobot takes such a column's
-statistics for those of a picture.
+A feature is one column of numbers or one text, on the grid. Names of a policy's inputs and outputs
+begin with ``observation`` or ``action``; ground truth that no robot can measure with
+``privileged``; true stamps and ages with ``timing``. Only a picture's name contains "image":
+lerobot takes such a column's statistics for those of a picture.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ORDER = (
 
 
 def rank(name: str) -> int:
-    """Place of a feature: state and action first, because lerobot takes the first that it meets."""
+    """Order of a feature: state and action first, because lerobot takes the first that it finds."""
     found = [i for i, prefix in enumerate(_ORDER) if name.startswith(prefix)]
     return found[0] if found else len(_ORDER)
 
@@ -70,22 +70,22 @@ class Feature:
         return self.dtype == "video"
 
     def describe(self) -> dict[str, Any]:
-        """As it stands in the JSON files of an export."""
+        """The feature for the JSON files of an export."""
         found = dataclasses.asdict(self)
         return {key: list(v) if isinstance(v, tuple) else v for key, v in found.items()}
 
 
 def from_description(described: dict[str, Any]) -> Feature:
-    """The feature that ``Feature.describe`` described."""
+    """The feature from ``Feature.describe``."""
     lists = ("shape", "names", "units")
     return Feature(**{key: tuple(v) if key in lists else v for key, v in described.items()})
 
 
 def columns_of(features: Sequence[Feature]) -> list[Feature]:
-    """Those that are tables' columns: all but the videos."""
+    """The features that are columns of tables: all but the videos."""
     return [feature for feature in features if not feature.is_video]
 
 
 def videos_of(features: Sequence[Feature]) -> list[Feature]:
-    """Those that are pictures."""
+    """The features that are pictures."""
     return [feature for feature in features if feature.is_video]

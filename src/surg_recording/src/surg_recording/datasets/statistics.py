@@ -1,8 +1,8 @@
-"""Statistics of features, in float64: per recording exactly, and of a whole dataset exactly.
+"""Statistics of features in float64, exact per recording and for a whole dataset.
 
 Pictures are counted as histograms of their 256 levels, so that minimum, mean, deviation and
-quantiles of any number of recordings follow from sums of integers, without rounding errors that
-grow. Standard deviations are those of the population (divided by N), as lerobot's.
+quantiles of any number of recordings follow from sums of integers, without growing rounding
+errors. Standard deviations are those of the population (divided by N), as in lerobot.
 """
 
 from __future__ import annotations
@@ -39,10 +39,7 @@ def of_column(values: npt.NDArray[np.generic], quantiles: bool = False) -> Stats
 def of_histogram(histogram: npt.NDArray[np.int64], sampled: int, quantiles: bool = False) -> Stats:
     """Statistics of a picture's channels in [0, 1], (3, 1, 1) each.
 
-    Args:
-        histogram: (3, 256) counts of the levels.
-        sampled: frames that were counted.
-        quantiles: also q01 … q99.
+    ``histogram`` (3, 256) counts the levels of ``sampled`` frames.
     """
     levels = np.arange(256) / 255.0
     total = histogram.sum(axis=1)
@@ -77,7 +74,7 @@ def differ(
     computed: Mapping[str, Stats],
     features: Sequence[str],
 ) -> list[str]:
-    """Where stated statistics are not the computed ones, in words."""
+    """Where stated statistics differ from the computed ones, in words."""
     found = []
     for feature in features:
         for key, value in computed[feature].items():

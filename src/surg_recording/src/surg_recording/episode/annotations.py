@@ -30,7 +30,7 @@ class Tag:
     stage: str | None = None
     success: bool | None = None
     judged: bool = False
-    """It says ``success``, be it that nobody knows (None)."""
+    """``success`` is stated; null means unknown."""
     reason: str = ""
     stamp_ns: int | None = None
 
@@ -43,25 +43,25 @@ def parse_tag(text: str) -> Tag:
     if not text.startswith("{"):
         return Tag(tag=_text(text, "tag"))
     try:
-        said = json.loads(text)
+        stated = json.loads(text)
     except (ValueError, RecursionError) as problem:
         raise ValueError(f"a tag that begins with {{ must be JSON ({problem})") from None
-    unknown = sorted(set(said) - set(KEYS))
-    if unknown or not said:
+    unknown = sorted(set(stated) - set(KEYS))
+    if unknown or not stated:
         named = f"key {unknown[0]!r} is unknown" if unknown else "no key"
         raise ValueError(f"tag: {named}; allowed are {', '.join(KEYS)}")
-    success = said.get("success")
+    success = stated.get("success")
     if not (success is None or isinstance(success, bool)):
         raise ValueError(f"tag: success is {success!r}, allowed are true, false and null")
-    stamp = said.get("stamp_ns")
+    stamp = stated.get("stamp_ns")
     if not (stamp is None or (type(stamp) is int and 0 <= stamp < 2**63)):
         raise ValueError(f"tag: stamp_ns is {stamp!r}, must be an integer of nanoseconds >= 0")
     return Tag(
-        tag=_text(said["tag"], "tag") if "tag" in said else None,
-        stage=_text(said["stage"] or "", "stage") if "stage" in said else None,
+        tag=_text(stated["tag"], "tag") if "tag" in stated else None,
+        stage=_text(stated["stage"] or "", "stage") if "stage" in stated else None,
         success=success,
-        judged="success" in said,
-        reason=_text(said.get("reason") or "", "reason"),
+        judged="success" in stated,
+        reason=_text(stated.get("reason") or "", "reason"),
         stamp_ns=stamp,
     )
 
@@ -71,12 +71,12 @@ def parse_info(text: str) -> dict[str, Any]:
     if len(text) > MAX_INFO:
         raise ValueError(f"info of {len(text)} characters; at most {MAX_INFO} are taken")
     try:
-        said = json.loads(text)
+        facts = json.loads(text)
     except (ValueError, RecursionError) as problem:
         raise ValueError(f"info must be a JSON object ({problem})") from None
-    if not isinstance(said, dict):
+    if not isinstance(facts, dict):
         raise ValueError('info must be a JSON object, such as {"operator": "A"}')
-    return said
+    return facts
 
 
 class Annotations:
@@ -87,17 +87,17 @@ class Annotations:
         self.stages: list[dict[str, Any]] = []
         self.result: dict[str, Any] = {"success": None, "reason": "", "by": None}
 
-    def add(self, said: Tag, stamp_ns: int, by: str) -> None:
+    def add(self, tag: Tag, stamp_ns: int, by: str) -> None:
         """Add a tag received at ``stamp_ns`` [ns]; its own stamp takes precedence."""
-        stamp = stamp_ns if said.stamp_ns is None else said.stamp_ns
-        if said.tag is not None:
-            self.tags.append({"stamp_ns": stamp, "text": said.tag, "by": by})
-        if said.stage is not None:
+        stamp = stamp_ns if tag.stamp_ns is None else tag.stamp_ns
+        if tag.tag is not None:
+            self.tags.append({"stamp_ns": stamp, "text": tag.tag, "by": by})
+        if tag.stage is not None:
             self.end(stamp)
-            if said.stage:
-                self.stages.append({"name": said.stage, "begin_ns": stamp, "end_ns": None})
-        if said.judged:
-            self.result = {"success": said.success, "reason": said.reason, "by": by}
+            if tag.stage:
+                self.stages.append({"name": tag.stage, "begin_ns": stamp, "end_ns": None})
+        if tag.judged:
+            self.result = {"success": tag.success, "reason": tag.reason, "by": by}
 
     def end(self, stamp_ns: int) -> None:
         """End the current stage."""
@@ -107,9 +107,8 @@ class Annotations:
     def judged(self, task: Any) -> dict[str, Any]:
         """The verdict: a person's if there is one, else the simulated task's."""
         if self.result["by"] is None and isinstance(task, dict) and task.get("done"):
-            success = task.get("success")
             reason = str(task.get("reason") or "")
-            return {"success": success, "reason": reason, "by": "task"}
+            return {"success": task.get("success"), "reason": reason, "by": "task"}
         return self.result
 
 

@@ -17,6 +17,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from surg_recording.file_io import write_all
+
 Row = Sequence[Any]
 
 WAKE_S = 0.01
@@ -78,7 +80,7 @@ class CsvTable:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC
         self._fd = os.open(path, flags, 0o644)
         try:
-            _write_all(self._fd, (",".join(columns) + "\n").encode())
+            write_all(self._fd, (",".join(columns) + "\n").encode())
         except OSError:
             os.close(self._fd)
             raise
@@ -186,9 +188,3 @@ class CsvWriter:
 
 def _lines(rows: Iterable[Row]) -> bytes:
     return ("\n".join(map(format_row, rows)) + "\n").encode("utf-8", "replace")
-
-
-def _write_all(fd: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(fd, view) :]

@@ -21,12 +21,12 @@ from surg_recording.episode.episode_reader import TOPICS
 from surg_recording.episode.episode_writer import MIN_FREE_BYTES, EpisodeWriter
 from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.topic_tables import TopicTables
-from surg_recording.video import compressed_image
+from surg_recording.video.camera_set import CameraSet
 from surg_recording.video.camera_sink import CameraSink
-from surg_recording.video.video_sink import Frame
+from surg_recording.video.image_frame import frame_of
 
 TASK_STATE = "task_state"
-"""Name of the table of a task's ground truth."""
+"""Table of a task's ground truth."""
 
 FREERUN_QUEUE = 5000
 """Rows per table that may wait in free-run: 10 s at 500 Hz."""
@@ -34,17 +34,8 @@ FREERUN_QUEUE = 5000
 DISK_CHECK_S = 0.5
 """Period of the check of free disk space [s]."""
 
-ENCODER_START_S = 10.0
-"""Time for the encoders to start [s]; after that, frames wait in memory."""
-
 STOP_FREE_BYTES = 32 << 20
 """Free space at which a recording ends by itself [bytes]; leaves room to finish the folder."""
-
-STALL_PERIODS = 3
-"""Number of missed frame periods after which a camera counts as silent (free-run)."""
-
-STALL_MIN_S = 0.15
-"""Shortest silence that counts [s]."""
 
 
 class Recording:
@@ -75,37 +66,37 @@ class Recording:
             stop_free_bytes: Free space at which the recording ends by itself [bytes].
 
         Raises:
-            EpisodeError: when the folder cannot be made.
+            EpisodeError: The folder cannot be created.
         """
-        self.mode, self.arms, self.cameras = mode, list(arms), list(cameras)
+        self.arms = list(arms)
         self._lockstep = mode == "lockstep"
-        self._preset = video_preset
         self._stop_free = min(stop_free_bytes, min_free_bytes)
-        self._folder = EpisodeWriter(
-            final,
-            {"mode": mode, "arms": self.arms, "cameras": self.cameras, **manifest},
-            min_free_bytes,
-        )
+        facts = {"mode": mode, "arms": self.arms, "cameras": list(cameras), **manifest}
+        self._folder = EpisodeWriter(final, facts, min_free_bytes)
         self._limit = None if self._lockstep else FREERUN_QUEUE
         self._writer = CsvWriter()
         self._tables: dict[str, CsvTable] = {}
-        self._videos: dict[str, CameraSink] = {}
-        self._topics = TopicTables(self._open_topic, self._note_topic)
+        self._topics = TopicTables(self._open_topic, self.warn)
         self._annotations = Annotations()
         self._segments: list[dict[str, Any]] = []
         self._future: dict[str, int] = {}
         self._warnings: list[str] = []
-        self._silent: dict[str, float] = {}
-        self._heard: dict[str, float] = {}
         self._lock = threading.Lock()
         self._problems: list[str] = []
         self._disk_checked = 0.0
         self._disk_full = False
-        self._orphans: dict[str, int] = {}
         for arm in self.arms:
             self._table(f"command_{arm}", table_columns.COMMAND)
         self._table("events", table_columns.EVENTS)
-        self._start_encoders()
+
+        def start_camera(folder: Path, name: str) -> CameraSink:
+            lock = (self._folder.lock,)
+            options = {"block": self._lockstep, "preset": video_preset, "keep_open": lock}
+            return CameraSink(folder, name, **options)  # type: ignore[arg-type]
+
+        self.cameras = CameraSet(self.folder, cameras, start_camera)
+
+    # --- state ----------------------------------------------------------------------------------
 
     @property
     def folder(self) -> Path:
@@ -115,12 +106,8 @@ class Recording:
     @property
     def problem(self) -> str | None:
         """Why this episode will be incomplete; None if it is complete so far."""
-        problems = list(self._problems)
-        if self._writer.error:
-            problems.append(f"rows lost: {self._writer.error}")
-        for name, video in list(self._videos.items()):
-            if video.error:
-                problems.append(f"{name}: {video.error}")
+        rows_lost = [f"rows lost: {self._writer.error}"] if self._writer.error else []
+        problems = [*self._problems, *rows_lost, *self.cameras.problems]
         return "; ".join(dict.fromkeys(problems)) or None
 
     @property
@@ -139,33 +126,73 @@ class Recording:
                     self._problems.append(f"disk full: {free / 2**20:.0f} MiB left")
         return self._disk_full or self._writer.error is not None
 
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings so far."""
+        return list(self._warnings)
+
+    def warn(self, text: str) -> None:
+        """Add a warning to the manifest; the recording stays complete."""
+        if text not in self._warnings:
+            self._warnings.append(text)
+
+    def note(self, problem: str) -> None:
+        """Mark the episode as incomplete."""
+        self._problems.append(problem)
+
+    def written_tick(self) -> int:
+        """Newest tick whose cycles and ground truths of all arms have been handed to the kernel."""
+        ticks = []
+        for arm in self.arms:
+            for name in (f"cycle_{arm}", f"ground_truth_{arm}"):
+                table = self._tables.get(name)
+                column = 2  # both tables: stamp_ns, receive_ns, tick
+                ticks.append(table.last[column] if table is not None and table.last else 0)
+        return min(ticks, default=0)
+
+    def newest_image(self, camera: str) -> tuple[int, int]:
+        """Stamp of a camera's newest image and its distance to the one before [ns]; 0: none."""
+        sink = self.cameras.sinks.get(camera)
+        return sink.newest if sink else (0, 0)
+
+    def topics(self) -> dict[str, dict[str, Any]]:
+        """Type, tables and truncated fields of every further topic."""
+        return self._topics.describe()
+
+    def status(self) -> dict[str, Any]:
+        """Counters: rows, frames, drops, backlog."""
+        tables, sinks = dict(self._tables), self.cameras.sinks
+        stages = self._annotations.stages
+        return {
+            "folder": str(self._folder.final),
+            "rows": {name: table.rows for name, table in tables.items()},
+            "frames": {name: sink.frames for name, sink in sinks.items()},
+            "drops": self._drops(),
+            "backlog": {
+                "rows": sum(table.backlog for table in tables.values()),
+                "frames": sum(sink.backlog for sink in sinks.values()),
+            },
+            "warnings": self.warnings,
+            "future_stamps": dict(self._future),
+            "silent_cameras": self.cameras.silent,
+            "segments": len(self._segments) + 1,
+            "stage": stages[-1]["name"] if stages and stages[-1]["end_ns"] is None else None,
+        }
+
+    # --- messages -------------------------------------------------------------------------------
+
     def cycle(self, arm: str, message: Any, receive_ns: int) -> None:
         """Record a surg_msgs/Cycle."""
         name = f"cycle_{arm}"
-        table = self._tables.get(name)
-        if table is None:
-            table = self._table(name, table_columns.cycle(len(message.q)))
-        row = table_rows.cycle(message, receive_ns)
-        if table is not None and len(row) != len(table.columns):
-            self._problems.append(f"{name}: a cycle with another number of joints")
-            table.dropped += 1
-            return
-        self._put(table, row)
+        table = self._tables.get(name) or self._table(name, table_columns.cycle(len(message.q)))
+        self._put_fitting(table, table_rows.cycle(message, receive_ns), "number of joints")
 
     def ground_truth(self, message: Any, receive_ns: int) -> None:
         """Record a surg_msgs/GroundTruth, arm by arm."""
         stamp = table_rows.nanoseconds(message.header.stamp)
         for arm in message.arms:
-            name = f"ground_truth_{arm.arm}"
-            table = self._tables.get(name) or self._table(name, table_columns.GROUND_TRUTH)
-            self._put(table, table_rows.ground_truth(stamp, message.tick, arm, receive_ns))
-
-    def command(self, arm: str, topic: str, message: Any, source: str, receive_ns: int) -> None:
-        """Record a motion command sent to an arm."""
-        self._put(
-            self._tables.get(f"command_{arm}"),
-            table_rows.command(topic, message, source, receive_ns),
-        )
+            row = table_rows.ground_truth(stamp, message.tick, arm, receive_ns)
+            self._put(self._table(f"ground_truth_{arm.arm}", table_columns.GROUND_TRUTH), row)
 
     def task_state(self, message: Any, receive_ns: int) -> None:
         """Record a surg_msgs/TaskState."""
@@ -176,42 +203,32 @@ class Recording:
             except ValueError as problem:
                 self._problems.append(f"{TASK_STATE}: {problem}")
                 return
-        row = table_rows.task_state(message, receive_ns)
-        if table is not None and len(row) != len(table.columns):
-            self._problems.append(f"{TASK_STATE}: a state with another number of values")
-            table.dropped += 1
-            return
-        self._put(table, row)
+        self._put_fitting(table, table_rows.task_state(message, receive_ns), "number of values")
 
-    def clock_sync(self, message: Any, receive_ns: int) -> None:
-        """Record a surg_msgs/ClockSync: the status of a machine's PTP clock."""
-        name = "clock_sync"
-        table = self._tables.get(name) or self._table(name, table_columns.CLOCK_SYNC)
-        self._put(table, table_rows.clock_sync(message, receive_ns))
+    def command(self, arm: str, topic: str, message: Any, source: str, receive_ns: int) -> None:
+        """Record a motion command sent to an arm."""
+        row = table_rows.command(topic, message, source, receive_ns)
+        self._put(self._tables.get(f"command_{arm}"), row)
 
     def assistant_command(self, topic: str, message: Any, source: str, receive_ns: int) -> None:
         """Record a command to the assistant's instrument: ``servo_jp`` or ``jaw/servo_jp``."""
-        name = "command_assistant"
-        table = self._tables.get(name) or self._table(name, table_columns.COMMAND)
-        self._put(table, table_rows.command(topic, message, source, receive_ns))
+        row = table_rows.command(topic, message, source, receive_ns)
+        self._put(self._table("command_assistant", table_columns.COMMAND), row)
+
+    def clock_sync(self, message: Any, receive_ns: int) -> None:
+        """Record a surg_msgs/ClockSync: the status of a machine's PTP clock."""
+        row = table_rows.clock_sync(message, receive_ns)
+        self._put(self._table("clock_sync", table_columns.CLOCK_SYNC), row)
 
     def topic(self, topic: str, kind: str, flat: Flat, source: str, receive_ns: int) -> None:
-        """Record a message of any other topic.
-
-        Args:
-            topic: its name.
-            kind: type of the message, such as ``sensor_msgs/JointState``.
-            flat: the message.
-            source: caller id of the sender.
-            receive_ns: wall clock at reception.
-        """
+        """Record a message of any other topic and type ``kind`` (``sensor_msgs/JointState``)."""
         table = self._topics.table(topic, kind, flat)
         if table is not None:
             self._put(table, flat.row(table.columns, receive_ns, source))
 
-    def topics(self) -> dict[str, dict[str, Any]]:
-        """Type, tables and truncated fields of every further topic."""
-        return self._topics.describe()
+    def event(self, topic: str, source: str, text: str, receive_ns: int, stamp_ns: int = 0) -> None:
+        """Record a text: a state, a warning, an error. ``stamp_ns`` 0: the message has none."""
+        self._put(self._tables.get("events"), (stamp_ns, receive_ns, topic, source, text))
 
     def tag(self, tag: Tag, text: str, source: str, receive_ns: int, stamp_ns: int) -> None:
         """Record a stage, a tag or a verdict.
@@ -227,10 +244,19 @@ class Recording:
         self._annotations.add(tag, stamp, source)
         self.event("/record/tag", source, text, receive_ns, stamp)
 
+    def image(self, camera: str, message: Any, receive_ns: int) -> None:
+        """Record a sensor_msgs/Image or CompressedImage.
+
+        Blocks in lock-step when the encoder is behind.
+        """
+        frame = frame_of(message, table_rows.nanoseconds(message.header.stamp), receive_ns)
+        self._count_future_stamp(camera, frame.stamp_ns, receive_ns)
+        self.cameras.put(camera, frame)
+
     def clock_stepped(self, step_ns: int, wall_ns: int) -> None:
         """Mark a step of the wall clock: an event, and a new segment of the episode."""
         tables = {name: table.taken for name, table in dict(self._tables).items()}
-        frames = {name: video.received for name, video in dict(self._videos).items()}
+        frames = {name: sink.received for name, sink in self.cameras.sinks.items()}
         self._segments.append(
             {"begin_ns": wall_ns, "step_ns": step_ns, "rows": tables, "frames": frames}
         )
@@ -238,8 +264,8 @@ class Recording:
         text = f"the wall clock stepped by {step_ns} ns"
         self.event(CLOCK_STEP, "", text, wall_ns, wall_ns)
         if step_ns < 0 and not self._lockstep:
-            for video in dict(self._videos).values():
-                video.expect_earlier_stamps()
+            for sink in self.cameras.sinks.values():
+                sink.expect_earlier_stamps()
 
     def watch_cameras(self, now: float, wall_ns: int) -> None:
         """Detect cameras that have fallen silent or have come back (free-run only).
@@ -250,94 +276,10 @@ class Recording:
         """
         if self._lockstep:
             return
-        for name, heard in list(self._heard.items()):
-            allowed = max(STALL_MIN_S, STALL_PERIODS * self._videos[name].period_ns * 1e-9)
-            since = self._silent.get(name)
-            if since is None and now - heard > allowed:
-                self._silent[name] = heard
-                self.warn(f"{name}: fell silent for more than {allowed:.2f} s")
-                text = f"{name}: no frame for {now - heard:.2f} s"
-                self.event("camera_stall", "", text, wall_ns)
-            elif since is not None and heard > since:
-                del self._silent[name]
-                text = f"{name}: frames again after {heard - since:.2f} s"
-                self.event("camera_back", "", text, wall_ns)
-
-    @property
-    def silent_cameras(self) -> list[str]:
-        """Cameras that have fallen silent."""
-        return sorted(self._silent)
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings so far."""
-        return list(self._warnings)
-
-    def warn(self, text: str) -> None:
-        """Add a warning to the manifest; the recording stays complete."""
-        if text not in self._warnings:
-            self._warnings.append(text)
-
-    def event(self, topic: str, source: str, text: str, receive_ns: int, stamp_ns: int = 0) -> None:
-        """Record a text: a state, a warning, an error. ``stamp_ns`` 0: the message has none."""
-        self._put(self._tables.get("events"), (stamp_ns, receive_ns, topic, source, text))
-
-    def image(self, camera: str, message: Any, receive_ns: int) -> None:
-        """Record a sensor_msgs/Image or CompressedImage.
-
-        Blocks in lock-step when the encoder is behind.
-        """
-        video = self._videos.get(camera)
-        if video is None:  # its encoder did not start
-            self._orphans[camera] = self._orphans.get(camera, 0) + 1
-            return
-        stamp_ns = table_rows.nanoseconds(message.header.stamp)
-        self._count_future_stamp(camera, stamp_ns, receive_ns)
-        self._heard[camera] = time.monotonic()
-        video.put(_frame(message, stamp_ns, receive_ns))
-
-    def written_tick(self) -> int:
-        """Newest tick whose cycles and ground truths of all arms have been handed to the kernel."""
-        ticks = []
-        for arm in self.arms:
-            for name in (f"cycle_{arm}", f"ground_truth_{arm}"):
-                table = self._tables.get(name)
-                column = 2  # both tables: stamp_ns, receive_ns, tick
-                ticks.append(table.last[column] if table is not None and table.last else 0)
-        return min(ticks, default=0)
-
-    def newest_image(self, camera: str) -> tuple[int, int]:
-        """Stamp of a camera's newest image and its distance to the one before [ns]; 0: none."""
-        video = self._videos.get(camera)
-        return (video.last_stamp_ns, video.period_ns) if video else (0, 0)
-
-    def note(self, problem: str) -> None:
-        """Mark the episode as incomplete."""
-        self._problems.append(problem)
-
-    def encoder_pids(self) -> dict[str, int]:
-        """Process ids of the encoders by camera."""
-        return {name: video.pid for name, video in self._videos.items()}
-
-    def status(self) -> dict[str, Any]:
-        """Counters: rows, frames, drops, backlog."""
-        tables, videos = dict(self._tables), dict(self._videos)
-        return {
-            "folder": str(self._folder.final),
-            "rows": {name: table.rows for name, table in tables.items()},
-            "frames": {name: video.frames for name, video in videos.items()},
-            "drops": self._drops(),
-            "backlog": {
-                "rows": sum(table.backlog for table in tables.values()),
-                "frames": sum(video.backlog for video in videos.values()),
-            },
-            "problem": self.problem,
-            "warnings": list(self._warnings),
-            "future_stamps": dict(self._future),
-            "silent_cameras": self.silent_cameras,
-            "segments": len(self._segments) + 1,
-            "stage": self._stage,
-        }
+        for topic, text, warning in self.cameras.changes(now):
+            if warning:
+                self.warn(warning)
+            self.event(topic, "", text, wall_ns)
 
     def close(
         self,
@@ -346,7 +288,7 @@ class Recording:
         topics: Mapping[str, Mapping[str, Any]] | None = None,
         end_stamp_ns: int = 0,
     ) -> Path:
-        """Write every backlog, finish the videos and the folder.
+        """Write every backlog, finish the videos and the folder; returns the folder.
 
         Args:
             manifest: Facts learnt since the start.
@@ -354,73 +296,55 @@ class Recording:
             topics: Facts about further topics by name, including those that never sent.
             end_stamp_ns: End of the last stage on the clock of the episode's stamps [ns].
 
-        Returns:
-            The finished folder.
-
         Raises:
             EpisodeError: The folder could not be finished; the next start recovers it.
         """
         self._writer.close()
-        for video in self._videos.values():
-            video.close(video_timeout_s)
-        missing = [name for name, video in self._videos.items() if not video.received]
+        without_image = self.cameras.close(video_timeout_s)
         problems = [self.problem] if self.problem else []
-        problems += [f"{name}: no image was received" for name in missing]
+        problems += [f"{name}: no image was received" for name in without_image]
         for arm in self.arms:
             if f"cycle_{arm}" not in self._tables:
                 problems.append(f"{arm}: no cycle was received")
         drops = self._drops()
         for name, count in drops.items():
             if count:
-                skipped = self._videos[name].last_skip if name in self._videos else None
+                sink = self.cameras.sinks.get(name)
+                skipped = sink.last_skip if sink else None
                 why = f" (the last that could not be recorded: {skipped})" if skipped else ""
                 problems.append(f"{name}: {count} dropped{why}")
         for name, count in self._future.items():
             self.warn(f"{name}: {count} stamps more than {FUTURE_NS * 1e-6:g} ms in the future")
         self._annotations.end(end_stamp_ns)
-        recorded = self.topics()
+        requested, recorded = topics or {}, self.topics()
         known = {
-            "camera_streams": {name: video.describe() for name, video in self._videos.items()},
+            "camera_streams": self.cameras.describe(),
             "topics": {
-                topic: {**(topics or {}).get(topic, {}), **recorded.get(topic, {})}
-                for topic in sorted({*(topics or {}), *recorded})
+                topic: {**requested.get(topic, {}), **recorded.get(topic, {})}
+                for topic in sorted({*requested, *recorded})
             },
             "segments": self._segments,
             "future_stamps": dict(self._future),
             "stages": self._annotations.stages,
             "tags": self._annotations.tags,
             "result": self._annotations.judged(dict(manifest.get("sim") or {}).get("task")),
-            "warnings": list(self._warnings),
+            "warnings": self.warnings,
         }
         return self._folder.finalise({**manifest, **known}, drops, "; ".join(problems) or None)
 
-    def _start_encoders(self) -> None:
-        for camera in self.cameras:
-            try:
-                self._videos[camera] = CameraSink(
-                    self.folder,
-                    camera,
-                    block=self._lockstep,
-                    preset=self._preset,
-                    keep_open=(self._folder.lock,),
-                )
-            except OSError as problem:
-                self._problems.append(f"{camera}: no encoder ({problem.strerror})")
-        deadline = time.monotonic() + ENCODER_START_S
-        for video in self._videos.values():
-            video.wait_ready(max(0.0, deadline - time.monotonic()))
+    # --- tables ---------------------------------------------------------------------------------
 
     def _drops(self) -> dict[str, int]:
-        drops = {name: table.dropped for name, table in list(self._tables.items())}
-        drops.update({name: video.dropped for name, video in list(self._videos.items())})
-        for name, count in list(self._orphans.items()):
-            drops[name] = drops.get(name, 0) + count
-        return drops
+        tables = {name: table.dropped for name, table in list(self._tables.items())}
+        return {**tables, **self.cameras.drops()}
 
-    @property
-    def _stage(self) -> str | None:
-        stages = self._annotations.stages
-        return stages[-1]["name"] if stages and stages[-1]["end_ns"] is None else None
+    def _put_fitting(self, table: CsvTable | None, row: table_rows.Row, what: str) -> None:
+        """Queue a row if it has as many fields as its table."""
+        if table is not None and len(row) != len(table.columns):
+            self._problems.append(f"{table.path.stem}: a message with another {what}")
+            table.dropped += 1
+            return
+        self._put(table, row)
 
     def _put(self, table: CsvTable | None, row: table_rows.Row) -> None:
         if table is not None:
@@ -435,7 +359,7 @@ class Recording:
     def _open_topic(
         self, name: str, names: Sequence[str], about: Mapping[str, Any]
     ) -> CsvTable | None:
-        """Make a table below ``topics/``, with what a reader must know of it beside it."""
+        """Create a table below ``topics/``, with facts for a reader beside it."""
         folder = self.folder / TOPICS
         try:
             folder.mkdir(exist_ok=True)
@@ -447,10 +371,10 @@ class Recording:
         # Further topics are never waited for, even in lock-step: their queues are always bounded.
         return self._table(f"{TOPICS}/{name}", names, FREERUN_QUEUE)
 
-    def _note_topic(self, topic: str, text: str) -> None:
-        self.warn(f"{topic}: {text}")
-
     def _table(self, name: str, names: Sequence[str], limit: int | None = None) -> CsvTable | None:
+        """The table of this name, created with these columns if new; None if that fails."""
+        if table := self._tables.get(name):
+            return table
         with self._lock:
             if name not in self._tables:
                 try:
@@ -461,16 +385,3 @@ class Recording:
                     self._problems.append(f"{name}: {problem.strerror}")
                     return None
             return self._tables[name]
-
-
-def _frame(message: Any, stamp_ns: int, receive_ns: int) -> Frame:
-    """A sensor_msgs/Image, or the JPEG or PNG picture of a CompressedImage (which has a format)."""
-    data, coding = message.data, getattr(message, "format", None)
-    if coding is None:
-        size = message.width, message.height, message.step
-        return Frame(data, *size, message.encoding, stamp_ns, receive_ns)
-    try:
-        coded = compressed_image.look(data, coding)
-    except ValueError as problem:
-        return Frame(data, 0, 0, 0, coding, stamp_ns, receive_ns, str(problem))
-    return Frame(data, coded.width, coded.height, 0, coded.encoding, stamp_ns, receive_ns)

@@ -16,6 +16,7 @@ from typing import Any
 
 from surg_recording.episode.episode_reader import FORMAT, MANIFEST, PARTIAL
 from surg_recording.episode.finishing import complete, utc_now, write_json
+from surg_recording.file_io import sync_folder
 from surg_recording.recording_errors import EpisodeError
 
 MIN_FREE_BYTES = 2 << 30
@@ -122,12 +123,3 @@ def _make_folder(final: Path) -> tuple[Path, Path]:
             continue
         return name, folder
     raise EpisodeError(f"{final}: 9999 episodes of this name already lie there")
-
-
-def sync_folder(folder: Path) -> None:
-    """Make a rename in a folder durable."""
-    fd = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)

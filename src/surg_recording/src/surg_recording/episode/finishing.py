@@ -122,10 +122,10 @@ def _topics(tables: Mapping[str, Any]) -> dict[str, Any]:
 def _about(path: Path) -> dict[str, Any]:
     """Topic, type and kinds that the recorder noted when it opened a topic's table."""
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
+        about = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    return said if isinstance(said, dict) else {}
+    return about if isinstance(about, dict) else {}
 
 
 def cut_broken_end(path: Path) -> int:

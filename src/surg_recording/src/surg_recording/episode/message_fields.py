@@ -92,9 +92,9 @@ class Flat:
 
     def _put(self, name: str, kind: str, value: Any) -> None:
         if len(self.values) >= MAX_VALUES:
-            said = f"more than {MAX_VALUES} values"
-            if said not in self.cut:
-                self.cut.append(said)
+            limit = f"more than {MAX_VALUES} values"
+            if limit not in self.cut:
+                self.cut.append(limit)
             return
         while name in FIRST or name in self.values:
             name += "_"

@@ -126,7 +126,7 @@ def versions(source: Path | None = None) -> dict[str, str | None]:
 
 
 def host() -> dict[str, Any]:
-    """The machine that records, and how this program was started."""
+    """The recording machine, and the command line of this program."""
     return {"name": platform.node(), "cpus": os.cpu_count(), "command": list(sys.argv)}
 
 

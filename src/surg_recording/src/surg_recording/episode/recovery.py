@@ -19,7 +19,9 @@ from surg_recording.clock.clock_steps import CLOCK_STEP
 from surg_recording.episode import finishing
 from surg_recording.episode.annotations import Annotations, parse_tag
 from surg_recording.episode.episode_reader import FORMAT, MANIFEST, PARTIAL, read_table
-from surg_recording.episode.episode_writer import LOCK, RESERVE, sync_folder
+from surg_recording.episode.episode_writer import LOCK, RESERVE
+from surg_recording.episode.table_columns import EVENTS
+from surg_recording.file_io import sync_folder
 from surg_recording.recording_errors import EpisodeError
 
 REASON = "the recorder was killed; recovered at the next start"
@@ -87,7 +89,7 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
         manifest = _manifest(folder)
         manifest["recovered"] = finishing.utc_now()
         finishing.complete(folder, manifest, {}, reason)
-        manifest.update(_said(folder))
+        manifest.update(_recorded_annotations(folder))
         finishing.write_json(folder / MANIFEST, manifest)
         (folder / LOCK).unlink(missing_ok=True)
         os.rename(folder, final)
@@ -101,30 +103,31 @@ def recover_one(folder: Path, reason: str = REASON) -> Path:
     return final
 
 
-def _said(folder: Path) -> dict[str, Any]:
-    """Stages, tags, verdict and clock steps from the events, where they were written at once.
+def _recorded_annotations(folder: Path) -> dict[str, Any]:
+    """Stages, tags, verdict and clock steps from the events.
 
-    Which rows had come before a step is not known any more: its entry does not say.
+    The numbers of rows before a clock step are lost.
     """
-    found, last = Annotations(), 0
+    annotations, last = Annotations(), 0
     steps: list[dict[str, int]] = []
     try:
         events = read_table(folder / "events.csv")
-        for index in range(len(events)):
-            last = int(events["receive_ns"][index])
-            if events["topic"][index] == "/record/tag":
-                said = parse_tag(str(events["text"][index]))
-                stamp, by = int(events["stamp_ns"][index]), str(events["source"][index])
-                last = stamp
-                found.add(said, stamp, by)
-            elif events["topic"][index] == CLOCK_STEP:
-                step = int(str(events["text"][index]).split()[-2])
-                steps.append({"begin_ns": last, "step_ns": step})
+        for stamp, received, topic, by, text in zip(*map(events.__getitem__, EVENTS), strict=True):
+            last = int(received)
+            if topic == "/record/tag":
+                last = int(stamp)
+                annotations.add(parse_tag(text), last, by)
+            elif topic == CLOCK_STEP:
+                steps.append({"begin_ns": last, "step_ns": int(text.split()[-2])})
     except (EpisodeError, ValueError, IndexError):
         return {}
-    found.end(last)
-    said_so = {"stages": found.stages, "tags": found.tags, "result": found.result}
-    return {**said_so, "segments": steps}
+    annotations.end(last)
+    return {
+        "stages": annotations.stages,
+        "tags": annotations.tags,
+        "result": annotations.result,
+        "segments": steps,
+    }
 
 
 def _manifest(folder: Path) -> dict[str, Any]:

@@ -6,6 +6,7 @@ further table of the topic begins, with columns for both. Values are never shift
 
 from __future__ import annotations
 
+import dataclasses
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -19,16 +20,31 @@ MAX_TABLES = 16
 Opener = Callable[[str, Sequence[str], Mapping[str, Any]], CsvTable | None]
 
 
+@dataclasses.dataclass
+class _Topic:
+    kind: str
+    messages: int = 0
+    cut: int = 0
+    tables: list[str] = dataclasses.field(default_factory=list)
+    table: CsvTable | None = None
+    columns: dict[str, str] = dataclasses.field(default_factory=dict)
+    full: bool = False
+
+    def fits(self, flat: Flat) -> bool:
+        """Whether the newest table has a column for every value."""
+        return self.table is not None and flat.values.keys() <= self.columns.keys()
+
+
 class TopicTables:
     """The tables of all further topics of one episode. May be used from any thread.
 
     Args:
         opener: Creates a table from a file name, its columns, and facts for a reader.
-        note: Called with (topic, sentence) when a message cannot be kept complete.
+        warn: Called with a sentence when a message cannot be kept complete.
     """
 
-    def __init__(self, opener: Opener, note: Callable[[str, str], None]) -> None:
-        self._opener, self._note = opener, note
+    def __init__(self, opener: Opener, warn: Callable[[str], None]) -> None:
+        self._opener, self._warn = opener, warn
         self._lock = threading.Lock()
         self._known: dict[str, _Topic] = {}
         self._names: set[str] = set()
@@ -45,7 +61,7 @@ class TopicTables:
             if flat.cut:
                 known.cut += 1
                 for what in flat.cut:
-                    self._note(topic, what.partition(" has ")[0] + " is too long: it is cut")
+                    self._warn(f"{topic}: {what.partition(' has ')[0]} is too long: it is cut")
             if not known.fits(flat) and not known.full:
                 self._open(topic, known, flat)
             return known.table
@@ -67,7 +83,7 @@ class TopicTables:
         columns = columns_for(flat, known.columns)
         if len(known.tables) >= MAX_TABLES:
             known.full = True
-            self._note(topic, f"its arrays grew through {MAX_TABLES} tables: what is longer is cut")
+            self._warn(f"{topic}: its arrays grew through {MAX_TABLES} tables: longer ones are cut")
             return
         base = name = file_name(topic)
         number = 1
@@ -82,17 +98,3 @@ class TopicTables:
         self._names.add(name)
         known.table, known.columns = table, columns
         known.tables.append(f"topics/{name}")
-
-
-class _Topic:
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
-        self.messages = self.cut = 0
-        self.tables: list[str] = []
-        self.table: CsvTable | None = None
-        self.columns: dict[str, str] = {}
-        self.full = False
-
-    def fits(self, flat: Flat) -> bool:
-        """Whether the newest table has a column for every value."""
-        return self.table is not None and flat.values.keys() <= self.columns.keys()

@@ -1,8 +1,7 @@
-"""The numbers of the paper and those beside them: functions from arrays to values, SI units.
+"""Metrics of the paper and related ones: functions from arrays to values, SI units.
 
-Smoothness has many variants. Which one a value is, its ``SmoothnessPreset`` says; values of
-different presets are never compared. Formulas, parameters and what a figure may claim:
-docs/guide/evaluation.md.
+Smoothness has many variants; a ``SmoothnessPreset`` names one. Values of different presets are
+never compared. Formulas, parameters and limits: docs/guide/evaluation.md.
 """
 
 from surg_recording.metrics.filters import (

@@ -1,4 +1,4 @@
-"""What every metric takes and gives, and the checks on what comes in."""
+"""Types of all metrics, and checks of their arguments."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ ArrayLike = npt.ArrayLike
 
 
 def rows3(value: ArrayLike, name: str) -> Array:
-    """The value as (N, 3) numbers, or a ValueError that names it."""
+    """The value as an (N, 3) array, or a ValueError that names it."""
     array = np.asarray(value, dtype=float)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ValueError(f"{name} has shape {array.shape}, must be (N, 3)")
@@ -20,7 +20,7 @@ def rows3(value: ArrayLike, name: str) -> Array:
 
 
 def finite(value: ArrayLike, name: str) -> Array:
-    """The value as finite numbers, or a ValueError that names it and the first that is not."""
+    """The value as finite numbers, or a ValueError with its name and the first wrong index."""
     array = np.asarray(value, dtype=float)
     if not np.all(np.isfinite(array)):
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])

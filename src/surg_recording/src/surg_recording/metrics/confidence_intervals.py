@@ -1,4 +1,4 @@
-"""What a few episodes say about all: intervals of a rate and of a median, and a spread."""
+"""Intervals of a rate and of a median, and the spread of a sample."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def success_rate(successes: Sequence[bool]) -> dict[str, float | int]:
 def median_interval(
     numbers: Sequence[float], confidence: float = 0.95
 ) -> tuple[float, float] | None:
-    """Interval that holds the median of the distribution the numbers were drawn from.
+    """Interval that holds the distribution's median with at least this confidence.
 
     The ends are two of the numbers, so nothing is assumed about the distribution: with X_(r) the
     r-th smallest of n, P(X_(r) ≤ median ≤ X_(n+1−r)) ≥ 1 − 2 P(B ≤ r − 1) with B binomial(n, ½).
@@ -29,13 +29,10 @@ def median_interval(
 
     Args:
         numbers: Independent and finite.
-        confidence: At least this probability.
+        confidence: Between 0 and 1, else a ValueError.
 
     Returns:
-        The ends; None when there are too few numbers (fewer than 6 at 95 %).
-
-    Raises:
-        ValueError: confidence is not between 0 and 1.
+        The ends; None for too few numbers (fewer than 6 at 95 %).
     """
     if not 0.0 < confidence < 1.0:
         raise ValueError(f"median_interval: confidence is {confidence}, must be between 0 and 1")
@@ -50,14 +47,11 @@ def median_interval(
 
 
 def spread(numbers: Sequence[float]) -> dict[str, Any]:
-    """Count, extremes, quartiles and median of one number per episode, with the median's interval.
-
-    Args:
-        numbers: Finite; quartiles by linear interpolation.
+    """Count, extremes, quartiles and median of finite numbers, with the median's 95 % interval.
 
     Returns:
-        ``n``, ``min``, ``median``, ``max``, ``quartiles`` [first, third], ``iqr`` (their distance)
-        and ``interval`` (95 %, of the median); all but ``n`` None where they do not exist.
+        ``n``, ``min``, ``median``, ``max``, ``quartiles`` [first, third] (by linear interpolation),
+        ``iqr`` (their distance) and ``interval``; all but ``n`` None where they do not exist.
     """
     if not len(numbers):
         names = ("min", "median", "max", "quartiles", "iqr", "interval")

@@ -1,4 +1,4 @@
-"""Filters and grids: what brings a motion to the rate of a metric."""
+"""Filters and grids that bring a motion to the rate of a metric."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def uniform(t: ArrayLike, values: ArrayLike, fs: float) -> tuple[Array, Array]:
     Args:
         t: (N,) increasing times [s].
         values: (N,) or (N, D).
-        fs: rate of the grid [Hz]; it starts at t[0].
+        fs: Rate of the grid [Hz]; it starts at t[0].
 
     Returns:
         The grid (M,) and the values on it.
@@ -46,7 +46,7 @@ def low_pass(values: ArrayLike, fs: float, cutoff: float, order: int = 4) -> Arr
     """Zero-phase Butterworth low-pass along the first axis.
 
     Applied forwards and backwards, so the attenuation at ``cutoff`` [Hz] is 6 dB. Motions too short
-    for the filter's padding (about half a period) are returned as they are.
+    for the filter's padding (about half a period) are returned unchanged.
     """
     v = np.asarray(values, dtype=float)
     if cutoff >= fs / 2:
@@ -67,20 +67,13 @@ def downsample(
     cutoff: float | None = None,
     order: int = 8,
 ) -> Array:
-    """Anti-aliased downsampling of a velocity vector, before any norm is taken.
+    """Anti-aliased downsampling of a velocity vector (N, D), before any norm is taken.
 
-    Zero-phase Butterworth, then linear interpolation on the new grid. Taking every n-th sample
-    instead would fold tremor into the band and change LDLJ by 2.
-
-    Args:
-        velocity: (N, D) on a uniform grid.
-        fs: its rate [Hz].
-        target_fs: the new rate [Hz].
-        cutoff: of the filter [Hz]; default 0.4 of the new rate.
-        order: of the filter in one direction.
+    Zero-phase Butterworth, by default at 0.4 of the new rate, then linear interpolation on the new
+    grid. Taking every n-th sample instead would fold tremor into the band and change LDLJ by 2.
 
     Raises:
-        ValueError: when ``target_fs`` is above ``fs``.
+        ValueError: ``target_fs`` is above ``fs`` [Hz].
     """
     if target_fs > fs * (1.0 + 1e-9):
         raise ValueError(f"downsample: {fs:g} Hz cannot be brought to {target_fs:g} Hz")
@@ -92,7 +85,7 @@ def downsample(
 
 
 def stride(values: ArrayLike, fs: float, target_fs: float) -> Array:
-    """The samples nearest to a slower grid, with no filter: aliasing included."""
+    """The samples nearest to a slower grid, without a filter: aliasing included."""
     v = np.asarray(values, dtype=float)
     if target_fs > fs * (1.0 + 1e-9):
         raise ValueError(f"stride: {fs:g} Hz cannot be brought to {target_fs:g} Hz")

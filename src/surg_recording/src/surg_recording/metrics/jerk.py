@@ -1,7 +1,7 @@
-"""Log dimensionless jerk, in the two forms that figures are made of.
+"""Log dimensionless jerk in two forms.
 
-S. Balasubramanian et al., "On the analysis of movement smoothness", J. NeuroEng. Rehabil. 12:112,
-2015, for ``ldlj``; the other form is our reading of the paper's figures (docs/guide/evaluation.md).
+``ldlj``: S. Balasubramanian et al., "On the analysis of movement smoothness", J. NeuroEng. Rehabil.
+12:112, 2015. ``ldlj_displacement``: our reading of the paper's figures (docs/guide/evaluation.md).
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from surg_recording.metrics._types import ArrayLike, finite, positive
 def ldlj(velocity: ArrayLike, fs: float) -> float:
     """Log dimensionless jerk from velocity: more negative when less smooth.
 
-    −ln( T³/v_peak² · Σ ‖Δ²v/Δt²‖² Δt ) with T = N Δt. ``fs`` cancels out: only the number of
+    −ln( T³/v_peak² · Σ ‖Δ²v/Δt²‖² Δt ) with T = N Δt. ``fs`` [Hz] cancels out: only the number of
     samples and the shape of the motion count.
 
     Args:
         velocity: (N,) the scalar speed form, or (N, D) the vector form: jerk vector, peak of the
             speed ‖v‖.
-        fs: sampling rate [Hz].
+        fs: Sampling rate [Hz].
 
     Returns:
-        The value; NaN without motion, without jerk or with fewer than 3 samples.
+        NaN without motion, without jerk or with fewer than 3 samples.
 
     Raises:
-        ValueError: neither (N,) nor (N, D), not finite, or fs not positive.
+        ValueError: A wrong shape, a non-finite value, or fs not positive.
     """
     v = finite(velocity, "ldlj: velocity")
     if v.ndim not in (1, 2):
@@ -50,17 +50,17 @@ def ldlj_displacement(position: ArrayLike, fs: float) -> float:
     """Log dimensionless jerk over the peak displacement, the variant behind the paper's figures.
 
     −ln( T⁵/A² · Σ ‖Δ³p/Δt³‖² Δt ), A the largest distance from the first sample, T = N Δt. Another
-    metric than ``ldlj``: the two must not stand in one figure.
+    metric than ``ldlj``: never show the two in one figure.
 
     Args:
         position: (N, D) positions [m].
-        fs: sampling rate [Hz].
+        fs: Sampling rate [Hz].
 
     Returns:
-        The value; NaN without motion, without jerk or with fewer than 4 samples.
+        NaN without motion, without jerk or with fewer than 4 samples.
 
     Raises:
-        ValueError: not (N, D), not finite, or fs not positive.
+        ValueError: A wrong shape, a non-finite value, or fs not positive.
     """
     p = finite(position, "ldlj_displacement: position")
     if p.ndim != 2:

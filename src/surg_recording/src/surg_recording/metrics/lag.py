@@ -1,4 +1,4 @@
-"""How closely an executed path follows its input, and how late."""
+"""Tracking error and lag of an executed path against its input."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surg_recording.metrics.filters import interpolate
 
 @dataclasses.dataclass(frozen=True)
 class Tracking:
-    """How well an executed path follows its input when the constant lag is taken out."""
+    """Tracking error after the constant lag is removed."""
 
     lag: float
     """Delay of the executed path [s]; at this shift the rms error is smallest."""
@@ -38,18 +38,18 @@ def tracking(
 ) -> Tracking:
     """Compare an executed path with its input after removing the lag.
 
-    The lag is the shift, to a fraction of a sample, that makes the rms distance between
-    executed(t) and input(t − lag) smallest; it is searched in [−max_lag/4, max_lag].
+    The lag is the shift, to a fraction of a sample, that minimises the rms distance between
+    executed(t) and input(t − lag), within [−max_lag/4, max_lag].
 
     Args:
         t: (N,) times of the executed samples [s].
         executed: (N, 3) [m].
         t_input: (M,) increasing times of the input samples [s].
         p_input: (M, 3) [m].
-        max_lag: largest lag tried [s].
+        max_lag: [s].
 
     Raises:
-        ValueError: when a path has fewer than 2 samples or shapes do not fit.
+        ValueError: A path has fewer than 2 samples, the shapes differ, or the times do not overlap.
     """
     times, path = np.asarray(t, dtype=float), rows3(executed, "tracking: executed")
     source_t, source = np.asarray(t_input, dtype=float), rows3(p_input, "tracking: p_input")

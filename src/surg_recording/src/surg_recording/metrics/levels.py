@@ -1,4 +1,4 @@
-"""Percentiles of what may hold gaps."""
+"""Percentiles of values with gaps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from surg_recording.metrics._types import ArrayLike
 
 
 def percentiles(values: ArrayLike, *levels: float) -> list[float]:
-    """Percentiles (0–100, linear interpolation) of the finite values; NaN when there is none."""
+    """Percentiles (0–100, linear interpolation) of the finite values; NaN without any."""
     v = np.asarray(values, dtype=float)
     v = v[np.isfinite(v)]
     if v.size == 0:

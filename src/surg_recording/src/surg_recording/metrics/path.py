@@ -1,4 +1,4 @@
-"""How far the tip went, how far the shaft swung, and how long nothing moved."""
+"""Path length of the tip, sweep of the shaft, and idle time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,10 @@ from surg_recording.metrics.filters import low_pass
 
 
 def path_length(position: ArrayLike, fs: float | None = None, cutoff: float | None = None) -> float:
-    """Length of a path [m].
+    """Length of a path (N, 3) [m].
 
-    Args:
-        position: (N, 3) [m].
-        fs: rate of a uniform grid [Hz], needed with ``cutoff``.
-        cutoff: low-pass (zero-phase Butterworth, order 4) before measuring [Hz], so that tremor,
-            which adds length without going anywhere, does not count.
+    With ``cutoff`` [Hz] and ``fs`` [Hz] the path is low-passed first (zero-phase Butterworth, order
+    4), because tremor adds length without travel.
     """
     p = rows3(position, "path_length: position")
     if cutoff is not None:
@@ -31,7 +28,7 @@ def path_length(position: ArrayLike, fs: float | None = None, cutoff: float | No
 
 @dataclasses.dataclass(frozen=True)
 class Idle:
-    """How long a tip stood still, and what was called standing still."""
+    """Idle time of a tip, and the definition of idle used."""
 
     seconds: float
     share: float
@@ -57,14 +54,13 @@ def idle(
 
     Args:
         position: (N, 3) tip positions on a uniform grid [m].
-        fs: its rate [Hz].
-        below: speed below which the tip counts as still [m/s].
-        at_least: a shorter pause is a turning point, not idle time [s].
-        cutoff: of the zero-phase low-pass before differentiating [Hz], so that tremor in place is
-            standing still.
+        fs: Its rate [Hz].
+        below: Speed below which the tip counts as still [m/s].
+        at_least: A shorter pause is a turning point, not idle time [s].
+        cutoff: Zero-phase low-pass before differentiating [Hz]; tremor in place counts as still.
 
     Raises:
-        ValueError: not (N, 3), not finite, or a parameter that is not positive.
+        ValueError: A wrong shape, a non-finite value, or a parameter that is not positive.
     """
     p = finite(rows3(position, "idle: position"), "idle: position")
     for value, name in ((fs, "fs"), (below, "below"), (at_least, "at_least"), (cutoff, "cutoff")):
@@ -81,7 +77,7 @@ def idle(
 
 
 def shaft_sweep(s_B: ArrayLike) -> float:
-    """Largest angle between any two shaft directions of a run [rad].
+    """Largest angle between any two shaft directions (N, 3) of a run [rad].
 
     Exact: directions within a half-sphere are projected to the plane along great circles, where the
     two farthest lie on the convex hull.
@@ -100,7 +96,7 @@ def shaft_sweep(s_B: ArrayLike) -> float:
 
 
 def _extreme_directions(s: Array) -> Array:
-    """Those unit vectors that can be the end of the largest angle."""
+    """The unit vectors that can be an end of the largest angle."""
     mean = s.mean(axis=0)
     if np.linalg.norm(mean) < 1e-6:
         return s

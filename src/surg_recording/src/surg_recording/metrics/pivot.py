@@ -19,7 +19,7 @@ def rcm_deviation(p_BShaft: ArrayLike, s_B: ArrayLike, p_BRcm: ArrayLike) -> Arr
         (N,) distances [m]; NaN where the direction has no length or a value is not finite.
 
     Raises:
-        ValueError: when the shapes do not fit.
+        ValueError: The shapes differ.
     """
     point, axis = rows3(p_BShaft, "p_BShaft"), rows3(s_B, "s_B")
     pivot = np.asarray(p_BRcm, dtype=float)

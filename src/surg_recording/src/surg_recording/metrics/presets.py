@@ -1,6 +1,6 @@
 """Smoothness of a tip motion, with every choice that its value depends on.
 
-Values of different presets are never compared, and never stand in one figure.
+Values of different presets are never compared, and never shown in one figure.
 """
 
 from __future__ import annotations
@@ -91,15 +91,10 @@ class Smoothness:
 
 
 def smoothness(position: ArrayLike, fs: float, preset: str = "reference") -> Smoothness:
-    """SPARC and LDLJ of a tip motion.
-
-    Args:
-        position: (N, 3) tip positions on a uniform grid [m].
-        fs: its rate [Hz].
-        preset: a name in ``PRESETS``.
+    """SPARC and LDLJ of tip positions (N, 3) on a uniform grid [m] of rate fs [Hz].
 
     Raises:
-        ValueError: unknown preset, a rate below the preset's, a wrong shape, or no number.
+        ValueError: Unknown preset, a rate below the preset's, a wrong shape, or a non-finite value.
     """
     try:
         chosen = PRESETS[preset]

@@ -1,6 +1,6 @@
-"""Reference sets: motions of others that a smoothness figure stands beside.
+"""Reference sets: recorded motions that a smoothness figure is compared with.
 
-A set is named on the command line as KIND:PATH. ``jigsaws:DIR`` is a task of JIGSAWS, measured on
+The command line names a set as KIND:PATH. ``jigsaws:DIR`` is a task of JIGSAWS, measured on
 PSM1; ``motion:PATH`` a CSV file, or a folder of them, with the columns t_s, x_m, y_m, z_m.
 """
 
@@ -59,13 +59,10 @@ class ReferenceSet:
 
 
 def load(spec: str) -> ReferenceSet:
-    """Read a reference set.
-
-    Args:
-        spec: ``KIND:PATH``.
+    """Read a reference set ``KIND:PATH``.
 
     Raises:
-        ReferenceSetError: Unknown kind, or nothing there that can be read.
+        ReferenceSetError: Unknown kind, or nothing readable.
     """
     kind, colon, path = spec.partition(":")
     if not colon or kind not in KINDS or not path:
@@ -75,7 +72,7 @@ def load(spec: str) -> ReferenceSet:
 
 
 def measure(motion: Motion, presets: Sequence[str] = tuple(metrics.PRESETS)) -> dict[str, Any]:
-    """The numbers of one motion, under the keys that an episode's have.
+    """The metrics of one motion, under the keys of an episode's entry.
 
     Raises:
         ValueError: Its rate is below that of a preset.
@@ -98,13 +95,7 @@ def measure(motion: Motion, presets: Sequence[str] = tuple(metrics.PRESETS)) -> 
 def summarise(
     found: ReferenceSet, measured: Sequence[Mapping[str, Any]], preset: str
 ) -> dict[str, Any]:
-    """``reference`` of an evaluation's ``summary.json``.
-
-    Args:
-        found: The set.
-        measured: Of each of its motions, made by ``measure``.
-        preset: Whose smoothness.
-    """
+    """``reference`` of an evaluation's ``summary.json``, from ``measure`` of each motion."""
     skills = [
         skill for skill in jigsaws.SKILLS.values() if any(m["skill"] == skill for m in measured)
     ]
@@ -182,13 +173,13 @@ def from_motions(path: Path) -> ReferenceSet:
 
 
 def read_motion(file: Path) -> Motion:
-    """One CSV file with at least the columns t_s, x_m, y_m, z_m.
+    """One CSV file with at least the columns t_s, x_m, y_m, z_m, on a uniform grid.
 
-    The samples are brought to a uniform grid at their median rate, by linear interpolation.
+    The rate is the median of the file's; samples are interpolated linearly.
 
     Raises:
-        ReferenceSetError: Missing file or column, a value that is no finite number, times that do
-            not increase, or a motion of less than 2 s.
+        ReferenceSetError: Missing file or column, a non-finite value, times that do not increase,
+            or less than 2 s.
     """
     try:
         with open(file, newline="", encoding="utf-8") as stream:

@@ -29,20 +29,20 @@ def sparc(
     frequency whose amplitude reaches the threshold.
 
     Args:
-        speed: (N,) speed; its unit does not matter.
-        fs: sampling rate [Hz].
-        fc: cut-off [Hz]; default min(10, fs/2). More than fs/2 is cut to fs/2, because beyond it
-            the spectrum is only a mirror image that would be counted a second time.
-        amplitude_threshold: of the normalised spectrum.
-        padlevel: zero padding to 2^(ceil(log2 N) + padlevel) samples.
-        mirrored: keep that mirror image, as the published reference code does when fc > fs/2.
-            Only to reproduce its numbers.
+        speed: (N,) in any unit.
+        fs: Sampling rate [Hz].
+        fc: Cut-off [Hz]; default min(10, fs/2). Limited to fs/2, because beyond it the spectrum is
+            only a mirror image that would be counted twice.
+        amplitude_threshold: Of the normalised spectrum.
+        padlevel: Zero padding to 2^(ceil(log2 N) + padlevel) samples.
+        mirrored: Keep that mirror image, as the published reference code does when fc > fs/2. Only
+            to reproduce its numbers.
 
     Returns:
         The arc length (≤ 0); NaN without motion or with fewer than 2 samples.
 
     Raises:
-        ValueError: not one-dimensional, not finite, or fs, fc or padlevel out of range.
+        ValueError: A wrong shape, a non-finite value, or fs, fc or padlevel out of range.
     """
     v = finite(speed, "sparc: speed")
     if v.ndim != 1:

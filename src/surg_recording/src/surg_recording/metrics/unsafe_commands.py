@@ -1,9 +1,9 @@
-"""Unsafe commands in a recording, counted from its control cycles alone.
+"""Counts unsafe commands in a recording, from its control cycles alone.
 
-An opinion of its own: it shares no code with the controller, its gate, or the model server's safety
-controller. Positions, steps, speeds and deviations are computed anew from the rows (never from the
-columns in which the controller says how well it went) and compared with the limits that the
-manifest recorded with the episode. What is counted are control cycles, by rule.
+An independent check: it shares no code with the controller, its gate, or the model server's safety
+controller. Positions, steps, speeds and deviations are computed from the rows (never from the
+columns with the controller's own verdicts) and compared with the limits in the episode's manifest.
+It counts control cycles, by rule.
 """
 
 from __future__ import annotations
@@ -31,16 +31,15 @@ STILL = 1e-6
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """What one rule found in the cycles of one arm.
+    """Result of one rule for the cycles of one arm.
 
     Attributes:
-        name: Of the rule.
-        unit: Of ``worst`` and ``limit``.
-        cycles: How many cycles break it.
-        worst: Largest value found, of the joint or axis nearest to its limit; None: nothing to look
-            at.
+        name: Name of the rule.
+        unit: Unit of ``worst`` and ``limit``.
+        cycles: Number of cycles that break it.
+        worst: Largest value, of the joint or axis nearest to its limit; None without cycles.
         limit: Its limit.
-        first_ns: Stamp of the first cycle that breaks it; None: none does.
+        first_ns: Stamp of the first cycle that breaks it; None if there is none.
     """
 
     name: str
@@ -52,19 +51,15 @@ class Rule:
 
 
 def count(episode: Episode) -> int:
-    """Cycles of all arms that break any rule, added over the rules."""
+    """Number of cycles of all arms that break a rule, summed over the rules."""
     return sum(rule.cycles for arm in episode.arms for rule in examine(episode, arm))
 
 
 def examine(episode: Episode, arm: str) -> list[Rule]:
-    """Hold the cycles of an arm against the limits that were recorded with them.
-
-    Args:
-        episode: The recording.
-        arm: Whose.
+    """Compare the cycles of an arm with the limits recorded in the manifest.
 
     Raises:
-        EpisodeError: There are no cycles, or the manifest does not say a limit that is needed.
+        EpisodeError: There are no cycles, or the manifest lacks a limit.
     """
     limits = _Limits(episode, arm)
     cycle = episode.cycle(arm)
@@ -96,7 +91,7 @@ def examine(episode: Episode, arm: str) -> list[Rule]:
 
 
 class _Limits:
-    """Limits of an arm as the manifest has them."""
+    """Limits of an arm from the manifest."""
 
     def __init__(self, episode: Episode, arm: str) -> None:
         self._where = f"{episode.folder}/manifest.json"
@@ -121,13 +116,13 @@ class _Limits:
 
     @property
     def jaw(self) -> tuple[float, float] | None:
-        """Least and largest angle; None: the instrument has no jaws."""
+        """Smallest and largest angle [rad]; None without jaws."""
         found = (self._arm.get("instrument") or {}).get("jaw")
         return (float(found["min"]), float(found["max"])) if found else None
 
 
 class _Look:
-    """Turns values of cycles into rules."""
+    """Compares values of cycles with limits."""
 
     def __init__(self, stamps: npt.NDArray[np.int64]) -> None:
         self._stamps = stamps
@@ -135,9 +130,9 @@ class _Look:
     def bound(
         self, name: str, unit: str, values: Array, limit: Array | float, later: int = 0
     ) -> Rule:
-        """Values (N, k) that must not be above a limit or limits (k,).
+        """Values (N, k) that must not exceed a limit or limits (k,).
 
-        ``later``: the first value is of that cycle. What is not a number breaks the rule.
+        ``later``: cycle of the first value. A non-finite value breaks the rule.
         """
         limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), values.shape[1:])
         broken = (~(values <= limits * (1.0 + TOLERANCE))).any(axis=1)
@@ -156,7 +151,7 @@ class _Look:
         limit: float,
         later: int = 0,
     ) -> Rule:
-        """Cycles that are known to break a rule."""
+        """A rule from the cycles that are known to break it."""
         where = np.flatnonzero(broken)
         first = int(self._stamps[later + where[0]]) if len(where) else None
         worst = float(np.max(values)) if len(values) else None
@@ -164,7 +159,7 @@ class _Look:
 
 
 def _motion_while_stopped(look: _Look, cycle: Table, qd: Array) -> Rule:
-    """Velocities sent to an arm that is not ENABLED, when its ramp must be over."""
+    """Velocities sent to an arm that is not ENABLED, after its ramp must be over."""
     stamps, stopped = cycle["stamp_ns"], cycle["state"] != ENABLED
     fastest = np.max(np.abs(qd), axis=1, initial=0.0)
     row = np.arange(len(cycle))
@@ -176,7 +171,7 @@ def _motion_while_stopped(look: _Look, cycle: Table, qd: Array) -> Rule:
 
 
 def _tip(look: _Look, cycle: Table, dt: Array, limits: _Limits) -> list[Rule]:
-    """Set-point and goals of the tip, in the rcm frame, while a stream is obeyed."""
+    """Set-point and goals of the tip, in the rcm frame, while a stream is followed."""
     R_BR = _matrices(cycle.vector("q_br", "xyzw"))
     to_R = np.transpose(R_BR, (0, 2, 1))
 
@@ -207,7 +202,7 @@ def _tip(look: _Look, cycle: Table, dt: Array, limits: _Limits) -> list[Rule]:
 
 
 def _steps(look: _Look, cycle: Table, goal: Array, p_set: Array, limits: _Limits) -> list[Rule]:
-    """How far a newly accepted goal lies from the one before, or a first one from the set-point."""
+    """Distance of an accepted goal from the previous one, or of a first one from the set-point."""
     stamps = cycle["stamp_ns"]
     taken = np.diff(cycle["accepted"], prepend=cycle["accepted"][:1]) > 0
     pose = np.isin(cycle["command"], POSITION_STREAMS) & (cycle["homed"] == 1)
@@ -237,14 +232,14 @@ def _steps(look: _Look, cycle: Table, goal: Array, p_set: Array, limits: _Limits
 
 
 def _distance(p: Array, on_line: Array, along: Array) -> Array:
-    """Of points to lines, (N,)."""
+    """Distances of points from lines, (N,)."""
     s = along / np.linalg.norm(along, axis=1, keepdims=True)
     d = p - on_line
     return np.asarray(np.linalg.norm(d - np.sum(d * s, axis=1, keepdims=True) * s, axis=1))
 
 
 def _matrices(q: Array) -> Array:
-    """(N, 3, 3) of unit quaternions x, y, z, w."""
+    """Rotation matrices (N, 3, 3) of unit quaternions x, y, z, w."""
     x, y, z, w = q.T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],

@@ -29,7 +29,7 @@ class ClockSyncNode:
 
     def __init__(self, socket: str, bound: float, rate: float) -> None:
         self._socket, self._bound, self._period = socket, bound, 1.0 / rate
-        self._said: str | None = None
+        self._reported: str | None = None
         self._status = rospy.Publisher(TOPIC, ClockSync, queue_size=10)
         self._diagnostics = rospy.Publisher("/diagnostics", DiagnosticArray, queue_size=10)
 
@@ -45,9 +45,9 @@ class ClockSyncNode:
 
     def _publish(self, status: ClockStatus, asked: Any) -> None:
         fault = status.fault(self._bound)
-        if fault != self._said:  # a line per change: one a second helps nobody
+        if fault != self._reported:  # log changes only
             (rospy.logwarn if fault else rospy.loginfo)("clock: %s", fault or "in step")
-            self._said = fault
+            self._reported = fault
         message = ClockSync(
             clock=status.clock,
             port_state=status.port_state,

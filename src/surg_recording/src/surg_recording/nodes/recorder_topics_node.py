@@ -19,9 +19,10 @@ from surg_core.status_check import Newest
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
 from surg_recording.episode import table_rows
 from surg_recording.episode.annotations import parse_info, parse_tag
+from surg_recording.episode.episode_recorder import Recording
 from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.topic_selection import IMAGES, NOT_TABLES
-from surg_recording.nodes.message_decoder_node import MessageDecoder, sender
+from surg_recording.nodes.message_decoder_node import class_of, sender
 from surg_recording.nodes.recorder_state import RecorderState
 from surg_recording.nodes.recording_switch_node import RecordingSwitch
 from surg_recording.nodes.status_messages_node import simulation_outcome
@@ -68,7 +69,6 @@ class RecorderTopics:
         self._state, self._switch = state, switch
         self._clock = state.clock
         self._sim = Newest("/sim/status")
-        self._decoder = MessageDecoder()
         self.subscribers: dict[str, rospy.Subscriber] = {}
         for arm in state.settings.arms:
             self._subscribe_arm(arm)
@@ -116,40 +116,39 @@ class RecorderTopics:
             key = message.header.seq, table_rows.nanoseconds(message.header.stamp)
         return not self._state.is_duplicate(topic, message._connection_header, key)
 
+    def _recording_of(self, topic: str, message: Any) -> Recording | None:
+        """The running recording, unless it has the message already."""
+        recording = self._state.recording
+        return recording if recording is not None and self._is_new(topic, message) else None
+
     # --- tables -------------------------------------------------------------------------------
 
     def _on_cycle(self, arm: str, message: Cycle) -> None:
-        recording = self._state.recording
-        if recording is not None and self._is_new(f"/{arm}/cycle", message):
+        if recording := self._recording_of(f"/{arm}/cycle", message):
             recording.cycle(arm, message, self._clock.now_ns())
         self._state.received(f"cycle_{arm}", message.tick)
 
     def _on_truth(self, message: GroundTruth) -> None:
-        recording = self._state.recording
-        if recording is not None and self._is_new(TRUTH_TOPIC, message):
+        if recording := self._recording_of(TRUTH_TOPIC, message):
             recording.ground_truth(message, self._clock.now_ns())
         for arm in message.arms:
             self._state.received(f"ground_truth_{arm.arm}", message.tick)
 
     def _on_task_state(self, message: TaskState) -> None:
-        recording = self._state.recording
-        if recording is not None and self._is_new(TASK_TOPIC, message):
+        if recording := self._recording_of(TASK_TOPIC, message):
             recording.task_state(message, self._clock.now_ns())
         self._state.last_row = time.monotonic()
 
     def _on_command(self, arm: str, topic: str, message: Any) -> None:
-        recording = self._state.recording
-        if recording is not None and self._is_new(f"/{arm}/{topic}", message):
+        if recording := self._recording_of(f"/{arm}/{topic}", message):
             recording.command(arm, topic, message, sender(message), self._clock.now_ns())
 
     def _on_assistant(self, topic: str, message: JointState) -> None:
-        recording = self._state.recording
-        if recording is not None and self._is_new(f"/assistant/{topic}", message):
+        if recording := self._recording_of(f"/assistant/{topic}", message):
             recording.assistant_command(topic, message, sender(message), self._clock.now_ns())
 
     def _on_clock_sync(self, message: ClockSync) -> None:
-        recording = self._state.recording
-        if recording is not None and self._is_new(CLOCK_TOPIC, message):
+        if recording := self._recording_of(CLOCK_TOPIC, message):
             recording.clock_sync(message, self._clock.now_ns())
 
     # --- events -------------------------------------------------------------------------------
@@ -191,19 +190,13 @@ class RecorderTopics:
         if recording is None:
             return
         received, topic = self._clock.now_ns(), self._state.settings.camera_topics[camera]
-        kind, why = self._decoder.class_of(message, IMAGES)
+        kind, why = class_of(message, IMAGES)
         if why is not None:
             recording.warn(f"{topic}: not recorded as a camera: {why}")
-            return
-        try:
-            image = kind().deserialize(message._buff)
-        except Exception as problem:  # genpy raises many kinds of errors on malformed bytes
-            name = type(problem).__name__
-            recording.warn(f"{topic}: a message that is no {kind._type} ({name})")
-            return
-        header = (image.header.seq, table_rows.nanoseconds(image.header.stamp))
-        if self._is_new(topic, message, header):
-            recording.image(camera, image, received)
+        elif (image := _decoded(recording, topic, kind, message)) is not None:
+            header = (image.header.seq, table_rows.nanoseconds(image.header.stamp))
+            if self._is_new(topic, message, header):
+                recording.image(camera, image, received)
 
     def _on_any(self, topic: str, message: Any) -> None:
         recording = self._state.recording
@@ -211,19 +204,13 @@ class RecorderTopics:
             return
         received = self._clock.now_ns()
         type_name = str(message._connection_header.get("type", ""))
-        kind, why = self._decoder.class_of(message)
+        kind, why = class_of(message)
         why = NOT_TABLES.get(type_name, why)
         if why is not None:
             if self._state.choice.refuse(topic, why):
                 rospy.logwarn("recorder: %s is not recorded: %s", topic, why)
-            return
-        try:
-            flat = Flat(kind().deserialize(message._buff))
-        except Exception as problem:  # genpy raises many kinds of errors on malformed bytes
-            name = type(problem).__name__
-            recording.warn(f"{topic}: a message that is no {type_name} ({name})")
-            return
-        recording.topic(topic, type_name, flat, sender(message), received)
+        elif (decoded := _decoded(recording, topic, kind, message)) is not None:
+            recording.topic(topic, type_name, Flat(decoded), sender(message), received)
 
     # --- commands to the recorder -------------------------------------------------------------
 
@@ -253,3 +240,13 @@ class RecorderTopics:
             rospy.logwarn("recorder: %s", problem)
             return
         self._state.run_info = {**self._state.run_info, **info}
+
+
+def _decoded(recording: Recording, topic: str, kind: Any, message: Any) -> Any | None:
+    """The message as its class; None and a warning for malformed bytes."""
+    try:
+        return kind().deserialize(message._buff)
+    except Exception as problem:  # genpy raises many kinds of errors on malformed bytes
+        name = type(problem).__name__
+        recording.warn(f"{topic}: a message that is no {kind._type} ({name})")
+        return None

@@ -1,7 +1,7 @@
 """Makes the page of an episode: video, tip path and curves under a common cursor.
 
-``page`` makes a single HTML file that needs no network: ``view.html``, ``view.css`` and ``view.js``
-filled with what ``view_data`` collects. On the command line:
+``page`` fills ``episode_view.{html,css,js}`` with what ``episode_view_data`` collects: a single
+HTML file that needs no network. Command line:
 ``python -m surg_recording.reports.episode_view EPISODE OUT.html``.
 """
 
@@ -29,10 +29,10 @@ def page(
     max_rows: int = MAX_ROWS,
     progress: Progress | None = None,
 ) -> str:
-    """The page of an episode; arguments as ``view_data.collect``.
+    """The page of an episode; arguments as for ``episode_view_data.collect``.
 
     Raises:
-        EpisodeError: there is nothing at all to show.
+        EpisodeError: There is nothing to show.
     """
     viewed = episode_view_data.collect(episode, budget, max_rows, progress)
     info = episode.manifest.get("run") or {}
@@ -88,7 +88,7 @@ def write(episode: Episode, out: Path, progress: Progress | None = None) -> Path
     """Write the page of an episode; returns its path.
 
     Raises:
-        EpisodeError: nothing to show, or the file cannot be written.
+        EpisodeError: Nothing to show, or the file cannot be written.
     """
     content = page(episode, progress=progress)
     try:
@@ -99,7 +99,7 @@ def write(episode: Episode, out: Path, progress: Progress | None = None) -> Path
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """The command line; exit code 2 when there is nothing to show."""
+    """The command line; exit code 2: nothing to show."""
     parser = argparse.ArgumentParser(prog="python -m surg_recording.reports.episode_view")
     parser.add_argument("episode", type=Path, metavar="EPISODE")
     parser.add_argument("out", type=Path, metavar="OUT.html")

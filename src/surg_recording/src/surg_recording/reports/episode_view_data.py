@@ -1,7 +1,7 @@
-"""What the page of an episode shows: its streams cut to size, on one axis of time.
+"""The data of an episode's page: its streams, thinned out, on one time axis.
 
 All times are integer nanoseconds since the first stamp. The sample and the frame at the cursor are
-the last ones whose stamp is not later: ``at_or_before`` here, ``at`` in ``view.js``.
+the last ones whose stamp is not later: ``at_or_before`` here, ``at`` in ``episode_view.js``.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ _TRUTH = (
 
 @dataclasses.dataclass(frozen=True)
 class Viewed:
-    """What a page shows, ready for JSON; ``missing`` says what it cannot show, and why."""
+    """The data of a page, ready for JSON; ``missing`` states what it cannot show, and why."""
 
     data: dict[str, Any]
     videos: list[bytes]
@@ -57,24 +57,15 @@ class Viewed:
 
 
 def at_or_before(stamps: Sequence[int] | Stamps, t: int) -> int:
-    """Index of the last stamp that is not later than t; −1 before the first.
-
-    Args:
-        stamps: (N,) increasing [ns].
-        t: time [ns].
-    """
+    """Index of the last of increasing stamps that is not later than t [ns]; −1 before the first."""
     return int(np.searchsorted(np.asarray(stamps), t, side="right")) - 1
 
 
 def kept_rows(curves: Sequence[Array], limit: int = MAX_ROWS) -> npt.NDArray[np.int64]:
-    """Which rows of a table are shown.
+    """Indices of about ``limit`` rows to show of curves (N,), NaN where unknown.
 
-    All of them up to the limit. Of more, the first and the last, and from every one of equal
-    stretches the rows with the least and the greatest value of each curve: no extreme is lost.
-
-    Args:
-        curves: (N,) each, with NaN where nothing is known.
-        limit: about how many rows may be kept.
+    Beyond the limit: the first and the last row, and from equal intervals the rows with the least
+    and the greatest value of each curve, so that no extreme is lost.
     """
     count = len(curves[0])
     if count <= limit:
@@ -98,16 +89,16 @@ def collect(
     max_rows: int = MAX_ROWS,
     progress: Progress | None = None,
 ) -> Viewed:
-    """Gather what the page shows. What is missing or broken is named, and the rest goes on.
+    """Gather what the page shows; what is missing or broken is named.
 
     Args:
-        episode: of any version.
-        budget: size of all videos together [bytes].
-        max_rows: samples kept per table.
-        progress: told in a few words what is being done.
+        episode: Of any version.
+        budget: Size of all videos together [bytes].
+        max_rows: Samples kept per table.
+        progress: Called with the current step in words.
 
     Raises:
-        EpisodeError: there is nothing at all to show.
+        EpisodeError: There is nothing to show.
     """
     say = progress or (lambda _: None)
     missing: list[str] = []
@@ -210,12 +201,12 @@ def _series(name: str, colour: str, clock: str, values: Array, digits: int) -> d
 
 
 def _numbers(values: Array, digits: int) -> list[float | None]:
-    """Rounded for the page; None where there is no number."""
+    """Rounded for the page; None for a non-finite number."""
     return [round(v, digits) if math.isfinite(v) else None for v in values.tolist()]
 
 
 def _read(episode: Episode, name: str, wanted: Sequence[str], missing: list[str]) -> Table | None:
-    """A table with at least one row; else None, and why."""
+    """A table with at least one row; else None, and the reason in ``missing``."""
     if name not in episode.tables:
         missing.append(f"{name}: nothing was recorded")
         return None
@@ -293,8 +284,7 @@ def _events(
 def _when(stamp: int, receive: int, cycle: Table | None, origin: int, end: int) -> tuple[int, bool]:
     """Time of an event on the axis of the stamps, and whether it is its own stamp.
 
-    An event without a stamp, or with one of another clock, stands where the cycles stood that were
-    received with it.
+    An event without a stamp, or with one of another clock, is shown at the cycles received with it.
     """
     if origin <= stamp <= end:
         return stamp, True
@@ -305,7 +295,7 @@ def _when(stamp: int, receive: int, cycle: Table | None, origin: int, end: int) 
 
 
 def _event(topic: str, said: str) -> tuple[str, str]:
-    """Kind of an event, and the words for a person."""
+    """Kind and text of an event."""
     arm, _, name = topic.strip("/").rpartition("/")
     if name == "operating_state":
         try:
@@ -323,7 +313,7 @@ def _event(topic: str, said: str) -> tuple[str, str]:
 
 
 def _phases(episode: Episode, origin: int, missing: list[str]) -> list[dict[str, Any]]:
-    """Where the task's phase changes."""
+    """Changes of the task's phase."""
     try:
         table = episodes.read_table(episode.folder / "task_state.csv", wanted=("stamp_ns", "phase"))
         stamps, phases = table["stamp_ns"], table["phase"]

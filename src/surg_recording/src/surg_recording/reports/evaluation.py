@@ -1,7 +1,7 @@
-"""Episodes of any kind, grouped into conditions and measured, beside a reference set.
+"""Groups episodes of any kind into conditions, measures them, and compares a reference set.
 
 A *condition* is what its episodes have in common: task, physical setting, robot, control law, and
-whether robot and patient were simulated. What the numbers mean is said in docs/guide/evaluation.md.
+whether robot and patient were simulated. docs/guide/evaluation.md defines the numbers.
 """
 
 from __future__ import annotations
@@ -88,11 +88,8 @@ class LeftOut:
 def find(paths: Sequence[Path]) -> list[Path]:
     """Every episode folder at or below the paths, in order, each once.
 
-    Args:
-        paths: Episodes, runs, or folders that hold some.
-
     Raises:
-        EpisodeError: A path that does not exist or holds no episode.
+        EpisodeError: A path does not exist or holds no episode.
     """
     folders: dict[Path, Path] = {}
     for path in paths:
@@ -106,11 +103,7 @@ def find(paths: Sequence[Path]) -> list[Path]:
 
 
 def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
-    """The entry of one episode.
-
-    Args:
-        recorded: The episode.
-        arm: Whose motion; default: the first arm, the instrument's.
+    """The entry of one episode, for the first arm by default.
 
     Raises:
         EpisodeError: It has no such arm, no motion, or cannot be read.
@@ -148,13 +141,13 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
 def measure_all(
     folders: Sequence[Path], arm: str | None, incomplete: bool, progress: Progress
 ) -> tuple[list[dict[str, Any]], list[LeftOut]]:
-    """Measure many episodes; one that cannot be does not keep the others from it.
+    """Measure many episodes; those that cannot be measured are left out.
 
     Args:
-        folders: Made by ``find``.
+        folders: From ``find``.
         arm: As for ``measure``.
-        incomplete: Take incomplete recordings too.
-        progress: Called with the done part in [0, 1] and the folder at hand.
+        incomplete: Include incomplete recordings.
+        progress: Called with the done fraction in [0, 1] and the current folder.
 
     Returns:
         The entries, and what was left out: unreadable, without motion, incomplete, or the same
@@ -187,7 +180,7 @@ def measure_all(
 
 
 def grouped(entries: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    """Episodes by condition, under a label that says what tells the conditions apart."""
+    """Episodes by condition; the label states what distinguishes the conditions."""
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for entry in entries:
         groups.setdefault(tuple(entry[key] for key in IDENTITY), []).append(entry)
@@ -202,7 +195,7 @@ def grouped(entries: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str,
 
 
 def _label(identity: Sequence[Any], differing: Sequence[int]) -> str:
-    """Setting first; where nothing differs, the setting or else the task."""
+    """Setting first; without any difference the setting or else the task."""
     shown = sorted(differing, key=lambda i: (IDENTITY[i] != "setting", i))
     if not shown:
         named = dict(zip(IDENTITY, identity, strict=True))
@@ -220,10 +213,10 @@ def summarise(
     """The dictionary of an evaluation's ``summary.json``.
 
     Args:
-        entries: Made by ``measure``.
+        entries: From ``measure``.
         left_out: What is in no condition.
-        preset: Of the smoothness; there is only one in an evaluation.
-        compared: Made by ``reference.summarise``; None without a reference set.
+        preset: Of the smoothness; an evaluation has only one.
+        compared: From ``compare``; None without a reference set.
         info: ``versions`` and the like; copied.
     """
     return {
@@ -250,15 +243,7 @@ def _condition(entries: Sequence[Mapping[str, Any]], preset: str) -> dict[str, A
 
 
 def compare(spec: str, preset: str, progress: Progress) -> dict[str, Any]:
-    """Read and measure a reference set.
-
-    Args:
-        spec: ``KIND:PATH``, see ``reference.load``.
-        preset: Whose smoothness is summarised.
-        progress: As for ``measure_all``.
-
-    Returns:
-        ``reference`` of ``summary.json``.
+    """Read and measure the reference set ``KIND:PATH``: ``reference`` of ``summary.json``.
 
     Raises:
         ReferenceSetError: Nothing of it can be measured.

@@ -1,7 +1,7 @@
-"""What a policy that was learned came to: its roll-outs beside the demonstrations.
+"""Compares a learned policy's roll-outs with the demonstrations.
 
-Entries are those of ``trials.describe``, so that every number is computed as everywhere else. What
-each means is said in docs/guide/learning.md and docs/guide/run.md.
+Entries are those of ``trials.describe``, so that every number is computed in one way.
+docs/guide/learning.md and docs/guide/run.md define them.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ def roll_out(entry: Entry, served: Mapping[str, Any], recorded: Episode | None) 
     """One entry of ``rollouts`` in ``summary.json``.
 
     Args:
-        entry: Made by ``trials.describe``.
-        served: What the model server said at the end, by ``OF_THE_WIRE``.
-        recorded: The recording; None where there is none.
+        entry: From ``trials.describe``.
+        served: The model server's counts at the end, by ``OF_THE_WIRE``.
+        recorded: The recording, if there is one.
     """
     rcm = entry["rcm_kinematic_mm"] or {}
     smoothness = entry["smoothness"] or {}
@@ -51,7 +51,7 @@ def roll_out(entry: Entry, served: Mapping[str, Any], recorded: Episode | None) 
 
 
 def look(recorded: Episode) -> dict[str, Any]:
-    """Unsafe commands of all arms of a recording: how many cycles were looked at, and by rule."""
+    """Unsafe commands of all arms of a recording: number of cycles, and commands by rule."""
     found: dict[str, int] = {}
     cycles = 0
     for arm in recorded.arms:
@@ -62,10 +62,7 @@ def look(recorded: Episode) -> dict[str, Any]:
 
 
 def demonstration(folder: Path) -> dict[str, Any]:
-    """A demonstration's entry.
-
-    Args:
-        folder: Of its recording.
+    """A demonstration's entry, from the folder of its recording.
 
     Raises:
         EpisodeError: It cannot be read.
@@ -86,14 +83,14 @@ def summarise(
     """The dictionary of ``summary.json``.
 
     Args:
-        rollouts: Made by ``roll_out``.
+        rollouts: From ``roll_out``.
         shown: Entries of demonstrations, to compare with.
-        info: What else is to stand there; copied.
-        least: Successes that are hoped for.
+        info: Further entries; copied.
+        least: Smallest number of successes for ``ok``.
 
     Returns:
-        The summary. ``ok``: every roll-out was played to its end, as many as hoped for succeeded,
-        and no command was unsafe.
+        The summary. ``ok``: every roll-out was played to its end, enough of them succeeded, and no
+        command was unsafe.
     """
     rate = trials.success_rate([e["success"] for e in rollouts])
     reasons = [

@@ -27,7 +27,7 @@ class Limit:
 
     @property
     def met(self) -> bool:
-        """NaN and None do not meet a limit."""
+        """Whether the limit is met; NaN and None never meet it."""
         if self.measured is None or not math.isfinite(self.measured):
             return False
         return self.measured >= self.bound if self.at_least else self.measured <= self.bound
@@ -45,7 +45,7 @@ class Limit:
         }
 
     def __str__(self) -> str:
-        """What was measured and what is allowed."""
+        """The measured value and the limit."""
         sign = "≥" if self.at_least else "≤"
         measured = self.measured
         known = measured is not None and math.isfinite(measured)
@@ -54,14 +54,10 @@ class Limit:
 
 
 def stated_limits(result: Mapping[str, Any], info: Mapping[str, Any]) -> list[Limit]:
-    """The limits by which a run is judged, with the measured values.
+    """The limits by which a run is judged, with the measured values of ``summary.json``.
 
     An episode of a task has limits on the RCM deviation only. The task judges its own success, and
-    its tip path is a means to that end.
-
-    Args:
-        result: Measured values, as in ``summary.json``.
-        info: The manifest's entry ``run``.
+    its tip path is a means to that end. ``info`` is the manifest's entry ``run``.
     """
     if info.get("setting"):
         return [

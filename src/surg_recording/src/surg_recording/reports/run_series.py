@@ -1,4 +1,4 @@
-"""Time series of a run: what is measured and drawn, in one frame and on one time axis."""
+"""Time series of a run, in one frame and on one time axis."""
 
 from __future__ import annotations
 
@@ -79,11 +79,7 @@ class Run:
 
 
 def load(episode: Episode, arm: str | None = None) -> Run:
-    """Read the commanded window of an episode, everything in the arm's base frame.
-
-    Args:
-        episode: The recording.
-        arm: Name of the arm; default: the first.
+    """Read the commanded window of an episode; ``arm`` defaults to the first.
 
     Raises:
         NoMotionError: The arm accepted no servo command.
@@ -187,11 +183,7 @@ def _targets(table: Table, cycle: Table, start: int) -> tuple[Array, Array, str]
 
 
 def longest_hold(run: Run) -> tuple[float, float]:
-    """Longest time for which the set-point stood still while the input moved.
-
-    Returns:
-        Duration and start [s]; (0, 0) if there was none.
-    """
+    """Duration and start [s] of the longest halt of the set-point while the input moved."""
     step = np.linalg.norm(np.diff(run.cycle.vector("p_set"), axis=0), axis=1)
     still = np.concatenate([[False], step < HELD_SPEED * np.maximum(np.diff(run.t), 1e-9), [False]])
     edges = np.flatnonzero(np.diff(still.astype(int)))
@@ -206,11 +198,7 @@ def longest_hold(run: Run) -> tuple[float, float]:
 
 
 def chosen_arm(episode: Episode, arm: str | None) -> str:
-    """Name of an arm; default: the first.
-
-    Raises:
-        EpisodeError: There is no such arm.
-    """
+    """Name of an arm, by default the first; an EpisodeError if there is no such arm."""
     if arm is None:
         if not episode.arms:
             raise EpisodeError(f"{episode.folder}: the manifest names no arm")

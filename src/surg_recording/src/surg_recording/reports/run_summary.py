@@ -37,7 +37,7 @@ def summarise(episode: Episode, arm: str | None = None, run: Run | None = None) 
 
     Args:
         episode: The recording.
-        arm: Name of the arm; default: the first.
+        arm: Default: the first arm.
         run: Result of ``load``, if available.
 
     Returns:

@@ -94,8 +94,10 @@ def _verdict(summary: Mapping[str, Any]) -> str:
 
 
 def _conditions(conditions: Sequence[Mapping[str, Any]]) -> str:
-    head = ("Setting", "Law", "Success", "RCM mean", "RCM max", "true RCM max")
-    head += ("trocar force max", "trocar displacement max", "Bounds")
+    head = (
+        *("Setting", "Law", "Success", "RCM mean", "RCM max", "true RCM max"),
+        *("trocar force max", "trocar displacement max", "Bounds"),
+    )
     rows = [
         (
             *(c["setting"], c["law"], interval(c["success_rate"])),

@@ -1,7 +1,7 @@
-"""Many episodes of one task: what each came to, and what they come to together.
+"""Describes and summarises many episodes of one task.
 
 A *condition* is what episodes have in common: the physical setting and the control law. Episodes of
-one condition differ by their seeds only. What the numbers mean is said in docs/guide/run.md.
+one condition differ only in their seeds. docs/guide/run.md defines the numbers.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ class Outcome:
 
     Attributes:
         success: By the task's own definition, from ground truth.
-        reason: Why it was none; empty for a success.
-        phase: Of the task, at the end.
+        reason: Why it failed; empty for a success.
+        phase: Phase of the task at the end.
         duration_s: Simulated time.
-        played: False where it did not come to an end of its own: a node died, the recording broke.
+        played: False if a node died or the recording broke.
     """
 
     success: bool
@@ -40,18 +40,10 @@ class Outcome:
 def describe(
     seed: int, setting: str, law: str, outcome: Outcome, recorded: Episode | None
 ) -> dict[str, Any]:
-    """One entry of ``episodes`` in ``summary.json``.
+    """One entry of ``episodes`` in ``summary.json``; ``recorded`` None: no readable recording.
 
-    Args:
-        seed: Of the episode.
-        setting: Its physical setting.
-        law: Its control law.
-        outcome: How it ended.
-        recorded: Its recording; None where there is none that can be read.
-
-    Returns:
-        The entry. The deviations at its top are the first arm's, the instrument's; ``arms`` has
-        those of every arm. An arm that was never moved has None.
+    The deviations at its top are the first arm's, the instrument's; ``arms`` has those of every
+    arm. An arm that was never moved has None.
     """
     arms: dict[str, dict[str, Any]] = {}
     sim: Mapping[str, Any] = {}
@@ -81,11 +73,7 @@ _OF_AN_ARM = (
 
 
 def pick(measured: Mapping[str, Any]) -> dict[str, Any]:
-    """What an entry holds of an arm.
-
-    Args:
-        measured: Made by ``summary.summarise``.
-    """
+    """The part of ``run_summary.summarise`` that an entry holds."""
     found = {name: measured[name] for name in _OF_AN_ARM}
     smoothness = found["smoothness"]
     if smoothness is not None:
@@ -105,13 +93,13 @@ def summarise(
     """The dictionary of a run's ``summary.json``.
 
     Args:
-        episodes: Entries made by ``describe``, in the order they were played.
+        episodes: Entries from ``describe``, in the order they were played.
         info: What they have in common: ``task``, ``robot``, ``seed``, ``versions``, …; copied.
-        reasons: What else went wrong.
+        reasons: Further failures.
 
     Returns:
-        The summary. ``ok`` says that every episode was played to its end and recorded, not that the
-        task succeeded: a failure of the task is a result.
+        The summary. ``ok``: every episode was played to its end and recorded, not that the task
+        succeeded: a failure of the task is a result.
     """
     broken = [
         f"episode {i} (seed {e['seed']}, {e['setting']}): {e['failure_reason']}"
@@ -138,7 +126,7 @@ def summarise(
 
 
 def _condition(setting: str, law: str, episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What the episodes of one condition come to."""
+    """Statistics of the episodes of one condition."""
     found: dict[str, Any] = {
         "setting": setting,
         "law": law,
@@ -161,12 +149,7 @@ def _condition(setting: str, law: str, episodes: Sequence[Mapping[str, Any]]) ->
 
 
 def values(episodes: Iterable[Mapping[str, Any]], *path: str) -> list[float]:
-    """One number of every episode that has it.
-
-    Args:
-        episodes: Entries made by ``describe``.
-        *path: Keys from the entry down to the number.
-    """
+    """One number of every episode that has it, by its path of keys in the entry."""
     found = []
     for episode in episodes:
         value: Any = episode

@@ -40,13 +40,14 @@ class CameraSink:
         """Why each further part began."""
         self._faults: list[str] = []
         self.repeated = 0
-        """Frames with the very same picture as the one before: frozen camera or still scene."""
+        """Frames with the same picture as the one before: frozen camera or still scene."""
         self._folder, self._block, self._preset, self._keep_open = folder, block, preset, keep_open
         self._last_data: bytes | None = None
         self._given_up: str | None = None
         self._turning = threading.Lock()
         self._empty_before = False
-        self._stamps = (0, 0)
+        self.newest = (0, 0)
+        """Newest stamp and its distance to the one before [ns]; 0: unknown."""
         self._clock_back = False
         self._number = 0
         self._parts = [self._make(0)]
@@ -93,16 +94,6 @@ class CameraSink:
         """Why the newest skipped frame could not be encoded."""
         return next((part.last_skip for part in reversed(self._parts) if part.last_skip), None)
 
-    @property
-    def last_stamp_ns(self) -> int:
-        """Newest stamp [ns]; 0: none."""
-        return self._stamps[0]
-
-    @property
-    def period_ns(self) -> int:
-        """Distance of the newest stamp to the one before [ns]; 0: unknown."""
-        return self._stamps[1]
-
     def describe(self) -> dict[str, Any]:
         """The manifest's entry of the camera's stream."""
         return {
@@ -123,16 +114,16 @@ class CameraSink:
         self._clock_back = True
 
     def put(self, frame: Frame) -> bool:
-        """Queue one image; False when it was dropped. Blocks in lock-step only."""
-        last, _ = self._stamps
+        """Queue one image; False if it was dropped. Blocks in lock-step only."""
+        last, _ = self.newest
         discontinuity = self._discontinuity(frame, last)
         if discontinuity is not None:
-            self._clock_back, self._stamps, last = False, (0, 0), 0
+            self._clock_back, self.newest, last = False, (0, 0), 0
             if self._part.error is not None:
                 self._next_part(f"the encoder failed ({self._part.error})")
             self._next_part(discontinuity, a_fault=False)
         if frame.stamp_ns > last:
-            self._stamps = frame.stamp_ns, frame.stamp_ns - last if last else 0
+            self.newest = frame.stamp_ns, frame.stamp_ns - last if last else 0
         if frame.data == self._last_data:
             self.repeated += 1
         self._last_data = frame.data
@@ -141,7 +132,7 @@ class CameraSink:
             self._next_part(f"the encoder failed ({self._part.error})")
         elif size and unusable(frame) is None and size != f"{frame.width}x{frame.height}":
             self._next_part(f"its size changed from {size} to {frame.width}x{frame.height}")
-        return self._part.put_frame(frame)
+        return self._part.put(frame)
 
     def _discontinuity(self, frame: Frame, last: int) -> str | None:
         """Why a frame cannot follow the one stamped ``last`` [ns] in one video; None: it can."""
@@ -194,7 +185,7 @@ class CameraSink:
                 self._faults.append(self.changes[-1])
             self._parts = [*self._parts, new]
         for frame in left:
-            new.put_frame(frame)
+            new.put(frame)
 
     def _make(self, missed: int) -> VideoSink:
         self._number += 1

@@ -59,13 +59,13 @@ CONTAINER_OPTIONS = {
 class Encoder:
     """One MP4 file (H.264, variable frame rate, microseconds) and its sidecar CSV."""
 
-    def __init__(self, path: str, sidecar: str, preset: str, crf: int) -> None:
+    def __init__(self, path: str, sidecar: str, preset: str) -> None:
         self._path, self._sidecar_path = path, sidecar
         self._container: av.container.OutputContainer | None = None
         self._sidecar = -1
         self._options = {
             "preset": preset,
-            "crf": str(crf),
+            "crf": "23",
             "tune": "zerolatency",  # no look-ahead: a frame that went in comes out at once
             "bf": "0",
         }
@@ -77,12 +77,7 @@ class Encoder:
         self.frames = 0
 
     def add(
-        self,
-        image: Image,
-        pixels: str,
-        stamp_ns: int,
-        receive_ns: int,
-        dropped: int,
+        self, image: Image, pixels: str, stamp_ns: int, receive_ns: int, dropped: int
     ) -> str | None:
         """Encode one image; returns why it was skipped, or None.
 
@@ -94,10 +89,8 @@ class Encoder:
             self._open(width, height, stamp_ns)
         if (width, height) != self._size:
             self._missing += 1
-            return (
-                f"the camera changed its size from {self._size[0]}x{self._size[1]}"
-                f" to {width}x{height}"
-            )
+            before = "x".join(map(str, self._size))
+            return f"the camera changed its size from {before} to {width}x{height}"
         pts = (stamp_ns - self._first_stamp) // 1000
         if pts <= self._last_pts:
             self._missing += 1
@@ -214,15 +207,14 @@ def decoded(data: bytes) -> Image:
 
 
 def main(arguments: list[str]) -> int:
-    """``video_encoder.py VIDEO SIDECAR PRESET CRF``; returns the exit code."""
+    """``video_encoder.py VIDEO SIDECAR PRESET``; returns the exit code."""
     # Ctrl-C reaches the whole terminal group: the end of the input is the only stop.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     os.nice(5)  # frames can wait in the queue, control cycles cannot wait
     av.logging.set_level(av.logging.FATAL)
-    path, sidecar, preset, crf = arguments
     try:
-        encoder = Encoder(path, sidecar, preset, int(crf))
+        encoder = Encoder(*arguments)
         _say("ready")
         try:
             run(sys.stdin.buffer, encoder)

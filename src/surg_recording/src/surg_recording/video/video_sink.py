@@ -18,16 +18,17 @@ from collections import deque
 from pathlib import Path
 from typing import NamedTuple
 
+from surg_recording.file_io import write_all
 from surg_recording.video import video_encoder, video_file
 
 QUEUE_LIMIT = 40
 """Frames that may wait for the encoder: 2 s at 20 fps."""
 
 STALL_S = 10.0
-"""An encoder that takes no frame for this long has failed [s]."""
+"""Time without a frame taken after which an encoder has failed [s]."""
 
 IN_FLIGHT = 16
-"""Frames that may be with the encoder without an answer."""
+"""Frames that the encoder may hold without an answer."""
 
 _LARGE_PIPE = 1 << 20
 
@@ -43,7 +44,7 @@ class Frame(NamedTuple):
     stamp_ns: int
     receive_ns: int
     problem: str | None = None
-    """Why it cannot be recorded, if that is known already."""
+    """Why it cannot be recorded, if already known."""
 
 
 class VideoSink:
@@ -56,7 +57,6 @@ class VideoSink:
         *,
         block: bool,
         preset: str = "ultrafast",
-        crf: int = 23,
         queue_limit: int = QUEUE_LIMIT,
         keep_open: tuple[int, ...] = (),
         missed: int = 0,
@@ -64,14 +64,13 @@ class VideoSink:
         """Start the encoder process.
 
         Args:
-            folder: where the files go.
-            name: of the camera; both files are named after it.
-            block: wait for room instead of dropping (lock-step).
-            preset: of x264: ``ultrafast`` (13 ms per 2×720p pair) or ``veryfast`` (23 ms, smaller).
-            crf: x264's constant quality, 0–51, smaller is better.
-            queue_limit: frames that may wait.
-            keep_open: file descriptors the encoder inherits (the episode's lock).
-            missed: frames of the camera that were lost before the first of this video.
+            folder: Folder of the files.
+            name: Camera; both files are named after it.
+            block: Wait for room instead of dropping (lock-step).
+            preset: x264: ``ultrafast`` (13 ms per 2×720p pair) or ``veryfast`` (23 ms, smaller).
+            queue_limit: Frames that may wait.
+            keep_open: File descriptors that the encoder inherits (the episode's lock).
+            missed: Frames of the camera that were lost before the first of this video.
         """
         self.path, self.sidecar = folder / f"{name}.mp4", folder / f"{name}.csv"
         self.name = name
@@ -85,7 +84,6 @@ class VideoSink:
         self.last_skip: str | None = None
         """Why the newest unusable frame was skipped."""
         self.encoding = self.size = ""
-        self.last_stamp_ns = self.period_ns = 0
         self._block, self._limit = block, queue_limit
         self._queue: deque[tuple[bytes, Frame]] = deque()
         self._in_flight: deque[Frame] = deque()
@@ -93,18 +91,15 @@ class VideoSink:
         self._ending = self._counted = False
         self._ready = threading.Event()
         self._dropped_since = missed
-        self._process = self._start_encoder(preset, crf, keep_open)
+        self._process = self._start_encoder(preset, keep_open)
         self._feeder = threading.Thread(target=self._feed, name=f"video_{name}", daemon=True)
         self._listener = threading.Thread(target=self._listen, name=f"answers_{name}", daemon=True)
         self._feeder.start()
         self._listener.start()
 
-    def _start_encoder(
-        self, preset: str, crf: int, keep_open: tuple[int, ...]
-    ) -> subprocess.Popen[bytes]:
-        files = [str(self.path), str(self.sidecar)]
+    def _start_encoder(self, preset: str, keep_open: tuple[int, ...]) -> subprocess.Popen[bytes]:
         process = subprocess.Popen(
-            [sys.executable, video_encoder.__file__, *files, preset, str(crf)],
+            [sys.executable, video_encoder.__file__, self.path, self.sidecar, preset],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=keep_open,
@@ -117,7 +112,7 @@ class VideoSink:
         return process
 
     def wait_ready(self, timeout_s: float) -> bool:
-        """Wait until the encoder takes frames; until then they wait in memory."""
+        """Wait until the encoder takes frames; until then they stay in memory."""
         return self._ready.wait(timeout_s)
 
     @property
@@ -130,28 +125,11 @@ class VideoSink:
         """Frames received and neither written nor dropped yet."""
         return self.received - self.frames - self.dropped
 
-    def put(
-        self,
-        data: bytes,
-        *,
-        width: int,
-        height: int,
-        step: int,
-        encoding: str,
-        stamp_ns: int,
-        receive_ns: int,
-    ) -> bool:
-        """Queue one image as it came in a sensor_msgs/Image; False when it was dropped."""
-        return self.put_frame(Frame(data, width, height, step, encoding, stamp_ns, receive_ns))
-
-    def put_frame(self, frame: Frame) -> bool:
-        """Queue one image; False when it was dropped."""
+    def put(self, frame: Frame) -> bool:
+        """Queue one image; False if it was dropped."""
         problem = unusable(frame)
         with self._room:
             self.received += 1
-            if frame.stamp_ns > self.last_stamp_ns:
-                self.period_ns = frame.stamp_ns - self.last_stamp_ns if self.last_stamp_ns else 0
-                self.last_stamp_ns = frame.stamp_ns
             if problem is not None:
                 self.last_skip = problem
                 return self._drop()
@@ -255,8 +233,8 @@ class VideoSink:
                     head, frame = self._queue.popleft()
                     self._in_flight.append(frame)
                     self._room.notify_all()
-                _write_all(pipe.fileno(), head)
-                _write_all(pipe.fileno(), frame.data)
+                write_all(pipe.fileno(), head)
+                write_all(pipe.fileno(), frame.data)
         except OSError as problem:
             with self._room:
                 self.error = self.error or f"the encoder is gone ({problem.strerror})"
@@ -313,9 +291,3 @@ def unusable(frame: Frame) -> str | None:
             " does not add up"
         )
     return None
-
-
-def _write_all(fd: int, data: bytes) -> None:
-    view = memoryview(data)
-    while view:
-        view = view[os.write(fd, view) :]

@@ -1,0 +1,21 @@
+"""A ROS image as a frame to encode."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from surg_recording.video import compressed_image
+from surg_recording.video.video_sink import Frame
+
+
+def frame_of(message: Any, stamp_ns: int, receive_ns: int) -> Frame:
+    """A sensor_msgs/Image, or the JPEG or PNG picture of a CompressedImage (which has a format)."""
+    data, coding = message.data, getattr(message, "format", None)
+    if coding is None:
+        size = message.width, message.height, message.step
+        return Frame(data, *size, message.encoding, stamp_ns, receive_ns)
+    try:
+        coded = compressed_image.look(data, coding)
+    except ValueError as problem:
+        return Frame(data, 0, 0, 0, coding, stamp_ns, receive_ns, str(problem))
+    return Frame(data, coded.width, coded.height, 0, coded.encoding, stamp_ns, receive_ns)
