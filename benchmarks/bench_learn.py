@@ -154,7 +154,7 @@ def judge(make: Callable[[], Any], seed: int) -> Rollout:
 
 
 def export(recordings: list[Path], out: Path) -> Path:
-    """A data set of some demonstrations."""
+    """A dataset of some demonstrations."""
     options = datasets.ExportOptions(splits={"train": 0.95, "val": 0.05}, keep_parts=False)
     report = datasets.load("lerobot").write(recordings, out, options)
     if not report.ok:
@@ -206,7 +206,7 @@ def candidates(root: Path, options: argparse.Namespace, progress: Progress) -> l
         progress.update(0.4 * n / total, f"{n} of {total} demonstrations, seed {newest.seed}")
 
     demonstrations.play(plan, chosen, options.jobs, tell)
-    progress.update(0.4, "data sets")
+    progress.update(0.4, "datasets")
     whole = export([shown], root / "dataset")
     few = {
         n: export([plan.folder(seed) for seed in chosen[:n]], root / f"dataset_{n}")

@@ -1,4 +1,4 @@
-"""A made-up task folder in the format of JIGSAWS: no sample of the real data set is in it."""
+"""A made-up task folder in the format of JIGSAWS: no sample of the real dataset is in it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def samples(seed: int, seconds: float) -> np.ndarray:
 
 
 def write_trial(file: Path, values: np.ndarray) -> Path:
-    """One trial file, laid out with the data set's runs of blanks."""
+    """One trial file, laid out with the dataset's runs of blanks."""
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_text("".join("".join(f"   {v:.6f}" for v in row) + " \n" for row in values))
     return file

@@ -271,6 +271,6 @@ def test_what_a_program_says_in_json_is_its_progress_and_its_result(tmp_path: Pa
     last = learn_stages.follow(argv, tmp_path / "log", lambda news: told.append(news["part"]))
     assert last == {"weights": "ab"} and told == [0.0, 0.5]
     assert (tmp_path / "log").read_text("utf-8") == "a warning\n"
-    script.write_text("import sys\nsys.exit('no data set')\n")
-    with pytest.raises(Problem, match="no data set"):
+    script.write_text("import sys\nsys.exit('no dataset')\n")
+    with pytest.raises(Problem, match="no dataset"):
         learn_stages.follow(argv, tmp_path / "log", lambda news: None)

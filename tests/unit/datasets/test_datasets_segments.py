@@ -1,4 +1,4 @@
-"""F09: of a recording whose clock was set, the longest stretch is exported, and it is right."""
+"""F09: of a recording whose clock was set, the longest segment is exported, and it is right."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ STEPS: dict[str, tuple[tuple[tuple[int, int], ...], int]] = {
     "back by little": (((901, -700_000_000),), 1),
     "back, the beginning is longer": (((2101, -HOUR),), 0),
 }
-"""(tick, step) and the longest stretch."""
+"""(tick, step) and the longest segment."""
 MANY = [
     pytest.param(name, marks=[] if name.startswith("twice") else pytest.mark.full) for name in STEPS
 ]
 
 
 @pytest.mark.parametrize("name", MANY)
-def test_the_longest_stretch_is_exported_and_every_frame_is_right(
+def test_the_longest_segment_is_exported_and_every_frame_is_right(
     tmp_path: Path, name: str
 ) -> None:
     steps, longest = STEPS[name]
@@ -81,9 +81,9 @@ def test_the_longest_stretch_is_exported_and_every_frame_is_right(
     print(f"{name}: {total} frames of {length:.1f} s, {wrong} wrong")
     assert wrong == 0
     other, _ = wrong_frames(tmp_path / "set", made, longest - 1 if longest else 1)
-    assert other == total, "by the clock of another stretch nothing is right"
+    assert other == total, "by the clock of another segment nothing is right"
     assert length - sides - 0.4 < total / 20 <= length - sides + 0.05
-    said = f"of its {len(steps) + 1} stretches number {longest + 1}, the longest"
+    said = f"of its {len(steps) + 1} segments number {longest + 1}, the longest"
     (warning,) = [text for text in report.warnings if "clock was set" in text]
     assert said in warning and str(folder) in warning
     stated = json.loads((tmp_path / "set" / "surg_export.json").read_text())
@@ -147,13 +147,13 @@ def test_what_cannot_be_told_is_refused(tmp_path: Path) -> None:
     short = [{**step, "begin_ns": START_NS + k * 10**9} for k in range(1, 6)]
     short = [{**each, "step_ns": 10**8} for each in short]
     datasets_synthetic.edit(killed, segments=short, stopped_ns=START_NS + 6 * 10**9)
-    assert "no stretch between" in refused(killed, tmp_path / "out")
+    assert "no segment between" in refused(killed, tmp_path / "out")
     other = Stepped(4.0, ((600, HOUR),), sender_is_set=False).record(tmp_path / "other")
     text = refused(other, tmp_path / "out")
     assert "3600.000 s from their reception" in text and "cannot be told on which side" in text
 
 
-def test_the_sync_report_judges_the_stretch(tmp_path: Path) -> None:
+def test_the_sync_report_judges_the_segment(tmp_path: Path) -> None:
     folder = Stepped(6.0, ((1000, -HOUR),)).record(tmp_path / "e")
     found = sync_report.write(folder)
     assert found["verdict"] == "fail"
@@ -161,7 +161,7 @@ def test_the_sync_report_judges_the_stretch(tmp_path: Path) -> None:
     assert found["segment"]["verdict"] == "cannot_tell", "squares do not move like instruments"
     assert "number 2, the longest" in found["segment"]["said"]
     assert found["skew_s"]["p95"] < 0.002 and found["skew_s"]["max"] < 0.1, "of one side only"
-    assert export(folder, tmp_path / "set").ok, "the stretch did not fail"
+    assert export(folder, tmp_path / "set").ok, "the segment did not fail"
     text = (folder / "sync.json").read_text()
     found["segment"]["verdict"] = "fail"
     (folder / "sync.json").write_text(json.dumps(found))

@@ -22,37 +22,29 @@ def place(folder: Path, name: str) -> Path:
 # --- the format ---------------------------------------------------------------------------------
 
 
-def test_every_column_arrives_where_it_belongs(tmp_path: Path) -> None:
+def test_the_position_of_psm1_is_read(tmp_path: Path) -> None:
     values = np.arange(76.0) + 1000.0 * np.arange(jigsaws.SHORTEST)[:, None]
     made_up.write_trial(place(tmp_path, "B001"), values)
-    (trial,) = jigsaws.read(tmp_path).trials
-    for k, name in enumerate(("master_left", "master_right", "slave_left", "slave_right")):
-        arm, first = trial.manipulator(name), 19 * k
-        row = arm.p[3], arm.R[3].ravel(), arm.v[3], arm.w[3], [arm.gripper[3]]
-        assert np.concatenate(row).tolist() == [3000.0 + first + i for i in range(19)]
+    (motion,) = jigsaws.read(tmp_path).motions
     # PSM1 is the left slave: columns 39 to 57, counted from one.
-    assert trial.manipulator().p[0].tolist() == [38.0, 39.0, 40.0]
-    assert not trial.samples.flags.writeable
-    with pytest.raises(ValueError, match="slave_right"):
-        trial.manipulator("PSM3")
+    assert motion.p[0].tolist() == [38.0, 39.0, 40.0]
+    assert motion.p[3].tolist() == [3038.0, 3039.0, 3040.0]
 
 
-def test_a_task_with_skills_and_scores(tmp_path: Path) -> None:
+def test_a_task_with_skills(tmp_path: Path) -> None:
     folder = made_up.write_task(tmp_path, SKILLS)
     for given in (folder, tmp_path):
         data = jigsaws.read(given)
-        assert data.task == "Knot_Tying" and data.warnings == ()
-        assert [t.name for t in data.trials] == [f"Knot_Tying_{name}" for name in SKILLS]
-        assert [t.subject for t in data.trials] == ["B", "C", "D", "E"]
-        assert [t.number for t in data.trials] == [1, 1, 1, 2]
-        metas = [t.meta for t in data.trials]
-        assert [m.skill for m in metas if m] == list(SKILLS.values())
-        assert metas[0] == jigsaws.Meta("N", 12, (2,) * 6)
+        assert data.name == "JIGSAWS Knot Tying" and data.warnings == ()
+        assert [t.name for t in data.motions] == [f"Knot_Tying_{name}" for name in SKILLS]
+        assert [t.skill for t in data.motions] == [jigsaws.SKILLS[s] for s in SKILLS.values()]
     bare = jigsaws.read(folder / "kinematics" / "AllGestures")
-    assert len(bare.trials) == 4
-    arm = data.trials[0].manipulator()
-    assert np.allclose(arm.R @ np.swapaxes(arm.R, 1, 2), np.eye(3), atol=1e-5)
-    assert np.allclose(np.gradient(arm.p, 1 / jigsaws.FS, axis=0), arm.v, atol=1e-4)
+    assert len(bare.motions) == 4
+    samples = jigsaws.read_samples(place(folder, "B001"))
+    slave_left = samples[:, 38:57]
+    R, v = slave_left[:, 3:12].reshape(-1, 3, 3), slave_left[:, 12:15]
+    assert np.allclose(R @ np.swapaxes(R, 1, 2), np.eye(3), atol=1e-5)
+    assert np.allclose(np.gradient(bare.motions[0].p, 1 / jigsaws.FS, axis=0), v, atol=1e-4)
 
 
 BROKEN = {
@@ -71,7 +63,7 @@ def test_a_broken_file_is_left_out_and_named(what: str, tmp_path: Path) -> None:
     folder = made_up.write_task(tmp_path, SKILLS)
     place(folder, "C001").write_text(content)
     data = jigsaws.read(folder)
-    assert [t.subject for t in data.trials] == ["B", "D", "E"]
+    assert [t.name[-4] for t in data.motions] == ["B", "D", "E"]
     (warning,) = data.warnings
     assert str(place(folder, "C001")) in warning and said in warning
 
@@ -87,11 +79,11 @@ def test_a_meta_file_that_is_missing_or_strange_costs_the_skills_only(tmp_path: 
     meta = folder / "meta_file_Knot_Tying.txt"
     meta.write_text(meta.read_text().replace("\tI\t", "\tX\t") + "Knot_Tying_Z001\n")
     data = jigsaws.read(folder)
-    assert [t.meta.skill if t.meta else None for t in data.trials] == ["N", None, "E", "E"]
+    assert [t.skill for t in data.motions] == ["novice", None, "expert", "expert"]
     assert len(data.warnings) == 2 and "line 2" in data.warnings[0]
     meta.unlink()
     data = jigsaws.read(folder)
-    assert len(data.trials) == 4 and not any(t.meta for t in data.trials)
+    assert len(data.motions) == 4 and not any(t.skill for t in data.motions)
     assert "not found" in data.warnings[0]
 
 
@@ -120,10 +112,7 @@ def test_a_reference_is_measured_as_the_episodes_are(tmp_path: Path) -> None:
     measured = [reference_sets.measure(motion) for motion in found.motions]
     for preset in metrics.PRESETS:
         compared = reference_sets.summarise(found, measured, preset)
-        values = [
-            metrics.smoothness(t.manipulator("slave_left").p, 30.0, preset)
-            for t in jigsaws.read(folder).trials
-        ]
+        values = [metrics.smoothness(t.p, 30.0, preset) for t in jigsaws.read(folder).motions]
         assert compared["trials"] == 4
         for name in ("sparc", "ldlj"):
             numbers = [getattr(value, name) for value in values]

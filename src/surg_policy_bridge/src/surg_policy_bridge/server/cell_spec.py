@@ -1,4 +1,4 @@
-"""What a cell's policy observes and commands: the specification shared with data sets."""
+"""What a cell's policy observes and commands: the specification shared with datasets."""
 
 from __future__ import annotations
 

@@ -66,28 +66,24 @@ def _paths(
     def within(table: Table, name: str) -> Table:
         return table if segment is None else segment.table(table, name)
 
+    wanted = ("stamp_ns", "receive_ns", "p_tip_x", "p_tip_y", "p_tip_z")
     for arm in episode.arms:
         try:
-            table = episodes.read_table(
-                episode.folder / f"cycle_{arm}.csv",
-                wanted=("stamp_ns", "receive_ns", "p_tip_x", "p_tip_y", "p_tip_z"),
-            )
+            table = episodes.read_table(episode.folder / f"cycle_{arm}.csv", wanted=wanted)
             table = within(table, f"cycle_{arm}")
             tip = table.vector("p_tip")
         except EpisodeError as problem:
             problems.append(str(problem))
             continue
         origin = origin or (int(table["stamp_ns"][0]) if len(table) else 0)
-        path = _tip_path(table["stamp_ns"] - origin, tip)
-        if path is not None:
+        if path := _tip_path(table["stamp_ns"] - origin, tip):
             paths[arm] = path
     if ASSISTANT_TABLE in episode.tables:
         with contextlib.suppress(EpisodeError):  # optional
             table = within(episode.table(ASSISTANT_TABLE), ASSISTANT_TABLE)
             yaw, pitch, insertion = (table[name] for name in ("yaw", "pitch", "insertion"))
             tip = virtual_tip(yaw, pitch, insertion)
-            path = _tip_path(table["stamp_ns"] - origin, tip)
-            if path is not None:
+            if path := _tip_path(table["stamp_ns"] - origin, tip):
                 paths["assistant"] = path
     return origin, paths, problems
 

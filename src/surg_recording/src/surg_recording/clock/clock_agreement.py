@@ -12,7 +12,7 @@ from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import EpisodeError
 
 CLOCK_TABLE = "clock_sync"
-"""Table with the messages of the clock monitor."""
+"""Table of the clock monitor's messages."""
 
 SILENCE_BOUND = 5.0
 """Longest time between two samples of a clock [s]."""
@@ -42,10 +42,7 @@ def agreement(episode: Episode) -> dict[str, Any]:
         "reasons": [],
         "machines": machines(episode.manifest),
         "samples": 0,
-        "offset_s": None,
-        "offset_median_s": None,
-        "path_delay_s": None,
-        "grandmaster": None,
+        **dict.fromkeys(("offset_s", "offset_median_s", "path_delay_s", "grandmaster")),
         "port_states": [],
     }
     if episode.manifest.get("mode") == "lockstep":

@@ -19,10 +19,10 @@ from surg_recording.episode.episode_reader import Episode, Table, Video
 from surg_recording.recording_errors import EpisodeError
 
 GUARD_NS = 1_000_000_000
-"""Left out on either side of a step [ns]."""
+"""Excluded on either side of a step [ns]."""
 
 EDGE = 2
-"""Rows left out on either side of a step: the recorder's counts of rows may be one off."""
+"""Rows excluded on either side of a step: the recorder's counts of rows may be off by one."""
 
 Mask = npt.NDArray[np.bool_]
 
@@ -34,24 +34,24 @@ class Segment:
     number: int
     """From 1."""
     count: int
-    """Of the recording's stretches."""
+    """Number of the recording's segments."""
     begin_ns: int | None
-    """From here on by the recorder's clock [ns]; None: from the recording's start."""
+    """Start by the recorder's clock [ns]; None: the recording's start."""
     end_ns: int | None
-    """Until here [ns]; None: until the recording's end."""
+    """End [ns]; None: the recording's end."""
     seconds: float
-    """Between the two [s]."""
+    """Length [s]."""
     before: Mapping[str, int]
     """Per table and camera: rows and frames received before it."""
     until: Mapping[str, int] | None
-    """… and before its end; None: it has none."""
+    """The same before its end; None: the recording's end."""
 
     @property
     def words(self) -> str:
         """The segment in words."""
         return (
             f"the clock was set {self.count - 1} times while it was recorded: of its"
-            f" {self.count} stretches number {self.number}, the longest ({self.seconds:.1f} s)"
+            f" {self.count} segments number {self.number}, the longest ({self.seconds:.1f} s)"
         )
 
     def rows(self, name: str, receive_ns: npt.NDArray[np.int64], lost: Any = 0) -> Mask:
@@ -63,12 +63,12 @@ class Segment:
             lost: Number of rows received before each but not written; a number or (N,).
         """
         place = np.arange(len(receive_ns)) + lost
-        found = np.ones(len(receive_ns), dtype=bool)
+        inside = np.ones(len(receive_ns), dtype=bool)
         if self.begin_ns is not None:
-            found &= (place >= self.before.get(name, 0) + EDGE) & (receive_ns >= self.begin_ns)
+            inside &= (place >= self.before.get(name, 0) + EDGE) & (receive_ns >= self.begin_ns)
         if self.until is not None and self.end_ns is not None:
-            found &= (place < self.until.get(name, 0) - EDGE) & (receive_ns <= self.end_ns)
-        return found
+            inside &= (place < self.until.get(name, 0) - EDGE) & (receive_ns <= self.end_ns)
+        return inside
 
     def table(self, table: Table, name: str) -> Table:
         """The rows of a table within the segment."""
@@ -80,18 +80,18 @@ class Segment:
         Raises:
             EpisodeError: The segment has no frame of the camera, or frames in several files.
         """
-        found, before = [], 0
+        parts, before = [], 0
         for video in recorded.parts(camera):
             lost = video.frames["dropped"]
             inside = self.rows(camera, video.frames["receive_ns"], before + np.cumsum(lost))
             before += len(video.frames) + int(lost.sum())
             if inside.any():
                 frames = video.frames.select(np.flatnonzero(inside))
-                found.append(dataclasses.replace(video, frames=frames))
-        if len(found) != 1:
-            what = "more than one video" if found else "no frame"
+                parts.append(dataclasses.replace(video, frames=frames))
+        if len(parts) != 1:
+            what = "more than one video" if parts else "no frame"
             raise EpisodeError(f"{recorded.folder}: {camera} has {what} in it; {self.words}")
-        return found[0]
+        return parts[0]
 
 
 def longest(manifest: Mapping[str, Any]) -> Segment | None:
@@ -119,7 +119,7 @@ def longest(manifest: Mapping[str, Any]) -> Segment | None:
     best = int(np.argmax(lengths))
     if lengths[best] <= 0:
         raise EpisodeError(
-            f"the clock was set {len(steps)} times while it was recorded, and no stretch between"
+            f"the clock was set {len(steps)} times while it was recorded, and no segment between"
             f" is longer than {2e-9 * GUARD_NS:g} s"
         )
     last = len(steps)

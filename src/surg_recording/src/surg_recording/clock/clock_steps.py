@@ -18,7 +18,7 @@ STEP_NS = 10_000_000
 """A jump of more than this is a step [ns]."""
 
 FUTURE_NS = 50_000_000
-"""A stamp further ahead of its reception than this is of the future [ns]."""
+"""A stamp further ahead of its reception than this is in the future [ns]."""
 
 _TRIES = 5
 
@@ -36,10 +36,8 @@ class SteppedClock:
         on_step: Callable[[int, int], None],
         wall: Callable[[], int] = time.time_ns,
         steady: Callable[[], int] = time.monotonic_ns,
-        threshold_ns: int = STEP_NS,
     ) -> None:
         self._on_step, self._wall, self._steady = on_step, wall, steady
-        self._threshold = threshold_ns
         self._lock = threading.Lock()
         self._offset, _ = self._measure()
 
@@ -47,17 +45,17 @@ class SteppedClock:
         """Wall time [ns]."""
         wall = self._wall()
         moved = wall - self._steady() - self._offset
-        if -self._threshold < moved < self._threshold:
+        if -STEP_NS < moved < STEP_NS:
             # A reader that was preempted between its two readings must not drag the offset along.
             self._offset += moved // 64
             return wall
         with self._lock:
             offset, wall = self._measure()
             step = offset - self._offset
-            if abs(step) >= self._threshold:
+            if abs(step) >= STEP_NS:
                 try:
                     self._on_step(step, wall)
-                finally:  # last: until the step has been told, nobody else gets a time behind it
+                finally:  # last: no thread gets a later time before the step is reported
                     self._offset = offset
         return wall
 

@@ -15,10 +15,10 @@ QUESTIONS = ("TIME_STATUS_NP", "CURRENT_DATA_SET", "PARENT_DATA_SET", "PORT_DATA
 """Management ids that ``pmc`` is asked for, in this order."""
 
 SOCKET = "/run/surg_ptp/ptp4l"
-"""Where the daemon that ``./surg ptp`` starts can be asked."""
+"""Socket of the daemon that ``./surg ptp`` starts."""
 
 OFFSET_BOUND = 1e-3
-"""Two clocks agree when they are no further apart than this [s]."""
+"""Largest offset of two clocks that agree [s]."""
 
 MASTER, SLAVE, MEASURING = "MASTER", "SLAVE", "UNCALIBRATED"
 """Port states in which a clock can be in step: it leads, follows, or is measured without being

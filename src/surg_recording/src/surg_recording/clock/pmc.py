@@ -12,9 +12,9 @@ from surg_recording.clock import clock_sync
 from surg_recording.clock.clock_sync import ClockStatus
 
 ANSWER = 2.0
-"""An answer that takes longer than this is none [s]."""
+"""Longest wait for an answer [s]."""
 FOLDERS = ("/usr/sbin", "/sbin", "/usr/local/sbin")
-"""Where linuxptp lies on Debian: not on the path of everybody."""
+"""Folders of linuxptp on Debian; not on every user's path."""
 
 
 def program(name: str) -> str | None:
@@ -28,8 +28,8 @@ def ask(socket: Path | str = clock_sync.SOCKET, timeout: float = ANSWER) -> Cloc
 
     Never raises: errors are in ``problem``.
     """
-    found = program("pmc")
-    if found is None:
+    executable = program("pmc")
+    if executable is None:
         return ClockStatus(problem="pmc is not installed: apt install linuxptp")
     if not Path(socket).exists():
         return ClockStatus(
@@ -43,7 +43,7 @@ def ask(socket: Path | str = clock_sync.SOCKET, timeout: float = ANSWER) -> Cloc
     questions = [f"GET {name}" for name in clock_sync.QUESTIONS]
     with tempfile.TemporaryDirectory(prefix="pmc_") as folder:
         own = str(Path(folder) / "socket")
-        argv = [found, "-u", "-b", "0", "-s", str(socket), "-i", own, *questions]
+        argv = [executable, "-u", "-b", "0", "-s", str(socket), "-i", own, *questions]
         try:
             done = subprocess.run(
                 argv,
@@ -57,7 +57,7 @@ def ask(socket: Path | str = clock_sync.SOCKET, timeout: float = ANSWER) -> Cloc
         except subprocess.TimeoutExpired:
             return ClockStatus(problem=f"the PTP daemon did not answer within {timeout:g} s")
         except OSError as problem:
-            return ClockStatus(problem=f"{found}: {problem.strerror}")
+            return ClockStatus(problem=f"{executable}: {problem.strerror}")
     status = clock_sync.parse(done.stdout)
     if status.problem and done.stderr.strip():
         return ClockStatus(problem=f"{status.problem} (pmc: {done.stderr.strip()[:160]})")

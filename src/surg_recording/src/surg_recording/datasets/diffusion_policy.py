@@ -173,10 +173,10 @@ def _off_grid(root: Any, ends: npt.NDArray[np.int64]) -> list[str]:
     if "timing.grid_ns" not in root["data"]:
         return []
     times, fps = root["data"]["timing.grid_ns"][:], root.attrs["fps"]
-    found = []
+    errors = []
     for number, end in enumerate(ends):
         begin = ends[number - 1] if number else 0
         off = times[begin:end] - times[begin] - np.arange(end - begin) * (1e9 / fps)
         if np.abs(off).max() > 1:
-            found.append(f"recording {number}: its frames are not {1 / fps:g} s apart")
-    return found
+            errors.append(f"recording {number}: its frames are not {1 / fps:g} s apart")
+    return errors

@@ -31,7 +31,7 @@ class Columns:
             self.dropped.append(feature.name)
             return
         self.features.append(feature)
-        if values is None:
+        if values is None:  # a video
             return
         if feature.dtype in ("float32", "float64") and not np.isfinite(values).all():
             row = int(np.argwhere(~np.isfinite(values))[0][0])

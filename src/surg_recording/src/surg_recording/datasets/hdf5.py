@@ -67,8 +67,8 @@ def check_array(stored: h5py.Dataset, values: npt.NDArray[Any]) -> None:
     Raises:
         EpisodeError: They differ.
     """
-    found = stored.asstr()[()] if h5py.check_string_dtype(stored.dtype) else stored[()]
-    if not np.array_equal(found, values):
+    read_back = stored.asstr()[()] if h5py.check_string_dtype(stored.dtype) else stored[()]
+    if not np.array_equal(read_back, values):
         raise EpisodeError(f"{stored.file.filename}: {stored.name}: read back something else")
 
 

@@ -33,11 +33,9 @@ class Layout:
 
     arms: tuple[str, ...]
     robots: tuple[str, ...]
-    """Robot of each arm."""
     joints: tuple[int, ...]
-    """Joints of each arm."""
+    """Number of joints of each arm."""
     instruments: tuple[str, ...]
-    """Instrument of each arm."""
     commanded: tuple[str, ...]
     """Arms that received motion commands."""
     cameras: tuple[str, ...]
@@ -52,23 +50,22 @@ class Layout:
 
     def difference(self, other: Layout) -> str | None:
         """The property that excludes ``other`` from an export with this layout, or None."""
-        words = {
-            "arms": "arms",
-            "robots": "robots",
-            "joints": "joints per arm",
-            "instruments": "instruments",
-            "commanded": "commanded arms",
-            "cameras": "cameras",
-            "sizes": "picture sizes",
-            "labelled": "judged by a task",
-            "task_numbers": "numbers of the task's state",
-            "truth": "ground truth",
-        }
-        for field, word in words.items():
-            mine, theirs = getattr(self, field), getattr(other, field)
+        for field in dataclasses.fields(self):
+            mine, theirs = getattr(self, field.name), getattr(other, field.name)
             if mine != theirs:
-                return f"{word}: {_words(theirs)}, but this export has {_words(mine)}"
+                name = _FIELD_NAMES.get(field.name, field.name)
+                return f"{name}: {_words(theirs)}, but this export has {_words(mine)}"
         return None
+
+
+_FIELD_NAMES = {
+    "joints": "joints per arm",
+    "commanded": "commanded arms",
+    "sizes": "picture sizes",
+    "labelled": "judged by a task",
+    "task_numbers": "numbers of the task's state",
+    "truth": "ground truth",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,9 +78,9 @@ class Candidate:
     """``SUCCESS``, ``RECOVERY`` or ``FAILURE``."""
     instruction: str
     about: dict[str, Any]
-    """What the dataset's page says about it: task, operator, setting, seed, dates, software."""
+    """Facts for the dataset's page: task, operator, setting, seed, dates, software."""
     segment: Segment | None = None
-    """What is exported of a recording whose clock was set; None: all of it."""
+    """The exported segment of a recording whose clock was set; None: all of it."""
 
 
 def look(folder: Path, options: ExportOptions) -> Candidate:
@@ -101,29 +98,30 @@ def look(folder: Path, options: ExportOptions) -> Candidate:
         )
     segment = _segment(recorded)
     sync = _sync(recorded, segment)
-    _check_sync(recorded, sync, options)
-    layout = layout_of(recorded, options)
+    if sync and sync.get("verdict") == "fail" and not options.allow_unsynchronised:
+        raise EpisodeError(
+            f"{folder}: its sync report ({SYNC_REPORT}) says 'fail': pictures and motion may not"
+            " belong together; --allow-unsynchronised exports it anyway"
+        )
     run = _mapping(manifest.get("run"))
     return Candidate(
         folder=folder,
-        layout=layout,
+        layout=layout_of(recorded, options),
         kind=kind_of(manifest),
         instruction=options.instruction
         or str(run.get("instruction") or manifest.get("task") or run.get("motion") or "not stated"),
         about={
-            "task": manifest.get("task"),
-            "operator": manifest.get("operator"),
+            **{key: manifest.get(key) for key in _FACTS},
             "setting": run.get("setting"),
-            "seed": manifest.get("seed"),
-            "created": manifest.get("created"),
-            "mode": manifest.get("mode"),
-            "clock": manifest.get("clock"),
             "software": _mapping(manifest.get("versions")).get("software"),
             "simulated": bool(manifest.get("sim")),
             "sync": sync,
         },
         segment=segment,
     )
+
+
+_FACTS = ("task", "operator", "seed", "created", "mode", "clock")
 
 
 def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
@@ -177,7 +175,7 @@ def _joint_count(recorded: Episode, arm: str) -> int:
         raise EpisodeError(
             f"{recorded.folder}: no control cycle of {arm} was recorded; nothing to export"
         )
-    return sum(1 for name in entry["columns"] if name[:1] == "q" and name[1:].isdigit())
+    return table_columns.joint_count(entry["columns"])
 
 
 def _cameras(
@@ -185,7 +183,7 @@ def _cameras(
 ) -> tuple[tuple[str, ...], tuple[tuple[int, int], ...]]:
     """Names of the cameras to export, and width and height of their pictures [px]."""
     videos, folder = recorded.manifest["videos"], recorded.folder
-    own = tuple(name for name in recorded.cameras if not _mapping(videos[name]).get("part_of"))
+    own = tuple(recorded.cameras)
     cameras = own if options.cameras is None else options.cameras
     sizes = []
     for camera in cameras:
@@ -224,15 +222,15 @@ def _sync(recorded: Episode, segment: Segment | None) -> dict[str, Any] | None:
     If the clock was set and only a segment is exported, the report on that segment.
     """
     try:
-        found = json.loads((recorded.folder / SYNC_REPORT).read_text("utf-8"))
+        report = json.loads((recorded.folder / SYNC_REPORT).read_text("utf-8"))
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as problem:
         raise EpisodeError(f"{recorded.folder / SYNC_REPORT}: not valid JSON ({problem})") from None
-    if not isinstance(found, dict):
+    if not isinstance(report, dict):
         return None
-    part = found.get("segment") if segment is not None else None
-    return part if isinstance(part, dict) else found
+    part = report.get("segment") if segment is not None else None
+    return part if isinstance(part, dict) else report
 
 
 def _segment(recorded: Episode) -> Segment | None:
@@ -253,22 +251,14 @@ def _segment(recorded: Episode) -> Segment | None:
     return segment
 
 
-def _check_sync(recorded: Episode, report: dict[str, Any] | None, options: ExportOptions) -> None:
-    if report and report.get("verdict") == "fail" and not options.allow_unsynchronised:
-        raise EpisodeError(
-            f"{recorded.folder}: its sync report ({SYNC_REPORT}) says 'fail': pictures and motion"
-            " may not belong together; --allow-unsynchronised exports it all the same"
-        )
-
-
 def _mapping(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, Mapping) else {}
 
 
 def _texts(tags: Any) -> list[str]:
     """Texts of a manifest's tags, which are strings or objects."""
-    found = tags if isinstance(tags, list) else []
-    return [str(tag.get("text")) if isinstance(tag, dict) else str(tag) for tag in found]
+    listed = tags if isinstance(tags, list) else []
+    return [str(tag.get("text")) if isinstance(tag, dict) else str(tag) for tag in listed]
 
 
 def _words(value: Any) -> str:

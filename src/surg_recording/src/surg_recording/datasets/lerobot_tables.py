@@ -27,11 +27,8 @@ CHUNK = 1000
 """Recordings per folder."""
 
 INDEX_FEATURES: dict[str, dict[str, Any]] = {
-    "timestamp": {"dtype": "float32", "shape": [1], "names": None},
-    "frame_index": {"dtype": "int64", "shape": [1], "names": None},
-    "episode_index": {"dtype": "int64", "shape": [1], "names": None},
-    "index": {"dtype": "int64", "shape": [1], "names": None},
-    "task_index": {"dtype": "int64", "shape": [1], "names": None},
+    name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
+    for name in ("timestamp", "frame_index", "episode_index", "index", "task_index")
 }
 """Columns that every LeRobot dataset has."""
 
@@ -65,18 +62,22 @@ def _array(values: npt.NDArray[Any], dtype: str, length: int) -> pa.Array:
 
 def indexed(table: pa.Table, fps: int, episode: int, first: int, task: int) -> pa.Table:
     """A part's table with the columns of its position in the dataset."""
-    k = np.arange(table.num_rows)
-    places: dict[str, npt.NDArray[Any]] = {
-        "timestamp": (k / fps).astype(np.float32),
-        "frame_index": k,
-        "episode_index": np.full(len(k), episode),
-        "index": first + k,
-        "task_index": np.full(len(k), task),
-    }
-    for name, values in places.items():
+    places = _places(table.num_rows, fps, episode, first)
+    for name, values in {**places, "task_index": np.full(table.num_rows, task)}.items():
         kind = _ARROW[INDEX_FEATURES[name]["dtype"]]
         table = table.append_column(name, pa.array(values, kind))
     return table
+
+
+def _places(rows: int, fps: int, episode: int, first: int) -> dict[str, npt.NDArray[Any]]:
+    """Time, and positions in the recording and in the dataset, of a recording's rows."""
+    k = np.arange(rows)
+    return {
+        "timestamp": (k / fps).astype(np.float32),
+        "frame_index": k,
+        "episode_index": np.full(rows, episode),
+        "index": first + k,
+    }
 
 
 def numbers(table: pa.Table, name: str) -> npt.NDArray[Any]:
@@ -102,21 +103,18 @@ def stats_of(
     quantiles: bool = False,
 ) -> dict[str, statistics.Stats]:
     """Statistics of every numeric column and every video."""
-    found = {}
+    stats = {}
     for field in table.schema:
         if not pa.types.is_string(field.type):
-            found[field.name] = statistics.of_column(numbers(table, field.name), quantiles)
+            stats[field.name] = statistics.of_column(numbers(table, field.name), quantiles)
     for name, (histogram, sampled) in colours.items():
-        found[name] = statistics.of_histogram(histogram, sampled, quantiles)
-    return found
-
-
-# --- meta -------------------------------------------------------------------------------------
+        stats[name] = statistics.of_histogram(histogram, sampled, quantiles)
+    return stats
 
 
 def described(features: Sequence[Feature], fps: int) -> dict[str, dict[str, Any]]:
     """The ``features`` of info.json; unit, frame and method stand under ``info``."""
-    found: dict[str, dict[str, Any]] = {}
+    entries: dict[str, dict[str, Any]] = {}
     for feature in features:
         entry: dict[str, Any] = {
             "dtype": feature.dtype,
@@ -142,8 +140,8 @@ def described(features: Sequence[Feature], fps: int) -> dict[str, dict[str, Any]
                 "description": feature.text,
                 "privileged": feature.privileged,
             }
-        found[feature.name] = entry
-    return {**found, **INDEX_FEATURES}
+        entries[feature.name] = entry
+    return {**entries, **INDEX_FEATURES}
 
 
 def info(dataset: Dataset, version: str) -> dict[str, Any]:
@@ -182,37 +180,25 @@ def read_json(path: Path) -> Any:
         raise EpisodeError(f"{path}: {problem}") from None
 
 
-# --- checks -----------------------------------------------------------------------------------
-
-
 def check_rows(table: pa.Table, stated: Mapping[str, Any], episode: int, first: int) -> list[str]:
     """Errors in the rows of one recording."""
-    where, fps, n = f"recording {episode}", stated["fps"], table.num_rows
-    k = np.arange(n)
-    expected: dict[str, npt.NDArray[Any]] = {
-        "timestamp": (k / fps).astype(np.float32),
-        "frame_index": k,
-        "episode_index": np.full(n, episode),
-        "index": first + k,
-    }
-    found = []
-    for name, values in expected.items():
+    where, errors = f"recording {episode}", []
+    for name, values in _places(table.num_rows, stated["fps"], episode, first).items():
         if name not in table.column_names or not np.array_equal(numbers(table, name), values):
-            found.append(f"{where}: column {name} is not on the grid")
+            errors.append(f"{where}: column {name} is not on the grid")
     for name, feature in stated["features"].items():
         if feature["dtype"] == "video":
             continue
         if name not in table.column_names:
-            found.append(f"{where}: no column {name}")
+            errors.append(f"{where}: no column {name}")
         elif feature["dtype"].startswith("float"):
             values = numbers(table, name)
-            if values.shape[1:] != tuple(
-                d for d in feature["shape"] if d != 1 or len(feature["shape"]) > 1
-            ):
-                found.append(f"{where}: column {name} has shape {values.shape[1:]}")
+            shape = () if feature["shape"] == [1] else tuple(feature["shape"])
+            if values.shape[1:] != shape:
+                errors.append(f"{where}: column {name} has shape {values.shape[1:]}")
             elif not np.isfinite(values).all():
-                found.append(f"{where}: column {name} holds values that are no numbers")
-    return found
+                errors.append(f"{where}: column {name} holds values that are no numbers")
+    return errors
 
 
 def check_splits(stated: Mapping[str, Any]) -> list[str]:

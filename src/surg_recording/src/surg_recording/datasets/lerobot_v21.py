@@ -45,8 +45,8 @@ class LeRobotV21(LeRobotExporter):
             for feature in videos:
                 target = out / VIDEO_PATH.format(video_key=feature.name, **place)
                 pictures.place(part.folder / f"{feature.name}.mp4", target)
-            found = lerobot_tables.stats_of(table, lerobot_tables.colours_of(part))
-            stats.append({"episode_index": index, "stats": statistics.to_json(found)})
+            part_stats = lerobot_tables.stats_of(table, lerobot_tables.colours_of(part))
+            stats.append({"episode_index": index, "stats": statistics.to_json(part_stats)})
             episodes.append(
                 {"episode_index": index, "tasks": [part.instruction], "length": part.frames}
             )
@@ -91,8 +91,8 @@ class LeRobotV21(LeRobotExporter):
                 report.errors.append(
                     f"recording {index}: {table.num_rows} rows, not {entry['length']}"
                 )
-            found = lerobot_tables.stats_of(table, {})
-            report.errors += statistics.differ(stats[index]["stats"], found, list(found))
+            computed = lerobot_tables.stats_of(table, {})
+            report.errors += statistics.differ(stats[index]["stats"], computed, list(computed))
             for name in videos:
                 path = out / stated["video_path"].format(video_key=name, **place)
                 facts = pictures.video_facts(path)

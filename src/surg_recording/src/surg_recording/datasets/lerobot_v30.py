@@ -5,6 +5,7 @@ Read by lerobot 0.4 and later. Videos are joined packet by packet, not encoded a
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -170,20 +171,17 @@ class LeRobotV30(LeRobotExporter):
 
 def _episode_rows(parts: Sequence[Part]) -> list[dict[str, Any]]:
     """Index, instruction, length and range of frames of every recording."""
-    rows: list[dict[str, Any]] = []
-    first = 0
-    for index, part in enumerate(parts):
-        rows.append(
-            {
-                "episode_index": index,
-                "tasks": [part.instruction],
-                "length": part.frames,
-                "dataset_from_index": first,
-                "dataset_to_index": first + part.frames,
-            }
-        )
-        first += part.frames
-    return rows
+    ends = itertools.accumulate(part.frames for part in parts)
+    return [
+        {
+            "episode_index": index,
+            "tasks": [part.instruction],
+            "length": part.frames,
+            "dataset_from_index": end - part.frames,
+            "dataset_to_index": end,
+        }
+        for index, (part, end) in enumerate(zip(parts, ends, strict=True))
+    ]
 
 
 def tasks_table(tasks: Mapping[str, int]) -> pa.Table:
@@ -191,25 +189,15 @@ def tasks_table(tasks: Mapping[str, int]) -> pa.Table:
 
     This schema entry marks the index, so writing it does not need pandas.
     """
+    keys = ("name", "field_name", "pandas_type", "numpy_type", "metadata")
+    columns = (
+        ("task_index", "task_index", "int64", "int64", None),
+        (None, _PANDAS_INDEX, "unicode", "object", None),
+    )
     described = {
         "index_columns": [_PANDAS_INDEX],
         "column_indexes": [],
-        "columns": [
-            {
-                "name": "task_index",
-                "field_name": "task_index",
-                "pandas_type": "int64",
-                "numpy_type": "int64",
-                "metadata": None,
-            },
-            {
-                "name": None,
-                "field_name": _PANDAS_INDEX,
-                "pandas_type": "unicode",
-                "numpy_type": "object",
-                "metadata": None,
-            },
-        ],
+        "columns": [dict(zip(keys, column, strict=True)) for column in columns],
         "creator": {"library": "pyarrow", "version": pa.__version__},
         "pandas_version": "1.5.3",
     }
@@ -250,6 +238,6 @@ def _found(row: Mapping[str, Any], prefix: str) -> dict[str, int]:
 def _flat(stats: Mapping[str, statistics.Stats]) -> dict[str, Any]:
     return {
         f"stats/{feature}/{key}": np.asarray(value).tolist()
-        for feature, found in stats.items()
-        for key, value in found.items()
+        for feature, values in stats.items()
+        for key, value in values.items()
     }

@@ -148,16 +148,6 @@ def sweep(parts: Path) -> None:
     here = f"{_UNFINISHED}{socket.gethostname()}-"
     for folder in parts.glob(f"{here}*"):
         owner = folder.name[len(here) :].partition("-")[0]
-        if owner.isdigit() and not _alive(int(owner)):
+        if owner.isdigit() and not Path(f"/proc/{owner}").exists():
             with contextlib.suppress(OSError):
                 shutil.rmtree(folder)
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True

@@ -209,17 +209,17 @@ def _assemble(
     staging.mkdir(parents=True)
     try:
         exporter.assemble(dataset, staging)
-        found = exporter.validate(staging)
-        report.recordings, report.frames = found.recordings, found.frames
-        report.errors += found.errors
-        report.warnings += found.warnings
+        validated = exporter.validate(staging)
+        report.recordings, report.frames = validated.recordings, validated.frames
+        report.errors += validated.errors
+        report.warnings += validated.warnings
         for part in dataset.parts:
             report.warnings += _segment_warning(part.source, part.notes)
-        report.facts.update(found.facts)
-        if found.recordings != len(dataset.parts) or found.frames != dataset.frames:
+        report.facts.update(validated.facts)
+        if validated.recordings != len(dataset.parts) or validated.frames != dataset.frames:
             report.errors.append(
-                f"read back {found.recordings} recordings with {found.frames} frames, written were"
-                f" {len(dataset.parts)} with {dataset.frames}"
+                f"read back {validated.recordings} recordings with {validated.frames} frames;"
+                f" {len(dataset.parts)} with {dataset.frames} were written"
             )
         if report.errors:
             return

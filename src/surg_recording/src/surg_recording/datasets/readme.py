@@ -40,7 +40,7 @@ SECTIONS = (
     "Splits",
     "Attribution",
 )
-"""Headings that the page must have; Open-H's checker looks for five of these words."""
+"""Required headings; Open-H's checker looks for five of these words."""
 
 
 def page(dataset: Dataset, format_name: str) -> str:
@@ -84,7 +84,7 @@ def _description(dataset: Dataset, about: Mapping[str, Any], format_name: str) -
         f"| Licence | {_stated(about, 'license')} |",
         f"| Version | {_stated(about, 'version')} |",
         "",
-        "Tasks, as instructions in words:",
+        "Tasks, as instructions:",
         "",
         *[f"- {task}" for task in dataset.tasks],
     ]
@@ -143,10 +143,10 @@ def _synchronization(dataset: Dataset) -> list[str]:
     return [
         _clocks(dataset),
         "",
-        "Frame k stands at k / fps exactly. Pictures are the newest that are not later, at most"
+        "The time of frame k is k / fps exactly. Pictures are the newest not later than it, at most"
         f" {dataset.options.max_image_age_s * 1000:g} ms old; measured values are interpolated"
         f" between samples at most {dataset.options.max_gap_s * 1000:g} ms apart. True stamps"
-        " (integer nanoseconds) and ages stand beside every frame in the columns `timing.*`.",
+        " (integer nanoseconds) and ages of every frame are in the columns `timing.*`.",
         "",
         *_notes(dataset),
     ]
@@ -158,7 +158,7 @@ def _action_and_state(dataset: Dataset) -> list[str]:
         " origin at the trocar and z along the home shaft axis into the patient. Actions are"
         " absolute.",
         "",
-        "| feature | type | numbers | unit | frame | how it came onto the grid |",
+        "| feature | type | numbers | unit | frame | resampling |",
         "|---|---|---|---|---|---|",
     ]
     for feature in schema.columns_of(dataset.features):

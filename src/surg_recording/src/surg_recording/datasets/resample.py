@@ -64,13 +64,9 @@ def previous(stamps: Stamps, times: Stamps, what: str, max_age_ns: int | None = 
     index = np.searchsorted(stamps, times, side="right") - 1
     early = np.flatnonzero(index < 0)
     if len(early):
+        later = f"{(stamps[0] - times[early[0]]) / 1e6:.1f} ms later" if len(stamps) else "missing"
         raise EpisodeError(
-            f"{what}: no sample at or before {_at(times, early[0])}"
-            + (
-                f"; the first is {(stamps[0] - times[early[0]]) / 1e6:.1f} ms later"
-                if len(stamps)
-                else ""
-            )
+            f"{what}: no sample at or before {_at(times, early[0])}; the first is {later}"
         )
     if max_age_ns is not None:
         age = times - stamps[index]
@@ -146,8 +142,8 @@ def slerp(
         line = int(np.flatnonzero(~(length > 0.5))[0]) + 2
         raise EpisodeError(f"{what}, line {line}: this quaternion is none (its length is no 1)")
     unit = quaternions / length[:, None]
-    found = transforms.slerp(unit[before], unit[after], part)
-    return transforms.continuous_quaternions(found), before
+    interpolated = transforms.slerp(unit[before], unit[after], part)
+    return transforms.continuous_quaternions(interpolated), before
 
 
 def ages_s(stamps: Stamps, index: Stamps, times: Stamps) -> Array:

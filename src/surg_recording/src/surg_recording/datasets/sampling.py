@@ -70,7 +70,7 @@ class Sampled:
     pictures: dict[str, Pictures]
     """By feature name."""
     notes: dict[str, Any]
-    """What a reader of the report wants to know: trimmed, repeated, skipped, oldest."""
+    """Facts for the report: repeated, skipped and oldest pictures."""
 
     def frames(self, feature: str) -> Iterator[av.VideoFrame]:
         """The pictures of a video feature in the grid's order."""
@@ -125,20 +125,15 @@ def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
     shown = _show(made, candidate, videos)
     if task is not None:
         _label(made, task)
-    if task is not None and layout.task_numbers:
-        _privileged_task(made, task, layout.task_numbers)
+        if layout.task_numbers:
+            _privileged_task(made, task, layout.task_numbers)
     if truth:
         _privileged_truth(made, layout.arms, truth)
     made.text(schema.INSTRUCTION, candidate.instruction, "what the operator was to do")
     tools = "; ".join(f"{a}: {i}" for a, i in zip(layout.arms, layout.instruments, strict=True))
     made.text(schema.TOOL, tools, "instrument of each arm")
-    made.number(
-        "timing.grid_ns",
-        grid.times_ns,
-        "int64",
-        ("ns",),
-        text="time of the frame on the recording's clock",
-    )
+    text = "time of the frame on the recording's clock"
+    made.number("timing.grid_ns", grid.times_ns, "int64", ("ns",), text=text)
     features = tuple(sorted(made.features, key=lambda feature: schema.rank(feature.name)))
     unknown = set(options.drop) - set(made.dropped) - schema.OPTIONAL
     if unknown:
@@ -168,12 +163,11 @@ def _arm(recorded: Episode, name: str, cycle: Table) -> _Arm:
     roll_action = np.where(posed, cycle["roll_goal"], roll_set)
     began = np.diff(cycle["accepted"], prepend=-1) != 0
     s_R = rotate_back(q_BR, cycle.vector("s"))
-    state = np.column_stack([tip, roll, cycle["jaw"], p_set, roll_set])
     return _Arm(
         name=name,
         stamps=cycle["stamp_ns"],
         cycle=cycle,
-        state=state,
+        state=np.column_stack([tip, roll, cycle["jaw"], p_set, roll_set]),
         goal=np.column_stack([p_action, np.unwrap(roll_action), cycle["jaw_set"]]),
         goal_row=np.maximum.accumulate(np.where(began, np.arange(len(cycle)), 0)),
         p_BTip=p_BTip,
@@ -192,27 +186,23 @@ def _grid(
     options: ExportOptions,
 ) -> Grid:
     period = int(offsets_ns(np.array([1]), options.fps)[0])
-    commands = [
-        int(arm.stamps[np.flatnonzero(arm.cycle["command"] > 0)[0]])
-        for arm in arms
-        if (arm.cycle["command"] > 0).any()
-    ]
+    obeyed = [arm.stamps[arm.cycle["command"] > 0] for arm in arms]
+    commands = [int(stamps[0]) for stamps in obeyed if len(stamps)]
     if not commands:
         raise EpisodeError(
             f"{candidate.folder}: no motion command was obeyed: there is no action to export"
         )
-    firsts = [int(arm.stamps[0]) for arm in arms]
-    firsts += [int(video.frames["stamp_ns"][0]) for video in videos.values()]
-    firsts += [int(table["stamp_ns"][0]) for table in others]
-    begin = max(*firsts, min(commands) - period)
-    lasts = [int(arm.stamps[-1]) - period for arm in arms]
-    lasts += [int(table["stamp_ns"][-1]) for table in others if table.name != "task_state"]
-    lasts += [int(video.frames["stamp_ns"][-1]) for video in videos.values()]
-    end = min(lasts)
-    # A sender speaks a tick after its look: a grid that stood on the commands, not on the looks,
-    # would give every observation the answer to the next one.
-    looks = next((table["stamp_ns"] for table in others if table.name == "task_state"), None)
-    reference = next((video.frames["stamp_ns"] for video in videos.values()), looks)
+    tables = {table.name: table["stamp_ns"] for table in others}
+    pictures_ns = [video.frames["stamp_ns"] for video in videos.values()]
+    firsts = [*(arm.stamps[0] for arm in arms), *(s[0] for s in (*pictures_ns, *tables.values()))]
+    begin = int(max(*firsts, min(commands) - period))
+    # A command answers an observation one tick before it. A grid on the commands' stamps would
+    # pair every observation with the answer to the next one.
+    observed = tables.pop("task_state", None)
+    lasts = [*(arm.stamps[-1] - period for arm in arms)]
+    lasts += [s[-1] for s in (*pictures_ns, *tables.values())]
+    end = int(min(lasts))
+    reference = pictures_ns[0] if pictures_ns else observed
     if reference is not None:
         later = reference[reference >= begin]
         begin = int(later[0]) if len(later) else end + 1
@@ -237,10 +227,10 @@ def _observe(
     for arm in arms:
         what = str(candidate.folder / f"cycle_{arm.name}.csv")
         both = np.column_stack([arm.state, arm.p_BTip])
-        found, _ = linear(arm.stamps, both, grid.times_ns, what, gap)
+        resampled, _ = linear(arm.stamps, both, grid.times_ns, what, gap)
         quaternion, _ = slerp(arm.stamps, arm.q_BTool, grid.times_ns, what, gap)
-        states.append(found[:, : arm.state.shape[1]])
-        poses.append(np.column_stack([found[:, arm.state.shape[1] :], quaternion]))
+        states.append(resampled[:, : arm.state.shape[1]])
+        poses.append(np.column_stack([resampled[:, arm.state.shape[1] :], quaternion]))
     names = [arm.name for arm in arms]
     made.vector(
         STATE_KEY,
@@ -264,11 +254,11 @@ def _observe(
         values, flat = [], []
         for name, cycle in cycles.items():
             what = str(candidate.folder / f"cycle_{name}.csv")
-            found, before = linear(
+            resampled, before = linear(
                 cycle["stamp_ns"], cycle.joints(prefix), grid.times_ns, what, gap
             )
-            values.append(found)
-            flat += [f"{name}/{prefix}{i}" for i in range(found.shape[1])]
+            values.append(resampled)
+            flat += [f"{name}/{prefix}{i}" for i in range(resampled.shape[1])]
             if prefix == "q":
                 text = f"cycle of {name} before this frame"
                 made.timing(name, cycle["stamp_ns"], before, grid.times_ns, text)
@@ -314,18 +304,16 @@ def _show(
         index = previous(stamps, made.grid.times_ns, f"{video.path}", limit)
         width, height = made.options.size or candidate.layout.sizes[list(videos).index(camera)]
         name = image_key(camera)
-        made.add(
-            Feature(
-                name=name,
-                dtype="video",
-                shape=(height, width, 3),
-                names=("height", "width", "channels"),
-                method="newest picture that is not later",
-                text=f"camera {camera}, RGB",
-                camera=camera,
-            ),
-            None,
+        feature = Feature(
+            name=name,
+            dtype="video",
+            shape=(height, width, 3),
+            names=("height", "width", "channels"),
+            method="newest picture that is not later",
+            text=f"camera {camera}, RGB",
+            camera=camera,
         )
+        made.add(feature, None)
         if name in made.dropped:
             continue
         made.timing(camera, stamps, index, made.grid.times_ns, f"stamp of the picture of {camera}")
@@ -361,9 +349,8 @@ def _privileged_task(made: Columns, task: Table, numbers: tuple[str, ...]) -> No
         "ground truth of the task: no robot can measure it",
         privileged=True,
     )
-    made.timing(
-        "task_state", task["stamp_ns"], row, made.grid.times_ns, "stamp of the task's state"
-    )
+    text = "stamp of the task's state"
+    made.timing("task_state", task["stamp_ns"], row, made.grid.times_ns, text)
 
 
 def _privileged_truth(made: Columns, arms: tuple[str, ...], truth: list[Table]) -> None:
@@ -374,8 +361,8 @@ def _privileged_truth(made: Columns, arms: tuple[str, ...], truth: list[Table]) 
         values = np.column_stack([table.vector("tip"), table.vector("force")])
         gap = round(made.options.max_gap_s * SECOND_NS)
         what = f"ground_truth_{arm}.csv"
-        found, _ = linear(table["stamp_ns"], values, made.grid.times_ns, what, gap)
-        parts.append(found)
+        resampled, _ = linear(table["stamp_ns"], values, made.grid.times_ns, what, gap)
+        parts.append(resampled)
         names += [f"{arm}/{name}_{axis}" for name in ("tip", "force") for axis in "xyz"]
     made.vector(
         schema.GROUND_TRUTH,

@@ -34,8 +34,8 @@ _ORDER = (
 
 def rank(name: str) -> int:
     """Order of a feature: state and action first, because lerobot takes the first that it finds."""
-    found = [i for i, prefix in enumerate(_ORDER) if name.startswith(prefix)]
-    return found[0] if found else len(_ORDER)
+    ranks = [i for i, prefix in enumerate(_ORDER) if name.startswith(prefix)]
+    return ranks[0] if ranks else len(_ORDER)
 
 
 POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -71,8 +71,8 @@ class Feature:
 
     def describe(self) -> dict[str, Any]:
         """The feature for the JSON files of an export."""
-        found = dataclasses.asdict(self)
-        return {key: list(v) if isinstance(v, tuple) else v for key, v in found.items()}
+        fields = dataclasses.asdict(self)
+        return {key: list(v) if isinstance(v, tuple) else v for key, v in fields.items()}
 
 
 def from_description(described: dict[str, Any]) -> Feature:

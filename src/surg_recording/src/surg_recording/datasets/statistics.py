@@ -23,7 +23,7 @@ def of_column(values: npt.NDArray[np.generic], quantiles: bool = False) -> Stats
     data = np.asarray(values, dtype=np.float64)
     data = data.reshape(len(data), -1)
     mean = data.mean(axis=0)
-    found = {
+    stats = {
         "min": data.min(axis=0),
         "max": data.max(axis=0),
         "mean": mean,
@@ -32,8 +32,8 @@ def of_column(values: npt.NDArray[np.generic], quantiles: bool = False) -> Stats
     }
     if quantiles:
         for name, share in QUANTILES.items():
-            found[name] = np.quantile(data, share, axis=0)
-    return found
+            stats[name] = np.quantile(data, share, axis=0)
+    return stats
 
 
 def of_histogram(histogram: npt.NDArray[np.int64], sampled: int, quantiles: bool = False) -> Stats:
@@ -46,7 +46,7 @@ def of_histogram(histogram: npt.NDArray[np.int64], sampled: int, quantiles: bool
     mean = (histogram * levels).sum(axis=1) / total
     variance = (histogram * (levels[None] - mean[:, None]) ** 2).sum(axis=1) / total
     present = histogram > 0
-    found = {
+    stats = {
         "min": levels[present.argmax(axis=1)],
         "max": levels[255 - present[:, ::-1].argmax(axis=1)],
         "mean": mean,
@@ -55,8 +55,8 @@ def of_histogram(histogram: npt.NDArray[np.int64], sampled: int, quantiles: bool
     if quantiles:
         below = histogram.cumsum(axis=1)
         for name, share in QUANTILES.items():
-            found[name] = levels[(below >= share * total[:, None]).argmax(axis=1)]
-    shaped: Stats = {key: value.reshape(3, 1, 1) for key, value in found.items()}
+            stats[name] = levels[(below >= share * total[:, None]).argmax(axis=1)]
+    shaped: Stats = {key: value.reshape(3, 1, 1) for key, value in stats.items()}
     shaped["count"] = np.array([sampled], dtype=np.int64)
     return shaped
 
@@ -64,8 +64,8 @@ def of_histogram(histogram: npt.NDArray[np.int64], sampled: int, quantiles: bool
 def to_json(stats: Mapping[str, Stats]) -> dict[str, dict[str, object]]:
     """Statistics by feature, as lists."""
     return {
-        feature: {key: value.tolist() for key, value in found.items()}
-        for feature, found in stats.items()
+        feature: {key: value.tolist() for key, value in values.items()}
+        for feature, values in stats.items()
     }
 
 
@@ -75,12 +75,14 @@ def differ(
     features: Sequence[str],
 ) -> list[str]:
     """Where stated statistics differ from the computed ones, in words."""
-    found = []
+    errors = []
     for feature in features:
         for key, value in computed[feature].items():
-            said = stated.get(feature, {}).get(key)
-            if said is None or not np.allclose(
-                np.asarray(said, float), value, rtol=1e-9, atol=1e-12
+            claimed = stated.get(feature, {}).get(key)
+            if claimed is None or not np.allclose(
+                np.asarray(claimed, float), value, rtol=1e-9, atol=1e-12
             ):
-                found.append(f"statistics of {feature}: {key} is {said}, computed {value.tolist()}")
-    return found
+                errors.append(
+                    f"statistics of {feature}: {key} is {claimed}, computed {value.tolist()}"
+                )
+    return errors

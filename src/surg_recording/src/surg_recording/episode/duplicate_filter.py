@@ -19,10 +19,9 @@ WINDOW_S = 5.0
 class DuplicateFilter:
     """Deliveries of one publisher on one topic. Each connection may have its own thread."""
 
-    def __init__(self, window_s: float = WINDOW_S) -> None:
+    def __init__(self) -> None:
         self.duplicates = 0
         """Number of messages recognised as duplicates."""
-        self._window_s = window_s
         self._recent: deque[tuple[float, Hashable]] = deque()
         self._by_key: dict[Hashable, deque[set[int]]] = {}
         self._lock = threading.Lock()
@@ -46,7 +45,7 @@ class DuplicateFilter:
             return False
 
     def _forget(self, now: float) -> None:
-        while self._recent and self._recent[0][0] < now - self._window_s:
+        while self._recent and self._recent[0][0] < now - WINDOW_S:
             _, key = self._recent.popleft()
             same_key = self._by_key[key]
             same_key.popleft()  # the oldest delivery of a key is also the oldest of all

@@ -117,11 +117,11 @@ class Episode:
     def topics(self) -> dict[str, list[str]]:
         """Names of the tables of each further topic."""
         stated = self.manifest.get("topics")
-        found = stated.items() if isinstance(stated, dict) else ()
+        entries = stated.items() if isinstance(stated, dict) else ()
         tables = self.manifest["tables"]
         return {
             topic: [name for name in entry.get("tables", ()) if name in tables]
-            for topic, entry in found
+            for topic, entry in entries
             if isinstance(entry, dict) and entry.get("tables")
         }
 
@@ -355,7 +355,7 @@ class _Column:
     def array(self) -> Column:
         """The fields as a numpy array."""
         if self._kind is str:
-            found = np.empty(len(self._values), dtype=object)
-            found[:] = self._values
-            return found
+            texts = np.empty(len(self._values), dtype=object)
+            texts[:] = self._values
+            return texts
         return np.array(self._values, dtype=np.int64 if self._kind is int else np.float64)

@@ -9,6 +9,7 @@ import csv
 import datetime
 import json
 import math
+import mmap
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -19,7 +20,6 @@ import numpy as np
 from surg_recording.episode.episode_reader import MANIFEST, TOPICS
 from surg_recording.video import video_file
 
-_CHUNK = 1 << 20
 _TICKED = ("cycle_", "ground_truth_")
 """Tables that have a row for every tick."""
 
@@ -56,7 +56,7 @@ def complete(
 
 def _videos(folder: Path, drops: Mapping[str, int], reasons: list[str]) -> dict[str, Any]:
     """Repair and describe the videos; those without any frame are removed."""
-    found: dict[str, Any] = {}
+    videos: dict[str, Any] = {}
     for path in sorted(folder.glob("*.mp4")):
         sidecar = path.with_suffix(".csv")
         if not sidecar.exists():
@@ -76,15 +76,15 @@ def _videos(folder: Path, drops: Mapping[str, int], reasons: list[str]) -> dict[
         entry["dropped"] = 0 if part else int(drops.get(camera, 0))
         if part:
             entry["part_of"] = camera
-        found[path.stem] = {"file": path.name, "sidecar": sidecar.name, **entry}
-    return found
+        videos[path.stem] = {"file": path.name, "sidecar": sidecar.name, **entry}
+    return videos
 
 
 def _tables(
     folder: Path, videos: Mapping[str, Any], drops: Mapping[str, int], reasons: list[str]
 ) -> dict[str, Any]:
     """Repair and describe the tables; a file without even a header is removed."""
-    found: dict[str, Any] = {}
+    tables: dict[str, Any] = {}
     for path in [*sorted(folder.glob("*.csv")), *sorted(folder.glob(f"{TOPICS}/*.csv"))]:
         name = str(path.relative_to(folder).with_suffix(""))
         if name in videos or path.with_suffix(".mp4").exists():
@@ -103,20 +103,20 @@ def _tables(
         missing = entry.get("missing_ticks")
         if missing and name.startswith(_TICKED):
             reasons.append(f"{name}: {missing} ticks missing")
-        found[name] = entry
-    return found
+        tables[name] = entry
+    return tables
 
 
 def _topics(tables: Mapping[str, Any]) -> dict[str, Any]:
     """Topics of the tables below ``topics/``, for a recorder that was killed."""
-    found: dict[str, Any] = {}
+    topics: dict[str, Any] = {}
     for name, entry in tables.items():
         if "topic" in entry:
-            of = found.setdefault(entry["topic"], {"messages": 0, "tables": []})
+            of = topics.setdefault(entry["topic"], {"messages": 0, "tables": []})
             of["type"] = entry.get("type")
             of["messages"] += entry["rows"]
             of["tables"].append(name)
-    return found
+    return topics
 
 
 def _about(path: Path) -> dict[str, Any]:
@@ -134,27 +134,15 @@ def cut_broken_end(path: Path) -> int:
     A kill or a full disk can only break the last line, because lines are appended. A machine that
     went down may leave zeros at the end; a line never holds one.
     """
-    with open(path, "rb+") as file:
-        size = end = file.seek(0, os.SEEK_END)
-        file.seek(0)
-        place = 0
-        while chunk := file.read(_CHUNK):
-            zero = chunk.find(b"\0")
-            if zero >= 0:
-                end = place + zero
-                break
-            place += len(chunk)
-        while end > 0:
-            start = max(0, end - 65536)
-            file.seek(start)
-            newline = file.read(end - start).rfind(b"\n")
-            if newline >= 0:
-                end = start + newline + 1
-                break
-            end = start
-        if end < size:
-            file.truncate(end)
-        return size - end
+    size = path.stat().st_size
+    if not size:
+        return 0
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        zero = data.find(b"\0")
+        end = data.rfind(b"\n", 0, size if zero < 0 else zero) + 1
+    if end < size:
+        os.truncate(path, end)
+    return size - end
 
 
 def describe_table(path: Path) -> dict[str, Any]:
@@ -209,15 +197,11 @@ def clean_json(value: Any) -> Any:
         return [clean_json(item) for item in value]
     if isinstance(value, np.ndarray):
         return clean_json(value.tolist())
-    if isinstance(value, (bool, np.bool_)):
-        return bool(value)
-    if isinstance(value, np.integer):
-        return int(value)
-    if isinstance(value, (float, np.floating)):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, Path):
-        return str(value)
-    return value
+    if isinstance(value, np.generic):
+        return clean_json(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return str(value) if isinstance(value, Path) else value
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -106,23 +106,23 @@ def _describe_arm(name: str, arm: dict[str, Any], files: _CellFiles) -> dict[str
     return entry
 
 
-def versions(source: Path | None = None) -> dict[str, str | None]:
-    """Versions of this software (``git describe`` in ``source``) and of what it computes with."""
-    found: dict[str, str | None] = {
+def versions() -> dict[str, str | None]:
+    """Versions of this software and of what it computes with."""
+    known: dict[str, str | None] = {
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "software": software_version(source),
+        "software": software_version(),
     }
     for name in _PACKAGES:
         try:
-            found[name] = importlib.metadata.version(name)
+            known[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             module = sys.modules.get(name.replace("opencv-python", "cv2"))
-            found[name] = getattr(module, "__version__", None)
-    found["surg_recording"] = surg_recording.__version__
-    if found["av"] is None:
-        found["av"] = getattr(importlib.import_module("av"), "__version__", None)
-    return found
+            known[name] = getattr(module, "__version__", None)
+    known["surg_recording"] = surg_recording.__version__
+    if known["av"] is None:
+        known["av"] = getattr(importlib.import_module("av"), "__version__", None)
+    return known
 
 
 def host() -> dict[str, Any]:
@@ -130,16 +130,12 @@ def host() -> dict[str, Any]:
     return {"name": platform.node(), "cpus": os.cpu_count(), "command": list(sys.argv)}
 
 
-def software_version(source: Path | None = None) -> str | None:
+def software_version() -> str | None:
     """``git describe --always --dirty`` of the source tree, or None outside one."""
-    folder = source or Path(__file__).resolve().parent
+    argv = ["git", "-C", str(Path(__file__).resolve().parent), "describe", "--always", "--dirty"]
     try:
         answer = subprocess.run(
-            ["git", "-C", str(folder), "describe", "--always", "--dirty", "--tags"],
-            capture_output=True,
-            text=True,
-            timeout=5.0,
-            check=False,
+            [*argv, "--tags"], capture_output=True, text=True, timeout=5.0, check=False
         )
     except (OSError, subprocess.TimeoutExpired):
         return None

@@ -33,9 +33,7 @@ class HeldError(EpisodeError):
 
 
 def recover(
-    parent: Path,
-    name: str | None = None,
-    on_problem: Callable[[str], None] | None = None,
+    parent: Path, name: str | None = None, on_problem: Callable[[str], None] | None = None
 ) -> list[Path]:
     """Finish the ``.partial`` folders in ``parent`` that no running recorder holds; returns them.
 

@@ -64,8 +64,8 @@ class Field:
 Fields = tuple[Field, ...]
 
 
-def _scalar(source: str, unit: str = "", kind: type = float, column: str = "") -> Field:
-    return Field(source, (column or source,), kind, unit)
+def _scalar(source: str, unit: str = "", kind: type = float) -> Field:
+    return Field(source, (source,), kind, unit)
 
 
 def _flag(source: str) -> Field:
@@ -84,10 +84,7 @@ def _point(source: str, columns: Iterable[str], unit: str) -> Field:
     return Field(source, tuple(columns), unit=unit, members=("x", "y", "z"))
 
 
-_STAMPS: Fields = (
-    Field("", ("stamp_ns",), int, "ns"),
-    Field("", ("receive_ns",), int, "ns"),
-)
+_STAMPS: Fields = (Field("", ("stamp_ns",), int, "ns"), Field("", ("receive_ns",), int, "ns"))
 """First columns of every table of messages: the header's stamp, and when it was received."""
 
 _TICK = _scalar("tick", kind=int)
@@ -193,10 +190,7 @@ _COMMANDS: Fields = (
     *itertools.chain.from_iterable(COMMAND_FIELDS[key] for key in ("_cp", "_jp", "_cv", "_jv")),
     *COMMAND_FIELDS["jaw/"],
 )
-_EVENTS: Fields = (
-    *_STAMPS,
-    *(Field("", (name,), str) for name in ("topic", "source", "text")),
-)
+_EVENTS: Fields = (*_STAMPS, *(Field("", (name,), str) for name in ("topic", "source", "text")))
 _VIDEO: Fields = tuple(
     Field("", (name,), int) for name in ("frame", "stamp_ns", "receive_ns", "pts", "dropped")
 )
@@ -248,7 +242,7 @@ def task(names: Iterable[str]) -> list[str]:
     A number ``name`` has a column ``task.name``, an array ``name[2,3]`` has ``task.name_0_0``,
     ``task.name_0_1``, … row by row; any other name is a ValueError.
     """
-    found = list(TASK)
+    columns = list(TASK)
     for entry in names:
         match = _ENTRY.match(entry)
         if match is None:
@@ -256,8 +250,8 @@ def task(names: Iterable[str]) -> list[str]:
         name, shape = match.group(1), match.group(2)
         sizes = [range(int(size)) for size in shape.split(",")] if shape else []
         for place in itertools.product(*sizes):
-            found.append(TASK_PREFIX + "_".join([name, *map(str, place)]))
-    return found
+            columns.append(TASK_PREFIX + "_".join([name, *map(str, place)]))
+    return columns
 
 
 def kind(column: str) -> type:

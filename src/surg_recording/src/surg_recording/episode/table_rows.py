@@ -47,14 +47,14 @@ def _finite(number: float) -> float | None:
 
 def _readers(fields: Fields) -> tuple[Read, ...]:
     """Readers of a table's fields; consecutive scalars are read at once, for 500 Hz."""
-    found: list[Read] = []
+    readers: list[Read] = []
     for is_scalar, run in groupby((f for f in fields if f.source), key=lambda f: f.is_scalar):
         group = list(run)
         if is_scalar and len(group) > 1:
-            found.append(attrgetter(*(field.source for field in group)))
+            readers.append(attrgetter(*(field.source for field in group)))
         else:
-            found += map(_reader, group)
-    return tuple(found)
+            readers += map(_reader, group)
+    return tuple(readers)
 
 
 def _row(head: tuple[Any, ...], readers: tuple[Read, ...], message: Any) -> list[Any]:

@@ -51,7 +51,7 @@ class TopicChoice:
 
     def look(self, published: Mapping[str, str]) -> list[str]:
         """Topics to subscribe to from now on; ``published`` maps topics to types."""
-        found = []
+        appeared = []
         for topic, kind in sorted(published.items()):
             if topic in self.chosen or topic in self._taken or topic.startswith(_OURS):
                 continue
@@ -61,8 +61,8 @@ class TopicChoice:
                 self.refuse(topic, NOT_TABLES[kind])
             elif topic not in self.refused:
                 self.chosen.add(topic)
-                found.append(topic)
-        return found
+                appeared.append(topic)
+        return appeared
 
     def refuse(self, topic: str, why: str) -> bool:
         """Exclude a topic; True if that is new."""
@@ -82,10 +82,10 @@ class TopicChoice:
 
     def describe(self, repeats: Mapping[str, int]) -> dict[str, dict[str, Any]]:
         """The manifest's entry of each topic, without tables; ``repeats`` counts duplicates."""
-        found: dict[str, dict[str, Any]] = {}
+        entries: dict[str, dict[str, Any]] = {}
         for topic in [*self.chosen, *(p for p in self._patterns)]:
-            found[topic] = {"type": None, "messages": 0, "tables": [], "repeats": 0}
-            found[topic]["repeats"] = int(repeats.get(topic, 0))
+            entries[topic] = {"type": None, "messages": 0, "tables": [], "repeats": 0}
+            entries[topic]["repeats"] = int(repeats.get(topic, 0))
         for topic, why in self.refused.items():
-            found[topic] = {"type": None, "messages": 0, "tables": [], "not_recorded": why}
-        return found
+            entries[topic] = {"type": None, "messages": 0, "tables": [], "not_recorded": why}
+        return entries

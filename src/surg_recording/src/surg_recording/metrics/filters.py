@@ -60,12 +60,7 @@ def low_pass(values: ArrayLike, fs: float, cutoff: float, order: int = 4) -> Arr
 
 
 def downsample(
-    velocity: ArrayLike,
-    fs: float,
-    target_fs: float,
-    *,
-    cutoff: float | None = None,
-    order: int = 8,
+    velocity: ArrayLike, fs: float, target_fs: float, *, cutoff: float | None = None, order: int = 8
 ) -> Array:
     """Anti-aliased downsampling of a velocity vector (N, D), before any norm is taken.
 

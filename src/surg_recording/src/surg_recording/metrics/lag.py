@@ -25,28 +25,24 @@ class Tracking:
     """(N,) distance at that lag [m]; NaN where the shifted input has no sample."""
 
 
+MAX_LAG = 0.6
+"""Largest lag tried [s]."""
+
 _NO_OVERLAP = 1e12
-"""Mean square that stands for "cannot be compared": finite, because the search computes with it."""
+"""Mean square of paths that cannot be compared: finite, because the search computes with it."""
 
 
-def tracking(
-    t: ArrayLike,
-    executed: ArrayLike,
-    t_input: ArrayLike,
-    p_input: ArrayLike,
-    max_lag: float = 0.6,
-) -> Tracking:
+def tracking(t: ArrayLike, executed: ArrayLike, t_input: ArrayLike, p_input: ArrayLike) -> Tracking:
     """Compare an executed path with its input after removing the lag.
 
     The lag is the shift, to a fraction of a sample, that minimises the rms distance between
-    executed(t) and input(t − lag), within [−max_lag/4, max_lag].
+    executed(t) and input(t − lag), within [−0.25, 1] times ``MAX_LAG``.
 
     Args:
         t: (N,) times of the executed samples [s].
         executed: (N, 3) [m].
         t_input: (M,) increasing times of the input samples [s].
         p_input: (M, 3) [m].
-        max_lag: [s].
 
     Raises:
         ValueError: A path has fewer than 2 samples, the shapes differ, or the times do not overlap.
@@ -70,7 +66,7 @@ def tracking(
         # A lag that leaves less than half of the path covered explains nothing.
         return float(np.mean(d[covered] ** 2)) if covered.mean() >= 0.5 else _NO_OVERLAP
 
-    grid = np.linspace(-max_lag / 4, max_lag, 76)
+    grid = np.linspace(-MAX_LAG / 4, MAX_LAG, 76)
     values = [mean_square(lag) for lag in grid]
     if min(values) >= _NO_OVERLAP:
         raise ValueError("tracking: input and executed path do not overlap in time")

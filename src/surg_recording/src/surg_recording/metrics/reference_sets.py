@@ -7,55 +7,26 @@ PSM1; ``motion:PATH`` a CSV file, or a folder of them, with the columns t_s, x_m
 from __future__ import annotations
 
 import csv
-import dataclasses
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from surg_recording import metrics
 from surg_recording.metrics import jigsaws
 from surg_recording.metrics.confidence_intervals import spread
+from surg_recording.metrics.reference_motion import Motion, ReferenceSet
 from surg_recording.recording_errors import ReferenceSetError
 from surg_recording.reports.run_summary import PATH_CUTOFF_HZ
 
-Array = npt.NDArray[np.float64]
-
 MOTION_COLUMNS = ("t_s", "x_m", "y_m", "z_m")
 SHORTEST_S = 2.0
-"""Shorter motions are left out: at 5 Hz nothing of them is left."""
+"""Shorter motions are left out: too short at the metrics' 5 Hz."""
 
 LONGEST_GAP_S = 0.2
 """A longer gap would be filled with a straight line, which is smooth by itself."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Motion:
-    """One tip motion on a uniform grid."""
-
-    name: str
-    fs: float
-    """[Hz]"""
-    p: Array
-    """(N, 3) [m]."""
-    skill: str | None = None
-    """novice, intermediate or expert, where it is known."""
-
-
-@dataclasses.dataclass(frozen=True)
-class ReferenceSet:
-    """Motions of one task by one kind of system."""
-
-    name: str
-    """For a figure."""
-    source: str
-    """What exactly was measured."""
-    motions: tuple[Motion, ...]
-    warnings: tuple[str, ...]
-    """What was left out and why."""
 
 
 def load(spec: str) -> ReferenceSet:
@@ -77,7 +48,7 @@ def measure(motion: Motion, presets: Sequence[str] = tuple(metrics.PRESETS)) -> 
     Raises:
         ValueError: Its rate is below that of a preset.
     """
-    found = {name: metrics.smoothness(motion.p, motion.fs, name) for name in presets}
+    smoothness = {name: metrics.smoothness(motion.p, motion.fs, name) for name in presets}
     return {
         "name": motion.name,
         "skill": motion.skill,
@@ -87,27 +58,27 @@ def measure(motion: Motion, presets: Sequence[str] = tuple(metrics.PRESETS)) -> 
         },
         "idle": {"s": metrics.idle(motion.p, motion.fs, cutoff=PATH_CUTOFF_HZ).seconds},
         "smoothness": {
-            "presets": {name: {"sparc": s.sparc, "ldlj": s.ldlj} for name, s in found.items()}
+            "presets": {name: {"sparc": s.sparc, "ldlj": s.ldlj} for name, s in smoothness.items()}
         },
     }
 
 
 def summarise(
-    found: ReferenceSet, measured: Sequence[Mapping[str, Any]], preset: str
+    reference: ReferenceSet, measured: Sequence[Mapping[str, Any]], preset: str
 ) -> dict[str, Any]:
     """``reference`` of an evaluation's ``summary.json``, from ``measure`` of each motion."""
     skills = [
         skill for skill in jigsaws.SKILLS.values() if any(m["skill"] == skill for m in measured)
     ]
     return {
-        "name": found.name,
-        "source": found.source,
+        "name": reference.name,
+        "source": reference.source,
         **_numbers(measured, preset),
         "by_skill": {
             skill: _numbers([m for m in measured if m["skill"] == skill], preset)
             for skill in skills
         },
-        "left_out": list(found.warnings),
+        "left_out": list(reference.warnings),
         "each": [dict(m) for m in measured],
     }
 
@@ -124,30 +95,6 @@ def _numbers(measured: Sequence[Mapping[str, Any]], preset: str) -> dict[str, An
         "duration_s": of(lambda m: m["duration_s"]),
         "idle_s": of(lambda m: m["idle"]["s"]),
     }
-
-
-# --- kinds --------------------------------------------------------------------------------------
-
-
-def from_jigsaws(folder: Path) -> ReferenceSet:
-    """PSM1 of every trial of a JIGSAWS task."""
-    data = jigsaws.read(folder)
-    motions = [
-        Motion(
-            trial.name,
-            jigsaws.FS,
-            trial.manipulator(jigsaws.PSM1).p,
-            jigsaws.SKILLS[trial.meta.skill] if trial.meta else None,
-        )
-        for trial in data.trials
-    ]
-    task = data.task.replace("_", " ")
-    return ReferenceSet(
-        f"JIGSAWS {task}",
-        f"JIGSAWS {task}, PSM1 (slave left), positions at {jigsaws.FS:g} Hz",
-        tuple(motions),
-        data.warnings,
-    )
 
 
 def from_motions(path: Path) -> ReferenceSet:
@@ -198,14 +145,12 @@ def read_motion(file: Path) -> Motion:
     values = np.array([_row(file, n, row, places) for n, row in enumerate(rows[1:], 2) if row])
     values = values.reshape(-1, len(places))
     t, p = values[:, 0], values[:, 1:]
-    if np.any(np.diff(t) <= 0):
-        line = int(np.flatnonzero(np.diff(t) <= 0)[0]) + 3
-        raise ReferenceSetError(f"{file}, line {line}: t_s does not increase")
-    if np.any(np.diff(t) > LONGEST_GAP_S):
-        line = int(np.flatnonzero(np.diff(t) > LONGEST_GAP_S)[0]) + 3
-        raise ReferenceSetError(
-            f"{file}, line {line}: {LONGEST_GAP_S:g} s without a sample before it"
-        )
+    for wrong, why in (
+        (np.diff(t) <= 0, "t_s does not increase"),
+        (np.diff(t) > LONGEST_GAP_S, f"{LONGEST_GAP_S:g} s without a sample before it"),
+    ):
+        if wrong.any():
+            raise ReferenceSetError(f"{file}, line {int(np.argmax(wrong)) + 3}: {why}")
     duration = float(t[-1] - t[0]) if len(t) else 0.0
     if duration < SHORTEST_S:
         raise ReferenceSetError(
@@ -228,7 +173,7 @@ def _row(file: Path, number: int, row: Sequence[str], places: Sequence[int]) -> 
 
 
 KINDS: dict[str, tuple[str, Callable[[Path], ReferenceSet]]] = {
-    "jigsaws": ("DIR", from_jigsaws),
+    "jigsaws": ("DIR", jigsaws.read),
     "motion": ("CSV_OR_DIR", from_motions),
 }
-"""Kind → what its path is, and its reader."""
+"""Kind → name of its path in help texts, and its reader."""

@@ -22,11 +22,11 @@ from surg_recording.recording_errors import EpisodeError
 Array = npt.NDArray[np.float64]
 
 TOLERANCE = 1e-6
-"""Relative; a limit that is met exactly is met."""
+"""Relative; a limit met exactly is met."""
 STOP_NS = 300_000_000
-"""A ramp may last so long after an arm has left ENABLED [ns]."""
+"""Longest ramp after an arm has left ENABLED [ns]."""
 STILL = 1e-6
-"""A joint velocity below it is none [rad/s]."""
+"""Joint velocity below which a joint stands still [rad/s]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,23 +102,23 @@ class _Limits:
         self._name = arm
 
     def __getitem__(self, name: str) -> float:
-        found = (self._arm.get("limits") or {}).get(name)
-        if not isinstance(found, int | float):
+        limit = (self._arm.get("limits") or {}).get(name)
+        if not isinstance(limit, int | float):
             raise EpisodeError(f"{self._where}: {self._name} has no limit '{name}'")
-        return float(found)
+        return float(limit)
 
     def joint(self, name: str) -> Array:
         """A number for each joint, (n,)."""
-        found = ((self._arm.get("robot") or {}).get("joints") or {}).get(name)
-        if not isinstance(found, list):
+        limits = ((self._arm.get("robot") or {}).get("joints") or {}).get(name)
+        if not isinstance(limits, list):
             raise EpisodeError(f"{self._where}: the robot of {self._name} has no joints.{name}")
-        return np.array(found, dtype=np.float64)
+        return np.array(limits, dtype=np.float64)
 
     @property
     def jaw(self) -> tuple[float, float] | None:
         """Smallest and largest angle [rad]; None without jaws."""
-        found = (self._arm.get("instrument") or {}).get("jaw")
-        return (float(found["min"]), float(found["max"])) if found else None
+        jaw = (self._arm.get("instrument") or {}).get("jaw")
+        return (float(jaw["min"]), float(jaw["max"])) if jaw else None
 
 
 class _Look:
@@ -176,8 +176,8 @@ def _tip(look: _Look, cycle: Table, dt: Array, limits: _Limits) -> list[Rule]:
     to_R = np.transpose(R_BR, (0, 2, 1))
 
     def in_R(prefix: str) -> Array:
-        found = to_R @ (cycle.vector(prefix) - cycle.vector("p_rcm"))[:, :, None]
-        return np.asarray(found[:, :, 0])
+        p_R = to_R @ (cycle.vector(prefix) - cycle.vector("p_rcm"))[:, :, None]
+        return np.asarray(p_R[:, :, 0])
 
     servo = np.isin(cycle["command"], STREAMS) & (cycle["homed"] == 1)
     p_set, goal = in_R("p_set"), in_R("p_goal")
@@ -209,26 +209,21 @@ def _steps(look: _Look, cycle: Table, goal: Array, p_set: Array, limits: _Limits
     moved = (np.diff(goal, axis=0, prepend=goal[:1]) != 0.0).any(axis=1)
     moved |= np.diff(cycle["roll_goal"], prepend=cycle["roll_goal"][:1]) != 0.0
     rows = np.flatnonzero(taken & pose & moved)
-    far, rolls, ages = [], [], []
+    tip_excess, roll_excess = np.zeros(len(cycle)), np.zeros(len(cycle))
     for k, row in enumerate(rows.tolist()):
         begins = k == 0 or not pose[rows[k - 1] : row].all()
-        before = row - 1
-        last = p_set[before] if begins else goal[before]
-        roll = cycle["roll_set"][before] if begins else cycle["roll_goal"][before]
+        last = (p_set if begins else goal)[row - 1]
+        roll = cycle["roll_set" if begins else "roll_goal"][row - 1]
         age = 0.0 if begins else (stamps[row] - stamps[rows[k - 1]]) * 1e-9
-        far.append(float(np.linalg.norm(goal[row] - last)))
-        rolls.append(abs(float(cycle["roll_goal"][row] - roll)))
-        ages.append(min(age, limits["step_dt_max"]))
-    found = []
-    for name, unit, values, rate, slack in (
-        ("step of the tip's goal", "m", far, "tip_velocity", "step_slack"),
-        ("step of the roll's goal", "rad", rolls, "roll_velocity", "step_roll_slack"),
-    ):
-        allowed = limits[rate] * np.array(ages) + limits[slack]
-        excess = np.zeros(len(cycle))
-        excess[rows] = np.array(values) - allowed
-        found.append(look.mask(f"{name}, beyond what is allowed", unit, excess > 1e-9, excess, 0.0))
-    return found
+        dt = min(age, limits["step_dt_max"])
+        tip_step = float(np.linalg.norm(goal[row] - last))
+        roll_step = abs(float(cycle["roll_goal"][row] - roll))
+        tip_excess[row] = tip_step - (limits["tip_velocity"] * dt + limits["step_slack"])
+        roll_excess[row] = roll_step - (limits["roll_velocity"] * dt + limits["step_roll_slack"])
+    return [
+        look.mask(f"step of the {name}'s goal, beyond what is allowed", unit, x > 1e-9, x, 0.0)
+        for name, unit, x in (("tip", "m", tip_excess), ("roll", "rad", roll_excess))
+    ]
 
 
 def _distance(p: Array, on_line: Array, along: Array) -> Array:

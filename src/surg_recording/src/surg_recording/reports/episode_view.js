@@ -1,4 +1,4 @@
-// The page of one episode. Times are integer nanoseconds since the first stamp.
+// The script of an episode's page. Times are integer nanoseconds since the first stamp.
 "use strict";
 (() => {
   const $ = (id) => document.getElementById(id);
@@ -9,7 +9,7 @@
   const STATES = ["#cbd2d9", "#9fd3b6", "#f0cf8e", "#e58a92"];
   let cursor = 0, playing = null, from = 0, to = Math.max(data.duration, 1), arm = data.arms[0];
 
-  // Index of the last stamp that is not later than t; -1 before the first (at_or_before).
+  // Index of the last stamp not later than t; -1 before the first.
   function at(stamps, t) {
     let low = 0, high = stamps.length;
     while (low < high) {
@@ -18,13 +18,18 @@
     }
     return low - 1;
   }
+  // A new element with children (elements or texts).
+  function element(tag, ...children) {
+    const made = document.createElement(tag);
+    made.append(...children);
+    return made;
+  }
   const seconds = (t, digits = 3) => (t / 1e9).toFixed(digits) + " s";
 
   // --- videos ---
 
   const videos = data.videos.map((video, i) => {
-    const figure = document.createElement("figure"), caption = document.createElement("figcaption");
-    const player = document.createElement("video");
+    const caption = element("figcaption"), player = element("video");
     const code = atob($("video" + i).textContent.trim()), bytes = new Uint8Array(code.length);
     for (let k = 0; k < code.length; k++) bytes[k] = code.charCodeAt(k);
     player.src = URL.createObjectURL(new Blob([bytes], { type: "video/mp4" }));
@@ -33,14 +38,13 @@
     player.preload = "auto";
     player.addEventListener("loadeddata", () => seek(shown));
     player.addEventListener("seeked", () => { if (shown.wanted !== null) seek(shown); });
-    figure.append(player, caption);
-    $("videos").append(figure);
+    $("videos").append(element("figure", player, caption));
     const shown = { ...video, player, caption, wanted: null };
     return shown;
   });
   if (!videos.length) { $("videos").remove(); document.querySelector(".top").classList.add("blind"); }
 
-  // The middle of the time for which a frame is shown: no rounding can hit its neighbour.
+  // Middle of the interval in which a frame is shown, so that rounding cannot select another.
   function middle(video, frame) {
     const last = video.pts.length - 1, start = video.pts[frame];
     const end = frame < last ? video.pts[frame + 1] : start + 20000;
@@ -55,7 +59,7 @@
     video.wanted = null;
     if (Math.abs(player.currentTime - time) > 1e-4) player.currentTime = time;
   }
-  function follow(video) { // while playing: the player runs by itself and is put right when it drifts
+  function follow(video) { // while playing: the player runs freely; a drift is corrected
     const player = video.player, frame = at(video.stamps, cursor);
     const rate = Number($("rate").value);
     player.style.opacity = frame < 0 ? 0.15 : 1;
@@ -86,9 +90,9 @@
   function steps(low, high, count) {
     const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
     const size = [1, 2, 5, 10].map((m) => m * power).find((s) => s >= rough);
-    const found = [];
-    for (let k = Math.ceil(low / size); k * size <= high + 1e-12; k++) found.push(k * size);
-    return [found, Math.max(0, -Math.floor(Math.log10(size) + 1e-9))];
+    const marks = [];
+    for (let k = Math.ceil(low / size); k * size <= high + 1e-12; k++) marks.push(k * size);
+    return [marks, Math.max(0, -Math.floor(Math.log10(size) + 1e-9))];
   }
   function clip(pen, width, height) {
     pen.save();
@@ -103,25 +107,22 @@
   function build() {
     $("curves").replaceChildren();
     rows = [];
-    const lane = document.createElement("canvas");
+    const lane = element("canvas");
     $("curves").append(lane);
     rows.push({ canvas: lane, draw: drawLane, height: 40 });
     for (const curve of arm ? arm.curves : []) {
-      const legend = document.createElement("div"), title = document.createElement("b");
-      legend.className = "legend";
-      title.textContent = `${curve.title} [${curve.unit}]`;
-      legend.append(title);
       const labels = curve.series.map((series) => {
-        const label = document.createElement("span");
+        const label = element("span");
         label.style.setProperty("--c", series.colour);
-        legend.append(label);
         return label;
       });
-      const canvas = document.createElement("canvas");
+      const legend = element("div", element("b", `${curve.title} [${curve.unit}]`), ...labels);
+      legend.className = "legend";
+      const canvas = element("canvas");
       $("curves").append(legend, canvas);
       rows.push({ canvas, draw: drawCurve, height: 92, curve, labels });
     }
-    const axis = document.createElement("canvas");
+    const axis = element("canvas");
     $("curves").append(axis);
     rows.push({ canvas: axis, draw: drawAxis, height: 24 });
     drawAll();
@@ -200,9 +201,9 @@
   // --- the tip in space ---
 
   const panels = [...document.querySelectorAll("#space canvas")].map((canvas) => ({
-    canvas, axes: canvas.dataset.axes.split(",").map(Number), still: document.createElement("canvas"),
+    canvas, axes: canvas.dataset.axes.split(",").map(Number), still: element("canvas"),
   }));
-  let place = null; // of the path in the panels: centre per axis, and the size shown [mm]
+  let place = null; // centre and extent of the path per axis [mm]
   function drawSpace() {
     place = null;
     if (!arm) return;
@@ -275,7 +276,7 @@
     }
   }
 
-  // --- what the cursor points at ---
+  // --- the samples at the cursor ---
 
   function show() {
     const row = arm ? at(arm.clocks.cycle, cursor) : -1;
@@ -293,9 +294,9 @@
     drawTip(row);
     for (const video of videos) {
       const frame = at(video.stamps, cursor);
-      const what = frame < 0 ? "no picture yet"
+      const label = frame < 0 ? "no picture yet"
         : `frame ${video.frames[frame]}, stamp ${seconds(video.stamps[frame])}`;
-      video.caption.textContent = [video.name, what, video.note].filter(Boolean).join(" · ");
+      video.caption.textContent = [video.name, label, video.note].filter(Boolean).join(" · ");
       if (playing) follow(video); else seek(video);
     }
     readout(row);
@@ -318,15 +319,8 @@
       ["state", row < 0 ? "–" : data.states[arm.state[row]] || arm.state[row]],
       ["tip x", value(0)], ["tip y", value(1)], ["tip z (depth)", value(2)],
     ] : [["arm", "no cycles recorded"]];
-    $("readout").replaceChildren(...lines.map(([name, words]) => {
-      const line = document.createElement("tr");
-      for (const [tag, content] of [["th", name], ["td", words]]) {
-        const cell = document.createElement(tag);
-        cell.textContent = content;
-        line.append(cell);
-      }
-      return line;
-    }));
+    $("readout").replaceChildren(...lines.map(([name, text]) =>
+      element("tr", element("th", name), element("td", text))));
   }
   function go(t) { cursor = Math.min(Math.max(Math.round(t), 0), data.duration); show(); }
 
@@ -394,12 +388,9 @@
   for (const { name } of data.arms) $("arm").append(new Option(name));
   $("armchoice").hidden = data.arms.length < 2;
   $("events").append(...data.events.map((event) => {
-    const line = document.createElement("li"), time = document.createElement("time");
-    const words = document.createElement("span");
+    const time = element("time", (event.exact ? "" : "≈ ") + seconds(event.t));
+    const line = element("li", time, element("span", event.text));
     line.style.setProperty("--c", KINDS[event.kind] || KINDS.status);
-    time.textContent = (event.exact ? "" : "≈ ") + seconds(event.t);
-    words.textContent = event.text;
-    line.append(time, words);
     line.addEventListener("click", () => { play(false); go(event.t); });
     return line;
   }));

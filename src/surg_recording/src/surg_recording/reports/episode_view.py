@@ -36,8 +36,10 @@ def page(
     """
     viewed = episode_view_data.collect(episode, budget, max_rows, progress)
     info = episode.manifest.get("run") or {}
-    what = info.get("title") or info.get("motion") or episode.manifest.get("task") or "episode"
-    title = " · ".join(str(part) for part in (what, info.get("robot"), info.get("setting")) if part)
+    subject = info.get("title") or info.get("motion") or episode.manifest.get("task") or "episode"
+    title = " · ".join(
+        str(part) for part in (subject, info.get("robot"), info.get("setting")) if part
+    )
     here = Path(__file__).parent
     notes = "".join(f"<li>{text(note)}</li>" for note in viewed.missing)
     body = (here / "episode_view.html").read_text(encoding="utf-8")
@@ -50,10 +52,10 @@ def page(
     }.items():
         body = body.replace(f"@{key}@", value)
     files = "".join(
-        f"<script type='text/plain' id='video{i}'>{base64.b64encode(data).decode()}</script>\n"
-        for i, data in enumerate(viewed.videos)
+        f"<script type='text/plain' id='video{i}'>{base64.b64encode(video).decode()}</script>\n"
+        for i, video in enumerate(viewed.videos)
     )
-    said = json.dumps(viewed.data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+    data = json.dumps(viewed.data, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
     script = (here / "episode_view.js").read_text(encoding="utf-8")
     style = (here / "episode_view.css").read_text(encoding="utf-8")
     return document(
@@ -62,7 +64,7 @@ def page(
             f"<style>{style}</style>",
             body,
             files,
-            f"<script type='application/json' id='data'>{said}</script>",
+            f"<script type='application/json' id='data'>{data}</script>",
             f"<script>{script}</script>",
         ],
     )
@@ -72,15 +74,15 @@ def _badges(episode: Episode) -> str:
     """Badges: is the recording complete, and are its streams synchronised?"""
     outcome = str(episode.manifest.get("outcome"))
     reason = episode.manifest.get("reason")
-    found = [("pass" if outcome == "complete" else "fail", outcome, reason or "nothing was lost")]
+    badges = [("pass" if outcome == "complete" else "fail", outcome, reason or "nothing was lost")]
     sync = sync_report.load(episode)
     if sync is not None:
         words = {"pass": "in sync", "fail": "OUT OF SYNC", "cannot_tell": "sync: unknown"}
-        said = "; ".join(sync.get("reasons") or []) or "all streams are synchronised"
-        found.append((sync["verdict"], words.get(sync["verdict"], sync["verdict"]), said))
+        why = "; ".join(sync.get("reasons") or []) or "all streams are synchronised"
+        badges.append((sync["verdict"], words.get(sync["verdict"], sync["verdict"]), why))
     return "".join(
-        f"<span class='badge {text(kind)}' title='{text(said)}'>{text(words)}</span>"
-        for kind, words, said in found
+        f"<span class='badge {text(kind)}' title='{text(why)}'>{text(label)}</span>"
+        for kind, label, why in badges
     )
 
 

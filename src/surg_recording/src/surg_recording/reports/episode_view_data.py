@@ -70,16 +70,14 @@ def kept_rows(curves: Sequence[Array], limit: int = MAX_ROWS) -> npt.NDArray[np.
     count = len(curves[0])
     if count <= limit:
         return np.arange(count)
-    stretches = max(1, limit // (2 * len(curves)))
-    edges = np.linspace(0, count, stretches + 1).astype(np.int64)
+    edges = np.linspace(0, count, max(1, limit // (2 * len(curves))) + 1).astype(np.int64)
     kept = {0, count - 1}
     for values in curves:
-        low = np.where(np.isnan(values), np.inf, values)
-        high = np.where(np.isnan(values), -np.inf, values)
-        for start, stop in itertools.pairwise(edges):
-            if stop > start:
-                kept.add(int(start + np.argmin(low[start:stop])))
-                kept.add(int(start + np.argmax(high[start:stop])))
+        for sign in (1.0, -1.0):
+            low = np.where(np.isnan(values), np.inf, sign * values)
+            for start, stop in itertools.pairwise(edges):
+                if stop > start:
+                    kept.add(int(start + np.argmin(low[start:stop])))
     return np.array(sorted(kept), dtype=np.int64)
 
 
@@ -152,19 +150,14 @@ def _arm(
     in_rcm[cycle["homed"] == 0] = np.nan  # there is no rcm frame before
     depth = cycle["depth"]
     rows = kept_rows([deviation, depth, *in_rcm.T], limit)
-    stamps = cycle["stamp_ns"]
-    curves = [
-        _curve("Depth", "mm", [_series("depth", EXECUTED, "cycle", depth[rows] * 1e3, 3)]),
-    ]
+    curves = [_curve("Depth", "mm", [_series("depth", EXECUTED, "cycle", depth[rows] * 1e3, 3)])]
     rcm = [_series("kinematic", EXECUTED, "cycle", deviation[rows] * 1e3, 5)]
-    clocks = {"cycle": (stamps[rows] - origin).tolist()}
-    truth = None
-    if f"ground_truth_{arm}" in episode.tables:
-        truth = _read(episode, f"ground_truth_{arm}", _TRUTH, missing)
-        why = ""
-    else:
-        why = "it was recorded without the simulator's ground truth"
-    if truth is not None:
+    curves.append(_curve("RCM deviation", "mm", rcm))
+    clocks = {"cycle": (cycle["stamp_ns"][rows] - origin).tolist()}
+    if f"ground_truth_{arm}" not in episode.tables:
+        reason = "it was recorded without the simulator's ground truth"
+        missing.append(f"{arm}: no force and no true RCM deviation: {reason}")
+    elif (truth := _read(episode, f"ground_truth_{arm}", _TRUTH, missing)) is not None:
         true = metrics.rcm_deviation(
             truth.vector("shaft"), truth.vector("axis"), truth.vector("trocar")
         )
@@ -172,12 +165,8 @@ def _arm(
         kept = kept_rows([true, force], limit)
         clocks["truth"] = (truth["stamp_ns"][kept] - origin).tolist()
         rcm.insert(0, _series("true", TRUE, "truth", true[kept] * 1e3, 5))
-    curves.append(_curve("RCM deviation", "mm", rcm))
-    if truth is not None:
         series = [_series("force on the trocar", TRUE, "truth", force[kept], 4)]
         curves.append(_curve("Force on the trocar", "N", series))
-    elif why:
-        missing.append(f"{arm}: no force and no true RCM deviation: {why}")
     if not np.any(np.isfinite(in_rcm)):
         missing.append(f"{arm}: no tip path: the arm was never homed")
     return {
@@ -231,18 +220,18 @@ def _videos(
     episode: Episode, budget: int, say: Progress, missing: list[str]
 ) -> list[tuple[str, Stamps, video_embed.Embedded]]:
     """Name, stamps [ns] and file of every camera that can be shown."""
-    found = []
+    videos = []
     if not episode.cameras:
         missing.append("no video: it was recorded without a camera")
     for camera in episode.cameras:
         say(f"{camera}: making the video fit")
 
-        def told(count: int, name: str = camera) -> None:
+        def report(count: int, name: str = camera) -> None:
             say(f"{name}: frame {count}")
 
         try:
             video = episode.video(camera)
-            shown = video_embed.embed(video.path, budget // len(episode.cameras), told)
+            shown = video_embed.embed(video.path, budget // len(episode.cameras), report)
             inside = shown.frames < len(video.frames)
             if not np.any(inside):
                 raise EpisodeError(f"{camera}: no frame of the video has a stamp")
@@ -250,35 +239,33 @@ def _videos(
             missing.append(str(problem))
             continue
         shown = dataclasses.replace(shown, frames=shown.frames[inside], pts=shown.pts[inside])
-        found.append((camera, video.frames["stamp_ns"][shown.frames], shown))
-    return found
+        videos.append((camera, video.frames["stamp_ns"][shown.frames], shown))
+    return videos
 
 
 def _events(
     episode: Episode, origin: int, end: int, cycle: Table | None, missing: list[str]
 ) -> list[dict[str, Any]]:
     """States, messages and the phases of a task, in order of time."""
-    found: list[dict[str, Any]] = []
+    events: list[dict[str, Any]] = []
     try:
-        table = episode.table("events") if "events" in episode.tables else None
+        if "events" in episode.tables:
+            table = episode.table("events")
+            columns = (table[name] for name in ("stamp_ns", "receive_ns", "topic", "text"))
+            for stamp, receive, topic, content in zip(*columns, strict=True):
+                t, exact = _when(int(stamp), int(receive), cycle, origin, end)
+                kind, text = _event(str(topic), str(content))
+                events.append({"t": t - origin, "kind": kind, "text": text, "exact": exact})
     except EpisodeError as problem:
         missing.append(str(problem))
-        table = None
-    if table is not None:
-        for stamp, receive, topic, said in zip(
-            *(table[c] for c in ("stamp_ns", "receive_ns", "topic", "text")), strict=True
-        ):
-            t, exact = _when(int(stamp), int(receive), cycle, origin, end)
-            kind, words = _event(str(topic), str(said))
-            found.append({"t": t - origin, "kind": kind, "text": words, "exact": exact})
     if "task_state" in episode.tables:
-        found += _phases(episode, origin, missing)
-    found.sort(key=lambda event: event["t"])
-    if not found:
+        events += _phases(episode, origin, missing)
+    events.sort(key=lambda event: event["t"])
+    if not events:
         missing.append("no events were recorded")
-    if len(found) > MAX_EVENTS:
-        missing.append(f"only {MAX_EVENTS} of {len(found)} events are shown, the first ones")
-    return found[:MAX_EVENTS]
+    if len(events) > MAX_EVENTS:
+        missing.append(f"only {MAX_EVENTS} of {len(events)} events are shown, the first ones")
+    return events[:MAX_EVENTS]
 
 
 def _when(stamp: int, receive: int, cycle: Table | None, origin: int, end: int) -> tuple[int, bool]:
@@ -294,22 +281,22 @@ def _when(stamp: int, receive: int, cycle: Table | None, origin: int, end: int) 
     return int(cycle["stamp_ns"][row]), False
 
 
-def _event(topic: str, said: str) -> tuple[str, str]:
+def _event(topic: str, content: str) -> tuple[str, str]:
     """Kind and text of an event."""
     arm, _, name = topic.strip("/").rpartition("/")
     if name == "operating_state":
         try:
-            state = json.loads(said)
+            state = json.loads(content)
             words = [state["state"], "homed" if state["is_homed"] else "not homed"]
             words += ["busy"] if state["is_busy"] else []
             return "state", f"{arm}: {', '.join(words)}"
         except (ValueError, KeyError, TypeError):
-            return "state", f"{arm}: {said}"
+            return "state", f"{arm}: {content}"
     if topic == "/sim/status":
         return "state", "the simulation ended"
     kind = name if name in ("error", "warning") else "status"
-    said = said.removeprefix(f"{arm}: ") or name
-    return kind, f"{arm}: {said}" if arm else said
+    text = content.removeprefix(f"{arm}: ") or name
+    return kind, f"{arm}: {text}" if arm else text
 
 
 def _phases(episode: Episode, origin: int, missing: list[str]) -> list[dict[str, Any]]:

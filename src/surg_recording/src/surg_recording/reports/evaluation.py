@@ -82,9 +82,6 @@ class LeftOut:
     reason: str
 
 
-# --- finding ------------------------------------------------------------------------------------
-
-
 def find(paths: Sequence[Path]) -> list[Path]:
     """Every episode folder at or below the paths, in order, each once.
 
@@ -97,9 +94,6 @@ def find(paths: Sequence[Path]) -> list[Path]:
             raise EpisodeError(f"{path}: no episode (a folder with {episodes.MANIFEST}) in it")
         folders.update((folder.resolve(), folder) for folder in here)
     return list(folders.values())
-
-
-# --- measuring ----------------------------------------------------------------------------------
 
 
 def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
@@ -176,9 +170,6 @@ def measure_all(
     return entries, left_out
 
 
-# --- bringing together --------------------------------------------------------------------------
-
-
 def grouped(entries: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
     """Episodes by condition; the label states what distinguishes the conditions."""
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
@@ -248,9 +239,9 @@ def compare(spec: str, preset: str, progress: Progress) -> dict[str, Any]:
     Raises:
         ReferenceSetError: Nothing of it can be measured.
     """
-    found = reference_sets.load(spec)
+    reference = reference_sets.load(spec)
     measured = []
-    for i, motion in enumerate(found.motions):
-        progress(i / len(found.motions), f"{found.name}: {motion.name}")
+    for i, motion in enumerate(reference.motions):
+        progress(i / len(reference.motions), f"{reference.name}: {motion.name}")
         measured.append(reference_sets.measure(motion))
-    return reference_sets.summarise(found, measured, preset)
+    return reference_sets.summarise(reference, measured, preset)

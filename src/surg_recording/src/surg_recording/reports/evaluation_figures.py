@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from surg_recording.metrics import PRESETS
@@ -36,19 +37,13 @@ def smoothness(summary: Mapping[str, Any]) -> Figure:
     """SPARC and LDLJ of each episode's tip beside the reference set."""
     preset = PRESETS[summary["preset"]["name"]]
     groups, others = _groups(summary), _references(summary)
-    labels = [label for label, _ in [*groups, *others]]
     figure = blank(3.9)
     for axes, name in zip(figure.subplots(1, 2), ("sparc", "ldlj"), strict=True):
-        metric = next(m for m in evaluation.METRICS if m.name == name)
-        for i, (_, entries) in enumerate([*groups, *others]):
-            colour = EXECUTED if i < len(groups) else INPUT
-            trial_figures.box(axes, i, 0.6, metric.values(entries, preset.name), colour)
+        metric = _boxes(axes, name, [*groups, *others], summary, own=len(groups))
         if others:
             axes.axvline(len(groups) - 0.5, color=GRID, linewidth=1.6)
-        trial_figures.name_groups(axes, labels)
         axes.set(title=f"{metric.title} (closer to zero: smoother)", ylabel=metric.title)
-    note = f"{origin(summary)}\n{preset.label()}"
-    figure.supxlabel(note, fontsize=8.5, color=INK)
+    figure.supxlabel(f"{origin(summary)}\n{preset.label()}", fontsize=8.5, color=INK)
     return figure
 
 
@@ -57,15 +52,23 @@ def effort(summary: Mapping[str, Any]) -> Figure:
     groups, figure = _groups(summary), blank(3.5)
     names = ("path_length_mm", "duration_s", "idle_s")
     for axes, name in zip(figure.subplots(1, len(names)), names, strict=True):
-        metric = next(m for m in evaluation.METRICS if m.name == name)
-        for i, (_, entries) in enumerate(groups):
-            values = metric.values(entries, summary["preset"]["name"])
-            trial_figures.box(axes, i, 0.6, values, EXECUTED)
-        trial_figures.name_groups(axes, [label for label, _ in groups])
+        metric = _boxes(axes, name, groups, summary, own=len(groups))
         axes.set(title=metric.title.capitalize(), ylabel=metric.unit)
         axes.set_ylim(0, 1.05 * axes.get_ylim()[1])
     figure.supxlabel(origin(summary), fontsize=8.5, color=INK)
     return figure
+
+
+def _boxes(
+    axes: Axes, name: str, groups: trial_figures.Groups, summary: Mapping[str, Any], own: int
+) -> evaluation.Metric:
+    """Boxes of a metric, which is returned; groups after the first ``own`` are references."""
+    metric = next(m for m in evaluation.METRICS if m.name == name)
+    for i, (_, entries) in enumerate(groups):
+        values = metric.values(entries, summary["preset"]["name"])
+        trial_figures.box(axes, i, 0.6, values, EXECUTED if i < own else INPUT)
+    trial_figures.name_groups(axes, [label for label, _ in groups])
+    return metric
 
 
 FIGURES: Figures = {

@@ -24,41 +24,10 @@ from surg_recording.reports.html_page import (
 )
 from surg_recording.reports.trial_report import interval
 
-_DEFINITIONS = (
-    (
-        "Condition",
-        "Episodes with the same task, setting, robot, control law and source (simulation or real)."
-        " A label names what tells the conditions apart.",
-    ),
-    (
-        "RCM deviation, kinematic",
-        "Distance from the commanded pivot to the infinite shaft line, from joint states and"
-        " calibration, at every control cycle of the commanded window. The paper's metric; it"
-        " does not include calibration errors.",
-    ),
-    (
-        "RCM deviation, true",
-        "Distance from the unloaded trocar point to the simulator's shaft axis.",
-    ),
-    (
-        "SPARC, LDLJ",
-        "Spectral arc length and log dimensionless jerk of the executed tip motion at 5 Hz, by the"
-        " one preset named; closer to zero is smoother. docs/guide/evaluation.md has the formulas.",
-    ),
-    (
-        "Path length, duration, idle time",
-        "Of the executed tip in the commanded window; path low-passed at 3 Hz; idle: pauses of at"
-        " least 0.5 s below 1 mm/s.",
-    ),
-    (
-        "Median [quartiles], interval",
-        "Over the episodes. The 95 % interval of the median is between two of the values (order"
-        " statistics, no distribution assumed) and needs 6 of them. Success: Wilson's score"
-        " interval.",
-    ),
+_TERMS = (
+    *("Condition", "Window", "Kinematic RCM deviation", "True RCM deviation", "SPARC, LDLJ"),
+    *("Path length", "Idle time", "Median [quartiles], interval", "95 % interval"),
 )
-
-
 _REFERENCE_METRICS = {
     "sparc": "SPARC",
     "ldlj": "LDLJ",
@@ -94,7 +63,7 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
         _reference(summary["reference"]),
         _episodes(summary),
         section("Left out", bullets(left_out, "small")) if left_out else "",
-        definitions(_DEFINITIONS),
+        definitions(*_TERMS),
     ]
     (folder / "report.html").write_text(document(title, filter(None, sections)), encoding="utf-8")
 

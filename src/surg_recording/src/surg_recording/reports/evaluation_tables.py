@@ -48,14 +48,14 @@ def conditions(summary: Mapping[str, Any]) -> list[list[Any]]:
     header += ["success_high", *(f"{name}_{part}" for name in names for part in _SPREAD)]
     rows: list[list[Any]] = [header]
     preset = summary["preset"]["name"]
-    for label, found in summary["conditions"].items():
-        rate = found["success_rate"] or {}
-        row = [label, *(found[key] for key in IDENTITY), preset, found["n"]]
+    for label, values in summary["conditions"].items():
+        rate = values["success_rate"] or {}
+        row = [label, *(values[key] for key in IDENTITY), preset, values["n"]]
         row += [rate.get(key) for key in ("k", "n", "low", "high")]
-        rows.append(row + [value for name in names for value in _parts(found[name])])
-    for label, found in _references(summary):
-        row = [label, *[None] * len(IDENTITY), preset, found["trials"], *[None] * 4]
-        rows.append(row + [value for name in names for value in _parts(found.get(name))])
+        rows.append(row + [value for name in names for value in _parts(values[name])])
+    for label, values in _references(summary):
+        row = [label, *[None] * len(IDENTITY), preset, values["trials"], *[None] * 4]
+        rows.append(row + [value for name in names for value in _parts(values.get(name))])
     return rows
 
 
@@ -63,7 +63,7 @@ def latex(summary: Mapping[str, Any]) -> str:
     """A tabular of medians with quartiles; needs no package."""
     shown = [metric for metric in METRICS if metric.name in LATEX]
     preset = PRESETS[summary["preset"]["name"]]
-    sources = sorted({found["source"] for found in summary["conditions"].values()})
+    sources = sorted({values["source"] for values in summary["conditions"].values()})
     lines = [
         f"% {' and '.join(sources)}; median [quartiles] over the episodes;"
         " success with Wilson's 95 % interval",
@@ -74,15 +74,15 @@ def latex(summary: Mapping[str, Any]) -> str:
         + r" \\",
         r"\hline",
     ]
-    for label, found in summary["conditions"].items():
-        cells = [escape(label), str(found["n"]), _rate(found["success_rate"])]
-        lines.append(" & ".join(cells + [_latex(found[m.name]) for m in shown]) + r" \\")
+    for label, values in summary["conditions"].items():
+        cells = [escape(label), str(values["n"]), _rate(values["success_rate"])]
+        lines.append(" & ".join(cells + [_latex(values[m.name]) for m in shown]) + r" \\")
     references = _references(summary)
     if references:
         lines.append(r"\hline")
-    for label, found in references:
-        cells = [escape(label), str(found["trials"]), "--"]
-        lines.append(" & ".join(cells + [_latex(found.get(m.name)) for m in shown]) + r" \\")
+    for label, values in references:
+        cells = [escape(label), str(values["trials"]), "--"]
+        lines.append(" & ".join(cells + [_latex(values.get(m.name)) for m in shown]) + r" \\")
     return "\n".join([*lines, r"\hline", r"\end{tabular}"]) + "\n"
 
 
@@ -91,7 +91,7 @@ def markdown(summary: Mapping[str, Any]) -> str:
     columns = [*summary["conditions"].items(), *_references(summary)]
     rows = [["", *(label for label, _ in columns)], ["---"] * (1 + len(columns))]
     rows.append(["episodes or trials", *(str(f.get("n", f.get("trials"))) for _, f in columns)])
-    rates = [found.get("success_rate") for _, found in columns]
+    rates = [values.get("success_rate") for _, values in columns]
     rows.append(["success", *(interval(rate) if rate else "–" for rate in rates)])
     for metric in METRICS:
         cells = ["; ".join(filter(None, spread_words(f.get(metric.name)))) for _, f in columns]
@@ -142,12 +142,12 @@ def _references(summary: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]
     return [(name, compared), *levels]
 
 
-def _parts(found: Mapping[str, Any] | None) -> Sequence[Any]:
+def _parts(spread: Mapping[str, Any] | None) -> Sequence[Any]:
     """The values under ``_SPREAD``."""
-    if not found or not found["n"]:
+    if not spread or not spread["n"]:
         return [0, *[None] * (len(_SPREAD) - 1)]
-    (first, third), (low, high) = found["quartiles"], found["interval"] or (None, None)
-    return [found["n"], found["min"], first, found["median"], third, found["max"], low, high]
+    (first, third), (low, high) = spread["quartiles"], spread["interval"] or (None, None)
+    return [spread["n"], spread["min"], first, spread["median"], third, spread["max"], low, high]
 
 
 def _write(path: Path, rows: Sequence[Sequence[Any]]) -> None:

@@ -8,6 +8,7 @@ from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from surg_recording.reports.figure_style import Drawn
+from surg_recording.reports.terms import TERMS
 
 CSS = """
 :root { color-scheme: light; }
@@ -89,9 +90,9 @@ def table(
     return f"<table class='{style}'>{line('th', head)}{body}</table>"
 
 
-def definitions(terms: Iterable[tuple[str, str]]) -> str:
-    """A section that defines the terms of the page."""
-    entries = "".join(f"<dt>{text(term)}</dt><dd>{text(meaning)}</dd>" for term, meaning in terms)
+def definitions(*terms: str) -> str:
+    """A section that defines ``TERMS`` of the page."""
+    entries = "".join(f"<dt>{text(term)}</dt><dd>{text(TERMS[term])}</dd>" for term in terms)
     return section("Definitions", f"<dl>{entries}</dl>")
 
 

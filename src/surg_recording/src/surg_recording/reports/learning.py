@@ -6,6 +6,7 @@ docs/guide/learning.md and docs/guide/run.md define them.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from surg_recording.reports import trials
 Entry = Mapping[str, Any]
 
 OF_THE_WIRE = ("rejected", "clipped", "late", "obs_age_ms", "round_trip_ms")
-"""Of a roll-out, as the model server counted them; None where it did not say."""
+"""Counts and times of a roll-out from the model server; None if it did not report them."""
 
 
 def roll_out(entry: Entry, served: Mapping[str, Any], recorded: Episode | None) -> dict[str, Any]:
@@ -52,13 +53,12 @@ def roll_out(entry: Entry, served: Mapping[str, Any], recorded: Episode | None) 
 
 def look(recorded: Episode) -> dict[str, Any]:
     """Unsafe commands of all arms of a recording: number of cycles, and commands by rule."""
-    found: dict[str, int] = {}
-    cycles = 0
+    rules: Counter[str] = Counter()
     for arm in recorded.arms:
-        cycles += len(recorded.cycle(arm))
         for rule in unsafe_commands.examine(recorded, arm):
-            found[rule.name] = found.get(rule.name, 0) + rule.cycles
-    return {"cycles": cycles, "commands": sum(found.values()), "rules": found}
+            rules[rule.name] += rule.cycles
+    cycles = sum(len(recorded.cycle(arm)) for arm in recorded.arms)
+    return {"cycles": cycles, "commands": rules.total(), "rules": dict(rules)}
 
 
 def demonstration(folder: Path) -> dict[str, Any]:
@@ -106,17 +106,16 @@ def summarise(
         reasons.append(f"{commands} unsafe commands (by rule: key 'unsafe')")
     if rate["k"] < least:
         reasons.append(f"{rate['k']} of {rate['n']} roll-outs succeeded, at least {least} were due")
-    rules: dict[str, int] = {}
+    rules: Counter[str] = Counter()
     for each in looked:
-        for name, cycles in each["rules"].items():
-            rules[name] = rules.get(name, 0) + cycles
+        rules.update(each["rules"])
     return {
         "ok": not reasons,
         "reasons": reasons,
         **info,
         "success_rate": rate,
         "unsafe_commands": commands,
-        "unsafe": {"cycles": sum(each["cycles"] for each in looked), "rules": rules},
+        "unsafe": {"cycles": sum(each["cycles"] for each in looked), "rules": dict(rules)},
         "rcm_max_mm": spread(rollouts, "rcm_max_mm"),
         "rcm_mean_mm": spread(rollouts, "rcm_mean_mm"),
         "smoothness": {
@@ -146,7 +145,4 @@ def _total(entries: Sequence[Entry], name: str) -> int | None:
 def _percentiles(entries: Sequence[Entry], name: str) -> dict[str, float | None]:
     """Median of the roll-outs' medians, and the largest of their 99th percentiles."""
     middle, high = trials.values(entries, name, "p50"), trials.values(entries, name, "p99")
-    return {
-        "p50": float(np.median(middle)) if middle else None,
-        "p99": max(high) if high else None,
-    }
+    return {"p50": float(np.median(middle)) if middle else None, "p99": max(high, default=None)}

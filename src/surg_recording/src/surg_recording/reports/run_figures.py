@@ -53,21 +53,12 @@ def rcm_deviation(run: Run, summary: Values, robot: Values) -> Figure:
         spread.plot(np.linspace(0, 100, 201), levels, color=colour, linewidth=3.2 if broad else 1.4)
         over_time.plot([], [], color=colour, linewidth=2.5, label=f"{name}: mean {mean:.3f} mm")
     bounds = {limit["name"]: limit["bound"] for limit in summary["limits"]}
-    for axes in (over_time, spread):
-        for name, style in (("rcm_kinematic_max", "--"), ("rcm_true_max", ":")):
-            if name in bounds:
-                axes.axhline(bounds[name], color=LIMIT, linewidth=1.0, linestyle=style)
-    for name, text in (("rcm_kinematic_max", "kinematic"), ("rcm_true_max", "true")):
-        if name in bounds:
-            over_time.text(
-                run.t[-1] * 0.995,
-                bounds[name] * 1.06,
-                f"{text} max allowed",
-                color=LIMIT,
-                fontsize=8,
-                ha="right",
-                va="bottom",
-            )
+    for name, style in (("kinematic", "--"), ("true", ":")):
+        if bound := bounds.get(f"rcm_{name}_max"):
+            for axes in (over_time, spread):
+                axes.axhline(bound, color=LIMIT, linewidth=1.0, linestyle=style)
+            font = {"color": LIMIT, "fontsize": 8, "ha": "right", "va": "bottom"}
+            over_time.text(run.t[-1] * 0.995, bound * 1.06, f"{name} max allowed", font)
     over_time.set_yscale("log")
     low = float(np.percentile(np.concatenate([d for _, _, d, _ in series]), 1)) * 1e3
     over_time.set_ylim(max(floor, low / 2), max(1.2, top * 2.5))
@@ -114,27 +105,15 @@ def speed(run: Run, summary: Values, robot: Values) -> Figure:
     preset = metrics.PRESETS[smoothness["preset"]]
     executed = metrics.uniform(run.t_executed, run.executed, fs)
     given = metrics.uniform(run.t, metrics.interpolate(run.t, run.t_input, run.input), fs)
-    velocity = metrics.differentiate(executed[1], fs)
-    axes.plot(
-        executed[0],
-        np.linalg.norm(velocity, axis=1) * 1e3,
-        color="#bcd3e8",
-        linewidth=0.6,
-        label=f"executed, {fs:g} Hz",
-    )
+    mm_per_s = np.linalg.norm(metrics.differentiate(executed[1], fs), axis=1) * 1e3
+    axes.plot(executed[0], mm_per_s, color="#bcd3e8", linewidth=0.6, label=f"executed, {fs:g} Hz")
     for name, (grid, path), colour, width in (
         ("input", given, INPUT, 2.4),
         ("executed", executed, EXECUTED, 1.2),
     ):
         slow = metrics.downsample(metrics.differentiate(path, fs), fs, preset.fs)
-        t = grid[0] + np.arange(len(slow)) / preset.fs
-        axes.plot(
-            t,
-            np.linalg.norm(slow, axis=1) * 1e3,
-            color=colour,
-            linewidth=width,
-            label=f"{name}, {preset.fs:g} Hz",
-        )
+        t, mm_per_s = grid[0] + np.arange(len(slow)) / preset.fs, np.linalg.norm(slow, axis=1) * 1e3
+        axes.plot(t, mm_per_s, color=colour, linewidth=width, label=f"{name}, {preset.fs:g} Hz")
     first = smoothness["presets"][smoothness["preset"]]
     axes.set_title(
         f"Tip speed    SPARC {_value(first['sparc'])} (input {_value(first['input']['sparc'])}),"
@@ -157,39 +136,32 @@ def joints(run: Run, summary: Values, robot: Values) -> Figure:
     names = stated.get("names") or [f"q{i}" for i in range(q.shape[1])]
     low, high = _numbers(stated, "position_min", q), _numbers(stated, "position_max", q)
     fastest = _numbers(stated, "velocity", q)
-    known = low is not None and high is not None
-    for i in range(q.shape[1]):
-        colour = JOINTS[i % len(JOINTS)]
-        share = q[:, i]
-        if low is not None and high is not None:
-            share = 200.0 * (q[:, i] - low[i]) / (high[i] - low[i]) - 100.0
-        position.plot(run.t, share, color=colour, label=str(names[i]))
-        velocity.plot(
-            run.t,
-            qd[:, i] if fastest is None else 100.0 * qd[:, i] / fastest[i],
-            color=colour,
-            linewidth=0.8,
-        )
-    fast = None if fastest is None else 100.0 * float(np.max(np.abs(qd) / fastest))
-    position.set_title("Joint positions within their range" if known else "Joint positions")
-    position.set_ylabel("% of range (±100: limit)" if known else "rad")
-    velocity.set_title(
-        "Joint velocities"
-        if fast is None
-        else f"Joint velocities: at most {fast:.0f} % of their limits"
-    )
-    velocity.set_ylabel("rad/s" if fastest is None else "% of limit")
-    velocity.set_xlabel("time [s]")
-    if known:
-        for bound in (-100, 100):
-            position.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0)
+    position.set(title="Joint positions", ylabel="rad")
+    velocity.set(title="Joint velocities", ylabel="rad/s", xlabel="time [s]")
+    if low is not None and high is not None:
+        q = 200.0 * (q - low) / (high - low) - 100.0
+        position.set(title="Joint positions within their range", ylabel="% of range (±100: limit)")
         position.set_ylim(-112, 112)
-    if fast is not None and fast > 50.0:
-        for bound in (-100, 100):
-            velocity.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0)
+        _bounds_at_100(position)
+    if fastest is not None:
+        qd = 100.0 * qd / fastest
+        fast = float(np.max(np.abs(qd)))
+        title = f"Joint velocities: at most {fast:.0f} % of their limits"
+        velocity.set(title=title, ylabel="% of limit")
+        if fast > 50.0:
+            _bounds_at_100(velocity)
+    for i, name in enumerate(names[: q.shape[1]]):
+        colour = JOINTS[i % len(JOINTS)]
+        position.plot(run.t, q[:, i], color=colour, label=str(name))
+        velocity.plot(run.t, qd[:, i], color=colour, linewidth=0.8)
     velocity.set_xlim(0, run.t[-1])
     position.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.2)
     return figure
+
+
+def _bounds_at_100(axes: Axes) -> None:
+    for bound in (-100, 100):
+        axes.axhline(bound, color=LIMIT, linestyle="--", linewidth=1.0)
 
 
 def trocar(run: Run, summary: Values, robot: Values) -> Figure:
@@ -222,16 +194,11 @@ def timing(run: Run, summary: Values, robot: Values) -> Figure:
     drawn = figure.subplots(1, 2 if period else 1)
     panels: Sequence[Axes] = list(np.atleast_1d(drawn))
     compute = run.cycle["compute_us"]
-    _histogram(
-        panels[0],
-        compute,
-        controller["compute_us"],
-        f"Compute time of {len(compute)} cycles",
-    )
+    title = f"Compute time of {len(compute)} cycles"
+    _histogram(panels[0], compute, controller["compute_us"], title)
     if period:
         periods = run.cycle["period_us"]
-        rate = controller["rate_hz"]
-        title = f"Period between cycles, mean rate {rate:.2f} Hz"
+        title = f"Period between cycles, mean rate {controller['rate_hz']:.2f} Hz"
         _histogram(panels[1], periods[periods > 0], period, title)
     return figure
 

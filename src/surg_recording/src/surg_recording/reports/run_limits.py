@@ -47,10 +47,9 @@ class Limit:
     def __str__(self) -> str:
         """The measured value and the limit."""
         sign = "≥" if self.at_least else "≤"
-        measured = self.measured
-        known = measured is not None and math.isfinite(measured)
-        shown = f"{measured:.4g}" if known else "not measured"
-        return f"{self.text}: {shown}, allowed {sign} {self.bound:g}"
+        known = self.measured is not None and math.isfinite(self.measured)
+        measured = f"{self.measured:.4g}" if known else "not measured"
+        return f"{self.text}: {measured}, allowed {sign} {self.bound:g}"
 
 
 def stated_limits(result: Mapping[str, Any], info: Mapping[str, Any]) -> list[Limit]:
@@ -83,13 +82,6 @@ def stated_limits(result: Mapping[str, Any], info: Mapping[str, Any]) -> list[Li
         Limit("path_length", "executed path against input's, difference [%]", ratio, 3.0),
         Limit("enabled", "cycles enabled [%]", 100.0 * result["enabled_fraction"], 100.0, True),
         Limit("unscaled", "cycles unscaled [%]", 100.0 * result["unscaled_fraction"], 98.0, True),
-        Limit(
-            "shaft_sweep",
-            "shaft sweep [deg]",
-            result["shaft_sweep_deg"],
-            20.0,
-            at_least=True,
-            judged=bool(info.get("full_motion", False)),
-        ),
     ]
-    return limits
+    sweep, judged = result["shaft_sweep_deg"], bool(info.get("full_motion", False))
+    return [*limits, Limit("shaft_sweep", "shaft sweep [deg]", sweep, 20.0, True, judged)]

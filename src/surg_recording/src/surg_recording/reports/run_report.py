@@ -39,54 +39,9 @@ from surg_recording.video import video_file
 
 STRIP_FRAMES = 6
 
-_DEFINITIONS = (
-    (
-        "Window",
-        "All values are measured from the first to the last control cycle that followed a servo"
-        " command stream.",
-    ),
-    (
-        "Kinematic RCM deviation",
-        "Distance from the commanded pivot to the infinite shaft line, computed from joint states"
-        " and calibration at every cycle. This is the paper's metric; it does not include"
-        " calibration errors.",
-    ),
-    (
-        "True RCM deviation",
-        "Distance from the unloaded trocar point to the simulator's shaft axis.",
-    ),
-    (
-        "Tip error",
-        "Distance between the executed tip (the simulator's ground truth; without a simulator, the"
-        " measured tip) and the input, shifted by the constant lag that minimises its rms. The lag"
-        " is a value of its own.",
-    ),
-    (
-        "Path length",
-        "Length of the input and executed tip paths after a low-pass at 3 Hz (zero-phase"
-        " Butterworth, order 4), which removes tremor.",
-    ),
-    (
-        "Idle time",
-        "Pauses of at least 0.5 s in which the executed tip, after the same low-pass, stays below"
-        " 1 mm/s.",
-    ),
-    ("Shaft sweep", "The largest angle between any two shaft directions of the run."),
-    ("Unscaled", "Cycles in which no limit slowed the motion (limit factor 1)."),
-    (
-        "SPARC, LDLJ",
-        "Spectral arc length and log dimensionless jerk of the tip motion at 5 Hz; closer to zero"
-        " is smoother. Do not compare values of different presets.",
-    ),
-    (
-        "Trocar displacement",
-        "Distance of the trocar point under load from its unloaded position.",
-    ),
-    (
-        "State hash",
-        "SHA-256 over the simulator's positions and velocities after every tick. Two lock-step runs"
-        " with the same seed have the same hash.",
-    ),
+_TERMS = (
+    *("Window", "Kinematic RCM deviation", "True RCM deviation", "Tip error", "Path length"),
+    *("Idle time", "Shaft sweep", "Unscaled", "SPARC, LDLJ", "Trocar displacement", "State hash"),
 )
 
 
@@ -121,8 +76,8 @@ def make(
 
 
 def _page(recorded: episodes.Episode, result: Mapping[str, Any], drawn: Sequence[Drawn]) -> str:
-    what = result["motion"] or recorded.manifest.get("task") or "motion"
-    title = f"{result['robot'] or 'robot'}: {what}"
+    subject = result["motion"] or recorded.manifest.get("task") or "motion"
+    title = f"{result['robot'] or 'robot'}: {subject}"
     measured = [_limits(result), _numbers(result)] if result["limits"] else []
     return document(
         title,
@@ -137,7 +92,7 @@ def _page(recorded: episodes.Episode, result: Mapping[str, Any], drawn: Sequence
             *map(figure_section, drawn),
             sync_page.section(sync_report.ensure(recorded)),
             _recording(recorded, result),
-            definitions(_DEFINITIONS),
+            definitions(*_TERMS),
         ],
     )
 

@@ -108,7 +108,8 @@ def load(episode: Episode, arm: str | None = None) -> Run:
         true = metrics.rcm_deviation(
             truth.vector("shaft"), truth.vector("axis"), truth.vector("trocar")
         )
-    run = Run(
+    measured = _track(t, tip, t_input, target)
+    return Run(
         arm=arm,
         t=t,
         cycle=cycle,
@@ -122,16 +123,8 @@ def load(episode: Episode, arm: str | None = None) -> Run:
         t_truth=t_truth,
         truth=truth,
         rcm_true=true,
-        tracking=None,
-        tracking_measured=None,
-    )
-    measured = _track(t, tip, t_input, target)
-    return dataclasses.replace(
-        run,
+        tracking=_track(t_truth, truth.vector("tip"), t_input, target) if truth else measured,
         tracking_measured=measured,
-        tracking=measured
-        if truth is None
-        else _track(t_truth, truth.vector("tip"), t_input, target),
     )
 
 
@@ -146,10 +139,9 @@ def _input(episode: Episode, arm: str, cycle: Table, start: int) -> tuple[Array,
     """Input tip targets in the base frame: times, positions, and their source."""
     name = f"command_{arm}"
     if name in episode.tables:
-        table = episode.table(name)
-        t, p_R, topic = _targets(table, cycle, start)
+        t, p_R, topic = _targets(episode.table(name), cycle, start)
         if len(t) >= 2:
-            # The rcm frame of the cycle nearest in time.
+            # The rcm frame of the nearest cycle.
             stamps = _seconds(cycle["stamp_ns"], start)
             nearest = np.clip(np.searchsorted(stamps, t), 0, len(stamps) - 1)
             q_br = cycle.vector("q_br", "xyzw")[nearest]
@@ -172,11 +164,9 @@ def _targets(table: Table, cycle: Table, start: int) -> tuple[Array, Array, str]
     else:
         position = virtual_tip(rows["yaw"], rows["pitch"], rows["insertion"])
     # Some samples outside the window, so that interpolation reaches its ends.
-    first, last = int(cycle["stamp_ns"][0]), int(cycle["stamp_ns"][-1])
-    margin = SECOND_NS
-    good = np.isfinite(position).all(axis=1) & (stamp >= first - margin) & (stamp <= last + margin)
-    stamp, position = stamp[good], position[good]
-    order = np.argsort(stamp, kind="stable")
+    first, last = cycle["stamp_ns"][0] - SECOND_NS, cycle["stamp_ns"][-1] + SECOND_NS
+    good = np.isfinite(position).all(axis=1) & (stamp >= first) & (stamp <= last)
+    order = np.flatnonzero(good)[np.argsort(stamp[good], kind="stable")]
     stamp, position = stamp[order], position[order]
     newest = np.append(np.diff(stamp) > 0, True) if len(stamp) else np.zeros(0, dtype=bool)
     return _seconds(stamp[newest], start), position[newest], topic

@@ -111,6 +111,7 @@ def _measure(run: Run, lockstep: bool) -> dict[str, Any]:
         p50, p99, worst = metrics.percentiles(periods, 50, 99, 100)
         period = {"p50": p50, "p99": p99, "max": worst}
     overruns = cycle["overruns"]
+    idle = metrics.idle(path_out, fs, cutoff=PATH_CUTOFF_HZ)
     return {
         "duration_s": float(run.t[-1]),
         "rcm_kinematic_mm": _statistics(run.rcm_kinematic * 1e3),
@@ -123,7 +124,14 @@ def _measure(run: Run, lockstep: bool) -> dict[str, Any]:
             "input": metrics.path_length(path_in, fs, PATH_CUTOFF_HZ) * 1e3,
             "executed": metrics.path_length(path_out, fs, PATH_CUTOFF_HZ) * 1e3,
         },
-        "idle": _idle(metrics.idle(path_out, fs, cutoff=PATH_CUTOFF_HZ)),
+        "idle": {
+            "s": idle.seconds,
+            "share": idle.share,
+            "pauses": idle.pauses,
+            "below_mm_per_s": idle.below * 1e3,
+            "at_least_s": idle.at_least,
+            "cutoff_hz": idle.cutoff,
+        },
         "shaft_sweep_deg": math.degrees(metrics.shaft_sweep(run.shaft)),
         "enabled_fraction": float(np.mean(cycle["state"] == ENABLED)),
         "unscaled_fraction": float(np.mean(cycle["scale"] >= 1.0 - 1e-9)),
@@ -157,18 +165,6 @@ def _smoothness(path_in: Array, path_out: Array, fs: float) -> dict[str, Any]:
         "sparc": first["sparc"],
         "ldlj": first["ldlj"],
         "presets": by_preset,
-    }
-
-
-def _idle(idle: metrics.Idle) -> dict[str, float | int]:
-    """Idle time of the executed motion, with the definition used."""
-    return {
-        "s": idle.seconds,
-        "share": idle.share,
-        "pauses": idle.pauses,
-        "below_mm_per_s": idle.below * 1e3,
-        "at_least_s": idle.at_least,
-        "cutoff_hz": idle.cutoff,
     }
 
 
@@ -232,9 +228,6 @@ def _reasons_of_the_motion(run: Run, result: Mapping[str, Any]) -> list[str]:
             f"the arm was held for {held:.2f} s from {since:.2f} s on while the input moved: {why}"
         )
     return reasons
-
-
-# --- small things -------------------------------------------------------------------------------
 
 
 def _counts(episode: Episode, arm: str) -> dict[str, Any]:

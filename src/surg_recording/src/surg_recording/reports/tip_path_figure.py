@@ -60,9 +60,9 @@ def _in_rcm(run: Run, t: Array, p_B: Array) -> Array:
     return np.asarray(rotate_back(q_BR, p_B - run.p_rcm[row]) * 1e3)
 
 
-def _fan(run: Run, count: int = 24) -> list[Array]:
+def _fan(run: Run) -> list[Array]:
     """Shaft segments in the rcm frame, from 40 mm outside the trocar to the tip [mm]."""
-    rows = np.linspace(0, len(run.t_executed) - 1, count).astype(int)
+    rows = np.linspace(0, len(run.t_executed) - 1, 24).astype(int)
     t = run.t_executed[rows]
     tips, axes = run.executed[rows], run.shaft[rows]
     row = np.clip(np.searchsorted(run.t, t), 0, len(run.t) - 1)

@@ -22,32 +22,9 @@ from surg_recording.reports.html_page import (
     text,
 )
 
-_DEFINITIONS = (
-    (
-        "Success",
-        "By the task's definition, from the simulator's ground truth (docs/reference/tasks.md). An"
-        " episode that ends for any other reason is a failure; the table names the reason.",
-    ),
-    (
-        "95 % interval",
-        "Wilson's score interval of the success rate over all seeds.",
-    ),
-    (
-        "RCM deviation, kinematic",
-        "Distance from the commanded pivot to the shaft line, from joint states and calibration,"
-        " at every control cycle from the first to the last stream command. It does not"
-        " include calibration errors.",
-    ),
-    (
-        "RCM deviation, true",
-        "Distance from the unloaded trocar point, which moves with breathing, to the simulator's"
-        " shaft axis.",
-    ),
-    (
-        "Bound",
-        "Reference value of the setting, for information. The parameters of the settings were fixed"
-        " before any deviation was evaluated.",
-    ),
+_TERMS = (
+    *("Success", "95 % interval", "Window", "Kinematic RCM deviation", "True RCM deviation"),
+    *("Bound", "State hash"),
 )
 
 
@@ -73,7 +50,7 @@ def write(summary: Mapping[str, Any], folder: Path) -> None:
         _conditions(summary["conditions"]),
         *map(figure_section, drawn),
         _episodes(summary["episodes"]),
-        definitions(_DEFINITIONS),
+        definitions(*_TERMS),
     ]
     (folder / "report.html").write_text(document(title, sections), encoding="utf-8")
 

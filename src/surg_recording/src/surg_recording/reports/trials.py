@@ -74,17 +74,17 @@ _OF_AN_ARM = (
 
 def pick(measured: Mapping[str, Any]) -> dict[str, Any]:
     """The part of ``run_summary.summarise`` that an entry holds."""
-    found = {name: measured[name] for name in _OF_AN_ARM}
-    smoothness = found["smoothness"]
+    entry = {name: measured[name] for name in _OF_AN_ARM}
+    smoothness = entry["smoothness"]
     if smoothness is not None:
-        found["smoothness"] = {
+        entry["smoothness"] = {
             **{key: smoothness[key] for key in ("preset", "sparc", "ldlj")},
             "presets": {
                 preset: {key: values[key] for key in ("sparc", "ldlj")}
                 for preset, values in smoothness["presets"].items()
             },
         }
-    return found
+    return entry
 
 
 def summarise(
@@ -107,12 +107,9 @@ def summarise(
         if not e["played"]
     ]
     wrong = [*reasons, *broken]
-    conditions = [
-        _condition(
-            setting, law, [e for e in episodes if (e["setting"], e["law"]) == (setting, law)]
-        )
-        for setting, law in dict.fromkeys((e["setting"], e["law"]) for e in episodes)
-    ]
+    groups: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for e in episodes:
+        groups.setdefault((e["setting"], e["law"]), []).append(e)
     settings = list(dict.fromkeys(e["setting"] for e in episodes))
     return {
         "ok": not wrong,
@@ -120,44 +117,44 @@ def summarise(
         **info,
         "setting": settings[0] if len(settings) == 1 else settings,
         "success_rate": success_rate([e["success"] for e in episodes]),
-        "conditions": conditions,
+        "conditions": [_condition(*key, group) for key, group in groups.items()],
         "episodes": [dict(e) for e in episodes],
     }
 
 
 def _condition(setting: str, law: str, episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Statistics of the episodes of one condition."""
-    found: dict[str, Any] = {
+    condition: dict[str, Any] = {
         "setting": setting,
         "law": law,
         "success_rate": success_rate([e["success"] for e in episodes]),
         "duration_s": spread([e["duration_s"] for e in episodes]),
     }
     for name in ("rcm_kinematic_mm", "rcm_true_mm"):
-        found[name] = {key: spread(values(episodes, name, key)) for key in ("mean", "max")}
+        condition[name] = {key: spread(values(episodes, name, key)) for key in ("mean", "max")}
     for name in ("force_n", "displacement_mm"):
-        found[f"trocar_{name}"] = spread(values(episodes, "trocar", name, "max"))
+        condition[f"trocar_{name}"] = spread(values(episodes, "trocar", name, "max"))
     for name in ("sparc", "ldlj"):
-        found[name] = spread(values(episodes, "smoothness", name))
+        condition[name] = spread(values(episodes, "smoothness", name))
     bounds = run_limits.SETTING_BOUNDS.get(setting, run_limits.ANY_SETTING)
-    worst = {name: found["rcm_kinematic_mm"][name]["max"] for name in bounds}
-    found["bounds"] = [
-        {"metric": name, "value": value, "worst": worst[name], "met": _below(worst[name], value)}
-        for name, value in bounds.items()
-    ]
-    return found
+    condition["bounds"] = []
+    for name, value in bounds.items():
+        worst = condition["rcm_kinematic_mm"][name]["max"]
+        met = worst is not None and worst < value
+        condition["bounds"].append({"metric": name, "value": value, "worst": worst, "met": met})
+    return condition
 
 
 def values(episodes: Iterable[Mapping[str, Any]], *path: str) -> list[float]:
     """One number of every episode that has it, by its path of keys in the entry."""
-    found = []
+    numbers = []
     for episode in episodes:
         value: Any = episode
         for key in path:
             value = None if value is None else value.get(key)
         if isinstance(value, int | float) and math.isfinite(value):
-            found.append(float(value))
-    return found
+            numbers.append(float(value))
+    return numbers
 
 
 def spread(numbers: Sequence[float]) -> dict[str, float | int | None]:
@@ -166,7 +163,3 @@ def spread(numbers: Sequence[float]) -> dict[str, float | int | None]:
         return {"n": 0, "min": None, "median": None, "max": None}
     low, high = min(numbers), max(numbers)
     return {"n": len(numbers), "min": low, "median": float(np.median(numbers)), "max": high}
-
-
-def _below(value: float | int | None, bound: float) -> bool:
-    return value is not None and value < bound

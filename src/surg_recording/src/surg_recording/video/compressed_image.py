@@ -32,21 +32,23 @@ class Coded(NamedTuple):
     height: int
 
 
-def look(data: bytes, said: str = "") -> Coded:
-    """Kind and size of a picture; ``said`` is the sender's ``format``, for the error.
+def look(data: bytes, stated: str = "") -> Coded:
+    """Kind and size of a picture; ``stated`` is the sender's ``format``, for the error.
 
     Raises:
         ValueError: It is neither JPEG nor PNG, it is truncated, or its pixels cannot be recorded.
     """
     if data[:2] == bytes((0xFF, _START)):
-        found = Coded(JPEG, *_jpeg(data))
+        picture = Coded(JPEG, *_jpeg(data))
     elif data.startswith(_PNG_BEGIN):
-        found = Coded(PNG, *_png(data))
+        picture = Coded(PNG, *_png(data))
     else:
-        raise ValueError(f"neither JPEG nor PNG (its format is said to be {said!r})")
-    if found.width * found.height > MAX_PIXELS:
-        raise ValueError(f"{found.width}x{found.height} pixels; at most {MAX_PIXELS} are decoded")
-    return found
+        raise ValueError(f"neither JPEG nor PNG (its sender calls it {stated!r})")
+    if picture.width * picture.height > MAX_PIXELS:
+        raise ValueError(
+            f"{picture.width}x{picture.height} pixels; at most {MAX_PIXELS} are decoded"
+        )
+    return picture
 
 
 def _jpeg(data: bytes) -> tuple[int, int]:

@@ -27,16 +27,16 @@ class Fragment:
 
 def fragments(path: Path) -> list[Fragment]:
     """The complete fragments of a file, in order."""
-    found: list[Fragment] = []
+    complete: list[Fragment] = []
     with open(path, "rb") as file:
         frames: int | None = None
         for kind, start, end in _boxes(file, 0, _written(file)):
             if kind == b"moof":
                 frames = _frames(file, start, end)
             elif kind == b"mdat" and frames is not None:
-                found.append(Fragment(end, frames))
+                complete.append(Fragment(end, frames))
                 frames = None
-    return found
+    return complete
 
 
 def cut_behind(path: Path, end: int) -> int:

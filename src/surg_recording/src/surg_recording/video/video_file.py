@@ -140,11 +140,7 @@ def _keep(sidecar: Path, lines: list[list[str]]) -> None:
 
 def _ends_whole(sidecar: Path) -> bool:
     """Whether the last line of a file is complete."""
-    if not sidecar.exists() or sidecar.stat().st_size == 0:
-        return False
-    with open(sidecar, "rb") as file:
-        file.seek(-1, os.SEEK_END)
-        return file.read(1) == b"\n"
+    return sidecar.exists() and sidecar.read_bytes().endswith(b"\n")
 
 
 def _readable(path: Path) -> int:

@@ -24,22 +24,22 @@ SEARCH = 3.0
 MIN_BOUND = 0.05
 """A lag passes up to one frame, or this where frames are shorter [s]."""
 STILL_WAY = 0.1e-3
-"""A tip that goes less between two frames rests, as far as a picture can show [m]."""
+"""A tip that moves less between two frames is at rest in a picture [m]."""
 MIN_FRAMES = 60
 MIN_MOVING = 20
 """Pairs of frames between which the tip moves, for an estimate."""
 MIN_SPREAD = 0.25
-"""Standard deviation of log(way): less is a motion without features to recognise it by."""
+"""Standard deviation of log(way): a smaller one is a motion without features."""
 MIN_CORRELATION = 0.4
 MIN_SIGNIFICANCE = 3.3
 """The correlation in multiples of the deviation that unrelated motions of this kind have."""
 MAX_WIDTH = 0.25
-"""Of the peak at nine tenths of its height [s]: a slow motion cannot be placed within a frame."""
+"""Width of the peak at nine tenths of its height [s]: slow motion cannot be located to a frame."""
 MIN_MARGIN = 0.2
 """The next best lag must correlate less than the best by this share of it."""
 BLOCK = 2.0
-"""Length of the stretches that are compared, each about its own mean [s]: what changes more slowly,
-as how much of the instrument is in view, does not count."""
+"""Length of the blocks that are compared, each about its own mean [s]: slower changes, as in how
+much of the instrument is in view, do not count."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,15 +51,15 @@ class LagEstimate:
     reason: str
     """One sentence for a person."""
     lag: float | None = None
-    """Positive: the video is late [s]; None when it cannot be told."""
+    """Positive: the video is late [s]; None if unknown."""
     uncertainty: float | None = None
     """Standard error of the lag from leaving out one stretch after the other [s]."""
     correlation: float | None = None
-    """At the best lag; also where that lag is not believed."""
+    """At the best lag, accepted or not."""
     bound: float | None = None
-    """The lag that still passes [s]."""
+    """Largest lag that passes [s]."""
     seen: str = ""
-    """Whose motion the picture follows best."""
+    """Arm whose motion the picture follows best."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -72,9 +72,7 @@ class TipPath:
     """(M, 3) positions in any frame that stands still [m]."""
 
 
-def estimate(
-    stamps: Array, motion: ImageMotion, paths: Mapping[str, TipPath], search: float = SEARCH
-) -> LagEstimate:
+def estimate(stamps: Array, motion: ImageMotion, paths: Mapping[str, TipPath]) -> LagEstimate:
     """Estimate the lag of a video.
 
     The arms' paths are tried one by one and summed; the best correlation counts. *Cannot tell* when
@@ -87,7 +85,6 @@ def estimate(
         stamps: (N + 1,) of the frames [s].
         motion: Of the same frames.
         paths: By arm.
-        search: Largest lag tried [s].
     """
     count = min(len(stamps) - 1, len(motion.energy))
     if count < MIN_FRAMES:
@@ -104,7 +101,7 @@ def estimate(
         )
     if not np.any(energy > 0.0):
         return _unknown("nothing moves in the picture")
-    search = min(search, (stamps[-1] - stamps[0]) / 3.0)
+    search = min(SEARCH, (stamps[-1] - stamps[0]) / 3.0)
     names = [[name] for name, times in moving.items() if times >= MIN_MOVING]
     if len(names) > 1:
         names.append([name for group in names for name in group])
@@ -138,18 +135,22 @@ class _Match:
         seen = np.log(energy + 0.2 * float(np.mean(energy)))
         # Per lag and block: sums about the block's mean of way², seen², way · seen.
         self._sums = np.zeros((len(self._lags), blocks, 3))
-        for i, lag in enumerate(self._lags):
+
+        def centred(lag: float) -> tuple[Array, Array, int]:
             way, inside = _way(paths, stamps - lag)
             good = usable & inside
-            self._sums[i] = _moments(np.log(way + STILL_WAY), seen, good, block, blocks)
+            log_way = np.log(way + STILL_WAY)
+            w, s = (_centred(values, good, block, blocks) for values in (log_way, seen))
+            return w, s, int(np.sum(good))
+
+        for i, lag in enumerate(self._lags):
+            w, s, _ = centred(lag)
+            sums = [np.bincount(block, x, blocks) for x in (w * w, s * s, w * s)]
+            self._sums[i] = np.stack(sums, axis=1)
         self._r = _correlation(self._sums.sum(axis=1))
         self._best = int(np.argmax(self._r))
         self.peak = float(self._r[self._best])
-        way, inside = _way(paths, stamps - self._lags[self._best])
-        good = usable & inside
-        self._way = _centred(np.log(way + STILL_WAY), good, block, blocks)
-        self._seen = _centred(seen, good, block, blocks)
-        self._count = int(np.sum(good))
+        self._way, self._seen, self._count = centred(self._lags[self._best])
 
     def judge(self, bound: float, who: str) -> LagEstimate:
         """The estimate, or why there is none."""
@@ -180,8 +181,7 @@ class _Match:
                 f"the motion repeats itself: lags of {self._seconds():+.2f} s and"
                 f" {self._lags[rival]:+.2f} s fit nearly as well"
             )
-        lag = _vertex(self._lags, self._r, self._best)
-        error = self._jackknife()
+        lag, error = _vertex(self._lags, self._r, self._best), self._jackknife()
         if 2.0 * error > max(self._frame, MIN_BOUND):
             return unknown(
                 f"parts of the video disagree: {lag * 1e3:+.0f} ms, give or take"
@@ -189,16 +189,12 @@ class _Match:
             )
         late = "late" if lag > 0 else "early"
         passed = abs(lag) <= bound
-        return LagEstimate(
-            PASS if passed else FAIL,
+        reason = (
             f"the video is {abs(lag) * 1e3:.0f} ms {late} against {who}"
-            f" (± {2e3 * error:.0f} ms), allowed are {bound * 1e3:.0f} ms",
-            lag,
-            error,
-            self.peak,
-            bound,
-            who,
+            f" (± {2e3 * error:.0f} ms), allowed are {bound * 1e3:.0f} ms"
         )
+        verdict = PASS if passed else FAIL
+        return LagEstimate(verdict, reason, lag, error, self.peak, bound, who)
 
     def _seconds(self) -> float:
         return float(self._lags[self._best])
@@ -269,18 +265,6 @@ def _centred(
     return np.asarray(weight * (values - mean[block]))
 
 
-def _moments(
-    way: Array,
-    seen: Array,
-    good: npt.NDArray[np.bool_],
-    block: npt.NDArray[np.int64],
-    blocks: int,
-) -> Array:
-    """(blocks, 3): sums of way², seen² and way · seen about the blocks' means."""
-    w, s = (_centred(values, good, block, blocks) for values in (way, seen))
-    return np.stack([np.bincount(block, x, blocks) for x in (w * w, s * s, w * s)], axis=1)
-
-
 def _correlation(sums: Array) -> Array:
     """(L,) correlations from (L, 3) sums; 0 where one of the two does not vary."""
     scale = np.sqrt(sums[:, 0] * sums[:, 1])
@@ -291,8 +275,10 @@ def _autocorrelation(values: Array) -> Array:
     """(n,) autocorrelation from lag 0 on, up to a quarter of the length."""
     size = 1 << (2 * len(values) - 1).bit_length()
     spectrum = np.abs(np.fft.rfft(values, size)) ** 2
-    found = np.fft.irfft(spectrum, size)[: max(len(values) // 4, 2)]
-    return np.asarray(found / found[0] if found[0] > 0 else np.eye(1, len(found))[0])
+    correlation = np.fft.irfft(spectrum, size)[: max(len(values) // 4, 2)]
+    return np.asarray(
+        correlation / correlation[0] if correlation[0] > 0 else np.eye(1, len(correlation))[0]
+    )
 
 
 def _vertex(x: Array, y: Array, i: int) -> float:
