@@ -12,7 +12,12 @@ setuptools.setup(
     description="Learned policies on the arms: model server and safety controller",
     license="Apache-2.0",
     python_requires=">=3.11",
-    packages=["surg_policy_bridge", "surg_policy_bridge.server", "surg_policy_client"],
+    packages=[
+        "surg_policy_bridge",
+        "surg_policy_bridge.nodes",
+        "surg_policy_bridge.server",
+        "surg_policy_client",
+    ],
     package_dir={
         "surg_policy_bridge": "src/surg_policy_bridge",
         "surg_policy_client": "client/src/surg_policy_client",

@@ -25,8 +25,8 @@ from helpers.results.policy_results import note
 from helpers.results.reactions import Reactions
 from surg_cli.graph import master, topic_contract
 from surg_msgs.msg import Cycle
+from surg_policy_bridge.nodes.router_node import Router
 from surg_policy_bridge.server.listen_address import BindError
-from surg_policy_bridge.server.router_node import Router
 from surg_policy_client import wire
 from surg_policy_client.keys import client_keys, make, server_keys
 from surg_policy_client.wire import Message

@@ -15,19 +15,12 @@ GROUPS = ("run", "data", "learn", "robot", "develop")
 
 @dataclass(frozen=True)
 class Command:
-    """One command.
+    """One command."""
 
-    Attributes:
-        group: Where `./surg help` lists it.
-        module: Of `surg_cli.commands`.
-        help: One line.
-        needs_workspace: Whether everything is set up and built before it runs.
-    """
-
-    group: str
-    module: str
+    group: str  # where `./surg help` lists it
+    module: str  # of `surg_cli.commands`
     help: str
-    needs_workspace: bool = True
+    needs_workspace: bool = True  # whether everything is set up and built before it runs
 
 
 COMMANDS = {

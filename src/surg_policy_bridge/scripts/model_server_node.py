@@ -3,7 +3,7 @@
 
 import sys
 
-from surg_policy_bridge.server.model_server_node import main
+from surg_policy_bridge.nodes.model_server_node import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -5,9 +5,9 @@ from collections import Counter
 from types import SimpleNamespace
 
 from surg_core.status_check import fault
+from surg_policy_bridge.nodes.policy_status_node import policy_status
 from surg_policy_bridge.server.counters import Counters
 from surg_policy_bridge.server.model_server import State
-from surg_policy_bridge.server.policy_status_node import policy_status
 from surg_policy_bridge.server.stop_reason import StopReason
 
 

@@ -33,17 +33,12 @@ class Role(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Waits:
-    """The time-outs of a role.
+    """The time-outs of a role."""
 
-    Attributes:
-        master: For the ROS master of the robot's machine to answer at the start [s].
-        gone: From which silence of that master on a role gives up and ends its nodes [s].
-        tcp: After which what the other side has not acknowledged is thrown away with its
-            connection [s]: a link that comes back later delivers nothing old.
-    """
-
-    master: float
-    gone: float
+    master: float  # for the ROS master of the robot's machine to answer at the start [s]
+    gone: float  # from which silence of that master on a role gives up and ends its nodes [s]
+    # after which what the other side has not acknowledged is thrown away with its connection [s]: a
+    # link that comes back later delivers nothing old
     tcp: float
 
 
@@ -173,23 +168,14 @@ def check_address(
 
 @dataclass(frozen=True)
 class Link:
-    """One machine's place in the cell.
-
-    Attributes:
-        role: What it does.
-        address: Its address on the isolated network.
-        robot: The robot machine's, where the ROS master is.
-        port: Of the ROS master.
-        others: Roles of the other machines of the cell.
-        guard: Whether the nodes get the port guard (--port-guard).
-    """
+    """One machine's place in the cell."""
 
     role: Role
-    address: str
-    robot: str
-    port: int
-    others: tuple[str, ...] = ()
-    guard: bool = False
+    address: str  # its address on the isolated network
+    robot: str  # the robot machine's, where the ROS master is
+    port: int  # of the ROS master
+    others: tuple[str, ...] = ()  # roles of the other machines of the cell
+    guard: bool = False  # whether the nodes get the port guard (--port-guard)
 
     @property
     def uri(self) -> str:

@@ -15,31 +15,18 @@ from surg_cli.host import environment, paths
 
 @dataclass
 class System:
-    """A running `up`, `demo`, `run` or `teleop`.
+    """A running `up`, `demo`, `run` or `teleop`."""
 
-    Attributes:
-        port: Port of its ROS master.
-        pid: The supervising process.
-        start_time: Of that process; distinguishes a reused process id.
-        command: `up` or `demo`.
-        cell: Folder of the cell.
-        logs: Folder of the nodes' output.
-        nodes: Node name -> process id.
-        last_errors: Arm -> its newest error.
-        role: Of this machine in a cell of several machines; empty with one machine.
-        uri: ROS_MASTER_URI; empty for the port on this machine.
-    """
-
-    port: int
-    pid: int
-    start_time: int
-    command: str
-    cell: str
+    port: int  # port of its ROS master
+    pid: int  # the supervising process
+    start_time: int  # of that process; distinguishes a reused process id
+    command: str  # `up` or `demo`
+    cell: str  # folder of the cell
     logs: str
-    nodes: dict[str, int] = field(default_factory=dict)
-    last_errors: dict[str, str] = field(default_factory=dict)
-    role: str = ""
-    uri: str = ""
+    nodes: dict[str, int] = field(default_factory=dict)  # node name -> process id
+    last_errors: dict[str, str] = field(default_factory=dict)  # arm -> its newest error
+    role: str = ""  # of this machine in a cell of several machines; empty with one machine
+    uri: str = ""  # ROS_MASTER_URI; empty for the port on this machine
 
     @property
     def file(self) -> Path:

@@ -45,50 +45,32 @@ class Policy:
 
 @dataclass(frozen=True)
 class Plan:
-    """A system to bring up.
+    """A system to bring up."""
 
-    Attributes:
-        cell: Folder of the cell.
-        arms: CRTK names of its arms.
-        lockstep: Step by step and reproducible, or in real time.
-        cameras: Views that the endoscope renders: "left", "right"; none: there is no endoscope.
-        view: Whether the simulator opens its window.
-        law: "ours", "velocity" or "paper".
-        link: "joint", "twist", or None for what the robot's YAML says.
-        feedback_gain: Lateral feedback [1/s], or None for what the robot's YAML says.
-        seed: Seed of the simulator's random numbers.
-        out: Folder of the run.
-        record: Whether a recorder runs.
-        record_topics: Names and patterns of further topics to record.
-        record_cameras: Topics of further cameras to record.
-        operator: Parameters of the operator node, None for a system without one.
-        task: Name or file of the task that is played; empty: none.
-        setting: Its physical setting.
-        senders: Names of the scripted nodes that play it, with the arms that each commands.
-        policy: Who plays as the sender `POLICY`; None: there is none.
-        extra_participants: Nodes from elsewhere that a lock-step tick waits for.
-        run_info: What the recorder writes into the manifest.
-    """
-
-    cell: Path
-    arms: tuple[str, ...]
-    lockstep: bool
+    cell: Path  # folder of the cell
+    arms: tuple[str, ...]  # CRTK names of its arms
+    lockstep: bool  # step by step and reproducible, or in real time
+    # views that the endoscope renders: "left", "right"; none: there is no endoscope
     cameras: tuple[str, ...]
-    out: Path
-    view: bool = False
-    law: str = "ours"
-    link: str | None = None
+    out: Path  # folder of the run
+    view: bool = False  # whether the simulator opens its window
+    law: str = "ours"  # "ours", "velocity" or "paper"
+    link: str | None = None  # "joint", "twist", or None for what the robot's YAML says
+    # lateral feedback [1/s], or None for what the robot's YAML says
     feedback_gain: float | None = None
     seed: int = 0
     record: bool = True
-    record_topics: tuple[str, ...] = ()
-    record_cameras: tuple[str, ...] = ()
+    record_topics: tuple[str, ...] = ()  # names and patterns of further topics to record
+    record_cameras: tuple[str, ...] = ()  # topics of further cameras to record
+    # parameters of the operator node, None for a system without one
     operator: dict[str, object] | None = None
-    task: str = ""
-    setting: str = ""
+    task: str = ""  # name or file of the task that is played; empty: none
+    setting: str = ""  # its physical setting
+    # names of the scripted nodes that play it, with the arms that each commands
     senders: Mapping[str, Sequence[str]] = field(default_factory=dict)
-    policy: Policy | None = None
-    extra_participants: tuple[str, ...] = ()
+    policy: Policy | None = None  # who plays as the sender `POLICY`; None: there is none
+    extra_participants: tuple[str, ...] = ()  # nodes from elsewhere that a lock-step tick waits for
+    # what the recorder writes into the manifest
     run_info: dict[str, object] = field(default_factory=dict)
 
     @property
@@ -138,24 +120,15 @@ class Plan:
 
 @dataclass(frozen=True)
 class Node:
-    """One node to start.
+    """One node to start."""
 
-    Attributes:
-        name: Absolute node name.
-        executable: As `rosrun` takes it.
-        params: Private parameters.
-        arguments: Words behind the executable.
-        essential: Whether its end ends the system.
-        prompt: Whether it must answer soon: it gets short slices of the processor.
-    """
-
-    name: str
+    name: str  # absolute node name
     package: str
-    executable: str
-    params: dict[str, object] = field(default_factory=dict)
-    arguments: tuple[str, ...] = ()
-    essential: bool = True
-    prompt: bool = False
+    executable: str  # as `rosrun` takes it
+    params: dict[str, object] = field(default_factory=dict)  # private parameters
+    arguments: tuple[str, ...] = ()  # words behind the executable
+    essential: bool = True  # whether its end ends the system
+    prompt: bool = False  # whether it must answer soon: it gets short slices of the processor
 
     def words(self) -> list[str]:
         """Name and namespace in the form ROS nodes take on their command line."""

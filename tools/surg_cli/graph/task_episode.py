@@ -29,24 +29,16 @@ WARM_UP_S = 0.5
 
 @dataclass(frozen=True)
 class Ended:
-    """How an episode ended.
+    """How an episode ended."""
 
-    Attributes:
-        success: The task says so.
-        reason: Why it was none.
-        phase: Of the task, at the end.
-        duration_s: Simulated time.
-        played: It came to an end of its own, and all of it is recorded.
-        real_time_factor: Simulated by wall time without start and end; None for a very short one.
-        policy: The last `/policy/status` as `status_records.policy_record`; None without one.
-    """
-
-    success: bool
-    reason: str
-    phase: str
-    duration_s: float
-    played: bool
+    success: bool  # the task says so
+    reason: str  # why it was none
+    phase: str  # of the task, at the end
+    duration_s: float  # simulated time
+    played: bool  # it came to an end of its own, and all of it is recorded
+    # simulated by wall time without start and end; None for a very short one
     real_time_factor: float | None
+    # the last `/policy/status` as `status_records.policy_record`; None without one
     policy: dict[str, Any] | None = None
 
 

@@ -27,29 +27,19 @@ _KEYS = {
 
 @dataclass(frozen=True)
 class Entry:
-    """One topic of one node, or one service.
+    """One topic of one node, or one service."""
 
-    Attributes:
-        name: With `<arm>` for the arm's name.
-        type: ROS type.
-        node: Base name of the node.
-        direction: `in`, `out` or `service`, seen from the node.
-        latched: In lock-step and in free-run.
-        hz: Rate in lock-step (of simulated time) and in free-run; None: not periodic.
-        frame: What header.frame_id must be; None: not checked.
-        valid: From when on there are valid data: `always`, `link`, `homed`; None: not checked.
-        only: Parameter without which the topic does not exist; see ``REFERENCE``.
-    """
-
-    name: str
-    type: str
-    node: str
-    direction: str
-    latched: tuple[bool, bool]
+    name: str  # with `<arm>` for the arm's name
+    type: str  # ROS type
+    node: str  # base name of the node
+    direction: str  # `in`, `out` or `service`, seen from the node
+    latched: tuple[bool, bool]  # in lock-step and in free-run
+    # rate in lock-step (of simulated time) and in free-run; None: not periodic
     hz: tuple[float, float] | None
-    frame: str | None
+    frame: str | None  # what header.frame_id must be; None: not checked
+    # from when on there are valid data: `always`, `link`, `homed`; None: not checked
     valid: str | None
-    only: str | None
+    only: str | None  # parameter without which the topic does not exist; see ``REFERENCE``
 
     def resolved(self, arm: str) -> str:
         """Its name on the graph."""
@@ -58,19 +48,12 @@ class Entry:
 
 @dataclass(frozen=True)
 class Contract:
-    """The whole file.
+    """The whole file."""
 
-    Attributes:
-        types: md5 by type, of all but our own messages.
-        entries: All topics and services.
-        introduction: Words at the head of the page.
-        sections: The file's sections as they stand, for the page.
-    """
-
-    types: dict[str, str]
-    entries: tuple[Entry, ...]
-    introduction: str
-    sections: tuple[dict[str, Any], ...]
+    types: dict[str, str]  # md5 by type, of all but our own messages
+    entries: tuple[Entry, ...]  # all topics and services
+    introduction: str  # words at the head of the page
+    sections: tuple[dict[str, Any], ...]  # the file's sections as they stand, for the page
 
 
 def load(source: Path = SOURCE) -> Contract:

@@ -16,23 +16,14 @@ PUSH_M = 0.003
 
 @dataclass(frozen=True)
 class Recipe:
-    """The programs that train and run a policy; files in `LEARNERS`.
-
-    Attributes:
-        train: Trains.
-        serve: The policy's client.
-        parts: What these two import.
-        cameras: Views of the endoscope that are recorded and served.
-        episodes: Default number of demonstrations.
-        target: Share of the roll-outs that must succeed.
-    """
+    """The programs that train and run a policy; files in `LEARNERS`."""
 
     train: str
-    serve: str
-    parts: tuple[str, ...]
-    cameras: tuple[str, ...] = ()
-    episodes: int = 80
-    target: float = 0.85
+    serve: str  # the policy's client
+    parts: tuple[str, ...]  # what these two import
+    cameras: tuple[str, ...] = ()  # views of the endoscope that are recorded and served
+    episodes: int = 80  # default number of demonstrations
+    target: float = 0.85  # share of the roll-outs that must succeed
     """The paper's 17 of 20."""
 
     @property

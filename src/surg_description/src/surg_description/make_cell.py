@@ -25,47 +25,29 @@ CALIBRATION_DATE = "2026-11-21"
 
 @dataclass(frozen=True)
 class HomePose:
-    """Where the instrument is when the robot is at home; vectors in the robot base frame B.
+    """Where the instrument is when the robot is at home; vectors in the robot base frame B."""
 
-    Attributes:
-        X_BF: (4, 4) flange pose.
-        s_F: (3,) unit shaft axis in the flange frame.
-        p_FTip: (3,) tip in the flange frame [m].
-        s_B: (3,) unit shaft axis.
-        p_BTip: (3,) tip [m].
-        p_BRcm: (3,) trocar point on the shaft [m].
-    """
-
-    X_BF: Matrix
-    s_F: Matrix
-    p_FTip: Matrix
-    s_B: Matrix
-    p_BTip: Matrix
-    p_BRcm: Matrix
+    X_BF: Matrix  # (4, 4) flange pose
+    s_F: Matrix  # (3,) unit shaft axis in the flange frame
+    p_FTip: Matrix  # (3,) tip in the flange frame [m]
+    s_B: Matrix  # (3,) unit shaft axis
+    p_BTip: Matrix  # (3,) tip [m]
+    p_BRcm: Matrix  # (3,) trocar point on the shaft [m]
 
 
 @dataclass(frozen=True)
 class ArmPlan:
-    """One arm of a cell to be written.
+    """One arm of a cell to be written."""
 
-    Attributes:
-        robot_yaml: The robot's YAML, from anywhere.
-        instrument_yaml: The instrument's YAML.
-        depth: Insertion depth of the tip at home [m], 0.005 to 0.5.
-        base_xyz: (3,) robot base in the world [m].
-        base_rpy: (3,) its roll, pitch, yaw [rad].
-        home: (n,) home posture instead of the robot's own [rad]; None: the robot's own.
-        home_reason: Why, in one line.
-        limits: Tightened limits by name, each with its value and the reason.
-    """
-
-    robot_yaml: Path
+    robot_yaml: Path  # the robot's YAML, from anywhere
     instrument_yaml: Path
-    depth: float = 0.120
-    base_xyz: Sequence[float] = (0.0, 0.0, 0.0)
-    base_rpy: Sequence[float] = (0.0, 0.0, 0.0)
+    depth: float = 0.120  # insertion depth of the tip at home [m], 0.005 to 0.5
+    base_xyz: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) robot base in the world [m]
+    base_rpy: Sequence[float] = (0.0, 0.0, 0.0)  # (3,) its roll, pitch, yaw [rad]
+    # (n,) home posture instead of the robot's own [rad]; None: the robot's own
     home: Sequence[float] | None = None
-    home_reason: str = ""
+    home_reason: str = ""  # why, in one line
+    # tightened limits by name, each with its value and the reason
     limits: Mapping[str, tuple[float, str]] = field(default_factory=dict)
 
 
@@ -77,14 +59,8 @@ def home_pose(
 ) -> HomePose:
     """Pose of the instrument at the robot's home posture, with the trocar on its shaft.
 
-    Args:
-        robot_yaml: A robots/<name>.yaml.
-        instrument_yaml: An instruments/<name>.yaml.
-        depth: Insertion depth of the tip at home [m], 0.005 to 0.5.
-        home: Another home posture than the robot's own [rad].
-
-    Returns:
-        The pose.
+    ``depth`` is the insertion depth of the tip at home [m], 0.005 to 0.5; ``home`` another home
+    posture than the robot's own (n,) [rad].
 
     Raises:
         ConfigError: A YAML is invalid, or a URDF does not hold what it names.
@@ -130,39 +106,22 @@ def make_cell(
     depth: float = 0.120,
     arm: str = "PSM1",
 ) -> Path:
-    """Writes a one-arm cell for a robot: cell.yaml and its two calibrations.
-
-    Args:
-        robot_yaml: The robot's YAML, from anywhere.
-        out_dir: Folder to write; made if missing, its files replaced. Its name is the cell's name.
-        instrument_yaml: The instrument's YAML.
-        depth: Insertion depth of the tip at home [m].
-        arm: CRTK name of the arm.
-
-    Returns:
-        The path of the written cell.yaml.
-
-    Raises:
-        ConfigError: A YAML is invalid, or a URDF does not hold what it names.
-        ValueError: depth is out of range.
-        OSError: The folder cannot be written.
-    """
+    """Writes a one-arm cell for a robot; arguments and errors as of `make_cell_of`."""
     return make_cell_of(out_dir, {arm: ArmPlan(robot_yaml, instrument_yaml, depth)})
 
 
 def make_cell_of(out_dir: Path, plans: Mapping[str, ArmPlan], note: str = "") -> Path:
-    """Writes a cell of several arms: cell.yaml and two calibrations for each.
+    """Writes a cell: cell.yaml and two calibrations for each arm; returns the path of cell.yaml.
 
     Args:
         out_dir: Folder to write; made if missing, its files replaced. Its name is the cell's name.
         plans: By CRTK name, in the order in which the arms shall stand in the file.
         note: Further comment lines for the head of the file.
 
-    Returns:
-        The path of the written cell.yaml.
-
     Raises:
-        ConfigError, ValueError, OSError: as ``make_cell``.
+        ConfigError: A YAML is invalid, or a URDF does not hold what it names.
+        ValueError: There is no arm, or a depth is out of range.
+        OSError: The folder cannot be written.
     """
     if not plans:
         raise ValueError(f"{out_dir}: no arms; a cell needs at least one")

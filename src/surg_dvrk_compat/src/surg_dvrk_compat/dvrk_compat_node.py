@@ -21,11 +21,7 @@ from surg_ros.params import ParamError, names, read
 
 
 class Compatibility:
-    """The topics of one arm.
-
-    Args:
-        arm: Its CRTK name.
-    """
+    """The topics of one arm."""
 
     def __init__(self, arm: str) -> None:
         self._arm = arm

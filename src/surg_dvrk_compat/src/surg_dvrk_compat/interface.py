@@ -15,31 +15,20 @@ QUIET = 1.0
 
 @dataclass(frozen=True)
 class Command:
-    """A command topic that is ignored.
+    """A command topic that is ignored."""
 
-    Attributes:
-        topic: Relative to the arm.
-        type: Its ROS type.
-        why: Why it is ignored, and what to use instead.
-    """
-
-    topic: str
-    type: str
-    why: str
+    topic: str  # relative to the arm
+    type: str  # its ROS type
+    why: str  # why it is ignored, and what to use instead
 
 
 @dataclass(frozen=True)
 class Feedback:
-    """A feedback topic without a measurement.
+    """A feedback topic without a measurement."""
 
-    Attributes:
-        topic: Relative to the arm.
-        type: Its ROS type.
-        value: Latched value: ``invalid`` (stamp 0), a number, or None: nothing is sent.
-    """
-
-    topic: str
-    type: str
+    topic: str  # relative to the arm
+    type: str  # its ROS type
+    # latched value: ``invalid`` (stamp 0), a number, or None: nothing is sent
     value: str | float | None = "invalid"
 
 

@@ -36,15 +36,9 @@ VIRTUAL_JOINTS = ("yaw", "pitch", "insertion", "roll")
 
 
 class ArmPort:
-    """Publishers of the commands to one arm.
+    """Publishers of the commands to one arm (without slashes), on topics of `KINDS` below it.
 
-    Args:
-        arm: The arm's namespace, without slashes.
-        topics: Of `KINDS`; commands on other topics cannot be sent.
-
-    Attributes:
-        out: Publishers by topic below the arm.
-        sent: Number of messages sent so far.
+    ``out`` holds them by topic; ``sent`` counts the messages.
     """
 
     def __init__(self, arm: str, topics: Sequence[str] = MOTION) -> None:
@@ -82,10 +76,8 @@ class ArmPort:
 def arm_view(cycle: Cycle, R_WB: Array | None = None, received: float = 0.0) -> ArmView:
     """What a cycle message reports.
 
-    Args:
-        cycle: The message.
-        R_WB: (3, 3) orientation of the arm's base in the world; None: not needed.
-        received: Receipt on the reader's steady clock [s].
+    ``R_WB`` is the (3, 3) orientation of the arm's base in the world, None where it is not needed;
+    ``received`` the receipt on the reader's steady clock [s].
     """
     return ArmView(
         stamp_ns=cycle.header.stamp.to_nsec(),

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 
 def camera_topic(given: str) -> tuple[str, str]:
-    """Name and topic of a camera.
-
-    Args:
-        given: Either of the two: ``endoscope_left`` or ``/endoscope/left/image_raw``.
-    """
+    """Name and topic of a camera, from ``endoscope_left`` or ``/endoscope/left/image_raw``."""
     if given.startswith("/"):
         short = given.removesuffix("/compressed").removesuffix("/image_raw")
         return short.strip("/").replace("/", "_"), given

@@ -28,16 +28,9 @@ _KEY = "surg_ros.params"
 
 
 class ParamError(ValueError):
-    """A parameter that must not be used.
-
-    Attributes:
-        name: Of the parameter, without ``~``.
-        value: As given; None: it is missing.
-        allowed: What is allowed.
-    """
+    """A parameter that must not be used; ``value`` as given, None: it is missing."""
 
     def __init__(self, name: str, value: object, allowed: str, problem: str = "") -> None:
-        """Joins the parts to one sentence; ``problem`` takes the place of the value."""
         stated = problem or ("is missing" if value is None else f"is {value!r}")
         super().__init__(f"parameter ~{name} {stated}; allowed: {allowed}")
         self.name, self.value, self.allowed = name, value, allowed
@@ -84,14 +77,7 @@ def read(kind: type[Kind], given: Mapping[str, Any]) -> Kind:
 def text(
     default: Any = MISSING, *, empty: bool = False, longest: int | None = None, allowed: str = ""
 ) -> Any:
-    """A text.
-
-    Args:
-        default: Without one, the parameter must be given.
-        empty: Whether it may be empty.
-        longest: Most characters.
-        allowed: What it is, for the error.
-    """
+    """A text of at most ``longest`` characters; ``allowed`` says in the error what it is."""
 
     def convert(value: Any) -> str:
         value = str(value) if isinstance(value, Path) else value
@@ -177,14 +163,7 @@ def names(
     most: int | None = None,
     least: int = 0,
 ) -> Any:
-    """Names, each once: a list, or one string such as ``a,b`` (what a rosrun line can pass).
-
-    Args:
-        default: Without one, the parameter must be given.
-        options: Allowed names; None: any.
-        most: Largest number of names.
-        least: Smallest number of names.
-    """
+    """Names, each once: a list, or one string such as ``a,b`` (what a rosrun line can pass)."""
 
     def convert(value: Any) -> tuple[str, ...]:
         items = _items(value) if isinstance(value, str) else value

@@ -32,12 +32,7 @@ CONNECT_TIMEOUT = 60.0
 def wait_for_all(
     missing: Callable[[], str], timeout: float, over: Callable[[], bool] = rospy.is_shutdown
 ) -> None:
-    """Wait until nobody is missing.
-
-    Args:
-        missing: States who is missing; empty: nobody.
-        timeout: [s]
-        over: Whether there is nothing left to wait for.
+    """Wait until nobody is missing, or there is nothing left to wait for; ``timeout`` in [s].
 
     Raises:
         TimeoutError: Somebody is missing; states who.
@@ -51,17 +46,11 @@ def wait_for_all(
 
 @dataclass(frozen=True)
 class Seen:
-    """What a participant sees of one tick.
-
-    Attributes:
-        tick: The tick.
-        cycles: Control cycle by arm.
-        task: The task's state at this tick; None off the grid, or not asked for.
-    """
+    """What a participant sees of one tick."""
 
     tick: int
-    cycles: Mapping[str, Cycle]
-    task: TaskState | None
+    cycles: Mapping[str, Cycle]  # control cycle by arm
+    task: TaskState | None  # the task's state at this tick; None off the grid, or not asked for
 
     @property
     def stamp_ns(self) -> int:
@@ -74,12 +63,7 @@ class Seen:
 
 
 class ReadyLayout:
-    """surg_msgs/Ready of one participant as bytes, packed from a prebuilt layout.
-
-    Args:
-        participant: Its name.
-        arms: The arms that it commands.
-    """
+    """surg_msgs/Ready of a participant and its arms as bytes, packed from a prebuilt layout."""
 
     def __init__(self, participant: str, arms: Sequence[str]) -> None:
         count = struct.pack("<I", len(arms))
@@ -158,13 +142,10 @@ class Participant:
     ) -> None:
         """Wait for every connection, then answer tick 1, which has no cycle before it.
 
-        Args:
-            timeout: Longest wait [s].
-            over: Whether there is nothing left to wait for.
-            also: States what else is missing; empty: nothing.
+        ``also`` states what else is missing; empty: nothing.
 
         Raises:
-            TimeoutError: Somebody is missing; states who.
+            TimeoutError: Somebody is missing after ``timeout`` [s]; states who.
             OSError: The master does not answer.
         """
         wait_for_all(lambda: self._missing() or also(), timeout, over)

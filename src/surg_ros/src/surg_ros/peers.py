@@ -12,15 +12,7 @@ from typing import Any
 
 
 def subscribers(node_uri: str, name: str, topics: Iterable[str]) -> dict[str, set[str]]:
-    """Nodes that are connected to a node's publishers.
-
-    Args:
-        node_uri: The node's own XML-RPC address.
-        name: Its caller id.
-        topics: Resolved names of topics that it publishes.
-
-    Returns:
-        Caller ids by topic; empty where nobody listens yet.
+    """Caller ids of the nodes that are connected to a node's publishers, by resolved topic.
 
     Raises:
         OSError: The node does not answer.
@@ -35,15 +27,7 @@ def subscribers(node_uri: str, name: str, topics: Iterable[str]) -> dict[str, se
 
 
 def publishers(master_uri: str, name: str, topic: str) -> set[str]:
-    """Nodes that have told the master that they publish a topic.
-
-    Args:
-        master_uri: The master's XML-RPC address.
-        name: Caller id of who asks.
-        topic: Resolved name.
-
-    Returns:
-        Their caller ids.
+    """Caller ids of the nodes that have told the master that they publish a resolved topic.
 
     Raises:
         OSError: The master does not answer.

@@ -32,12 +32,7 @@ class ChunkBlender:
         self._chunks.clear()
 
     def add(self, step0: int, rows: np.ndarray) -> None:
-        """Add a chunk.
-
-        Args:
-            step0: Step of its first row.
-            rows: [K, A].
-        """
+        """Add rows [K, A] from a step on."""
         rows = np.asarray(rows, dtype=np.float64)
         if rows.ndim != 2 or (self._chunks and rows.shape[1] != self._chunks[0][1].shape[1]):
             raise ValueError(
@@ -46,11 +41,7 @@ class ChunkBlender:
         self._chunks.append((step0, rows))
 
     def rows_from(self, step: int) -> np.ndarray:
-        """Blended rows [n, A] from `step` on; forgets chunks that end before it.
-
-        Args:
-            step: First step.
-        """
+        """Blended rows [n, A] from a step on; forgets chunks that end before it."""
         self._chunks = [(s, rows) for s, rows in self._chunks if s + len(rows) > step]
         blended: list[np.ndarray] = []
         while True:

@@ -68,11 +68,7 @@ class Conversation:
             self._next = self._earliest
 
     def tick(self, now: float) -> list[Message]:
-        """Messages that are due.
-
-        Args:
-            now: [s]
-        """
+        """Messages that are due at a time [s]."""
         if self.state is State.LIVE and now >= self._heard + LOST_S:
             self._restart()
         if now < self._next or self.state is State.FAILED:
@@ -86,12 +82,7 @@ class Conversation:
         return [Message("PING", {"session": self.session, "n": self._pings})]
 
     def take(self, message: Message, now: float) -> Message | None:
-        """Take in a message of the server; returns it if the policy needs it.
-
-        Args:
-            message: The message.
-            now: [s]
-        """
+        """Take in a message of the server at a time [s]; returns it if the policy needs it."""
         if self.state is State.FAILED:
             return None
         if message.kind == "ERR":

@@ -123,12 +123,7 @@ class RemoteEnv:
         self._link.send(Message("RESET", {"session": session}))
 
     def _wait(self, timeout_s: float, former: tuple[int, int] | None = None) -> Observation | None:
-        """The next observation; None: the episode has ended, or timeout.
-
-        Args:
-            timeout_s: Longest wait [s].
-            former: Session and episode whose observations are ignored.
-        """
+        """The next observation of another (session, episode) than ``former``; None: the end."""
         until = time.monotonic() + timeout_s
         while (left := until - time.monotonic()) > 0:
             message = self._link.next(left)

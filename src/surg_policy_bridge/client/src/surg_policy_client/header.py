@@ -36,11 +36,7 @@ def read_map(data: Buffer) -> dict[str, Any]:
 
 
 class _Reader:
-    """Reads values in sequence.
-
-    Args:
-        data: The bytes.
-    """
+    """Reads values in sequence."""
 
     def __init__(self, data: Buffer) -> None:
         self._data = data

@@ -33,13 +33,7 @@ Folder = Union[str, "os.PathLike[str]"]
 
 @dataclass(frozen=True)
 class ClientKeys:
-    """Keys of a policy (Z85, 40 bytes each).
-
-    Attributes:
-        public: Public key of the policy.
-        secret: Secret key of the policy.
-        server: Public key of the trusted server.
-    """
+    """Keys of a policy and the public key of the server that it trusts (Z85, 40 bytes each)."""
 
     public: bytes
     secret: bytes = field(repr=False)
@@ -48,13 +42,7 @@ class ClientKeys:
 
 @dataclass(frozen=True)
 class ServerKeys:
-    """Keys of a server (Z85, 40 bytes each).
-
-    Attributes:
-        public: Public key of the server.
-        secret: Secret key of the server.
-        clients: Public keys of the allowed policies, by name.
-    """
+    """Keys of a server, and public keys of the allowed policies by name (Z85, 40 bytes each)."""
 
     public: bytes
     secret: bytes = field(repr=False)
@@ -64,12 +52,7 @@ class ServerKeys:
 def make(folder: Folder, policy: str = POLICY) -> list[Path]:
     """Make key pairs of a server and a policy; of the policy only, if the server has one.
 
-    Args:
-        folder: Created if missing.
-        policy: Name of the policy's machine or user.
-
-    Returns:
-        The files made.
+    Makes the folder. ``policy`` names the policy's machine or user. Returns the files made.
 
     Raises:
         BadKeys: The policy has keys already, one of the server's keys is missing, or the name is

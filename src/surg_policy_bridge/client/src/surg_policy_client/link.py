@@ -99,13 +99,7 @@ class Link:
         return self._conversation.session
 
     def wait_for_welcome(self, timeout_s: float) -> bool:
-        """Wait for a session.
-
-        Args:
-            timeout_s: Longest wait [s].
-
-        Returns:
-            Whether there is one.
+        """Wait for a session; returns whether there is one.
 
         Raises:
             PolicyClientError: Server and policy do not match.

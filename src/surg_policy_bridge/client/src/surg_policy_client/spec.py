@@ -7,7 +7,7 @@ need; None matches anything. `mismatches` compares the two.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Callable, Mapping, Sequence
 
 import numpy as np
@@ -93,30 +93,7 @@ class Spec:
 
     def to_map(self) -> dict[str, Any]:
         """As dicts and lists, for the wire."""
-        action = self.action
-        return {
-            "task": self.task,
-            "period_s": self.period_s,
-            "observation": {
-                key: {
-                    "dtype": feature.dtype,
-                    "shape": _listed(feature.shape),
-                    "unit": feature.unit,
-                    "frame": feature.frame,
-                    "names": _listed(feature.names),
-                    "privileged": feature.privileged,
-                }
-                for key, feature in self.observation.items()
-            },
-            "action": action
-            and {
-                "names": list(action.names),
-                "units": list(action.units),
-                "frame": action.frame,
-                "low": _listed(action.low),
-                "high": _listed(action.high),
-            },
-        }
+        return _lists(asdict(self))  # type: ignore[no-any-return]
 
     @classmethod
     def from_map(cls, value: Any) -> Spec:
@@ -316,8 +293,11 @@ def _list(value: Any, where: str) -> list[Any]:
     return value
 
 
-def _listed(values: Sequence[Any] | None) -> list[Any] | None:
-    return None if values is None else list(values)
+def _lists(value: Any) -> Any:
+    """With lists in the place of tuples."""
+    if isinstance(value, dict):
+        return {key: _lists(item) for key, item in value.items()}
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _shown(value: Any) -> str:

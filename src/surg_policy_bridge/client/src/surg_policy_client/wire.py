@@ -21,19 +21,9 @@ from surg_policy_client.spec import DTYPES, MAX_NDIM, Spec, SpecError
 MAGIC = b"SPB1"
 VERSION = 1
 """Version of the protocol; HELLO offers a range, WELCOME selects one."""
-KINDS = {
-    "HELLO": 1,
-    "WELCOME": 2,
-    "OBS": 3,
-    "ACT": 4,
-    "ACK": 5,
-    "PING": 6,
-    "PONG": 7,
-    "RESET": 8,
-    "EPISODE": 9,
-    "BYE": 10,
-    "ERR": 11,
-}
+_KINDS = "HELLO WELCOME OBS ACT ACK PING PONG RESET EPISODE BYE ERR"
+KINDS = {name: number for number, name in enumerate(_KINDS.split(), 1)}
+"""Number of each kind in the header."""
 EVENTS = ("begin", "end", "paused", "resumed")
 """Events of EPISODE."""
 

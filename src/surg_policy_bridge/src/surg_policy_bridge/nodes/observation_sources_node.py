@@ -28,10 +28,6 @@ ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 class ObservationSources:
     """Collects the newest values of all sources and supervises the cameras.
 
-    Args:
-        settings: The node's parameters.
-        cell: The cell.
-
     Attributes:
         observer: Assembles the observations.
         image_keys: Keys of the cameras.
@@ -80,8 +76,7 @@ class ObservationSources:
     def add_arms(self, views: Mapping[str, ArmView]) -> tuple[int | None, str]:
         """Take in the state of all arms.
 
-        Returns:
-            Stamp of the youngest state [ns], or None and why there is no observation.
+        Returns the stamp of the youngest state [ns], or None and why there is no observation.
         """
         arms = self._settings.arms
         if len(views) < len(arms):

@@ -10,15 +10,15 @@ from surg_core.contract import SECOND_NS, STEP
 from surg_msgs.msg import PolicyStatus
 from surg_policy_bridge.server.model_server import ModelServer
 
+COUNTS = (
+    *("accepted", "clipped", "late", "stale", "empty", "waited", "messages"),
+    *("flooded", "strangers", "sessions"),
+)
+"""Fields that counters and message have in common."""
+
 
 def policy_status(server: ModelServer, refused: str, address: str) -> PolicyStatus:
-    """What the server does now.
-
-    Args:
-        server: The server.
-        refused: Why the last enable was refused; empty: it was not.
-        address: Where the server listens.
-    """
+    """What the server at an address does now; ``refused``: why the last enable was."""
     session, counters = server.session, server.counters
     rejected, malformed = sorted(counters.rejected.items()), sorted(counters.malformed.items())
     message = PolicyStatus(
@@ -35,21 +35,12 @@ def policy_status(server: ModelServer, refused: str, address: str) -> PolicyStat
         episode=server.episode,
         queue=len(server.steps.queue),
         period=STEP,
-        accepted=counters.accepted,
-        clipped=counters.clipped,
         rejected=counters.rejected.total(),
         rejected_rules=[rule for rule, _ in rejected],
         rejected_by_rule=[count for _, count in rejected],
-        late=counters.late,
-        stale=counters.stale,
-        empty=counters.empty,
-        waited=counters.waited,
-        messages=counters.messages,
         malformed_codes=[code for code, _ in malformed],
         malformed=[count for _, count in malformed],
-        flooded=counters.flooded,
-        strangers=counters.strangers,
-        sessions=counters.sessions,
+        **{name: getattr(counters, name) for name in COUNTS},
     )
     message.obs_age_p50, message.obs_age_p99 = counters.obs_age.percentiles
     message.round_trip_p50, message.round_trip_p99 = counters.round_trip.percentiles

@@ -9,8 +9,8 @@ from std_msgs.msg import Bool
 
 from surg_core.contract import ARM_ACTION, SECOND_NS
 from surg_msgs.msg import PolicyAction, PolicyStatus
+from surg_policy_bridge.nodes.policy_status_node import policy_status
 from surg_policy_bridge.server.model_server import ModelServer, State
-from surg_policy_bridge.server.policy_status_node import policy_status
 
 STATUS_PERIOD = SECOND_NS // 2
 """[ns] Longest interval between two status messages."""
@@ -53,13 +53,7 @@ class PolicyTopics:
             (self._action if step.passed else self._rejected).publish(message)
 
     def publish_status(self, server: ModelServer, refused: str, now: int) -> None:
-        """Publish the status on a change, and periodically.
-
-        Args:
-            server: The server.
-            refused: Why the last enable was refused; may be empty.
-            now: Steady clock [ns].
-        """
+        """Publish the status on a change, and periodically; ``now`` is the steady clock [ns]."""
         status = (server.state, server.reason, server.waiting, server.session is None, refused)
         if status == self._last and now - self._last_time < STATUS_PERIOD:
             return

@@ -1,1 +1,1 @@
-"""The model server: sessions, safety controller, play-out, and its node."""
+"""The model server without ROS: sessions, safety controller, play-out."""

@@ -24,12 +24,7 @@ class Phase(enum.Enum):
 
 
 class ArmAuthority:
-    """Authority over the arms that a policy commands.
-
-    Args:
-        arms: Their names.
-        node: Caller id under which the commands are sent.
-    """
+    """Authority over the arms that a policy commands; ``node`` is the sender of the commands."""
 
     def __init__(self, arms: Sequence[str], node: str) -> None:
         self._arms, self._node = tuple(arms), node
@@ -69,14 +64,9 @@ class ArmAuthority:
             bring_up.stop()
 
     def monitor(self, views: Mapping[str, ArmView], now: int) -> str:
-        """Follow the state of the arms.
+        """Follow the state of the arms that are not silent, at a time [ns].
 
-        Args:
-            views: Newest cycle of every arm that is not silent.
-            now: Time on the clock of ``acquire`` [ns].
-
-        Returns:
-            Why the policy has lost the arms; empty: it has not.
+        Returns why the policy has lost the arms; empty: it has not.
         """
         if self.phase is Phase.RELEASED:
             return ""

@@ -20,19 +20,12 @@ LONGEST = 256
 
 @dataclass(frozen=True)
 class Step:
-    """One row of a chunk.
+    """One row of a chunk."""
 
-    Attributes:
-        number: Grid time of its target.
-        row: The action, (A,).
-        seq: Of the observation that it answers.
-        seen: When that observation was taken [ns].
-    """
-
-    number: int
-    row: Array
-    seq: int
-    seen: int
+    number: int  # grid time of its target
+    row: Array  # the action, (A,)
+    seq: int  # of the observation that it answers
+    seen: int  # when that observation was taken [ns]
 
 
 class ChunkQueue:
@@ -54,16 +47,9 @@ class ChunkQueue:
         self._steps.clear()
 
     def splice(self, first: int, rows: Array, seq: int, seen: int) -> int:
-        """Take in a chunk.
+        """Take in rows (K, A) from the step ``first`` on; returns the number of late steps.
 
-        Args:
-            first: Number of its first step.
-            rows: (K, A).
-            seq: Of the observation that it answers.
-            seen: When that observation was taken [ns].
-
-        Returns:
-            Number of its late steps.
+        They answer observation ``seq``, which was taken at ``seen`` [ns].
         """
         late = min(max(self._open - first, 0), len(rows))
         begun = min(max(self.next - first, 0), len(rows))
@@ -79,9 +65,7 @@ class ChunkQueue:
     def take(self, number: int, past: int | None = None) -> Step | None:
         """Execute the step of this number and drop those before it.
 
-        Args:
-            number: Of the step.
-            past: The time of the steps up to this one is over; default: of this step itself.
+        The time of the steps up to ``past`` is over; default: of this step itself.
         """
         self.next = max(self.next, number + 1)
         self._open = max(self._open, (number if past is None else past) + 1)

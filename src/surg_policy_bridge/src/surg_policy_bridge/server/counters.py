@@ -33,37 +33,21 @@ class Spread:
 
 @dataclass
 class Counters:
-    """Counts since the start of the node.
+    """Counts since the start of the node."""
 
-    Attributes:
-        accepted: Steps relayed to the arms.
-        clipped: Of them, those that a rule has shortened.
-        rejected: Rejected steps, by rule.
-        late: Steps that arrived after their time (docs/reference/policies.md).
-        stale: Steps whose observation was too old when they were due, and chunks that answered an
-            observation older than the newest one answered.
-        empty: Grid times without a step.
-        waited: Grid times without an answer in time (lock-step).
-        messages: Messages received.
-        malformed: Of them, invalid ones, by the codec's code.
-        flooded: Messages above the rate limit, dropped undecoded.
-        strangers: Messages without a session, or of another one.
-        sessions: Number of sessions.
-        obs_age: Age of the observation when its step is relayed.
-        round_trip: From sending an observation to the answer.
-    """
-
-    accepted: int = 0
-    clipped: int = 0
-    rejected: Counter[str] = field(default_factory=Counter)
-    late: int = 0
+    accepted: int = 0  # steps relayed to the arms
+    clipped: int = 0  # of them, those that a rule has shortened
+    rejected: Counter[str] = field(default_factory=Counter)  # rejected steps, by rule
+    late: int = 0  # steps that arrived after their time (docs/reference/policies.md)
+    # steps whose observation was too old when they were due, and chunks that answered an
+    # observation older than the newest one answered
     stale: int = 0
-    empty: int = 0
-    waited: int = 0
+    empty: int = 0  # grid times without a step
+    waited: int = 0  # grid times without an answer in time (lock-step)
     messages: int = 0
-    malformed: Counter[str] = field(default_factory=Counter)
-    flooded: int = 0
-    strangers: int = 0
+    malformed: Counter[str] = field(default_factory=Counter)  # by the codec's code
+    flooded: int = 0  # messages above the rate limit, dropped undecoded
+    strangers: int = 0  # messages without a session, or of another one
     sessions: int = 0
-    obs_age: Spread = field(default_factory=Spread)
-    round_trip: Spread = field(default_factory=Spread)
+    obs_age: Spread = field(default_factory=Spread)  # of observations, when a step is relayed
+    round_trip: Spread = field(default_factory=Spread)  # from sending an observation to the answer

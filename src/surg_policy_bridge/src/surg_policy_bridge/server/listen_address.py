@@ -13,14 +13,7 @@ class BindError(ValueError):
 
 
 def check(address: str, keyed: bool) -> str:
-    """Check an address.
-
-    Args:
-        address: ``tcp://HOST:PORT`` or ``ipc://PATH``.
-        keyed: CURVE keys are in use.
-
-    Returns:
-        The address.
+    """Check an address, ``tcp://HOST:PORT`` or ``ipc://PATH``; returns it.
 
     Raises:
         BindError: It must not be bound.

@@ -61,25 +61,16 @@ ACTIVE = (State.WAKING, State.RUNNING)
 
 @dataclass(frozen=True)
 class ServerSettings:
-    """Constants of one server.
+    """Constants of one server."""
 
-    Attributes:
-        arms: Arms that the policy commands, in the order of the action.
-        node: Caller id under which commands are sent.
-        instruction: The task in words.
-        autostart: Enable every new session at once, for runs without an operator.
-        silence: Timeout of the client [ns].
-        max_obs_age: A step is executed only while its observation is not older [ns].
-        empty: The arms are paused after this time without a step [ns].
-    """
-
-    arms: tuple[str, ...]
-    node: str
-    instruction: str = ""
-    autostart: bool = False
-    silence: int = SILENCE
+    arms: tuple[str, ...]  # arms that the policy commands, in the order of the action
+    node: str  # caller id under which commands are sent
+    instruction: str = ""  # the task in words
+    autostart: bool = False  # enable every new session at once, for runs without an operator
+    silence: int = SILENCE  # timeout of the client [ns]
+    # a step is executed only while its observation is not older [ns]
     max_obs_age: int = MAX_OBS_AGE
-    empty: int = EMPTY
+    empty: int = EMPTY  # the arms are paused after this time without a step [ns]
 
 
 class ModelServer:
@@ -143,11 +134,7 @@ class ModelServer:
             self._hello(*hello, now)
 
     def enable(self, on: bool, at: int) -> str:
-        """Start or stop the policy.
-
-        Returns:
-            Why it does not start; empty otherwise.
-        """
+        """Start or stop the policy; returns why it does not start."""
         self._start_pending = False
         if not on:
             if self.state in ACTIVE:
@@ -230,12 +217,9 @@ class ModelServer:
     # --- observations and steps -------------------------------------------------------------------
 
     def observe(self, observation: Observation, at: int, now: int) -> None:
-        """Send an observation to the running policy.
+        """Send an observation with all keys of `wanted` to the running policy.
 
-        Args:
-            observation: With all keys of :attr:`wanted`.
-            at: When it was taken [ns].
-            now: Steady clock [ns].
+        It was taken at ``at``; ``now`` is the steady clock [ns].
         """
         session = self.session
         if session is None or self.state is not State.RUNNING:
@@ -353,13 +337,7 @@ class ModelServer:
     # --- messages of the policy -------------------------------------------------------------------
 
     def receive(self, peer: bytes, message: Message, now: int) -> None:
-        """Take in a message.
-
-        Args:
-            peer: Identity of the connection.
-            message: The message.
-            now: Steady clock [ns].
-        """
+        """Take in a message of a connection; ``now`` is the steady clock [ns]."""
         if message.kind == "HELLO":
             self._hello(peer, message.head, now)
             return

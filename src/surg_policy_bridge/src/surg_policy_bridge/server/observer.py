@@ -26,28 +26,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Observation:
-    """One observation.
+    """One observation."""
 
-    Attributes:
-        step: Number of its grid time.
-        stamp_ns: Stamp of the arms' state.
-        arrays: By key, as the spec says.
-        behind: Age of its oldest part relative to the arms' state [ns].
-    """
-
-    step: int
-    stamp_ns: int
-    arrays: Mapping[str, NDArray[np.generic]]
-    behind: int = 0
+    step: int  # number of its grid time
+    stamp_ns: int  # stamp of the arms' state
+    arrays: Mapping[str, NDArray[np.generic]]  # by key, as the spec says
+    behind: int = 0  # age of its oldest part relative to the arms' state [ns]
 
 
 class CameraWatch:
-    """Detects a stalled or frozen camera, which must not guide an arm (F08).
-
-    Args:
-        name: Name of the camera, for messages.
-        period: Time between two pictures [ns].
-    """
+    """Detects a stalled or frozen camera, which must not guide an arm (F08); ``period`` in [ns]."""
 
     def __init__(self, name: str, period: int = STEP_NS) -> None:
         self._name, self._limit = name, CAMERA_PERIODS * period
@@ -101,11 +89,7 @@ class CameraWatch:
 
 
 def lagging_arm(stamps: Mapping[str, int]) -> str:
-    """Which arm's state is too old for an observation with the others; empty: none.
-
-    Args:
-        stamps: Of every arm's state [ns], by name.
-    """
+    """Which arm's state [ns] is too old for an observation with the others; empty: none."""
     last = min(stamps, key=lambda arm: stamps[arm])
     behind = max(stamps.values()) - stamps[last]
     if behind <= TOLERANCE:
@@ -116,9 +100,7 @@ def lagging_arm(stamps: Mapping[str, int]) -> str:
 class Observer:
     """The newest value of every source, by its key in the observation.
 
-    Args:
-        keys: Of all sources.
-        tolerance: Largest difference of stamps [ns]; 0 in lock-step.
+    ``tolerance`` is the largest difference of stamps [ns]; 0 in lock-step.
     """
 
     def __init__(self, keys: Sequence[str], tolerance: int) -> None:
@@ -132,12 +114,7 @@ class Observer:
             self._newest[key] = (stamp_ns, value)
 
     def missing(self, stamp_ns: int, keys: Iterable[str] | None = None) -> str:
-        """What is missing for an observation of this stamp; empty: nothing.
-
-        Args:
-            stamp_ns: Of the arms' state.
-            keys: Of the observation; None: all.
-        """
+        """What is missing for an observation of this stamp [ns] with these keys (None: all)."""
         for key in self._keys if keys is None else keys:
             known = self._newest.get(key)
             if known is None:

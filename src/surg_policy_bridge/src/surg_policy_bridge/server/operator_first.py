@@ -25,17 +25,14 @@ def refusal(
     need_teleop: bool = True,
     present: bool = True,
 ) -> Refusal:
-    """Why the policy may not have the arms.
+    """Why the policy may not have the arms that it commands, or `MAY`.
 
     Args:
-        arms: Those that the policy commands.
+        arms: Names of the arms.
         teleop: The newest surg_msgs/TeleopStatus.
         now: The receiver's steady clock [s].
         need_teleop: Whether the system has a teleoperation node.
         present: Whether somebody is at the controls, or nobody has to be.
-
-    Returns:
-        `MAY`, or the reason.
     """
     if need_teleop or teleop.heard:
         status = teleop.at(now)

@@ -24,17 +24,11 @@ def arm_state(view: ArmView) -> list[float]:
 
 @dataclass(frozen=True)
 class Target:
-    """Where one arm shall be at a grid time.
+    """Where one arm shall be at a grid time."""
 
-    Attributes:
-        p: Tip, (3,) [m].
-        roll: [rad]
-        jaw: [rad]
-    """
-
-    p: Array
-    roll: float
-    jaw: float
+    p: Array  # tip, (3,) [m]
+    roll: float  # [rad]
+    jaw: float  # [rad]
 
     @classmethod
     def of(cls, row: Array) -> Target:

@@ -9,8 +9,8 @@ this one.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,14 +31,7 @@ HALVINGS = 40
 
 @dataclass(frozen=True)
 class ArmLimits:
-    """Limits of one arm of the cell.
-
-    Attributes:
-        limits: Of the arm, tightened by the cell.
-        jaw_min: Jaw closed [rad].
-        jaw_max: Jaw open [rad].
-        servo_timeout: Timeout of a stream [ns].
-    """
+    """Limits of one arm: of the cell, of the jaw [rad], and the timeout of a stream [ns]."""
 
     limits: surg_core.Limits
     jaw_min: float
@@ -58,12 +51,7 @@ class ArmLimits:
 
 @dataclass(frozen=True)
 class Violation:
-    """A rule that a step breaks.
-
-    Attributes:
-        rule: Of `RULES`.
-        text: What was requested and what is allowed.
-    """
+    """A rule of `RULES` that a step breaks: what was requested and what is allowed."""
 
     rule: str
     text: str
@@ -71,35 +59,32 @@ class Violation:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict on one step of one arm.
+    """Verdict on one step of one arm."""
 
-    Attributes:
-        target: What may be sent; None: the step is rejected.
-        violations: The rules that clipped it, or the one that rejected it.
-        velocity: Mean velocity of the tip during the step, (3,) [m/s].
-    """
-
-    target: Target | None
-    violations: tuple[Violation, ...]
-    velocity: np.ndarray
+    target: Target | None  # what may be sent; None: the step is rejected
+    violations: tuple[Violation, ...]  # the rules that clipped it, or the one that rejected it
+    velocity: np.ndarray  # mean velocity of the tip during the step, (3,) [m/s]
 
 
 @dataclass(frozen=True)
 class _SentStep:
-    """A step that was sent."""
-
     at: int
     target: Target
     velocity: np.ndarray
 
 
-class ArmSafety:
-    """Judges the steps of one arm.
+@dataclass(frozen=True)
+class _Step:
+    """A step to judge: from a target to the next one, in ``since`` [s]."""
 
-    Args:
-        name: Name of the arm, for messages.
-        limits: Of the arm.
-        clip: Rules that clip; the others reject.
+    target: Target
+    before: Target
+    since: float
+    view: ArmView
+
+
+class ArmSafety:
+    """Judges the steps of one arm, whose name is for messages.
 
     Raises:
         ValueError: ``clip`` names a rule that cannot clip.
@@ -113,137 +98,125 @@ class ArmSafety:
                 f"{', '.join(sorted(unknown))} cannot clip; allowed: {', '.join(CLIPPABLE)}"
             )
         self._last: _SentStep | None = None
+        self._rules: dict[str, Callable[[_Step], str]] = {
+            rule: getattr(self, f"_{rule}") for rule in RULES
+        }
 
     def forget(self) -> None:
         """The stream has ended; the next step starts a new one."""
         self._last = None
 
     def judge(self, target: Target, view: ArmView, at: int) -> Verdict:
-        """Judge one step; `take` records it.
-
-        Args:
-            target: What the policy wants.
-            view: The arm's newest cycle.
-            at: Time of sending [ns]; not before the last step.
-        """
+        """Judge one step from the arm's newest cycle, sent at [ns]; `take` records it."""
         if self._last is not None and at - self._last.at > self._own.servo_timeout:
             self._last = None  # the arm has come to rest
         last = self._last
         before = last.target if last else Target(view.p_set, view.roll_set, view.jaw_set)
-        since = (at - last.at if last else STEP_NS) / SECOND_NS
+        step = _Step(target, before, (at - last.at if last else STEP_NS) / SECOND_NS, view)
         violations: list[Violation] = []
-        for rule in RULES:
-            violation = self._check(rule, target, before, since, view)
-            if violation is None:
+        for rule, broken in self._rules.items():
+            text = broken(step)
+            if not text:
                 continue
-            clipped = self._clipped(rule, target, before, since, view)
+            violation = Violation(rule, f"{self._name}: {text}")
+            clipped = self._clipped(rule, step)
             if clipped is None:
                 return Verdict(None, (violation,), np.zeros(3))
             violations.append(violation)
-            target = clipped
-        return Verdict(target, tuple(violations), (target.p - before.p) / since)
+            step = replace(step, target=clipped)
+        velocity = (step.target.p - before.p) / step.since
+        return Verdict(step.target, tuple(violations), velocity)
 
     def take(self, verdict: Verdict, at: int) -> None:
         """The judged step is sent."""
         assert verdict.target is not None
         self._last = _SentStep(at, verdict.target, verdict.velocity)
 
-    # --- rules ------------------------------------------------------------------------------------
+    # --- rules: why a step breaks one; empty: it does not -----------------------------------------
 
-    def _check(
-        self, rule: str, target: Target, before: Target, since: float, view: ArmView
-    ) -> Violation | None:
-        text: str = getattr(self, f"_{rule}")(target, before, since, view)
-        return Violation(rule, f"{self._name}: {text}") if text else None
+    def _not_finite(self, step: _Step) -> str:
+        row = step.target.row
+        return "" if np.isfinite(row).all() else f"{row.tolist()} is not finite"
 
-    def _not_finite(self, target: Target, before: Target, since: float, view: ArmView) -> str:
-        del before, since, view
-        return "" if np.isfinite(target.row).all() else f"{target.row.tolist()} is not finite"
-
-    def _rcm_error(self, target: Target, before: Target, since: float, view: ArmView) -> str:
-        del target, before, since
-        limit = self._own.limits.rcm_error_warn
-        if view.rcm_error <= limit:
+    def _rcm_error(self, step: _Step) -> str:
+        error, limit = step.view.rcm_error, self._own.limits.rcm_error_warn
+        if error <= limit:
             return ""
-        error_mm, limit_mm = 1e3 * view.rcm_error, 1e3 * limit
-        return f"the shaft is {error_mm:.2f} mm from its pivot; allowed: below {limit_mm:g} mm"
-
-    def _workspace(self, target: Target, before: Target, since: float, view: ArmView) -> str:
-        del before, since, view
-        if surg_core.inside_workspace(self._own.limits, target.p):
-            return ""
-        beyond = surg_core.outside_workspace(self._own.limits, target.p)
-        where = ", ".join(f"{1e3 * float(v):.4g}" for v in target.p)
         return (
-            f"({where}) mm is {1e3 * beyond:.4g} mm outside the workspace; actions are in metres "
-            "in the rcm frame"
+            f"the shaft is {1e3 * error:.2f} mm from its pivot; allowed: below {1e3 * limit:g} mm"
         )
 
-    def _start(self, target: Target, before: Target, since: float, view: ArmView) -> str:
-        if self._last is not None or self._near(target, before, since, begins=True):
+    def _workspace(self, step: _Step) -> str:
+        limits, p = self._own.limits, step.target.p
+        if surg_core.inside_workspace(limits, p):
+            return ""
+        where = ", ".join(f"{1e3 * float(v):.4g}" for v in p)
+        return (
+            f"({where}) mm is {1e3 * surg_core.outside_workspace(limits, p):.4g} mm outside the "
+            "workspace; actions are in metres in the rcm frame"
+        )
+
+    def _start(self, step: _Step) -> str:
+        if self._last is not None or self._near(step, begins=True):
             return ""
         limits = self._own.limits
         return (
-            f"the first step is {_distance(target, before)} from the set-point; allowed: "
+            f"the first step is {_distance(step)} from the set-point; allowed: "
             f"{1e3 * limits.step_slack:g} mm and {math.degrees(limits.step_roll_slack):.2g} deg"
         )
 
-    def _step(self, target: Target, before: Target, since: float, view: ArmView) -> str:
-        if self._last is None or self._near(target, before, since, begins=False):
+    def _step(self, step: _Step) -> str:
+        if self._last is None or self._near(step, begins=False):
             return ""
         limits = self._own.limits
-        dt = min(since, limits.step_dt_max)
+        dt = min(step.since, limits.step_dt_max)
         far = limits.tip_velocity * dt + limits.step_slack
         turn = limits.roll_velocity * dt + limits.step_roll_slack
         return (
-            f"{_distance(target, before)} in {1e3 * since:g} ms; allowed: {1e3 * far:.4g} mm "
+            f"{_distance(step)} in {1e3 * step.since:g} ms; allowed: {1e3 * far:.4g} mm "
             f"and {math.degrees(turn):.3g} deg"
         )
 
-    def _near(self, target: Target, before: Target, since: float, begins: bool) -> bool:
+    def _near(self, step: _Step, begins: bool) -> bool:
         """The gate's test of a step."""
-        distance = float(np.linalg.norm(target.p - before.p))
-        turn = math.remainder(target.roll - before.roll, math.tau)
-        reason = surg_core.check_step(self._own.limits, begins, since, distance, turn)
+        distance, turn = _change(step)
+        reason = surg_core.check_step(self._own.limits, begins, step.since, distance, turn)
         return bool(reason == surg_core.Reason.NONE)
 
-    def _acceleration(self, target: Target, before: Target, since: float, view: ArmView) -> str:
+    def _acceleration(self, step: _Step) -> str:
         if self._last is None:
             return ""
         # The tip's limit over this time, plus the slack of a step.
-        limits = self._own.limits
-        change = (target.p - before.p) / since - self._last.velocity
+        limits, since = self._own.limits, step.since
+        velocity = (step.target.p - step.before.p) / since
+        change = float(np.abs(velocity - self._last.velocity).max())
         allowed = limits.tip_acceleration * since + limits.step_slack / since
-        if float(np.abs(change).max()) <= allowed:
+        if change <= allowed:
             return ""
         return (
-            f"the tip's velocity changes by {1e3 * float(np.abs(change).max()):.4g} mm/s "
-            f"in {1e3 * since:g} ms; allowed: {1e3 * allowed:.4g} mm/s"
+            f"the tip's velocity changes by {1e3 * change:.4g} mm/s in {1e3 * since:g} ms; "
+            f"allowed: {1e3 * allowed:.4g} mm/s"
         )
 
-    def _jaw(self, target: Target, before: Target, since: float, view: ArmView) -> str:
-        del before, since, view
-        low, high = self._own.jaw_min, self._own.jaw_max
-        if low <= target.jaw <= high:
-            return ""
-        return f"jaw {target.jaw:.4g} rad; allowed: {low:g} to {high:g} rad"
+    def _jaw(self, step: _Step) -> str:
+        low, high, jaw = self._own.jaw_min, self._own.jaw_max, step.target.jaw
+        return "" if low <= jaw <= high else f"jaw {jaw:.4g} rad; allowed: {low:g} to {high:g} rad"
 
     # --- clipping ---------------------------------------------------------------------------------
 
-    def _clipped(
-        self, rule: str, target: Target, before: Target, since: float, view: ArmView
-    ) -> Target | None:
+    def _clipped(self, rule: str, step: _Step) -> Target | None:
         """The step as far as the rule allows; None: rejected."""
         if rule not in self._clip:
             return None
+        target, before, broken = step.target, step.before, self._rules[rule]
         if rule == "jaw":
             return self._clipped_jaw(target)
-        low, high = 0.0, 1.0
-        if self._check(rule, before, before, since, view) is not None:
+        if broken(replace(step, target=before)):
             return None  # even standing still breaks the rule
+        low, high = 0.0, 1.0
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            good = self._check(rule, before.toward(target, middle), before, since, view) is None
+            good = not broken(replace(step, target=before.toward(target, middle)))
             low, high = (middle, high) if good else (low, middle)
         return before.toward(target, low)
 
@@ -252,21 +225,24 @@ class ArmSafety:
         low, high = self._own.jaw_min, self._own.jaw_max
         if not low - (high - low) <= target.jaw <= high + (high - low):
             return None
-        return Target(target.p, target.roll, min(max(target.jaw, low), high))
+        return replace(target, jaw=min(max(target.jaw, low), high))
 
 
-def _distance(target: Target, before: Target) -> str:
-    distance = 1e3 * float(np.linalg.norm(target.p - before.p))
-    turn = math.degrees(math.remainder(target.roll - before.roll, math.tau))
-    return f"{distance:.4g} mm and {turn:.3g} deg"
+def _change(step: _Step) -> tuple[float, float]:
+    """Distance of the tip [m], and turn of the roll [rad] on the shorter way."""
+    distance = float(np.linalg.norm(step.target.p - step.before.p))
+    return distance, math.remainder(step.target.roll - step.before.roll, math.tau)
+
+
+def _distance(step: _Step) -> str:
+    distance, turn = _change(step)
+    return f"{1e3 * distance:.4g} mm and {math.degrees(turn):.3g} deg"
 
 
 class SafetyController:
     """Judges a step of all arms of a policy: all pass, or nothing is sent.
 
-    Args:
-        arms: Limits of each arm, in the order of the action.
-        clip: Rules that clip; the others reject.
+    ``arms`` are in the order of the action; rules of ``clip`` clip, the others reject.
     """
 
     def __init__(self, arms: Mapping[str, ArmLimits], clip: Iterable[str] = CLIPPED) -> None:
@@ -281,15 +257,10 @@ class SafetyController:
     def judge(
         self, targets: Mapping[str, Target], views: Mapping[str, ArmView], at: int
     ) -> tuple[dict[str, Target], tuple[Violation, ...]]:
-        """Judge one step of all arms.
+        """Judge one step of all arms at the time of sending [ns].
 
-        Args:
-            targets: What the policy wants, by arm.
-            views: The newest cycle of each.
-            at: Time of sending [ns].
-
-        Returns:
-            Targets to send, by arm (empty: rejected), and the rules that clipped or rejected it.
+        Returns the targets to send, by arm (empty: rejected), and the rules that clipped or
+        rejected it.
         """
         verdicts = {n: arm.judge(targets[n], views[n], at) for n, arm in self._arms.items()}
         rejected = [v for v in verdicts.values() if v.target is None]

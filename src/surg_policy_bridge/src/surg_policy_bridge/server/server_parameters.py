@@ -18,51 +18,34 @@ ADDRESS = "tcp://127.0.0.1:5555"
 
 @dataclass(frozen=True)
 class Settings:
-    """Parameters of the node ``/policy``.
+    """Parameters of the node ``/policy``."""
 
-    Attributes:
-        bind: Address at which policies connect.
-        keys: Folder of `./surg keys`; empty: none, which allows this machine only.
-        cell: Path of the cell.
-        arms: Arms that the policy commands, in the order of the action.
-        mode: ``lockstep`` or ``freerun``.
-        task: Name of the task, for the specification.
-        instruction: The task in words, for the policy.
-        privileged: Serve the simulator's ground truth (``privileged.task_state``).
-        cameras: Observed cameras, such as ``endoscope_left``.
-        camera_rate: Pictures per second [1/s].
-        clip: Rules that clip a step instead of rejecting it.
-        autostart: Enable every new session at once.
-        need_teleop: Run only while the teleoperation's status is fresh and states that no hand
-            wants an arm. False: a system without an operator, such as a roll-out.
-        need_present: Run only while the operator is at the controls (operator_present of the
-            console or the foot pedals, repeated 20 times per second).
-        answer_timeout: Longest wall-clock wait for an answer in lock-step [s].
-    """
-
-    bind: str = text(ADDRESS)
+    bind: str = text(ADDRESS)  # address at which policies connect
+    # folder of `./surg keys`; empty: none, which allows this machine only
     keys: str = text("", empty=True)
-    cell: str = text(allowed="the folder of a cell")
+    cell: str = text(allowed="the folder of a cell")  # path of the cell
+    # arms that the policy commands, in the order of the action
     arms: tuple[str, ...] = names(("PSM1",), least=1)
-    mode: str = one_of(MODES, "freerun")
-    task: str = text("", empty=True, longest=MAX_TEXT)
+    mode: str = one_of(MODES, "freerun")  # ``lockstep`` or ``freerun``
+    task: str = text("", empty=True, longest=MAX_TEXT)  # name of the task, for the specification
     instruction: str = text("", empty=True, longest=MAX_SENTENCE)
-    privileged: bool = flag(False)
-    cameras: tuple[str, ...] = names(())
-    camera_rate: float = real(1.0, 240.0, float(GRID_RATE))
+    privileged: bool = flag(False)  # serve the simulator's ground truth (``privileged.task_state``)
+    cameras: tuple[str, ...] = names(())  # observed cameras, such as ``endoscope_left``
+    camera_rate: float = real(1.0, 240.0, float(GRID_RATE))  # pictures per second [1/s]
+    # rules that clip a step instead of rejecting it
     clip: tuple[str, ...] = names(tuple(CLIPPED), options=tuple(CLIPPABLE))
-    autostart: bool = flag(False)
+    autostart: bool = flag(False)  # enable every new session at once
+    # run only while the teleoperation's status is fresh and states that no hand wants an arm.
+    # False: a system without an operator, such as a roll-out
     need_teleop: bool = flag(True)
+    # run only while the operator is at the controls (operator_present of the console or the foot
+    # pedals, repeated 20 times per second)
     need_present: bool = flag(False)
+    # longest wall-clock wait for an answer in lock-step [s]
     answer_timeout: float = real(0.1, 9.0, 5.0)
 
     def __post_init__(self) -> None:
-        """Rules between parameters.
-
-        Raises:
-            ParamError: The address needs keys, an automatic start needs an operator, or there are
-                more cameras than fit.
-        """
+        """Rules between parameters."""
         try:
             listen_address.check(self.bind, bool(self.keys))
         except listen_address.BindError as error:
@@ -79,11 +62,7 @@ class Settings:
         return self.mode == "lockstep"
 
     def check_arms(self, names: Sequence[str], links: Sequence[str]) -> None:
-        """Check the arms against the cell.
-
-        Args:
-            names: Arms of the cell.
-            links: Robot link of each, such as ``simulator``.
+        """Check the arms against those of the cell and the links of those.
 
         Raises:
             ParamError: An arm is unknown, or a real arm has no ground truth.

@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from surg_core.contract import SECOND_NS
 from surg_policy_bridge.server.sessions import Session
 from surg_policy_client import wire
-from surg_policy_client.wire import Message
+from surg_policy_client.wire import MAX_SENTENCE, Message
 
 PING = 50_000_000
 """[ns] Ping interval that the server asks for."""
-MAX_TEXT = 1024
-"""Longest text of a reply."""
 
 
 @dataclass
 class AckTally:
     """What has happened to steps since the last ACK.
 
-    Attributes:
-        accepted: Steps sent to the arms.
-        clipped: Of them, those that a rule has shortened.
-        late: Steps that arrived after their time.
-        stale: Steps whose observation was too old.
-        rejected: Step, rule and text of every refusal.
+    As in `Counters`; ``rejected`` holds step, rule and text of every refusal.
     """
 
     accepted: int = 0
@@ -57,19 +50,15 @@ def acknowledgement(session: Session, seq: int, tally: AckTally, queued: int) ->
         {
             "session": session.number,
             "seq": seq,
-            "accepted": tally.accepted,
-            "clipped": tally.clipped,
-            "late": tally.late,
-            "stale": tally.stale,
-            "rejected": tally.rejected,
             "queue": queued,
+            **asdict(tally),
         },
     )
 
 
 def rejected_step(step: int, rule: str, text: str) -> dict[str, Any]:
     """One entry of an ACK's ``rejected``."""
-    return {"step": step, "rule": rule, "text": text[:MAX_TEXT]}
+    return {"step": step, "rule": rule, "text": text[:MAX_SENTENCE]}
 
 
 def episode(
@@ -84,7 +73,7 @@ def episode(
             "event": event,
             "instruction": instruction,
             "success": success,
-            "reason": reason[:MAX_TEXT],
+            "reason": reason[:MAX_SENTENCE],
         },
     )
 

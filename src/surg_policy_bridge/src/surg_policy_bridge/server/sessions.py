@@ -25,12 +25,7 @@ SENT = 64
 
 @dataclass
 class TokenBucket:
-    """Admits `RATE` messages per second, `BURST` at once.
-
-    Attributes:
-        tokens: In units of 1 / RATE / SECOND_NS.
-        at: When they were counted [ns].
-    """
+    """Admits `RATE` messages per second, `BURST` at once; counts tokens in 1 / RATE / SECOND_NS."""
 
     tokens: int = BURST * SECOND_NS
     at: int = 0
@@ -64,48 +59,29 @@ class RateLimiter:
 
 @dataclass(frozen=True)
 class SentObservation:
-    """An observation that was sent.
-
-    Attributes:
-        stamp_ns: Its stamp.
-        step: Its grid time.
-        seen: When it was taken, on the clock of the execution [ns].
-        sent: When it was sent, on the steady clock [ns].
-    """
+    """An observation that was sent."""
 
     stamp_ns: int
-    step: int
-    seen: int
-    sent: int
+    step: int  # its grid time
+    seen: int  # when it was taken, on the clock of the execution [ns]
+    sent: int  # when it was sent, on the steady clock [ns]
 
 
 @dataclass
 class Session:
-    """A connected policy.
+    """A connected policy."""
 
-    Attributes:
-        number: Random; part of every message of the session.
-        peer: Identity of its connection.
-        client: Name of the client.
-        policy: Name of the policy.
-        spec: The specification that it is served.
-        silence: Time since its last message.
-        sent: Observations that it may answer, by sequence number.
-        seq: Number of the newest observation.
-        answered: Newest observation that it has answered, or may no longer answer.
-        acted: It has answered an observation.
-    """
-
-    number: int
-    peer: bytes
+    number: int  # random; part of every message of the session
+    peer: bytes  # identity of its connection
     client: str
     policy: str
-    spec: Spec
+    spec: Spec  # the specification that it is served
     silence: Timeout = field(default_factory=lambda: Timeout(SILENCE))
+    # observations that it may answer, by sequence number
     sent: OrderedDict[int, SentObservation] = field(default_factory=OrderedDict)
-    seq: int = 0
-    answered: int = 0
-    acted: bool = False
+    seq: int = 0  # number of the newest observation
+    answered: int = 0  # newest observation that it has answered, or may no longer answer
+    acted: bool = False  # it has answered an observation
 
     def heard(self, now: int) -> None:
         """A message has arrived."""
@@ -121,13 +97,7 @@ class Session:
 
 
 def refusal(head: Mapping[str, Any], versions: range, served: Spec) -> tuple[str, str] | None:
-    """Why a HELLO is refused: code and text, naming both sides; None: it is not.
-
-    Args:
-        head: Of the HELLO.
-        versions: Protocol versions of this server.
-        served: Specification of this server.
-    """
+    """Why a HELLO is refused: code and text, naming both sides; None: it is not."""
     low, high = head["versions"]
     if high < versions.start or low >= versions.stop:
         return "version", (

@@ -20,12 +20,7 @@ from surg_policy_bridge.server.policy_arm import Target
 
 
 class StepClock:
-    """Plays a server's steps in real time.
-
-    Args:
-        arms: Arms that the policy commands.
-        start: Grid time 0 [ns].
-    """
+    """Plays a server's steps in real time; grid time 0 is at ``start`` [ns]."""
 
     def __init__(self, arms: Sequence[str], start: int) -> None:
         self._arms, self._start = tuple(arms), start

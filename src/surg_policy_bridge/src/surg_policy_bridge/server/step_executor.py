@@ -23,27 +23,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JudgedStep:
-    """One step with the verdict of the safety controller.
+    """One step with the verdict of the safety controller."""
 
-    Attributes:
-        session: Of the policy.
-        seq: Of the observation that it answers.
-        step: Its grid time.
-        obs_age: Age of that observation [ns].
-        values: What was relayed or, if rejected, requested; (A,), may be empty.
-        passed: It was relayed.
-        rule: Rules that clipped or rejected it; empty: none.
-        text: What was requested and what is allowed.
-    """
-
-    session: int
-    seq: int
-    step: int
-    obs_age: int
-    values: Array
-    passed: bool
-    rule: str = ""
-    text: str = ""
+    session: int  # of the policy
+    seq: int  # of the observation that it answers
+    step: int  # its grid time
+    obs_age: int  # age of that observation [ns]
+    values: Array  # what was relayed or, if rejected, requested; (A,), may be empty
+    passed: bool  # it was relayed
+    rule: str = ""  # rules that clipped or rejected it; empty: none
+    text: str = ""  # what was requested and what is allowed
 
 
 class StepExecutor:
@@ -149,17 +138,7 @@ class StepExecutor:
         seq: int = 0,
         values: Array | None = None,
     ) -> None:
-        """A rule refuses a step.
-
-        Args:
-            session: Of the policy.
-            number: Grid time of the step.
-            rule: That refuses it.
-            text: What was requested and what is allowed.
-            at: Time of the execution [ns].
-            seq: Of the observation that it answers; 0: unknown.
-            values: The step, if it is one.
-        """
+        """A rule refuses the step of a grid time; ``at`` is the time of the execution [ns]."""
         sent = session.sent.get(seq)
         age = at - sent.seen if sent is not None else 0
         row = np.zeros(0) if values is None else values
@@ -171,16 +150,7 @@ class StepExecutor:
     def splice(
         self, session: Session, first: int, rows: Array, seq: int, sent: SentObservation, at: int
     ) -> None:
-        """Queue a chunk, or refuse it if its shape is wrong.
-
-        Args:
-            session: Of the policy.
-            first: Grid time of the first step.
-            rows: (K, A).
-            seq: Of the observation that it answers.
-            sent: That observation.
-            at: Time of the execution [ns].
-        """
+        """Queue a chunk (K, A) that answers an observation, or refuse it if its shape is wrong."""
         if at - sent.seen > self._max_obs_age:
             self.count_stale(len(rows))
         elif len(rows) and (wrong := session.spec.check_chunk(rows)):

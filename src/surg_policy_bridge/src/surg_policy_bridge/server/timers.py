@@ -22,12 +22,7 @@ CAMERA_PERIODS = 3
 
 @dataclass
 class Timeout:
-    """A limit on how long something may last.
-
-    Attributes:
-        limit: [ns]
-        since: When it began [ns]; None: it does not last.
-    """
+    """A limit [ns] on how long something may last; it began at ``since`` [ns], None: it is off."""
 
     limit: int
     since: int | None = None

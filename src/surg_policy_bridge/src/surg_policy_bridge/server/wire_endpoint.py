@@ -12,24 +12,14 @@ from surg_policy_client.wire import WireError
 
 
 class WireEndpoint:
-    """Decodes what arrives, within a rate limit, and encodes what the server replies.
-
-    Args:
-        server: Gets the messages.
-    """
+    """Decodes what arrives, within a rate limit, and encodes what the server replies."""
 
     def __init__(self, server: ModelServer) -> None:
         self._server = server
         self._limiter = RateLimiter()
 
     def receive(self, peer: bytes, parts: Sequence[Any], now: int) -> None:
-        """Take in one message; never raises, whatever the frames contain.
-
-        Args:
-            peer: Identity of the connection.
-            parts: Frames without the identity.
-            now: Steady clock [ns].
-        """
+        """Take in the frames of one message; never raises, whatever they contain."""
         counters = self._server.counters
         counters.messages += 1
         if not self._limiter.admits(peer, now):

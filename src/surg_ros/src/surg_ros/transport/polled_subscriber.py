@@ -60,11 +60,7 @@ class FrameDecoder:
 
 
 class _BorrowedConnection:
-    """One rospy connection while the consumer reads it.
-
-    Args:
-        connection: Connected; its rospy thread waits until ``ended`` is set.
-    """
+    """One rospy connection that the consumer reads; its own thread waits until it has ``ended``."""
 
     def __init__(self, connection: Any) -> None:
         self.connection = connection
@@ -104,12 +100,7 @@ class _BorrowedConnection:
 
 
 class PolledSubscriber:
-    """A subscriber of small messages that one thread reads.
-
-    Args:
-        topic: Its name.
-        kind: Its message class.
-    """
+    """A subscriber of small messages that one thread reads."""
 
     def __init__(self, topic: str, kind: type) -> None:
         self._borrowed: tuple[_BorrowedConnection, ...] = ()

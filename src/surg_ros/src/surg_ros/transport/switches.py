@@ -13,10 +13,7 @@ NAMES = ("direct_publisher", "polled_subscriber")
 
 
 def plain(name: str) -> bool:
-    """Whether an optimisation is turned off.
-
-    Args:
-        name: Of `NAMES`.
+    """Whether an optimisation of `NAMES` is turned off.
 
     Raises:
         ValueError: The environment variable names an unknown optimisation.

@@ -40,12 +40,7 @@ class LeRobotPolicy:
 
     @classmethod
     def from_pretrained(cls, path: str, device: str = "cpu") -> LeRobotPolicy:
-        """Load a checkpoint's policy with its pre- and post-processor.
-
-        Args:
-            path: Folder, or a name on the hub.
-            device: Such as ``cuda``.
-        """
+        """Load a checkpoint, a folder or a name on the hub, with its pre- and post-processor."""
         from lerobot.configs.policies import PreTrainedConfig
         from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 

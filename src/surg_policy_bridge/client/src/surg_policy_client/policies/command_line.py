@@ -19,16 +19,9 @@ def run(
     add_arguments: Arguments = lambda parser: None,
     argv: Sequence[str] | None = None,
 ) -> int:
-    """Parse the command line, make the policy and serve it.
+    """Parse the command line, make the policy from the options and serve it.
 
-    Args:
-        make: Makes the policy from the parsed options.
-        description: Docstring of the program.
-        add_arguments: Adds the policy's own options.
-        argv: Arguments; default: those of the process.
-
-    Returns:
-        Exit status: 0, 1 after an error, 2 for invalid input.
+    Returns the exit status: 0, 1 after an error, 2 for invalid input.
     """
     lines = (description or "").strip().splitlines() or [""]
     parser = argparse.ArgumentParser(description=lines[0])

@@ -61,14 +61,10 @@ class Replay:
 
 
 def load(path: Path, index: int = 0) -> Replay:
-    """The policy of a recording.
-
-    Args:
-        path: CSV file, or folder of a LeRobot dataset (2.1 or 3.0).
-        index: Number of the episode in the dataset.
+    """The policy of a CSV file, or of an episode in the folder of a LeRobot dataset (2.1 or 3.0).
 
     Raises:
-        ValueError: When there is no such episode, or it is not as it should be.
+        ValueError: There is no such episode, or it is invalid.
     """
     if path.is_dir():
         return _of_dataset(path, index)

@@ -1,0 +1,1 @@
+"""The ROS side of the model server: topics, socket, and the two loops."""
