@@ -69,7 +69,9 @@ def connect(
 
     def missing() -> list[str]:
         if client is not None and client.exit_code is not None:
-            raise Problem(f"the policy's script ended before it connected:\n{client.log_tail()}")
+            raise Problem(
+                f"the policy's script ended before it had connected:\n{client.log_tail()}"
+            )
         return [] if watch.policy.waiting else [waited_for]
 
     timeout_s = math.inf if client is None else CLIENT_TIMEOUT_S
