@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import surg_core
-from surg_core import Motion, MotionCommand, Reason, StateCommand, _core
+from surg_core import Motion, MotionCommand, Reason, StateCommand, _core, axis_angle_to_matrix
 from surg_core.contract import TICK
-from surg_sim.physics.calibration_bench import across, turn
+from surg_sim.physics.calibration_bench import across
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import shaft_in_flange
 from surg_sim.physics.world import World
@@ -26,7 +26,7 @@ def wrong_tool(arm: surg_core.Arm, rng: np.random.Generator) -> surg_core.ToolCa
     """
     p_FTip, s_F = shaft_in_flange(arm)
     aside = across(s_F, rng)
-    leaning = turn(np.cross(s_F, -aside), math.radians(0.5)) @ s_F
+    leaning = axis_angle_to_matrix(np.cross(s_F, -aside), math.radians(0.5)) @ s_F
     return tool_of(leaning, p_FTip + 0.001 * aside)
 
 

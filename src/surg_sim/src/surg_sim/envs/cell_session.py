@@ -128,12 +128,7 @@ class Session:
         commands: Mapping[str, Sequence[Command]] | None = None,
         assistant: AssistantCommand | None = None,
     ) -> Tick:
-        """One tick of 2 ms.
-
-        Args:
-            commands: By arm name.
-            assistant: To the assistant's instrument.
-        """
+        """One tick of 2 ms, with the commands to each arm and to the assistant's instrument."""
         world, tick = self.world, self.world.tick
         state = self.task.state() if tick % self.every == 0 else {}
         verdict = self.task.verdict()
@@ -170,19 +165,19 @@ class Session:
 def decode(commands: ArmCommands) -> list[Command]:
     """An arm's commands as the controller node makes them of messages."""
     motion, kinds = surg_core.MotionCommand, surg_core.Motion
-    found: list[Command] = []
+    decoded: list[Command] = []
     if commands.state is not None:
-        found.append(getattr(surg_core.StateCommand, commands.state.upper()))
+        decoded.append(getattr(surg_core.StateCommand, commands.state.upper()))
     if commands.hold:
-        found.append(motion(kinds.HOLD, SOURCE))
+        decoded.append(motion(kinds.HOLD, SOURCE))
     if commands.jaw is not None:
-        found.append(motion(kinds.JAW_SERVO_JP, SOURCE, jaw=commands.jaw))
+        decoded.append(motion(kinds.JAW_SERVO_JP, SOURCE, jaw=commands.jaw))
     if commands.servo_cp is not None:
         x, y, z, w = (float(v) for v in commands.servo_cp.q)
         norm = math.sqrt((x * x + z * z) + (y * y + w * w))  # summed as Eigen does in the node
         rotation = np.array([x, y, z, w]) / norm
-        found.append(motion(kinds.SERVO_CP, SOURCE, p=commands.servo_cp.p, rotation=rotation))
-    return found
+        decoded.append(motion(kinds.SERVO_CP, SOURCE, p=commands.servo_cp.p, rotation=rotation))
+    return decoded
 
 
 def merge(actions: Sequence[Action]) -> tuple[dict[str, list[Command]], AssistantCommand | None]:

@@ -61,16 +61,9 @@ def play(
     workers: int = 2,
     progress: Callable[[int, Demonstration], None] = lambda n, made: None,
 ) -> list[Demonstration]:
-    """Play and record what is not there yet.
+    """Play and record what is not there yet, several at a time; returns what was made, by seed.
 
-    Args:
-        plan: What is wanted.
-        seeds: Of the episodes, in order.
-        workers: Processes.
-        progress: Called with the number of episodes that were made so far, and the newest.
-
-    Returns:
-        What was made, by seed; what was there already is not in it.
+    ``progress`` is called with the number of episodes that were made so far, and the newest.
 
     Raises:
         EpisodeError: A recording could not be written.
@@ -96,7 +89,7 @@ def play(
         pool.shutdown(wait=False, cancel_futures=True)
         raise
     pool.shutdown()
-    return sorted(made, key=lambda one: one.seed)
+    return sorted(made, key=lambda demonstration: demonstration.seed)
 
 
 def _leave_signals_to_the_parent() -> None:

@@ -63,10 +63,10 @@ def run_episode(
     experts: Mapping[str, Expert] | None = None,
     watch: Callable[[Tick], None] | None = None,
 ) -> EpisodeReport:
-    """Run one episode to its end.
+    """Run one episode of a session, which is reset, to its end.
 
     Args:
-        session: The scene; it is reset.
+        session: The scene.
         seed: Of the episode.
         experts: Senders by node name; None: those of the task; empty: nobody does anything.
         watch: Called after every tick.
@@ -84,14 +84,9 @@ def run_episode(
         for name, rows in samples.items():
             if int(tick.outputs[name].accepted) > 0:
                 truth = session.world.truth(name)
-                rows.append(
-                    (
-                        tick.outputs[name].rcm_error,
-                        truth.deviation,
-                        float(np.linalg.norm(truth.trocar_force)),
-                        float(np.linalg.norm(truth.displacement)),
-                    )
-                )
+                force, displacement = map(np.linalg.norm, (truth.trocar_force, truth.displacement))
+                kinematic = tick.outputs[name].rcm_error
+                rows.append((kinematic, truth.deviation, float(force), float(displacement)))
         if watch is not None:
             watch(tick)
         if tick.verdict.done:
@@ -107,12 +102,9 @@ def run_episode(
         reason=tick.verdict.reason,
         duration=tick.tick * TICK,
         reward=reward,
-        arms={name: _report(rows) for name, rows in samples.items()},
+        arms={
+            name: ArmReport(*map(Spread.of, np.array(rows).reshape(-1, 4).T))
+            for name, rows in samples.items()
+        },
         hash=session.hash,
     )
-
-
-def _report(rows: list[_Sample]) -> ArmReport:
-    columns = np.array(rows).reshape(-1, 4).T
-    kinematic, true, force, displacement = (Spread.of(column) for column in columns)
-    return ArmReport(kinematic, true, force, displacement)

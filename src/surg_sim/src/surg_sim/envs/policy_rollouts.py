@@ -44,14 +44,13 @@ class Rollout:
 
 def names(env: SurgEnv) -> dict[str, list[str]]:
     """Names of the numbers of each observation, as in a dataset."""
-    flat = []
-    for key, value in env.session.task.state().items():
-        for place in np.ndindex(np.shape(value)):
-            flat.append("_".join([key, *map(str, place)]))
-    return {
-        STATE_KEY: [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE],
-        TASK_STATE_KEY: flat,
-    }
+    flat = [
+        "_".join([key, *map(str, place)])
+        for key, value in env.session.task.state().items()
+        for place in np.ndindex(np.shape(value))
+    ]
+    state = [f"{arm}/{name}" for arm in env.arms for name in ARM_STATE]
+    return {STATE_KEY: state, TASK_STATE_KEY: flat}
 
 
 def observe(env: SurgEnv, observation: dict[str, Any]) -> dict[str, Any]:
@@ -68,12 +67,7 @@ def observe(env: SurgEnv, observation: dict[str, Any]) -> dict[str, Any]:
 
 
 def roll_out(env: SurgEnv, policy: Acts, seed: int) -> Rollout:
-    """Play one episode.
-
-    Args:
-        env: The environment; it is reset.
-        policy: Acts.
-        seed: Of the episode.
+    """Play one episode of a policy in an environment, which is reset.
 
     Raises:
         ValueError: The policy's chunk is over and it says nothing new.

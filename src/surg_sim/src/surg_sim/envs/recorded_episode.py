@@ -38,20 +38,14 @@ if TYPE_CHECKING:
 
 SENDER = "/expert"
 """Whose commands the recording says they are, as in a graph."""
-_POSE = "servo_cp"
 _JAW = "jaw/servo_jp"
 
 
 class RecordedSession(Session):
-    """A session that records every tick.
+    """A session that records every tick, for a cell given by its path.
 
-    Args:
-        cell: As for ``Session``; a path, because the recording describes the cell's files.
-        task: Its name.
-        setting: Of ``patient_settings.SETTINGS``.
-        seed: Of the first episode.
-        cameras: Views to render and record, of ``left`` and ``right``.
-        size: Width and height of the pictures [px].
+    The recording describes the cell's files. Cameras are views to render and record, of ``left``
+    and ``right``; size is width and height of the pictures [px].
     """
 
     def __init__(
@@ -91,9 +85,6 @@ class RecordedSession(Session):
             experts: Senders by node name; None: those of the task.
             operator: Who commands the robot.
             **run: What else the recording shall say of its run.
-
-        Returns:
-            How it went.
 
         Raises:
             EpisodeError: The folder cannot be written.
@@ -185,18 +176,14 @@ class RecordedSession(Session):
         if assistant is not None:
             for topic, values in (("servo_jp", assistant.joints), (_JAW, assistant.jaw)):
                 if values is not None:
-                    message = SimpleNamespace(
-                        header=_header(stamp), position=np.atleast_1d(values).tolist()
-                    )
+                    message = _message(stamp, position=np.atleast_1d(values).tolist())
                     recording.assistant_command(topic, message, "/assistant", stamp)
         tick = super().tick(commands, assistant)
         for name, out in tick.outputs.items():
             row = _cycle(out, tick.tick, before[name][0], self._orientation(name))
             recording.cycle(name, row, stamp)
         arms = [_truth(name, truth) for name, (_, truth) in before.items()]
-        recording.ground_truth(
-            SimpleNamespace(header=_header(stamp), tick=tick.tick, arms=arms), stamp
-        )
+        recording.ground_truth(_message(stamp, tick=tick.tick, arms=arms), stamp)
         if state is not None:
             recording.task_state(_task_state(tick, state), stamp)
         return tick
@@ -224,23 +211,18 @@ class RecordedSession(Session):
         assert self._renderer is not None
         for view, picture in self._renderer.render(self.world.data.qpos).items():
             height, width, _ = picture.shape
-            message = SimpleNamespace(
-                header=_header(stamp),
-                width=width,
-                height=height,
-                step=3 * width,
-                encoding="rgb8",
-                data=picture.tobytes(),
-            )
+            shape = {"width": width, "height": height, "step": 3 * width, "encoding": "rgb8"}
+            message = _message(stamp, data=picture.tobytes(), **shape)
             recording.image(FRAMES[view], message, stamp)
 
 
 # --- messages without ROS, as surg_recording.episode.table_rows reads them ---------------------
 
 
-def _header(stamp_ns: int) -> SimpleNamespace:
+def _message(stamp_ns: int, **members: Any) -> SimpleNamespace:
     secs, nsecs = divmod(stamp_ns, SECOND_NS)
-    return SimpleNamespace(stamp=SimpleNamespace(secs=secs, nsecs=nsecs))
+    header = SimpleNamespace(stamp=SimpleNamespace(secs=secs, nsecs=nsecs))
+    return SimpleNamespace(header=header, **members)
 
 
 def _xyz(v: Any) -> SimpleNamespace:
@@ -250,17 +232,14 @@ def _xyz(v: Any) -> SimpleNamespace:
 
 def _command(command: surg_core.MotionCommand, stamp_ns: int) -> tuple[str, SimpleNamespace]:
     """A command of a scripted sender, which speaks in poses and jaw angles."""
-    header = _header(stamp_ns)
-    kinds = surg_core.Motion
-    if command.motion == kinds.JAW_SERVO_JP:
-        return _JAW, SimpleNamespace(header=header, position=[command.jaw])
-    if command.motion == kinds.HOLD:
-        return "hold", SimpleNamespace(header=header)
+    if command.motion == surg_core.Motion.JAW_SERVO_JP:
+        return _JAW, _message(stamp_ns, position=[command.jaw])
+    if command.motion == surg_core.Motion.HOLD:
+        return "hold", _message(stamp_ns)
     x, y, z, w = np.asarray(command.rotation).tolist()
-    pose = SimpleNamespace(
-        position=_xyz(command.p), orientation=SimpleNamespace(x=x, y=y, z=z, w=w)
-    )
-    return _POSE, SimpleNamespace(header=header, pose=pose)
+    rotation = SimpleNamespace(x=x, y=y, z=z, w=w)
+    pose = SimpleNamespace(position=_xyz(command.p), orientation=rotation)
+    return "servo_cp", _message(stamp_ns, pose=pose)
 
 
 _OUTPUTS = {"p_tip": "p_BTip", "s": "s_B", "p_rcm": "p_BRcm"}
@@ -270,7 +249,6 @@ _OUTPUTS = {"p_tip": "p_BTip", "s": "s_B", "p_rcm": "p_BRcm"}
 def _cycle(out: surg_core.Outputs, tick: int, measured: Any, q_BR: list[float]) -> SimpleNamespace:
     """A control cycle as surg_msgs/Cycle has it."""
     known: dict[str, Any] = {
-        "header": _header(tick * TICK_NS),
         "tick": tick,
         "state": int(out.state),
         "reason": surg_core.reason_name(out.reason) if int(out.reason) else "",
@@ -286,20 +264,17 @@ def _cycle(out: surg_core.Outputs, tick: int, measured: Any, q_BR: list[float]) 
     for field in table_columns.CYCLE:
         if field.source and field.source not in known:
             known[field.source] = getattr(out, _OUTPUTS.get(field.source, field.source))
-    return SimpleNamespace(**{name: _plain(value) for name, value in known.items()})
-
-
-def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
+    for name, value in known.items():
+        known[name] = value.tolist() if isinstance(value, np.ndarray) else value
+    return _message(tick * TICK_NS, **known)
 
 
 def _truth(name: str, truth: ArmTruth) -> SimpleNamespace:
     """An arm's truth as surg_msgs/ArmTruth has it."""
-    found = {
-        key: _xyz(value) if isinstance(value, np.ndarray) else value
-        for key, value in truth._asdict().items()
-    }
-    return SimpleNamespace(arm=name, **found)
+    members = truth._asdict()
+    for key, value in members.items():
+        members[key] = _xyz(value) if isinstance(value, np.ndarray) else value
+    return SimpleNamespace(arm=name, **members)
 
 
 def _task_state(tick: Tick, state: State) -> SimpleNamespace:
@@ -310,15 +285,7 @@ def _task_state(tick: Tick, state: State) -> SimpleNamespace:
         shape = ",".join(map(str, array.shape))
         names.append(f"{key}[{shape}]" if shape else key)
         values += array.ravel().tolist()
-    verdict = tick.verdict
-    return SimpleNamespace(
-        header=_header(tick.tick * TICK_NS),
-        tick=tick.tick,
-        names=names,
-        values=values,
-        phase=verdict.phase,
-        done=verdict.done,
-        success=verdict.success,
-        reason=verdict.reason,
-        reward=verdict.reward,
-    )
+    verdict = vars(tick.verdict)
+    judged = {key: verdict[key] for key in ("phase", "done", "success", "reason", "reward")}
+    stamp_ns = tick.tick * TICK_NS
+    return _message(stamp_ns, tick=tick.tick, names=names, values=values, **judged)

@@ -57,14 +57,9 @@ class Watch:
 
 
 def write_video(pictures: Sequence[Picture], stem: Path) -> Path:
-    """An MP4 where PyAV is installed, else an animated GIF.
+    """An MP4 where PyAV is installed, else an animated GIF; returns the file.
 
-    Args:
-        pictures: (height, width, 3), rgb8, 20 per second.
-        stem: Path without an ending.
-
-    Returns:
-        The file.
+    Pictures (height, width, 3), rgb8, 20 per second; the stem is a path without an ending.
     """
     if importlib.util.find_spec("av") is not None:
         import av

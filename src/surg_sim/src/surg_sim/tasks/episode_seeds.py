@@ -7,6 +7,8 @@ documentation is of ``TEST`` seeds.
 
 from __future__ import annotations
 
+import functools
+
 TRAINING = range(10_000, 10_700)
 """Seeds to train with: demonstrations are theirs."""
 TUNING = range(10_700, 11_000)
@@ -15,34 +17,15 @@ TEST = range(20_000, 21_000)
 """Seeds to judge with; a figure over n episodes takes the first n."""
 
 
-def training_seeds(n: int) -> range:
-    """The first n training seeds.
-
-    Raises:
-        ValueError: There are not so many.
-    """
-    return _first(TRAINING, n, "training")
+def _first(seeds: range, name: str, n: int) -> range:
+    if not 0 < n <= len(seeds):
+        raise ValueError(f"{n} {name} seeds: 1 to {len(seeds)} are there")
+    return seeds[:n]
 
 
-def tuning_seeds(n: int) -> range:
-    """The first n tuning seeds.
-
-    Raises:
-        ValueError: There are not so many.
-    """
-    return _first(TUNING, n, "tuning")
-
-
-def test_seeds(n: int) -> range:
-    """The first n test seeds.
-
-    Raises:
-        ValueError: There are not so many.
-    """
-    return _first(TEST, n, "test")
-
-
-def _first(whole: range, n: int, name: str) -> range:
-    if not 0 < n <= len(whole):
-        raise ValueError(f"{n} {name} seeds: 1 to {len(whole)} are there")
-    return whole[:n]
+training_seeds = functools.partial(_first, TRAINING, "training")
+"""The first n training seeds; a ValueError if there are not so many."""
+tuning_seeds = functools.partial(_first, TUNING, "tuning")
+"""The first n tuning seeds, likewise."""
+test_seeds = functools.partial(_first, TEST, "test")
+"""The first n test seeds, likewise."""

@@ -27,10 +27,7 @@ NEAR = 0.015
 class PerturbedExpert(Expert):
     """Perturbs the path of another expert.
 
-    Args:
-        expert: The expert.
-        seed: Seed of the offset.
-        spread: Standard deviation of the offset, per axis [m].
+    The offset has this seed and this standard deviation per axis [m].
     """
 
     def __init__(self, expert: ArmExpert, seed: int, spread: float) -> None:

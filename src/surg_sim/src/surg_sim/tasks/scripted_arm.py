@@ -1,11 +1,10 @@
 """Expert for one arm: homes and enables it, then streams the tip along minimum-jerk profiles.
 
-A task adds a script: a generator that moves ``path`` and ``jaw`` and yields once per action.
+A task adds a script (``ScriptedExpert``).
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Iterator
 
 import numpy as np
@@ -17,9 +16,9 @@ from surg_core.contract import STEP, TICK_NS
 from surg_sim.arrays import Array
 from surg_sim.tasks.scripted_sender import (
     Action,
-    Expert,
     MinimumJerk,
     Observation,
+    ScriptedExpert,
     home_frame,
     into,
     out_of,
@@ -31,14 +30,8 @@ ROLL_VELOCITY, ROLL_ACCELERATION = 1.0, 4.0
 """[rad/s], [rad/s^2]"""
 
 
-class ArmExpert(Expert):
-    """A scripted expert for one arm.
-
-    Args:
-        cell: The cell.
-        seed: Seed of its imperfections.
-        arm: Name of the arm.
-    """
+class ArmExpert(ScriptedExpert):
+    """A scripted expert for one arm; its path is in the rcm frame. The seed draws imperfections."""
 
     def __init__(self, cell: surg_core.Cell, seed: int, arm: str) -> None:
         self.arms = (arm,)
@@ -47,18 +40,14 @@ class ArmExpert(Expert):
         limits = cell.arms[arm].limits
         self.X_WR = home_frame(cell.arms[arm])
         self.X_WB = np.asarray(cell.arms[arm].X_WB)
-        self._limits = (SHARE * limits.tip_velocity, SHARE * limits.tip_acceleration)
         instrument = cell.arms[arm].instrument
         self.jaw_open, self.jaw_closed = float(instrument.jaw_max), float(instrument.jaw_min)
-        self.jaw: float | None = None
-        """Jaw angle to send [rad]; None: no command."""
-        self.path: MinimumJerk = MinimumJerk(np.zeros(3), *self._limits)
-        """Motion of the tip, rcm frame [m]."""
+        self.path = MinimumJerk(
+            np.zeros(3), SHARE * limits.tip_velocity, SHARE * limits.tip_acceleration
+        )
         self.roll = MinimumJerk(np.zeros(1), ROLL_VELOCITY, ROLL_ACCELERATION)
-        """Motion of the roll [rad]."""
         self.done = False
         """The script has ended; the last pose is held."""
-        self.observation: Observation
         self._script: Iterator[None] | None = None
         self._bring_up = BringUp()
         self._bring_up.start(0)
@@ -67,10 +56,6 @@ class ArmExpert(Expert):
     def me(self) -> ArmView:
         """The arm as it is now."""
         return self.observation.arms[self._arm]
-
-    @abstractmethod
-    def script(self) -> Iterator[None]:
-        """Moves ``path``, ``roll`` and ``jaw``; yields once per action."""
 
     def act(self, observation: Observation) -> Action:
         """See :class:`Expert`."""
@@ -103,34 +88,7 @@ class ArmExpert(Expert):
         commands.servo_cp = TipPose(p, float(self.roll.advance(STEP)[0]))
         commands.jaw = self.jaw
 
-    # --- building blocks of scripts -------------------------------------------------------------
-
     @property
     def p_set(self) -> Array:
         """Set-point of the tip, rcm frame [m], (3,)."""
         return into(self.X_WR, out_of(self.X_WB, self.me.p_BSet))
-
-    def local(self, p_W: Array) -> Array:
-        """A point of the world in the rcm frame [m], (3,)."""
-        return into(self.X_WR, p_W)
-
-    def wait(self, seconds: float) -> Iterator[None]:
-        """Wait."""
-        for _ in range(max(1, round(seconds / STEP))):
-            yield
-
-    def move(self, p_W: Array, slowest: float = 0.0) -> Iterator[None]:
-        """Bring the tip to a point of the world [m], in at least ``slowest`` [s]."""
-        self.path.go(self.local(p_W), slowest)
-        while not self.path.arrived:
-            yield
-        yield from self.wait(SETTLED)
-
-    def squeeze(self, angle: float, seconds: float) -> Iterator[None]:
-        """Bring the jaws to an angle [rad] and wait."""
-        self.jaw = angle
-        yield from self.wait(seconds)
-
-
-SETTLED = 0.15
-"""Time after which the arm has reached its resting set-point [s]."""

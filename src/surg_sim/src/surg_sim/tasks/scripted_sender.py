@@ -7,7 +7,7 @@ profile within the limits; it is never a distant goal.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -15,11 +15,15 @@ import numpy as np
 
 import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
-from surg_core.contract import GRID
+from surg_core.contract import GRID, STEP
 from surg_sim.arrays import Array
 
 if TYPE_CHECKING:
     from surg_sim.physics.assistant_arm import AssistantCommand
+
+
+SETTLED = 0.15
+"""Time after which an instrument has reached its resting set-point [s]."""
 
 
 @dataclass(frozen=True)
@@ -102,15 +106,11 @@ def out_of(X: Array, p: Array) -> Array:
 
 
 class MinimumJerk:
-    """A coordinate vector that moves along minimum-jerk profiles, from rest to rest.
+    """A coordinate vector (n,) that moves along minimum-jerk profiles, from rest to rest.
 
     s(u) = 10 u^3 - 15 u^4 + 6 u^5: the velocity peaks at 1.875 of the mean, the acceleration at
-    5.774 distance / duration^2. The duration is the shortest that keeps both limits.
-
-    Args:
-        start: Start value, (n,).
-        velocity: Limit of the velocity of each coordinate, or (n,).
-        acceleration: Limit of the acceleration.
+    5.774 distance / duration^2. The duration is the shortest that keeps both limits, each of all
+    coordinates or (n,).
     """
 
     def __init__(self, start: Array, velocity: Array | float, acceleration: Array | float) -> None:
@@ -147,3 +147,46 @@ class MinimumJerk:
         s = u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
         self.at = self._from + s * (self._to - self._from) if u < 1.0 else self._to
         return self.at
+
+
+class ScriptedExpert(Expert):
+    """An expert with a script: a generator that moves ``path``, ``roll`` and ``jaw``.
+
+    Attributes:
+        observation: The newest one.
+        X_WR: Frame of the path in the world, (4, 4).
+        path: Motion of the tip [m].
+        roll: Motion of the roll [rad].
+        jaw: Jaw angle to send [rad]; None: no command.
+    """
+
+    observation: Observation
+    X_WR: Array
+    path: MinimumJerk
+    roll: MinimumJerk
+    jaw: float | None = None
+
+    @abstractmethod
+    def script(self) -> Iterator[None]:
+        """Moves ``path``, ``roll`` and ``jaw``; yields once per action."""
+
+    def local(self, p_W: Array) -> Array:
+        """A point of the world in the frame of the path [m], (3,)."""
+        return into(self.X_WR, p_W)
+
+    def wait(self, seconds: float) -> Iterator[None]:
+        """Wait."""
+        for _ in range(max(1, round(seconds / STEP))):
+            yield
+
+    def move(self, p_W: Array, slowest: float = 0.0) -> Iterator[None]:
+        """Bring the tip to a point of the world [m], in at least ``slowest`` [s]."""
+        self.path.go(self.local(p_W), slowest)
+        while not self.path.arrived:
+            yield
+        yield from self.wait(SETTLED)
+
+    def squeeze(self, angle: float, seconds: float) -> Iterator[None]:
+        """Bring the jaws to an angle [rad] and wait."""
+        self.jaw = angle
+        yield from self.wait(seconds)

@@ -15,7 +15,7 @@ from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.tissue_grasp import GRIP_DEPTH
 from surg_sim.tasks.bgr.bgr_definition import PHASES, ROBOT, TAUT
 from surg_sim.tasks.scripted_arm import ArmExpert
-from surg_sim.tasks.scripted_sender import Action, Expert, MinimumJerk, Observation, into
+from surg_sim.tasks.scripted_sender import Action, MinimumJerk, Observation, ScriptedExpert
 
 UP = np.array([0.0, 0.0, 1.0])
 OPEN, CLOSED = 0.68, 0.0
@@ -47,19 +47,39 @@ def along(nodes: Array, i: int) -> Array:
 
 
 def roll_across(s: Array, y: Array, tangent: Array) -> float:
-    """Roll that makes jaws open across a tube.
+    """Smaller of the two rolls that make jaws open across a tube [rad].
 
-    Args:
-        s: Shaft axis, (3,).
-        y: Where the jaws open to at roll 0, perpendicular to s, (3,).
-        tangent: Direction of the tube, (3,).
-
-    Returns:
-        The smaller of the two that do it [rad].
+    All (3,): the shaft axis s, y where the jaws open to at roll 0, perpendicular to s, and the
+    tube's direction.
     """
     n = np.cross(s, tangent)
     angle = math.atan2(float(np.cross(y, n) @ s), float(y @ n))
     return (angle + math.pi / 2) % math.pi - math.pi / 2
+
+
+def until(expert: ScriptedExpert, phase: str) -> Iterator[None]:
+    """Wait for a phase, or a later one."""
+    while PHASES.index(expert.observation.phase) < PHASES.index(phase):
+        yield
+
+
+def take(
+    expert: ScriptedExpert, node: int, grip: Array, s_W: Array, error: Array, held: str
+) -> Iterator[None]:
+    """Close the jaws on a node until the task's number ``held`` says that it is held.
+
+    The tip goes ``grip`` (3,) [m] from the node, along the shaft s_W (3,); half of the hand's error
+    (3,) [m] is corrected after each attempt, for a second look is a better one.
+    """
+    for attempt in range(ATTEMPTS):
+        place = expert.observation.point("nodes")[node]
+        yield from expert.move(place + grip - attempt * DEEPER * UP, 1.0)
+        yield from expert.squeeze(CLOSED, 0.6)
+        if expert.observation.number(held) >= 0.0:
+            return
+        yield from expert.squeeze(OPEN, 0.3)
+        yield from expert.move(place + grip - AGAIN * s_W, 0.5)
+        grip = grip - 0.5 * error
 
 
 class RobotExpert(ArmExpert):
@@ -72,7 +92,7 @@ class RobotExpert(ArmExpert):
 
     def script(self) -> Iterator[None]:
         """See ``ArmExpert``."""
-        yield from self.until("grasp")
+        yield from until(self, "grasp")
         yield from self.wait(self._reaction)
         self.jaw = OPEN
         node = int(self.observation.number("target"))
@@ -85,16 +105,8 @@ class RobotExpert(ArmExpert):
         yield from self.move(place + grip - ABOVE * s, 1.0)
         while not self.roll.arrived:
             yield
-        for attempt in range(ATTEMPTS):
-            place = self.observation.point("nodes")[node]
-            yield from self.move(place + grip - attempt * DEEPER * UP, 1.0)
-            yield from self.squeeze(CLOSED, 0.6)
-            if self.observation.number("held") >= 0.0:
-                break
-            yield from self.squeeze(OPEN, 0.3)
-            yield from self.move(place + grip - AGAIN * s, 0.5)
-            grip = grip - 0.5 * self._error  # a second look is a better one
-        yield from self.until("retract")
+        yield from take(self, node, grip, s, self._error, "held")
+        yield from until(self, "retract")
         yield from self.wait(self._reaction)
         yield from self.move(self.observation.point("tip") + LIFT * UP, 1.5)
         away = self.observation.point("tip") - self.observation.point("assistant_tip")
@@ -108,13 +120,8 @@ class RobotExpert(ArmExpert):
                 self.path.stay(self.local(tip + pulled * away))
             yield
 
-    def until(self, phase: str) -> Iterator[None]:
-        """Wait for a phase, or a later one."""
-        while PHASES.index(self.observation.phase) < PHASES.index(phase):
-            yield
 
-
-class AssistantExpert(Expert):
+class AssistantExpert(ScriptedExpert):
     """At the assistant's instrument: points, waits, takes its own hold, lifts."""
 
     def __init__(self, seed: int) -> None:
@@ -125,14 +132,13 @@ class AssistantExpert(Expert):
         self.path = MinimumJerk(np.zeros(3), 0.06, 0.3)
         self.roll = MinimumJerk(np.zeros(1), 1.5, 6.0)
         self._script: Iterator[None] | None = None
-        self.observation: Observation
 
     def act(self, observation: Observation) -> Action:
         """See :class:`Expert`."""
         self.observation = observation
         if self._script is None:
-            self._X = observation.point("X_WAssistant")
-            self.path.stay(into(self._X, observation.point("assistant_tip")))
+            self.X_WR = observation.point("X_WAssistant")
+            self.path.stay(self.local(observation.point("assistant_tip")))
             self.roll.stay(observation.point("assistant_joints")[3:])
             self._script = self.script()
         next(self._script, None)
@@ -146,45 +152,21 @@ class AssistantExpert(Expert):
         nodes = self.observation.point("nodes")
         side = -along(nodes, node) * 0.006  # beside the place, so that the robot gets at it
         yield from self.move(nodes[node] + POINT_HEIGHT * UP + side + self._error[0])
-        while PHASES.index(self.observation.phase) < PHASES.index("grasp"):
-            yield
+        yield from until(self, "grasp")
         yield from self.wait(self._reaction[1])
         mine = node - APART
         self.jaw = OPEN
         nodes = self.observation.point("nodes")
-        p = into(self._X, nodes[mine])
+        p = self.local(nodes[mine])
         s = p / np.linalg.norm(p)
+        s_W = self.X_WR[:3, :3] @ s
         y = minimal_rotation(np.array([0.0, 0.0, 1.0]), s) @ np.array([0.0, 1.0, 0.0])
-        self.roll.go(np.array([roll_across(s, y, self._X[:3, :3].T @ along(nodes, mine))]))
-        grip = GRIP_HEIGHT * UP + GRIP_DEPTH * (self._X[:3, :3] @ s) + self._error[1]
-        above = grip - ABOVE * (self._X[:3, :3] @ s)
+        self.roll.go(np.array([roll_across(s, y, self.X_WR[:3, :3].T @ along(nodes, mine))]))
+        grip = GRIP_HEIGHT * UP + GRIP_DEPTH * s_W + self._error[1]
+        above = grip - ABOVE * s_W
         yield from self.move(nodes[mine] + above)
-        while PHASES.index(self.observation.phase) < PHASES.index("assist"):
-            yield
+        yield from until(self, "assist")
         yield from self.wait(self._reaction[2])
-        for attempt in range(ATTEMPTS):
-            place = self.observation.point("nodes")[mine]
-            yield from self.move(place + grip - attempt * DEEPER * UP, 1.0)
-            self.jaw = CLOSED
-            yield from self.wait(0.6)
-            if self.observation.number("assistant_held") >= 0.0:
-                break
-            self.jaw = OPEN
-            yield from self.wait(0.3)
-            yield from self.move(place + grip - AGAIN * (self._X[:3, :3] @ s), 0.5)
-            grip = grip - 0.5 * self._error[1]
-        while PHASES.index(self.observation.phase) < PHASES.index("retract"):
-            yield
+        yield from take(self, mine, grip, s_W, self._error[1], "assistant_held")
+        yield from until(self, "retract")
         yield from self.move(self.observation.point("assistant_tip") + LIFT * UP, 1.5)
-
-    def wait(self, seconds: float) -> Iterator[None]:
-        """Stay as things are."""
-        for _ in range(max(1, round(seconds / STEP))):
-            yield
-
-    def move(self, p_W: Array, slowest: float = 0.0) -> Iterator[None]:
-        """Bring the tip to a point of the world [m]."""
-        self.path.go(into(self._X, p_W), slowest)
-        while not self.path.arrived:
-            yield
-        yield from self.wait(0.15)

@@ -24,20 +24,8 @@ from surg_sim.physics.endoscope_projection import EndoscopeView
 from surg_sim.physics.patient_site import Site
 from surg_sim.physics.tissue import add_bowel
 from surg_sim.physics.tissue_grasp import Grasp, add_grasp
-from surg_sim.tasks.bgr.bgr_definition import (
-    ASSISTANT,
-    LEAST_APART,
-    NOBODY,
-    PHASES,
-    POINT_AT,
-    POINT_FOR,
-    RIGHT,
-    ROBOT,
-    STILL_FOR,
-    STILL_SPEED,
-    TARGETS,
-    TAUT,
-)
+from surg_sim.tasks.bgr import bgr_definition as defined
+from surg_sim.tasks.bgr.bgr_definition import ASSISTANT, NOBODY, PHASES, ROBOT
 from surg_sim.tasks.bgr.bgr_expert import AssistantExpert, RobotExpert
 from surg_sim.tasks.task import State, Task, Verdict
 
@@ -92,7 +80,7 @@ class Bgr(Task):
             grasp.reset()
         self.bowel.reset(rng)
         self.bowel.bed.move(self._breathing.bed())
-        self.target = int(rng.integers(TARGETS[0], TARGETS[1] + 1))
+        self.target = int(rng.integers(defined.TARGETS[0], defined.TARGETS[1] + 1))
         self.assistant.reset()
         self.phase = "point"
         self._failure = ""
@@ -140,11 +128,15 @@ class Bgr(Task):
             return
         if robot is None:
             self._failure = "the robot lost its grasp"
-        elif abs(robot - self.target) > RIGHT:
+        elif abs(robot - self.target) > defined.RIGHT:
             self._failure = f"wrong place: node {robot} is held, {self.target} was pointed at"
         elif stage >= PHASES.index("retract") and other is None:
             self._failure = "the assistant lost its grasp"
-        elif self.phase == "assist" and other is not None and abs(other - robot) >= LEAST_APART:
+        elif (
+            self.phase == "assist"
+            and other is not None
+            and abs(other - robot) >= defined.LEAST_APART
+        ):
             self.phase = "retract"
 
     def _look(self) -> None:
@@ -155,8 +147,8 @@ class Bgr(Task):
         self._places = tips
         if self.phase == "point":
             away = float(np.linalg.norm(tips[1] - self.bowel.nodes[self.target]))
-            self._pointing = self._pointing + 1 if away <= POINT_AT else 0
-            if self._pointing * GRID * TICK >= POINT_FOR:
+            self._pointing = self._pointing + 1 if away <= defined.POINT_AT else 0
+            if self._pointing * GRID * TICK >= defined.POINT_FOR:
                 self.phase = "grasp"
         robot, other = self.held(ROBOT), self.held(ASSISTANT)
         self.tension, self.visible = 0.0, False
@@ -168,10 +160,10 @@ class Bgr(Task):
         self.visible = self.view.sees(self.bowel.nodes[first : last + 1])
         if self.phase not in ("retract", "still") or self._failure:
             return
-        shown = self.tension >= TAUT and self.visible
+        shown = self.tension >= defined.TAUT and self.visible
         self.phase = "still" if shown else "retract"
-        self._still = self._still + 1 if shown and speed <= STILL_SPEED else 0
-        if self._still * GRID * TICK >= STILL_FOR:
+        self._still = self._still + 1 if shown and speed <= defined.STILL_SPEED else 0
+        if self._still * GRID * TICK >= defined.STILL_FOR:
             self.phase = "done"
 
     def state(self) -> State:

@@ -52,11 +52,7 @@ MAX_ERROR = 120.0
 
 
 class InstrumentPath:
-    """A smooth random path of the instrument's tip: sums of slow sinusoids that start at zero.
-
-    Args:
-        rng: Draws it.
-    """
+    """A smooth random path of the instrument's tip: sums of slow sinusoids that start at zero."""
 
     def __init__(self, rng: np.random.Generator) -> None:
         self._frequency = rng.uniform(SLOW, FAST, (WAVES, 3))

@@ -20,12 +20,7 @@ PARTLY_OPEN = 0.34
 class PegTransferExpert(ArmExpert):
     """Grasps the ring at its rim, carries it to the other board, lowers and releases it.
 
-    Args:
-        cell: The cell.
-        seed: Seed of its imperfections.
-        arm: Name of the arm.
-        ring_radius: Of the ring's centre line [m].
-        peg_height: Height of the pegs above their board [m].
+    Radius of the ring's centre line and height of the pegs above their board in m.
     """
 
     def __init__(
