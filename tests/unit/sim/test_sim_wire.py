@@ -12,6 +12,7 @@ from surg_core.contract import SECOND_NS
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.sim_parameters import BridgeSettings, EndoscopeSettings
 from surg_sim.physics.ground_truth import ArmTruth
+from surg_sim.tasks import Verdict
 
 rospy = pytest.importorskip("rospy")
 
@@ -159,7 +160,8 @@ def test_task_state_round_trip() -> None:
         }
         layout = bridge_messages.TaskStateLayout(state)
         outcome = (bool(tick % 2), False, "lost, and \u201cgone\u201d" * (tick % 3))
-        data = layout.pack(STAMP_NS, tick, state, "retract", outcome, 0.25)
+        verdict = Verdict(*outcome, phase="retract", reward=0.25)
+        data = layout.pack(STAMP_NS, tick, state, verdict)
         message = TaskState().deserialize(data)
         assert serialised(message) == data
         assert (message.tick, message.phase, message.reward) == (tick, "retract", 0.25)
@@ -178,7 +180,7 @@ def test_a_task_state_keeps_its_shape() -> None:
     layout = bridge_messages.TaskStateLayout({"p": np.zeros(3), "t": 1.0})
     for other in ({"p": np.zeros(4), "t": 1.0}, {"p": np.zeros(3)}, {"t": np.zeros(3), "p": 1.0}):
         with pytest.raises(ValueError, match="task's state was"):
-            layout.pack(0, 1, other, "", (False, False, ""), 0.0)
+            layout.pack(0, 1, other, Verdict())
     for names, values in ((["p[3]"], [1.0, 2.0]), (["p[2]"], [1.0, 2.0, 3.0]), (["t"], [])):
         with pytest.raises(ValueError, match="values"):
             bridge_messages.task_state(names, values)

@@ -50,11 +50,8 @@ class TwistBytes(_Bytes, TwistStamped):
 class ArmTopics:
     """Publishers and subscribers of one arm's robot and tool link.
 
-    Args:
-        arm: The cell's arm.
-        lockstep: Commands are received by threads; in free-run the tick fetches them itself.
-        track_stale: Age of the trocar's position on ``rcm/track`` [s]; negative: not published.
-        receive: Called with every command.
+    In lock-step commands are received by threads; in free-run the tick fetches them itself. The
+    position of the trocar on ``rcm/track`` is ``track_stale`` old [s]; negative: not published.
     """
 
     def __init__(

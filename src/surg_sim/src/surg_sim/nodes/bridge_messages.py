@@ -16,6 +16,7 @@ import numpy as np
 from surg_core.contract import SECOND_NS
 from surg_sim.arrays import Array
 from surg_sim.physics.ground_truth import ArmTruth
+from surg_sim.tasks import Verdict
 
 
 def text(words: str) -> bytes:
@@ -34,26 +35,15 @@ def _doubles(values: Array) -> bytes:
 
 
 class JointStateLayout:
-    """sensor_msgs/JointState with fixed names, positions and velocities, no efforts.
-
-    Args:
-        names: Joint names.
-    """
+    """sensor_msgs/JointState with fixed names, positions and velocities, no efforts."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = struct.pack("<I", len(names)) + b"".join(map(text, names))
 
     def pack(self, seq: int, stamp_ns: int, position: Array, velocity: Array) -> bytes:
         """The message as bytes; position and velocity are (n,)."""
-        return b"".join(
-            (
-                header(seq, stamp_ns),
-                self._names,
-                _doubles(position),
-                _doubles(velocity),
-                b"\0\0\0\0",
-            )
-        )
+        values = _doubles(position), _doubles(velocity)
+        return b"".join((header(seq, stamp_ns), self._names, *values, b"\0\0\0\0"))
 
 
 def pack_link_status(
@@ -97,8 +87,7 @@ def pack_ground_truth(stamp_ns: int, tick: int, arms: Iterable[tuple[str, ArmTru
 class TaskStateLayout:
     """surg_msgs/TaskState of a task, whose entries keep their names, order and shapes.
 
-    Args:
-        state: An example of what the task says of itself.
+    They are those of an example of what the task says of itself.
     """
 
     def __init__(self, state: Mapping[str, float | Array]) -> None:
@@ -107,23 +96,9 @@ class TaskStateLayout:
         self._head = struct.pack("<I", len(self.names)) + b"".join(map(text, self.names))
 
     def pack(
-        self,
-        stamp_ns: int,
-        tick: int,
-        state: Mapping[str, float | Array],
-        phase: str,
-        outcome: tuple[bool, bool, str],
-        reward: float,
+        self, stamp_ns: int, tick: int, state: Mapping[str, float | Array], verdict: Verdict
     ) -> bytes:
         """The message as bytes.
-
-        Args:
-            stamp_ns: Of the state [ns].
-            tick: Its tick.
-            state: Entries as in the example.
-            phase: Name of the phase.
-            outcome: Done, success, reason.
-            reward: Of this tick.
 
         Raises:
             ValueError: An entry has come, gone or changed its shape.
@@ -133,17 +108,16 @@ class TaskStateLayout:
             raise ValueError(f"the task's state was {self._shapes} and is {shapes}")
         flat = [np.ravel(value) for value in state.values()]
         values = np.concatenate(flat) if flat else np.zeros(0)
-        done, success, reason = outcome
         return b"".join(
             (
                 header(tick, stamp_ns),
                 struct.pack("<Q", tick),
                 self._head,
                 _doubles(values),
-                text(phase),
-                struct.pack("<2B", done, success),
-                text(reason),
-                struct.pack("<d", reward),
+                text(verdict.phase),
+                struct.pack("<2B", verdict.done, verdict.success),
+                text(verdict.reason),
+                struct.pack("<d", verdict.reward),
             )
         )
 
@@ -158,7 +132,7 @@ def task_state(names: Iterable[str], values: Sequence[float]) -> dict[str, float
     Raises:
         ValueError: Names and number of values do not belong together.
     """
-    found: dict[str, float | Array] = {}
+    state: dict[str, float | Array] = {}
     start = 0
     for entry in names:
         name, _, rest = entry.partition("[")
@@ -167,11 +141,11 @@ def task_state(names: Iterable[str], values: Sequence[float]) -> dict[str, float
         part = np.array(values[start:end], dtype=np.float64)
         if len(part) != end - start:
             raise ValueError(f"{len(values)} values end within {entry!r}")
-        found[name] = part.reshape(shape) if rest else float(part[0])
+        state[name] = part.reshape(shape) if rest else float(part[0])
         start = end
     if start != len(values):
         raise ValueError(f"{len(values)} values for names of {start}")
-    return found
+    return state
 
 
 def pack_wrench(stamp_ns: int, seq: int, frame: bytes, force: Array) -> bytes:

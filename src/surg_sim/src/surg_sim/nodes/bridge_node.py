@@ -72,8 +72,7 @@ def main() -> int:
         return 2
     # Switch threads quickly: answers arrive on threads of their own.
     sys.setswitchinterval(1e-4)
-    bridge = Bridge(settings, cell, world, injector)
-    return bridge.run(_viewer(world) if settings.view else lambda: None)
+    return Bridge(settings, world, injector).run(_viewer(world) if settings.view else lambda: None)
 
 
 if __name__ == "__main__":

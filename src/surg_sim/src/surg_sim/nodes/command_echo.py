@@ -33,9 +33,7 @@ class CommandEcho:
     def is_late(self, stamp_ns: int) -> bool:
         """Whether a command answers a state that is more than ``MAX_AGE`` ticks old.
 
-        Args:
-            stamp_ns: Stamp of the command. An unknown stamp, or 0, belongs to another clock and
-                is not late.
+        A command with an unknown stamp, or 0, belongs to another clock and is not late.
         """
         answered = self._ticks.get(stamp_ns, self._ticks.get(stamp_ns - TICK_NS, self._tick))
         return self._tick - answered > MAX_AGE

@@ -32,12 +32,7 @@ COMMANDS = ("state_command", "hold", "jaw/servo_jp", "servo_cp")
 
 
 class ExpertNode:
-    """Wires a scripted sender to the topics.
-
-    Args:
-        expert: The sender.
-        assistant: Whether it commands the assistant's instrument.
-    """
+    """Wires a scripted sender, which may command the assistant's instrument, to the topics."""
 
     def __init__(self, expert: Expert, assistant: bool) -> None:
         self._expert, self._reason = expert, ""

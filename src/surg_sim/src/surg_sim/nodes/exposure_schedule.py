@@ -19,10 +19,7 @@ RENDER_TIMEOUT = 250
 class ExposureSchedule:
     """Decides in each tick whether its state is exposed.
 
-    One thread may ask while another reports rendered ticks.
-
-    Args:
-        wait_for_renderer: Wait until the renderer has finished (free-run).
+    One thread may ask while another reports rendered ticks. In free-run it waits for the renderer.
     """
 
     def __init__(self, wait_for_renderer: bool) -> None:

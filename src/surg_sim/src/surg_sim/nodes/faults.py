@@ -55,9 +55,9 @@ class NotFinite(Lasting):
 
     kind: ClassVar[str] = "not_finite"
     ticks: int = whole(0, FOREVER, 1)
-    joint: int = whole(0, 15, 0)  # index of the joint
-    quantity: str = one_of(("position", "velocity"), "position")  # the affected quantity
-    value: str = one_of(("nan", "inf", "-inf"), "nan")  # the value reported instead
+    joint: int = whole(0, 15, 0)
+    quantity: str = one_of(("position", "velocity"), "position")
+    value: str = one_of(("nan", "inf", "-inf"), "nan")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ class Wire(Lasting):
     """
 
     kind: ClassVar[str] = "wire"
-    topic: str = one_of(WIRES, WIRES[0])  # the wire
+    topic: str = one_of(WIRES, WIRES[0])
     loss: float = real(0.0, 1.0, 0.0)  # probability that a loss begins with a packet
     burst: int = whole(1, 500, 1)  # packets that one loss takes
     duplicate: float = real(0.0, 1.0, 0.0)  # probability that a packet arrives twice

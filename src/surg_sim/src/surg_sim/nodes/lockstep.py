@@ -62,8 +62,8 @@ class Lockstep:
     ) -> None:
         self._answered = {(arm, link): 0 for arm in arms for link in LINKS}
         self._participants = {name: _Participant() for name in participants}
-        self._observers = dict.fromkeys(observers or {}, 0)
         self._windows = dict(observers or {})
+        self._observers = dict.fromkeys(self._windows, 0)
         self._republish, self._abort, self._strict = republish, abort, strict
         self._waiting_since = self._asked_at = 0.0
         self.tick = 0
@@ -75,11 +75,9 @@ class Lockstep:
         self._waiting_since = self._asked_at = now
 
     def answer(self, arm: str, link: str, tick: int) -> bool:
-        """A link command stamped with ``tick`` has arrived.
+        """A link command stamped with ``tick`` has arrived; whether it must be used.
 
-        Returns:
-            True for the first answer to the present state; late, repeated and early answers must
-            not be used.
+        Only the first answer to the present state: not late, repeated and early ones.
         """
         key = (arm, link)
         if tick != self.tick or self._answered[key] == tick:
@@ -99,11 +97,8 @@ class Lockstep:
     def ready(self, name: str, tick: int, done: bool, sent: int = 0) -> None:
         """Take a ``Ready``; undeclared senders are ignored.
 
-        Args:
-            name: Of the sender.
-            tick: The sender is done with this tick.
-            done: The sender is done with the run.
-            sent: Running total of its commands to the assistant.
+        The sender is done with this tick, or with the run; ``sent`` is the running total of its
+        commands to the assistant.
         """
         if name in self._participants:
             participant = self._participants[name]

@@ -12,18 +12,18 @@ from typing import Any
 import rospy
 from std_msgs.msg import String
 
-import surg_core
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import Ready, SimStatus, TaskStatus
 from surg_ros.transport.direct_publisher import speakers
 from surg_sim.nodes import faults
 from surg_sim.nodes.arm_topics_node import ArmTopics, Arrival
+from surg_sim.nodes.assistant_topics_node import AssistantTopics
 from surg_sim.nodes.exposure_schedule import RENDERER, ExposureSchedule
 from surg_sim.nodes.fault_injector import Injector
 from surg_sim.nodes.lockstep import OBSERVER_WINDOWS, Action, Lockstep
 from surg_sim.nodes.sim_parameters import BridgeSettings
 from surg_sim.nodes.state_publisher_node import StatePublisher
-from surg_sim.nodes.task_topics_node import AssistantTopics, TaskTopics
+from surg_sim.nodes.task_topics_node import TaskTopics
 from surg_sim.physics.hand_guiding import HandGuiding
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.world import World
@@ -38,21 +38,9 @@ class Bridge:
     Lock-step: the thread that receives the last missing answer executes the tick and publishes the
     next state itself, without a timer or a hand-over. Free-run: one loop ticks at 500 Hz by the
     steady clock.
-
-    Args:
-        settings: The node's parameters.
-        cell: The loaded cell.
-        world: Its world.
-        injector: The faults between world and links.
     """
 
-    def __init__(
-        self,
-        settings: BridgeSettings,
-        cell: surg_core.Cell,
-        world: World,
-        injector: Injector,
-    ) -> None:
+    def __init__(self, settings: BridgeSettings, world: World, injector: Injector) -> None:
         self._settings, self._world, self._injector = settings, world, injector
         self.lockstep = settings.mode == "lockstep"
         self._lock = threading.Lock()
@@ -78,7 +66,7 @@ class Bridge:
         self._guided: dict[str, HandGuiding] = {}
         rospy.Subscriber("/sim/by_hand", String, self._on_by_hand)
         self._arms = [
-            ArmTopics(cell.arms[name], self.lockstep, settings.track_stale, self._on_command)
+            ArmTopics(world.cell.arms[name], self.lockstep, settings.track_stale, self._on_command)
             for name in world.arms
         ]
         self._task = None if world.task is None else TaskTopics(self, world, settings.setting)
@@ -235,13 +223,9 @@ class Bridge:
     # --- the two modes ----------------------------------------------------------------------
 
     def run(self, view: Callable[[], None]) -> int:
-        """Serve until shutdown.
+        """Serve until shutdown; the exit code is 1 after an aborted lock-step run, else 0.
 
-        Args:
-            view: Updates a viewer; called a few times a second with the lock held.
-
-        Returns:
-            Exit code: 1 after an aborted lock-step run, else 0.
+        ``view`` updates a viewer; it is called a few times a second with the lock held.
         """
         work = self._watch_lockstep if self.lockstep else self._free_run
         worker = threading.Thread(target=work, daemon=True)

@@ -19,23 +19,22 @@ _SEEDS = 2**31 - 1
 class BridgeSettings:
     """Parameters of the node ``/sim``."""
 
-    cell: str = text()  # path of the cell
-    mode: str = one_of(MODES, "lockstep")  # ``lockstep`` or ``freerun``
+    cell: str = text()
+    mode: str = one_of(MODES, "lockstep")
     participants: tuple[str, ...] = names(())  # declared commanders, waited for in every tick
     # Which of recorder and endoscope take part.
     observers: tuple[str, ...] = names((), options=tuple(OBSERVER_WINDOWS))
     arms: tuple[str, ...] = names(())  # arms to simulate; empty: all of the cell
-    seed: int = whole(0, _SEEDS, 0)  # seed of the world
+    seed: int = whole(0, _SEEDS, 0)
     view: bool = flag(False)  # open a viewer window where there is a display
     # The simulator tracks the trocars and publishes ``rcm/track``, this old [s]; -1: it does not.
     # In lock-step the controller must have ``sim`` among its participants.
     track_stale: float = real(-1.0, 1.0, -1.0)
     task: str = text("", empty=True)  # name or file of the task that is played; empty: none
-    # Name of the physical setting; empty: the simulator's own parameters.
-    setting: str = text("", empty=True)
+    setting: str = text("", empty=True)  # empty: the simulator's own parameters
     # Free-run: the phantom goes on when its task is over, for people who try again.
     endless: bool = flag(False)
-    faults: str = text("", empty=True)  # faults from the start, as JSON (``faults``)
+    faults: str = text("", empty=True)  # from the start, as JSON (``faults``)
     inject: bool = flag(False)  # take further faults on ``/sim/inject``
     # Longest wait for everybody to connect in lock-step [s].
     connect_timeout: float = real(1.0, 3600.0, 60.0)
@@ -49,15 +48,15 @@ class BridgeSettings:
 
 @dataclass(frozen=True)
 class EndoscopeSettings:
-    """Parameters of the node ``/endoscope``."""
+    """Parameters of the node ``/endoscope``; cell, arms, task and setting are the bridge's."""
 
-    cell: str = text()  # path of the cell, the same as the bridge's
+    cell: str = text()
     # ``lockstep`` (every snapshot) or ``freerun`` (the newest one only).
     mode: str = one_of(MODES, "lockstep")
-    arms: tuple[str, ...] = names(())  # as for the bridge
-    seed: int = whole(0, _SEEDS, 0)  # as for the bridge: it draws the tissue
-    task: str = text("", empty=True)  # as for the bridge
-    setting: str = text("", empty=True)  # as for the bridge
+    arms: tuple[str, ...] = names(())
+    seed: int = whole(0, _SEEDS, 0)  # the bridge's: it draws the tissue
+    task: str = text("", empty=True)
+    setting: str = text("", empty=True)
     views: tuple[str, ...] = names(("left",))  # which of ``left`` and ``right`` are rendered
     width: int = whole(16, 1920, 640)  # [px]
     height: int = whole(16, 1080, 480)  # [px]
@@ -79,7 +78,7 @@ class SenderSettings:
     """Parameters of a scripted sender."""
 
     cell: str = text()  # path of the cell, the same as the bridge's
-    task: str = text()  # as for the bridge
+    task: str = text()
     seed: int = whole(0, _SEEDS, 0)  # of the sender's imperfections
 
 

@@ -23,18 +23,9 @@ _JAW = bridge_messages.JointStateLayout(["jaw"])
 
 
 class StatePublisher:
-    """Create it after the task's topics: a subscriber of ground truth then knows of the task.
+    """Publishes states; in lock-step, slow subscribers are waited for.
 
-    Args:
-        world: The world.
-        injector: The faults between world and links.
-        arms: Topics of the arms.
-        task: Topics of the task; None: there is none.
-        exposures: When the state is sent to the renderer.
-        lockstep: Slow subscribers are waited for.
-
-    Attributes:
-        stamp_ns: Stamp of the state that was published last.
+    Create it after the task's topics: a subscriber of ground truth then knows of the task.
     """
 
     def __init__(
@@ -49,6 +40,7 @@ class StatePublisher:
         self._world, self._injector, self._arms, self._task = world, injector, arms, task
         self._exposures, self._lockstep = exposures, lockstep
         self.stamp_ns = 0
+        """Stamp of the state that was published last."""
         self._clock = DirectPublisher("/clock", Clock, lockstep)
         self._snapshot = rospy.Publisher(
             "/sim/snapshot", SimSnapshot, queue_size=0 if lockstep else 2, tcp_nodelay=True
@@ -93,24 +85,19 @@ class StatePublisher:
             angle, velocity = jaw
             arm.tool.send(_JAW.pack(tick, stamp_ns, np.array([angle]), np.array([velocity])))
         if arm.status.connections and injector.speaks(arm.name):
+            last, stopped = arm.last_command_ns, link.dead_man
             arm.status.send(
                 bridge_messages.pack_link_status(
-                    stamp_ns,
-                    tick,
-                    arm.command,
-                    arm.last_command_ns,
-                    link.dead_man,
-                    self._lockstep,
-                    link.fault,
+                    stamp_ns, tick, arm.command, last, stopped, self._lockstep, link.fault
                 )
             )
         observation = None if arm.track is None else injector.track(arm.name, arm.stale)
         if arm.track is not None and observation is not None:
-            observed_tick, p_BRcm, v_BRcm = observation
+            observed_tick, *motion = observation
             observed_ns = stamp_ns - (tick - observed_tick) * TICK_NS
             arm.tracked += 1
             arm.track.send(
-                bridge_messages.pack_point_velocity(observed_ns, tick, arm.frame, p_BRcm, v_BRcm)
+                bridge_messages.pack_point_velocity(observed_ns, tick, arm.frame, *motion)
             )
 
     def unconnected(
@@ -118,10 +105,7 @@ class StatePublisher:
     ) -> list[str]:
         """One sentence per missing connection.
 
-        Args:
-            observers: Declared observers.
-            ready: Nodes that publish /sim/ready.
-            controllers: Nodes that control each arm.
+        Declared observers, nodes that publish /sim/ready, and the nodes that control each arm.
         """
         missing = []
         if self._tracker is not None:
