@@ -41,11 +41,11 @@ class ClockStatus:
     path_delay: float = math.nan
     """One-way delay of the network [s]; NaN while not measured and on the grandmaster."""
     grandmaster: str = ""
-    """Identity of the clock that all follow; empty: none is known."""
+    """Identity of the clock that all follow; empty if unknown."""
     clock: str = ""
     """Identity of this machine's clock."""
     problem: str = ""
-    """Why nothing is known; empty when the daemon answered."""
+    """Why the state is unknown; empty if the daemon answered."""
 
     def fault(self, bound: float = OFFSET_BOUND) -> str:
         """Why this clock is not synchronised within ``bound`` [s]; empty if it is."""
@@ -108,7 +108,7 @@ class _Answers:
     """The management responses in the output of ``pmc``.
 
     Attributes:
-        sets: Key and value by data set.
+        sets: Key and value by PTP data set.
         ports: The same of every port.
         refused: Whether a data set was refused.
         clock: Identity of the answering clock.

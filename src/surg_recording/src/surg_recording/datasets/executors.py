@@ -32,11 +32,7 @@ CONNECT_S = 20
 
 
 def run(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:
-    """Do the jobs in any order; ``done`` is called in this thread for each.
-
-    Raises:
-        ExportError: The executor is not installed or cannot be reached.
-    """
+    """Do the jobs in any order, ``done`` with each; an ExportError if the executor is missing."""
     if not jobs:
         return
     if options.executor == "serial":

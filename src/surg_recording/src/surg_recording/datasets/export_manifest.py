@@ -16,11 +16,7 @@ FORMAT = "surg_export/1"
 
 
 def check(out: Path, exporter: Exporter) -> Report:
-    """Check a finished export: the exporter's validation, and the checksum of every file.
-
-    Raises:
-        ExportError: It is no export, or of another format.
-    """
+    """Validate a finished export and its checksums; an ExportError if it is no such export."""
     stated = read_manifest(out)
     if stated["exporter"] != exporter.name:
         raise ExportError(f"{out}: an export of format {stated['exporter']}, not {exporter.name}")
@@ -36,11 +32,7 @@ def check(out: Path, exporter: Exporter) -> Report:
 
 
 def read_manifest(out: Path) -> dict[str, Any]:
-    """``surg_export.json`` of an export.
-
-    Raises:
-        ExportError: It cannot be read.
-    """
+    """``surg_export.json`` of an export; an ExportError if it cannot be read."""
     try:
         stated = json.loads((out / MANIFEST).read_text("utf-8"))
     except (OSError, ValueError) as problem:
@@ -53,11 +45,7 @@ def read_manifest(out: Path) -> dict[str, Any]:
 def is_up_to_date(
     out: Path, exporter: Exporter, keys: Sequence[str], options: ExportOptions, report: Report
 ) -> bool:
-    """Whether the export of these recordings is there already; False: it may be replaced.
-
-    Raises:
-        ExportError: The folder holds something else.
-    """
+    """Whether this export is there already; an ExportError if the folder holds something else."""
     if not out.is_dir() or (any(out.iterdir()) and not (out / MANIFEST).exists()):
         raise ExportError(f"--out {out}: holds something that is no export; name another folder")
     if not any(out.iterdir()):

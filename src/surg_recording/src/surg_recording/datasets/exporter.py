@@ -114,11 +114,7 @@ class Part:
 
     @staticmethod
     def load(folder: Path) -> Part:
-        """Read ``part.json``.
-
-        Raises:
-            EpisodeError: It is missing or broken; the folder should be deleted.
-        """
+        """Read ``part.json``; an EpisodeError if it is missing or broken."""
         try:
             stated = json.loads((folder / PART).read_text("utf-8"))
             stated["folder"] = folder
@@ -208,22 +204,14 @@ class Exporter(abc.ABC):
 
     @abc.abstractmethod
     def assemble(self, dataset: Dataset, out: Path) -> None:
-        """Assemble parts in an empty folder.
-
-        Raises:
-            EpisodeError: They do not fit together.
-        """
+        """Assemble parts in an empty folder; an EpisodeError if they do not fit together."""
 
     @abc.abstractmethod
     def validate(self, out: Path) -> Report:
         """Check a finished export by reading everything in it."""
 
     def require(self) -> None:
-        """Check that the format's packages are installed.
-
-        Raises:
-            ExportError: Names the missing modules and how to get them.
-        """
+        """Check that the format's packages are installed; an ExportError names those missing."""
         missing = [name for name in self.needs if importlib.util.find_spec(name) is None]
         if missing:
             cures = "; ".join(f"{name}: {self.needs[name]}" for name in missing)

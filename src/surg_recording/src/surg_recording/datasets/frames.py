@@ -14,11 +14,7 @@ from surg_recording.recording_errors import EpisodeError
 
 
 def put_frames(stored: Any, sampled: Sampled, feature: Feature, options: ExportOptions) -> None:
-    """Write the frames of a camera into an array of HDF5 or Zarr.
-
-    Raises:
-        EpisodeError: Frames are missing, or of another size.
-    """
+    """Write a camera's frames into an array; an EpisodeError if one is missing or another size."""
     done = 0
     for frame in sampled.frames(feature.name):
         image = pictures.rgb(frame, options.size)
@@ -35,11 +31,7 @@ def put_frames(stored: Any, sampled: Sampled, feature: Feature, options: ExportO
 def check_frames(
     stored: Any, where: object, sampled: Sampled, feature: Feature, options: ExportOptions
 ) -> None:
-    """Compare a stored array (in the file ``where``) with the recording's pictures.
-
-    Raises:
-        EpisodeError: They differ.
-    """
+    """Compare an array of the file ``where`` with the recording; EpisodeError on a difference."""
     for number, frame in enumerate(sampled.frames(feature.name)):
         if not np.array_equal(stored[number], pictures.rgb(frame, options.size)):
             raise EpisodeError(f"{where}: {stored.name}: frame {number} differs")

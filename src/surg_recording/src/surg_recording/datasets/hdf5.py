@@ -62,11 +62,7 @@ def put_pictures(
 
 
 def check_array(stored: h5py.Dataset, values: npt.NDArray[Any]) -> None:
-    """Compare a stored array with the intended one.
-
-    Raises:
-        EpisodeError: They differ.
-    """
+    """Compare a stored array with the intended one; an EpisodeError if they differ."""
     read_back = stored.asstr()[()] if h5py.check_string_dtype(stored.dtype) else stored[()]
     if not np.array_equal(read_back, values):
         raise EpisodeError(f"{stored.file.filename}: {stored.name}: read back something else")

@@ -84,11 +84,7 @@ class Candidate:
 
 
 def look(folder: Path, options: ExportOptions) -> Candidate:
-    """Judge a recording by its manifest.
-
-    Raises:
-        EpisodeError: It cannot be exported; states why, and what would allow it.
-    """
+    """Judge a recording by its manifest; an EpisodeError states what would allow its export."""
     recorded = episode_reader.read(folder)
     manifest = recorded.manifest
     if not recorded.complete and not options.allow_incomplete:
@@ -125,11 +121,7 @@ _FACTS = ("task", "operator", "seed", "created", "mode", "clock")
 
 
 def layout_of(recorded: Episode, options: ExportOptions) -> Layout:
-    """The layout of a recording.
-
-    Raises:
-        EpisodeError: Something that every export needs is missing.
-    """
+    """The layout of a recording; an EpisodeError if it lacks what every export needs."""
     manifest, folder = recorded.manifest, recorded.folder
     tables = manifest["tables"]
     arms = tuple(recorded.arms)
@@ -234,11 +226,7 @@ def _sync(recorded: Episode, segment: Segment | None) -> dict[str, Any] | None:
 
 
 def _segment(recorded: Episode) -> Segment | None:
-    """The segment to export of a recording whose clock was set.
-
-    Raises:
-        EpisodeError: Its stamps cannot be compared.
-    """
+    """The segment to export after a clock step; an EpisodeError if stamps cannot be compared."""
     try:
         segment = clock_segments.longest(recorded.manifest)
     except EpisodeError as problem:

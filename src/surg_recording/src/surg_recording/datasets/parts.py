@@ -14,7 +14,6 @@ import os
 import shutil
 import socket
 import tempfile
-import time
 from pathlib import Path
 
 import surg_recording
@@ -49,18 +48,13 @@ class Outcome:
     folder: Path
     key: str
     problem: str | None = None
-    """Why there is no part; None: there is one."""
+    """Why there is no part; None if there is one."""
     made: bool = False
-    """It was made now, not found."""
-    seconds: float = 0.0
+    """Converted now, not found."""
 
 
 def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: Exporter) -> str:
-    """SHA-256 of everything that decides how a recording is converted.
-
-    Raises:
-        EpisodeError: A file is missing.
-    """
+    """SHA-256 of all inputs of a conversion; an EpisodeError if a file is missing."""
     names = ["manifest.json", inspection.SYNC_REPORT]
     names += [f"cycle_{arm}.csv" for arm in layout.arms]
     names += [f"ground_truth_{arm}.csv" for arm in layout.arms if layout.truth]
@@ -97,16 +91,12 @@ def file_hash(path: Path) -> str:
 
 def make(job: Job) -> Outcome:
     """Convert a recording unless that is done. Never raises: the outcome states the problem."""
-    started = time.monotonic()
     try:
-        made = _make(job)
+        return Outcome(job.folder, job.key, made=_make(job))
     except EpisodeError as problem:
         return Outcome(job.folder, job.key, str(problem))
-    except OSError as problem:
-        return Outcome(job.folder, job.key, f"{job.folder}: {problem}")
     except Exception as problem:  # an exporter's or a library's own: one recording, not the export
         return Outcome(job.folder, job.key, f"{job.folder}: {type(problem).__name__}: {problem}")
-    return Outcome(job.folder, job.key, None, made, time.monotonic() - started)
 
 
 def _make(job: Job) -> bool:
@@ -136,7 +126,7 @@ def _make(job: Job) -> bool:
         try:
             os.rename(work, place)
         except OSError:
-            if not (place / PART).exists():  # somebody else was not quicker
+            if not (place / PART).exists():  # no other worker was faster
                 raise
     finally:
         shutil.rmtree(work, ignore_errors=True)

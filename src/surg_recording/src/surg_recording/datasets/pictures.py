@@ -192,11 +192,7 @@ def size_of(path: Path) -> tuple[int, int]:
 
 
 def check_video(path: Path, how: ExportOptions, expected: Sequence[Print]) -> None:
-    """Read a written video back: number of frames, their times, and thumbnails.
-
-    Raises:
-        EpisodeError: A frame is not as expected.
-    """
+    """Read a video back: number, times and thumbnails of frames; EpisodeError on a difference."""
     tolerance = 4 + 0.4 * how.crf
     number = -1
     try:

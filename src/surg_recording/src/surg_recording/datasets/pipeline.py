@@ -132,11 +132,7 @@ def make_plan(
 def dry_run(
     exporter: Exporter, episodes: Sequence[Path], options: ExportOptions, progress: Progress
 ) -> Report:
-    """Read and check everything but pictures; report what an export would hold.
-
-    Raises:
-        ExportError: Nothing can be exported at all.
-    """
+    """Check everything but pictures, and report; an ExportError if nothing can be exported."""
     exporter.require()
     plan = make_plan(exporter, episodes, options, progress)
     report = Report(exporter.name, Path(), refused=dict(plan.refused))

@@ -96,11 +96,7 @@ class _Arm:
 
 
 def sample(candidate: Candidate, options: ExportOptions) -> Sampled:
-    """Read a recording and resample it.
-
-    Raises:
-        EpisodeError: Data are missing, truncated, edited, too old or too short; states where.
-    """
+    """Read and resample a recording; an EpisodeError names what is missing, broken or too old."""
     recorded = episode_reader.read(candidate.folder)
     layout, segment = candidate.layout, candidate.segment
     cycles = {name: checked_cycle(recorded, name, segment) for name in layout.arms}

@@ -68,7 +68,7 @@ class CsvTable:
         self.columns = list(columns)
         self.queue_limit = queue_limit
         self.taken = 0
-        """Rows that were put and not refused."""
+        """Rows accepted by ``put``."""
         self.rows = 0
         """Rows handed to the kernel."""
         self.dropped = 0
@@ -100,7 +100,7 @@ class CsvWriter:
 
     def __init__(self, wake_s: float = WAKE_S) -> None:
         self.error: str | None = None
-        """Why writing stopped; None while all is well."""
+        """Why writing stopped; None if it has not."""
         self.tables: list[CsvTable] = []
         self._wake_s = wake_s
         self._stop = threading.Event()
@@ -108,11 +108,7 @@ class CsvWriter:
         self._thread.start()
 
     def table(self, path: Path, columns: Sequence[str], queue_limit: int | None = None) -> CsvTable:
-        """Create a table; ``queue_limit`` rows may wait (None: any number, the sender waits).
-
-        Raises:
-            OSError: The file exists or cannot be created.
-        """
+        """Create a table, or raise an OSError; ``queue_limit`` rows may wait (None: unlimited)."""
         table = CsvTable(path, columns, queue_limit)
         self.tables = [*self.tables, table]  # a new list: the thread iterates over the old one
         return table

@@ -151,11 +151,7 @@ class Episode:
         return self.manifest.get("outcome") == "complete"
 
     def table(self, name: str) -> Table:
-        """Read a table.
-
-        Raises:
-            EpisodeError: No such table, or a broken file; states the line.
-        """
+        """Read a table; an EpisodeError if there is none, or for a broken file with its line."""
         if name not in self._tables:
             if name not in self.manifest["tables"]:
                 why = self.manifest.get("reason")
@@ -168,11 +164,7 @@ class Episode:
         return self._tables[name]
 
     def topic(self, topic: str) -> list[Table]:
-        """The tables of a topic, e.g. ``/tf``; more than one if its arrays grew.
-
-        Raises:
-            EpisodeError: The topic was not recorded.
-        """
+        """The tables of a topic (several if its arrays grew); an EpisodeError if not recorded."""
         if topic not in self.topics:
             known = ", ".join(self.topics) or "none"
             raise EpisodeError(f"{self.folder}: no topic {topic!r}; there are {known}")
@@ -191,11 +183,7 @@ class Episode:
         return table if len(table) else None
 
     def video(self, name: str) -> Video:
-        """A camera's video with its sidecar.
-
-        Raises:
-            EpisodeError: No such camera, or a file is missing.
-        """
+        """A camera's video with its sidecar; an EpisodeError if either is missing."""
         if name not in self.manifest["videos"]:
             raise EpisodeError(
                 f"{self.folder}: no video {name!r}; there are {', '.join(self.cameras) or 'none'}"
@@ -222,11 +210,7 @@ def _part_of(entry: Any) -> str | None:
 
 
 def read(folder: Path | str) -> Episode:
-    """Open an episode folder of any version.
-
-    Raises:
-        EpisodeError: It is no finished episode; states what to do.
-    """
+    """Open an episode folder of any version; an EpisodeError states what to do otherwise."""
     folder = Path(folder)
     path = folder / MANIFEST
     if folder.name.endswith(PARTIAL):
@@ -252,11 +236,7 @@ def read(folder: Path | str) -> Episode:
 
 
 def below(path: Path) -> list[Path]:
-    """The folders of episodes at or below a path, by name; unfinished and broken ones too.
-
-    Raises:
-        EpisodeError: There is no such folder.
-    """
+    """The episode folders at or below a path, by name; an EpisodeError if there is no such path."""
     if not path.is_dir():
         raise EpisodeError(f"{path}: no such folder")
     if (path / MANIFEST).is_file():

@@ -82,10 +82,8 @@ class TopicChoice:
 
     def describe(self, repeats: Mapping[str, int]) -> dict[str, dict[str, Any]]:
         """The manifest's entry of each topic, without tables; ``repeats`` counts duplicates."""
-        entries: dict[str, dict[str, Any]] = {}
-        for topic in [*self.chosen, *(p for p in self._patterns)]:
-            entries[topic] = {"type": None, "messages": 0, "tables": [], "repeats": 0}
-            entries[topic]["repeats"] = int(repeats.get(topic, 0))
-        for topic, why in self.refused.items():
-            entries[topic] = {"type": None, "messages": 0, "tables": [], "not_recorded": why}
-        return entries
+        topics = (*self.chosen, *self._patterns)
+        facts: dict[str, dict[str, Any]] = {t: {"repeats": repeats.get(t, 0)} for t in topics}
+        facts |= {topic: {"not_recorded": why} for topic, why in self.refused.items()}
+        empty: dict[str, Any] = {"type": None, "messages": 0, "tables": []}
+        return {topic: {**empty, **fact} for topic, fact in facts.items()}

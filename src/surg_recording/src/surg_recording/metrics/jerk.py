@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from surg_recording.metrics._types import ArrayLike, finite, positive
+from surg_recording.metrics._types import Array, ArrayLike, finite, positive
 
 
 def ldlj(velocity: ArrayLike, fs: float) -> float:
@@ -34,16 +34,7 @@ def ldlj(velocity: ArrayLike, fs: float) -> float:
     if v.ndim not in (1, 2):
         raise ValueError(f"ldlj: velocity has shape {v.shape}, must be (N,) or (N, D)")
     positive(fs, "ldlj: fs")
-    if len(v) < 3:
-        return math.nan
-    v = v.reshape(len(v), -1)
-    peak = float(np.max(np.linalg.norm(v, axis=1)))
-    if peak == 0.0:
-        return math.nan
-    # In units of the sampling step and the peak speed, so that nothing over- or underflows.
-    jerk = np.diff(v / peak, n=2, axis=0)
-    total = float(len(v)) ** 3 * float(np.sum(jerk**2))
-    return -math.log(total) if total > 0.0 else math.nan
+    return _log_jerk(v[:, None] if v.ndim == 1 else v, order=2)
 
 
 def ldlj_displacement(position: ArrayLike, fs: float) -> float:
@@ -66,11 +57,18 @@ def ldlj_displacement(position: ArrayLike, fs: float) -> float:
     if p.ndim != 2:
         raise ValueError(f"ldlj_displacement: position has shape {p.shape}, must be (N, D)")
     positive(fs, "ldlj_displacement: fs")
-    if len(p) < 4:
+    return _log_jerk(p - p[:1], order=3)
+
+
+def _log_jerk(x: Array, order: int) -> float:
+    """−ln( N^(2·order − 1) Σ ‖Δ^order x‖² ) of (N, D) values in units of their largest norm.
+
+    In units of the sampling step and that norm, so that nothing over- or underflows.
+    """
+    peak = np.max(np.linalg.norm(x, axis=1), initial=0.0)
+    if len(x) <= order or peak == 0.0:
         return math.nan
-    amplitude = float(np.max(np.linalg.norm(p - p[0], axis=1)))
-    if amplitude == 0.0:
-        return math.nan
-    jerk = np.diff((p - p[0]) / amplitude, n=3, axis=0)
-    total = float(len(p)) ** 5 * float(np.sum(jerk**2))
+    total = float(len(x)) ** (2 * order - 1) * float(
+        np.sum(np.diff(x / peak, n=order, axis=0) ** 2)
+    )
     return -math.log(total) if total > 0.0 else math.nan

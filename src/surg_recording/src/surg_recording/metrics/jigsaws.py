@@ -83,11 +83,7 @@ def read(folder: Path | str) -> ReferenceSet:
 
 
 def read_samples(file: Path) -> Array:
-    """The samples of one trial, (N, 76).
-
-    Raises:
-        ReferenceSetError: Empty, short, or not as the format says; states file and line.
-    """
+    """The samples of one trial, (N, 76); a ReferenceSetError with file and line if malformed."""
     rows = [
         _numbers(file, number, line.split())
         for number, line in enumerate(_lines(file), start=1)

@@ -30,11 +30,7 @@ LONGEST_GAP_S = 0.2
 
 
 def load(spec: str) -> ReferenceSet:
-    """Read a reference set ``KIND:PATH``.
-
-    Raises:
-        ReferenceSetError: Unknown kind, or nothing readable.
-    """
+    """Read a reference set ``KIND:PATH``; a ReferenceSetError if nothing is readable."""
     kind, colon, path = spec.partition(":")
     if not colon or kind not in KINDS or not path:
         known = " or ".join(f"{name}:{what}" for name, (what, _) in KINDS.items())
@@ -43,11 +39,7 @@ def load(spec: str) -> ReferenceSet:
 
 
 def measure(motion: Motion, presets: Sequence[str] = tuple(metrics.PRESETS)) -> dict[str, Any]:
-    """The metrics of one motion, under the keys of an episode's entry.
-
-    Raises:
-        ValueError: Its rate is below that of a preset.
-    """
+    """Metrics of a motion as of an episode; a ValueError if its rate is below a preset's."""
     smoothness = {name: metrics.smoothness(motion.p, motion.fs, name) for name in presets}
     return {
         "name": motion.name,

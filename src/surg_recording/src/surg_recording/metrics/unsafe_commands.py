@@ -39,7 +39,7 @@ class Rule:
         cycles: Number of cycles that break it.
         worst: Largest value, of the joint or axis nearest to its limit; None without cycles.
         limit: Its limit.
-        first_ns: Stamp of the first cycle that breaks it; None if there is none.
+        first_ns: Stamp of the first cycle that breaks it, if any.
     """
 
     name: str
@@ -56,11 +56,7 @@ def count(episode: Episode) -> int:
 
 
 def examine(episode: Episode, arm: str) -> list[Rule]:
-    """Compare the cycles of an arm with the limits recorded in the manifest.
-
-    Raises:
-        EpisodeError: There are no cycles, or the manifest lacks a limit.
-    """
+    """Compare an arm's cycles with the manifest's limits; an EpisodeError if either is missing."""
     limits = _Limits(episode, arm)
     cycle = episode.cycle(arm)
     # A cycle without a new joint state repeats its stamp: the last one counts.

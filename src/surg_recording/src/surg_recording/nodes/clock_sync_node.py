@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import rospy
@@ -48,15 +48,8 @@ class ClockSyncNode:
         if fault != self._reported:  # log changes only
             (rospy.logwarn if fault else rospy.loginfo)("clock: %s", fault or "in step")
             self._reported = fault
-        message = ClockSync(
-            clock=status.clock,
-            port_state=status.port_state,
-            offset=status.offset,
-            path_delay=status.path_delay,
-            grandmaster=status.grandmaster,
-            in_step=not fault,
-            problem=fault,
-        )
+        fields = {**asdict(status), "in_step": not fault, "problem": fault}
+        message = ClockSync(**fields)
         message.header.stamp = asked
         self._status.publish(message)
         entry = DiagnosticStatus(

@@ -1,10 +1,6 @@
 """The recorder node: topics in, one episode folder out.
 
-Parameters (private): ``out`` folder of the episode, ``cell`` folder or file, ``mode`` lockstep or
-freerun, ``arms`` and ``cameras`` (lists; a camera is a topic of raw or compressed images, or the
-name ``a_b`` of ``/a/b/image_raw``), ``topics`` (names and patterns of further topics), ``run_info``
-(JSON: robot, motion, task, operator, …), ``autostart`` (default true: record from the first
-message; false: wait for /record/record), ``min_free_bytes``, ``video_preset``.
+Private parameters: ``recorder_parameters.Settings``.
 """
 
 from __future__ import annotations

@@ -23,10 +23,10 @@ class Settings:
         cell: Path of the cell; None: no cell is described.
         mode: ``lockstep`` or ``freerun``.
         arms: Names of the recorded arms.
-        cameras: Names or topics of the recorded cameras.
+        cameras: Topics of raw or compressed images, or names: ``a_b`` of ``/a/b/image_raw``.
         topics: Names and patterns of further topics.
-        run_info: Facts about the run, for the manifest.
-        autostart: Record from the start.
+        run_info: Facts about the run, for the manifest: robot, motion, task, operator, ….
+        autostart: Record from the first message; False: wait for /record/record.
         min_free_bytes: Stop with less free space on the disk [bytes].
         video_preset: Encoder preset.
     """
@@ -43,11 +43,7 @@ class Settings:
     video_preset: str = one_of(PRESETS, "ultrafast")
 
     def __post_init__(self) -> None:
-        """Takes the slashes off the arms' names.
-
-        Raises:
-            ParamError: A camera is named twice.
-        """
+        """Strips slashes off the arms' names; a ParamError if a camera is named twice."""
         object.__setattr__(self, "arms", tuple(name.strip("/") for name in self.arms))
         if len(self.camera_topics) != len(self.cameras):
             raise ParamError("cameras", list(self.cameras), "each camera once, by name or by topic")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable
 from typing import Any
 
@@ -104,10 +105,10 @@ class RecorderState:
     @property
     def duplicates(self) -> dict[str, int]:
         """Number of duplicate messages by topic, without topics that had none."""
-        counts: dict[str, int] = {}
+        counts: Counter[str] = Counter()
         for (topic, _), known in list(self._filters.items()):
-            counts[topic] = counts.get(topic, 0) + known.duplicates
-        return {topic: count for topic, count in counts.items() if count}
+            counts[topic] += known.duplicates
+        return dict(+counts)
 
     def event(self, topic: str, source: str, text: str, stamp_ns: int = 0) -> None:
         """Record a text, if a recording is running."""

@@ -29,11 +29,7 @@ def page(
     max_rows: int = MAX_ROWS,
     progress: Progress | None = None,
 ) -> str:
-    """The page of an episode; arguments as for ``episode_view_data.collect``.
-
-    Raises:
-        EpisodeError: There is nothing to show.
-    """
+    """The page of an episode (see ``collect``); an EpisodeError if there is nothing to show."""
     viewed = episode_view_data.collect(episode, budget, max_rows, progress)
     info = episode.manifest.get("run") or {}
     subject = info.get("title") or info.get("motion") or episode.manifest.get("task") or "episode"
@@ -87,11 +83,7 @@ def _badges(episode: Episode) -> str:
 
 
 def write(episode: Episode, out: Path, progress: Progress | None = None) -> Path:
-    """Write the page of an episode; returns its path.
-
-    Raises:
-        EpisodeError: Nothing to show, or the file cannot be written.
-    """
+    """Write the page of an episode and return its path; an EpisodeError if that fails."""
     content = page(episode, progress=progress)
     try:
         out.write_text(content, encoding="utf-8")

@@ -83,11 +83,7 @@ class LeftOut:
 
 
 def find(paths: Sequence[Path]) -> list[Path]:
-    """Every episode folder at or below the paths, in order, each once.
-
-    Raises:
-        EpisodeError: A path does not exist or holds no episode.
-    """
+    """Episode folders at or below the paths, each once; an EpisodeError for a path without any."""
     folders: dict[Path, Path] = {}
     for path in paths:
         if not (here := episodes.below(path)):
@@ -97,11 +93,7 @@ def find(paths: Sequence[Path]) -> list[Path]:
 
 
 def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
-    """The entry of one episode, for the first arm by default.
-
-    Raises:
-        EpisodeError: It has no such arm, no motion, or cannot be read.
-    """
+    """The entry of an episode, of the first arm by default; an EpisodeError without motion."""
     try:
         measured = run_summary.summarise(recorded, arm)
     except ValueError as problem:  # a metric was given what is no number
@@ -234,11 +226,7 @@ def _condition(entries: Sequence[Mapping[str, Any]], preset: str) -> dict[str, A
 
 
 def compare(spec: str, preset: str, progress: Progress) -> dict[str, Any]:
-    """Read and measure the reference set ``KIND:PATH``: ``reference`` of ``summary.json``.
-
-    Raises:
-        ReferenceSetError: Nothing of it can be measured.
-    """
+    """Measure the reference set ``KIND:PATH``; a ReferenceSetError if that is impossible."""
     reference = reference_sets.load(spec)
     measured = []
     for i, motion in enumerate(reference.motions):

@@ -62,11 +62,7 @@ def look(recorded: Episode) -> dict[str, Any]:
 
 
 def demonstration(folder: Path) -> dict[str, Any]:
-    """A demonstration's entry, from the folder of its recording.
-
-    Raises:
-        EpisodeError: It cannot be read.
-    """
+    """The entry of a demonstration's folder; an EpisodeError if it cannot be read."""
     recorded = episode_reader.read(folder)
     run = recorded.manifest.get("run") or {}
     verdict = (recorded.manifest.get("sim") or {}).get("task") or {}

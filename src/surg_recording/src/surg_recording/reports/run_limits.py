@@ -34,15 +34,9 @@ class Limit:
 
     def to_json(self) -> dict[str, Any]:
         """The entry in summary.json."""
-        return {
-            "name": self.name,
-            "text": self.text,
-            "measured": self.measured,
-            "bound": self.bound,
-            "sense": "at least" if self.at_least else "at most",
-            "judged": self.judged,
-            "met": self.met,
-        }
+        entry = dataclasses.asdict(self)
+        sense = "at least" if entry.pop("at_least") else "at most"
+        return {**entry, "sense": sense, "met": self.met}
 
     def __str__(self) -> str:
         """The measured value and the limit."""

@@ -61,11 +61,7 @@ def of_frames(frames: Iterable[tuple[npt.NDArray[np.uint8], bool]]) -> ImageMoti
 
 
 def of_video(path: Path, progress: Callable[[int], None] | None = None) -> ImageMotion:
-    """Motion of a video file; a truncated one is read as far as possible.
-
-    Raises:
-        EpisodeError: Nothing in it can be read.
-    """
+    """Motion of a video file as far as it is readable; an EpisodeError if it is not at all."""
     return of_frames(_small_frames(path, progress))
 
 

@@ -185,11 +185,7 @@ def rows_of(data: bytes, width: int, height: int, step: int, channels: int) -> I
 
 
 def decoded(data: bytes) -> Image:
-    """A compressed picture, (height, width, 3) BGR, not rotated by its tags.
-
-    Raises:
-        ValueError: It cannot be decoded, or OpenCV is missing.
-    """
+    """A compressed picture, (height, width, 3) BGR, not rotated by its tags; or a ValueError."""
     try:
         import cv2
     except ImportError:
