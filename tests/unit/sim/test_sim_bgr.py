@@ -14,7 +14,7 @@ from surg_sim.envs.cell_session import Session, Tick
 from surg_sim.envs.episode_runner import EpisodeReport, run_episode
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
-from surg_sim.tasks.bgr import bgr_task
+from surg_sim.tasks.bgr import bgr_definition, bgr_task
 from surg_sim.tasks.bgr.bgr_expert import OPEN, AssistantExpert, RobotExpert
 from surg_sim.tasks.scripted_sender import Expert
 
@@ -58,7 +58,7 @@ def test_the_jaws_feel_the_tissue_below_the_limits(session: Session) -> None:
     report = play(session, watch=watch)
     print(f"largest force on the jaws {max(felt):.2f} N")
     assert report.success, report.reason
-    assert bgr_task.TAUT < max(felt) < session.cell.arms["PSM1"].limits.tip_force_soft
+    assert bgr_definition.TAUT < max(felt) < session.cell.arms["PSM1"].limits.tip_force_soft
 
 
 @pytest.mark.parametrize(
@@ -108,10 +108,10 @@ def test_the_scripted_pair_succeeds_and_keeps_the_pivot(setting: str) -> None:
     assert isinstance(task, bgr_task.Bgr)
     robot, other = task.held(bgr_task.ROBOT), task.held(bgr_task.ASSISTANT)
     assert robot is not None and other is not None
-    assert abs(robot - task.target) <= bgr_task.RIGHT
-    assert abs(robot - other) >= bgr_task.LEAST_APART
+    assert abs(robot - task.target) <= bgr_definition.RIGHT
+    assert abs(robot - other) >= bgr_definition.LEAST_APART
     first, last = sorted((robot, other))
-    assert task.bowel.tensions[first:last].min() >= bgr_task.TAUT
+    assert task.bowel.tensions[first:last].min() >= bgr_definition.TAUT
     assert task.view.sees(task.bowel.nodes[first : last + 1])
 
 

@@ -57,7 +57,7 @@ def test_a_stall_is_refused_and_what_is_sent_after_it_is_obeyed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The topics' own callbacks with a bridge in free-run and in lock-step."""
-    node = pytest.importorskip("surg_sim.nodes.task_topics_node")
+    node = pytest.importorskip("surg_sim.nodes.assistant_topics_node")
     callbacks, warned = {}, []
     monkeypatch.setattr(node.rospy, "Subscriber", lambda t, k, c, **_: callbacks.update({t: c}))
     monkeypatch.setattr(node.rospy, "logwarn_throttle", lambda _, text: warned.append(text))

@@ -28,9 +28,10 @@ import surg_sim
 found = [m.name for m in pkgutil.walk_packages(surg_sim.__path__, "surg_sim.")]
 for name in found:
     # Nodes need ROS, environments gymnasium, and what writes recordings surg_recording.
-    if ".nodes." in name or name.endswith(
-        ("_node", ".surg_env", ".policy_rollouts", ".recorded_episode", ".demonstrations")
-    ):
+    if ".nodes." in name or name.endswith((
+        "_node", ".surg_env", ".env_spaces", ".policy_rollouts", ".recorded_episode",
+        ".demonstrations",
+    )):
         continue
     importlib.import_module(name)
 print(surg_sim.__file__, len(found))

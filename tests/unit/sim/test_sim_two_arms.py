@@ -18,6 +18,7 @@ import surg_core
 from helpers.control import dh
 from helpers.sim.bead_task import BeadTask
 from helpers.sim.beads import centre, triangulate
+from helpers.sim.render_speed import stereo_speed
 from surg_cli.host import paths
 from surg_core import Motion, MotionCommand, StateCommand
 from surg_description.make_cell import home_pose
@@ -25,7 +26,6 @@ from surg_sim.looks import patient
 from surg_sim.looks.drawing import OUTSIDE
 from surg_sim.looks.opengl import NoOpenGL
 from surg_sim.looks.render import Renderer, show_only
-from surg_sim.looks.render_speed import stereo_speed
 from surg_sim.physics import endoscope_rig, scene
 from surg_sim.physics.sim_arm import ArmCommand
 from surg_sim.physics.trocar import wall_frame

@@ -10,7 +10,6 @@ docs/reference/tasks.md defines the observation and action spaces.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -22,32 +21,25 @@ from surg_sim.arrays import Array
 
 try:
     import gymnasium
-    from gymnasium import spaces
 except ImportError as error:  # pragma: no cover - of an installation without the extra
     raise ImportError(
         "the environments need gymnasium: pip install 'surg_sim[gym]' or pip install gymnasium"
     ) from error
 
-from surg_core.arm_view import ArmCommands, ArmView, TipPose
+from surg_core.arm_view import ArmCommands, ArmView
 from surg_core.bring_up import BringUp
-from surg_core.contract import ARM_ACTION, ARM_STATE, GRID, GRID_RATE, TICK_NS
+from surg_core.contract import GRID, GRID_RATE, TICK_NS
 from surg_sim.envs.cell_session import Session, Tick, merge
+from surg_sim.envs.env_spaces import EnvSpaces
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds, load, names
-from surg_sim.tasks.scripted_sender import (
-    Action,
-    home_frame,
-    into,
-    out_of,
-)
+from surg_sim.tasks.scripted_sender import Action
 
 if TYPE_CHECKING:
     from surg_sim.tasks.scripted_sender import Expert, Observation
 
 POLICY = "expert"
 """Name of the expert that the policy replaces; the others stay scripted."""
-ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
-"""Of the assistant's instrument in ``state`` [rad, rad, m, rad, rad], where there is one."""
 CAMERAS = ("left", "right")
 
 _READY = 10  # grid steps that homing and enabling may take
@@ -104,56 +96,13 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self._renderers: dict[tuple[str, ...], Any] = {}
         self._qpos = self.session.world.data.qpos.copy()
         """Joint positions of the observed state, for pictures."""
-        self.arms = self.session.task.commanded
-        """Arms that the action commands, in its order."""
-        self._frames = {
-            name: (home_frame(arm), np.asarray(arm.X_WB))
-            for name, arm in self.session.cell.arms.items()
-        }
+        self._spaces = EnvSpaces(self.session, self._images, self._size)
+        self.arms, self.state_names = self._spaces.arms, self._spaces.state_names
+        self.action_names = self._spaces.action_names
         self._expert: Expert | None = None
         self._tick: Tick | None = None
-        self.action_space = self._action_space()
-        self.observation_space = self._observation_space()
-
-    # --- spaces -------------------------------------------------------------------------------
-
-    @property
-    def state_names(self) -> list[str]:
-        """Names of the numbers in ``state``, such as ``PSM1/tip_x``."""
-        found = [f"{arm}/{name}" for arm in self.session.world.arms for name in ARM_STATE]
-        if self.session.task.assistant is not None:
-            found += [f"assistant/{name}" for name in ASSISTANT_STATE]
-        return found
-
-    @property
-    def action_names(self) -> list[str]:
-        """Names of the numbers of an action, such as ``PSM1/x``."""
-        return [f"{arm}/{name}" for arm in self.arms for name in ARM_ACTION]
-
-    def _action_space(self) -> spaces.Box:
-        low, high = [], []
-        for name in self.arms:
-            arm = self.session.cell.arms[name]
-            far = float(arm.limits.depth_max)
-            wide = far * math.sin(min(float(arm.limits.cone), math.pi / 2))
-            low += [-wide, -wide, 0.0, -math.pi, float(arm.instrument.jaw_min)]
-            high += [wide, wide, far, math.pi, float(arm.instrument.jaw_max)]
-        return spaces.Box(np.array(low), np.array(high), dtype=np.float64)
-
-    def _observation_space(self) -> spaces.Dict:
-        def free(shape: tuple[int, ...]) -> spaces.Box:
-            return spaces.Box(-np.inf, np.inf, shape, np.float64)
-
-        task = self.session.task.state()
-        found: dict[str, spaces.Space[Any]] = {
-            "state": free((len(self.state_names),)),
-            "privileged": spaces.Dict({key: free(np.shape(task[key])) for key in task}),
-        }
-        if self._images:
-            width, height = self._size
-            picture = spaces.Box(0, 255, (height, width, 3), np.uint8)
-            found["images"] = spaces.Dict(dict.fromkeys(self._images, picture))
-        return spaces.Dict(found)
+        self.action_space = self._spaces.action()
+        self.observation_space = self._spaces.observation()
 
     # --- an episode ---------------------------------------------------------------------------
 
@@ -170,10 +119,8 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             RuntimeError: An arm does not become ready; states why.
         """
         super().reset(seed=seed)
-        drawn = int(
-            self.np_random.integers(episode_seeds.TRAINING.start, episode_seeds.TRAINING.stop)
-        )
-        self.seed = drawn if seed is None else seed
+        drawn = self.np_random.integers(episode_seeds.TRAINING.start, episode_seeds.TRAINING.stop)
+        self.seed = int(drawn) if seed is None else seed
         session = self.session
         session.reset(self.seed)
         senders = dict(session.task.experts(session.cell, self.seed))
@@ -210,17 +157,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         """
         if self._tick is None or self._tick.verdict.done:
             raise RuntimeError("no episode: call reset() first")
-        values = np.asarray(action, dtype=np.float64)
-        if values.shape != self.action_space.shape or not np.isfinite(values).all():
-            raise ValueError(
-                f"action {values.tolist()}: {len(self.action_names)} finite numbers are needed: "
-                f"{', '.join(self.action_names)}"
-            )
-        arm_actions = {}
-        for arm, part in zip(self.arms, values.reshape(-1, len(ARM_ACTION)), strict=True):
-            p, roll, jaw = part[:3].copy(), float(part[3]), float(part[4])
-            arm_actions[arm] = ArmCommands(jaw=jaw, servo_cp=TipPose(p, roll))
-        reward = self._advance(Action(arms=arm_actions))
+        reward = self._advance(Action(arms=self._spaces.commands(action)))
         verdict = self._tick.verdict
         return (
             self._observation(),
@@ -253,22 +190,10 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
 
     def _observation(self) -> dict[str, Any]:
         assert self._tick is not None
-        task = self.session.task
-        state: list[float] = []
-        for arm, out in self._tick.outputs.items():
-            X_WR, X_WB = self._frames[arm]
-            state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_BTip))), out.roll, out.jaw]
-            state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_set))), out.roll_set]
-        if task.assistant is not None:
-            state += [*task.assistant.joints, task.assistant.jaw]
-        truth = self._tick.state or task.state()
-        found: dict[str, Any] = {
-            "state": np.array(state),
-            "privileged": {key: np.asarray(truth[key], dtype=np.float64) for key in truth},
-        }
+        observation = self._spaces.observe(self._tick)
         if self._images:
-            found["images"] = self._render(self._images)
-        return found
+            observation["images"] = self._render(self._images)
+        return observation
 
     def _info(self) -> dict[str, Any]:
         assert self._tick is not None

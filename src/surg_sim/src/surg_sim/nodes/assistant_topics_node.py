@@ -47,7 +47,9 @@ class AssistantTopics:
                     if len(position) != size or not np.isfinite(position).all():
                         raise ValueError(f"{position}, allowed: {size} finite numbers")
                     if not bridge.lockstep and self._command_echo.is_late(stamp_ns):
-                        raise ValueError("it answers a state of more than 0.1 s ago; not obeyed")
+                        raise ValueError(
+                            "late: it answers a state of more than 0.1 s ago; not obeyed"
+                        )
                 except (struct.error, ValueError) as error:
                     rospy.logwarn_throttle(1.0, f"/assistant/{topic} from {sender}: {error}")
                     position, stamp_ns = None, 0

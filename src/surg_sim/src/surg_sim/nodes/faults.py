@@ -139,16 +139,8 @@ class ToolOff(Fault):
     axis: float = real(0.0, 0.2, math.radians(0.5))  # turn of the shaft about the tip [rad]
 
 
-_KINDS: tuple[type[Fault], ...] = (
-    NotFinite,
-    Freeze,
-    Wire,
-    TrocarMotion,
-    TrocarJump,
-    TrackLost,
-    ToolLost,
-    ToolOff,
-)
+_LASTING = (NotFinite, Freeze, Wire, TrackLost, ToolLost)
+_KINDS: tuple[type[Fault], ...] = (*_LASTING, TrocarMotion, TrocarJump, ToolOff)
 KINDS = {kind.kind: kind for kind in _KINDS}
 
 

@@ -1,0 +1,97 @@
+"""What an environment observes and takes: names, spaces and values of a session's numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from surg_core.arm_view import ArmCommands, TipPose
+from surg_core.contract import ARM_ACTION, ARM_STATE
+from surg_sim.arrays import Array
+from surg_sim.envs.cell_session import Session, Tick
+from surg_sim.tasks.scripted_sender import home_frame, into, out_of
+
+ASSISTANT_STATE = ("yaw", "pitch", "insertion", "roll", "jaw")
+"""Of the assistant's instrument in ``state`` [rad, rad, m, rad, rad], where there is one."""
+
+
+class EnvSpaces:
+    """Spaces of a session, with pictures of these views and of this size (width, height) [px]."""
+
+    def __init__(self, session: Session, images: Sequence[str], size: tuple[int, int]) -> None:
+        self._session, self._images, self._size = session, images, size
+        self.arms = session.task.commanded
+        """Arms that the action commands, in its order."""
+        self._frames = {
+            name: (home_frame(arm), np.asarray(arm.X_WB)) for name, arm in session.cell.arms.items()
+        }
+        self.state_names = [f"{arm}/{name}" for arm in session.world.arms for name in ARM_STATE]
+        """Names of the numbers in ``state``, such as ``PSM1/tip_x``."""
+        if session.task.assistant is not None:
+            self.state_names += [f"assistant/{name}" for name in ASSISTANT_STATE]
+        self.action_names = [f"{arm}/{name}" for arm in self.arms for name in ARM_ACTION]
+        """Names of the numbers of an action, such as ``PSM1/x``."""
+
+    def action(self) -> spaces.Box:
+        """Tip in the rcm frame [m], roll and jaw [rad] of every commanded arm."""
+        low, high = [], []
+        for name in self.arms:
+            arm = self._session.cell.arms[name]
+            far = float(arm.limits.depth_max)
+            wide = far * math.sin(min(float(arm.limits.cone), math.pi / 2))
+            low += [-wide, -wide, 0.0, -math.pi, float(arm.instrument.jaw_min)]
+            high += [wide, wide, far, math.pi, float(arm.instrument.jaw_max)]
+        return spaces.Box(np.array(low), np.array(high), dtype=np.float64)
+
+    def observation(self) -> spaces.Dict:
+        """``state``, ``privileged`` and, where there are any, ``images``."""
+
+        def free(shape: tuple[int, ...]) -> spaces.Box:
+            return spaces.Box(-np.inf, np.inf, shape, np.float64)
+
+        task = self._session.task.state()
+        members: dict[str, spaces.Space[Any]] = {
+            "state": free((len(self.state_names),)),
+            "privileged": spaces.Dict({key: free(np.shape(task[key])) for key in task}),
+        }
+        if self._images:
+            width, height = self._size
+            picture = spaces.Box(0, 255, (height, width, 3), np.uint8)
+            members["images"] = spaces.Dict(dict.fromkeys(self._images, picture))
+        return spaces.Dict(members)
+
+    def observe(self, tick: Tick) -> dict[str, Any]:
+        """``state`` and ``privileged`` of a tick."""
+        task, state = self._session.task, []
+        for arm, out in tick.outputs.items():
+            X_WR, X_WB = self._frames[arm]
+            state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_BTip))), out.roll, out.jaw]
+            state += [*into(X_WR, out_of(X_WB, np.asarray(out.p_set))), out.roll_set]
+        if task.assistant is not None:
+            state += [*task.assistant.joints, task.assistant.jaw]
+        truth = tick.state or task.state()
+        privileged = {key: np.asarray(truth[key], dtype=np.float64) for key in truth}
+        return {"state": np.array(state), "privileged": privileged}
+
+    def commands(self, action: Array) -> dict[str, ArmCommands]:
+        """An action as commands by arm.
+
+        Raises:
+            ValueError: The action has the wrong length or is not finite.
+        """
+        values = np.asarray(action, dtype=np.float64)
+        if values.shape != (len(self.action_names),) or not np.isfinite(values).all():
+            raise ValueError(
+                f"action {values.tolist()}: {len(self.action_names)} finite numbers are needed: "
+                f"{', '.join(self.action_names)}"
+            )
+        return {
+            arm: ArmCommands(jaw=float(jaw), servo_cp=TipPose(np.array([x, y, z]), float(roll)))
+            for arm, (x, y, z, roll, jaw) in zip(
+                self.arms, values.reshape(-1, len(ARM_ACTION)), strict=True
+            )
+        }
