@@ -50,7 +50,7 @@ class Tick:
     Attributes:
         tick: Its number, from 1.
         outputs: Control cycle by arm.
-        state: The task's ground truth at this tick; empty off the grid (``Session.every``).
+        state: The task's ground truth at this tick; empty off the grid.
         verdict: How the episode stood at this tick, or why the simulation ended it after this tick.
     """
 
@@ -75,7 +75,6 @@ class Session:
         seed: Of the first episode, and of the look of the tissue.
         looks: Build also what only pictures need; the physics is the same.
         law: Of ``LAWS``.
-        every: The task's ground truth is read on every n-th tick; reading takes time.
 
     Raises:
         ValueError: An unknown task, setting or law, or a cell that does not fit; says what does.
@@ -89,14 +88,13 @@ class Session:
         seed: int = 0,
         looks: bool = False,
         law: str = "ours",
-        every: int = GRID,
     ) -> None:
         if law not in LAWS:
             raise ValueError(f"no law '{law}': there are {', '.join(LAWS)}")
         self.cell = cell if isinstance(cell, surg_core.Cell) else surg_core.load_cell(cell)
         self.task = load(task) if isinstance(task, str) else task
         self.setting = find_setting(setting) if isinstance(setting, str) else setting
-        self.law, self.every = law, every
+        self.law = law
         self.world = World(self.cell, seed, looks, setting=self.setting, task=self.task)
         self.seed = seed
         self._begin()
@@ -130,7 +128,7 @@ class Session:
     ) -> Tick:
         """One tick of 2 ms, with the commands to each arm and to the assistant's instrument."""
         world, tick = self.world, self.world.tick
-        state = self.task.state() if tick % self.every == 0 else {}
+        state = self.task.state() if tick % GRID == 0 else {}
         verdict = self.task.verdict()
         outputs, answers = {}, {}
         for name, controller in self.controllers.items():

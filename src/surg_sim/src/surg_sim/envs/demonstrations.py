@@ -95,8 +95,7 @@ def play(
 def _leave_signals_to_the_parent() -> None:
     """Ctrl-C reaches the whole terminal group: the parent ends its workers itself."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Forked from a program that may turn this one into an exception.
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # the parent may turn it into an exception
 
 
 _sessions: dict[Plan, RecordedSession] = {}

@@ -63,13 +63,9 @@ def run_episode(
     experts: Mapping[str, Expert] | None = None,
     watch: Callable[[Tick], None] | None = None,
 ) -> EpisodeReport:
-    """Run one episode of a session, which is reset, to its end.
+    """Run one episode of a session, which is reset, to its end; ``watch`` sees every tick.
 
-    Args:
-        session: The scene.
-        seed: Of the episode.
-        experts: Senders by node name; None: those of the task; empty: nobody does anything.
-        watch: Called after every tick.
+    Experts are senders by node name; None: those of the task; empty: nobody does anything.
     """
     session.reset(seed)
     if experts is None:

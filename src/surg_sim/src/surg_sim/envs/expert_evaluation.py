@@ -131,14 +131,11 @@ def plan(
     names: Sequence[str],
     others: int | None = None,
 ) -> tuple[list[Series], list[Series]]:
-    """The series of both tables.
+    """The series of both tables, for cells by the label of their robot.
 
-    Args:
-        episodes: Of bgr with the first robot, in each setting.
-        ablation: Episodes of each row of the ablation.
-        robots: Label of a robot and cell with it.
-        names: Tasks.
-        others: Of each other task and robot; None: as many.
+    ``episodes`` are those of bgr with the first robot in each setting, ``others`` of each other
+    task
+    and robot (None: as many), ``ablation`` of each row of the second table.
     """
     test = tuple(episode_seeds.test_seeds(episodes))
     less = test if others is None else tuple(episode_seeds.test_seeds(others))

@@ -64,7 +64,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         width: Of the pictures [px].
         height: [px].
         render_mode: None or ``rgb_array`` (left camera).
-        law: Of ``session.LAWS``.
+        law: Of ``cell_session.LAWS``.
         seed_look: Draws the look of the tissue, once for the environment.
     """
 
@@ -104,16 +104,12 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         self.action_space = self._spaces.action()
         self.observation_space = self._spaces.observation()
 
-    # --- an episode ---------------------------------------------------------------------------
-
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
         """Begin an episode; the arms are homed and enabled, nothing has moved.
 
-        Args:
-            seed: Of the episode; None: drawn from ``seeds.TRAINING``.
-            options: Not used.
+        The seed draws the episode; None: one of ``episode_seeds.TRAINING``. No options are used.
 
         Raises:
             RuntimeError: An arm does not become ready; states why.
@@ -186,8 +182,6 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
             self._partner_actions = [partner.tick(self._observed) for partner in self._partners]
         return reward
 
-    # --- observations -----------------------------------------------------------------------
-
     def _observation(self) -> dict[str, Any]:
         assert self._tick is not None
         observation = self._spaces.observe(self._tick)
@@ -223,8 +217,6 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
         for renderer in self._renderers.values():
             renderer.close()
         self._renderers = {}
-
-    # --- the scripted policy ------------------------------------------------------------------
 
     def expert_action(self) -> Array:
         """What the task's expert would do now; call it in every step of an episode, or in none."""

@@ -39,12 +39,7 @@ def add_material(
 
 
 def add_mesh(
-    spec: mujoco.MjSpec,
-    body: mujoco.MjsBody,
-    name: str,
-    mesh: Mesh,
-    material: str,
-    group: int = 0,
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, mesh: Mesh, material: str, group: int = 0
 ) -> None:
     """Add a fixed visual surface."""
     spec.add_mesh(

@@ -6,7 +6,7 @@ or a message can state it::
     [{"fault": "freeze", "at": 600, "ticks": 30},
      {"fault": "wire", "topic": "robot/measured_js", "loss": 0.05, "burst": 3}]
 
-``injector`` applies them. The same seed, faults and commands give the same run.
+``fault_injector`` applies them. The same seed, faults and commands give the same run.
 """
 
 from __future__ import annotations
@@ -85,8 +85,7 @@ class Wire(Lasting):
     loss: float = real(0.0, 1.0, 0.0)  # probability that a loss begins with a packet
     burst: int = whole(1, 500, 1)  # packets that one loss takes
     duplicate: float = real(0.0, 1.0, 0.0)  # probability that a packet arrives twice
-    # Probability that a packet arrives behind its successor.
-    reorder: float = real(0.0, 1.0, 0.0)
+    reorder: float = real(0.0, 1.0, 0.0)  # probability that it arrives behind its successor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,8 +95,7 @@ class TrocarMotion(Fault):
     kind: ClassVar[str] = "trocar_motion"
     amplitude: float = real(0.0, 0.05)  # [m]
     frequency: float = real(0.0, 10.0, 0.25)  # [1/s]
-    # Direction in the arm's base frame.
-    axis: tuple[float, float, float] = vector(3, (1.0, 0.0, 0.0))
+    axis: tuple[float, float, float] = vector(3, (1.0, 0.0, 0.0))  # in the arm's base frame
 
 
 @dataclass(frozen=True, kw_only=True)

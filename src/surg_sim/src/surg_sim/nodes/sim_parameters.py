@@ -22,7 +22,6 @@ class BridgeSettings:
     cell: str = text()
     mode: str = one_of(MODES, "lockstep")
     participants: tuple[str, ...] = names(())  # declared commanders, waited for in every tick
-    # Which of recorder and endoscope take part.
     observers: tuple[str, ...] = names((), options=tuple(OBSERVER_WINDOWS))
     arms: tuple[str, ...] = names(())  # arms to simulate; empty: all of the cell
     seed: int = whole(0, _SEEDS, 0)
@@ -36,9 +35,8 @@ class BridgeSettings:
     endless: bool = flag(False)
     faults: str = text("", empty=True)  # from the start, as JSON (``faults``)
     inject: bool = flag(False)  # take further faults on ``/sim/inject``
-    # Longest wait for everybody to connect in lock-step [s].
+    # In lock-step, longest wait for everybody to connect, and for the answer to a tick [s].
     connect_timeout: float = real(1.0, 3600.0, 60.0)
-    # Longest wait for the answer to a tick in lock-step [s].
     abort_timeout: float = real(1.0, 600.0, 10.0)
 
     def __post_init__(self) -> None:

@@ -7,13 +7,7 @@ import numpy as np
 
 from surg_sim.arrays import Array
 from surg_sim.physics.patient_site import Site
-from surg_sim.physics.tissue import (
-    NAME,
-    TissueParameters,
-    floor_place,
-    rest_shape,
-    springs_of,
-)
+from surg_sim.physics.tissue import NAME, TissueParameters, floor_place, rest_shape, springs_of
 from surg_sim.physics.trocar_motion import MovingPoint
 
 
@@ -21,11 +15,7 @@ class Bowel:
     """The bowel in a compiled scene, with the parameters that ``add_bowel`` was given."""
 
     def __init__(
-        self,
-        model: mujoco.MjModel,
-        data: mujoco.MjData,
-        site: Site,
-        parameters: TissueParameters,
+        self, model: mujoco.MjModel, data: mujoco.MjData, site: Site, parameters: TissueParameters
     ) -> None:
         self._model, self._data, self._site = model, data, site
         self.parameters = parameters

@@ -50,14 +50,11 @@ class PatientSetting:
     """One setting."""
 
     name: str
-    # Drives of the robot arms: servo stiffness, lag, delay.
     actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
-    trocar: TrocarParameters = field(default_factory=TrocarParameters)  # wall and seal
-    # Motion of the wall and of what lies below it.
+    trocar: TrocarParameters = field(default_factory=TrocarParameters)
     breathing: Breathing = field(default_factory=Breathing)
     tool_error: ToolError | None = None  # how wrong the instrument's calibration is; None: exact
     encoder: float = 0.0  # smallest joint angle that the robot reports [rad]; 0: exact
-    # The bowel and how it is held.
     tissue: TissueParameters = field(default_factory=TissueParameters)
 
 

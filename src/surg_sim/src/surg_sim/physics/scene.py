@@ -159,16 +159,10 @@ def build(
     tool_errors: Mapping[str, ToolError] | None = None,
     add: Callable[[mujoco.MjSpec, Site], None] | None = None,
 ) -> mujoco.MjModel:
-    """Compile the scene once.
+    """Compile the scene once; parameters as for ``World``.
 
-    Args:
-        arms: The arms; the first one that holds no endoscope places the patient.
-        seed: Seeds the look of the tissue.
-        looks: False leaves out everything that only pictures need; the physics is the same.
-        actuators: Drive parameters.
-        trocar: Wall parameters.
-        tool_errors: By arm name, how the true tool differs from its URDF.
-        add: Puts what a task needs into the scene, after arms and trocars.
+    The first arm that holds no endoscope places the patient. ``add`` puts what a task needs into
+    the scene, after arms and trocars. Without looks it lacks what only pictures need.
 
     Raises:
         ValueError: A URDF does not fit its YAML, or an arm does not reach its trocar.

@@ -100,10 +100,7 @@ def _add_wall(spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParamet
 
 
 def _add_sleeve(
-    spec: mujoco.MjSpec,
-    arm: surg_core.Arm,
-    parameters: TrocarParameters,
-    error: ToolError | None,
+    spec: mujoco.MjSpec, arm: surg_core.Arm, parameters: TrocarParameters, error: ToolError | None
 ) -> None:
     """A light body that slides along the true shaft with the seal's dry friction."""
     p_FTip, s_F = shaft_in_flange(arm, error)

@@ -131,12 +131,7 @@ class Task(ABC):
         self.tick = 0
 
     def experts(self, cell: surg_core.Cell, seed: int) -> Mapping[str, Expert]:
-        """Scripted experts for this task, by node name; none by default.
-
-        Args:
-            cell: The cell.
-            seed: Seed of their imperfections.
-        """
+        """Scripted experts by node name; the seed draws their imperfections. None by default."""
         del cell, seed
         return {}
 

@@ -92,8 +92,6 @@ class Bgr(Task):
         """Two: at the robot, and at the assistant's instrument."""
         return {"assistant": AssistantExpert(seed), "expert": RobotExpert(cell, seed)}
 
-    # --- in an episode ------------------------------------------------------------------------
-
     @property
     def tip(self) -> Array:
         """The robot's tip in the world [m], (3,)."""
