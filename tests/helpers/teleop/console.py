@@ -67,7 +67,7 @@ class FakeSystem:
         for order in orders:
             self.orders.append((time.monotonic(), order))
             if isinstance(order, Follow):
-                state = "FOLLOWING" if order.on else "DISABLED"
+                state = "FOLLOWING" if order.value else "DISABLED"
                 self.now = replace(self.now, follower=replace(self.now.follower, state=state))
 
     def entries(self) -> list[Entry]:

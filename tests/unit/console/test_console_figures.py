@@ -48,7 +48,7 @@ def test_what_is_no_such_message_says_nothing() -> None:
     whole = data(JointState(name=["yaw"] * 4, position=[0.1, 0.2, 0.3, 0.4]))
     known = [cut for cut in range(len(whole)) if depth(whole[:cut]) is not None]
     assert known and min(known) > len(whole) - 12  # the positions are there, two lengths are not
-    assert depth(None) is None and force(None) is None
+    assert depth(b"") is None and force(b"") is None
     for _ in range(2000):
         junk = rng.integers(0, 256, int(rng.integers(0, 120)), dtype=np.uint8).tobytes()
         depth(junk)

@@ -39,7 +39,7 @@ def decode(codec: str, packets: list[picture_packet.Packet]) -> list[np.ndarray]
 @pytest.mark.parametrize("codec", ["h264", "jpeg"])
 @pytest.mark.parametrize("layout", ["left", "stereo"])
 def test_each_picture_comes_out_at_once_and_looks_as_it_did(codec: str, layout: str) -> None:
-    stream = PictureStream(layout, codec, lambda: 99)
+    stream = PictureStream(layout, codec)
     packets = []
     for count in range(30):
         shots = (shot(count, 1000 * count),) * (2 if layout == "stereo" else 1)

@@ -64,7 +64,7 @@ class Bench:
         orders = self.session.take_orders()
         for order in orders:
             if isinstance(order, Follow):
-                state = "FOLLOWING" if order.on else "DISABLED"
+                state = "FOLLOWING" if order.value else "DISABLED"
                 self.follower = replace(self.follower, state=state)
             elif isinstance(order, OtherMapping):
                 other = "rate" if self.follower.mapping == "position" else "position"

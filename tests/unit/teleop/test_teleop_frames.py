@@ -60,7 +60,7 @@ def ideal(
         left = LENS.centre + LENS.f * q[:2] / q[2] + noise()
         right = left - [LENS.f * LENS.baseline / q[2], 0.0] + 0.3 * noise()
         left, right = wiring(left, right)
-        found[step] = Place(left, left - right, 1.0)
+        found[step] = Place(left, left - right)
     return found
 
 
@@ -146,7 +146,7 @@ def test_one_eye_judges_what_is_across_the_view() -> None:
         (about_view(180.0), Cause.UPSIDE_DOWN),
     ):
         both = ideal(M, np.array([0.0, 0.01, 0.09]), lambda: rng.normal(0.0, 0.1, 2), straight)
-        places = {step: Place(place.left, None, 1.0) for step, place in both.items()}
+        places = {step: Place(place.left, None) for step, place in both.items()}
         verdict = judge(places, one)
         assert verdict.cause is cause, verdict.text
     assert "one eye" in judge(places_of_identity(), one).text
@@ -154,7 +154,7 @@ def test_one_eye_judges_what_is_across_the_view() -> None:
 
 def places_of_identity() -> dict[Step, Place]:
     both = ideal(np.eye(3), np.array([0.0, 0.0, 0.09]), lambda: np.zeros(2), straight)
-    return {step: Place(place.left, None, 1.0) for step, place in both.items()}
+    return {step: Place(place.left, None) for step, place in both.items()}
 
 
 @pytest.mark.parametrize(

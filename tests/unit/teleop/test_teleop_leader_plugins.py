@@ -124,8 +124,6 @@ def test_a_crtk_leader_is_what_its_topics_say() -> None:
     assert sample.stamp == 1.0  # an old pose stays old
     assert sample.pose.p_VH == pytest.approx([0.1, -0.2, -0.3])
     assert sample.grip == pytest.approx(0.5)
-    leader.on_pose(6.0, np.zeros(3), one, valid=False)
-    assert leader.read(6.0).stamp == 1.0
     leader.on_pose(7.0, np.zeros(3), np.array([0.0, 0.0, 0.0, 0.5]))
     assert not leader.read(7.0).finite()
     leader.on_rate(8.0, np.array([0.0, 0.01, 0.0]), np.array([0.0, 0.0, 0.2]))

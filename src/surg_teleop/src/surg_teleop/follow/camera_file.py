@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from surg_core import ConfigError, quaternion_xyzw_to_matrix
-
-Array = NDArray[np.float64]
+from surg_core.arm_view import Array
 
 FORMAT = "surg_camera/1"
 LEAST_VIEWS = 3

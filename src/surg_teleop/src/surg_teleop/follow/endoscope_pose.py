@@ -9,12 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import surg_core
+from surg_core.arm_view import Array
 from surg_teleop.follow import camera_file
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
 from surg_core.transforms import virtual_tip
 from surg_teleop.follow.teleop_types import SILENCE
-
-Array = NDArray[np.float64]
 
 
 @dataclass

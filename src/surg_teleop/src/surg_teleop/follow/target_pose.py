@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surg_core.arm_view import ArmView, TipPose
+from surg_core.arm_view import ArmView, Array, TipPose
+from surg_core.contract import SECOND_NS, TICK_NS
 from surg_core.transforms import virtual_tip
 from surg_teleop.follow.hand_mapping import Mapping
 from surg_teleop.leaders.handle_roll import Handle
@@ -25,8 +25,6 @@ from surg_teleop.playback.motion_file import (
     ROLL_JUMP_SPEED,
 )
 from surg_teleop.playback.workspace_fit import Workspace
-
-Array = NDArray[np.float64]
 
 KEEP_ALIVE = 0.05
 """[s] The last target is repeated after this: half of the arm's stream timeout."""
@@ -51,11 +49,10 @@ class StepLimits:
     roll_velocity: float  # [rad/s]
     roll_slack: float  # [rad]
     longest: float  # the step stops growing at this time since the last command [s]
-    period: float = 0.002  # control cycle [s]
 
     def allowed(self, since: float) -> tuple[float, float]:
         """Largest step of the tip [m] and of the roll [rad], a time [s] after the last command."""
-        counted = max(0.0, min(since, self.longest) - 2.0 * self.period)
+        counted = max(0.0, min(since, self.longest) - 2.0 * TICK_NS / SECOND_NS)
         return (
             self.velocity * counted + self.slack / 2.0,
             self.roll_velocity * counted + self.roll_slack / 2.0,

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import signal
+import struct
 import sys
 import threading
 import time
@@ -21,29 +22,27 @@ import zlib
 from typing import Any
 
 import numpy as np
-import rosgraph
 import rospy
 from genpy import DeserializationError
-from sensor_msgs.msg import JointState, Joy
-from std_msgs.msg import Bool, Float64
+from sensor_msgs.msg import JointState
 
-from crtk_msgs.msg import StringStamped
 from surg_core import ConfigError
 from surg_core.arm_view import ArmView
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_msgs.msg import Cycle
 from surg_ros.arm_port import KINDS, SERVO_INSTRUMENT, ArmPort, arm_view
+from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
 from surg_ros.transport.polled_subscriber import PolledSubscriber
 from surg_teleop.follow.endoscope_pose import HeldCamera
 from surg_teleop.follow.message_lateness import Arrivals
-from surg_teleop.follow.pedal_monitor import PedalMonitor
+from surg_teleop.follow.operator_topics_node import OperatorTopics, listen
 from surg_teleop.follow.picture_watch import PictureWatch
+from surg_teleop.follow.servo_instrument import ServoInstrument
 from surg_teleop.follow.teleop_setup import ASSISTANT, Hand, TeleopSetup, read_setup
 from surg_teleop.follow.teleop_status_node import TeleopStatusPublisher
 from surg_teleop.follow.teleop_types import CameraView
-from surg_teleop.follow.teleoperation import Teleop
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
 from surg_teleop.leaders.crtk_leader_node import CrtkTopics
 from surg_teleop.leaders.leader import LeaderError
@@ -56,119 +55,46 @@ CONNECT_TIMEOUT = 30.0
 """[s] Longest wait for all connections in lock-step, wall clock."""
 END = 2.0
 """[s] Longest shutdown, whatever hangs."""
-PEDALS = {"clutch": "clutch", "camera": "camera", "operator_present": "present", "rate": "rate"}
 
 
 class TeleopNode:
     """Connects leaders, arms and the camera; :class:`Teleop` makes every decision."""
 
     def __init__(self, setup: TeleopSetup) -> None:
-        """Advertise and subscribe."""
         self._setup = setup
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self.finished = threading.Event()
         """Set to end the node."""
-        self._pedals = PedalMonitor()
         self._cycles: dict[str, tuple[float, Cycle]] = {}
         self._arrivals = {arm: Arrivals() for arm in setup.heard}
-        self._recording = False
         self._picture = PictureWatch(setup.picture)
         self._ports = {name: ArmPort(name, tuple(KINDS)) for name in setup.bases}
         if setup.assistant is not None:
             self._ports[ASSISTANT] = ArmPort(ASSISTANT, SERVO_INSTRUMENT)
         self._status = TeleopStatusPublisher(setup.hands)
-        self._record = rospy.Publisher("/record/record", Bool, queue_size=2)
         # Free-run ticks are less frequent than cycles, so each reads the newest cycle only.
         self._polled: dict[str, PolledSubscriber] = {}
         if setup.lockstep:
-            self._participant = Participant(
-                self._ports, self._on_tick, setup.heard, lock=self._lock
-            )
+            self.participant = Participant(self._ports, self._on_tick, setup.heard, lock=self._lock)
         else:
             self._polled = {arm: PolledSubscriber(f"/{arm}/cycle", Cycle) for arm in setup.heard}
         for hand in setup.hands:
-            self._wire_hand(hand)
             if isinstance(hand.leader, CrtkLeader):
                 CrtkTopics(hand.leader, self._lock, self._wake)
-        self._wire_console()
+        self._operator = OperatorTopics(setup.hands, self._status, self._lock, self._wake)
         if setup.assistant is not None:
-            _listen(f"/{ASSISTANT}/measured_js", JointState, self._on_assistant)
-            _listen(f"/{ASSISTANT}/jaw/measured_js", JointState, self._on_assistant_jaw)
+            listen(f"/{ASSISTANT}/measured_js", JointState, self._on_joints, setup.assistant)
+            listen(f"/{ASSISTANT}/jaw/measured_js", JointState, self._on_jaw, setup.assistant)
         if setup.picture:
-            _listen(setup.picture, rospy.AnyMsg, self._on_picture)
+            listen(setup.picture, rospy.AnyMsg, self._on_picture)
 
-    # Topics.
-
-    def _wire_hand(self, hand: Hand) -> None:
-        for arm, teleop in hand.switch.arms.items():
-            pair = f"/{hand.leader.name}_{arm}"
-            _listen(f"{pair}/state_command", StringStamped, self._on_state_command, teleop)
-            _listen(f"{pair}/set_scale", Float64, self._on_scale, [teleop])
-            for lock in ("lock_rotation", "lock_translation"):
-                _listen(f"{pair}/{lock}", Bool, self._on_lock, (teleop, lock))
-
-    def _wire_console(self) -> None:
-        teleops = [t for hand in self._setup.hands for t in hand.switch.arms.values()]
-        for source in ("/console", "/footpedals"):
-            for topic, button in PEDALS.items():
-                _listen(f"{source}/{topic}", Joy, self._on_pedal, (source, button))
-        _listen("/console/teleop/enable", Bool, self._on_enable)
-        _listen("/console/teleop/set_scale", Float64, self._on_scale, teleops)
-        _listen("/record/recording", Bool, self._on_recording)
-
-    def _keep_cycle(self, message: Cycle, arm: str) -> None:
-        # A cycle delayed by the network keeps its true age.
-        received = self._arrivals[arm].of(message.header.stamp.to_sec(), time.monotonic())
-        self._cycles[arm] = (received, message)
-
-    def _on_pedal(self, message: Joy, which: tuple[str, str]) -> None:
-        with self._lock:
-            # Two senders on one topic are two sources.
-            source = f"{message._connection_header['callerid']} ({which[0]})"
-            down = bool(message.buttons) and message.buttons[0] == 1
-            changed = self._pedals.press(source, which[1], down, time.monotonic())
-        if changed:
-            self._wake.set()
-
-    def _on_enable(self, message: Bool) -> None:
-        with self._lock:
-            for hand in self._setup.hands:
-                self._switch(hand, bool(message.data))
-        self._wake.set()
-
-    def _on_state_command(self, message: StringStamped, teleop: Teleop) -> None:
-        with self._lock:
-            if message.string == "enable":
-                self._pedals.forget(time.monotonic())
-                teleop.enable()
-            elif message.string == "disable":
-                teleop.disable()
-            else:
-                self._status.warn(f"state_command '{message.string}'; allowed: enable, disable")
-
-    def _on_scale(self, message: Float64, teleops: list[Teleop]) -> None:
-        with self._lock:
-            for refused in {text for t in teleops if (text := t.set_scale(message.data))}:
-                self._status.warn(refused)
-
-    def _on_lock(self, message: Bool, which: tuple[Teleop, str]) -> None:
-        with self._lock:
-            setattr(*which, bool(message.data))
-
-    def _on_recording(self, message: Bool) -> None:
-        self._recording = bool(message.data)
-
-    def _on_assistant(self, message: JointState) -> None:
-        assistant = self._setup.assistant
-        assert assistant is not None
+    def _on_joints(self, message: JointState, assistant: ServoInstrument) -> None:
         with self._lock:
             stamp = message.header.stamp.to_nsec()
             assistant.joints(time.monotonic(), stamp, np.array(message.position))
 
-    def _on_assistant_jaw(self, message: JointState) -> None:
-        assistant = self._setup.assistant
-        assert assistant is not None
+    def _on_jaw(self, message: JointState, assistant: ServoInstrument) -> None:
         if message.position:
             with self._lock:
                 assistant.jaw(message.position[0])
@@ -176,14 +102,10 @@ class TeleopNode:
     def _on_picture(self, message: rospy.AnyMsg) -> None:
         # Header: sequence, seconds, nanoseconds, frame_id; the pixels need not be unpacked.
         data = memoryview(message._buff)
-        seconds, nanoseconds = np.frombuffer(data[4:12], "<u4").tolist()
-        frame = 16 + int(np.frombuffer(data[12:16], "<u4")[0])
+        seconds, nanoseconds, frame = struct.unpack_from("<3I", data, 4)
+        stamp = seconds * SECOND_NS + nanoseconds
         with self._lock:
-            self._picture.picture(
-                time.monotonic(), seconds * SECOND_NS + nanoseconds, zlib.crc32(data[frame:])
-            )
-
-    # Ticks.
+            self._picture.picture(time.monotonic(), stamp, zlib.crc32(data[16 + frame :]))
 
     def run(self) -> None:
         """Free-run: tick on every leader message and every period, until ``finished``."""
@@ -219,12 +141,7 @@ class TeleopNode:
 
     def _act(self, now: float) -> None:
         setup = self._setup
-        for arm, polled in self._polled.items():
-            if messages := polled.fetch():
-                try:
-                    self._keep_cycle(Cycle().deserialize(messages[-1]), arm)
-                except DeserializationError as error:
-                    rospy.logwarn_throttle(1.0, f"/{arm}/cycle: unreadable message: {error}")
+        self._fetch_cycles()
         views = {
             name: arm_view(cycle, setup.bases[name], received)
             for name, (received, cycle) in self._cycles.items()
@@ -238,6 +155,17 @@ class TeleopNode:
         picture = "" if setup.lockstep else self._picture.problem(time.monotonic())
         self._status.status(now, picture)
 
+    def _fetch_cycles(self) -> None:
+        """Free-run: keep the newest cycle of every arm; one that the network delayed is older."""
+        for arm, polled in self._polled.items():
+            if messages := polled.fetch():
+                try:
+                    cycle = Cycle().deserialize(messages[-1])
+                    received = self._arrivals[arm].of(cycle.header.stamp.to_sec(), time.monotonic())
+                    self._cycles[arm] = (received, cycle)
+                except DeserializationError as error:
+                    rospy.logwarn_throttle(1.0, f"/{arm}/cycle: unreadable message: {error}")
+
     def _camera(self) -> CameraView | None:
         held = self._setup.camera
         if not isinstance(held, HeldCamera):
@@ -246,19 +174,17 @@ class TeleopNode:
             return None
         received, cycle = self._cycles[held.arm]
         q = np.array(cycle.q)
-        if q.shape != (held.chain.dof,):
-            return None
-        return CameraView(held.view(q), received)
+        return CameraView(held.view(q), received) if q.shape == (held.chain.dof,) else None
 
     def _move(
         self, hand: Hand, now: float, views: dict[str, ArmView], camera: CameraView | None
     ) -> None:
-        sample = self._pedals.merge(hand.read(now), time.monotonic())
+        sample = self._operator.pedals.merge(hand.read(now), time.monotonic())
         pressed = hand.pressed(sample)
         if "record" in pressed:
-            self._record.publish(Bool(not self._recording))
+            self._operator.toggle_recording()
         if sample is not None and "enable" in pressed:
-            self._switch(hand, hand.switch.enables(sample.buttons))
+            self._operator.switch(hand, hand.switch.enables(sample.buttons))
         for arm, output in hand.switch.tick(now, sample, views, camera).items():
             commands = output.commands
             if arm == ASSISTANT and self._setup.assistant is not None:
@@ -266,41 +192,10 @@ class TeleopNode:
             self._ports[arm].send(commands)
             self._status.state(hand, arm, output)
 
-    def _switch(self, hand: Hand, on: bool) -> None:
-        """The operator enables or disables a leader's arms."""
-        if on:
-            self._pedals.forget(time.monotonic())
-            hand.switch.enable()
-        else:
-            hand.switch.disable()
-
-    # Lock-step connections.
-
-    def connect(self) -> None:
-        """Lock-step: wait for every connection, then answer tick 1, which follows no cycle.
-
-        Raises:
-            TimeoutError: A connection is missing; states which.
-            OSError: The master does not answer.
-        """
-        self._participant.connect(CONNECT_TIMEOUT)
-
-
-def _listen(topic: str, kind: type, callback: Any, arguments: Any = None) -> rospy.Subscriber:
-    keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
-    if arguments is None:
-        return rospy.Subscriber(topic, kind, callback, **keys)
-    return rospy.Subscriber(topic, kind, callback, arguments, **keys)
-
 
 def main() -> int:
     """Run the node; returns the exit code."""
-    if not rosgraph.is_master_online():
-        print(
-            f"teleop: no ROS master at {rosgraph.get_master_uri()}; start one with './surg teleop' "
-            "or './surg up CELL'",
-            file=sys.stderr,
-        )
+    if not master_is_online("teleop"):
         return 1
     rospy.init_node("teleop", disable_signals=True)
     try:
@@ -319,7 +214,7 @@ def main() -> int:
         signal.signal(number, end)
     try:
         if setup.lockstep:
-            node.connect()
+            node.participant.connect(CONNECT_TIMEOUT)
             while not node.finished.wait(0.1) and not rospy.is_shutdown():
                 pass
         else:

@@ -7,11 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 import surg_core
-from surg_core.arm_view import JawRange
+from surg_core.arm_view import Array, JawRange
 from surg_ros.params import ParamError, dictionary, flag, one_of, read, real, text, vector
 from surg_teleop.follow.arm_switch import ArmSwitch
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
@@ -29,8 +26,6 @@ from surg_teleop.leaders import leader as leaders
 from surg_teleop.leaders.bundled.crtk import CrtkLeader
 from surg_teleop.leaders.leader import Leader, LeaderError, LeaderSample
 from surg_teleop.playback.workspace_fit import Workspace
-
-Array = NDArray[np.float64]
 
 REOPEN = 1.0
 """[s] Interval between attempts to open a lost device."""

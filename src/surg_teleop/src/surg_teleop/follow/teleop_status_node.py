@@ -96,10 +96,7 @@ class TeleopStatusPublisher:
             for hand in self._hands
             for arm, teleop in hand.switch.arms.items()
         ]
-        status = (
-            picture,
-            *((h.leader, h.arm, h.state, h.mapping, h.scale, h.detail) for h in hands),
-        )
+        status = picture, *hands
         if status == self._last_status and now - self._last_time < STATUS_PERIOD:
             return
         self._last_status, self._last_time = status, now

@@ -6,15 +6,10 @@ import enum
 import math
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
-from surg_core.arm_view import ArmCommands, ArmView, JawRange
+from surg_core.arm_view import ArmCommands, ArmView, Array, JawRange
 from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
 from surg_teleop.playback.workspace_fit import Workspace
-
-Array = NDArray[np.float64]
 
 SILENCE = 0.1
 """[s] Timeout of the messages of leader, arm and camera."""

@@ -1,4 +1,5 @@
-"""Whether hand and picture agree: the tip is moved along the camera's axes, the pictures decide.
+"""Whether hand and picture agree: the tip moves along the camera's axes, and the pictures decide.
 
-``moves`` says where the tip goes, ``sight`` finds it in the pictures, ``judge`` says what follows.
+``probe_moves`` states where the tip goes, ``tip_tracker`` finds it in the pictures, and
+``registration_verdict`` judges.
 """

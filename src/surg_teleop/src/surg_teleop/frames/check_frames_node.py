@@ -13,14 +13,15 @@ import signal
 import sys
 import threading
 import time
+from typing import Any
 
 import numpy as np
-import rosgraph
 import rospy
 
 from surg_core import ConfigError
 from surg_msgs.msg import Cycle
 from surg_ros.arm_port import ArmPort
+from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError
 from surg_ros.participant import Participant, Seen
 from surg_teleop.frames.check_task import CheckTask, read_task, report
@@ -65,11 +66,9 @@ class CheckNode:
             listen=False,
             lock=self._lock,
         )
+        keys: dict[str, Any] = {"queue_size": None, "tcp_nodelay": True}
         self._participant.inputs += [
-            rospy.Subscriber(
-                f"/{name}/cycle", Cycle, self._on_cycle, name, queue_size=None, tcp_nodelay=True
-            )
-            for name in arms
+            rospy.Subscriber(f"/{name}/cycle", Cycle, self._on_cycle, name, **keys) for name in arms
         ]
         self._participant.inputs += self.eyes.inputs
 
@@ -155,8 +154,7 @@ class CheckNode:
 
 def main() -> int:
     """Run the node; returns the exit code."""
-    if not rosgraph.is_master_online():
-        print(f"check_frames: no ROS master at {rosgraph.get_master_uri()}", file=sys.stderr)
+    if not master_is_online("check_frames"):
         return 1
     rospy.init_node("check_frames", disable_signals=True)
     try:

@@ -12,16 +12,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from surg_core.arm_view import ArmCommands, ArmState, ArmView, TipPose
+from surg_core.arm_view import ArmCommands, ArmState, ArmView, Array, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.frames.probe_moves import REST, SIDE, STEPS, Step, between
 from surg_teleop.frames.tip_tracker import Picture
 from surg_teleop.playback.workspace_fit import Workspace
-
-Array = NDArray[np.float64]
 
 STILL_S = 0.25
 """[s] The tip rests this long before a picture counts, because of lag and rolling shutters."""
@@ -64,7 +61,6 @@ class FramesCheck:
     arm: str  # name of the arm, for messages
     node: str
     workspace: Workspace  # where the tip may be commanded
-    side: float = SIDE  # distance from rest [m]
     enable: bool = False
     stage: Stage = Stage.WAIT
     reason: str = ""  # why it failed; empty otherwise
@@ -172,7 +168,7 @@ class FramesCheck:
             if wall := self.workspace.nearest(place)[1]:
                 self._fail(
                     f"no room to move {step} ({wall} of the workspace); move the tip at least "
-                    f"{1e3 * self.side:.0f} mm away from its limits and try again",
+                    f"{1e3 * SIDE:.0f} mm away from its limits and try again",
                     commands,
                 )
                 return
@@ -180,7 +176,7 @@ class FramesCheck:
         self._go(arm, commands)
 
     def _place(self, step: Step) -> Array:
-        return np.asarray(self._rest + self._R_RV @ step.offset(self.side))
+        return np.asarray(self._rest + self._R_RV @ step.offset())
 
     def _enter(self, stage: Stage, arm: ArmView) -> None:
         self.stage = stage

@@ -8,9 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from surg_core.arm_view import Array
 
 SIDE = 0.005
 """[m] Distance from rest."""
@@ -39,9 +38,9 @@ class Step(NamedTuple):
         """Its word."""
         return WORDS.get((self.axis, self.side), "rest")
 
-    def offset(self, side: float = SIDE) -> Array:
+    def offset(self) -> Array:
         """(3,) from rest, in V [m]."""
-        return np.asarray(side * self.side * np.eye(3)[self.axis])
+        return np.asarray(SIDE * self.side * np.eye(3)[self.axis])
 
 
 REST = Step(0, 0)
@@ -49,13 +48,13 @@ STEPS = (REST, *(Step(axis, side) for axis in AXES for side in (1, -1)))
 """In the order of visits; the tip returns to rest afterwards."""
 
 
-def between(start: Array, end: Array, t: float, speed: float = SPEED) -> tuple[Array, bool]:
+def between(start: Array, end: Array, t: float) -> tuple[Array, bool]:
     """(3,) position [m] at a time t [s] on a line between two points, and whether it is the end.
 
     The share of the path is 3 s^2 - 2 s^3 for a share s of the time, so the largest speed is 1.5
     times the mean.
     """
-    duration = 1.5 * float(np.linalg.norm(end - start)) / speed
+    duration = 1.5 * float(np.linalg.norm(end - start)) / SPEED
     if t >= duration:
         return np.array(end), True
     share = max(t, 0.0) / duration

@@ -13,12 +13,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_core.arm_view import Array
 from surg_teleop.frames.probe_moves import AXES, REST, SIDE, WORDS, Step
 from surg_teleop.frames.tip_tracker import Place
-
-Array = NDArray[np.float64]
 
 ANGLE = np.radians(20.0)
 """[rad] Largest rotation error between hand and picture that operators do not notice."""
@@ -89,11 +87,11 @@ def not_seen(reason: str) -> Verdict:
     return Verdict(Outcome.CANNOT_TELL, Cause.NOT_SEEN, f"cannot tell: {reason}")
 
 
-def judge(places: Mapping[Step, Place], lens: Lens, side: float = SIDE) -> Verdict:
+def judge(places: Mapping[Step, Place], lens: Lens) -> Verdict:
     """Compare observed with commanded motion, at rest and at both sides of every axis."""
     rest = places[REST]
     two_eyes = rest.disparity is not None and lens.baseline > 0.0
-    seen = tuple(_axis(places, axis, lens, side, two_eyes) for axis in AXES)
+    seen = tuple(_axis(places, axis, lens, two_eyes) for axis in AXES)
     still = [s.commanded for s in seen[:2] if float(np.hypot(*s.pixels)) < LEAST]
     if still:
         return not_seen(
@@ -101,19 +99,17 @@ def judge(places: Mapping[Step, Place], lens: Lens, side: float = SIDE) -> Verdi
             "that no tissue holds it, that the picture is live, and that the endoscope is at rest"
         )
     if two_eyes:
-        return _judge_pair(seen, rest, lens, side)
+        return _judge_pair(seen, rest, lens)
     return _judge_flat(seen)
 
 
-def _axis(
-    places: Mapping[Step, Place], axis: int, lens: Lens, side: float, two_eyes: bool
-) -> AxisMotion:
+def _axis(places: Mapping[Step, Place], axis: int, lens: Lens, two_eyes: bool) -> AxisMotion:
     plus, minus = places[Step(axis, 1)], places[Step(axis, -1)]
     pixels, change = plus.left - minus.left, None
     metres = np.full(3, np.nan)
     if two_eyes:
         ends = [_triangulate(place, lens) for place in (plus, minus)]
-        metres = (ends[0] - ends[1]) / (2.0 * side)
+        metres = (ends[0] - ends[1]) / (2.0 * SIDE)
         sizes = [_signed(place) for place in (plus, minus)]
         change = abs(sizes[0]) - abs(sizes[1])
     else:
@@ -134,7 +130,7 @@ def _triangulate(place: Place, lens: Lens) -> Array:
     return np.array([across[0], across[1], z])
 
 
-def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens, side: float) -> Verdict:
+def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens) -> Verdict:
     assert rest.disparity is not None
     S = np.column_stack([s.metres for s in seen])
     U, _, Vt = np.linalg.svd(S)
@@ -154,7 +150,7 @@ def _judge_pair(seen: tuple[AxisMotion, ...], rest: Place, lens: Lens, side: flo
             return Verdict(Outcome.FAIL, Cause.EYES_SWAPPED, text, seen, angle)
         sizes = np.linalg.norm(S, axis=0)
         # The disparity changes by d^2 / (f b) per metre of depth.
-        change = _signed(rest) ** 2 * 2.0 * side / (lens.f * lens.baseline)
+        change = _signed(rest) ** 2 * 2.0 * SIDE / (lens.f * lens.baseline)
         slack = np.array([0.0, 0.0, MATCHED / change])
         if (sizes < SIZES[0] - slack).any() or (sizes > SIZES[1] + slack).any():
             return _wrong_size(seen, sizes, angle)

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, signal
 
+from surg_core.arm_view import Array
 from surg_teleop.frames.probe_moves import AXES, REST, Step
 
-Array = NDArray[np.float64]
 Smooth = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
@@ -49,7 +49,6 @@ class Place:
     left: Array  # (2,) x right, y down, in the left picture [px]
     # (2,) position in the left minus position in the right picture [px]; None with one eye
     disparity: Array | None
-    likeness: float  # correlation with the tip at rest; 1: identical
 
 
 @dataclass(frozen=True)
@@ -79,25 +78,19 @@ def find_places(
     patch = _tip_patch(rest, smooth)
     reach = round(REACH * rest.shape[0])
     other = None if right is None else {step: _smooth(picture) for step, picture in right.items()}
-    across, _ = (
-        (np.zeros(2), 1.0) if other is None else _find(patch, other[REST], np.zeros(2), reach)
-    )
+    across = np.zeros(2) if other is None else _find(patch, other[REST], np.zeros(2), reach)
     places = {}
     for step, picture in smooth.items():
-        shift, likeness = (
-            (np.zeros(2), 1.0)
-            if step == REST
-            else _find(patch, picture, np.zeros(2), reach, f"after the move {step}")
-        )
-        disparity = None
+        shift, disparity = np.zeros(2), None
+        if step != REST:
+            shift = _find(patch, picture, shift, reach, f"after the move {step}")
         if other is not None:
             # The other eye has the same exposure: same light, size and angle.
             there = _moved(patch, picture, shift)
             # The direction of the disparity is fixed, so search along it only: otherwise the patch
             # would slide along a plain shaft.
-            apart, _ = _find(there, other[step], across, NEAR, on_line=True)
-            disparity = -apart
-        places[step] = Place(patch.tip + shift, disparity, likeness)
+            disparity = -_find(there, other[step], across, NEAR, on_line=True)
+        places[step] = Place(patch.tip + shift, disparity)
     return places
 
 
@@ -187,8 +180,8 @@ def _find(
     reach: float,
     where: str = "in the right picture",
     on_line: bool = False,
-) -> tuple[Array, float]:
-    """Shift (2,) [px] of a patch in a picture, near a guess, and the correlation there."""
+) -> Array:
+    """Shift (2,) [px] of a patch in a picture, near a guess."""
     height, width = patch.weight.shape
     span = int(np.ceil(reach))
     low = patch.corner + np.round(guess).astype(np.int64) - span
@@ -201,15 +194,16 @@ def _find(
     score = _correlate(patch, window)
     if on_line and np.hypot(*guess) > 1.0:
         shift, best = _on_line(score, guess, guess - (first - patch.corner), reach)
-        if best < ALIKE:
-            raise _not_recognised(where, best)
-        return shift, best
-    row, column = divmod(int(np.argmax(score)), score.shape[1])
-    best = float(score[row, column])
+    else:
+        row, column = divmod(int(np.argmax(score)), score.shape[1])
+        best = float(score[row, column])
+        shift = first - patch.corner + np.array([column, row]) + _peak_offset(score, row, column)
     if best < ALIKE:
-        raise _not_recognised(where, best)
-    shift = first - patch.corner + np.array([column, row]) + _peak_offset(score, row, column)
-    return np.asarray(shift, dtype=np.float64), best
+        raise NotSeen(
+            f"the tip was not recognised {where} (correlation {best:.2f}, needed {ALIKE}); check "
+            "that nothing hides it and that the picture does not stutter"
+        )
+    return np.asarray(shift, dtype=np.float64)
 
 
 def _on_line(score: Array, guess: Array, at: Array, reach: float) -> tuple[Array, float]:
@@ -221,13 +215,6 @@ def _on_line(score: Array, guess: Array, at: Array, reach: float) -> tuple[Array
     best = int(np.argmax(line))
     further = FINE * _peak_offset(line[None], 0, best)[0]
     return guess + (t[best] + further) * along, float(line[best])
-
-
-def _not_recognised(where: str, best: float) -> NotSeen:
-    return NotSeen(
-        f"the tip was not recognised {where} (correlation {best:.2f}, needed {ALIKE}); check that "
-        "nothing hides it and that the picture does not stutter"
-    )
 
 
 def _correlate(patch: Patch, window: Smooth) -> Array:

@@ -8,13 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
+from surg_core.arm_view import Array
 from surg_core.transforms import twist_angle
 from surg_teleop.leaders.leader import HandlePose
-
-Array = NDArray[np.float64]
 
 MIN_TWIST = 1e-3
 """|cos(swing / 2)| must exceed this: swing–twist has no answer where the handle points back."""

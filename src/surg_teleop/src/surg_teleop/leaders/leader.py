@@ -17,11 +17,9 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from surg_core.arm_view import Array
 from surg_core.plugins import PluginError, PluginKind
-
-Array = NDArray[np.float64]
 
 GROUP = "surg_teleop.leaders"
 """Entry points of other packages: ``my_leader = my_package.file:MyLeader``."""
@@ -50,7 +48,6 @@ class LeaderError(RuntimeError):
     """A leader that cannot be used: what is wrong, with which device, and the cure."""
 
     def __init__(self, what: str, device: str, cure: str) -> None:
-        """Make the message."""
         super().__init__(f"{device}: {what}; {cure}")
         self.what, self.device, self.cure = what, device, cure
 
@@ -232,6 +229,4 @@ def _is_rotation(value: Array) -> bool:
     if value.shape != (3, 3):
         return False
     defect = float(np.abs(value @ value.T - _IDENTITY).max())
-    (a, b, c), (d, e, f), (g, h, i) = value.tolist()
-    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    return defect <= ROTATION_TOLERANCE and determinant > 0.0  # False for what is not a number
+    return defect <= ROTATION_TOLERANCE and bool(np.linalg.det(value) > 0.0)  # False for NaN

@@ -1,11 +1,10 @@
 """Any leader as a process of its own, on topics: what ROS's ``joy`` does, and CRTK.
 
-Publishes, as far as the leader has it: ``/<name>/joy`` (sensor_msgs/Joy: on every change, and again
-at the layout's autorepeat), ``/<name>/measured_cp`` and ``/<name>/measured_cv`` in the view frame,
-``/<name>/spherical/measured_js`` for one that turns the shaft about the trocar,
-``/<name>/gripper/measured_js``, ``/<name>/operating_state``, ``/<name>/error``, and its buttons as
-``/footpedals/clutch``, ``camera``, ``operator_present``. A device that has gone is silence: nothing
-is repeated but its state, and a clutch pedal that fails to pressed.
+Publishes below ``/<name>`` what the leader has: ``joy`` (on every change and at the layout's
+autorepeat), ``measured_cp`` and ``measured_cv`` in the view frame, ``spherical/measured_js``,
+``gripper/measured_js``, ``operating_state`` and ``error``; and its buttons as
+``/footpedals/clutch``, ``camera``, ``operator_present``. If the device is unplugged, only the state
+is repeated, and a clutch pedal that fails to pressed.
 
 Parameters: ``~leader`` (gamepad; name or path of a ``.py`` file), ``~settings`` (of its class, a
 dictionary), ``~rate`` [Hz] (100), ``~pedals`` (true: its buttons are pedals).
@@ -15,78 +14,56 @@ must not be used.
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import time
 from dataclasses import dataclass
 from typing import Any
 
-import rosgraph
 import rospy
-from geometry_msgs.msg import PoseStamped, TwistStamped
-from sensor_msgs.msg import JointState, Joy
+from sensor_msgs.msg import Joy
 from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
-from surg_core import matrix_to_quaternion_xyzw
+from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, dictionary, flag, read, real, text
 from surg_teleop.leaders.bundled.keyboard import HELP, Keyboard
-from surg_teleop.leaders.crtk_leader_node import JOINTS
 from surg_teleop.leaders.evdev.device_leader import InputLeader
-from surg_teleop.leaders.leader import (
-    HandlePose,
-    HandRate,
-    Leader,
-    LeaderError,
-    LeaderSample,
-    load,
-    names,
-)
+from surg_teleop.leaders.leader import Leader, LeaderError, LeaderSample, load, names
+from surg_teleop.leaders.leader_topics_node import LeaderTopics, joy_message
 
 RATES = (20.0, 500.0)
 """[Hz] Slower than 10 Hz would read as silence."""
-STATE_EVERY = 0.1
-"""[s] operating_state at least that often."""
-PEDALS_EVERY = 0.05
-"""[s] Pedals repeat at least that often; they expire after `contract.PRESENCE_TIMEOUT`."""
-GRIPPER_OPEN = 1.0
-"""[rad] What a jaw that is fully open says on gripper/measured_js; closed is 0."""
+STATE_PERIOD = 0.1
+"""[s] Longest interval between two messages on operating_state."""
+PEDAL_PERIOD = 0.05
+"""[s] The same of pedals, which expire after `contract.PRESENCE_TIMEOUT`."""
 PEDALS = {"clutch": "clutch", "camera": "camera", "present": "operator_present"}
 """Buttons of a leader that are pedals, and their topics."""
 
 
 class LeaderNode:
-    """Reads one leader and says what it reads."""
+    """Reads an open leader and publishes what it reads; with ``pedals`` its buttons are pedals."""
 
     def __init__(self, leader: Leader, pedals: bool) -> None:
-        """Advertises; reads nothing."""
         self._leader = leader
-        self._out = {
-            topic: rospy.Publisher(
-                f"/{leader.name}/{topic}", kind, queue_size=1, tcp_nodelay=True, latch=latch
-            )
-            for topic, kind, latch in (
-                ("measured_cp", PoseStamped, False),
-                ("measured_cv", TwistStamped, False),
-                ("spherical/measured_js", JointState, False),
-                ("gripper/measured_js", JointState, False),
-                ("joy", Joy, False),
-                ("operating_state", OperatingState, True),
-                ("error", String, True),
-            )
-        }
+        self._device = leader if isinstance(leader, InputLeader) else None
+        name = leader.name
+        self._samples = LeaderTopics(name)
+        keys: dict[str, Any] = {"queue_size": 1, "tcp_nodelay": True}
+        self._joy = rospy.Publisher(f"/{name}/joy", Joy, **keys)
+        self._state = rospy.Publisher(
+            f"/{name}/operating_state", OperatingState, latch=True, **keys
+        )
+        self._error = rospy.Publisher(f"/{name}/error", String, latch=True, **keys)
+        self._has_pedals = pedals
         self._pedals: dict[str, rospy.Publisher] = {}
-        self._said_pedals: dict[str, bool] = {}
-        self._says_pedals = pedals
         self._problem = ""
-        self._said: dict[str, tuple[object, float]] = {
-            "state": ("", -1.0),
-            "joy": (None, -1.0),
-            "pedals": (None, -1.0),
-        }
+        self._published: dict[str, tuple[object, float]] = {}
 
     def tick(self, now: float) -> None:
-        """Reads once and publishes; now is the steady clock [s]."""
+        """Read and publish once; now is the steady clock [s]."""
         problem = ""
         sample: LeaderSample | None = None
         try:
@@ -97,107 +74,58 @@ class LeaderNode:
         if sample is not None:
             problem = sample.problem
             if not problem:
-                self._say_sample(sample, stamp)
-            self._say_pedals(sample.buttons, now, stamp)
-        elif isinstance(self._leader, InputLeader):
-            problem = problem or self._leader.lost
-        self._say_joy(now, stamp)
-        self._say_problem(problem)
-        alive = sample is not None and not problem
-        self._say_state("FAULT" if problem else "ENABLED" if alive else "DISABLED", now, stamp)
-
-    def _say_sample(self, sample: LeaderSample, stamp: rospy.Time) -> None:
-        if sample.pose is not None:
-            self._out["measured_cp"].publish(pose_message(sample.pose, stamp))
-        if sample.rate is not None and sample.rate.spherical is not None:
-            self._out["spherical/measured_js"].publish(spherical_message(sample.rate, stamp))
-        elif sample.rate is not None:
-            self._out["measured_cv"].publish(rate_message(sample.rate, stamp))
-        if sample.grip is not None:
-            joint = JointState(name=["gripper"], position=[GRIPPER_OPEN * sample.grip])
-            joint.header.stamp = stamp
-            self._out["gripper/measured_js"].publish(joint)
-
-    def _say_joy(self, now: float, stamp: rospy.Time) -> None:
-        if not isinstance(self._leader, InputLeader):
-            return
-        joy = self._leader.joy(now)
-        if joy is not None and self._due("joy", joy, now, 1.0 / self._leader.layout.autorepeat):
-            message = Joy(axes=list(joy.axes), buttons=list(joy.buttons))
+                self._samples.publish(sample, stamp)
+            if self._has_pedals:
+                self._publish_pedals(sample.buttons, now, stamp)
+        elif self._device is not None:
+            problem = problem or self._device.lost
+        self._publish_joy(now, stamp)
+        self._publish_problem(problem)
+        state = "FAULT" if problem else "DISABLED" if sample is None else "ENABLED"
+        if self._due("state", state, now, STATE_PERIOD):
+            message = OperatingState(state=state, is_homed=state == "ENABLED")
             message.header.stamp = stamp
-            self._out["joy"].publish(message)
+            self._state.publish(message)
 
-    def _say_pedals(self, buttons: frozenset[str], now: float, stamp: rospy.Time) -> None:
-        """Only pedals that this leader has pressed once: another leader may have the others."""
-        if not self._says_pedals:
+    def _publish_joy(self, now: float, stamp: rospy.Time) -> None:
+        joy = self._device.joy(now) if self._device is not None else None
+        if self._device is None or joy is None:
             return
-        pressed = tuple(sorted(buttons & PEDALS.keys()))
-        if not self._due("pedals", pressed, now, PEDALS_EVERY):
+        if self._due("joy", joy, now, 1.0 / self._device.layout.autorepeat):
+            self._joy.publish(joy_message(joy.buttons, stamp, joy.axes))
+
+    def _publish_pedals(self, buttons: frozenset[str], now: float, stamp: rospy.Time) -> None:
+        """Only pedals that this leader has: another leader may have the others."""
+        pressed = buttons & PEDALS.keys()
+        if not self._due("pedals", pressed, now, PEDAL_PERIOD):
             return
-        has = set(pressed)
-        if isinstance(self._leader, InputLeader):
-            layout = self._leader.layout
-            has |= layout.actions.keys() & PEDALS.keys()
-            has |= {"present"} if layout.dead_man is not None else set()
-        for name in has - self._pedals.keys():
+        own = set(pressed)
+        if self._device is not None:
+            layout = self._device.layout
+            own |= layout.actions.keys() & PEDALS.keys()
+            own |= {"present"} if layout.dead_man is not None else set()
+        for name in own - self._pedals.keys():
             self._pedals[name] = rospy.Publisher(
                 f"/footpedals/{PEDALS[name]}", Joy, queue_size=10, tcp_nodelay=True, latch=True
             )
         for name, publisher in self._pedals.items():
-            message = Joy(buttons=[int(name in buttons)])
-            message.header.stamp = stamp
-            publisher.publish(message)
+            publisher.publish(joy_message([name in buttons], stamp))
 
-    def _say_state(self, state: str, now: float, stamp: rospy.Time) -> None:
-        if self._due("state", state, now, STATE_EVERY):
-            message = OperatingState(state=state, is_homed=state == "ENABLED")
-            message.header.stamp = stamp
-            self._out["operating_state"].publish(message)
-
-    def _say_problem(self, problem: str) -> None:
+    def _publish_problem(self, problem: str) -> None:
         if problem and problem != self._problem:
             print(f"leader: {problem}", file=sys.stderr, flush=True)
-            self._out["error"].publish(problem)
+            self._error.publish(problem)
         elif self._problem and not problem:
             print(f"leader: {self._leader.name} is back; engage anew", flush=True)
         self._problem = problem
 
-    def _due(self, what: str, value: object, now: float, every: float) -> bool:
-        """Whether something has changed, or was said longer ago than every [s]."""
-        said, when = self._said[what]
-        if value == said and now - when < every:
+    def _due(self, topic: str, value: object, now: float, period: float) -> bool:
+        """Whether a value has changed, or was published longer ago than a period [s]."""
+        before, when = self._published.get(topic, (None, -math.inf))
+        if value == before and now - when < period:
             return False
-        self._said[what] = (value, now)
+        self._published[topic] = (value, now)
         return True
-
-
-def pose_message(pose: HandlePose, stamp: rospy.Time) -> PoseStamped:
-    """A handle's pose in V."""
-    message = PoseStamped()
-    message.header.stamp = stamp
-    position, orientation = message.pose.position, message.pose.orientation
-    position.x, position.y, position.z = pose.p_VH.tolist()
-    q = matrix_to_quaternion_xyzw(pose.R_VH).tolist()
-    orientation.x, orientation.y, orientation.z, orientation.w = q
-    return message
-
-
-def rate_message(rate: HandRate, stamp: rospy.Time) -> TwistStamped:
-    """A hand's rate in V; the roll is the angular velocity about z."""
-    message = TwistStamped()
-    message.header.stamp = stamp
-    linear = message.twist.linear
-    linear.x, linear.y, linear.z = rate.v_V.tolist()
-    message.twist.angular.z = rate.roll
-    return message
-
-
-def spherical_message(rate: HandRate, stamp: rospy.Time) -> JointState:
-    """A hand's rates about the trocar: yaw, pitch [rad/s], insertion [m/s], roll [rad/s]."""
-    assert rate.spherical is not None
-    message = JointState(name=list(JOINTS), velocity=[*rate.spherical.tolist(), rate.roll])
-    message.header.stamp = stamp
-    return message
 
 
 @dataclass(frozen=True)
@@ -212,12 +140,7 @@ class Parameters:
 
 def main() -> int:
     """Run the node; returns the exit code."""
-    if not rosgraph.is_master_online():
-        print(
-            f"leader: no ROS master at {rosgraph.get_master_uri()}; start one with 'rosmaster "
-            "--core' or './surg up CELL'",
-            file=sys.stderr,
-        )
+    if not master_is_online("leader"):
         return 1
     rospy.init_node("leader", disable_signals=True)
     # Every way out but kill -9 goes through `finally`: a terminal must be given back.
@@ -245,7 +168,7 @@ def main() -> int:
 
 
 def run(node: LeaderNode, rate: float) -> None:
-    """Ticks until ROS ends. What came late is not made up for."""
+    """Tick until ROS ends; lost time is not made up for."""
     while not rospy.is_shutdown():
         started = time.monotonic()
         node.tick(started)

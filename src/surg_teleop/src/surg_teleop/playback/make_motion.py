@@ -17,9 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from surg_core.arm_view import Array
 
 RATE = 100
 """[Hz] Samples per second: ten per period of the fastest tremor."""

@@ -1,9 +1,9 @@
-"""The operator as a node: plays a motion file into one arm, one answer per control cycle.
+"""Plays a motion file on one arm: a node that answers every control cycle.
 
 Parameters: ``~cell`` (folder or cell.yaml), ``~arm`` (PSM1), ``~motion`` (CSV; the bundled motion),
 ``~scale`` (1.0), ``~duration`` [s] (0: the motion once), ``~mode`` (cartesian | spherical),
-``~lockstep`` (false). Exit code 0: played to the end; 1: gave up, the reason is on stderr and on
-``~status``; 2: a file or parameter that must not be used.
+``~lockstep`` (false). Exit code 0: played to the end; 1: stopped, with the reason on stderr and on
+``~status``; 2: invalid file or parameter.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import rosgraph
 import rospy
 
 from surg_core import ConfigError, load_cell
@@ -23,6 +22,7 @@ from surg_core.contract import SECOND_NS
 from surg_core.status_check import Newest
 from surg_msgs.msg import SenderStatus, SimStatus
 from surg_ros.arm_port import ArmPort
+from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, flag, one_of, path, read, real, text
 from surg_ros.participant import Participant, Seen
 from surg_teleop.playback.motion_errors import MotionError
@@ -33,16 +33,15 @@ from surg_teleop.playback.workspace_fit import Workspace
 
 BUNDLED_MOTION = "motions/bundled.csv"
 CONNECT_TIMEOUT = 30.0
-"""[s] wall clock: longest wait for the controller and the robot link."""
+"""[s] Longest wait for the controller and the robot link, wall clock."""
 LINGER = 1.0
-"""[s] wall clock: after the last message in free-run, so that it leaves the socket."""
+"""[s] Wait after the last message in free-run, wall clock, so that it leaves the socket."""
 
 
 class OperatorNode:
-    """Wires an MotionPlayer to the topics of one arm."""
+    """Connects a MotionPlayer to the topics of one arm; sends nothing before :meth:`connect`."""
 
     def __init__(self, operator: MotionPlayer, arm: str, lockstep: bool) -> None:
-        """Advertises and subscribes; nothing is sent before :meth:`connect`."""
         self.operator = operator
         self.finished = threading.Event()
         self._lockstep, self._stage = lockstep, operator.stage
@@ -55,10 +54,10 @@ class OperatorNode:
         rospy.Subscriber("/sim/status", SimStatus, self._on_sim_status, queue_size=None)
 
     def connect(self) -> None:
-        """Waits for every connection, then answers tick 1, which has no cycle before it.
+        """Wait for every connection, then answer tick 1, which follows no cycle.
 
         Raises:
-            TimeoutError: Somebody is missing; says who.
+            TimeoutError: A connection is missing; states which.
             OSError: The master does not answer.
         """
         self._report()
@@ -79,8 +78,8 @@ class OperatorNode:
         now = time.monotonic()
         self._sim.take(message, now)
         if complaint := self._sim.complaint(now):
-            rospy.logwarn("operator: the end of the run is not noticed: %s", complaint)
-        status = self._sim.at(now)  # None: an invalid message ends nothing, however often it comes
+            rospy.logwarn("operator: cannot tell when the run ends: %s", complaint)
+        status = self._sim.at(now)  # None: invalid; it ends nothing
         if status is not None and status.state != SimStatus.STATE_RUNNING:
             self.finished.set()
 
@@ -158,12 +157,7 @@ def bundled_motion() -> Path:
 
 def main() -> int:
     """Run the node; returns the exit code."""
-    if not rosgraph.is_master_online():
-        print(
-            f"operator: no ROS master at {rosgraph.get_master_uri()}; start one with 'rosmaster "
-            "--core' or './surg up CELL'",
-            file=sys.stderr,
-        )
+    if not master_is_online("operator"):
         return 1
     rospy.init_node("operator")
     try:
@@ -185,6 +179,6 @@ def main() -> int:
     if not rospy.is_shutdown():
         time.sleep(LINGER)
     if operator.reason:
-        print(f"operator: gave up: {operator.reason}", file=sys.stderr)
+        print(f"operator: stopped: {operator.reason}", file=sys.stderr)
         return 1
     return 0

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import rosgraph
 import rospy
 
 import surg_core
+from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, names, path, read, text, whole
 from surg_teleop.console.ros.ros_system_node import RosSystem
 from surg_teleop.console.session.console_session import Session
@@ -115,14 +115,11 @@ async def serve(settings: Settings, stop: asyncio.Event) -> None:
     }
     name = f"{rospy.get_name().strip('/').replace('/', '_')}_video"
     argv = [sys.executable, "-s", "-m", "surg_teleop.console.ros.video_node", name]
-
-    def show(packet: Any) -> None:
-        server.show(packet)
-
-    def problem(text: str) -> None:
-        server.picture_problem(text)
-
-    encoder = EncoderProcess([*argv, ",".join(settings.views)], show, problem)
+    encoder = EncoderProcess(
+        [*argv, ",".join(settings.views)],
+        show=lambda packet: server.show(packet),
+        problem=lambda text: server.picture_problem(text),
+    )
     session = Session(pictures=bool(settings.views), leads=bool(settings.leader))
     server = Server(settings.access, session, system, encoder, facts, settings.limits)
     video = asyncio.create_task(encoder.run()) if settings.views else None
@@ -146,9 +143,7 @@ async def _run(settings: Settings) -> None:
 
 def main() -> int:
     """Run the node; returns the exit code."""
-    if not rosgraph.is_master_online():
-        uri = rosgraph.get_master_uri()
-        print(f"console: no ROS master at {uri}; start one with './surg teleop'", file=sys.stderr)
+    if not master_is_online("console"):
         return 1
     rospy.init_node("console", disable_signals=True)
     try:

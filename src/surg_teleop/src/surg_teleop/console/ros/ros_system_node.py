@@ -43,6 +43,11 @@ from surg_teleop.console.session.system_state import (
 
 FRESH = 1.0
 """[s] Timeout of a live value."""
+STATUSES = {
+    "/record/status": RecordStatus,
+    "/sim/status": SimStatus,
+    "/policy/status": PolicyStatus,
+}
 FAST = {
     "rcm": "rcm/error",
     "joints": "measured_js",
@@ -66,11 +71,9 @@ class RosSystem:
     ) -> None:
         self._lock = threading.Lock()
         self._arms = {name: Arm(name) for name in arms}
-        self._statuses = {
-            topic: Newest(topic)
-            for topic in (f"/{teleop}/status", "/record/status", "/sim/status", "/policy/status")
-        }
         self._teleop = f"/{teleop}/status"
+        kinds = STATUSES | {self._teleop: TeleopStatus}
+        self._statuses = {topic: Newest(topic) for topic in kinds}
         self._newest: dict[str, tuple[float, bytes]] = {}
         self._peak = 0.0
         self._episodes = None if episodes is None else Episodes(episodes)
@@ -80,25 +83,12 @@ class RosSystem:
             for what, topic in FAST.items()
         }
         self._cycles = {arm: PolledSubscriber(f"/{arm}/cycle", Cycle) for arm in arms}
-        self._subscribers = self._subscribe(arms)
-
-    # --- topics ------------------------------------------------------------------------
-
-    def _subscribe(self, arms: tuple[str, ...]) -> list[rospy.Subscriber]:
-        def on(topic: str, kind: type, call: Any, *about: Any) -> rospy.Subscriber:
-            keys = {"queue_size": 10, "tcp_nodelay": True}
-            return rospy.Subscriber(topic, kind, lambda message: call(message, *about), **keys)
-
-        subscribers = [
-            on(self._teleop, TeleopStatus, self._on_status, self._teleop),
-            on("/record/status", RecordStatus, self._on_status, "/record/status"),
-            on("/sim/status", SimStatus, self._on_status, "/sim/status"),
-            on("/policy/status", PolicyStatus, self._on_status, "/policy/status"),
-        ]
+        keys: dict[str, Any] = {"queue_size": 10, "tcp_nodelay": True}
+        for topic, kind in kinds.items():
+            rospy.Subscriber(topic, kind, self._on_status, topic, **keys)
         for arm in arms:
-            subscribers.append(on(f"/{arm}/operating_state", OperatingState, self._on_state, arm))
-            subscribers.append(on(f"/{arm}/warning", String, self._on_warning, arm))
-        return subscribers
+            rospy.Subscriber(f"/{arm}/operating_state", OperatingState, self._on_state, arm, **keys)
+            rospy.Subscriber(f"/{arm}/warning", String, self._on_warning, arm, **keys)
 
     def _hear_fast(self, now: float) -> None:
         """Fetch the fast topics; with the lock held."""
@@ -158,19 +148,18 @@ class RosSystem:
             hands = self._hands(now)
             first, others = hands[0], hands[1:]
             own = [hand for hand in others if hand.leader == first.leader]
-            record, sim = self._at("/record/status", now), self._at("/sim/status", now)
-            policy = self._at("/policy/status", now)
+            record, sim, policy = (self._statuses[topic].at(now) for topic in STATUSES)
             return Robot(
                 tuple(self._arms.values()),
                 first,
                 own[0] if own else Follower(),
                 tuple(hand for hand in others if hand.leader != first.leader),
                 Gauges(
-                    rcm=last_double(newest.get("rcm")),
+                    rcm=last_double(newest.get("rcm", b"")),
                     rcm_peak=self._peak if "rcm" in newest else None,
-                    depth=depth(newest.get("joints")),
-                    trocar=force(newest.get("trocar")),
-                    tip=force(newest.get("tip")),
+                    depth=depth(newest.get("joints", b"")),
+                    trocar=force(newest.get("trocar", b"")),
+                    tip=force(newest.get("tip", b"")),
                 ),
                 _recorder(record) if record else Recorder(),
                 simulated=sim is not None,
@@ -178,13 +167,9 @@ class RosSystem:
                 policy=_policy(policy) if policy else PolicyServer(),
             )
 
-    def _at(self, topic: str, now: float) -> Any:
-        """The status of a topic; None: there is no valid one."""
-        return self._statuses[topic].at(now)
-
     def _hands(self, now: float) -> list[Follower]:
         """State of every leader from the teleoperation; one empty value: unknown."""
-        status = self._at(self._teleop, now)
+        status = self._statuses[self._teleop].at(now)
         if status is None or not status.hands:
             return [Follower()]
         first, *others = map(_follower, status.hands)
@@ -198,8 +183,6 @@ class RosSystem:
     def entries(self) -> list[Entry]:
         """See `web_server.System`."""
         return [] if self._episodes is None else self._episodes.entries()
-
-    # --- orders -------------------------------------------------------------------------------
 
     def obey(self, orders: list[Order]) -> None:
         """See `web_server.System`."""
@@ -232,5 +215,5 @@ def _task(status: SimStatus) -> SimTask:
 
 
 def _policy(status: PolicyStatus) -> PolicyServer:
-    name = status.policy
-    return PolicyServer(value_name(status, "state"), name, status.detail, status.refused)
+    state = value_name(status, "state")
+    return PolicyServer(state, status.policy, status.detail, status.refused)

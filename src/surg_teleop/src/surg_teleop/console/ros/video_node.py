@@ -18,7 +18,7 @@ import av
 import rospy
 from sensor_msgs.msg import Image
 
-from surg_teleop.console.web.codec import CodecError
+from surg_teleop.console.web.codec import CodecError, image_of
 from surg_teleop.console.web.picture_streams import (
     EYES,
     CameraFrame,
@@ -61,17 +61,14 @@ class Encoder:
         if not self._wanted:
             return
         try:
-            frame = CameraFrame.of(
-                message.header.stamp.to_nsec() // 1000,
-                received,
-                message.data,
-                (message.width, message.height),
-                message.step,
-                message.encoding,
+            pixels = image_of(
+                message.data, message.width, message.height, message.step, message.encoding
             )
         except CodecError as error:
             rospy.logwarn_throttle(10, f"console: {view} eye: {error}")
             return
+        stamp = message.header.stamp.to_nsec() // 1000
+        frame = CameraFrame(stamp, received, pixels, message.encoding)
         with self._arrived:
             for layout, pairer in self._pairers.items():
                 frames = pairer.add(view, frame)

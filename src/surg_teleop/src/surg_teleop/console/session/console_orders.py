@@ -1,98 +1,92 @@
-"""Orders of the console; the node turns them into messages."""
+"""Orders of the console; the node publishes each on its topic."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from surg_teleop.console.web.page_protocol import Input
 
 
+class Order:
+    """What the console asks for."""
+
+
 @dataclass(frozen=True)
-class Move:
+class Move(Order):
     """An input of the page in control, for the leader's topics."""
 
     sample: Input
 
 
 @dataclass(frozen=True)
-class Present:
-    """Whether the operator is present: `/console/operator_present`."""
-
-    on: bool
+class OtherMapping(Order):
+    """Toggle between position and rate control: a tap on `/console/rate`."""
 
 
 @dataclass(frozen=True)
-class Follow:
-    """Teleoperation on or off: `/console/teleop/enable`."""
-
-    on: bool
-
-
-@dataclass(frozen=True)
-class Clutch:
-    """`/console/clutch`."""
-
-    on: bool
-
-
-@dataclass(frozen=True)
-class Camera:
-    """`/console/camera`."""
-
-    on: bool
-
-
-@dataclass(frozen=True)
-class OtherMapping:
-    """Toggle between position and rate control: `/console/rate`."""
-
-
-@dataclass(frozen=True)
-class SetScale:
-    """`/console/teleop/set_scale`."""
-
-    value: float
-
-
-@dataclass(frozen=True)
-class Record:
-    """`/record/record`."""
-
-    on: bool
-
-
-@dataclass(frozen=True)
-class Policy:
-    """Start or stop the connected policy: `/policy/enable`."""
-
-    on: bool
-
-
-@dataclass(frozen=True)
-class PutBack:
-    """Guide a simulated arm in FAULT home: `/sim/by_hand`."""
-
-    arm: str
-
-
-@dataclass(frozen=True)
-class StateCommand:
+class StateCommand(Order):
     """A command on an arm's `state_command`."""
 
     arm: str
     word: str
 
 
-Order = (
-    Move
-    | Present
-    | Follow
-    | Clutch
-    | Camera
-    | OtherMapping
-    | SetScale
-    | Record
-    | Policy
-    | PutBack
-    | StateCommand
-)
+@dataclass(frozen=True)
+class Request(Order):
+    """A value for a topic."""
+
+    value: bool | float | str
+    topic: ClassVar[str]
+
+
+class Follow(Request):
+    """Teleoperation on or off."""
+
+    topic = "/console/teleop/enable"
+
+
+class SetScale(Request):
+    """Arm metres per metre of the hand."""
+
+    topic = "/console/teleop/set_scale"
+
+
+class Record(Request):
+    """Recording on or off."""
+
+    topic = "/record/record"
+
+
+class Policy(Request):
+    """The connected policy on or off."""
+
+    topic = "/policy/enable"
+
+
+class PutBack(Request):
+    """Name of a simulated arm in FAULT, to be guided home."""
+
+    topic = "/sim/by_hand"
+
+
+class Button(Request):
+    """Whether a button is held; re-published, because receivers drop silent sources."""
+
+
+class Present(Button):
+    """The operator is present."""
+
+    topic = "/console/operator_present"
+
+
+class Clutch(Button):
+    """The clutch."""
+
+    topic = "/console/clutch"
+
+
+class Camera(Button):
+    """The camera pedal."""
+
+    topic = "/console/camera"

@@ -14,21 +14,8 @@ import enum
 import math
 from dataclasses import dataclass, field
 
+from surg_teleop.console.session import console_orders as orders
 from surg_teleop.console.session import operator_messages
-from surg_teleop.console.session.console_orders import (
-    Camera,
-    Clutch,
-    Follow,
-    Move,
-    Order,
-    OtherMapping,
-    Policy,
-    Present,
-    PutBack,
-    Record,
-    SetScale,
-    StateCommand,
-)
 from surg_teleop.console.session.system_state import Robot
 from surg_teleop.console.web.page_protocol import Input
 from surg_teleop.follow.message_lateness import Lateness
@@ -92,7 +79,7 @@ class Session:
         self._pictures, self._leads = pictures, leads
         self._pages: dict[str, _Page] = {}
         self._holder: _Page | None = None
-        self._orders: list[Order] = []
+        self._orders: list[orders.Order] = []
         self._enabled = self._acted = self._tapped = -math.inf
         self._policy_requested = -math.inf
         self._clutch = self._camera = False
@@ -120,10 +107,10 @@ class Session:
         """Whether the operator drives the endoscope."""
         return self._camera and self.phase is Phase.DRIVING
 
-    def take_orders(self) -> list[Order]:
+    def take_orders(self) -> list[orders.Order]:
         """Orders to send now, in sequence; the queue is empty afterwards."""
-        orders, self._orders = self._orders, []
-        return orders
+        queue, self._orders = self._orders, []
+        return queue
 
     def join(self, name: str, now: float) -> None:
         """A page has connected; it gets control if no page has it."""
@@ -179,7 +166,12 @@ class Session:
         self.phase, self.reason, self._policy_requested = Phase.STARTING, "", -math.inf
         self._enabled = self._acted = now
         self._clutch = self._camera = False
-        self._orders += [Clutch(False), Camera(False), Present(True), Follow(True)]
+        self._orders += [
+            orders.Clutch(False),
+            orders.Camera(False),
+            orders.Present(True),
+            orders.Follow(True),
+        ]
         return ""
 
     def policy(self, name: str, robot: Robot, now: float) -> str:
@@ -190,7 +182,7 @@ class Session:
         if self.holder != name:
             return operator_messages.NO_CONTROL
         if robot.policy.active:
-            self._orders.append(Policy(False))
+            self._orders.append(orders.Policy(False))
             self.reason = operator_messages.POLICY_ENDED
             return ""
         if robot.policy.state not in ("READY", "PAUSED"):
@@ -206,17 +198,17 @@ class Session:
         if not robot.astray:
             return operator_messages.NOTHING_ASTRAY
         self._hold(operator_messages.PUT_BACK)
-        self._orders += [PutBack(arm) for arm in robot.astray]
+        self._orders += [orders.PutBack(arm) for arm in robot.astray]
         return ""
 
     def stop(self, robot: Robot, who: str = "") -> None:
         """Stop was pressed on a page, whoever has control: pause all arms."""
         self._hold(operator_messages.stopped(who if who != self.holder else ""))
         self._orders += [
-            StateCommand(arm.name, "pause") for arm in robot.arms if arm.state == "ENABLED"
+            orders.StateCommand(arm.name, "pause") for arm in robot.arms if arm.state == "ENABLED"
         ]
         if not robot.policy.passive:
-            self._orders.append(Policy(False))
+            self._orders.append(orders.Policy(False))
 
     def hide(self, name: str, why: str) -> None:
         """The page is hidden or has lost its input device; `why`: of `page_protocol.HIDDEN`."""
@@ -228,16 +220,16 @@ class Session:
 
     def scale(self, name: str, value: float) -> str:
         """Set the scale; returns why it is refused."""
-        if self.holder != name:
-            return operator_messages.NO_CONTROL
-        self._orders.append(SetScale(value))
-        return ""
+        return self._order_by(name, orders.SetScale(value))
 
     def record(self, name: str, on: bool) -> str:
         """Start or stop recording; returns why it is refused."""
+        return self._order_by(name, orders.Record(on))
+
+    def _order_by(self, name: str, order: orders.Order) -> str:
         if self.holder != name:
             return operator_messages.NO_CONTROL
-        self._orders.append(Record(on))
+        self._orders.append(order)
         return ""
 
     def receive(self, name: str, sample: Input, now: float) -> None:
@@ -256,13 +248,13 @@ class Session:
             return
         if sample.clutch != self._clutch:
             self._clutch, self._acted = sample.clutch, now
-            self._orders.append(Clutch(sample.clutch))
+            self._orders.append(orders.Clutch(sample.clutch))
         if sample.camera != self._camera:
             self._camera, self._acted = sample.camera, now
-            self._orders.append(Camera(sample.camera))
+            self._orders.append(orders.Camera(sample.camera))
         if self._leads:
             self._hand = sample.hand
-            self._orders.append(Move(sample))
+            self._orders.append(orders.Move(sample))
 
     # --- periodic checks ---------------------------------------------------------------
 
@@ -279,7 +271,7 @@ class Session:
         if self._leads and follower.state in MAY_MAP and follower.mapping != self._hand:
             if now - self._tapped >= SETTLED:
                 self._tapped = self._acted = now
-                self._orders.append(OtherMapping())
+                self._orders.append(orders.OtherMapping())
         elif now - self._acted < SETTLED:
             return
         elif follower.state in ENGAGED:
@@ -297,7 +289,7 @@ class Session:
             self._policy_requested = -math.inf
         elif since >= SETTLED and robot.follower.state == "DISABLED":
             self._policy_requested = -math.inf
-            self._orders.append(Policy(True))
+            self._orders.append(orders.Policy(True))
 
     def _problem(self, page: _Page, now: float) -> str:
         """Why the page must not drive now; empty: it may."""
@@ -313,7 +305,7 @@ class Session:
 
     def _hold(self, why: str) -> None:
         """Stop all motion until Enable is pressed again."""
-        self._orders += [Present(False), Follow(False)]
+        self._orders += [orders.Present(False), orders.Follow(False)]
         self.reason, self._policy_requested = why, -math.inf
         if self._holder is not None:
             self.phase = Phase.HELD

@@ -8,7 +8,7 @@ from typing import Any
 
 from surg_teleop.console.session import operator_messages
 from surg_teleop.console.session.console_session import Phase, Session
-from surg_teleop.console.session.system_state import Arm, Follower, Robot
+from surg_teleop.console.session.system_state import Arm, Robot
 
 STALE = 1.0
 """[s] Timeout of an arm's state."""
@@ -27,23 +27,20 @@ def report(
     session: Session, robot: Robot, limits: Mapping[str, float], now: float
 ) -> dict[str, Any]:
     """Content of the status, with the limits of the driven arm by name [SI]."""
-    gauges = robot.gauges
     return {
         "say": "status",
         "phase": session.phase.value,
-        "headline": _policy_headline(session, robot) or _headline(session, robot),
+        "headline": _headline(session, robot),
         "sentence": operator_messages.as_sentence(sentence(session, robot, now)),
         "holder": session.holder,
         "pages": session.pages,
         "arms": [_arm(arm, now) for arm in robot.arms],
-        "helpers": [_helper(hand) for hand in robot.helpers],
-        "gauges": {
-            "rcm": finite(gauges.rcm),
-            "rcm_peak": finite(gauges.rcm_peak),
-            "depth": finite(gauges.depth),
-            "trocar": finite(gauges.trocar),
-            "tip": finite(gauges.tip),
-        },
+        # An arm without a controller has no line of its own.
+        "helpers": [
+            {"name": f"{hand.arm} ({hand.leader})", "state": hand.state, "sentence": hand.reason}
+            for hand in robot.helpers
+        ],
+        "gauges": {name: finite(value) for name, value in vars(robot.gauges).items()},
         "limits": dict(limits),
         "scale": finite(robot.follower.scale),
         "teleop": robot.follower.state,
@@ -93,33 +90,18 @@ def sentence(session: Session, robot: Robot, now: float) -> str:
 
 def _headline(session: Session, robot: Robot) -> str:
     """The state in one or two words."""
-    fault = any(arm.state == "FAULT" for arm in robot.arms)
-    if fault:
+    if session.phase is Phase.READY and robot.policy.state == "RUNNING":
+        return "Policy"
+    if any(arm.state == "FAULT" for arm in robot.arms):
         return "Fault"
     if session.phase is not Phase.DRIVING:
         return _HEADLINES[session.phase]
-    if session.clutched:
+    if session.clutched or (session.scoping and not robot.scope.state):
         return "Clutched"
-    if session.scoping and not robot.scope.state:
-        return "Clutched"
+    hand, headline = robot.follower, "Following"
     if session.scoping:
-        return "Endoscope" if robot.scope.following else "Waiting"
-    return "Following" if robot.follower.following else "Waiting"
-
-
-def _helper(hand: Follower) -> dict[str, Any]:
-    """Another leader; an arm without a controller has no line of its own."""
-    return {
-        "name": f"{hand.arm} ({hand.leader})",
-        "state": hand.state,
-        "sentence": hand.reason,
-    }
-
-
-def _policy_headline(session: Session, robot: Robot) -> str:
-    """Headline while a policy has the arm; empty otherwise."""
-    running = robot.policy.state == "RUNNING"
-    return "Policy" if session.phase is Phase.READY and running else ""
+        hand, headline = robot.scope, "Endoscope"
+    return headline if hand.state == "FOLLOWING" else "Waiting"
 
 
 def _arm(arm: Arm, now: float) -> dict[str, Any]:

@@ -35,11 +35,6 @@ class Follower:
     leader: str = ""
     arm: str = ""
 
-    @property
-    def following(self) -> bool:
-        """Whether the tip follows the hand."""
-        return self.state == "FOLLOWING"
-
 
 @dataclass(frozen=True)
 class Gauges:
@@ -50,7 +45,6 @@ class Gauges:
     depth: float | None = None  # of the tip behind the trocar [m]
     trocar: float | None = None  # force of the shaft on the trocar [N]
     tip: float | None = None  # force at the tip [N]
-    age: float | None = None
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fractions
-from typing import Protocol
+from dataclasses import dataclass
 
 import av
 import cv2
@@ -21,37 +21,27 @@ _TO_YUV = {"rgb8": cv2.COLOR_RGB2YUV_I420, "bgr8": cv2.COLOR_BGR2YUV_I420}
 KEY_EVERY = 100
 """Pictures between two key pictures; a page that joins or falls behind requests one."""
 _MICROSECONDS = fractions.Fraction(1, 1_000_000)
-_LAMBDA = 118  # FF_QP2LAMBDA: ffmpeg counts qualities in 118ths
 
 
 class CodecError(ValueError):
     """An image that cannot be encoded: why and what is allowed."""
 
 
-class Codec(Protocol):
-    """Encodes pictures of one size."""
+@dataclass(frozen=True)
+class Format:
+    """How ffmpeg encodes a picture."""
 
-    size: tuple[int, int]
+    library: str
+    pixels: str
+    options: dict[str, str]
 
-    def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
-        """Encode one picture; `key`: make it a key picture."""
 
-
-class H264:
-    """Low-latency x264: constrained baseline, Annex B, parameter sets with every key picture.
-
-    Args:
-        width: [px], even.
-        height: [px], even.
-    """
-
-    def __init__(self, width: int, height: int) -> None:
-        self.size = (width, height)
-        context = av.CodecContext.create("libx264", "w")
-        context.width, context.height, context.pix_fmt = width, height, "yuv420p"
-        context.time_base, context.framerate = _MICROSECONDS, fractions.Fraction(20)
-        context.gop_size, context.thread_count = KEY_EVERY, 1
-        context.options = {
+CODECS = {
+    # Low-latency x264: constrained baseline, Annex B, parameter sets with every key picture.
+    "h264": Format(
+        "libx264",
+        "yuv420p",
+        {
             "preset": "ultrafast",
             "tune": "zerolatency",
             "profile": "baseline",
@@ -60,45 +50,40 @@ class H264:
             "forced-idr": "1",
             "x264-params": "scenecut=0:repeat-headers=1:annexb=1:sliced-threads=0:"
             "colorprim=smpte170m:transfer=smpte170m:colormatrix=smpte170m",
-        }
+        },
+    ),
+    # Four to eight times the bytes of H.264, decoded by every browser. Quality 4 of 2 (best) to 31,
+    # in ffmpeg's unit FF_QP2LAMBDA.
+    "jpeg": Format("mjpeg", "yuvj420p", {"flags": "+qscale", "global_quality": str(4 * 118)}),
+}
+
+
+class Codec:
+    """Encodes pictures of one size; H.264 needs even sides.
+
+    Args:
+        name: Of CODECS.
+        size: Width and height [px].
+    """
+
+    def __init__(self, name: str, size: tuple[int, int]) -> None:
+        self.size = size
+        self._format = CODECS[name]
+        context = av.CodecContext.create(self._format.library, "w")
+        context.width, context.height = size
+        context.pix_fmt, context.thread_count = self._format.pixels, 1
+        context.time_base, context.framerate = _MICROSECONDS, fractions.Fraction(20)
+        context.gop_size, context.options = KEY_EVERY, self._format.options
         self._context = context
         self._last = -1
 
     def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
-        """See `Codec`."""
-        picture = frame.reformat(format="yuv420p")
+        """Encode one picture; `key`: make it a key picture, as every JPEG is."""
+        picture = frame.reformat(format=self._format.pixels)
         self._last = max(stamp_us, self._last + 1)
         picture.pts, picture.time_base = self._last, _MICROSECONDS
         picture.pict_type = "I" if key else "NONE"
         return b"".join(bytes(packet) for packet in self._context.encode(picture))
-
-
-class Jpeg:
-    """Motion JPEG: four to eight times the bytes of H.264, decoded by every browser.
-
-    Args:
-        width: [px].
-        height: [px].
-    """
-
-    QUALITY = 4  # of 2 (best) to 31
-
-    def __init__(self, width: int, height: int) -> None:
-        self.size = (width, height)
-        context = av.CodecContext.create("mjpeg", "w")
-        context.width, context.height, context.pix_fmt = width, height, "yuvj420p"
-        context.time_base, context.thread_count = _MICROSECONDS, 1
-        context.options = {"flags": "+qscale", "global_quality": str(self.QUALITY * _LAMBDA)}
-        self._context = context
-
-    def encode(self, frame: av.VideoFrame, stamp_us: int, key: bool) -> bytes:
-        """See `Codec`; every picture is a key picture."""
-        picture = frame.reformat(format="yuvj420p")
-        picture.pts, picture.time_base = stamp_us, _MICROSECONDS
-        return b"".join(bytes(packet) for packet in self._context.encode(picture))
-
-
-CODECS: dict[str, type[H264] | type[Jpeg]] = {"h264": H264, "jpeg": Jpeg}
 
 
 def image_of(data: bytes, width: int, height: int, step: int, encoding: str) -> Image:

@@ -44,13 +44,13 @@ class EncoderProcess:
         self._seen = time.monotonic()
 
     def want(self, wanted: frozenset[tuple[str, str]]) -> None:
-        """See `web_server.Pictures`."""
+        """Set the watched layouts and codecs."""
         self._wanted = wanted
         self._seen = time.monotonic()
         self._write("want", *(f"{layout}:{codec}" for layout, codec in sorted(wanted)))
 
     def key(self, layout: str, codec: str) -> None:
-        """See `web_server.Pictures`."""
+        """Request a key picture."""
         self._write("key", f"{layout}:{codec}")
 
     async def run(self) -> None:

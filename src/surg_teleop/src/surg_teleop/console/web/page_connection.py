@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from dataclasses import dataclass, field
 
 from surg_teleop.console.web.picture_queue import PictureQueue
 
@@ -55,16 +56,10 @@ class Outbox:
         return texts
 
 
+@dataclass(eq=False)
 class Viewer:
-    """One picture socket.
+    """One picture socket."""
 
-    Attributes:
-        queue: Pictures to send.
-        stream: Layout and codec that the page watches.
-        changed: Set when there may be a picture to send.
-    """
-
-    def __init__(self) -> None:
-        self.queue = PictureQueue()
-        self.stream: tuple[str, str] | None = None
-        self.changed = asyncio.Event()
+    queue: PictureQueue = field(default_factory=PictureQueue)
+    stream: tuple[str, str] | None = None  # layout and codec that the page watches
+    changed: asyncio.Event = field(default_factory=asyncio.Event)  # there may be one to send

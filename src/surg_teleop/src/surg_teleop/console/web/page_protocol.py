@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from surg_teleop.console.web.picture_packet import CODECS, LAYOUTS
+
 LONGEST = 4096
 """[characters] Longest message."""
 REACH = 10.0
@@ -17,8 +19,6 @@ ROLL_REACH, ROLL_FASTEST = 1e3, 10.0
 """[rad], [rad/s]."""
 SCALES = (0.05, 1.0)
 """Smallest and largest scale of the console."""
-LAYOUTS = ("left", "stereo")
-CODECS = ("h264", "jpeg")
 HANDS = ("position", "rate")
 
 

@@ -39,23 +39,11 @@ class Packet:
 
     def pack(self) -> bytes:
         """Header and picture."""
-        return (
-            _HEADER.pack(
-                MAGIC,
-                LAYOUTS.index(self.layout),
-                CODECS.index(self.codec),
-                self.key,
-                *self.profile,
-                self.width,
-                self.height,
-                self.seq & 0xFFFFFFFF,
-                self.exposed_us,
-                self.received_us,
-                self.encoded_us,
-                len(self.data),
-            )
-            + self.data
-        )
+        kind = LAYOUTS.index(self.layout), CODECS.index(self.codec), self.key
+        size = self.width, self.height, self.seq & 0xFFFFFFFF
+        times = self.exposed_us, self.received_us, self.encoded_us
+        head = _HEADER.pack(MAGIC, *kind, *self.profile, *size, *times, len(self.data))
+        return head + self.data
 
 
 def size_of(header: bytes) -> int:
@@ -73,25 +61,13 @@ def unpack(data: bytes) -> Packet:
     Raises:
         PacketError: It is not a packet.
     """
-    _, layout, codec, key, a, b, c, width, height, seq, exposed, received, encoded, size = _unpack(
-        data[:HEADER_BYTES]
-    )
+    fields = _unpack(data[:HEADER_BYTES])
+    _, layout, codec, key, a, b, c, width, height, seq, exposed, received, encoded, size = fields
     picture = data[HEADER_BYTES:]
     if len(picture) != size:
         raise PacketError(f"{len(picture)} bytes follow the header; expected: {size}")
-    return Packet(
-        LAYOUTS[layout],
-        CODECS[codec],
-        bool(key),
-        (a, b, c),
-        width,
-        height,
-        seq,
-        exposed,
-        received,
-        encoded,
-        picture,
-    )
+    kind = LAYOUTS[layout], CODECS[codec], bool(key), (a, b, c)
+    return Packet(*kind, width, height, seq, exposed, received, encoded, picture)
 
 
 def _unpack(header: bytes) -> tuple[int, ...]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from surg_teleop.console.web.codec import (
@@ -12,7 +11,6 @@ from surg_teleop.console.web.codec import (
     CodecError,
     Image,
     frame_of,
-    image_of,
     profile_of,
 )
 from surg_teleop.console.web.picture_packet import Packet
@@ -29,23 +27,6 @@ class CameraFrame:
     received_us: int  # receipt [µs]
     pixels: Image  # (height, width[, 3])
     encoding: str  # as in `sensor_msgs/Image`
-
-    @classmethod
-    def of(
-        cls,
-        stamp_us: int,
-        received_us: int,
-        data: bytes,
-        size: tuple[int, int],
-        step: int,
-        encoding: str,
-    ) -> CameraFrame:
-        """From a ROS image.
-
-        Raises:
-            CodecError: Size, step and data do not match.
-        """
-        return cls(stamp_us, received_us, image_of(data, *size, step, encoding), encoding)
 
 
 class StereoPairer:
@@ -68,9 +49,8 @@ class StereoPairer:
 class PictureStream:
     """One layout in one codec; restarts when the pictures change their size."""
 
-    def __init__(self, layout: str, codec: str, wall_us: Callable[[], int] | None = None) -> None:
+    def __init__(self, layout: str, codec: str) -> None:
         self.layout, self.codec = layout, codec
-        self._wall_us = wall_us or (lambda: time.time_ns() // 1000)
         self._encoder: Codec | None = None
         self._key, self._seq = True, 0
 
@@ -87,7 +67,7 @@ class PictureStream:
         frame = frame_of(tuple(f.pixels for f in frames), frames[0].encoding)
         size = (frame.width, frame.height)
         if self._encoder is None or self._encoder.size != size:
-            self._encoder, self._key = CODECS[self.codec](*size), True
+            self._encoder, self._key = Codec(self.codec, size), True
         data = self._encoder.encode(frame, frames[0].stamp_us, self._key)
         if not data:
             return None
@@ -103,7 +83,7 @@ class PictureStream:
             self._seq,
             frames[0].stamp_us,
             max(f.received_us for f in frames),
-            self._wall_us(),
+            time.time_ns() // 1000,
             data,
         )
 

@@ -22,6 +22,7 @@ from surg_teleop.console.session.page_status import report
 from surg_teleop.console.session.system_state import Robot
 from surg_teleop.console.web import http_policy
 from surg_teleop.console.web.access import Access
+from surg_teleop.console.web.encoder_process import EncoderProcess
 from surg_teleop.console.web.page_connection import MessageBudget, Outbox, Viewer
 from surg_teleop.console.web.page_dispatch import dispatch
 from surg_teleop.console.web.page_protocol import (
@@ -75,16 +76,6 @@ class System(Protocol):
         """The recorded episodes; may read files."""
 
 
-class Pictures(Protocol):
-    """Source of encoded pictures; they arrive by `Server.show`."""
-
-    def want(self, wanted: frozenset[tuple[str, str]]) -> None:
-        """Set the watched layouts and codecs."""
-
-    def key(self, layout: str, codec: str) -> None:
-        """Request a key picture."""
-
-
 class Server:
     """One console.
 
@@ -98,7 +89,7 @@ class Server:
         access: Access,
         session: Session,
         system: System,
-        pictures: Pictures,
+        pictures: EncoderProcess,
         facts: Mapping[str, Any],
         limits: Mapping[str, float],
         clock: Callable[[], float] = time.monotonic,

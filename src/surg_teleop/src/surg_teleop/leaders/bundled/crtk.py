@@ -1,7 +1,6 @@
 """A CRTK leader on topics, such as a browser, gamepad or haptic device in its own process.
 
-Pure; the teleoperation node subscribes (``measured_cp``, ``measured_cv``,
-``spherical/measured_js``, ``gripper/measured_js``, ``operating_state``). Times of receipt are
+Pure; ``crtk_leader_node`` subscribes. ``now`` is a message's receipt on the steady clock [s],
 corrected for network delays (:class:`~surg_teleop.follow.message_lateness.Arrivals`).
 """
 
@@ -10,12 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from surg_core import quaternion_xyzw_to_matrix, rpy_to_matrix
+from surg_core.arm_view import Array
 from surg_teleop.leaders.leader import HandlePose, HandRate, LeaderSample
-
-Array = NDArray[np.float64]
 
 FRESH = 0.1
 """[s] Largest difference between pose and velocity of one sample."""
@@ -45,13 +43,9 @@ class CrtkLeader:
             raise ValueError("grip_closed and grip_open are the same; allowed: two different ones")
         self._R_VL = rpy_to_matrix(rotation)
         self._grip_range = (grip_closed, grip_open)
-        self.close()
+        self.open()
 
     def open(self) -> None:
-        """Forget all messages."""
-        self.close()
-
-    def close(self) -> None:
         """Forget all messages."""
         self._pose: tuple[float, HandlePose] | None = None
         self._rate: tuple[float, HandRate] | None = None
@@ -60,66 +54,40 @@ class CrtkLeader:
         self._late: tuple[float, float] | None = None
         self._state = "ENABLED"  # a leader without operating_state is taken as it is
 
-    def on_pose(self, now: float, p: Array, q: Array, valid: bool = True) -> None:
-        """``measured_cp``.
+    close = open
 
-        Args:
-            now: When it came, on the steady clock [s].
-            p: (3,) in the leader's own axes [m].
-            q: (4,) orientation x, y, z, w.
-            valid: False for CRTK's "not valid" (stamp 0): the pose counts as silence.
-        """
-        if not valid:
-            return
+    def on_pose(self, now: float, p: Array, q: Array) -> None:
+        """``measured_cp``: p (3,) [m], q (4,) x, y, z, w; in the leader's axes."""
         self._note_message(now)
-        length = float(np.linalg.norm(q))
         # An invalid orientation is passed on, so that the teleoperation reports it and stops.
-        broken = not abs(length - 1.0) < 1e-2
+        broken = not abs(float(np.linalg.norm(q)) - 1.0) < 1e-2
         R_LH = np.full((3, 3), np.nan) if broken else quaternion_xyzw_to_matrix(q)
         self._pose = now, HandlePose(self._R_VL @ p, self._R_VL @ R_LH)
 
-    def on_rate(self, now: float, v: Array, w: Array, valid: bool = True) -> None:
-        """``measured_cv``: wanted velocity of the tip.
+    def on_rate(self, now: float, v: Array, w: Array) -> None:
+        """``measured_cv``: wanted v (3,) of the tip [m/s] in the leader's axes, w (3,) [rad/s].
 
-        Args:
-            now: When it came, on the steady clock [s].
-            v: (3,) [m/s], in the leader's own axes.
-            w: (3,) [rad/s]; its part along the view's z is the roll.
-            valid: As for :meth:`on_pose`.
+        The part of w along the view's z is the roll.
         """
-        if valid:
-            self._note_message(now)
-            self._rate = now, HandRate(self._R_VL @ v, float((self._R_VL @ w)[2]))
+        self._note_message(now)
+        self._rate = now, HandRate(self._R_VL @ v, float((self._R_VL @ w)[2]))
 
-    def on_spherical(self, now: float, rates: Array, valid: bool = True) -> None:
-        """``spherical/measured_js``: wanted rates about the trocar.
-
-        Args:
-            now: When it came, on the steady clock [s].
-            rates: (4,) of yaw, pitch [rad/s], insertion [m/s] and roll [rad/s]; they have no axes
-                to be turned.
-            valid: As for :meth:`on_pose`.
-        """
-        if valid:
-            self._note_message(now)
-            self._rate = now, HandRate(np.zeros(3), float(rates[3]), np.array(rates[:3]))
+    def on_spherical(self, now: float, rates: Array) -> None:
+        """``spherical/measured_js``: wanted rates (4,) of yaw, pitch, insertion, roll, SI."""
+        self._note_message(now)
+        self._rate = now, HandRate(np.zeros(3), float(rates[3]), np.array(rates[:3]))
 
     def on_late(self, now: float, by: float) -> None:
         """A message received now was delayed by so many seconds."""
         self._late = now, by
 
     def on_grip(self, now: float, position: float) -> None:
-        """``gripper/measured_js``.
-
-        Args:
-            now: When it came, on the steady clock [s].
-            position: [rad].
-        """
+        """``gripper/measured_js`` [rad]."""
         self._grip_at = now
         closed, opened = self._grip_range
         self._grip = min(max((position - closed) / (opened - closed), 0.0), 1.0)
-        if not np.isfinite(position):
-            self._grip = float("nan")
+        if not math.isfinite(position):
+            self._grip = math.nan
 
     def _note_message(self, now: float) -> None:
         """Forget the grip after a silence: the hand may be another operator's.

@@ -1,7 +1,7 @@
-"""The keyboard of a terminal: a process of its own, keys that are held move the tip.
+"""The keyboard of a terminal: held keys move the tip. It needs a process of its own.
 
-A terminal does not tell when a key is let go; it repeats a key that is held. So a key counts for
-HOLD after each of its repeats: a tap is a small step, a held key goes on once the repeat sets in.
+A terminal repeats a held key and does not report its release. So a key counts for HOLD after each
+repeat: a tap is a small step, and a held key moves on once the repeat sets in.
 """
 
 from __future__ import annotations
@@ -21,18 +21,17 @@ import numpy as np
 from surg_teleop.leaders.leader import HandRate, LeaderError, LeaderSample
 
 HOLD = 0.15
-"""[s] A key counts that long after it was last heard. Consoles repeat every 92 ms, others
-faster."""
+"""[s] A key counts this long after its last repeat. Consoles repeat every 92 ms, others faster."""
 IDLE = 10.0
-"""[s] After that long without any key the keyboard is silent: nobody may be there."""
+"""[s] After this time without any key the keyboard is silent: nobody may be there."""
 PULSE = 0.2
-"""[s] A key that stands for a button press counts as pressed that long."""
+"""[s] A key that stands for a button counts as pressed for this time."""
 MAX_STEP = 0.05
 """[s] Longest time over which the grip is integrated."""
 SPEEDS = (0.002, 0.005, 0.01, 0.02, 0.04)
 """[m/s] Of the tip before scaling; ``+`` and ``-`` choose."""
 ROLL_SPEED, GRIP_SPEED = 1.0, 1.0
-"""[rad/s], and [1/s]: the jaw's whole way in 1 s."""
+"""[rad/s]; [1/s], so the jaw opens in 1 s."""
 
 MOVES = {
     "left": (-1.0, 0.0, 0.0),
@@ -64,15 +63,9 @@ KEYS = {
     "R": "record",
     "+": "faster",
     "-": "slower",
-    "\x1b[D": "left",
-    "\x1b[C": "right",
-    "\x1b[A": "up",
-    "\x1b[B": "down",
-    "\x1bOD": "left",
-    "\x1bOC": "right",
-    "\x1bOA": "up",
-    "\x1bOB": "down",
 }
+for _letter, _act in {"D": "left", "C": "right", "A": "up", "B": "down"}.items():
+    KEYS[f"\x1b[{_letter}"] = KEYS[f"\x1bO{_letter}"] = _act  # both modes of a terminal's arrows
 HELP = """\
   arrows or w a s d   up, left, down, right in the picture
   e q                 away from you, nearer
@@ -112,7 +105,7 @@ class Typing:
             text = text[len(key) or 1 :]
 
     def sample(self, now: float) -> LeaderSample | None:
-        """What the keys want now; None: nobody has typed for IDLE."""
+        """The sample of the keys; None: nobody has typed for IDLE."""
         step = min(max(now - (self._now if self._now is not None else now), 0.0), MAX_STEP)
         self._now = now
         if self._last is None or now - self._last > IDLE:
@@ -123,7 +116,7 @@ class Typing:
         )
         pull = sum(GRIPS[act] for act in held & GRIPS.keys())
         if pull:
-            # From closed, as with every leader that has no jaw of its own: none opens by itself.
+            # The first key starts from closed: no jaw opens by itself.
             self.grip = min(1.0, max(0.0, (self.grip or 0.0) + GRIP_SPEED * pull * step))
         roll = ROLL_SPEED * sum(ROLLS[act] for act in held & ROLLS.keys())
         buttons = {act for act in PULSES if now - self._heard.get(act, -np.inf) <= PULSE}
@@ -142,19 +135,18 @@ class Typing:
 
 
 class Keyboard:
-    """Reads the terminal that this process was started in."""
+    """Reads a terminal; without a descriptor, the one in which this process was started."""
 
     mapping = "rate"
 
     def __init__(self, name: str = "keyboard", fd: int | None = None) -> None:
-        """Touches nothing yet."""
         self.name = name
         self._fd = fd
         self._saved: list[Any] | None = None
         self._typing = Typing()
 
     def open(self) -> None:
-        """Asks the terminal for every key at once, unseen; it is as it was after :meth:`close`.
+        """Let the terminal pass every key at once, without echo, until :meth:`close`.
 
         Raises:
             LeaderError: Standard input is no terminal, or another process has it.
@@ -176,7 +168,7 @@ class Keyboard:
         self._typing = Typing()
 
     def read(self, now: float) -> LeaderSample | None:
-        """What the keys want now.
+        """The sample of the keys.
 
         Raises:
             LeaderError: The terminal has gone.
@@ -187,7 +179,7 @@ class Keyboard:
         return self._typing.sample(now)
 
     def close(self) -> None:
-        """Gives the terminal back as it was found."""
+        """Restore the terminal."""
         saved, self._saved = self._saved, None
         if saved is None:
             return
@@ -199,7 +191,7 @@ class Keyboard:
         return sys.stdin.fileno() if self._fd is None else self._fd
 
     def _typed(self) -> bytes:
-        """What has been typed since, without waiting."""
+        """What was typed since the last call; never waits."""
         fd = self._terminal()
         try:
             if not select.select([fd], [], [], 0.0)[0]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from surg_teleop.leaders.evdev.device_host import Host
 from surg_teleop.leaders.evdev.device_leader import InputLeader
 from surg_teleop.leaders.leader import LeaderError, LeaderSample
 
@@ -10,21 +9,13 @@ from surg_teleop.leaders.leader import LeaderError, LeaderSample
 class Pedals(InputLeader):
     """Pedals that are keyboards to the kernel: grabbed, so that they type nowhere.
 
-    A clutch pedal that is not there counts as pressed: the hand is let go, and it is said why.
+    A missing clutch pedal counts as pressed: the arm is let go, and the operator is told why.
     """
 
-    def __init__(
-        self,
-        name: str = "pedals",
-        layout: str = "pedals",
-        device: str = "",
-        host: Host | None = None,
-    ) -> None:
-        """As :class:`InputLeader`; what your pedals type is a matter of their layout."""
-        super().__init__(name, layout, device, host)
+    kind = "pedals"
 
     def read(self, now: float) -> LeaderSample:
-        """What the feet say now; never silent, never raises."""
+        """The pressed pedals; never silent, never raises."""
         try:
             sample = super().read(now)
         except LeaderError:  # kept in self.lost

@@ -1,6 +1,6 @@
-"""Input devices of the kernel (evdev): bytes in, the state of a gamepad, pedal or SpaceMouse out.
+"""Input devices of the kernel (evdev): gamepads, pedals and SpaceMice as leaders.
 
-bytes -> :mod:`events` -> :mod:`state` (axes -1 ... 1, keys) -> :mod:`hand` (Joy, rates, buttons, as
-a :mod:`layout` file names them). :mod:`find` chooses the device, :mod:`leader` reads it and notices
-that it has gone; :mod:`host` is all that touches ``/dev/input``.
+bytes -> ``input_events`` -> ``device_state`` (axes -1 ... 1, keys) -> ``device_hand`` (Joy, rates,
+buttons, as a ``device_layout`` file names them). ``device_search`` chooses the device,
+``device_leader`` reads it, and only ``device_host`` touches ``/dev/input``.
 """

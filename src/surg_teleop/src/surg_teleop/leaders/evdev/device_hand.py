@@ -12,7 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from surg_teleop.leaders.evdev.device_layout import Axis, Layout
-from surg_teleop.leaders.evdev.device_state import Description, InputState, Snapshot
+from surg_teleop.leaders.evdev.device_state import (
+    Description,
+    InputState,
+    Snapshot,
+    without_dead_zone,
+)
 from surg_teleop.leaders.evdev.input_events import Event
 from surg_teleop.leaders.leader import HandRate, LeaderSample
 
@@ -49,7 +54,6 @@ class Hand:
         self._axes = {axis.name: axis for axis in layout.axes}
         self._codes = {button.name: button.code for button in layout.buttons}
         self._released: set[str] = set()
-        self._quiet = False
         self._now = now
         self._note_released()
 
@@ -83,7 +87,10 @@ class Hand:
             return None
         self._integrate_grip(present, now)
         buttons = {
-            action for action, button in layout.actions.items() if self._acts(action, button)
+            action
+            for action, button in layout.actions.items()
+            # An action that fails to pressed counts at once.
+            if self._pressed(button, action not in layout.fail_pressed)
         }
         if present and layout.dead_man is not None:
             buttons.add("present")
@@ -102,31 +109,23 @@ class Hand:
         return HandRate(np.array([rates.get(name, 0.0) for name in ("x", "y", "z")]), roll)
 
     def _axis(self, axis: Axis, now: float) -> float:
-        dead_zone = self.layout.dead_zone
         if axis.relative:
-            return axis.sign * self._state.relative(axis.code, dead_zone, now)
-        if axis.one_sided:
-            return axis.sign * self._state.one_sided(axis.code, dead_zone)
-        return axis.sign * self._state.absolute(axis.code, dead_zone)
+            value = self._state.relative(axis.code, now)
+        else:
+            value = self._state.absolute(axis.code, axis.one_sided)
+        return axis.sign * without_dead_zone(value, self.layout.dead_zone)
 
-    def _pressed(self, button: str) -> bool:
-        """Whether it is down and was seen released before."""
-        return button in self._released and self._state.pressed(self._codes[button])
-
-    def _acts(self, action: str, button: str) -> bool:
-        """Like _pressed, but fail-pressed actions count at once."""
-        if action in self.layout.fail_pressed:
-            return self._state.pressed(self._codes[button])
-        return self._pressed(button)
+    def _pressed(self, button: str, after_release: bool = True) -> bool:
+        """Whether it is down, and was seen released before."""
+        return self._state.pressed(self._codes[button]) and (
+            not after_release or button in self._released
+        )
 
     def _note_released(self) -> None:
         self._released |= {n for n, code in self._codes.items() if not self._state.pressed(code)}
 
     def _integrate_grip(self, present: bool, now: float) -> None:
-        """Integrate the rate of the triggers.
-
-        The first touch starts from closed, so that the jaw never opens by itself.
-        """
+        """Integrate the triggers' rate, at first from closed: the jaw never opens by itself."""
         step, self._now = min(max(now - self._now, 0.0), MAX_STEP), now
         grip = self.layout.grip
         if grip is None or not present:
@@ -143,8 +142,8 @@ class Hand:
 
     def _out_of_range(self, deflected: bool, now: float) -> bool:
         if not self._state.description.wireless or not deflected:
-            self._quiet = False
-        elif now - self._state.changed > WIRELESS_QUIET:
-            self._quiet = True
+            return False
+        quiet = now - self._state.changed > WIRELESS_QUIET
+        if quiet:
             self._released.clear()  # once back in range, the dead-man must be released first
-        return self._quiet and now - self._state.changed > WIRELESS_QUIET
+        return quiet

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import os
 from pathlib import Path
-from typing import Protocol
 
 import evdev
 from evdev import ecodes
@@ -16,103 +15,62 @@ from surg_teleop.leaders.evdev.device_state import AxisRange, Description, Snaps
 FOLDER = Path("/dev/input")
 
 
-class Device(Protocol):
-    """An open event device."""
+class Device:
+    """An open event device; every call but `close` raises OSError if it is unplugged.
 
-    @property
-    def description(self) -> Description:
-        """What it is and has."""
-
-    def snapshot(self) -> Snapshot:
-        """Its whole state. Raises OSError if the device is gone."""
-
-    def grab(self) -> None:
-        """Take its events exclusively. Raises OSError if another process has them."""
-
-    def read(self) -> bytes:
-        """New bytes; may be empty. Raises OSError (ENODEV) if the device is gone."""
-
-    def close(self) -> None:
-        """Close it; never fails."""
-
-
-class Host(Protocol):
-    """A machine with event devices."""
-
-    def nodes(self) -> list[str]:
-        """Paths of the event nodes, in the order of their numbers."""
-
-    def open(self, path: str) -> Device:
-        """Open one. Raises OSError, such as PermissionError."""
-
-
-class EvdevDevice:
-    """An event device of this machine."""
+    Raises:
+        OSError: The node cannot be opened (PermissionError), or is not an event device.
+    """
 
     def __init__(self, path: str) -> None:
-        """Open it.
-
-        Raises:
-            OSError: It cannot be opened, or is not an event device.
-        """
         self._device = evdev.InputDevice(path)
         try:
             os.set_blocking(self._device.fd, False)
-            self.description = describe(self._device)
+            able = self._device.capabilities(absinfo=True)
+            self.description = Description(
+                path=path,
+                name=str(self._device.name),
+                bus=int(self._device.info.bustype),
+                keys=frozenset(able.get(ecodes.EV_KEY, [])),
+                axes={code: AxisRange(i.min, i.max) for code, i in able.get(ecodes.EV_ABS, [])},
+                relative=frozenset(able.get(ecodes.EV_REL, [])),
+            )
         except OSError:
             self._device.close()
             raise
 
+    def grab(self) -> None:
+        """Take its events exclusively; OSError also if another process has them."""
+        self._device.grab()
+
     def snapshot(self) -> Snapshot:
-        """See `Device`."""
+        """Its whole state."""
         return Snapshot(
             frozenset(self._device.active_keys()),
             {code: self._device.absinfo(code).value for code in self.description.axes},
         )
 
-    def grab(self) -> None:
-        """See `Device`."""
-        self._device.grab()
-
     def read(self) -> bytes:
-        """See `Device`."""
+        """New bytes; there may be none."""
         return read_bytes(self._device.fd)
 
     def close(self) -> None:
-        """See `Device`."""
+        """Close it; never fails."""
         with contextlib.suppress(OSError):  # it may be gone already
             self._device.close()
 
 
-class EvdevHost:
-    """This machine."""
+class Host:
+    """A machine with event devices: this one."""
 
     def nodes(self) -> list[str]:
-        """Paths of the event nodes."""
-        try:
-            names = os.listdir(FOLDER)
-        except OSError:
-            return []
-        numbers = sorted(int(n[5:]) for n in names if n.startswith("event") and n[5:].isdigit())
-        return [str(FOLDER / f"event{number}") for number in numbers]
+        """Paths of the event nodes, in the order of their numbers."""
+        paths = [path for path in FOLDER.glob("event*") if path.name[5:].isdigit()]
+        return [str(path) for path in sorted(paths, key=lambda path: int(path.name[5:]))]
 
     def open(self, path: str) -> Device:
-        """Open an event device."""
-        return EvdevDevice(path)
-
-
-def describe(device: evdev.InputDevice) -> Description:
-    """Description of a device of this machine."""
-    able = device.capabilities(absinfo=True)
-    axes = {code: AxisRange(info.min, info.max) for code, info in able.get(ecodes.EV_ABS, [])}
-    return Description(
-        path=str(device.path),
-        name=str(device.name),
-        bus=int(device.info.bustype),
-        keys=frozenset(able.get(ecodes.EV_KEY, [])),
-        axes=axes,
-        relative=frozenset(able.get(ecodes.EV_REL, [])),
-    )
+        """Open one."""
+        return Device(path)
 
 
 def read_bytes(fd: int) -> bytes:

@@ -7,7 +7,7 @@ One YAML file per kind of device; ``docs/guide/leaders.md`` explains the keys. B
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -75,11 +75,15 @@ class Layout:
     axes: tuple[Axis, ...]  # in the order of Joy.axes
     buttons: tuple[Button, ...]  # in the order of Joy.buttons
     hand: dict[str, tuple[str, float]]  # axis and full speed by name of VIEW or SPHERICAL
-    spherical: bool  # the names are those of SPHERICAL
     grip: Grip | None
     dead_man: str | None  # button that must be held to move; None: reported elsewhere
     actions: dict[str, str]  # button by action, of BUTTONS
     fail_pressed: frozenset[str]  # actions that count as pressed while the device is missing
+
+    @property
+    def spherical(self) -> bool:
+        """Whether the hand turns the shaft about the trocar: the names are those of SPHERICAL."""
+        return not self.hand.keys().isdisjoint(SPHERICAL[:3])
 
     def lacks(self, device: Description) -> list[str]:
         """Missing axes and buttons of a device, such as ``ABS_RX (right_x)``; empty: it fits."""
@@ -125,20 +129,7 @@ def read_layout(name_or_path: str) -> Layout:
     return _Reader(str(path)).layout(tree)
 
 
-KEYS = (
-    "format",
-    "match",
-    "grab",
-    "dead_zone",
-    "autorepeat",
-    "axes",
-    "buttons",
-    "hand",
-    "grip",
-    "dead_man",
-    "actions",
-    "fail_pressed",
-)
+KEYS = ("format", *(field.name for field in fields(Layout) if field.name != "file"))
 
 
 class _Reader:
@@ -163,7 +154,7 @@ class _Reader:
         twice = sorted(set(axis_names) & set(button_names))
         if twice:
             raise self.wrong("buttons", twice[0], "a name that no axis has")
-        hand, spherical = self.hand(top, axis_names)
+        hand = self.hand(top, axis_names)
         fail_pressed = top.get("fail_pressed", [])
         actions = {
             action: self.one_of(f"actions.{action}", button, button_names)
@@ -182,7 +173,6 @@ class _Reader:
             axes=axes,
             buttons=buttons,
             hand=hand,
-            spherical=spherical,
             grip=self.grip(top, [*axis_names, *button_names]),
             dead_man=self.dead_man(top, bool(hand), button_names),
             actions=actions,
@@ -208,12 +198,9 @@ class _Reader:
             one_sided=rest == "minimum",
         )
 
-    def hand(
-        self, top: dict[str, Any], axes: list[str]
-    ) -> tuple[dict[str, tuple[str, float]], bool]:
+    def hand(self, top: dict[str, Any], axes: list[str]) -> dict[str, tuple[str, float]]:
         given = dict(self.named(top, "hand"))
-        spherical = bool({"yaw", "pitch", "insertion"} & set(given))
-        allowed = SPHERICAL if spherical else VIEW
+        allowed = VIEW if given.keys().isdisjoint(SPHERICAL[:3]) else SPHERICAL
         hand = {}
         for name, spec in given.items():
             key = f"hand.{name}"
@@ -222,7 +209,7 @@ class _Reader:
             most = MAX_FULL[name]
             full = self.number(f"{key}.full", table.get("full"), -most, most)
             hand[name] = (self.one_of(f"{key}.axis", table.get("axis"), axes), full)
-        return hand, spherical
+        return hand
 
     def grip(self, top: dict[str, Any], names: list[str]) -> Grip | None:
         if top.get("grip") is None:

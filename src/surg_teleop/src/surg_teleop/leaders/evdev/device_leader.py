@@ -1,62 +1,65 @@
-"""What leaders on event devices have in common: find, read, notice the loss, come back."""
+"""A leader on an event device: finds it, reads it, reports its loss, and finds it again."""
 
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 from surg_teleop.leaders.evdev.device_hand import Hand, Joy
-from surg_teleop.leaders.evdev.device_host import Device, EvdevHost, Host
-from surg_teleop.leaders.evdev.device_layout import Layout, read_layout
+from surg_teleop.leaders.evdev.device_host import Device, Host
+from surg_teleop.leaders.evdev.device_layout import read_layout
 from surg_teleop.leaders.evdev.device_search import find
 from surg_teleop.leaders.evdev.input_events import Decoder
 from surg_teleop.leaders.leader import LeaderError, LeaderSample
 
 LOOK_EVERY = 0.5
-"""[s] How often a device that has gone is looked for, ..."""
+"""[s] Interval of the search for a lost device."""
 LOOK_FOR = 3.0
-"""[s] ... for that long after the list of nodes has changed: udev gives the permission after the
-node, and devices that do not fit are left in peace."""
+"""[s] The search lasts this long after the list of nodes has changed: udev grants the permission
+after it makes the node, and devices that do not fit are not opened for ever."""
 
 
 class InputLeader:
     """A leader on one event device.
 
-    The device that has gone is looked for and taken up again. Its hand then starts anew: what is
-    held down when it is plugged in counts only after it was released.
+    It looks for a device that was unplugged, and opens it again. The hand then starts anew: what is
+    held down at that moment counts only after it was released.
+
+    Args:
+        name: For messages and topics; empty: its kind.
+        layout: Name of a bundled layout, or the path of a YAML file; empty: the kind's.
+        device: Path of the device's node; empty: the first that the layout fits.
+        host: Whose devices; None: this machine's.
+
+    Raises:
+        LeaderError: The layout must not be used.
     """
 
-    def __init__(self, name: str, layout: str, device: str = "", host: Host | None = None) -> None:
-        """Reads the layout; touches no device.
+    kind: ClassVar[str]
+    """Default name and layout."""
 
-        Args:
-            name: What its user calls it.
-            layout: Name of a bundled layout, or the path of a YAML file.
-            device: Path of the device's node; empty: the first that the layout fits.
-            host: Whose devices; this machine's.
-
-        Raises:
-            LeaderError: The layout must not be used.
-        """
-        self.name = name
-        self.layout: Layout = read_layout(layout)
+    def __init__(
+        self, name: str = "", layout: str = "", device: str = "", host: Host | None = None
+    ) -> None:
+        self.name = name or self.kind
+        self.layout = read_layout(layout or self.kind)
         self.lost = ""
-        """Why there is no device, or empty: the sentence that read raised."""
+        """Why there is no device, as the error of `read` states it; empty: there is one."""
         self._wanted = device
-        self._host = host if host is not None else EvdevHost()
+        self._host = host or Host()
         self._device: Device | None = None
         self._hand: Hand | None = None
         self._decoder = Decoder()
         self._grip: float | None = None
         self._loss: tuple[LeaderError, list[str] | None] | None = None
         self._nodes: list[str] = []
-        self._look_again = -math.inf
-        self._look_until = -math.inf
+        self._look_again = self._look_until = -math.inf
 
     def open(self) -> None:
-        """Finds the device.
+        """Find the device.
 
         Raises:
-            LeaderError: There is none that fits, or it must not be read; says why and the cure.
+            LeaderError: No device fits, or it must not be read.
         """
         self.close()
         try:
@@ -66,18 +69,10 @@ class InputLeader:
             raise
 
     def read(self, now: float) -> LeaderSample | None:
-        """What the hand wants now.
-
-        A device whose state holds until it says otherwise is stamped now, as long as it answers.
-
-        Args:
-            now: Steady clock [s].
-
-        Returns:
-            None while the device is not there.
+        """The hand's sample, stamped now as long as the device answers; None: it is not there.
 
         Raises:
-            LeaderError: It has gone, once; which and what to do. Later calls look for it.
+            LeaderError: The device has gone; raised once, later calls look for it.
         """
         if self._device is None:
             self._look(now)
@@ -90,11 +85,11 @@ class InputLeader:
         return self._hand.sample(now) if self._hand is not None else None
 
     def joy(self, now: float) -> Joy | None:
-        """The device in numbers, as of the last read; None while it is not there."""
+        """Raw state of the device at the last read; None: it is not there."""
         return self._hand.joy(now) if self._hand is not None else None
 
     def close(self) -> None:
-        """Lets go of the device."""
+        """Close the device."""
         if self._device is not None:
             self._device.close()
         if self._hand is not None:
@@ -128,7 +123,7 @@ class InputLeader:
         return lost
 
     def _take_up(self) -> None:
-        """Opens the device. While nothing else is plugged in, a lost one is what is missed."""
+        """Open the device; until another one is plugged in, the error is that of the loss."""
         try:
             self._device = find(self._host, self.layout, self._wanted)
         except LeaderError as error:

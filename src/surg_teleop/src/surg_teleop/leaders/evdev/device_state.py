@@ -89,32 +89,20 @@ class InputState:
         """Whether a key is down."""
         return code in self._keys
 
-    def absolute(self, code: int, dead_zone: float) -> float:
-        """An absolute axis, -1 ... 1.
-
-        Args:
-            code: Of the axis.
-            dead_zone: Half width of the zone around the middle that counts as 0; the value is
-                continuous at its edge.
-        """
+    def absolute(self, code: int, one_sided: bool = False) -> float:
+        """An absolute axis, -1 ... 1; one-sided, it rests at its minimum: 0 ... 1."""
         span = self.description.axes.get(code)
         if span is None or code not in self._axes:
             return 0.0
-        return without_dead_zone(span.normal(self._axes[code]), dead_zone)
+        value = span.normal(self._axes[code])
+        return (value + 1.0) / 2.0 if one_sided else value
 
-    def one_sided(self, code: int, dead_zone: float) -> float:
-        """An axis that rests at its minimum, 0 ... 1; the dead zone is at rest."""
-        span = self.description.axes.get(code)
-        if span is None or code not in self._axes:
-            return 0.0
-        return without_dead_zone((span.normal(self._axes[code]) + 1.0) / 2.0, dead_zone)
-
-    def relative(self, code: int, dead_zone: float, now: float) -> float:
+    def relative(self, code: int, now: float) -> float:
         """A relative axis that reports a deflection, -1 ... 1."""
         reading, since = self._relative.get(code, (0, now))
         if not now - since <= RELATIVE_HOLD:
             return 0.0
-        return without_dead_zone(max(-1.0, min(1.0, reading / RELATIVE_FULL)), dead_zone)
+        return max(-1.0, min(1.0, reading / RELATIVE_FULL))
 
 
 def without_dead_zone(value: float, dead_zone: float) -> float:
