@@ -6,7 +6,7 @@
 namespace surg_teleop {
 namespace {
 
-// Largest entry of R R^T - 1 that rounding in the library may leave.
+// Largest entry of R R^T - 1 that the library's rounding may leave.
 constexpr double kRotationTolerance = 1e-3;
 
 bool is_rotation(const Eigen::Matrix3d& R) {
@@ -31,7 +31,7 @@ Handle::~Handle() {
 std::string Handle::open(int number) {
   const int id = number < 0 ? sdk_.open() : sdk_.open_id(static_cast<DeviceId>(number));
   if (id < 0) {
-    return "no device: " + words() +
+    return "no device: " + library_error() +
            "; plug it in and switch it on, end other programs that hold it, and allow its USB node "
            "(the vendor's udev rule)";
   }
@@ -41,15 +41,16 @@ std::string Handle::open(int number) {
     return name() + " has no wrist: it gives positions only; a device that turns is needed";
   }
   has_gripper_ = sdk_.has_gripper(id_);
-  // A left hand's gripper opens to the other side and is counted that way.
+  // The angle of a left hand's gripper grows to the other side.
   gripper_sign_ = sdk_.is_left_handed(id_) ? -1.0 : 1.0;
   return "";
 }
 
 std::string Handle::initialize() {
-  // Regulation, which auto-init has used, would otherwise go on holding the handle.
+  // Stop the regulation of auto-init, which would go on holding the handle.
   if (sdk_.auto_init(id_) < 0 || sdk_.stop(true, id_) < 0) {
-    return name() + " did not find its reference: " + words() + "; hands off, nothing in its way";
+    return name() + " did not find its reference: " + library_error() +
+           "; hands off, nothing in its way";
   }
   return "";
 }
@@ -57,7 +58,7 @@ std::string Handle::initialize() {
 std::string Handle::start(double max_force) {
   if (sdk_.set_gravity_compensation(1, id_) < 0 || sdk_.set_max_force(max_force, id_) < 0 ||
       sdk_.enable_force(1, id_) < 0) {
-    return name() + " does not take its forces: " + words();
+    return name() + " does not take its forces: " + library_error();
   }
   return "";
 }
@@ -99,14 +100,14 @@ std::string Handle::name() const {
 
 ReadResult Handle::lose(const std::string& what) {
   lost_ = true;
-  error_ = name() + ": " + what + " (" + words() +
+  error_ = name() + ": " + what + " (" + library_error() +
            "); plug it in, start this node again, then engage anew";
   return ReadResult::kLost;
 }
 
-std::string Handle::words() const {
-  const char* words = sdk_.last_error();
-  return words != nullptr ? words : "the library gave no reason";
+std::string Handle::library_error() const {
+  const char* text = sdk_.last_error();
+  return text != nullptr ? text : "the library gave no reason";
 }
 
 }  // namespace surg_teleop

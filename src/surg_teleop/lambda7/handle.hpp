@@ -1,4 +1,4 @@
-// One Force Dimension device from opening to closing, in the order that its library asks for. No
+// One Force Dimension device from opening to closing, in the order that its library requires. No
 // ROS, no clock.
 #pragma once
 
@@ -18,21 +18,21 @@ struct Reading {
 };
 
 enum class ReadResult {
-  kNew,   // a reading that was not there before
-  kOld,   // the device had nothing new: nothing to publish
-  kLost,  // it failed: nothing is ever published again from this opening
+  kNew,   // a new reading
+  kOld,   // the device had nothing new
+  kLost,  // the device failed; every later cycle returns this too
 };
 
 class Handle {
  public:
   explicit Handle(const Sdk& sdk) : sdk_(sdk) {}
-  /// Forces off, then lets go of the device.
+  /// Switches the forces off and closes the device.
   ~Handle();
   Handle(const Handle&) = delete;
   Handle& operator=(const Handle&) = delete;
 
-  /// Opens a device by its number, or with -1 the first that is free. Empty, or why it cannot be
-  /// used: in the library's words, and the cure.
+  /// Opens a device by its number, or with -1 the first free one. Empty, or why it cannot be used
+  /// and the cure.
   std::string open(int number);
 
   /// Whether the device has found its reference since it was switched on.
@@ -44,19 +44,19 @@ class Handle {
   /// Gravity compensation, force limit [N], forces on. Empty, or why it failed.
   std::string start(double max_force);
 
-  /// One cycle: reads, and commands zero force whatever was read, which leaves the handle free.
+  /// One cycle: reads, and commands zero force in any case, which leaves the handle free.
   ReadResult cycle(Reading* reading);
 
-  /// In words, after kLost.
+  /// Why the device failed, after kLost.
   const std::string& error() const { return error_; }
-  /// What it calls itself.
+  /// The device's own name.
   std::string name() const;
   bool has_gripper() const { return has_gripper_; }
 
  private:
   ReadResult read(Reading* reading);
   ReadResult lose(const std::string& what);
-  std::string words() const;
+  std::string library_error() const;
 
   Sdk sdk_;
   DeviceId id_ = -1;

@@ -1,11 +1,10 @@
 // A Force Dimension device (Lambda.7, Omega.7, Sigma.7) as a CRTK leader:
 //   rosrun surg_teleop lambda7_node _name:=MTMR
 // Publishes /<name>/measured_cp in the view frame, gripper/measured_js, buttons, operating_state
-// and error. Parameters: ~name (lambda7), ~device (-1: the first that is free, else its number from
-// 0), ~master_to_view (nine numbers, a rotation row by row), ~auto_init (true), ~max_force [N] (5),
-// ~publish_rate [Hz] (500), ~clutch_button (-1: none; else this bit is /footpedals/clutch).
-// Exit code 0: ended by the user; 1: no library, no device, or it was lost; 2: a parameter that
-// must not be used.
+// and error. Parameters: ~name (lambda7), ~device (-1: the first free one; or its number from 0),
+// ~master_to_view (a rotation, nine numbers row by row), ~auto_init (true), ~max_force [N] (5),
+// ~publish_rate [Hz] (500), ~clutch_button (-1: none; or the bit that is /footpedals/clutch).
+// Exit code 0: ended by the user; 1: no library, no device, or it was lost; 2: invalid parameter.
 #include <crtk_msgs/OperatingState.h>
 #include <geometry_msgs/PoseStamped.h>
 #include <ros/ros.h>
@@ -30,11 +29,10 @@
 namespace surg_teleop {
 namespace {
 
-constexpr int kLoopRate =
-    1000;  // [Hz] what the vendor asks for, and what makes a free handle feel free
+constexpr int kLoopRate = 1000;  // [Hz] as the vendor requires, so that a free handle feels free
 constexpr int kButtons = 8;
-constexpr int kStateRate = 20;         // [Hz] of state and buttons: who hears them notices an end
-constexpr double kMaxForceLimit = 20;  // [N] what a Lambda.7 can do
+constexpr int kStateRate = 20;         // [Hz] of state and buttons, so that their end is noticed
+constexpr double kMaxForceLimit = 20;  // [N] of a Lambda.7
 
 std::atomic<bool> stop_requested{false};
 
@@ -50,7 +48,7 @@ struct Options {
   int clutch_button = -1;
 };
 
-/// Reads a parameter; a value of another type is as wrong as one out of range.
+/// Reads a parameter; false, with the reason on stderr, if its type is wrong.
 template <typename T>
 bool parameter(const std::string& name, T* value) {
   const std::string key = ros::this_node::getName() + "/" + name;
@@ -96,7 +94,7 @@ std::optional<Options> read_options() {
   return options;
 }
 
-/// Everything that is said on topics.
+/// The topics of the leader.
 class Topics {
  public:
   Topics(ros::NodeHandle* node, const Options& options) : options_(options) {
@@ -111,11 +109,11 @@ class Topics {
     }
   }
 
-  void say_reading(const Reading& reading, bool has_gripper, ros::Time stamp) {
+  void publish_reading(const Reading& reading, bool has_gripper) {
     const HandlePose handle = in_view(reading, options_.R_VM);
     const Eigen::Quaterniond q(handle.R_VH);
     geometry_msgs::PoseStamped pose;
-    pose.header.stamp = stamp;
+    pose.header.stamp = ros::Time::now();
     pose.pose.position.x = handle.p_VH.x();
     pose.pose.position.y = handle.p_VH.y();
     pose.pose.position.z = handle.p_VH.z();
@@ -126,37 +124,34 @@ class Topics {
     pose_.publish(pose);
     if (!has_gripper) return;
     sensor_msgs::JointState gripper;
-    gripper.header.stamp = stamp;
+    gripper.header.stamp = pose.header.stamp;
     gripper.name = {"gripper"};
     gripper.position = {reading.gripper};
     gripper_.publish(gripper);
   }
 
-  void say_buttons(unsigned int mask, ros::Time stamp) {
-    sensor_msgs::Joy joy;
-    joy.header.stamp = stamp;
-    for (int i = 0; i < kButtons; ++i) joy.buttons.push_back(static_cast<int>(mask >> i & 1u));
-    buttons_.publish(joy);
-    if (options_.clutch_button >= 0) say_clutch(mask >> options_.clutch_button & 1u, stamp);
+  void publish_buttons(unsigned int mask) {
+    std::vector<int> buttons;
+    for (int i = 0; i < kButtons; ++i) buttons.push_back(static_cast<int>(mask >> i & 1u));
+    publish_joy(buttons_, buttons);
+    if (clutch_) publish_joy(clutch_, {buttons[static_cast<std::size_t>(options_.clutch_button)]});
   }
 
-  void say_clutch(bool pressed, ros::Time stamp) {
-    if (options_.clutch_button < 0) return;
-    sensor_msgs::Joy joy;
-    joy.header.stamp = stamp;
-    joy.buttons = {pressed ? 1 : 0};
-    clutch_.publish(joy);
-  }
-
-  void say_state(const char* word, bool homed, ros::Time stamp) {
+  void publish_state(const char* name, bool homed) {
     crtk_msgs::OperatingState state;
-    state.header.stamp = stamp;
-    state.state = word;
+    state.header.stamp = ros::Time::now();
+    state.state = name;
     state.is_homed = homed;
     state_.publish(state);
   }
 
-  void say_error(const std::string& text) {
+  /// The end of the readings: whoever follows this clutch must hold.
+  void publish_end(const char* state, bool homed) {
+    publish_state(state, homed);
+    if (clutch_) publish_joy(clutch_, {1});
+  }
+
+  void publish_error(const std::string& text) {
     std::fprintf(stderr, "lambda7: %s\n", text.c_str());
     std_msgs::String message;
     message.data = text;
@@ -164,6 +159,13 @@ class Topics {
   }
 
  private:
+  static void publish_joy(const ros::Publisher& publisher, const std::vector<int>& buttons) {
+    sensor_msgs::Joy joy;
+    joy.header.stamp = ros::Time::now();
+    joy.buttons = buttons;
+    publisher.publish(joy);
+  }
+
   const Options options_;
   ros::Publisher pose_, gripper_, buttons_, state_, error_, clutch_;
 };
@@ -175,44 +177,37 @@ int run(Handle* handle, const Options& options, Topics* topics) {
   auto next = std::chrono::steady_clock::now();
   Reading reading;
   bool fresh = false;
-  std::optional<unsigned int> told_buttons;
+  std::optional<unsigned int> buttons;
   for (long tick = 0; !stop_requested && ros::ok(); ++tick) {
     const ReadResult result = handle->cycle(&reading);
     if (result == ReadResult::kLost) {
-      topics->say_state("FAULT", false, ros::Time::now());
-      topics->say_clutch(true, ros::Time::now());
-      topics->say_error(handle->error());
+      topics->publish_end("FAULT", false);
+      topics->publish_error(handle->error());
       return 1;
     }
     fresh = fresh || result == ReadResult::kNew;
     if (fresh && tick % publish_every == 0) {
-      const ros::Time stamp = ros::Time::now();
-      topics->say_reading(reading, handle->has_gripper(), stamp);
+      topics->publish_reading(reading, handle->has_gripper());
       fresh = false;
     }
-    if (result == ReadResult::kNew && told_buttons != reading.buttons) {
-      told_buttons = reading.buttons;
-      topics->say_buttons(reading.buttons, ros::Time::now());
-    }
-    if (tick % (kLoopRate / kStateRate) == 0) {
-      topics->say_state("ENABLED", true, ros::Time::now());
-      if (told_buttons) topics->say_buttons(*told_buttons, ros::Time::now());
-    }
+    const bool repeat = tick % (kLoopRate / kStateRate) == 0;
+    const bool changed = result == ReadResult::kNew && buttons != reading.buttons;
+    if (changed) buttons = reading.buttons;
+    if (repeat) topics->publish_state("ENABLED", true);
+    if (buttons && (changed || repeat)) topics->publish_buttons(*buttons);
     next += period;
     const auto now = std::chrono::steady_clock::now();
-    if (next < now) next = now;  // a cycle that came late is not made up for
+    if (next < now) next = now;  // lost time is not made up for
     std::this_thread::sleep_until(next);
   }
-  topics->say_state("DISABLED", true, ros::Time::now());
-  topics->say_clutch(true, ros::Time::now());
+  topics->publish_end("DISABLED", true);
   return 0;
 }
 
 int main_in_ros() {
   const std::optional<Options> options = read_options();
   if (!options) return 2;
-  const std::vector<std::string> tried = places();
-  const Loaded loaded = load(tried);
+  const Loaded loaded = load(places());
   if (!loaded.sdk) {
     std::fprintf(stderr, "lambda7: the Force Dimension SDK was not found. Tried, in this order:\n");
     for (const std::string& line : loaded.tried) std::fprintf(stderr, "  %s\n", line.c_str());
@@ -223,7 +218,7 @@ int main_in_ros() {
   }
   ros::NodeHandle node;
   Topics topics(&node, *options);
-  topics.say_state("DISABLED", false, ros::Time::now());
+  topics.publish_state("DISABLED", false);
   Handle handle(*loaded.sdk);
   std::string problem = handle.open(options->device);
   if (problem.empty()) {
@@ -231,8 +226,8 @@ int main_in_ros() {
     if (!handle.initialized() && !options->auto_init) {
       problem =
           handle.name() +
-          " has not found its reference; put it into its rest, or start with _auto_init:=true "
-          "and hands off: the handle then moves by itself";
+          " has not found its reference; put it into its rest, or start with _auto_init:=true and "
+          "hands off: the handle then moves by itself";
     } else if (!handle.initialized()) {
       std::printf("lambda7: finding its reference: HANDS OFF, the handle moves by itself\n");
       std::fflush(stdout);
@@ -245,10 +240,10 @@ int main_in_ros() {
     std::fflush(stdout);
     status = run(&handle, *options, &topics);
   } else {
-    topics.say_state("FAULT", false, ros::Time::now());
-    topics.say_error(problem);
+    topics.publish_state("FAULT", false);
+    topics.publish_error(problem);
   }
-  // What was said last must leave the sockets.
+  // The last messages must leave the sockets.
   std::this_thread::sleep_for(std::chrono::milliseconds(200));
   return status;
 }

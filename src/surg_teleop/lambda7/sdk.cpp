@@ -11,14 +11,14 @@ namespace {
 // The soname, and the plain name of a development link.
 constexpr const char* kNames[] = {"libdrd.so.3", "libdrd.so"};
 
-// Files of a folder that bear the library's name, newest version last.
+// Versions of the library in a folder, newest last.
 std::vector<std::string> versions_in(const std::string& folder) {
-  glob_t found;
+  glob_t matches;
   std::vector<std::string> files;
-  if (glob((folder + "/libdrd.so.3.*").c_str(), 0, nullptr, &found) == 0) {
-    files.assign(found.gl_pathv, found.gl_pathv + found.gl_pathc);
+  if (glob((folder + "/libdrd.so.3.*").c_str(), 0, nullptr, &matches) == 0) {
+    files.assign(matches.gl_pathv, matches.gl_pathv + matches.gl_pathc);
   }
-  globfree(&found);
+  globfree(&matches);
   return files;
 }
 

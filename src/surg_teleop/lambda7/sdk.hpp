@@ -1,6 +1,5 @@
-// The vendor's library for Force Dimension devices, found and loaded at run time: nothing of it is
-// needed to build. The functions are the few of its public interface that a leader needs, declared
-// here by their documented arguments and returns.
+// The vendor's library for Force Dimension devices, loaded at run time, so that the build needs
+// nothing of it. Only the functions that a leader needs are declared, by their documentation.
 #pragma once
 
 #include <optional>
@@ -12,11 +11,10 @@ namespace surg_teleop {
 /// A device of the library; every function takes one. -1 is the one opened last.
 using DeviceId = signed char;
 
-/// Returns of the library: negative is an error, kTimeGuard a reading that is not new because the
-/// one before was too short a time ago.
+/// Return of a reading that is not new, because it follows the last one too soon.
 constexpr int kTimeGuard = 1;
 
-/// Functions that return an int return a negative one on failure.
+/// A function that returns an int returns a negative one on failure.
 struct Sdk {
   int (*open)();                     // drdOpen: the first device that is free; its id
   int (*open_id)(DeviceId);          // drdOpenID: by its number from 0; its id
@@ -42,9 +40,9 @@ struct Sdk {
 
 struct Loaded {
   std::optional<Sdk> sdk;
-  /// Where it was found.
+  /// The file.
   std::string path;
-  /// Without an sdk: one line per place that was tried, with what was wrong there.
+  /// One line per place that failed, with the reason.
   std::vector<std::string> tried;
 };
 
@@ -52,7 +50,7 @@ struct Loaded {
 /// $FDSDK/lib/release/lin-x86_64-gcc, ~/.local/lib and /usr/local/lib, then what the loader finds.
 std::vector<std::string> places();
 
-/// The first of some places that is the library and has all of its functions. It stays loaded.
+/// Loads the library from the first place that has it with all functions; it stays loaded.
 Loaded load(const std::vector<std::string>& places);
 
 }  // namespace surg_teleop

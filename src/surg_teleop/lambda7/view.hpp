@@ -10,20 +10,19 @@
 
 namespace surg_teleop {
 
-/// For an operator who sits in front of the device: right is its y, down its -z, away its -x.
+/// R_VM for an operator who sits in front of the device: right is its y, down -z, away -x.
 extern const std::vector<double> kSeated;
 
-/// R_VM from nine numbers, row by row. Nothing, and why, when they are no rotation.
+/// R_VM from nine numbers, row by row. Nothing, and the reason, if they are no rotation.
 std::optional<Eigen::Matrix3d> master_to_view(const std::vector<double>& rows, std::string* why);
 
 struct HandlePose {
   Eigen::Vector3d p_VH;  // [m]
-  Eigen::Matrix3d R_VH;  // third column: what the hand rolls about
+  Eigen::Matrix3d R_VH;  // third column: the axis about which the hand rolls
 };
 
-/// p_VH = R_VM p_MH. R_VH = R_VM R_MH R_VM^T: the identity where R_MH is it, so that the third
-/// column is the handle's axis, which points away from the operator (-x of M) with the hand at
-/// rest.
+/// p_VH = R_VM p_MH, R_VH = R_VM R_MH R_VM^T. With the hand at rest both orientations are the
+/// identity, so the third column is the handle's axis, away from the operator (-x of M).
 HandlePose in_view(const Reading& reading, const Eigen::Matrix3d& R_VM);
 
 }  // namespace surg_teleop

@@ -1,10 +1,10 @@
-// What the hand does, from mouse, keyboard and gamepad, in the view frame: x right, y down, z away
-// from the viewer. The mouse is a position leader, keys and gamepad are rate leaders.
+// Motion of the hand from mouse, keyboard and gamepad, in the view frame: x right, y down, z away
+// from the viewer. The mouse is a position leader; keys and gamepad are rate leaders.
 
 const METRES_PER_PIXEL = 0.0005; // of the hand; the console's scale comes on top
 const METRES_PER_NOTCH = 0.004;
 const RADIANS_PER_PIXEL = 0.008;
-const SMOOTHING_S = 0.05; // the mouse's steps become a motion
+const SMOOTHING_S = 0.05; // of the mouse's steps
 const ROLL_RATE = 1.2; // [rad/s]
 const GRIP_RATE = 1.5; // [1/s] fully open to closed in two thirds of a second
 const SLOW = 0.25;
@@ -82,7 +82,7 @@ export class Hand {
     this.keys.add(code);
   }
 
-  /** Change the kind of hand; false: not now. */
+  /** Change the kind of hand; returns whether it is allowed now. */
   use(hand) {
     if (this.hand === hand) return true;
     if (!this.mayChange(hand)) return false;
@@ -97,7 +97,7 @@ export class Hand {
     this.view.setPointerCapture(this.pointer);
   }
 
-  /** Keys that are let go elsewhere are never heard of: a clutch that opens so must not engage. */
+  /** The release of a key elsewhere is never reported; a clutch must not open unnoticed. */
   loseFocus() {
     const drags = this.pointer !== null && this.view.hasPointerCapture(this.pointer);
     const acts = [...this.keys].some((code) => code in MOTION_KEYS || code in HELD_KEYS);
@@ -125,7 +125,7 @@ export class Hand {
     this.goal.z += notches * METRES_PER_NOTCH;
   }
 
-  /** The gamepad that was touched first, until it is gone; its id and mapping are the browser's. */
+  /** The gamepad that was touched first, until it is unplugged. */
   gamepad() {
     const pads = [...navigator.getGamepads()].filter((pad) => pad?.connected);
     const mine = pads.find((pad) => pad.index === this.padId);
@@ -139,7 +139,7 @@ export class Hand {
     this.lost("gamepad");
   }
 
-  /** Sticks and triggers as wishes of -1 … 1, and its buttons' edges. */
+  /** Read sticks and triggers, -1 … 1, and press the buttons that went down. */
   readGamepad() {
     const wish = { x: 0, y: 0, z: 0, roll: 0, grip: 0 };
     const pad = this.gamepad();
@@ -169,7 +169,7 @@ export class Hand {
     return this.latched[name] || this.keys.has(key) || this.padDown.has(PAD[name]);
   }
 
-  /** What goes to the console; `seconds` since the last time. */
+  /** The sample for the console, `seconds` after the last one. */
   sample(seconds) {
     const wish = this.readGamepad();
     for (const code of this.keys) {
@@ -177,7 +177,7 @@ export class Hand {
       if (name) wish[name] += sign;
     }
     const slow = this.keys.has("ShiftLeft") || this.keys.has("ShiftRight") ? SLOW : 1;
-    if (wish.grip && this.grip === null) this.grip = 1; // from here on the jaw is the hand's
+    if (wish.grip && this.grip === null) this.grip = 1; // the hand takes over the jaw
     if (this.grip !== null) this.grip = clamp(this.grip + wish.grip * GRIP_RATE * seconds, 0, 1);
     const part = 1 - Math.exp(-seconds / SMOOTHING_S);
     for (const name in this.now) this.now[name] += (this.goal[name] - this.now[name]) * part;
@@ -195,7 +195,7 @@ export class Hand {
     };
   }
 
-  /** Forget what lies behind: keys that are down, and motion that has not come out yet. */
+  /** Forget held keys and motion that was not sent yet. */
   rest() {
     this.keys.clear();
     this.goal = { ...this.now };
@@ -207,18 +207,18 @@ function clamp(value, low, high) {
   return Math.max(low, Math.min(high, value));
 }
 
-/** Whether somebody has a hand on a gamepad. */
+/** Whether a gamepad is in use. */
 function touched(pad) {
   return pad.buttons.some((button) => button.pressed) || pad.axes.slice(0, 4).some(deadZone);
 }
 
-/** A stick's deflection with a dead zone; squared, so that small motions are fine. */
+/** A stick's deflection beyond a dead zone, squared for fine small motions. */
 function deadZone(value) {
   const beyond = Math.max(0, Math.abs(value) - DEAD_ZONE) / (1 - DEAD_ZONE);
   return Math.sign(value) * Math.min(1, beyond) ** 2;
 }
 
-/** Wishes of a unit ball as a velocity. */
+/** A velocity of at most `speed`. */
 function limited(wish, speed) {
   const length = Math.hypot(...wish);
   return wish.map((part) => (part * speed) / Math.max(1, length));

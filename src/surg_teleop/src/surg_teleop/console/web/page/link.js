@@ -1,10 +1,10 @@
-// The socket of input and status. It connects again by itself; that never moves anything, because
-// the console lets go of the arm whenever the socket ends.
+// The socket of input and status. It reconnects by itself, which never moves anything: the console
+// holds the arm whenever the socket ends.
 
 const AGAIN_MS = 1000;
 const PING_MS = 1000;
-const FIRST_PINGS = 12; // soon after the start, for the difference of the clocks
-const FORGET_PINGS = 60; // clocks drift: the best answer counts for a minute
+const FIRST_PINGS = 12; // in quick succession, for the difference of the clocks
+const FORGET_PINGS = 60; // clocks drift, so the best answer counts for a minute
 
 /** Seconds on this page's own steady clock. */
 export const clock = () => performance.now() / 1000;
@@ -12,7 +12,7 @@ export const clock = () => performance.now() / 1000;
 /** Wall clock in microseconds. */
 export const wallUs = () => (performance.timeOrigin + performance.now()) * 1000;
 
-/** What the address bar says behind #token=. It is never sent to the server in an address. */
+/** The token in the page's address, behind the #: browsers do not send it in requests. */
 export function token() {
   return new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
 }
@@ -23,7 +23,7 @@ export function socketUrl(path) {
 }
 
 export class Link {
-  /** @param hear called with every message of the console; `closed` with why there is none. */
+  /** @param hear called with every message of the console; `closed` with why the socket ended. */
   constructor(hear, closed) {
     this.offsetUs = 0; // console's wall clock less ours
     this.roundTripMs = null;
@@ -61,7 +61,7 @@ export class Link {
     this.say("ping", { at: clock() });
   }
 
-  /** The quickest answer tells the difference of the clocks best. */
+  /** The quickest answer gives the best difference of the clocks. */
   pong(message) {
     const trip = clock() - message.at;
     this.roundTripMs = trip * 1000;

@@ -1,4 +1,4 @@
-// The page: ties the hand, the socket, the pictures and the view together.
+// The page: connects hand, socket, pictures and view.
 
 import { Hand } from "./hand.js";
 import { Link, clock, socketUrl, token, wallUs } from "./link.js";
@@ -8,7 +8,7 @@ const INPUT_MS = 20; // the console holds the arm after 100 ms without one
 const OLD_PICTURE_MS = 150; // three of the endoscope's periods
 const SHOW_MS = 200; // figures for people, all together; states are shown at once
 const AGE_EVERY = 2; // times that figures are shown
-const KEPT_PICTURES = 16384; // what is known of each: a quarter of an hour, for a measurement
+const KEPT_PICTURES = 16384; // a quarter of an hour, for measurements
 const TOAST_MS = 5000;
 
 const KEYS = [
@@ -35,23 +35,23 @@ let shown = 0;
 let lastHand = null;
 const picture = { exposedUs: 0, drawn: [] };
 
-const link = new Link(hear, lost);
+const link = new Link(onMessage, lost);
 const hand = new Hand(element("view"), press, (why) => link.say("hidden", { why }));
 hand.mayChange = mayChange;
 
-// What a measurement reads: age of each picture when it was drawn, and how it came about.
+// For measurements: the times of each drawn picture, and its age.
 globalThis.surgConsole = { picture, link, status: () => status };
 
-// --- what the console says ---
+// --- messages of the console ---
 
-function hear(message) {
+function onMessage(message) {
   if (message.say === "welcome") view = new View(message);
-  else if (message.say === "status" && view) heed(message);
+  else if (message.say === "status" && view) onStatus(message);
   else if (message.say === "episodes" && view) view.episodes(message.episodes);
   else if (message.say === "refused") toast(message.why);
 }
 
-function heed(message) {
+function onStatus(message) {
   const before = status;
   status = message;
   if (before?.phase === "driving" && message.phase !== "driving") hand.rest();
@@ -63,7 +63,7 @@ function heed(message) {
   if (message.phase !== before?.phase || message.headline !== before?.headline) show();
 }
 
-/** Every change of the page costs the browser a whole frame, however small it is. */
+/** Figures change together: every change of the page, however small, costs a whole frame. */
 function show() {
   if (status && view) view.show(status, link);
   if (lastHand) showHand(lastHand);
@@ -93,7 +93,7 @@ function toast(text) {
   toast.timer = setTimeout(() => { node.hidden = true; }, TOAST_MS);
 }
 
-// --- what the hand says ---
+// --- inputs of the hand ---
 
 const mine = () => status !== null && view !== null && status.holder === view.page;
 
@@ -104,11 +104,9 @@ function mayChange() {
 }
 
 function press(button) {
-  if (button === "stop") link.press("stop");
-  else if (button === "enable") link.press("enable");
-  else if (button === "policy") link.press("policy");
+  if (button === "hand") hand.use(hand.hand === "rate" ? "position" : "rate");
   else if (button === "record") link.press(status?.record.on ? "record_stop" : "record");
-  else if (button === "hand") hand.use(hand.hand === "rate" ? "position" : "rate");
+  else link.press(button);
 }
 
 setInterval(() => {
@@ -124,12 +122,8 @@ setInterval(() => {
 
 function showHand(sample) {
   const driving = status?.phase === "driving";
-  for (const name of ["clutch", "camera"]) {
-    sink(element(name), driving && sample[name]);
-  }
-  for (const button of element("hands").children) {
-    sink(button, button.dataset.hand === sample.hand);
-  }
+  for (const name of ["clutch", "camera"]) sink(element(name), driving && sample[name]);
+  for (const button of element("hands").children) sink(button, button.dataset.hand === sample.hand);
   const ours = sample.hand === "position" ? "Drag in the picture." : hand.padName || "Keyboard";
   const device = view?.leads === false ? "Another device moves the arm." : ours;
   write(element("device"), device);
@@ -138,7 +132,7 @@ function showHand(sample) {
   write(element("jaw-value"), grip === null ? "–" : `${Math.round(grip * 100)} %`);
 }
 
-// The tab is hidden or goes: the arm holds at once, not only when silence is noticed.
+// A tab that is hidden or closed holds the arm at once, before its silence is noticed.
 document.addEventListener("visibilitychange", () => {
   if (document.visibilityState === "hidden") link.say("hidden", { why: "hidden" });
 });
@@ -147,19 +141,17 @@ document.addEventListener("freeze", () => link.say("hidden", { why: "hidden" }))
 
 // --- buttons ---
 
-for (const id of ["enable", "stop", "record", "policy"]) {
-  element(id).addEventListener("click", () => press(id));
+for (const id of ["enable", "stop", "record", "policy", "put-back", "take"]) {
+  element(id).addEventListener("click", () => press(id.replace("-", "_")));
 }
 element("veil-enable").addEventListener("click", () => press("enable"));
-element("put-back").addEventListener("click", () => link.press("put_back"));
-element("take").addEventListener("click", () => link.press("take"));
 for (const name of ["clutch", "camera"]) {
   element(name).addEventListener("click", () => { hand.latched[name] = !hand.latched[name]; });
 }
 for (const button of element("hands").children) {
   button.addEventListener("click", () => hand.use(button.dataset.hand));
 }
-// A button that was clicked must not answer to the space bar afterwards: that is the clutch.
+// A clicked button must not react to the space bar afterwards: that is the clutch.
 addEventListener("click", (event) => event.target.closest("button")?.blur());
 element("scale").addEventListener("input", ({ target }) => {
   element("scale-value").textContent = Number(target.value).toFixed(2);
@@ -204,9 +196,7 @@ worker.onmessage = ({ data }) => {
 
 for (const button of element("eyes").children) {
   button.addEventListener("click", () => {
-    for (const other of element("eyes").children) {
-      other.setAttribute("aria-pressed", String(other === button));
-    }
+    for (const other of element("eyes").children) sink(other, other === button);
     worker.postMessage({ settings: { layout: button.dataset.layout } });
   });
 }

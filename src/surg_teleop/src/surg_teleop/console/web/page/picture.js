@@ -1,5 +1,5 @@
-// The worker that receives, decodes and draws the endoscope's pictures, so that the page's own
-// thread is free for the hand. H.264 by WebCodecs; JPEG where the browser cannot.
+// The worker that receives, decodes and draws the endoscope's pictures; the page's own thread is
+// free for the hand. H.264 by WebCodecs; JPEG where the browser has none.
 
 const HEADER_BYTES = 48;
 const CODECS = ["h264", "jpeg"];
@@ -24,6 +24,8 @@ onmessage = ({ data }) => {
   else connect();
 };
 
+const wallUs = () => (performance.timeOrigin + performance.now()) * 1000;
+
 function say(what, keys) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify({ say: what, ...keys }));
 }
@@ -44,7 +46,7 @@ function connect() {
   socket.onclose = () => setTimeout(connect, AGAIN_MS);
 }
 
-/** Head and bytes of a picture; wire.py packs them. */
+/** Head and bytes of a picture, as picture_packet.py packs them. */
 function unpack(buffer) {
   const view = new DataView(buffer);
   const hex = (at) => view.getUint8(at).toString(16).padStart(2, "0");
@@ -58,14 +60,14 @@ function unpack(buffer) {
     exposedUs: Number(view.getBigInt64(20, true)),
     receivedUs: Number(view.getBigInt64(28, true)),
     encodedUs: Number(view.getBigInt64(36, true)),
-    arrivedMs: performance.now(),
+    arrivedUs: wallUs(),
     data: new Uint8Array(buffer, HEADER_BYTES),
   };
 }
 
 async function receive(buffer) {
   const head = unpack(buffer);
-  if (head.codec !== settings.codec) return; // from before the last wish
+  if (head.codec !== settings.codec) return; // sent before the last request
   if (head.codec === "jpeg") {
     draw(await createImageBitmap(new Blob([head.data], { type: "image/jpeg" })), head);
     return;
@@ -90,7 +92,7 @@ function decode(head) {
     });
     configured = wanted;
   }
-  if (decoder?.state !== "configured") return; // waits for a key picture
+  if (decoder?.state !== "configured") return; // wait for a key picture
   underWay.set(head.exposedUs, head);
   const type = head.key ? "key" : "delta";
   decoder.decode(new EncodedVideoChunk({ type, timestamp: head.exposedUs, data: head.data }));
@@ -111,17 +113,8 @@ function draw(image, head) {
   context.drawImage(image, 0, 0);
   image.close();
   say("shown", { seq: head.seq });
-  postMessage({
-    seq: head.seq,
-    codec: head.codec,
-    width: head.width,
-    height: head.height,
-    exposedUs: head.exposedUs,
-    receivedUs: head.receivedUs,
-    encodedUs: head.encodedUs,
-    arrivedUs: (performance.timeOrigin + head.arrivedMs) * 1000,
-    drawnUs: (performance.timeOrigin + performance.now()) * 1000,
-  });
+  const { data, ...facts } = head; // the bytes stay here
+  postMessage({ ...facts, drawnUs: wallUs() });
 }
 
 function forget() {
@@ -131,7 +124,7 @@ function forget() {
   underWay.clear();
 }
 
-/** Any trouble with the decoder: the picture goes on as JPEG. */
+/** The decoder has failed: continue with JPEG. */
 function fallBack(error) {
   if (settings.codec !== "h264") return;
   settings.codec = "jpeg";

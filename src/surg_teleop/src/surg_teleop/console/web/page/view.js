@@ -1,12 +1,11 @@
-// Puts what the console says onto the page. It decides nothing.
+// Shows the console's status on the page; decides nothing.
 
 const TREND_S = 30;
-const TREND_STEP_S = 0.25; // between two points: each is the largest value in between
+const TREND_STEP_S = 0.25; // between two points, each the largest value of its interval
 
 const element = (id) => document.getElementById(id);
 
-// What stays as it is must not be written again: the browser would draw a whole frame for it, and the
-// picture would wait for that.
+// Unchanged values are not written again: the browser would draw a whole frame, and delay the picture.
 
 export function set(node, name, value) {
   if (node[name] !== value) node[name] = value;
@@ -48,7 +47,7 @@ class Gauge {
   }
 }
 
-/** The deviation of the last half minute, against the largest of it. */
+/** The deviation during the last half minute, scaled to its largest value. */
 class Trend {
   constructor(id, least) {
     this.canvas = element(id);
@@ -112,14 +111,14 @@ export class View {
     this.largest = null; // deviation since it was shown last
   }
 
-  /** Every report: a peak must not be missed. */
+  /** Called for every status, so that no peak is missed. */
   note(status) {
     const deviation = status.gauges.rcm_peak ?? status.gauges.rcm;
     this.trend.add(performance.now() / 1000, deviation);
     this.largest = deviation === null ? null : Math.max(this.largest ?? 0, deviation);
   }
 
-  /** @param status what the console said; `link` the socket. */
+  /** @param status of the console; `link` is the socket. */
   show(status, link) {
     const mine = status.holder === this.page;
     const { body } = document;
@@ -200,39 +199,30 @@ export class View {
   }
 
   episodes(entries) {
-    const list = element("episodes");
-    list.replaceChildren(...entries.map(episodeRow));
-    if (!entries.length) {
-      const nothing = document.createElement("li");
-      nothing.className = "quiet";
-      nothing.textContent = "No recordings yet.";
-      list.append(nothing);
-    }
+    const nothing = made("li", "quiet", "No recordings yet.");
+    element("episodes").replaceChildren(...(entries.length ? entries.map(episodeRow) : [nothing]));
   }
 }
 
+function made(tag, className = "", textContent = "") {
+  return Object.assign(document.createElement(tag), { className, textContent });
+}
+
 function armRow() {
-  const row = document.createElement("li");
-  const word = document.createElement("span");
-  word.className = "chip word";
-  row.append(document.createElement("b"), word, document.createElement("p"));
+  const row = made("li");
+  row.append(made("b"), made("span", "chip word"), made("p"));
   return row;
 }
 
 function episodeRow(entry) {
-  const row = document.createElement("li");
-  const name = document.createElement("span");
-  name.textContent = entry.name;
-  const length = document.createElement("span");
-  length.className = "quiet";
-  length.textContent = entry.seconds === null ? "" : `${entry.seconds.toFixed(1)} s`;
-  const outcome = document.createElement("span");
-  outcome.className = "chip";
-  const success = entry.success === true ? "success" : entry.success === false ? "no success" : "";
-  outcome.textContent = entry.outcome === "complete" && success ? success : entry.outcome;
+  const row = made("li");
+  const length = entry.seconds === null ? "" : `${entry.seconds.toFixed(1)} s`;
+  const judged = entry.outcome === "complete" && entry.success !== null;
+  const success = entry.success ? "success" : "no success";
+  const outcome = made("span", "chip", judged ? success : entry.outcome);
   const good = entry.outcome === "complete" && entry.success !== false;
   outcome.dataset.tone = good ? "good" : entry.outcome === "unfinished" ? "" : "warn";
   row.title = entry.reason;
-  row.append(name, length, outcome);
+  row.append(made("span", "", entry.name), made("span", "quiet", length), outcome);
   return row;
 }
