@@ -55,6 +55,8 @@ CONNECT_TIMEOUT = 30.0
 """[s] Longest wait for all connections in lock-step, wall clock."""
 END = 2.0
 """[s] Longest shutdown, whatever hangs."""
+FLUSH = 0.2
+"""[s] Wait after the last commands, so that they leave their queues and sockets."""
 
 
 class TeleopNode:
@@ -225,6 +227,7 @@ def main() -> int:
     finally:
         _end_within(END)
         node.stop()
+        time.sleep(FLUSH)
         rospy.signal_shutdown("teleop: done")
     return 0
 
