@@ -10,7 +10,25 @@ from evdev import ecodes
 
 from surg_teleop.leaders.evdev.device_host import Device, read_bytes
 from surg_teleop.leaders.evdev.device_state import AxisRange, Description, Snapshot
-from surg_teleop.leaders.evdev.input_events import DROPPED, EV_ABS, EV_KEY, EV_REL, REPORT, Event
+from surg_teleop.leaders.evdev.input_events import (
+    EV_ABS,
+    EV_KEY,
+    EV_REL,
+    EV_SYN,
+    EVENT,
+    SYN_DROPPED,
+    SYN_REPORT,
+    Event,
+)
+
+REPORT = Event(EV_SYN, SYN_REPORT, 0)
+DROPPED = Event(EV_SYN, SYN_DROPPED, 0)
+
+
+def to_bytes(event: Event) -> bytes:
+    """As the kernel writes it, at time 0."""
+    return EVENT.pack(0, 0, event.kind, event.code, event.value)
+
 
 STICK = AxisRange(-32768, 32767)
 TRIGGER = AxisRange(0, 255)
@@ -111,7 +129,7 @@ class Plugged:
     def send(self, *events: Event) -> None:
         """Writes events to whoever has opened it."""
         for _, write in self._pipes:
-            os.write(write, b"".join(event.to_bytes() for event in events))
+            os.write(write, b"".join(to_bytes(event) for event in events))
 
     def _keys(self, value: int, names: tuple[str, ...]) -> None:
         codes = [code(name) for name in names]

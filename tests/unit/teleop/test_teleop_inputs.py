@@ -10,14 +10,17 @@ import pytest
 import yaml
 
 from helpers.teleop.input_devices import (
+    DROPPED,
     GAMEPAD,
     KEYBOARD,
     PEDALS,
+    REPORT,
     SPACEMOUSE,
     SPACEMOUSE_RELATIVE,
     Machine,
     Plugged,
     code,
+    to_bytes,
 )
 from surg_teleop.leaders.bundled.gamepad import Gamepad
 from surg_teleop.leaders.bundled.pedals import Pedals
@@ -33,12 +36,10 @@ from surg_teleop.leaders.evdev.device_state import (
     without_dead_zone,
 )
 from surg_teleop.leaders.evdev.input_events import (
-    DROPPED,
     EV_ABS,
     EV_KEY,
     EV_SYN,
     EVENT,
-    REPORT,
     Decoder,
     Event,
 )
@@ -53,7 +54,7 @@ STEP = 0.002
 def test_the_struct_is_the_kernels() -> None:
     assert EVENT.size == 24  # <linux/input.h> on a 64-bit machine
     raw = EVENT.pack(1700000000, 123456, EV_ABS, 4, -17)
-    assert Decoder().feed(raw + REPORT.to_bytes()) == [[Event(EV_ABS, 4, -17)]]
+    assert Decoder().feed(raw + to_bytes(REPORT)) == [[Event(EV_ABS, 4, -17)]]
 
 
 def test_groups_do_not_depend_on_how_the_bytes_are_cut(rng: random.Random) -> None:
@@ -63,7 +64,7 @@ def test_groups_do_not_depend_on_how_the_bytes_are_cut(rng: random.Random) -> No
             rng.choice((REPORT, DROPPED, Event(EV_KEY, rng.randrange(700), rng.randrange(3))))
             for _ in range(rng.randrange(1, 40))
         ]
-        data = b"".join(event.to_bytes() for event in events)
+        data = b"".join(to_bytes(event) for event in events)
         whole, pieces, parts = Decoder().feed(data), Decoder(), []
         while data:
             n = rng.randrange(1, 60)
@@ -75,7 +76,7 @@ def test_groups_do_not_depend_on_how_the_bytes_are_cut(rng: random.Random) -> No
 
 def test_what_was_lost_is_said_and_nothing_of_it_is_used() -> None:
     key = Event(EV_KEY, 30, 1)
-    data = b"".join(e.to_bytes() for e in (key, DROPPED, key, REPORT, key, REPORT))
+    data = b"".join(to_bytes(e) for e in (key, DROPPED, key, REPORT, key, REPORT))
     assert Decoder().feed(data) == [None, [key]]
 
 

@@ -61,7 +61,6 @@ class Parameters:
     second_need_present: bool = flag(False)
 
     def __post_init__(self) -> None:
-        """Rules between parameters."""
         if self.enabled and not self.lockstep:
             raise ParamError("enabled", True, "true with ~lockstep: true only")
 

@@ -105,7 +105,6 @@ class Teleop:
     _bring_up: BringUp = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Start in the mode of the settings."""
         self.mode = self.settings.mode
         # A view may be as old as SILENCE when it is read.
         self._bring_up = BringUp(resume=True, clear_fault=True, settle_ns=_ns(2.0 * SILENCE))

@@ -10,6 +10,7 @@ from typing import Any
 
 import surg_core
 from surg_core import ConfigError
+from surg_core.arm_view import Array
 from surg_ros.params import ParamError, flag, path, read, text
 from surg_teleop.follow.endoscope_pose import HeldCamera, held_camera
 from surg_teleop.frames.registration_verdict import Verdict
@@ -75,18 +76,17 @@ def report(verdict: Verdict, places: Mapping[str, Place], task: CheckTask) -> di
         "seen": [
             {
                 "told": seen.commanded,
-                "pixels": [round(float(v), 2) for v in seen.pixels],
+                "pixels": _rounded(seen.pixels),
                 "disparity": None if seen.disparity is None else round(seen.disparity, 2),
             }
             for seen in verdict.seen
         ],
         "places": {
-            step: {
-                "left": [round(float(v), 2) for v in place.left],
-                "disparity": None
-                if place.disparity is None
-                else [round(float(v), 2) for v in place.disparity],
-            }
+            step: {"left": _rounded(place.left), "disparity": _rounded(place.disparity)}
             for step, place in places.items()
         },
     }
+
+
+def _rounded(pixels: Array | None) -> list[float] | None:
+    return None if pixels is None else [round(float(value), 2) for value in pixels]

@@ -35,7 +35,6 @@ class Step(NamedTuple):
     side: int
 
     def __str__(self) -> str:
-        """Its word."""
         return WORDS.get((self.axis, self.side), "rest")
 
     def offset(self) -> Array:

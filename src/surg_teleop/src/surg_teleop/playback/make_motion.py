@@ -1,12 +1,12 @@
-"""Writes the bundled motion: our own formula, the same file every time.
+"""Writes the bundled motion from a formula, so that the file is always the same.
 
     python3 -m surg_teleop.playback.make_motion motions/bundled.csv
 
-It looks like work under a laparoscope: reaches, dwells, the loops of a knot, pulls. Every move is a
-minimum-jerk move (10 u^3 - 15 u^4 + 6 u^5 along a line or an arc), which is how a practised hand
-moves; on top lies a physiological tremor of four fixed sines per axis between 8 and 11 Hz, 0.052 mm
-rms per axis. The motion starts and ends at rest in the same place, so that it can be repeated.
-Axes as in the rcm frame: z into the patient.
+The motion resembles laparoscopic work: reaches, dwells, the loops of a knot, pulls. Every move has
+minimum jerk (10 u^3 - 15 u^4 + 6 u^5 along a line or an arc), as a practised hand moves. A
+physiological tremor is added: four sines per axis between 8 and 11 Hz, 0.052 mm rms per axis. The
+motion starts and ends at rest in one place, so it can be repeated. Axes as in the rcm frame: z into
+the patient.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from surg_core.arm_view import Array
 
 RATE = 100
-"""[Hz] Samples per second: ten per period of the fastest tremor."""
+"""[Hz] Ten samples per period of the fastest tremor."""
 DURATION = 60.0
 """[s]"""
 TREMOR_RMS = 0.052e-3
@@ -31,7 +31,7 @@ TREMOR_HZ = np.array([[8.4, 9.1, 9.7, 10.6], [8.2, 9.3, 10.0, 10.4], [8.6, 8.9, 
 TREMOR_PHASE = np.array([[0.3, 2.1, 4.4, 5.2], [1.7, 3.9, 0.9, 2.8], [5.8, 1.2, 3.3, 0.1]])
 """[rad]"""
 TREMOR_FADE = 0.5
-"""[s] Fades in and out over this time, so that both ends are at rest."""
+"""[s] Time of fading in and out, so that both ends are at rest."""
 
 MM = 1e-3
 
@@ -48,7 +48,7 @@ class Segment:
 
 @dataclass
 class Script:
-    """Strings segments together; each starts where the last one ended."""
+    """A sequence of segments; each starts where the last one ended."""
 
     p: Array  # (3,) where the hand is [m]
     roll: float = 0.0  # its roll [rad]
@@ -71,7 +71,7 @@ class Script:
     def dwell(
         self, duration: float, roll: float | None = None, gripper: float | None = None
     ) -> None:
-        """Stays; only roll and gripper [rad] may change."""
+        """Stay; only roll and gripper [rad] may change."""
         here = self.p
         self._add(duration, lambda u: np.tile(here, (len(u), 1)), here, roll, gripper)
 
@@ -84,7 +84,7 @@ class Script:
         duration: float,
         roll: float | None = None,
     ) -> None:
-        """Turns about an axis through a point [mm], going on along the axis by advance [mm]."""
+        """Turn about an axis through a point [mm], and advance along the axis [mm]."""
         n = np.array(normal) / np.linalg.norm(normal)
         c = np.array(centre) * MM
         start = self.p
@@ -182,7 +182,7 @@ def minimum_jerk(u: Array) -> Array:
 
 
 def tremor(t: Array) -> Array:
-    """Hand tremor (n, 3) [m] at times (n,) [s]; nothing at both ends of the motion."""
+    """Hand tremor (n, 3) [m] at times (n,) [s]; zero at both ends of the motion."""
     amplitude = TREMOR_RMS * np.sqrt(2.0 / TREMOR_HZ.shape[1])
     angle = 2.0 * np.pi * TREMOR_HZ[None] * t[:, None, None] + TREMOR_PHASE[None]
     edge = np.clip(np.minimum(t, DURATION - t) / TREMOR_FADE, 0.0, 1.0)
@@ -209,7 +209,7 @@ def bundled_motion() -> Array:
 
 
 def write_motion(path: Path) -> None:
-    """Writes the bundled motion as CSV: positions to 0.1 µm, so that its jerk survives."""
+    """Write the bundled motion as CSV, with positions to 0.1 µm: its jerk stays smooth."""
     lines = ["t_s,x_m,y_m,z_m,roll_rad,gripper_rad"]
     lines += [
         f"{t:.2f},{x:.7f},{y:.7f},{z:.7f},{roll:.5f},{gripper:.4f}"

@@ -183,12 +183,8 @@ def make_plan(
 ) -> Plan:
     """Centre a motion on the home shaft axis, check that it fits, and make its time line.
 
-    Args:
-        motion: A checked motion.
-        workspace: Where the tip may be commanded.
-        scale: Arm metres per recorded metre, MIN_SCALE to MAX_SCALE.
-        duration: How long to play [s]; None: the motion once. A shorter motion is repeated, with a
-            smooth return in between.
+    The scale is arm metres per recorded metre, MIN_SCALE to MAX_SCALE. A motion shorter than the
+    duration [s] is repeated, with a smooth return in between; None: once.
 
     Raises:
         ConstantMotionError: The motion does not move.

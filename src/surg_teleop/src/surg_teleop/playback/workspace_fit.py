@@ -91,10 +91,7 @@ def largest_scale(offsets: Array, depth: float, workspace: Workspace) -> Exit:
     |c + scale d|^2 = r^2 for a sphere, (c_z + scale d_z)^2 = cos^2(cone) |c + scale d|^2 for the
     cone.
 
-    Args:
-        offsets: (n, 3) samples relative to the box's centre, in axes of the rcm frame [m].
-        depth: Depth of the box's centre on the axis [m]; must be inside the workspace.
-        workspace: The walls.
+    `offsets` (n, 3) [m] are in axes of the rcm frame; the centre must lie inside the workspace.
     """
     d2 = np.einsum("ij,ij->i", offsets, offsets)
     dz = offsets[:, 2]

@@ -56,7 +56,6 @@ class Parameters:
     token_file: Path | None = path(None)
 
     def __post_init__(self) -> None:
-        """Checks the views."""
         if self.views not in ((), ("left",), ("left", "right")):
             raise ParamError("views", list(self.views), "left, or left,right")
 

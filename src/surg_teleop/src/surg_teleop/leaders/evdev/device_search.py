@@ -35,9 +35,7 @@ def find(host: Host, layout: Layout, wanted: str = "") -> Device:
         LeaderError: No device is connected or fits, there is no permission, or another process has
             grabbed it; lists the candidates.
     """
-    nodes = host.nodes()
-    if wanted:
-        nodes = [wanted]
+    nodes = [wanted] if wanted else host.nodes()
     if not nodes:
         raise LeaderError(
             "no input device found (no /dev/input/event* on this machine)",

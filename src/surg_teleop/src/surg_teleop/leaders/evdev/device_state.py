@@ -60,7 +60,6 @@ class InputState:
     """Tracks the state of one device by its events."""
 
     def __init__(self, description: Description, snapshot: Snapshot, now: float) -> None:
-        """Start from a snapshot."""
         self.description = description
         self.changed = now
         """Time of the last event [s]."""

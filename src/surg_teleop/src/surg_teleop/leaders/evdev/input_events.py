@@ -23,14 +23,6 @@ class Event:
     code: int  # key or axis
     value: int  # key: 0 released, 1 pressed, 2 repeated. Axis: its reading, or its change (EV_REL)
 
-    def to_bytes(self) -> bytes:
-        """As the kernel writes it, at time 0."""
-        return EVENT.pack(0, 0, self.kind, self.code, self.value)
-
-
-REPORT = Event(EV_SYN, SYN_REPORT, 0)
-DROPPED = Event(EV_SYN, SYN_DROPPED, 0)
-
 
 class Decoder:
     """Decodes bytes to complete groups of events.
