@@ -28,12 +28,15 @@ from typing import Any
 
 from machine import this_machine
 
-from helpers.sim.render_speed import stereo_speed
+from surg_cli.host import paths
 from surg_cli.host.terminal import Progress, say, table
 from surg_sim.envs.cell_session import Session
 from surg_sim.envs.episode_runner import run_episode
 from surg_sim.physics import cell_files
 from surg_sim.tasks import episode_seeds
+
+sys.path.insert(0, str(paths.ROOT / "tests"))
+from helpers.sim.render_speed import stereo_speed
 
 CELL, TASK = "sim_two_arms", "bgr"
 

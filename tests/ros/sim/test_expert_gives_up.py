@@ -16,7 +16,7 @@ def test_the_reason_is_published_once() -> None:
     node = SimpleNamespace(
         _expert=expert, _reason="", _ports={}, _status=SimpleNamespace(publish=sent.append)
     )
-    task = SimpleNamespace(read=lambda: TaskState(names=[], values=[]))
+    task = TaskState(names=[], values=[])
     for tick in (25, 50):
         ExpertNode._act(node, SimpleNamespace(tick=tick, task=task, cycles={}, stamp_ns=0))
     (status,) = sent

@@ -93,20 +93,20 @@ def episode(
         ValueError: The episode fails, or a moment does not come.
     """
     session = Session(cell_files.find(tasks.load(task).home_cell), task, setting, seed, looks=True)
-    found: dict[str, Picture] = {}
+    taken: dict[str, Picture] = {}
 
     def watch(tick: Tick) -> None:
         if tick.tick % GRID:
             return
         for name, (now, take) in wanted.items():
-            if name not in found and now(tick):
-                found[name] = take(session.world)
+            if name not in taken and now(tick):
+                taken[name] = take(session.world)
 
     report = run_episode(session, seed, watch=watch)
-    missing = sorted(set(wanted) - set(found))
+    missing = sorted(set(wanted) - set(taken))
     if not report.success or missing:
         raise ValueError(f"{task}, seed {seed}: {report.reason or missing}: take another --seed")
-    return found
+    return taken
 
 
 def after(seconds: float, holds: Callable[[State, str], bool]) -> Moment:
