@@ -76,8 +76,8 @@ def test_f13_a_killed_encoder_costs_half_a_second_and_the_camera_goes_on(
             k += 1
             recording.image("cam", synthetic.image(k * PERIOD_NS, k), k)
             time.sleep(0.004)
-        os.kill(recording.cameras.sinks["cam"].pid, signal.SIGKILL)
-        until(lambda: recording.cameras.sinks["cam"]._part.error is not None)
+        os.kill(recording.cameras.sinks["cam"].part.pid, signal.SIGKILL)
+        until(lambda: recording.cameras.sinks["cam"].part.error is not None)
         k += 1
         recording.image("cam", synthetic.image(k * PERIOD_NS, k), k)  # starts the next encoder
         until(lambda: recording.status()["backlog"]["frames"] == 0)

@@ -217,15 +217,15 @@ def test_f13_an_encoder_that_dies_before_its_first_picture_costs_nothing(
 ) -> None:
     """The camera's first video is there, whichever encoder has made it."""
     recording = start(tmp_path / "e")
-    os.kill(recording.cameras.sinks["cam"].pid, signal.SIGSTOP)
+    os.kill(recording.cameras.sinks["cam"].part.pid, signal.SIGSTOP)
     for k in range(1, 11):
         picture = shown(k)
         image = synthetic.image(k * PERIOD_NS, k)
         image.data = picture.tobytes()
         sent = image if kind == "raw" else message(coded(picture, kind), k * PERIOD_NS)
         recording.image("cam", sent, k)
-    os.kill(recording.cameras.sinks["cam"].pid, signal.SIGKILL)
-    until(lambda: recording.cameras.sinks["cam"]._part.error is not None)
+    os.kill(recording.cameras.sinks["cam"].part.pid, signal.SIGKILL)
+    until(lambda: recording.cameras.sinks["cam"].part.error is not None)
     recorded = episode_reader.read(recording.close({}))
     assert recorded.cameras == ["cam"]
     assert numbers(recorded) == list(range(1, 11))
@@ -243,8 +243,8 @@ def test_f13_a_killed_encoder_costs_half_a_second_of_compressed_pictures(tmp_pat
             time.sleep(0.004)
         if last == 40:
             until(lambda: recording.status()["frames"]["cam"] >= 20)
-            os.kill(recording.cameras.sinks["cam"].pid, signal.SIGKILL)
-            until(lambda: recording.cameras.sinks["cam"]._part.error is not None)
+            os.kill(recording.cameras.sinks["cam"].part.pid, signal.SIGKILL)
+            until(lambda: recording.cameras.sinks["cam"].part.error is not None)
     recorded = episode_reader.read(recording.close({}))
     found = numbers(recorded)
     lost = sorted(set(range(1, 61)) - set(found))

@@ -32,9 +32,7 @@ class Segment:
     """One segment."""
 
     number: int
-    """From 1."""
     count: int
-    """Number of the recording's segments."""
     begin_ns: int | None
     """Start by the recorder's clock [ns]; None: the recording's start."""
     end_ns: int | None
@@ -55,12 +53,10 @@ class Segment:
         )
 
     def rows(self, name: str, receive_ns: npt.NDArray[np.int64], lost: Any = 0) -> Mask:
-        """Mask (N,) of the rows of a table, or frames of a video, that belong to the segment.
+        """Mask (N,) of the rows of a table, or frames of a camera, within the segment.
 
-        Args:
-            name: Table or camera.
-            receive_ns: (N,) reception by the recorder's clock [ns].
-            lost: Number of rows received before each but not written; a number or (N,).
+        ``receive_ns`` (N,) is their reception by the recorder's clock [ns]; ``lost``, a number or
+        (N,), counts those received before each but not written.
         """
         place = np.arange(len(receive_ns)) + lost
         inside = np.ones(len(receive_ns), dtype=bool)

@@ -35,7 +35,7 @@ class ClockStatus:
     """One sample of the clock's state."""
 
     port_state: str = ""
-    """Of the PTP port, as linuxptp calls it; empty when the daemon did not answer."""
+    """State of the PTP port, as linuxptp calls it; empty without an answer."""
     offset: float = math.nan
     """This clock minus the grandmaster's [s]; 0 on the grandmaster, NaN while not measured."""
     path_delay: float = math.nan
@@ -43,7 +43,6 @@ class ClockStatus:
     grandmaster: str = ""
     """Identity of the clock that all follow; empty if unknown."""
     clock: str = ""
-    """Identity of this machine's clock."""
     problem: str = ""
     """Why the state is unknown; empty if the daemon answered."""
 
@@ -105,14 +104,7 @@ def parse(text: str) -> ClockStatus:
 
 
 class _Answers:
-    """The management responses in the output of ``pmc``.
-
-    Attributes:
-        sets: Key and value by PTP data set.
-        ports: The same of every port.
-        refused: Whether a data set was refused.
-        clock: Identity of the answering clock.
-    """
+    """The responses in ``pmc``'s output: by data set, of every port, and the clock's identity."""
 
     def __init__(self, text: str) -> None:
         self.sets: dict[str, Mapping[str, str]] = {}

@@ -103,12 +103,9 @@ def _steps(manifest: Mapping[str, Any]) -> tuple[Segment | None, list[str]]:
 
 
 def write(folder: Path | str, progress: Progress | None = None) -> dict[str, Any]:
-    """Examine an episode, write ``sync.json`` and mark the manifest; returns the report.
+    """Examine an episode and write ``sync.json``; an EpisodeError if that is impossible.
 
     The manifest receives the key ``sync`` with verdict and reasons; nothing else in it changes.
-
-    Raises:
-        EpisodeError: The episode cannot be read, or the folder cannot be written.
     """
     episode = episodes.read(folder)
     result = make(episode, progress)

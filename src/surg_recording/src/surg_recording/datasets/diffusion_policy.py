@@ -44,26 +44,19 @@ class DiffusionPolicy(Exporter):
 
     def write_part(self, sampled: Sampled, folder: Path, options: ExportOptions) -> None:
         """One recording as a store of its own."""
-        root = _new(folder / _PART)
-        for feature in sampled.features:
-            name = _key(feature)
+        path = folder / _PART
+        root = _new(path)
+        features = [feature for feature in sampled.features if feature.dtype != "string"]
+        for feature in features:
+            stored = _create(root, feature, sampled.columns.get(feature.name), sampled.grid.frames)
             if feature.is_video:
-                stored = _pictures(root, name, sampled.grid.frames, feature)
                 put_frames(stored, sampled, feature, options)
-            elif feature.dtype != "string":
-                values = sampled.columns[feature.name]
-                stored = root.array(name, values, chunks=(_ROWS, *values.shape[1:]))
-            else:
-                continue
-            _describe(stored, feature)
-        again = zarr.open_group(str(folder / _PART), mode="r")
-        for feature in sampled.features:
+        again = zarr.open_group(str(path), mode="r")
+        for feature in features:
             if feature.is_video:
-                check_frames(again[_key(feature)], folder / _PART, sampled, feature, options)
-            elif feature.dtype != "string" and not np.array_equal(
-                again[_key(feature)][:], sampled.columns[feature.name]
-            ):
-                raise EpisodeError(f"{folder / _PART}: {feature.name}: read back something else")
+                check_frames(again[_key(feature)], path, sampled, feature, options)
+            elif not np.array_equal(again[_key(feature)][:], sampled.columns[feature.name]):
+                raise EpisodeError(f"{path}: {feature.name}: read back something else")
 
     def assemble(self, dataset: Dataset, out: Path) -> None:
         """Concatenate the recordings; pictures are chunks of one frame, so files are only moved."""
@@ -73,15 +66,12 @@ class DiffusionPolicy(Exporter):
         sources = [zarr.open_group(str(p.folder / _PART), mode="r") for p in dataset.parts]
         for feature in dataset.features:
             name = _key(feature)
-            if feature.dtype == "string":
-                continue
             if feature.is_video:
-                stored = _pictures(data, name, int(ends[-1]), feature)
+                _create(data, feature, None, int(ends[-1]))
                 self._place_chunks(dataset.parts, name, out / STORE / "data" / name)
-            else:
+            elif feature.dtype != "string":
                 values = np.concatenate([source[name][:] for source in sources])
-                stored = data.array(name, values, chunks=(_ROWS, *values.shape[1:]))
-            _describe(stored, feature)
+                _create(data, feature, values, int(ends[-1]))
         _array(meta, "episode_ends", ends)
         _array(meta, "instruction", np.array([part.instruction for part in dataset.parts]))
         _array(meta, "kind", np.array([part.kind for part in dataset.parts]))
@@ -136,25 +126,28 @@ def _new(path: Path) -> Any:
     return zarr.open_group(zarr.DirectoryStore(str(path)), mode="w")
 
 
-def _pictures(group: Any, name: str, frames: int, feature: Feature) -> Any:
-    return group.create_dataset(
-        name,
-        shape=(frames, *feature.shape),
-        chunks=(1, *feature.shape),
-        dtype=np.uint8,
-        compressor=_COMPRESSOR,
-        fill_value=0,
-    )
+def _create(group: Any, feature: Feature, values: npt.NDArray[Any] | None, frames: int) -> Any:
+    """A described array of a feature; that of a video is filled later."""
+    if feature.is_video:
+        stored = group.create_dataset(
+            _key(feature),
+            shape=(frames, *feature.shape),
+            chunks=(1, *feature.shape),
+            dtype=np.uint8,
+            compressor=_COMPRESSOR,
+            fill_value=0,
+        )
+    else:
+        assert values is not None
+        stored = group.array(_key(feature), values, chunks=(_ROWS, *values.shape[1:]))
+    stated = feature.describe()
+    kept = ("names", "units", "frame", "method", "text", "privileged")
+    stored.attrs.update(feature=feature.name, **{key: stated[key] for key in kept})
+    return stored
 
 
 def _array(group: Any, name: str, values: npt.NDArray[Any]) -> None:
     group.array(name, values, chunks=values.shape, compressor=None)
-
-
-def _describe(stored: Any, feature: Feature) -> None:
-    stated = feature.describe()
-    kept = ("names", "units", "frame", "method", "text", "privileged")
-    stored.attrs.update(feature=feature.name, **{key: stated[key] for key in kept})
 
 
 def _key(feature: Feature) -> str:

@@ -28,7 +28,7 @@ _RETRIES = 10
 """Workers that may die under one Dask task before it is given up."""
 
 CONNECT_S = 20
-"""How long a scheduler may take to answer [s]."""
+"""Longest wait for a scheduler [s]."""
 
 
 def run(jobs: Sequence[Job], options: ExportOptions, done: Done) -> None:

@@ -26,7 +26,7 @@ GROUP = "surg_recording.exporters"
 """Entry points of other packages."""
 
 MANIFEST = "surg_export.json"
-"""In every export: what it was made of, and the checksum of every file."""
+"""File with the inputs of an export and the checksum of every file."""
 
 _BUNDLED = {
     "lerobot": "lerobot_v21",
@@ -66,10 +66,9 @@ class Report:
     refused: dict[str, str] = dataclasses.field(default_factory=dict)
     """Recording → why it is not in the export."""
     errors: list[str] = dataclasses.field(default_factory=list)
-    """What is wrong with the export; empty when it is good."""
+    """What is wrong with the export; empty if it is good."""
     warnings: list[str] = dataclasses.field(default_factory=list)
     facts: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """Sizes, splits, counts, for people."""
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
@@ -133,9 +132,8 @@ class Dataset:
 
     name: str
     parts: tuple[Part, ...]
-    """In the order of the dataset."""
     splits: Mapping[str, tuple[int, int]]
-    """Split → first recording, and the one behind the last."""
+    """Split → first recording, and the one after the last."""
     layout: Layout
     options: ExportOptions
 
@@ -164,11 +162,11 @@ class Exporter(abc.ABC):
     """A dataset format. Recordings are converted one by one, anywhere, then assembled."""
 
     name: ClassVar[str]
-    """On the command line."""
+    """Name on the command line."""
     title: ClassVar[str]
-    """In words."""
+    """Name in texts."""
     version: ClassVar[int] = 1
-    """Raise it when the same input gives another output."""
+    """Increase it when the same input gives another output."""
     needs: ClassVar[Mapping[str, str]] = {}
     """Module → how to get it."""
 
@@ -179,16 +177,10 @@ class Exporter(abc.ABC):
         options: ExportOptions,
         progress: Progress = lambda fraction, note: None,
     ) -> Report:
-        """Export recordings.
+        """Export recordings to the folder ``out``; an ExportError if nothing can be exported.
 
-        Args:
-            episodes: Folders of recordings, or folders that hold some.
-            out: The folder to create.
-            options: All choices.
-            progress: Called with the state of the work.
-
-        Raises:
-            ExportError: Nothing can be exported at all.
+        ``episodes`` are folders of recordings, or folders that hold some; ``progress`` gets the
+        state of the work.
         """
         from surg_recording.datasets import pipeline
 
@@ -224,13 +216,10 @@ def names() -> tuple[str, ...]:
 
 
 def load(name_or_path: str) -> Any:
-    """A new exporter, by one of ``names`` or the path of a ``.py`` file that defines one.
+    """A new exporter by name or ``.py`` file; an ExportError lists those that exist.
 
     A file is executed: load none that you would not run. The exporter has ``name``, ``write`` and
     ``validate``; the bundled ones are ``Exporter``.
-
-    Raises:
-        ExportError: There is no such exporter; lists those that exist.
     """
     try:
         return _KIND.find(name_or_path)()

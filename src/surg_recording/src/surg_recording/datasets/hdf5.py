@@ -44,9 +44,6 @@ def put_pictures(
     """Write a camera's pictures as (N, height, width, 3) uint8 RGB, one chunk per frame.
 
     Compressed by LZF, which every h5py can read.
-
-    Raises:
-        EpisodeError: Frames are missing, or of another size.
     """
     shape = tuple(feature.shape)
     stored = group.create_dataset(

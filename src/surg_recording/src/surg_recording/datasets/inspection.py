@@ -34,7 +34,6 @@ class Layout:
     arms: tuple[str, ...]
     robots: tuple[str, ...]
     joints: tuple[int, ...]
-    """Number of joints of each arm."""
     instruments: tuple[str, ...]
     commanded: tuple[str, ...]
     """Arms that received motion commands."""
@@ -42,11 +41,9 @@ class Layout:
     sizes: tuple[tuple[int, int], ...]
     """Width and height of each camera [px]."""
     labelled: bool
-    """Whether a task judged the recording."""
     task_numbers: tuple[str, ...]
     """Columns of the task's ground truth."""
     truth: bool
-    """Whether the simulator's truth of every arm is there."""
 
     def difference(self, other: Layout) -> str | None:
         """The property that excludes ``other`` from an export with this layout, or None."""
@@ -75,7 +72,6 @@ class Candidate:
     folder: Path
     layout: Layout
     kind: str
-    """``SUCCESS``, ``RECOVERY`` or ``FAILURE``."""
     instruction: str
     about: dict[str, Any]
     """Facts for the dataset's page: task, operator, setting, seed, dates, software."""
@@ -209,10 +205,7 @@ def kind_of(manifest: Mapping[str, Any]) -> str:
 
 
 def _sync(recorded: Episode, segment: Segment | None) -> dict[str, Any] | None:
-    """The recording's sync report, if there is a readable one.
-
-    If the clock was set and only a segment is exported, the report on that segment.
-    """
+    """The recording's sync report, if readable; that of the segment after a clock step."""
     try:
         report = json.loads((recorded.folder / SYNC_REPORT).read_text("utf-8"))
     except FileNotFoundError:

@@ -30,7 +30,6 @@ INDEX_FEATURES: dict[str, dict[str, Any]] = {
     name: {"dtype": "float32" if name == "timestamp" else "int64", "shape": [1], "names": None}
     for name in ("timestamp", "frame_index", "episode_index", "index", "task_index")
 }
-"""Columns that every LeRobot dataset has."""
 
 _ARROW = {
     "float32": pa.float32(),

@@ -16,17 +16,15 @@ class ExportOptions:
 
     # What is exported.
     fps: int = 20
-    """Frames per second of the grid."""
     cameras: tuple[str, ...] | None = None
     """Cameras to take; None: all of the first recording."""
     size: tuple[int, int] | None = None
     """Width and height that pictures are scaled to [px]; None: as recorded."""
     max_image_age_s: float = 0.1
-    """A picture may be this old at its grid time [s]."""
+    """Largest age of a picture at its grid time [s]."""
     max_gap_s: float = 0.05
     """Kinematic samples further apart are not bridged [s]."""
     drop: tuple[str, ...] = ()
-    """Features to leave out."""
     instruction: str | None = None
     """Instruction in words; None: the recording's own, or its task's name."""
     crf: int = 18
@@ -34,11 +32,9 @@ class ExportOptions:
     gop: int = 2
     """Distance of key frames: small, because training reads frames in random order."""
     preset: str = "veryfast"
-    """Of x264."""
     allow_incomplete: bool = False
     """Take recordings whose outcome is not ``complete``."""
     allow_unsynchronised: bool = False
-    """Take recordings whose sync report fails."""
 
     # How it is put together.
     splits: Mapping[str, float] = dataclasses.field(
@@ -46,20 +42,19 @@ class ExportOptions:
     )
     """Shares of the recordings that are neither failures nor recoveries."""
     about: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """What only people know, for the dataset's page (``readme.KNOWN``)."""
+    """Facts that only people know, for the dataset's page (``readme.KNOWN``)."""
 
     # How it is computed.
     executor: str = "process"
     workers: int | None = None
-    """Processes at work; None: one per processor."""
+    """Number of processes; None: one per processor."""
     scheduler: str | None = None
     """Address of a Dask scheduler; None: a cluster of its own."""
     shard: tuple[int, int] | None = None
     """(i, n): only every n-th recording, from the i-th on, and no assembling (i from 0)."""
     keep_parts: bool = False
-    """Leave the parts behind, so that a later export with more recordings is quick."""
+    """Keep the parts, so that a later export with more recordings is quick."""
     replace: bool = False
-    """Take the place of an earlier export."""
 
     def __post_init__(self) -> None:
         """Check the options; a ValueError names the option, its value and what is allowed."""

@@ -50,7 +50,6 @@ class Outcome:
     problem: str | None = None
     """Why there is no part; None if there is one."""
     made: bool = False
-    """Converted now, not found."""
 
 
 def input_hash(folder: Path, layout: Layout, options: ExportOptions, exporter: Exporter) -> str:

@@ -25,7 +25,7 @@ Image = npt.NDArray[np.uint8]
 Print = npt.NDArray[np.uint8]
 
 PRINT_SIZE = (16, 12)
-"""Width and height of the thumbnail by which a frame is known again."""
+"""Width and height of the thumbnail that identifies a frame."""
 
 TICKS = 1000
 """Time base of a video: 1 / (fps · TICKS), in which every n / fps is whole."""
@@ -148,13 +148,9 @@ def encode(frames: Iterable[av.VideoFrame], path: Path, how: ExportOptions) -> i
 
 
 def join(parts: Sequence[Path], path: Path, fps: int) -> list[int]:
-    """Concatenate videos written by ``encode`` without encoding them again.
+    """Concatenate videos without encoding them again; returns the first frame of each.
 
-    Returns:
-        First frame of each part in the joined video.
-
-    Raises:
-        EpisodeError: A part was encoded differently.
+    An EpisodeError if one was encoded differently.
     """
     starts: list[int] = []
     done = 0

@@ -93,12 +93,9 @@ def export(
 def make_plan(
     exporter: Exporter, episodes: Sequence[Path], options: ExportOptions, progress: Progress
 ) -> Plan:
-    """Find the recordings and judge each by its manifest.
+    """Find the recordings and judge each by its manifest; an ExportError if there is none.
 
     The first good one decides what the export holds; those that hold something else are refused.
-
-    Raises:
-        ExportError: There is no recording at all.
     """
     try:
         below = [folder for path in episodes for folder in episode_reader.below(path)]

@@ -31,7 +31,7 @@ _PART = "demo.hdf5"
 _GYM = 2
 """robomimic's EnvType of an environment made by gymnasium."""
 _MASKS = {"val": "valid"}
-"""Splits that robomimic calls otherwise."""
+"""Splits that have another name in robomimic."""
 
 
 class Robomimic(Exporter):

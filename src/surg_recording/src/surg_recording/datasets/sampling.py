@@ -55,7 +55,7 @@ class Pictures:
 
     video: episode_reader.Video
     index: Stamps
-    """(frames,) of the recorded video's frames."""
+    """(frames,) indices into the recorded video's frames."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,7 +68,6 @@ class Sampled:
     columns: dict[str, npt.NDArray[Any]]
     """By feature name: (frames, D), or (frames,) where D is 1; text as an object array."""
     pictures: dict[str, Pictures]
-    """By feature name."""
     notes: dict[str, Any]
     """Facts for the report: repeated, skipped and oldest pictures."""
 

@@ -50,19 +50,17 @@ class Feature:
     dtype: str
     """``float32``, ``float64``, ``int64``, ``bool``, ``string`` or ``video``."""
     shape: tuple[int, ...]
-    """Of one frame: (D,), for a video (height, width, 3)."""
+    """Shape of one frame: (D,), for a video (height, width, 3)."""
     names: tuple[str, ...]
     units: tuple[str, ...] = ()
     frame: str = ""
     """Reference frame of the vectors; empty where there is none."""
     method: str = ""
-    """How it came onto the grid."""
+    """How it was resampled."""
     text: str = ""
-    """What it is, in a sentence."""
     privileged: bool = False
     """Ground truth that no robot can measure."""
     camera: str = ""
-    """The episode's camera, for a video."""
 
     @property
     def is_video(self) -> bool:

@@ -13,7 +13,6 @@ import json
 from typing import Any
 
 KEYS = ("tag", "stage", "success", "reason", "stamp_ns")
-"""Keys of a tag's JSON object."""
 
 MAX_TEXT = 1000
 """Longest tag, name of a stage, or reason."""

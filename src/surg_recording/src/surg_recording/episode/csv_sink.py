@@ -22,7 +22,7 @@ from surg_recording.file_io import write_all
 Row = Sequence[Any]
 
 WAKE_S = 0.01
-"""The thread looks for new rows this often [s]."""
+"""Period in which the thread looks for new rows [s]."""
 
 BATCH = 64
 """Rows formatted between two writes of one table: bounds what a kill can lose in a backlog."""
@@ -74,7 +74,6 @@ class CsvTable:
         self.dropped = 0
         """Rows refused because the queue was full or the file had failed."""
         self.last: Row | None = None
-        """The newest row handed to the kernel."""
         self._queue: deque[Row] = deque()
         self._numbers = itertools.count(1)  # several threads may take the next one
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC

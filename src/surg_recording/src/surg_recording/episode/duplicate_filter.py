@@ -21,7 +21,6 @@ class DuplicateFilter:
 
     def __init__(self) -> None:
         self.duplicates = 0
-        """Number of messages recognised as duplicates."""
         self._recent: deque[tuple[float, Hashable]] = deque()
         self._by_key: dict[Hashable, deque[set[int]]] = {}
         self._lock = threading.Lock()

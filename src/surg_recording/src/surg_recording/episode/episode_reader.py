@@ -21,7 +21,6 @@ from surg_recording.episode import table_columns
 from surg_recording.recording_errors import EpisodeError
 
 FORMAT = "surg_episode/1"
-"""The version written today."""
 
 MANIFEST = "manifest.json"
 TOPICS = "topics"
@@ -306,7 +305,6 @@ def read_table(
 
 _KINDS = {"int": int, "float": float, "text": str}
 _CODE = {int: "q", float: "d"}
-"""Type codes of ``array`` by kind of column."""
 
 
 class _Column:

@@ -22,7 +22,6 @@ from surg_recording.episode.episode_writer import MIN_FREE_BYTES, EpisodeWriter
 from surg_recording.episode.message_fields import Flat
 from surg_recording.episode.topic_tables import TopicTables
 from surg_recording.video.camera_set import CameraSet
-from surg_recording.video.camera_sink import CameraSink
 from surg_recording.video.image_frame import frame_of
 
 TASK_STATE = "task_state"
@@ -88,13 +87,13 @@ class Recording:
         for arm in self.arms:
             self._table(f"command_{arm}", table_columns.COMMAND)
         self._table("events", table_columns.EVENTS)
-
-        def start_camera(folder: Path, name: str) -> CameraSink:
-            lock = (self._folder.lock,)
-            options = {"block": self._lockstep, "preset": video_preset, "keep_open": lock}
-            return CameraSink(folder, name, **options)  # type: ignore[arg-type]
-
-        self.cameras = CameraSet(self.folder, cameras, start_camera)
+        self.cameras = CameraSet(
+            self.folder,
+            cameras,
+            block=self._lockstep,
+            preset=video_preset,
+            keep_open=(self._folder.lock,),
+        )
 
     # --- state ----------------------------------------------------------------------------------
 
@@ -170,7 +169,7 @@ class Recording:
             "drops": self._drops(),
             "backlog": {
                 "rows": sum(table.backlog for table in tables.values()),
-                "frames": sum(sink.backlog for sink in sinks.values()),
+                "frames": sum(sink.part.backlog for sink in sinks.values()),
             },
             "warnings": self.warnings,
             "future_stamps": dict(self._future),
@@ -231,14 +230,9 @@ class Recording:
         self._put(self._tables.get("events"), (stamp_ns, receive_ns, topic, source, text))
 
     def tag(self, tag: Tag, text: str, source: str, receive_ns: int, stamp_ns: int) -> None:
-        """Record a stage, a tag or a verdict.
+        """Record a tag: the parsed message, its text, its sender, and its reception [ns].
 
-        Args:
-            tag: The parsed message.
-            text: The message as received.
-            source: Caller id of the sender.
-            receive_ns: Wall clock at reception [ns].
-            stamp_ns: The present on the clock of the episode's stamps [ns].
+        ``stamp_ns`` is the present on the clock of the episode's stamps [ns].
         """
         stamp = stamp_ns if tag.stamp_ns is None else tag.stamp_ns
         self._annotations.add(tag, stamp, source)
@@ -293,7 +287,7 @@ class Recording:
         Args:
             manifest: Facts learnt since the start.
             video_timeout_s: Longest time to write a video's backlog [s].
-            topics: Facts about further topics by name, including those that never sent.
+            topics: Facts about further topics, including those that never sent.
             end_stamp_ns: End of the last stage on the clock of the episode's stamps [ns].
 
         Raises:

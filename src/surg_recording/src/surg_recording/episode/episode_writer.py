@@ -84,15 +84,10 @@ class EpisodeWriter:
     def finalise(
         self, manifest: Mapping[str, Any], drops: Mapping[str, int], reason: str | None
     ) -> Path:
-        """Complete the folder, rename it and return it.
+        """Complete the folder, rename it and return it; ``drops`` counts what was not written.
 
-        Args:
-            manifest: Keys to add to those given at the start.
-            drops: Per table or video: received but not written.
-            reason: Why the recording is incomplete; None if it is complete.
-
-        Raises:
-            EpisodeError: The disk refuses even the manifest; ``recovery`` finishes the folder.
+        ``reason`` states why the recording is incomplete. An EpisodeError if the disk refuses even
+        the manifest; ``recovery`` then finishes the folder.
         """
         try:
             (self.folder / RESERVE).unlink(missing_ok=True)

@@ -27,16 +27,10 @@ _TICKED = ("cycle_", "ground_truth_")
 def complete(
     folder: Path, manifest: dict[str, Any], drops: Mapping[str, int], reason: str | None
 ) -> None:
-    """Repair every file, describe it in the manifest, and write that.
+    """Repair every file, describe it in the manifest, and write that; may raise OSError.
 
-    Args:
-        folder: The episode, still ``.partial``.
-        manifest: Gets ``tables``, ``videos``, ``outcome``, ``reason``, ``finished``.
-        drops: Per table or video: received but not written.
-        reason: Why the recording is incomplete; None: no reason known.
-
-    Raises:
-        OSError: The disk refuses.
+    ``drops`` counts what was received but not written; ``reason`` states why the recording is
+    incomplete (None: no reason known). The manifest gets ``tables``, ``videos``, ``outcome``, ….
     """
     for leftover in [*folder.glob("*.tmp"), *folder.glob(f"{TOPICS}/*.tmp")]:
         leftover.unlink()

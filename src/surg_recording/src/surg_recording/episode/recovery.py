@@ -37,10 +37,8 @@ def recover(
 ) -> list[Path]:
     """Finish the ``.partial`` folders in ``parent`` that no running recorder holds; returns them.
 
-    Args:
-        parent: The folder that holds episode folders.
-        name: Only episodes of this name (and ``name_2``, …); None for all.
-        on_problem: Called with a sentence per folder that cannot be repaired and stays as it is.
+    Only episodes called ``name`` (and ``name_2``, …) if given. ``on_problem`` is called with a
+    sentence per folder that cannot be repaired and stays as it is.
     """
     done: list[Path] = []
     for folder in unfinished(parent):

@@ -125,7 +125,6 @@ CYCLE: Fields = (
     _scalar("period_us", "us"),
     _scalar("overruns", kind=int),
 )
-"""surg_msgs/Cycle."""
 
 ARM_TRUTH: Fields = (
     *_STAMPS,
@@ -162,7 +161,6 @@ CLOCK: Fields = (
     _flag("in_step"),
     _scalar("problem", kind=str),
 )
-"""surg_msgs/ClockSync."""
 
 _VIRTUAL = ("yaw", "pitch", "insertion", "roll")
 COMMAND_FIELDS: dict[str, Fields] = {
@@ -215,7 +213,6 @@ TASK: list[str] = _columns(TASK_STATE)
 """First columns of ``task_state.csv``; the task's own follow, see ``task``."""
 
 EVENTS: list[str] = _columns(_EVENTS)
-"""Columns of ``events.csv``."""
 
 VIDEO: list[str] = _columns(_VIDEO)
 """Columns of the sidecar ``<camera>.csv`` of a video."""

@@ -12,24 +12,19 @@ from collections.abc import Mapping
 from typing import Any
 
 IMAGES = ("sensor_msgs/Image", "sensor_msgs/CompressedImage")
-"""Types of a camera's topic."""
+"""Types of a camera topic."""
 
 NOT_TABLES = dict.fromkeys(IMAGES, "an image topic: name it in ~cameras")
-"""Types that no table can hold, with what to do."""
+"""Types that no table can hold → what to do."""
 
 _WILD = frozenset("*?[")
 _OURS = ("/record/",)
 
 
 class TopicChoice:
-    """Requested names and patterns, and what has become of them.
+    """Requested names and patterns; a ValueError for a request that is no topic.
 
-    Args:
-        requests: Names and patterns.
-        taken: Topics that are recorded anyway.
-
-    Raises:
-        ValueError: A request that is no topic; states what is allowed.
+    ``taken`` topics are recorded anyway.
     """
 
     def __init__(self, requests: list[str], taken: frozenset[str]) -> None:
@@ -47,7 +42,6 @@ class TopicChoice:
         }
         """Topic → why it is not recorded here."""
         self.chosen: set[str] = {topic for topic in self.named if topic not in taken}
-        """Topics to listen to."""
 
     def look(self, published: Mapping[str, str]) -> list[str]:
         """Topics to subscribe to from now on; ``published`` maps topics to types."""

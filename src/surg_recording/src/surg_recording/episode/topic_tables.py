@@ -15,7 +15,7 @@ from surg_recording.episode.csv_sink import CsvTable
 from surg_recording.episode.message_fields import Flat, columns_for, file_name
 
 MAX_TABLES = 16
-"""Tables of one topic; what fits none of them then is cut, and said."""
+"""Most tables of one topic; a message that fits none is truncated, with a warning."""
 
 Opener = Callable[[str, Sequence[str], Mapping[str, Any]], CsvTable | None]
 

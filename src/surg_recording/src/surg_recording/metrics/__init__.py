@@ -9,12 +9,12 @@ from surg_recording.metrics.filters import (
     downsample,
     interpolate,
     low_pass,
+    percentiles,
     stride,
     uniform,
 )
 from surg_recording.metrics.jerk import ldlj, ldlj_displacement
 from surg_recording.metrics.lag import Tracking, tracking
-from surg_recording.metrics.levels import percentiles
 from surg_recording.metrics.path import Idle, idle, path_length, shaft_sweep
 from surg_recording.metrics.pivot import rcm_deviation
 from surg_recording.metrics.presets import PRESETS, Smoothness, SmoothnessPreset, smoothness

@@ -1,4 +1,4 @@
-"""Filters and grids that bring a motion to the rate of a metric."""
+"""Filters and grids that bring a motion to the rate of a metric, and percentiles."""
 
 from __future__ import annotations
 
@@ -11,15 +11,9 @@ from surg_recording.metrics._types import Array, ArrayLike
 
 
 def uniform(t: ArrayLike, values: ArrayLike, fs: float) -> tuple[Array, Array]:
-    """Bring samples to a uniform grid by linear interpolation.
+    """The uniform grid (M,) of rate fs [Hz] from t[0], and linearly interpolated values on it.
 
-    Args:
-        t: (N,) increasing times [s].
-        values: (N,) or (N, D).
-        fs: Rate of the grid [Hz]; it starts at t[0].
-
-    Returns:
-        The grid (M,) and the values on it.
+    ``t`` (N,) increases [s]; ``values`` are (N,) or (N, D).
     """
     times, v = np.asarray(t, dtype=float), np.asarray(values, dtype=float)
     count = math.floor((times[-1] - times[0]) * fs + 1e-6) + 1
@@ -86,3 +80,12 @@ def stride(values: ArrayLike, fs: float, target_fs: float) -> Array:
         raise ValueError(f"stride: {fs:g} Hz cannot be brought to {target_fs:g} Hz")
     count = math.floor((len(v) - 1) * target_fs / fs + 1e-9) + 1 if len(v) else 0
     return np.asarray(v[np.rint(np.arange(count) * fs / target_fs).astype(int)])
+
+
+def percentiles(values: ArrayLike, *levels: float) -> list[float]:
+    """Percentiles (0–100, linear interpolation) of the finite values; NaN without any."""
+    v = np.asarray(values, dtype=float)
+    v = v[np.isfinite(v)]
+    if v.size == 0:
+        return [math.nan] * len(levels)
+    return [float(x) for x in np.percentile(v, levels)]

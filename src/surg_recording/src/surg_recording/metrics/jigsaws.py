@@ -29,7 +29,6 @@ FS = 30.0
 """[Hz]"""
 COLUMNS = 76
 PSM1 = slice(38, 41)
-"""Columns of the position of PSM1."""
 SKILLS = {"N": "novice", "I": "intermediate", "E": "expert"}
 """By hours of practice, as the subjects stated them."""
 SHORTEST = 60
@@ -42,9 +41,7 @@ _NAME = re.compile(r"^(?P<task>.+)_[A-Za-z]\d{3}$")
 def read(folder: Path | str) -> ReferenceSet:
     """Read PSM1 of all trials of one task, by name; broken files are left out with a warning.
 
-    Args:
-        folder: The task's folder, its ``kinematics/AllGestures``, or a folder with only one task
-            in it.
+    ``folder`` is the task's, its ``kinematics/AllGestures``, or one with only one task in it.
 
     Raises:
         ReferenceSetError: No such folder, no trial in it, several tasks, or none can be read.

@@ -32,14 +32,14 @@ class Idle:
 
     seconds: float
     share: float
-    """Of the whole duration."""
+    """Fraction of the whole duration."""
     pauses: int
     below: float
     """Speed [m/s]."""
     at_least: float
     """Shortest pause that counts [s]."""
     cutoff: float
-    """Of the low-pass before differentiating [Hz]."""
+    """Cut-off of the low-pass before differentiating [Hz]."""
 
 
 def idle(

@@ -26,7 +26,6 @@ class ReferenceSet:
 
     name: str
     source: str
-    """What was measured."""
     motions: tuple[Motion, ...]
     warnings: tuple[str, ...]
     """What was left out and why, one sentence each."""

@@ -112,9 +112,7 @@ def from_motions(path: Path) -> ReferenceSet:
 
 
 def read_motion(file: Path) -> Motion:
-    """One CSV file with at least the columns t_s, x_m, y_m, z_m, on a uniform grid.
-
-    The rate is the median of the file's; samples are interpolated linearly.
+    """One CSV file with at least the columns t_s, x_m, y_m, z_m, on a grid of its median rate.
 
     Raises:
         ReferenceSetError: Missing file or column, a non-finite value, times that do not increase,

@@ -17,7 +17,7 @@ from surg_recording.nodes.recording_switch_node import RecordingSwitch
 
 PERIOD_S = 0.01
 READY_TICKS = 25
-"""Ready is sent for every so many ticks, and 5 periods after the last one at the latest."""
+"""Ready is sent every so many ticks, and at the latest 5 periods after the last one."""
 STATUS_S = 0.2
 """Period of /record/status [s]."""
 

@@ -21,21 +21,15 @@ FACTS = ("task", "setting", "operator", "seed")
 class RecorderState:
     """Read and written by the callbacks of the node's topics and by its threads.
 
-    ``warn`` logs from a thread of its own, because a log may be slow.
-
     Attributes:
         recording: The running recording; None while there is none.
         problem: Why the last recording is incomplete or did not start; None if it is fine.
         started: Whether the last start succeeded.
         finished: Folder of the last finished recording.
-        finishing: A recording is being finished.
-        starts: Number of starts so far.
-        warnings: Warnings of the last recording.
         run_info: Facts about the run received on /record/info.
         sim_outcome: The manifest's entry about the simulator; empty until it has reported.
         operating_states: Last operating state of each arm, as recorded.
         last_row: Steady time of the last tick that arrived [s].
-        clock: Wall clock that reports its steps.
         choice: Further topics to record.
     """
 

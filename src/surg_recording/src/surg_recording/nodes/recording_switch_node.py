@@ -22,7 +22,7 @@ from surg_recording.nodes.ros_master_node import parameters
 from surg_recording.recording_errors import EpisodeError
 
 SETTLE_S = 0.3
-"""Silence after which nothing sent before the stop is expected any more [s]."""
+"""Silence after which no message sent before the stop is expected [s]."""
 STOP_WAIT_S = 10.0
 """Longest wait for that silence in lock-step [s]."""
 FREERUN_STOP_S = 0.5

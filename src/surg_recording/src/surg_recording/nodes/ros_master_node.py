@@ -12,10 +12,9 @@ import rospy
 
 TIMEOUT_S = 2.0
 LONG_PARAMETER = 2000
-"""Longer texts are stored as their SHA-256."""
 
 ERRORS = (OSError, xmlrpc.client.Error, ValueError, TypeError)
-"""What a call raises when the master does not answer, or not as it should."""
+"""What a call raises when the master does not answer, or wrongly."""
 
 
 class _TimeoutTransport(xmlrpc.client.Transport):

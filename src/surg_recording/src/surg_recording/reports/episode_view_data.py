@@ -29,7 +29,7 @@ MAX_ROWS = 20_000
 """Samples kept of a table: 40 s at 500 Hz whole, more are thinned out and keep their extremes."""
 MAX_EVENTS = 2000
 VIDEO_BUDGET = 64 << 20
-"""Of all videos of a page together [bytes]."""
+"""Size of all videos of a page together [bytes]."""
 
 
 Array = npt.NDArray[np.float64]
@@ -87,16 +87,9 @@ def collect(
     max_rows: int = MAX_ROWS,
     progress: Progress | None = None,
 ) -> Viewed:
-    """Gather what the page shows; what is missing or broken is named.
+    """Gather what the page shows; an EpisodeError if that is nothing. States what is missing.
 
-    Args:
-        episode: Of any version.
-        budget: Size of all videos together [bytes].
-        max_rows: Samples kept per table.
-        progress: Called with the current step in words.
-
-    Raises:
-        EpisodeError: There is nothing to show.
+    ``budget`` is the size of all videos together [bytes], ``max_rows`` the samples per table.
     """
     say = progress or (lambda _: None)
     missing: list[str] = []

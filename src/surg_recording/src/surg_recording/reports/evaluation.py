@@ -20,11 +20,8 @@ from surg_recording.recording_errors import EpisodeError
 from surg_recording.reports import run_summary, trials
 
 IDENTITY = ("task", "setting", "robot", "law", "source")
-"""What makes a condition."""
 SIMULATION, REAL = "simulation", "real"
-"""The two sources."""
 SETTING_ORDER = ("phantom", "ex_vivo", "in_vivo")
-"""From left to right; others follow by name."""
 
 Progress = Callable[[float, str], None]
 
@@ -71,7 +68,6 @@ METRICS = (
     Metric("idle_s", "idle time", "s", ("idle", "s")),
     Metric("trocar_force_max_n", "trocar force max", "N", ("trocar", "force_n", "max")),
 )
-"""Everything that is measured of an episode, in the order of the tables."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,17 +123,10 @@ def measure(recorded: Episode, arm: str | None = None) -> dict[str, Any]:
 def measure_all(
     folders: Sequence[Path], arm: str | None, incomplete: bool, progress: Progress
 ) -> tuple[list[dict[str, Any]], list[LeftOut]]:
-    """Measure many episodes; those that cannot be measured are left out.
+    """Entries of many episodes (first arm by default), and what was left out, with reasons.
 
-    Args:
-        folders: From ``find``.
-        arm: As for ``measure``.
-        incomplete: Include incomplete recordings.
-        progress: Called with the done fraction in [0, 1] and the current folder.
-
-    Returns:
-        The entries, and what was left out: unreadable, without motion, incomplete, or the same
-        simulation a second time.
+    Left out: unreadable, without motion, incomplete (unless ``incomplete``), or the same simulation
+    a second time. ``progress`` is called with the fraction done in [0, 1] and the current folder.
     """
     entries: list[dict[str, Any]] = []
     left_out: list[LeftOut] = []
@@ -195,12 +184,7 @@ def summarise(
 ) -> dict[str, Any]:
     """The dictionary of an evaluation's ``summary.json``.
 
-    Args:
-        entries: From ``measure``.
-        left_out: What is in no condition.
-        preset: Of the smoothness; an evaluation has only one.
-        compared: From ``compare``; None without a reference set.
-        info: ``versions`` and the like; copied.
+    ``preset`` is that of the smoothness; ``compared`` comes from ``compare``; ``info`` is copied.
     """
     return {
         **info,

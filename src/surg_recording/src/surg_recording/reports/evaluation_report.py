@@ -38,15 +38,7 @@ _REFERENCE_METRICS = {
 
 
 def write(summary: Mapping[str, Any], folder: Path) -> None:
-    """Write summary, tables, figures and page of an evaluation.
-
-    Args:
-        summary: From ``evaluation.summarise``.
-        folder: Where the files go; created if missing.
-
-    Raises:
-        OSError: The folder cannot be written.
-    """
+    """Write summary, tables, figures and page of an evaluation; may raise OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "summary.json", summary)
     evaluation_tables.save_all(summary, folder / "tables")

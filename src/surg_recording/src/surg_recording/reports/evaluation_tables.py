@@ -18,7 +18,6 @@ LATEX = (
     *("rcm_kinematic_mean_mm", "rcm_kinematic_max_mm", "rcm_true_max_mm", "sparc", "ldlj"),
     *("path_length_mm", "duration_s", "idle_s"),
 )
-"""Columns of the LaTeX table; CSV has all."""
 
 
 def save_all(summary: Mapping[str, Any], folder: Path) -> None:

@@ -25,13 +25,7 @@ OF_THE_WIRE = ("rejected", "clipped", "late", "obs_age_ms", "round_trip_ms")
 
 
 def roll_out(entry: Entry, served: Mapping[str, Any], recorded: Episode | None) -> dict[str, Any]:
-    """One entry of ``rollouts`` in ``summary.json``.
-
-    Args:
-        entry: From ``trials.describe``.
-        served: The model server's counts at the end, by ``OF_THE_WIRE``.
-        recorded: The recording, if there is one.
-    """
+    """One entry of ``rollouts`` from ``trials.describe``, the server's counts and the recording."""
     rcm = entry["rcm_kinematic_mm"] or {}
     smoothness = entry["smoothness"] or {}
     return {
@@ -76,17 +70,10 @@ def demonstration(folder: Path) -> dict[str, Any]:
 def summarise(
     rollouts: Sequence[Entry], shown: Sequence[Entry], info: Mapping[str, Any], least: int
 ) -> dict[str, Any]:
-    """The dictionary of ``summary.json``.
+    """The dictionary of ``summary.json``; ``info`` is copied.
 
-    Args:
-        rollouts: From ``roll_out``.
-        shown: Entries of demonstrations, to compare with.
-        info: Further entries; copied.
-        least: Smallest number of successes for ``ok``.
-
-    Returns:
-        The summary. ``ok``: every roll-out was played to its end, enough of them succeeded, and no
-        command was unsafe.
+    ``ok``: every roll-out was played to its end, at least ``least`` succeeded, and no command was
+    unsafe. ``shown`` are entries of demonstrations, to compare with.
     """
     rate = trials.success_rate([e["success"] for e in rollouts])
     reasons = [

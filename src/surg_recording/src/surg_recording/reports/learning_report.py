@@ -42,16 +42,9 @@ _FIGURES = {
 def write(
     summary: Mapping[str, Any], played: Sequence[Entry], shown: Sequence[Entry], folder: Path
 ) -> None:
-    """Write ``summary.json``, ``figures/`` and ``report.html``.
+    """Write ``summary.json``, ``figures/`` and ``report.html``; may raise OSError.
 
-    Args:
-        summary: From ``learning.summarise``.
-        played: Entries of the roll-outs, from ``trials.describe``.
-        shown: Entries of demonstrations.
-        folder: Where the files go.
-
-    Raises:
-        OSError: The folder cannot be written.
+    ``played`` and ``shown`` are the entries of roll-outs and demonstrations.
     """
     write_json(folder / "summary.json", summary)
     groups = [

@@ -31,7 +31,6 @@ Array = npt.NDArray[np.float64]
 Values = Mapping[str, Any]
 
 JOINTS = ("#1d6fb8", "#d9762b", "#2f8f5b", "#8a5cb8", "#c62f3b", "#4a5568", "#b8a11d")
-"""Colours of the joints."""
 
 
 def rcm_deviation(run: Run, summary: Values, robot: Values) -> Figure:
@@ -248,14 +247,7 @@ FIGURES: Figures = {
 
 
 def save_figures(run: Run, summary: Values, robot: Values, folder: Path) -> list[Drawn]:
-    """Draw every figure that the run has data for as ``<folder>/<name>.png``.
-
-    Args:
-        run: The time series.
-        summary: The run's ``summary.json``.
-        robot: The robot's YAML from the manifest; empty when unknown.
-        folder: Where the files go.
-    """
+    """Draw every figure that the run has data for; ``robot`` is its YAML, empty if unknown."""
     has_data = {
         "trocar": run.truth is not None,
         "tip_error": run.tracking is not None,

@@ -10,7 +10,7 @@ from typing import Any
 SETTING_BOUNDS: Mapping[str, Mapping[str, float]] = {"phantom": {"mean": 0.05, "max": 0.3}}
 """Largest kinematic RCM deviation in an episode of a task, by physical setting [mm]."""
 ANY_SETTING: Mapping[str, float] = {"max": 1.0}
-"""Bounds of a setting that has none of its own [mm]."""
+"""Bounds of a setting without its own [mm]."""
 
 
 @dataclasses.dataclass(frozen=True)

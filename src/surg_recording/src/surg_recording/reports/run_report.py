@@ -50,13 +50,8 @@ def make(
 ) -> dict[str, Any]:
     """Measure a run, draw its figures and write its report; returns ``summary.json``.
 
-    Args:
-        run_dir: The run's folder; everything is written there.
-        episode: The episode folder; default ``<run_dir>/episode``.
-        arm: Default: the first arm.
-
-    Raises:
-        EpisodeError: There is no readable episode.
+    The episode is ``<run_dir>/episode`` by default, the arm the first; an EpisodeError if there is
+    no readable episode.
     """
     folder = Path(run_dir)
     recorded = episodes.read(Path(episode) if episode is not None else folder / "episode")

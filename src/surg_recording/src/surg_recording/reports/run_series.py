@@ -30,9 +30,7 @@ class Run:
 
     arm: str
     t: Array
-    """(N,) cycle times."""
     cycle: Table
-    """The N cycles of the window."""
     tip: Array
     """(N, 3) measured tip."""
     s: Array
@@ -49,11 +47,10 @@ class Run:
     t_truth: Array
     """(K,) times of the ground truth; K = 0 without a simulator."""
     truth: Table | None
-    """The K rows of ground truth."""
     rcm_true: Array
     """(K,) distance from the undisturbed trocar to the true shaft axis."""
     tracking: metrics.Tracking | None
-    """Of the true tip, or of the measured one without a simulator."""
+    """Tracking of the true tip, or of the measured one without a simulator."""
     tracking_measured: metrics.Tracking | None
 
     @property

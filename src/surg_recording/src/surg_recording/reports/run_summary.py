@@ -33,19 +33,10 @@ STILL_PATH = 1e-3
 
 
 def summarise(episode: Episode, arm: str | None = None, run: Run | None = None) -> dict[str, Any]:
-    """The dictionary of ``summary.json``.
+    """The dictionary of ``summary.json``; ``run`` is the result of ``load``, if available.
 
-    Args:
-        episode: The recording.
-        arm: Default: the first arm.
-        run: Result of ``load``, if available.
-
-    Returns:
-        Numbers, verdict (``ok``), ``reasons`` and ``limits``. A recording without motion has the
-        same keys with None, and the reason.
-
-    Raises:
-        EpisodeError: There is no such arm, or a file cannot be read.
+    Numbers, verdict (``ok``), ``reasons`` and ``limits``. A recording without motion has the same
+    keys with None, and the reason. An EpisodeError if a file cannot be read.
     """
     arm = chosen_arm(episode, arm)
     manifest = episode.manifest

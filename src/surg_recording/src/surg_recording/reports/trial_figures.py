@@ -17,7 +17,7 @@ Entries = Sequence[Mapping[str, Any]]
 Groups = Sequence[tuple[str, Entries]]
 """Label and episodes of each condition."""
 Series = Sequence[tuple[str, str, tuple[str, ...]]]
-"""Label, colour, and path of the number in an episode, of each box beside another."""
+"""Label, colour, and path of the number in an episode, of each box in a group."""
 
 
 def deviation(groups: Groups, summary: Mapping[str, Any]) -> Figure:

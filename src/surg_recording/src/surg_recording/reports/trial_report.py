@@ -29,14 +29,9 @@ _TERMS = (
 
 
 def write(summary: Mapping[str, Any], folder: Path) -> None:
-    """Write ``summary.json``, ``figures/`` and ``report.html`` of a run.
+    """Write ``summary.json``, ``figures/`` and ``report.html`` of a run; may raise OSError.
 
-    Args:
-        summary: From ``trials.summarise``; an episode's ``folder`` is relative to the run's.
-        folder: The run's folder.
-
-    Raises:
-        OSError: The folder cannot be written.
+    ``summary`` is from ``trials.summarise``; an episode's ``folder`` is relative to the run's.
     """
     write_json(folder / "summary.json", summary)
     drawn = []

@@ -90,16 +90,10 @@ def pick(measured: Mapping[str, Any]) -> dict[str, Any]:
 def summarise(
     episodes: Sequence[Mapping[str, Any]], info: Mapping[str, Any], reasons: Iterable[str] = ()
 ) -> dict[str, Any]:
-    """The dictionary of a run's ``summary.json``.
+    """The dictionary of a run's ``summary.json``; ``info`` is copied, ``reasons`` are failures.
 
-    Args:
-        episodes: Entries from ``describe``, in the order they were played.
-        info: What they have in common: ``task``, ``robot``, ``seed``, ``versions``, …; copied.
-        reasons: Further failures.
-
-    Returns:
-        The summary. ``ok``: every episode was played to its end and recorded, not that the task
-        succeeded: a failure of the task is a result.
+    ``ok``: every episode was played to its end and recorded, not that the task succeeded: a failure
+    of the task is a result.
     """
     broken = [
         f"episode {i} (seed {e['seed']}, {e['setting']}): {e['failure_reason']}"

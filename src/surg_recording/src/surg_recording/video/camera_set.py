@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,17 +22,9 @@ STALL_MIN_S = 0.15
 
 
 class CameraSet:
-    """Writes all cameras of an episode; a camera without an encoder drops its frames.
+    """Writes all cameras of an episode; options as for ``VideoSink``."""
 
-    Args:
-        folder: Folder of the files.
-        names: Names of the cameras.
-        make: Starts the sink of a camera; may raise an OSError.
-    """
-
-    def __init__(
-        self, folder: Path, names: Sequence[str], make: Callable[[Path, str], CameraSink]
-    ) -> None:
+    def __init__(self, folder: Path, names: Sequence[str], **options: Any) -> None:
         self.sinks: dict[str, CameraSink] = {}
         self._problems: list[str] = []
         self._heard: dict[str, float] = {}
@@ -40,12 +32,12 @@ class CameraSet:
         self._lost: Counter[str] = Counter()
         for name in names:
             try:
-                self.sinks[name] = make(folder, name)
+                self.sinks[name] = CameraSink(folder, name, **options)
             except OSError as problem:
                 self._problems.append(f"{name}: no encoder ({problem.strerror})")
         deadline = time.monotonic() + START_S
         for sink in self.sinks.values():
-            sink.wait_ready(max(0.0, deadline - time.monotonic()))
+            sink.part.wait_ready(max(0.0, deadline - time.monotonic()))
 
     def put(self, name: str, frame: Frame) -> None:
         """Record a frame; blocks in lock-step when the encoder is behind."""

@@ -8,6 +8,7 @@ parts is no longer recorded, and its frames are counted as dropped.
 
 from __future__ import annotations
 
+import functools
 import threading
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ from typing import Any
 from surg_recording.video.video_sink import Frame, VideoSink, unusable
 
 MAX_PARTS = 8
-"""Largest number of parts of a camera."""
 
 MAX_GAP_NS = 600_000_000_000
 """A longer pause between two frames begins the next part: MP4 counts a frame's duration in 32 bits
@@ -25,23 +25,14 @@ of microseconds."""
 class CameraSink:
     """Writes one camera. ``put`` is called by one thread, the rest by any."""
 
-    def __init__(
-        self,
-        folder: Path,
-        name: str,
-        *,
-        block: bool,
-        preset: str = "ultrafast",
-        keep_open: tuple[int, ...] = (),
-    ) -> None:
-        """Start the first encoder; arguments as for ``VideoSink``."""
+    def __init__(self, folder: Path, name: str, **options: Any) -> None:
+        """Start the first encoder; options as for ``VideoSink``."""
         self.name = name
+        self._start = functools.partial(VideoSink, folder, **options)
         self.changes: list[str] = []
-        """Why each further part began."""
         self._faults: list[str] = []
         self.repeated = 0
         """Frames with the same picture as the one before: frozen camera or still scene."""
-        self._folder, self._block, self._preset, self._keep_open = folder, block, preset, keep_open
         self._last_data: bytes | None = None
         self._given_up: str | None = None
         self._turning = threading.Lock()
@@ -53,13 +44,9 @@ class CameraSink:
         self._parts = [self._make(0)]
 
     @property
-    def _part(self) -> VideoSink:
+    def part(self) -> VideoSink:
+        """The video that is being written."""
         return self._parts[-1]
-
-    @property
-    def pid(self) -> int:
-        """Process id of the encoder."""
-        return self._part.pid
 
     @property
     def received(self) -> int:
@@ -77,16 +64,11 @@ class CameraSink:
         return sum(part.dropped for part in self._parts)
 
     @property
-    def backlog(self) -> int:
-        """Frames received and neither written nor dropped yet."""
-        return self._part.backlog
-
-    @property
     def error(self) -> str | None:
         """Why this video is incomplete; None if it is fine."""
         faults = [*self._faults, *([self._given_up] if self._given_up else [])]
-        if self._part.error is not None and not self._given_up:
-            faults.append(self._part.error)
+        if self.part.error is not None and not self._given_up:
+            faults.append(self.part.error)
         return "; ".join(faults) or None
 
     @property
@@ -105,10 +87,6 @@ class CameraSink:
             "changes": list(self.changes),
         }
 
-    def wait_ready(self, timeout_s: float) -> bool:
-        """Wait until the encoder takes frames."""
-        return self._part.wait_ready(timeout_s)
-
     def expect_earlier_stamps(self) -> None:
         """The clock was set back: the first frame stamped before the newest begins a new part."""
         self._clock_back = True
@@ -119,20 +97,20 @@ class CameraSink:
         discontinuity = self._discontinuity(frame, last)
         if discontinuity is not None:
             self._clock_back, self.newest, last = False, (0, 0), 0
-            if self._part.error is not None:
-                self._next_part(f"the encoder failed ({self._part.error})")
+            if self.part.error is not None:
+                self._next_part(f"the encoder failed ({self.part.error})")
             self._next_part(discontinuity, a_fault=False)
         if frame.stamp_ns > last:
             self.newest = frame.stamp_ns, frame.stamp_ns - last if last else 0
         if frame.data == self._last_data:
             self.repeated += 1
         self._last_data = frame.data
-        size = self._part.size
-        if self._part.error is not None:
-            self._next_part(f"the encoder failed ({self._part.error})")
+        size = self.part.size
+        if self.part.error is not None:
+            self._next_part(f"the encoder failed ({self.part.error})")
         elif size and unusable(frame) is None and size != f"{frame.width}x{frame.height}":
             self._next_part(f"its size changed from {size} to {frame.width}x{frame.height}")
-        return self._part.put(frame)
+        return self.part.put(frame)
 
     def _discontinuity(self, frame: Frame, last: int) -> str | None:
         """Why a frame cannot follow the one stamped ``last`` [ns] in one video; None: it can."""
@@ -146,15 +124,15 @@ class CameraSink:
 
     def close(self, timeout_s: float = 60.0) -> None:
         """Write the backlog and finish the files. May be called twice."""
-        if self._part.error is not None and self._part.backlog:
-            self._next_part(f"the encoder failed ({self._part.error})")
+        if self.part.error is not None and self.part.backlog:
+            self._next_part(f"the encoder failed ({self.part.error})")
         for part in self._parts:
             part.close(timeout_s)
 
     def _next_part(self, why: str, a_fault: bool = True) -> None:
         """Begin another part, unless that is pointless."""
         with self._turning:
-            old = self._part
+            old = self.part
             if self._given_up is not None:
                 return
             if old.error is not None and not old.frames and self._empty_before:
@@ -189,11 +167,5 @@ class CameraSink:
 
     def _make(self, missed: int) -> VideoSink:
         self._number += 1
-        return VideoSink(
-            self._folder,
-            self.name if self._number == 1 else f"{self.name}.{self._number}",
-            block=self._block,
-            preset=self._preset,
-            keep_open=self._keep_open,
-            missed=missed,
-        )
+        suffix = "" if self._number == 1 else f".{self._number}"
+        return self._start(f"{self.name}{suffix}", missed=missed)

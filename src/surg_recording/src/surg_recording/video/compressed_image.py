@@ -21,7 +21,7 @@ _FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 """Markers that begin a frame and state its size; the three are tables."""
 
 MAX_PIXELS = 1 << 26
-"""A head of a few bytes may announce any size; decoding takes memory for it (8192 x 8192)."""
+"""Limit on the memory for decoding: a head can announce any size (8192 x 8192)."""
 
 
 class Coded(NamedTuple):

@@ -21,11 +21,11 @@ from surg_recording.recording_errors import EpisodeError
 Array = npt.NDArray[np.float64]
 
 WIDTH, HEIGHT = 96, 72
-"""Frames are made this small [pixels]."""
+"""Size of the scaled-down frames [pixels]."""
 CELL = 6
 """Side of a cell [pixels]."""
 RADIUS = 8
-"""Of the box over which the local mean is taken [pixels]."""
+"""Radius of the box of the local mean [pixels]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ImageMotion:
     energy: Array
     """(N,) change from frame k to frame k + 1; no unit, 0: none."""
     usable: npt.NDArray[np.bool_]
-    """(N,) False where the change is the codec's: frame k + 1 was coded anew."""
+    """(N,) False where the codec caused the change: frame k + 1 is a key frame."""
 
     def between(self, first: int, end: int) -> ImageMotion:
         """The motion from frame ``first`` to the frame before ``end``."""

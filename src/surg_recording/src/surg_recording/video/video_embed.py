@@ -17,9 +17,9 @@ from surg_recording.video import video_file
 from surg_recording.video.video_encoder import MICROSECONDS
 
 SMALL_WIDTH = 480
-"""Of a video that had to be thinned out [pixels]."""
+"""Width of a thinned-out video [pixels]."""
 SMALL_FRAME = 5000
-"""What a frame of it takes, more or less [bytes]; decides how many are left out."""
+"""Approximate size of its frames [bytes]; decides how many are left out."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -32,17 +32,13 @@ class Embedded:
     pts: npt.NDArray[np.int64]
     """(K,) presentation times in ``data`` [µs], increasing."""
     note: str
-    """What was left out; empty when nothing was."""
 
 
 def embed(path: Path, budget: int, progress: Callable[[int], None] | None = None) -> Embedded:
-    """Read a video so that a browser can seek in it.
+    """Read a video so that a browser can seek in it; an EpisodeError if it is unreadable.
 
     The recorder's fragments are joined without encoding them again. A file of more than ``budget``
     bytes is encoded again: smaller, and only every n-th frame.
-
-    Raises:
-        EpisodeError: Nothing in it can be read.
     """
     try:
         if path.stat().st_size <= budget:

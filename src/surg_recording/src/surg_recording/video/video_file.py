@@ -36,12 +36,9 @@ def like(container: av.container.OutputContainer, video: av.VideoStream) -> av.V
 
 
 def presentation_times(path: Path) -> list[int]:
-    """Presentation time of every readable frame, in microseconds from the first.
+    """Presentation time of every frame in microseconds from the first, or an EpisodeError.
 
     Reads packets only; a truncated file is read as far as possible.
-
-    Raises:
-        EpisodeError: The file holds no readable video.
     """
     times: list[int] = []
     try:

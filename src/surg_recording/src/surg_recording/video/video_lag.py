@@ -20,23 +20,23 @@ from surg_recording.video.image_motion import ImageMotion
 Array = npt.NDArray[np.float64]
 
 SEARCH = 3.0
-"""Lags up to this size are tried [s], and at most a third of the video's length."""
+"""Largest lag tried [s]; at most a third of the video's length."""
 MIN_BOUND = 0.05
-"""A lag passes up to one frame, or this where frames are shorter [s]."""
+"""A lag passes up to one frame, or up to this if frames are shorter [s]."""
 STILL_WAY = 0.1e-3
 """A tip that moves less between two frames is at rest in a picture [m]."""
 MIN_FRAMES = 60
 MIN_MOVING = 20
-"""Pairs of frames between which the tip moves, for an estimate."""
+"""Pairs of frames with a moving tip that an estimate needs."""
 MIN_SPREAD = 0.25
 """Standard deviation of log(way): a smaller one is a motion without features."""
 MIN_CORRELATION = 0.4
 MIN_SIGNIFICANCE = 3.3
-"""The correlation in multiples of the deviation that unrelated motions of this kind have."""
+"""Correlation in multiples of the standard deviation of unrelated motions."""
 MAX_WIDTH = 0.25
 """Width of the peak at nine tenths of its height [s]: slow motion cannot be located to a frame."""
 MIN_MARGIN = 0.2
-"""The next best lag must correlate less than the best by this share of it."""
+"""The next best lag must correlate less than the best by this fraction."""
 BLOCK = 2.0
 """Length of the blocks that are compared, each about its own mean [s]: slower changes, as in how
 much of the instrument is in view, do not count."""
@@ -47,13 +47,11 @@ class LagEstimate:
     """The result."""
 
     verdict: str
-    """``pass``, ``fail`` or ``cannot_tell``."""
     reason: str
-    """One sentence for a person."""
     lag: float | None = None
     """Positive: the video is late [s]; None if unknown."""
     uncertainty: float | None = None
-    """Standard error of the lag from leaving out one stretch after the other [s]."""
+    """Standard error of the lag from leaving out one block after the other [s]."""
     correlation: float | None = None
     """At the best lag, accepted or not."""
     bound: float | None = None

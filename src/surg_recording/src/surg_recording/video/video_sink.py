@@ -44,7 +44,6 @@ class Frame(NamedTuple):
     stamp_ns: int
     receive_ns: int
     problem: str | None = None
-    """Why it cannot be recorded, if already known."""
 
 
 class VideoSink:
@@ -76,13 +75,10 @@ class VideoSink:
         self.name = name
         self.received = 0
         self.dropped = 0
-        """Frames not written: queue full, not usable, or after a failure."""
+        """Frames not written: queue full, unusable, or after a failure."""
         self.frames = 0
-        """Frames the encoder has written."""
         self.error: str | None = None
-        """Why this video stopped; None if it is running."""
         self.last_skip: str | None = None
-        """Why the newest unusable frame was skipped."""
         self.encoding = self.size = ""
         self._block, self._limit = block, queue_limit
         self._queue: deque[tuple[bytes, Frame]] = deque()
