@@ -77,7 +77,7 @@ def parse(values: Mapping[str, Any], file: str) -> CameraCalibration:
         date = datetime.date.fromisoformat(day)
     except ValueError:
         raise refuse("date", repr(day)) from None
-    if date.isoformat() != day:  # other ways to write it are accepted by some Pythons only
+    if date.isoformat() != day:  # some Pythons accept other formats
         raise refuse("date", repr(day))
     return CameraCalibration(quaternion_xyzw_to_matrix(vector), float(residual), int(n), date)
 

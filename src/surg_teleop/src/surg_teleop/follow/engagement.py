@@ -58,8 +58,8 @@ class Engagement:
         *,
         mode: ControlMode,
         scale: float,
-        lock_rotation: bool,
-        lock_translation: bool,
+        moves: bool,
+        rolls: bool,
         commands: ArmCommands,
     ) -> Notice:
         """Follow the leader for one tick, `dt` after the last [s], in the view R_WV (3, 3).
@@ -76,8 +76,6 @@ class Engagement:
             return Notice()
         self._check_lag(arm)
         R_RV = arm.R_WR.T @ R_WV
-        moves = not (lock_translation or "lock_translation" in sample.buttons)
-        rolls = not (lock_rotation or "lock_rotation" in sample.buttons)
         try:
             if mode is ControlMode.POSITION:
                 target.follow_hand(sample, scale, R_RV, moves=moves, rolls=rolls)

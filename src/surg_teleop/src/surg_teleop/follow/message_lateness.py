@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import math
 
+WINDOW = 2.0
+"""[s] Window of a topic's lateness."""
+
 
 class Lateness:
     """Delay of every message above that of the fastest one.
@@ -43,18 +46,15 @@ class Arrivals:
     one to two windows.
     """
 
-    WINDOW = 2.0
-    """[s]"""
-
     def __init__(self) -> None:
         self._newest = -math.inf
-        self._lateness = Lateness(self.WINDOW)
+        self._lateness = Lateness(WINDOW)
 
     def of(self, stamp: float, now: float) -> float:
         """When a message, received now, would have arrived without delay [s]; never after now."""
         if stamp == self._newest:
             return now
         if stamp < self._newest:
-            self._lateness = Lateness(self.WINDOW)
+            self._lateness = Lateness(WINDOW)
         self._newest = stamp
         return now - self._lateness.add(stamp, now)

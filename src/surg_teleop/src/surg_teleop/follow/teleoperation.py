@@ -271,8 +271,8 @@ class Teleop:
                 camera.R_WV,
                 mode=self.mode,
                 scale=self.scale,
-                lock_rotation=self.lock_rotation,
-                lock_translation=self.lock_translation,
+                moves=not (self.lock_translation or "lock_translation" in sample.buttons),
+                rolls=not (self.lock_rotation or "lock_rotation" in sample.buttons),
                 commands=commands,
             )
         except DisengagedError as error:

@@ -22,17 +22,12 @@ KEPT = 8
 
 
 class EndoscopePictures:
-    """Pictures of one or two cameras, paired by their stamps.
-
-    Attributes:
-        newest: Newest complete set; None: there is none yet.
-        problem: Why the pictures cannot be used; empty: they can.
-    """
+    """Pictures of one or two cameras, paired by their stamps."""
 
     def __init__(self, names: tuple[str, ...]) -> None:
         self.names = names
-        self.newest: Pair | None = None
-        self.problem = ""
+        self.newest: Pair | None = None  # newest complete set
+        self.problem = ""  # why the pictures cannot be used; empty: they can
         self._waiting: dict[str, OrderedDict[int, Picture]] = {n: OrderedDict() for n in names}
         self._infos: dict[str, CameraInfo] = {}
         self.inputs = []

@@ -23,12 +23,7 @@ KINDS = {
 
 
 class LeaderTopics:
-    """Publishes the samples of one leader.
-
-    Args:
-        name: The leader's namespace, without slashes.
-        spherical: Whether it may turn the shaft about the trocar.
-    """
+    """Publishes the samples of a leader, `spherical` those that turn the shaft about the trocar."""
 
     def __init__(self, name: str, spherical: bool = True) -> None:
         self._out = {

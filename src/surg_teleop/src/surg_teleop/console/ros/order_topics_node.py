@@ -35,12 +35,7 @@ KINDS = {
 
 
 class OrderTopics:
-    """Topics of the orders.
-
-    Args:
-        arms: CRTK names.
-        leader: Namespace of the leader's topics; empty: the page is not a leader.
-    """
+    """Topics of the orders; without the leader's namespace the page is no leader."""
 
     def __init__(self, arms: tuple[str, ...], leader: str) -> None:
         self._held: dict[str, bool] = {}

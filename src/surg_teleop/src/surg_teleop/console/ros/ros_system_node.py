@@ -58,13 +58,7 @@ FAST = {
 
 
 class RosSystem:
-    """See `web_server.System`.
-
-    Args:
-        arms: CRTK names, the driven one first.
-        leader: Namespace of the leader's topics; empty: the page is not a leader.
-        episodes: The recorder's folder; None: no list.
-    """
+    """See `web_server.System`; the driven arm comes first, an empty leader means no leader."""
 
     def __init__(
         self, arms: tuple[str, ...], leader: str, teleop: str, episodes: Path | None

@@ -1,4 +1,4 @@
-"""What has been recorded: the folders beside the recorder's, newest first, with their outcome."""
+"""The recorded episodes: the folders beside the recorder's, newest first, with their outcome."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Episodes:
 
     def entries(self) -> list[Entry]:
         """Newest first, at most `SHOWN`."""
-        found = []
+        entries = []
         for path in self._folder.parent.glob(f"{self._folder.name}*"):
             try:
                 manifest = path / "manifest.json"
@@ -50,8 +50,8 @@ class Episodes:
                     self._known[path] = known
             except OSError:  # it is being renamed
                 continue
-            found.append(known[1])
-        return sorted(found, key=lambda entry: entry.started, reverse=True)[:SHOWN]
+            entries.append(known[1])
+        return sorted(entries, key=lambda entry: entry.started, reverse=True)[:SHOWN]
 
 
 def _entry(path: Path, changed: int) -> Entry:
@@ -81,11 +81,11 @@ def _entry(path: Path, changed: int) -> Entry:
     )
 
 
-def _object(found: dict[str, Any], key: str) -> dict[str, Any]:
-    value = found.get(key)
+def _object(fields: dict[str, Any], key: str) -> dict[str, Any]:
+    value = fields.get(key)
     return value if isinstance(value, dict) else {}
 
 
-def _nanoseconds(found: dict[str, Any], key: str) -> int:
-    value = found.get(key)
+def _nanoseconds(fields: dict[str, Any], key: str) -> int:
+    value = fields.get(key)
     return value if isinstance(value, int) and not isinstance(value, bool) else 0

@@ -151,9 +151,9 @@ class Keyboard:
         Raises:
             LeaderError: Standard input is no terminal, or another process has it.
         """
-        fd = self._terminal()
         if self._saved is not None:
             return
+        fd = sys.stdin.fileno() if self._fd is None else self._fd
         if not os.isatty(fd):
             raise LeaderError(
                 "standard input is no terminal", self.name, "start it in a terminal, by itself"
@@ -162,7 +162,7 @@ class Keyboard:
             raise LeaderError(
                 "runs in the background", self.name, "start it without '&', or bring it to front"
             )
-        self._saved = termios.tcgetattr(fd)
+        self._fd, self._saved = fd, termios.tcgetattr(fd)
         atexit.register(self.close)
         tty.setcbreak(fd)
         self._typing = Typing()
@@ -173,26 +173,22 @@ class Keyboard:
         Raises:
             LeaderError: The terminal has gone.
         """
-        if self._saved is None:
+        if self._saved is None or self._fd is None:
             return None
-        self._typing.type(self._typed().decode("ascii", "replace"), now)
+        self._typing.type(self._typed(self._fd).decode("ascii", "replace"), now)
         return self._typing.sample(now)
 
     def close(self) -> None:
         """Restore the terminal."""
         saved, self._saved = self._saved, None
-        if saved is None:
+        if saved is None or self._fd is None:
             return
         atexit.unregister(self.close)
         with contextlib.suppress(OSError, termios.error):  # the terminal itself may have gone
-            termios.tcsetattr(self._terminal(), termios.TCSADRAIN, saved)
+            termios.tcsetattr(self._fd, termios.TCSADRAIN, saved)
 
-    def _terminal(self) -> int:
-        return sys.stdin.fileno() if self._fd is None else self._fd
-
-    def _typed(self) -> bytes:
+    def _typed(self, fd: int) -> bytes:
         """What was typed since the last call; never waits."""
-        fd = self._terminal()
         try:
             if not select.select([fd], [], [], 0.0)[0]:
                 return b""

@@ -1,4 +1,4 @@
-"""A recorded motion as a hand: it holds still for a while, plays the file, holds still again."""
+"""A recorded motion as a hand: it rests for a while, plays the file, and rests again."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class MotionLeader:
 
     Args:
         rate: Samples per second, 1 to 1000.
-        delay: How long the hand holds still at the first sample after ``open`` [s].
+        delay: Rest at the first sample [s].
         rotation: (3,) roll, pitch, yaw of the file's axes in the view frame V [rad].
     """
 
@@ -42,7 +42,7 @@ class MotionLeader:
         self._opened: float | None = None
 
     def open(self) -> None:
-        """Reads the file.
+        """Read the file.
 
         Raises:
             LeaderError: It is not a motion.
@@ -73,11 +73,11 @@ class MotionLeader:
         )
 
     def close(self) -> None:
-        """Lets the file go."""
+        """Forget the motion."""
         self._motion = None
 
     def _grip(self, t: float) -> float | None:
-        """The gripper's opening as a share of the file's own range, for zeros lie anywhere."""
+        """The gripper's opening as a share of the file's range, because zeros are arbitrary."""
         motion = self._motion
         assert motion is not None
         value = motion.gripper_at(t)

@@ -157,12 +157,11 @@ element("scale").addEventListener("input", ({ target }) => {
   element("scale-value").textContent = Number(target.value).toFixed(2);
   link.say("scale", { value: Number(target.value) });
 });
-element("scale").addEventListener("change", ({ target }) => target.blur());
 element("speed").addEventListener("input", ({ target }) => {
   hand.speed = Number(target.value) / 1000;
   element("speed-value").textContent = `${target.value} mm/s`;
 });
-element("speed").addEventListener("change", ({ target }) => target.blur());
+for (const id of ["scale", "speed"]) element(id).addEventListener("change", ({ target }) => target.blur());
 
 for (const [keys, text] of KEYS) {
   const item = document.createElement("span");
