@@ -36,8 +36,8 @@ def cell(network_: str = "isolated", machines: dict[str, str] | None = None) -> 
 def test_routes_are_read() -> None:
     found = roles.routes(HEADER + ISOLATED + ROUTER)
     assert [r.interface for r in found] == ["eth1", "eth1"]
-    assert found[0].network == (0xC0A84D00, 0xFFFFFF00)
-    assert [r.gateway for r in found] == [0, 0xC0A84DFE]
+    assert str(found[0].network) == "192.168.77.0/24"
+    assert [str(r.gateway) for r in found] == ["0.0.0.0", "192.168.77.254"]
     assert roles.routes("") == []
 
 

@@ -236,7 +236,7 @@ def test_an_answer_to_what_was_seen_before_a_pause_is_not_obeyed(bench: Bench) -
     bench.say("RESET", session=bench.session)
     assert not bench.errors, "nothing has moved"
     bench.act([bench.here(1e-3)] * 5)
-    assert bench.server.counters.stale == 5 and bench.server.coming(1) is None
+    assert bench.server.counters.stale == 5 and bench.server.steps.coming(1) is None
     assert bench.period([bench.here(1e-3)]) is not None
 
 
@@ -371,7 +371,7 @@ def test_three_refusals_in_a_row_pause_and_are_told(bench: Bench) -> None:
     assert "3 rejected steps in a row" in bench.server.reason and "50 mm" in bench.server.reason
     told = [each for m in bench.of("ACK") for each in m.head["rejected"]]
     assert [each["rule"] for each in told] == ["start", "start", "step", "step", "start"]
-    assert [j.rule for j in bench.server.judged if not j.passed] == [e["rule"] for e in told]
+    assert [j.rule for j in bench.server.steps.judged if not j.passed] == [e["rule"] for e in told]
     assert bench.of("EPISODE")[-1].head["event"] == "paused"
     bench.tick()
     assert bench.arm.view.state == ArmState.PAUSED

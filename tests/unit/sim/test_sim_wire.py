@@ -17,7 +17,6 @@ from surg_sim.tasks import Verdict
 rospy = pytest.importorskip("rospy")
 
 from surg_ros import params  # noqa: E402
-from surg_ros.participant import ReadyLayout  # noqa: E402
 
 STAMP_NS = 1_795_000_000_123_456_789
 
@@ -184,15 +183,6 @@ def test_a_task_state_keeps_its_shape() -> None:
     for names, values in ((["p[3]"], [1.0, 2.0]), (["p[2]"], [1.0, 2.0, 3.0]), (["t"], [])):
         with pytest.raises(ValueError, match="values"):
             bridge_messages.task_state(names, values)
-
-
-def test_ready() -> None:
-    from surg_msgs.msg import Ready
-
-    for arms in ([], ["PSM1"], ["PSM1", "ECM", "assistant"]):
-        sent = [7 * i for i, _ in enumerate(arms)]
-        message = Ready(tick=2**40, participant="expert", arms=arms, sent=sent, done=True)
-        assert ReadyLayout("expert", arms).pack(2**40, sent, True) == serialised(message)
 
 
 def test_wrench() -> None:

@@ -9,6 +9,7 @@ this machine does not also use that network to reach others.
 from __future__ import annotations
 
 import enum
+import ipaddress
 import re
 import socket
 import struct
@@ -55,22 +56,20 @@ WAITS = {
 
 @dataclass(frozen=True)
 class Route:
-    """One line of the kernel's table of routes; addresses as 32-bit numbers, gateway 0: none."""
+    """One line of the kernel's table of routes; gateway 0.0.0.0: none."""
 
     interface: str
-    network: tuple[int, int]
-    gateway: int
+    network: ipaddress.IPv4Network
+    gateway: ipaddress.IPv4Address
 
 
 def routes(text: str) -> list[Route]:
     """The lines of /proc/net/route."""
     found = []
     for line in text.splitlines()[1:]:
-        fields = line.split()
-        if len(fields) < 8:
-            continue
-        address, gateway, mask = (_swap(int(fields[i], 16)) for i in (1, 2, 7))
-        found.append(Route(fields[0], (address, mask), gateway))
+        interface, *fields = line.split()
+        address, gateway, mask = (_address(fields[i]) for i in (0, 1, 6))
+        found.append(Route(interface, ipaddress.IPv4Network(f"{address}/{mask}"), gateway))
     return found
 
 
@@ -85,13 +84,9 @@ def local_addresses(text: str) -> set[str]:
     return found
 
 
-def _swap(number: int) -> int:
+def _address(word: str) -> ipaddress.IPv4Address:
     """/proc writes addresses as the processor holds them."""
-    return int(struct.unpack("=I", struct.pack("!I", number))[0])
-
-
-def _number(address: str) -> int:
-    return int(struct.unpack("!I", socket.inet_aton(address))[0])
+    return ipaddress.IPv4Address(struct.pack("=I", int(word, 16)))
 
 
 def link_of(config: Any, role: Role, port: int) -> Link:
@@ -143,9 +138,9 @@ def check_address(
             "correct cell.yaml, or plug the cable in and give the interface that address",
             2,
         )
-    own = _number(address)
+    own = ipaddress.IPv4Address(address)
     # Both ways: a second address is in no list, and one with the mask /32 in no route.
-    ours = {r.interface for r in table if r.network[1] and own & r.network[1] == r.network[0]}
+    ours = {r.interface for r in table if r.network.prefixlen and own in r.network}
     ours |= {name for name, first in interfaces.items() if first == address}
     if not ours:
         raise Problem(
@@ -155,13 +150,12 @@ def check_address(
             2,
         )
     for route in table:
-        if route.interface in ours and route.gateway:
-            gateway = socket.inet_ntoa(struct.pack("!I", route.gateway))
+        if route.interface in ours and int(route.gateway):
             raise Problem(
                 f"--role {role}: {address} is routable: its interface {route.interface} also leads "
-                f"to other networks through the router {gateway}. An isolated network has none. "
-                "Put the robot's cable into an interface of its own, or remove that route "
-                f"(ip route del default via {gateway} dev {route.interface})",
+                f"to other networks through the router {route.gateway}. An isolated network has "
+                "none. Put the robot's cable into an interface of its own, or remove that route "
+                f"(ip route del default via {route.gateway} dev {route.interface})",
                 2,
             )
 

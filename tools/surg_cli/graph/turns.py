@@ -36,12 +36,6 @@ class _Attributes(ctypes.Structure):
     )
 
 
-def turn_ns() -> int:
-    """Length of the calling thread's slices [ns]; 0: unknown to the kernel."""
-    attributes = _attributes()
-    return int(attributes.runtime) if attributes is not None else 0
-
-
 @contextlib.contextmanager
 def short() -> Iterator[None]:
     """Give short slices to the processes that the calling thread starts in this context."""

@@ -79,67 +79,38 @@ def text(
 ) -> Any:
     """A text of at most ``longest`` characters; ``allowed`` says in the error what it is."""
 
-    def convert(value: Any) -> str:
-        value = str(value) if isinstance(value, Path) else value
-        if not isinstance(value, str) or not (value or empty):
-            raise ValueError
-        if longest is not None and len(value) > longest:
-            raise ValueError
-        return value
+    def good(value: Any) -> bool:
+        short = longest is None or len(str(value)) <= longest
+        return isinstance(value, str | Path) and bool(str(value) or empty) and short
 
     size = "" if longest is None else f" of at most {longest} characters"
-    return _declare(convert, allowed or f"a {'' if empty else 'non-empty '}text{size}", default)
+    allowed = allowed or f"a {'' if empty else 'non-empty '}text{size}"
+    return _declare(_checked(str, good), allowed, default)
 
 
 def one_of(options: tuple[str, ...], default: Any = MISSING) -> Any:
     """One of some words."""
-
-    def convert(value: Any) -> str:
-        if value not in options:
-            raise ValueError
-        return str(value)
-
-    return _declare(convert, ", ".join(options), default)
+    return _declare(_checked(str, lambda value: value in options), ", ".join(options), default)
 
 
 def flag(default: Any = MISSING) -> Any:
     """True or false."""
-
-    def convert(value: Any) -> bool:
-        if not isinstance(value, bool):
-            raise ValueError
-        return value
-
-    return _declare(convert, "true or false", default)
+    check = _checked(bool, lambda value: isinstance(value, bool))
+    return _declare(check, "true or false", default)
 
 
 def whole(low: int, high: int, default: Any = MISSING) -> Any:
     """A whole number from low to high."""
-
-    def convert(value: Any) -> int:
-        if isinstance(value, bool) or not isinstance(value, int | float) or value != int(value):
-            raise ValueError
-        if not low <= value <= high:
-            raise ValueError
-        return int(value)
-
-    return _declare(convert, f"a whole number from {low} to {high}", default)
+    check = _checked(int, lambda v: _is_number(v) and v == int(v) and low <= v <= high)
+    return _declare(check, f"a whole number from {low} to {high}", default)
 
 
 def real(low: float = -math.inf, high: float = math.inf, default: Any = MISSING) -> Any:
     """A finite number from low to high."""
-
-    def convert(value: Any) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise ValueError
-        if not (low <= value <= high and math.isfinite(value)):
-            raise ValueError
-        return float(value)
-
+    check = _checked(float, lambda v: _is_number(v) and low <= v <= high and math.isfinite(v))
     bounds = {(True, True): f" from {low:g} to {high:g}", (True, False): f" from {low:g}"}
-    return _declare(
-        convert, f"a number{bounds.get((low > -math.inf, high < math.inf), '')}", default
-    )
+    number = f"a number{bounds.get((low > -math.inf, high < math.inf), '')}"
+    return _declare(check, number, default)
 
 
 def vector(size: int, default: Any = MISSING, *, meaning: str = "") -> Any:
@@ -208,6 +179,21 @@ def path(default: Any = MISSING) -> Any:
         return Path(value).resolve() if value else None
 
     return _declare(convert, "a path", default)
+
+
+def _checked(kind: Callable[[Any], Any], good: Callable[[Any], bool]) -> Callable[[Any], Any]:
+    """A conversion that refuses what is not good."""
+
+    def convert(value: Any) -> Any:
+        if not good(value):
+            raise ValueError
+        return kind(value)
+
+    return convert
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def _declare(

@@ -1,15 +1,15 @@
 """A declared sender in lock-step: it sees tick k, sends commands for tick k + 1, then says Ready.
 
 Ready carries the running totals of the commands sent, so that simulator and controllers know what
-is still on its way. It is packed from a prebuilt layout, because it is sent in every tick.
+is still on its way.
 """
 
 from __future__ import annotations
 
-import struct
+import io
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,24 +62,6 @@ class Seen:
         return arm_view(self.cycles[arm], R_WB)
 
 
-class ReadyLayout:
-    """surg_msgs/Ready of a participant and its arms as bytes, packed from a prebuilt layout."""
-
-    def __init__(self, participant: str, arms: Sequence[str]) -> None:
-        count = struct.pack("<I", len(arms))
-        self._head = _text(participant) + count + b"".join(map(_text, arms)) + count
-        self._tail = struct.Struct(f"<{len(arms)}QB")
-
-    def pack(self, tick: int, sent: Iterable[int], done: bool) -> bytes:
-        """The message as bytes; ``sent`` in the order of the arms."""
-        return struct.pack("<Q", tick) + self._head + self._tail.pack(*sent, done)
-
-
-def _text(words: str) -> bytes:
-    data = words.encode()
-    return struct.pack("<I", len(data)) + data
-
-
 class Participant:
     """A node that sends commands to arms, one answer per tick.
 
@@ -116,7 +98,6 @@ class Participant:
         self._state: tuple[int, TaskState] = (0, TaskState())
         if lockstep:
             self._ready = DirectPublisher("/sim/ready", Ready, blocking=True, latch=True)
-            self._layout = ReadyLayout(rospy.get_name().lstrip("/"), list(self._ports))
         self.inputs: list[Any] = []
         """Subscribers that must be connected before the first tick."""
         if listen:
@@ -224,5 +205,13 @@ class Participant:
             self._say_ready(self.tick + (1 if self._arms else GRID))
 
     def _say_ready(self, tick: int) -> None:
-        sent = (port.sent for port in self._ports.values())
-        self._ready.send(self._layout.pack(tick, sent, self._done))
+        message = Ready(
+            tick=tick,
+            participant=rospy.get_name().lstrip("/"),
+            arms=list(self._ports),
+            sent=[port.sent for port in self._ports.values()],
+            done=self._done,
+        )
+        packed = io.BytesIO()
+        message.serialize(packed)
+        self._ready.send(packed.getvalue())

@@ -51,17 +51,7 @@ class Observation:
             raise SpecMismatch(
                 f"an observation does not match the server's spec: {'; '.join(wrong)}"
             )
-        head = message.head
-        return cls(
-            message.arrays,
-            head["step"],
-            head["stamp_ns"],
-            head["episode"],
-            head["instruction"],
-            spec,
-            head["seq"],
-            head["session"],
-        )
+        return cls(message.arrays, spec=spec, **message.head)
 
     def __getitem__(self, key: str) -> np.ndarray:
         """Array by key."""

@@ -34,7 +34,7 @@ from surg_policy_bridge.server.observer import Observation
 from surg_policy_bridge.server.policy_arm import Target
 from surg_policy_bridge.server.safety_controller import SafetyController
 from surg_policy_bridge.server.sessions import SentObservation, Session, refusal, spec_for
-from surg_policy_bridge.server.step_executor import JudgedStep, StepExecutor
+from surg_policy_bridge.server.step_executor import StepExecutor
 from surg_policy_bridge.server.stop_reason import StopReason
 from surg_policy_bridge.server.timers import EMPTY, MAX_OBS_AGE, REJECTS, SILENCE, Timeout
 from surg_policy_client import wire
@@ -118,11 +118,6 @@ class ModelServer:
         )
         self.replies: list[tuple[bytes, Message]] = []
         self.episode = 0
-
-    @property
-    def judged(self) -> list[JudgedStep]:
-        """Steps for the topics; the caller empties it."""
-        return self.steps.judged
 
     # --- operator, task and arms ------------------------------------------------------------------
 
@@ -280,10 +275,6 @@ class ModelServer:
             self._pause_after_rejects()
             self._acknowledge(step.seq)
         return targets
-
-    def coming(self, number: int) -> dict[str, Target] | None:
-        """Targets of a future grid time, by arm; None: unknown."""
-        return self.steps.coming(number)
 
     def _starvation(self) -> tuple[StopReason, str]:
         limit = self._settings.empty / SECOND_NS

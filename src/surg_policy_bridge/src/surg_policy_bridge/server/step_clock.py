@@ -67,9 +67,9 @@ class StepClock:
         # From rest a stream begins with the first step there is: the one after it may be farther
         # away than a first step is allowed to be.
         order = (step + 1, step) if self._pieces else (step, step + 1)
-        number = next((n for n in order if server.coming(n) is not None), step)
+        number = next((n for n in order if server.steps.coming(n) is not None), step)
         targets = server.execute(number, now, past=step)
-        beyond = server.coming(number + 1) if targets else None
+        beyond = server.steps.coming(number + 1) if targets else None
         self._begun = now
         self._pieces = {
             name: self._piece(

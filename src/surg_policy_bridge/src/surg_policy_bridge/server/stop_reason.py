@@ -8,18 +8,7 @@ import enum
 class StopReason(enum.Enum):
     """``REASON_...`` of surg_msgs/PolicyStatus, which documents each."""
 
-    NONE = enum.auto()
-    NO_POLICY = enum.auto()
-    NOT_ENABLED = enum.auto()
-    EPISODE_OVER = enum.auto()
-    OPERATOR = enum.auto()
-    TELEOP_STATUS = enum.auto()
-    NOT_PRESENT = enum.auto()
-    CAMERA = enum.auto()
-    ARM = enum.auto()
-    POLICY_SILENT = enum.auto()
-    POLICY_LEFT = enum.auto()
-    NO_ACTION = enum.auto()
-    NO_OBSERVATION = enum.auto()
-    REJECTED = enum.auto()
-    SERVER_ENDED = enum.auto()
+    NONE, NO_POLICY, NOT_ENABLED, EPISODE_OVER = range(1, 5)
+    OPERATOR, TELEOP_STATUS, NOT_PRESENT, CAMERA, ARM = range(5, 10)
+    POLICY_SILENT, POLICY_LEFT, NO_ACTION, NO_OBSERVATION = range(10, 14)
+    REJECTED, SERVER_ENDED = 14, 15
