@@ -136,7 +136,7 @@ def heard_by_watch(statuses: Mapping[str, Any], **attributes: Any) -> Any:
         _kinds=kinds,
         _statuses={topic: Newest(topic) for topic in kinds},
         _sim_changed=0.0,
-        _recording=False,
+        recording=False,
         _gave_up={},
         _fault=None,
         _errors={},

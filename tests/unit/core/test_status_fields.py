@@ -93,7 +93,7 @@ def run_goes_on_without_the_script(status: Any) -> bool:
 
 def run_has_a_complete_recording(status: Any) -> bool:
     recorder = SimpleNamespace(name="/recorder", exit_code=None)
-    watch = heard_by_watch({"/record/status": status}, _recording=False, record=lambda on: None)
+    watch = heard_by_watch({"/record/status": status}, recording=False, record=lambda on: None)
     return follow.finish_recording(watch, SimpleNamespace(children=[recorder])) == []
 
 
@@ -113,7 +113,7 @@ def record_start_succeeds(status: Any) -> bool:
 
 
 def episode_is_a_success(status: Any) -> bool:
-    watch = heard_by_watch({"/sim/status": status}, _recording=True, record=lambda on: None)
+    watch = heard_by_watch({"/sim/status": status}, recording=True, record=lambda on: None)
     supervisor = SimpleNamespace(children=[], first_dead=lambda: None)
     plan = SimpleNamespace(policy=None)
     return task_episode._follow(plan, supervisor, watch).success

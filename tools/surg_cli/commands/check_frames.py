@@ -139,14 +139,11 @@ def _await(child: processes.Child, supervisor: processes.Supervisor) -> None:
                 raise Problem(death_notice(dead))
             if time.monotonic() > deadline:
                 raise Problem(f"the check did not end within {TIMEOUT_S:.0f} s; see {child.log}")
-            progress.update(None, _last_line(child.log_tail(1)))
+            text = child.log_tail(1)
+            progress.update(None, text if text.startswith("the tip must") else "looking")
             time.sleep(0.1)
     if child.exit_code not in (0, 1) or "check_frames: " in child.log_tail(1):
         raise Problem(child.log_tail(4).partition("check_frames: ")[2] or death_notice(child))
-
-
-def _last_line(text: str) -> str:
-    return text if text.startswith("the tip must") else "looking"
 
 
 def _print_result(out: Path) -> int:

@@ -52,7 +52,9 @@ def main(options: argparse.Namespace, command: str) -> int:
         arm = _only_arm(loaded, cell)
         motion = _check_motion(options, loaded.arms[arm])
     except Problem:
-        _remove_cell(out)
+        shutil.rmtree(out / "cell", ignore_errors=True)  # made for a robot given by its YAML
+        with contextlib.suppress(OSError):
+            out.rmdir()
         raise
     out.mkdir(parents=True, exist_ok=True)
     plan = _plan(options, cell, arm, motion, out, loaded.arms[arm].robot)
@@ -226,10 +228,3 @@ def _only_arm(loaded: Any, cell: Path) -> str:
     if len(names) != 1:
         raise Problem(f"{cell}: the demonstration drives one arm, this cell has {len(names)}", 2)
     return str(names[0])
-
-
-def _remove_cell(out: Path) -> None:
-    """Remove what a refused run has written: the cell made for a robot given by its YAML."""
-    shutil.rmtree(out / "cell", ignore_errors=True)
-    with contextlib.suppress(OSError):
-        out.rmdir()

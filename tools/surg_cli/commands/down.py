@@ -30,7 +30,7 @@ def main(options: argparse.Namespace, command: str) -> int:
         for number, grace in STAGES:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(system.pid, number)
-            if _gone(system, grace):
+            if processes.wait_until(lambda s=system: not s.alive, grace):  # type: ignore[misc]
                 break
         else:
             raise Problem(
@@ -39,8 +39,3 @@ def main(options: argparse.Namespace, command: str) -> int:
         system.file.unlink(missing_ok=True)
         say(f"down: ended {system.command} of {system.cell} on port {system.port}")
     return 0
-
-
-def _gone(system: running.System, grace_s: float) -> bool:
-    """Whether a system has ended within the given time."""
-    return processes.wait_until(lambda: not system.alive, grace_s)

@@ -49,7 +49,8 @@ def main(options: argparse.Namespace, command: str) -> int:
         f"{request.setting}, {request.episodes} demonstrations, {request.rollouts} roll-outs "
         f"-> {out}"
     )
-    ledger = Ledger(out / "stages.json", f"{_command_line(request)} --out {_shortened(out)}")
+    shown = out.relative_to(Path.cwd()) if out.is_relative_to(Path.cwd()) else out
+    ledger = Ledger(out / "stages.json", f"{_command_line(request)} --out {shown}")
     summary = _learn(request, ledger, out)
     _print_summary(summary)
     say(str(out / "report.html"))
@@ -193,11 +194,6 @@ def _command_line(request: Request) -> str:
     return " ".join(
         ["./surg learn", request.task, *words, *(["--cameras"] if request.cameras else [])]
     )
-
-
-def _shortened(path: Path) -> Path:
-    """Relative to the working directory, where it is below that."""
-    return path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
 
 
 # --- results ------------------------------------------------------------------------------------

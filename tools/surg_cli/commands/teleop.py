@@ -217,28 +217,24 @@ def _check_task(loaded: Any, task: str, setting: str) -> None:
 
 def _plan_of(attached: running.System) -> Plan:
     """The plan of a running system, as far as the operator's nodes need it."""
-    uri = attached.master_uri
-    cell = Path(attached.cell)
-    cameras = tuple(
-        view
-        for view in ("left", "right")
-        if f"/endoscope/{view}/image_raw" in master.publications(uri)
-    )
-    records = bool(master.call(uri, "hasParam", "/recorder/out"))
+    uri, cell = attached.master_uri, Path(attached.cell)
+
+    def parameter(name: str) -> str:
+        present = master.call(uri, "hasParam", name)
+        return str(master.call(uri, "getParam", name)) if present else ""
+
+    topics = master.publications(uri)
+    views = ("left", "right")
     # The recorder's folder may be on another machine: then its episodes are not listed.
-    out = Path(master.call(uri, "getParam", "/recorder/out")).parent if records else Path()
-    task = ""
-    if master.call(uri, "hasParam", "/sim/task"):
-        task = str(master.call(uri, "getParam", "/sim/task"))
-    arms = tuple(str(name) for name in cells.load(cell).arms)
+    out = parameter("/recorder/out")
     return Plan(
         cell=cell,
-        arms=arms,
+        arms=tuple(str(name) for name in cells.load(cell).arms),
         lockstep=False,
-        cameras=cameras,
-        out=out,
-        record=records,
-        task=task,
+        cameras=tuple(view for view in views if f"/endoscope/{view}/image_raw" in topics),
+        out=Path(out).parent,
+        record=bool(out),
+        task=parameter("/sim/task"),
     )
 
 

@@ -35,18 +35,16 @@ def main(options: argparse.Namespace, command: str) -> int:
         page = render(contract, seen, ARM)
     for sentence in wrong:
         warn(f"surg: {sentence}")
-    if options.write and not wrong:
+    if wrong:
+        return 1
+    name = PAGE.relative_to(paths.ROOT)
+    if options.write:
         PAGE.write_text(page, "utf-8")
-        say(f"wrote {PAGE.relative_to(paths.ROOT)}")
-    elif not wrong:
-        same = PAGE.exists() and PAGE.read_text("utf-8") == page
-        say(
-            "docs/reference/topics.md is up to date"
-            if same
-            else "docs/reference/topics.md is out of date; --write renews it"
-        )
-        return 0 if same else 1
-    return 1 if wrong else 0
+        say(f"wrote {name}")
+        return 0
+    same = PAGE.exists() and PAGE.read_text("utf-8") == page
+    say(f"{name} is up to date" if same else f"{name} is out of date; --write renews it")
+    return 0 if same else 1
 
 
 @contextlib.contextmanager

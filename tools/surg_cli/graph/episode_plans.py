@@ -89,7 +89,7 @@ def make_plan(
         run_info={
             "task": loaded_task.name,
             "title": loaded_task.title,
-            "operator": "scripted expert" if policy is None else _policy_name(policy),
+            "operator": "scripted expert" if policy is None else f"policy {policy.label}",
             "robot": loaded.arms[arms[0]].robot.name,
             "mode": "cartesian",
             "timing": "lockstep",
@@ -121,11 +121,6 @@ def _load_task(
     if not senders:
         raise Problem(f"task '{found.name}' has no scripted sender; name a --policy", 2)
     return found, senders
-
-
-def _policy_name(policy: system.Policy) -> str:
-    """A policy in the manifest."""
-    return f"policy {Path(policy.script).name if policy.script else 'at ' + policy.address}"
 
 
 def for_episode(plan: Plan, condition: Condition, seed: int, folder: Path) -> Plan:

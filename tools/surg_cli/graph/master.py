@@ -5,13 +5,13 @@ from __future__ import annotations
 import socket
 import xmlrpc.client
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from surg_cli.graph.processes import Child, Supervisor, wait_until
 from surg_cli.host.terminal import Problem
 
-ROSMASTER = Path("/usr/bin/rosmaster")
+ROSMASTER = ("/usr/bin/python3", "-s", "/usr/bin/rosmaster", "--core")
+"""Debian's Python is named: the script's shebang may meet another one on PATH."""
 DEFAULT_PORT = 11311
 START_TIMEOUT_S = 15.0
 
@@ -83,17 +83,12 @@ def start(supervisor: Supervisor, port: int, host: str = "localhost") -> Child:
         )
     uri = f"http://{host}:{port}"
     supervisor.env["ROS_MASTER_URI"] = uri
-    child = supervisor.start("rosmaster", [*_python(), str(ROSMASTER), "--core", "-p", str(port)])
+    child = supervisor.start("rosmaster", [*ROSMASTER, "-p", str(port)])
     if not wait_until(lambda: alive(uri) or child.exit_code is not None, START_TIMEOUT_S):
         raise Problem(f"the ROS master did not answer on port {port} within {START_TIMEOUT_S} s")
     if child.exit_code is not None:
         raise Problem(f"the ROS master ended at once:\n{child.log_tail()}")
     return child
-
-
-def _python() -> list[str]:
-    """Debian's Python, named: the script's shebang may meet another one on PATH."""
-    return ["/usr/bin/python3", "-s"]
 
 
 def nodes(uri: str) -> list[str]:

@@ -104,7 +104,7 @@ def _assistant_frame(plan: Plan, loaded: Any) -> list[float]:
             "bgr has one",
             2,
         )
-    return _numbers(matrix_to_quaternion_xyzw(assistant.X_WRcm[:3, :3]))
+    return list(map(float, matrix_to_quaternion_xyzw(assistant.X_WRcm[:3, :3])))
 
 
 def _standing_view(loaded: Any) -> list[float]:
@@ -119,7 +119,7 @@ def _standing_view(loaded: Any) -> list[float]:
     mujoco.mj_forward(world.model, world.data)
     # A MuJoCo camera looks along -z with y up.
     R_WV = world.data.camera(LEFT).xmat.reshape(3, 3) @ np.diag([1.0, -1.0, -1.0])
-    return _numbers(matrix_to_quaternion_xyzw(R_WV))
+    return list(map(float, matrix_to_quaternion_xyzw(R_WV)))
 
 
 def _world(loaded: Any, task: str = "") -> Any:
@@ -128,7 +128,3 @@ def _world(loaded: Any, task: str = "") -> Any:
     from surg_sim.physics.world import World
 
     return World(loaded, 0, task=tasks.load(task) if task else None)
-
-
-def _numbers(values: Any) -> list[float]:
-    return [float(value) for value in values]

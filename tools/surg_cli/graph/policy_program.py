@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from surg_cli.graph import follow, master, system
@@ -106,4 +107,4 @@ def addressed(policy: Policy) -> Policy:
     if policy.address:
         return policy
     address = f"tcp://127.0.0.1:{master.free_port()}"
-    return Policy(address, policy.script, policy.keys, policy.privileged)
+    return replace(policy, address=address)

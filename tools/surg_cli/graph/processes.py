@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import functools
 import os
 import signal
 import subprocess
@@ -19,8 +20,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 SETPRIV = "/usr/bin/setpriv"
-INTERRUPT_GRACE_S = 4.0
-TERMINATE_GRACE_S = 2.0
+STAGES = ((signal.SIGINT, 4.0), (signal.SIGTERM, 2.0), (signal.SIGKILL, 2.0))
+"""How children are ended: signals, and how long each may take [s]."""
 PR_SET_CHILD_SUBREAPER = 36
 
 
@@ -57,7 +58,6 @@ class Child:
     """One running program; its end ends the run if it is essential."""
 
     name: str
-    argv: tuple[str, ...]
     process: subprocess.Popen[bytes]
     log: Path
     essential: bool = True
@@ -87,61 +87,8 @@ class Child:
                 os.kill(pid, number)
 
 
-def spawn(
-    name: str,
-    argv: Sequence[str | Path],
-    log: Path,
-    env: Mapping[str, str],
-    cwd: Path | None = None,
-    essential: bool = True,
-) -> Child:
-    """Start a program that dies with its parent; ``env`` is its whole environment.
-
-    Raises:
-        OSError: The program cannot be started.
-    """
-    log.parent.mkdir(parents=True, exist_ok=True)
-    command = tuple(str(part) for part in argv)
-    with log.open("wb") as stream:
-        process = subprocess.Popen(
-            (SETPRIV, "--pdeathsig", "KILL", "--", *command),
-            stdin=subprocess.DEVNULL,
-            stdout=stream,
-            stderr=subprocess.STDOUT,
-            env=dict(env),
-            cwd=cwd,
-            start_new_session=True,
-        )
-    return Child(name, command, process, log, essential)
-
-
-def stop_all(children: Sequence[Child]) -> list[str]:
-    """End children and everything in their groups: interrupt, terminate, kill.
-
-    All are waited for together, the last started is asked first. Returns the names of those that
-    had to be killed.
-    """
-    waiting = list(reversed(children))
-    stages = (
-        (signal.SIGINT, INTERRUPT_GRACE_S),
-        (signal.SIGTERM, TERMINATE_GRACE_S),
-        (signal.SIGKILL, TERMINATE_GRACE_S),
-    )
-    killed: list[str] = []
-    for number, grace in stages:
-        waiting = [c for c in waiting if c.alive]
-        if number is signal.SIGKILL:
-            killed = [child.name for child in waiting]
-        for child in waiting:
-            child.send(number)
-        deadline = time.monotonic() + grace
-        while waiting and time.monotonic() < deadline:
-            waiting = [c for c in waiting if c.alive]
-            if waiting:
-                time.sleep(0.02)
-        if not waiting:
-            break
-    return killed
+def _all_ended(children: Sequence[Child]) -> bool:
+    return not any(child.alive for child in children)
 
 
 @dataclass
@@ -167,22 +114,46 @@ class Supervisor:
         essential: bool = True,
         extra_env: Mapping[str, str] | None = None,
     ) -> Child:
-        """Start one child with ``extra_env``; its name names the log file too."""
+        """Start a program that dies with its parent; its name names the log file too.
+
+        Raises:
+            OSError: The program cannot be started.
+        """
         log = self.logs / (name.strip("/").replace("/", "_") + ".log")
-        child = spawn(name, argv, log, {**self.env, **(extra_env or {})}, essential=essential)
+        log.parent.mkdir(parents=True, exist_ok=True)
+        with log.open("wb") as stream:
+            process = subprocess.Popen(
+                (SETPRIV, "--pdeathsig", "KILL", "--", *map(str, argv)),
+                stdin=subprocess.DEVNULL,
+                stdout=stream,
+                stderr=subprocess.STDOUT,
+                env={**self.env, **(extra_env or {})},
+                start_new_session=True,
+            )
+        child = Child(name, process, log, essential)
         self.children.append(child)
         return child
 
     def first_dead(self) -> Child | None:
         """The first essential child that has ended, or None."""
-        for child in self.children:
-            if child.essential and child.exit_code is not None:
-                return child
-        return None
+        ended = (c for c in self.children if c.essential and c.exit_code is not None)
+        return next(ended, None)
 
     def stop(self, children: Sequence[Child] | None = None) -> list[str]:
-        """End the given children, or all; return the names of those that had to be killed."""
-        return stop_all(self.children if children is None else children)
+        """End the given children, or all, and what they have started.
+
+        All are waited for together, the last started is asked first. Returns the names of those
+        that had to be killed.
+        """
+        waiting = list(reversed(self.children if children is None else children))
+        killed: list[str] = []
+        for number, grace in STAGES:
+            waiting = [c for c in waiting if c.alive]
+            killed = [child.name for child in waiting]
+            for child in waiting:
+                child.send(number)
+            wait_until(functools.partial(_all_ended, waiting), grace)
+        return killed
 
     def __exit__(self, kind: object, value: object, trace: object) -> None:
         """End all; a second Ctrl-C meanwhile changes nothing."""

@@ -118,14 +118,9 @@ def link_of(config: Any, role: Role, port: int) -> Link:
 def check_address(
     address: str, role: Role, has: bool, interfaces: Mapping[str, str], table: Sequence[Route]
 ) -> None:
-    """Refuse an address that is not this machine's, or that leads elsewhere.
+    """Refuse a role's address that is not this machine's, or that leads elsewhere.
 
-    Args:
-        address: The role's.
-        role: This machine's.
-        has: Whether this machine has it.
-        interfaces: First address of each of its interfaces, by the interface's name.
-        table: Its routes.
+    ``interfaces`` holds the first address of each interface by name, ``table`` the routes.
 
     Raises:
         Problem: With the cure.

@@ -42,6 +42,11 @@ class Policy:
     keys: str = ""
     privileged: bool = False
 
+    @property
+    def label(self) -> str:
+        """In the manifest."""
+        return Path(self.script).name if self.script else f"at {self.address}"
+
 
 @dataclass(frozen=True)
 class Plan:

@@ -121,23 +121,19 @@ class _Rate:
     """Simulated by wall time, from the first look after the warm-up to the newest."""
 
     def __init__(self) -> None:
-        self._first: tuple[float, float] | None = None
-        self._newest = (0.0, 0.0)
+        self._looks: list[tuple[float, float]] = []
 
     def look(self, seconds: float) -> None:
         """The simulated time now; a new one counts from when it was first seen."""
-        if seconds <= self._newest[0]:
-            return
-        self._newest = (seconds, time.monotonic())
-        if self._first is None and seconds >= WARM_UP_S:
-            self._first = self._newest
+        if seconds >= WARM_UP_S and (not self._looks or seconds > self._looks[-1][0]):
+            self._looks[1:] = [(seconds, time.monotonic())]
 
     @property
     def factor(self) -> float | None:
         """None while nothing can be said."""
-        if self._first is None or self._newest[0] - self._first[0] < WARM_UP_S:
+        if not self._looks or self._looks[-1][0] - self._looks[0][0] < WARM_UP_S:
             return None
-        simulated, wall = (new - old for new, old in zip(self._newest, self._first, strict=True))
+        simulated, wall = (new - old for old, new in zip(*self._looks, strict=True))
         return simulated / wall
 
 

@@ -44,7 +44,8 @@ class Watch:
         }
         self._statuses = {topic: Newest(topic) for topic in self._kinds}
         self._sim_changed = time.monotonic()
-        self._recording: bool | None = None
+        self.recording: bool | None = None
+        """Whether the recorder says it records; None before it has said anything."""
         self._states: dict[str, str] = {}
         self._fault: tuple[str, float] | None = None
         """The first arm in FAULT, and since when on the steady clock [s]."""
@@ -92,12 +93,6 @@ class Watch:
         """Time since the simulator's tick last changed."""
         with self._lock:
             return time.monotonic() - self._sim_changed
-
-    @property
-    def recording(self) -> bool | None:
-        """Whether the recorder says it records; None before it has said anything."""
-        with self._lock:
-            return self._recording
 
     @property
     def record_status(self) -> Any:
@@ -169,8 +164,7 @@ class Watch:
             warn(f"surg: {complaint}")
 
     def _on_recording(self, message: Any) -> None:
-        with self._lock:
-            self._recording = bool(message.data)
+        self.recording = bool(message.data)
 
     def _on_state(self, message: Any, arm: str) -> None:
         with self._lock:

@@ -23,13 +23,8 @@ def run(
 ) -> None:
     """Run a program to its end, in a clean environment and without an input.
 
-    Args:
-        argv: Program and arguments.
-        log: File for its output; made with its folder.
-        progress: Redrawn with each line.
-        anew: Whether the log is replaced; otherwise it is continued.
-        fraction: From the lines so far to the part that is done, None when unknown.
-        failure: From all lines and `log` to the text of the problem (default: the last lines).
+    ``fraction`` makes the done part (None: unknown) of the lines so far, ``failure`` the text of
+    the problem of all lines and the log; by default the last lines.
 
     Raises:
         Problem: The program fails.

@@ -57,16 +57,13 @@ class Ledger:
         work: Callable[[], Any],
         complete: Callable[[Any], bool] = lambda _: True,
     ) -> Any:
-        """Do a stage, unless it is done.
+        """Do a stage, unless it is done; returns the result, new or stored.
 
         Args:
             name: Of the stage.
             inputs: What its result depends on, beside the stages before it; any JSON value.
             work: Does it and returns a JSON value. Must be able to resume.
             complete: Whether a result is complete; otherwise the stage resumes next time.
-
-        Returns:
-            The result, new or stored.
 
         Raises:
             Problem: The stage failed; the text names it, and how to resume.

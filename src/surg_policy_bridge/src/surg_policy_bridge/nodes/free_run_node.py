@@ -14,11 +14,7 @@ FRESH = SECOND_NS // 4
 
 
 class FreeRun:
-    """Every time is the steady clock's.
-
-    Args:
-        io: Socket and topics.
-    """
+    """Every time is the steady clock's."""
 
     participant: None = None
 

@@ -22,11 +22,7 @@ POLL_MS = 100
 
 
 class LockStep:
-    """Ages and due times are simulated, so a roll-out does not depend on computing time.
-
-    Args:
-        io: Socket and topics.
-    """
+    """Ages and due times are simulated, so a roll-out does not depend on computing time."""
 
     def __init__(self, io: ServerIO) -> None:
         self._io = io

@@ -44,11 +44,7 @@ the session counts."""
 
 
 class ModelServerNode:
-    """Subscribes, and runs one of the two loops.
-
-    Args:
-        io: Socket and topics.
-    """
+    """Subscribes, and runs one of the two loops."""
 
     def __init__(self, io: ServerIO) -> None:
         self._io, self._server, self._sources = io, io.server, io.sources

@@ -28,9 +28,7 @@ ENCODINGS = {"rgb8": slice(None), "bgr8": slice(None, None, -1)}
 class ObservationSources:
     """Collects the newest values of all sources and supervises the cameras.
 
-    Attributes:
-        observer: Assembles the observations.
-        image_keys: Keys of the cameras.
+    ``observer`` assembles the observations; ``image_keys`` are those of the cameras.
     """
 
     def __init__(self, settings: Settings, cell: surg_core.Cell) -> None:

@@ -17,12 +17,7 @@ STATUS_PERIOD = SECOND_NS // 2
 
 
 class PolicyTopics:
-    """Publishers of ``/policy``.
-
-    Args:
-        arms: Arms that the policy commands.
-        address: Where policies connect.
-    """
+    """Publishers of ``/policy``, for the arms of a policy and the server's address."""
 
     def __init__(self, arms: Sequence[str], address: str) -> None:
         out = rospy.Publisher

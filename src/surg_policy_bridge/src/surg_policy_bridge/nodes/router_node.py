@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import zmq
@@ -23,35 +24,13 @@ BACKLOG = 16
 AT_ONCE = 32
 """Messages taken in one call of `receive`."""
 YIELD = 1e-4
-"""[s] Pause between the parts of a message with thousands of them."""
+"""[s] Pause between the parts of a message with thousands of them, above all for the controller. A
+sleep, because `sched_yield` yields only to processes of the same autogroup."""
 DOMAIN = "policy"
 
 
-def _yield_cpu() -> None:
-    """Let other processes run during a flood, above all the controller.
-
-    Sleeps: `sched_yield` yields only to processes of the same autogroup.
-    """
-    time.sleep(YIELD)
-
-
-class _AllowList:
-    """Public keys that may connect; ZeroMQ checks them before the first message."""
-
-    def __init__(self, keys: Sequence[bytes]) -> None:
-        self._keys = frozenset(keys)
-
-    def callback(self, domain: str, key: bytes) -> bool:
-        """Whether this key may connect."""
-        return domain == DOMAIN and key in self._keys
-
-
 class Router:
-    """A bound socket.
-
-    Args:
-        address: Where to listen.
-        keys: Of the server and its clients; None: this machine only.
+    """A bound socket; without keys of the server and its clients for this machine only.
 
     Raises:
         BindError: The address must not be bound, or is in use.
@@ -70,7 +49,11 @@ class Router:
         if keys is not None:
             self._guard = ThreadAuthenticator(self._context)
             self._guard.start()
-            allowed = _AllowList(list(keys.clients.values()))
+            public = frozenset(keys.clients.values())
+            # ZeroMQ asks before the first message.
+            allowed = SimpleNamespace(
+                callback=lambda domain, key: domain == DOMAIN and key in public
+            )
             self._guard.configure_curve_callback(DOMAIN, allowed)
             self.socket.curve_server = True
             self.socket.zap_domain = DOMAIN.encode()
@@ -90,7 +73,7 @@ class Router:
         messages = []
         for _ in range(AT_ONCE):
             try:
-                peer, *parts = wire.receive(self.socket, zmq.NOBLOCK, _yield_cpu)
+                peer, *parts = wire.receive(self.socket, zmq.NOBLOCK, lambda: time.sleep(YIELD))
             except zmq.Again:
                 break
             messages.append((bytes(peer.buffer), parts))

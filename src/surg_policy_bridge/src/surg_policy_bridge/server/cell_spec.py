@@ -43,14 +43,10 @@ def make(
     cameras: Mapping[str, tuple[int, int]],
     numbers: Sequence[str] | None,
 ) -> Spec:
-    """The specification.
+    """The specification for the arms that the policy commands.
 
-    Args:
-        cell: The cell.
-        arms: Those that the policy commands.
-        task: Name of the task; empty: none.
-        cameras: Height and width [px] by name.
-        numbers: Names of the task's ground truth; None: it is not served.
+    ``cameras`` holds height and width [px] by name, ``numbers`` the names of the task's ground
+    truth, None: it is not served.
     """
     observation = {
         STATE_KEY: Feature(

@@ -5,8 +5,6 @@ from __future__ import annotations
 import ipaddress
 from urllib.parse import urlsplit
 
-LOOPBACK_NAMES = ("localhost",)
-
 
 class BindError(ValueError):
     """An address that cannot be used: what is wrong and what is allowed."""
@@ -40,9 +38,7 @@ def check(address: str, keyed: bool) -> str:
 
 
 def _is_loopback(host: str) -> bool:
-    if host in LOOPBACK_NAMES:
-        return True
     try:
-        return ipaddress.ip_address(host).is_loopback
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:  # a host name or an interface
         return False

@@ -160,7 +160,8 @@ class ModelServer:
         if self.state in ACTIVE:
             self._stop(State.PAUSED, StopReason.SERVER_ENDED, reason)
         if self.session is not None:
-            self._send(self.session.peer, server_replies.goodbye(self.session, reason))
+            farewell = {"session": self.session.number, "reason": reason}
+            self._send(self.session.peer, Message("BYE", farewell))
         self._forget_session(StopReason.SERVER_ENDED, "the server has ended")
 
     def tick(
@@ -339,7 +340,7 @@ class ModelServer:
             return
         session.heard(now)
         if message.kind == "PING":
-            self._send(peer, server_replies.pong(session, message.head["n"]))
+            self._send(peer, Message("PONG", dict(message.head)))
         elif message.kind == "ACT":
             self._act(session, message, now)
         elif message.kind == "RESET":
@@ -433,7 +434,7 @@ class ModelServer:
         self.replies.append((peer, message))
 
     def _refuse(self, peer: bytes, code: str, text: str) -> None:
-        self._send(peer, server_replies.error(code, text))
+        self._send(peer, Message("ERR", {"code": code, "text": text}))
 
     def _welcome(self, session: Session) -> None:
         settings = self._settings

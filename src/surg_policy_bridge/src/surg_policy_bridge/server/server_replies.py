@@ -76,18 +76,3 @@ def episode(
             "reason": reason[:MAX_SENTENCE],
         },
     )
-
-
-def pong(session: Session, n: int) -> Message:
-    """Answer to PING ``n``."""
-    return Message("PONG", {"session": session.number, "n": n})
-
-
-def goodbye(session: Session, reason: str) -> Message:
-    """The server ends the session."""
-    return Message("BYE", {"session": session.number, "reason": reason})
-
-
-def error(code: str, text: str) -> Message:
-    """The peer's last message was refused."""
-    return Message("ERR", {"code": code, "text": text})

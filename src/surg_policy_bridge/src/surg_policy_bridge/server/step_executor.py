@@ -36,19 +36,11 @@ class JudgedStep:
 
 
 class StepExecutor:
-    """Steps of one policy on their way to the arms.
+    """Steps of one policy on their way to the arms, which are in the order of the action.
 
-    Args:
-        arms: Arms that the policy commands, in the order of the action.
-        safety: Judges every step.
-        counters: Get the counts.
-        max_obs_age: A step is executed only while its observation is not older [ns].
-        empty: Longest time without a step [ns].
-
-    Attributes:
-        queue: Steps still to come.
-        judged: Steps for the topics; the caller empties it.
-        rejected_in_a_row: Steps rejected since the last accepted one.
+    A step is executed only while its observation is not older than ``max_obs_age`` [ns]; ``empty``
+    is the longest time without a step [ns]. ``judged`` holds steps for the topics; the caller
+    empties it.
     """
 
     def __init__(
