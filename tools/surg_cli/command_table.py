@@ -92,5 +92,5 @@ def parse(name: str, words: Sequence[str]) -> tuple[argparse.Namespace, Callable
 def commands_with(option: str) -> str:
     """The commands that have an option, such as `./surg run or ./surg learn`; empty: none has."""
     # argparse has no public list of its options.
-    found = [name for name in COMMANDS if option in parser(name)[0]._option_string_actions]
-    return " or ".join(f"./surg {name}" for name in found)
+    names = [name for name in COMMANDS if option in parser(name)[0]._option_string_actions]
+    return " or ".join(f"./surg {name}" for name in names)

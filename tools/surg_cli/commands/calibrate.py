@@ -93,20 +93,20 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
     try:
         recording = calibration.read_recording(source, arm.chain, arm.robot.joint_names)
         if what == "tool":
-            found = calibration.solve_tool(recording, date)
+            solution = calibration.solve_tool(recording, date)
             before = np.asarray(arm.tool.p_FTip)
-            say(f"tip    {_mm(found.tool.p_FTip)} mm in the flange frame; {_fit(found.tip)}")
-            angle = np.degrees(np.arccos(np.clip(found.tool.s_F @ arm.tool.s_F, -1.0, 1.0)))
-            axis = found.axis.fit
+            say(f"tip    {_mm(solution.tool.p_FTip)} mm in the flange frame; {_fit(solution.tip)}")
+            angle = np.degrees(np.arccos(np.clip(solution.tool.s_F @ arm.tool.s_F, -1.0, 1.0)))
+            axis = solution.axis.fit
             say(
-                f"shaft  {np.round(found.tool.s_F, 6).tolist()}; n {axis.n}, rms "
+                f"shaft  {np.round(solution.tool.s_F, 6).tolist()}; n {axis.n}, rms "
                 f"{np.degrees(axis.rms):.3f} deg, worst {np.degrees(axis.worst):.3f} deg, "
                 f"condition {axis.condition:.1f}"
             )
-            moved = 1e3 * np.linalg.norm(found.tool.p_FTip - before)
+            moved = 1e3 * np.linalg.norm(solution.tool.p_FTip - before)
             say(f"change {moved:.3f} mm and {angle:.3f} deg from the previous {path.name}")
             if not dry_run:
-                calibration.write_tool(path, found.tool, note)
+                calibration.write_tool(path, solution.tool, note)
         else:
             point = calibration.solve_trocar(recording, arm.tool, date)
             say(f"trocar {_mm(point.trocar.p_BRcm)} mm in the robot base; {_fit(point.point)}")
@@ -123,10 +123,10 @@ def _mm(vector: Any) -> str:
     return "[" + ", ".join(f"{1e3 * float(value):.3f}" for value in vector) + "]"
 
 
-def _fit(found: Any) -> str:
+def _fit(solution: Any) -> str:
     import numpy as np
 
-    fit, sigma = found.fit, 1e3 * float(np.sqrt(np.trace(found.covariance)))
+    fit, sigma = solution.fit, 1e3 * float(np.sqrt(np.trace(solution.covariance)))
     return (
         f"n {fit.n}, rms {1e3 * fit.rms:.3f} mm, worst {1e3 * fit.worst:.3f} mm, condition "
         f"{fit.condition:.1f}, expected error {sigma:.3f} mm"

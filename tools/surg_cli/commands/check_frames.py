@@ -40,13 +40,13 @@ def main(options: argparse.Namespace, command: str) -> int:
     _refuse(config, cell, options.arm)
     out = paths.run_folder(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    found = _running(cell, options.port)
+    attached = _running(cell, options.port)
     params: dict[str, object] = {"cell": str(cell), "out": str(out / "check_frames.json")}
     if options.arm:
         params["arm"] = options.arm
     try:
-        if found is not None:
-            _attached(found, config, params, out)
+        if attached is not None:
+            _attached(attached, config, params, out)
         else:
             _alone(cell, config, params, out)
         return _print_result(out)
@@ -87,14 +87,14 @@ def _running(cell: Path, port: int | None) -> running.System | None:
     return mine[0] if mine else None
 
 
-def _attached(found: running.System, config: Any, params: dict[str, object], out: Path) -> None:
+def _attached(attached: running.System, config: Any, params: dict[str, object], out: Path) -> None:
     """Check a running system; the operator enables the arms."""
-    say(f"check-frames: the running system on port {found.port}")
-    env = environment.for_nodes(found.port, out / "logs" / "ros")
-    if found.role:  # one machine of several: the others must reach the node
-        place = join.link(config.config, roles.Role(found.role), found.port)
+    say(f"check-frames: the running system on port {attached.port}")
+    env = environment.for_nodes(attached.port, out / "logs" / "ros")
+    if attached.role:  # one machine of several: the others must reach the node
+        place = join.link(config.config, roles.Role(attached.role), attached.port)
         env = place.environment(env, network.GUARD)
-    env["ROS_MASTER_URI"] = found.master_uri
+    env["ROS_MASTER_URI"] = attached.master_uri
     with processes.Supervisor(env, out / "logs") as supervisor:
         _await(system.start(supervisor, _node(params)), supervisor)
 

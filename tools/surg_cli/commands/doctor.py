@@ -117,19 +117,19 @@ def _rendering() -> list[Finding]:
     """Off-screen OpenGL with both drivers."""
     if not paths.VENV_PYTHON.exists():
         return []
-    found = []
+    findings = []
     for driver in ("egl", "osmesa"):
         argv = [str(paths.VENV_PYTHON), "-s", "-c", RENDER]
         done = _run(argv, {"MUJOCO_GL": driver})
         if done.returncode == 0:
-            found.append(Finding(True, f"rendering by {driver}", "works"))
+            findings.append(Finding(True, f"rendering by {driver}", "works"))
         else:
             lines = done.stderr.strip().splitlines()
             text = lines[-1][:160] if lines else f"ended with {done.returncode}"
             other = "osmesa" if driver == "egl" else "egl"
             cure = f"./surg setup, or MUJOCO_GL={other}, or --no-video"
-            found.append(Finding(False, f"rendering by {driver}", text, cure))
-    return found
+            findings.append(Finding(False, f"rendering by {driver}", text, cure))
+    return findings
 
 
 def _space() -> Finding:

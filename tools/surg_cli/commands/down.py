@@ -22,11 +22,11 @@ def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
 
 def main(options: argparse.Namespace, command: str) -> int:
     """End the systems of this checkout."""
-    found = [s for s in running.systems() if options.port in (None, s.port)]
-    if not found:
+    systems = [s for s in running.systems() if options.port in (None, s.port)]
+    if not systems:
         say("down: no system of this checkout is running")
         return 0
-    for system in found:
+    for system in systems:
         for number, grace in STAGES:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(system.pid, number)

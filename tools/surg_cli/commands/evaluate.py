@@ -91,10 +91,10 @@ def _print_summary(summary: dict[str, Any]) -> None:
 
     rows = [["condition", "n", "success", "RCM mean [mm]", "RCM max [mm]", "SPARC", "LDLJ"]]
     shown = ("rcm_kinematic_mean_mm", "rcm_kinematic_max_mm", "sparc", "ldlj")
-    for label, found in summary["conditions"].items():
-        rate = found["success_rate"]
+    for label, entry in summary["conditions"].items():
+        rate = entry["success_rate"]
         success = "not judged" if rate is None else interval(rate)
-        rows.append([label, str(found["n"]), success, *(_median(found[name]) for name in shown)])
+        rows.append([label, str(entry["n"]), success, *(_median(entry[name]) for name in shown)])
     compared = summary["reference"]
     if compared:
         ends = (_median(compared["sparc"]), _median(compared["ldlj"]))
@@ -104,5 +104,5 @@ def _print_summary(summary: dict[str, Any]) -> None:
         say(f"  medians over the episodes; smoothness by preset {summary['preset']['name']}")
 
 
-def _median(found: dict[str, Any]) -> str:
-    return f"{found['median']:.4g}" if found["n"] else "not measured"
+def _median(spread: dict[str, Any]) -> str:
+    return f"{spread['median']:.4g}" if spread["n"] else "not measured"

@@ -117,10 +117,10 @@ def configuration(role: str, interface: str, socket: Path, free_running: bool) -
 
 
 def _program(name: str) -> str:
-    found = pmc.program(name)
-    if found is None:
+    path = pmc.program(name)
+    if path is None:
         raise Problem(f"{name} is not installed: sudo apt install linuxptp, or ./surg setup", 2)
-    return found
+    return path
 
 
 def _interface(wanted: str | None) -> str:
@@ -168,14 +168,14 @@ def _check_permission(options: argparse.Namespace) -> None:
 
 def _check_rivals() -> None:
     """Check that no other program steers the clock."""
-    found = set()
+    rivals = set()
     for comm in Path("/proc").glob("[0-9]*/comm"):
         with contextlib.suppress(OSError):
             name = comm.read_text(encoding="utf-8", errors="replace").strip()
             if name in RIVALS and _same_network(comm.parent):
-                found.add(name)
-    if found:
-        names = ", ".join(sorted(found))
+                rivals.add(name)
+    if rivals:
+        names = ", ".join(sorted(rivals))
         raise Problem(
             f"{names} already steers this machine's clock: stop it first (Debian's time service:"
             " sudo systemctl stop systemd-timesyncd), or measure with --free-running",

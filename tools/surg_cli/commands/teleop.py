@@ -113,14 +113,14 @@ def _place(attached: running.System, options: argparse.Namespace) -> roles.Link 
 
 def _there(attached: running.System) -> list[str]:
     """Names of the nodes that run already, on any machine."""
-    found = master.nodes(attached.master_uri)
-    if operator_nodes.CONSOLE in found:
+    nodes = master.nodes(attached.master_uri)
+    if operator_nodes.CONSOLE in nodes:
         raise Problem(
             f"a console runs already at {attached.master_uri}: open its page, or end it with "
             "Ctrl-C where it was started",
             2,
         )
-    return found
+    return nodes
 
 
 def _operator_nodes(
@@ -240,11 +240,11 @@ def _plan_of(attached: running.System) -> Plan:
 
 def _phantom(plan: Plan) -> list[Node]:
     """The nodes of the phantom, which runs on when its task has ended."""
-    found = system.nodes(plan)
-    sim = found[0]
+    nodes = system.nodes(plan)
+    sim = nodes[0]
     if plan.task:
-        found[0] = replace(sim, params={**sim.params, "endless": True})
-    return found
+        nodes[0] = replace(sim, params={**sim.params, "endless": True})
+    return nodes
 
 
 def _keep(

@@ -174,11 +174,11 @@ def _await_arms(
     uri = supervisor.env["ROS_MASTER_URI"]
 
     def missing() -> list[str]:
-        found = [arm for arm in plan.arms if arm not in watch.states]
+        absent = [arm for arm in plan.arms if arm not in watch.states]
         if not plan.lockstep and watch.sim.tick < READY_TICKS:
-            found.append("the simulator")  # "enable" would be refused
+            absent.append("the simulator")  # "enable" would be refused
         descriptions = [f"/{arm}/robot_description" for arm in plan.arms]
-        return found + [name for name in descriptions if not master.call(uri, "hasParam", name)]
+        return absent + [name for name in descriptions if not master.call(uri, "hasParam", name)]
 
     follow.wait_for(missing, supervisor, progress.update)
 

@@ -34,7 +34,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
     from sensor_msgs.msg import JointState
 
     rospy.init_node("surg_calibrate", anonymous=True, disable_signals=True)
-    found: queue.Queue[np.ndarray] = queue.Queue()
+    poses: queue.Queue[np.ndarray] = queue.Queue()
     standstill = Standstill()
 
     def hear(message: Any) -> None:
@@ -43,7 +43,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
         if len(q) == len(names) and message.header.stamp.to_nsec() > 0:
             rest = standstill.add(message.header.stamp.to_sec(), np.array(q))
             if rest is not None:
-                found.put(rest)
+                poses.put(rest)
 
     topic = f"/{arm.name}/robot/measured_js"
     listener = rospy.Subscriber(topic, JointState, hear, queue_size=1000, tcp_nodelay=True)
@@ -51,7 +51,7 @@ def collect(arm: Any, to: Path, motion: str, count: int, options: argparse.Names
     try:
         for done in range(1, count + 1):
             try:
-                q = found.get(timeout=options.timeout)
+                q = poses.get(timeout=options.timeout)
             except queue.Empty:
                 raise Problem(
                     f"no new standstill on {topic} within {options.timeout:g} s; "

@@ -110,17 +110,17 @@ def _load_task(
 
     try:
         for each in conditions:
-            found = tasks.load(task)
-            found.prepare(loaded, find_setting(each.setting))
-        senders = {name: tuple(e.arms) for name, e in found.experts(loaded, seed).items()}
+            loaded_task = tasks.load(task)
+            loaded_task.prepare(loaded, find_setting(each.setting))
+        senders = {name: tuple(e.arms) for name, e in loaded_task.experts(loaded, seed).items()}
     except ValueError as error:  # a TaskError is one
         raise Problem(str(error), 2) from error
     if policy is not None:
         senders.pop(EXPERT, None)
-        senders[system.POLICY] = tuple(found.commanded)
+        senders[system.POLICY] = tuple(loaded_task.commanded)
     if not senders:
-        raise Problem(f"task '{found.name}' has no scripted sender; name a --policy", 2)
-    return found, senders
+        raise Problem(f"task '{loaded_task.name}' has no scripted sender; name a --policy", 2)
+    return loaded_task, senders
 
 
 def for_episode(plan: Plan, condition: Condition, seed: int, folder: Path) -> Plan:

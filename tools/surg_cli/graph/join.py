@@ -39,15 +39,15 @@ def link(config: Any, role: roles.Role, port: int, guard: bool | None = None) ->
     Raises:
         Problem: ROS ports may not be opened here; says what to do.
     """
-    found = roles.link_of(config, role, port)
-    guard = bool(network.other_addresses(found.address)) if guard is None else guard
-    found = replace(found, guard=guard)
-    network.check(found.address, role, guard)
-    env = found.environment(os.environ, network.GUARD)
+    place = roles.link_of(config, role, port)
+    guard = bool(network.other_addresses(place.address)) if guard is None else guard
+    place = replace(place, guard=guard)
+    network.check(place.address, role, guard)
+    env = place.environment(os.environ, network.GUARD)
     if any(os.environ.get(name) != env.get(name) for name in ("ROS_IP", "SURG_LISTEN_ON")):
         env["SURG_READY"] = "1"
         os.execve(sys.executable, [sys.executable, "-s", "-m", "surg_cli", *sys.argv[1:]], env)
-    return found
+    return place
 
 
 def nodes(plan: Plan, place: roles.Link | None, leader: str = LEADER) -> list[Node]:

@@ -45,14 +45,14 @@ def has(address: str) -> bool:
 
 def addresses() -> dict[str, str]:
     """First IPv4 address of every interface but the loopback, by the interface's name."""
-    found = {}
+    first = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         for _, name in socket.if_nameindex():
             with contextlib.suppress(OSError):
                 request = struct.pack("256s", name.encode()[:15])
                 answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, request)
-                found[name] = socket.inet_ntoa(answer[20:24])
-    return {name: text for name, text in found.items() if not text.startswith("127.")}
+                first[name] = socket.inet_ntoa(answer[20:24])
+    return {name: text for name, text in first.items() if not text.startswith("127.")}
 
 
 def other_addresses(own: str) -> set[str]:
@@ -98,11 +98,11 @@ def refuse_foreign_ports(children: Iterable[processes.Child], link: roles.Link) 
 
 def _inodes(pid: int) -> set[int]:
     """Inodes of the sockets of a process."""
-    found = set()
+    inodes = set()
     with contextlib.suppress(OSError):
         for entry in os.scandir(f"/proc/{pid}/fd"):
             with contextlib.suppress(OSError):
                 match = re.fullmatch(r"socket:\[(\d+)\]", os.readlink(entry.path))
                 if match:
-                    found.add(int(match[1]))
-    return found
+                    inodes.add(int(match[1]))
+    return inodes

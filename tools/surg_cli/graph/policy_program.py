@@ -92,14 +92,14 @@ def absent(supervisor: Supervisor, watch: Watch) -> list[str]:
 
 def complaints(supervisor: Supervisor, watch: Watch) -> list[str]:
     """Why a policy may have failed, in sentences."""
-    found = []
+    reasons = []
     status = watch.policy
     if status.state in (status.STATE_IDLE, status.STATE_PAUSED):
-        found.append(f"policy: {status.detail}")
+        reasons.append(f"policy: {status.detail}")
     for child in supervisor.children:
         if child.name == CLIENT and child.exit_code not in (None, 0):
-            found.append(f"the policy's script ended ({child.exit_code}):\n{child.log_tail(5)}")
-    return found
+            reasons.append(f"the policy's script ended ({child.exit_code}):\n{child.log_tail(5)}")
+    return reasons
 
 
 def addressed(policy: Policy) -> Policy:

@@ -229,4 +229,4 @@ def _children_of(parent: int) -> list[int]:
     """Ids of the processes, dead ones included, whose parent is `parent`."""
     pids = [int(entry.name) for entry in os.scandir("/proc") if entry.name.isdigit()]
     fields = {pid: _stat_fields(pid) for pid in pids}
-    return [pid for pid, found in fields.items() if found is not None and int(found[1]) == parent]
+    return [pid for pid, each in fields.items() if each is not None and int(each[1]) == parent]

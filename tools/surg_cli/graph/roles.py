@@ -65,23 +65,23 @@ class Route:
 
 def routes(text: str) -> list[Route]:
     """The lines of /proc/net/route."""
-    found = []
+    table = []
     for line in text.splitlines()[1:]:
         interface, *fields = line.split()
         address, gateway, mask = (_address(fields[i]) for i in (0, 1, 6))
-        found.append(Route(interface, ipaddress.IPv4Network(f"{address}/{mask}"), gateway))
-    return found
+        table.append(Route(interface, ipaddress.IPv4Network(f"{address}/{mask}"), gateway))
+    return table
 
 
 def local_addresses(text: str) -> set[str]:
     """IPv4 addresses of this machine from /proc/net/fib_trie, second ones of an interface too."""
-    found, address = set(), ""
+    addresses, address = set(), ""
     for line in text.splitlines():
         if match := re.match(r"\s*\|-- (\S+)", line):
             address = match[1]
         elif re.match(r"\s*/32 host LOCAL", line) and not address.startswith("127."):
-            found.add(address)
-    return found
+            addresses.add(address)
+    return addresses
 
 
 def _address(word: str) -> ipaddress.IPv4Address:
@@ -207,7 +207,7 @@ def foreign_ports(sockets: Mapping[int, str], held: Mapping[str, set[int]], own:
 
 def listening(text: str, text6: str = "") -> dict[int, str]:
     """Listening TCP sockets, inode -> "address:port", of /proc/net/tcp and /proc/net/tcp6."""
-    found = {}
+    sockets = {}
     for lines, family in ((text, socket.AF_INET), (text6, socket.AF_INET6)):
         for line in lines.splitlines()[1:]:
             fields = line.split()
@@ -216,5 +216,5 @@ def listening(text: str, text6: str = "") -> dict[int, str]:
             address, _, port = fields[1].partition(":")
             words = [int(address[i : i + 8], 16) for i in range(0, len(address), 8)]
             packed = struct.pack(f"={len(words)}I", *words)
-            found[int(fields[9])] = f"{socket.inet_ntop(family, packed)}:{int(port, 16)}"
-    return found
+            sockets[int(fields[9])] = f"{socket.inet_ntop(family, packed)}:{int(port, 16)}"
+    return sockets

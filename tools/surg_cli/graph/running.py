@@ -100,14 +100,14 @@ def launched(
 
 def systems() -> list[System]:
     """All running systems of this checkout, by port; entries of dead ones are removed."""
-    found = []
+    alive = []
     for file in sorted(paths.SYSTEMS.glob("*.json")):
         try:
             system = System(**json.loads(file.read_text("utf-8")))
         except (OSError, ValueError, TypeError):
             continue
         if system.alive:
-            found.append(system)
+            alive.append(system)
         else:
             file.unlink(missing_ok=True)
-    return found
+    return alive

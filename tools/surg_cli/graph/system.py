@@ -106,15 +106,15 @@ class Plan:
     @property
     def scene(self) -> dict[str, object]:
         """Parameters that every node that builds the scene must agree on."""
-        found: dict[str, object] = {
+        params: dict[str, object] = {
             "cell": str(self.cell),
             "mode": self.mode,
             "arms": list(self.arms),
             "seed": self.seed,
         }
         if self.task:
-            found.update(task=self.task, setting=self.setting)
-        return found
+            params.update(task=self.task, setting=self.setting)
+        return params
 
     @property
     def observers(self) -> list[str]:
@@ -157,10 +157,10 @@ def nodes(plan: Plan) -> list[Node]:
         **({"connect_timeout": CAMERA_START_S} if plan.cameras and plan.lockstep else {}),
     }
     prompt = not plan.lockstep  # where time waits, nobody is in a hurry
-    found = [Node("/sim", "surg_sim", "bridge_node.py", params, prompt=prompt)]
+    started = [Node("/sim", "surg_sim", "bridge_node.py", params, prompt=prompt)]
     if plan.cameras:
         params = {**plan.scene, "views": list(plan.cameras)}
-        found.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))
+        started.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))
     for arm in plan.arms:
         params = {
             "cell": str(plan.cell),
@@ -173,7 +173,7 @@ def nodes(plan: Plan) -> list[Node]:
             params["link"] = plan.link
         if plan.feedback_gain is not None:
             params["feedback_gain"] = float(plan.feedback_gain)
-        found.append(
+        started.append(
             Node(
                 f"/{arm}/controller",
                 "nodelet",
@@ -195,8 +195,8 @@ def nodes(plan: Plan) -> list[Node]:
             "run_info": json.dumps(plan.run_info, sort_keys=True),
             **({"topics": list(POLICY_TOPICS)} if plan.policy is not None else {}),
         }
-        found.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
-    return found
+        started.append(Node(f"/{RECORDER}", "surg_recording", "recorder_node.py", params))
+    return started
 
 
 def senders(plan: Plan) -> list[Node]:

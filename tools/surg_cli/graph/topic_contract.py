@@ -110,7 +110,7 @@ def compare(
     """
     running = set(nodes)
     there = {(s.name, s.node.rpartition("/")[2], s.direction): s for s in seen}
-    found = {
+    offered = {
         key: s
         for key, s in there.items()
         if key[1] in running and s.name not in EXTERNAL and not _logger(s)
@@ -123,13 +123,13 @@ def compare(
     internal = _internal(contract, arm)
     wrong = [
         f"{name} ({node}, {way}) is on the graph and not in {SOURCE.name}"
-        for name, node, way in sorted(set(found) - set(promised))
+        for name, node, way in sorted(set(offered) - set(promised))
         if (name, node, way) not in internal
     ]
     for key, entry in promised.items():
         if entry.node not in running:
             continue
-        at = found.get(key)
+        at = offered.get(key)
         if at is None:
             wrong.append(f"{key[0]} ({key[1]}, {key[2]}) is promised and not on the graph")
             continue

@@ -113,8 +113,8 @@ class Watch:
         """The newest valid status; a default message decides nothing, since 0 is no state."""
         with self._lock:
             newest = self._statuses[topic]
-            found = newest.at(time.monotonic()) if fresh else newest.valid
-            return self._kinds[topic]() if found is None else found
+            message = newest.at(time.monotonic()) if fresh else newest.valid
+            return self._kinds[topic]() if message is None else message
 
     @property
     def states(self) -> dict[str, str]:

@@ -20,7 +20,7 @@ def draw(folder: Path) -> Path | None:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    found = json.loads((folder / "check_frames.json").read_text("utf-8"))
+    result = json.loads((folder / "check_frames.json").read_text("utf-8"))
     file = folder / "check_frames.npz"
     if not file.is_file():
         return None
@@ -28,10 +28,10 @@ def draw(folder: Path) -> Path | None:
         eyes = {
             eye: pictures[f"{eye}_rest"] for eye in ("left", "right") if f"{eye}_rest" in pictures
         }
-    if not eyes or not found["places"]:
+    if not eyes or not result["places"]:
         return None
     figure, axes = plt.subplots(1, 1 + len(eyes), figsize=(4.2 * (1 + len(eyes)), 4.3))
-    x, y = found["places"]["rest"]["left"]
+    x, y = result["places"]["rest"]["left"]
     axes[0].imshow(eyes["left"])
     axes[0].add_patch(
         plt.Rectangle((x - ZOOM, y - ZOOM), 2 * ZOOM, 2 * ZOOM, fill=False, color="white", lw=1.5)
@@ -40,13 +40,13 @@ def draw(folder: Path) -> Path | None:
     for axis, (eye, picture) in zip(axes[1:], eyes.items(), strict=True):
         axis.imshow(picture)
         axis.set_title(f"where the tip went, {eye} eye", fontsize=11)
-        x, y = _place(found["places"], "rest", eye) or (x, y)
+        x, y = _place(result["places"], "rest", eye) or (x, y)
         axis.set_xlim(x - ZOOM, x + ZOOM)
         axis.set_ylim(y + ZOOM, y - ZOOM)
-        _arrows(axis, found["places"], eye)
+        _arrows(axis, result["places"], eye)
     for axis in axes:
         axis.set_axis_off()
-    outcome = found["outcome"].replace("_", " ")
+    outcome = result["outcome"].replace("_", " ")
     figure.suptitle(f"told to go right, down and away: {outcome}", fontsize=13)
     figure.tight_layout()
     out = folder / "check_frames.png"

@@ -81,10 +81,10 @@ def build(log: Path, force: bool = False) -> bool:
 
 def _cmake() -> str:
     """Debian's cmake, whatever stands first on the caller's PATH."""
-    found = "/usr/bin/cmake"
-    if not os.access(found, os.X_OK):
-        raise Problem(f"{found} is missing; run ./surg setup")
-    return found
+    program = "/usr/bin/cmake"
+    if not os.access(program, os.X_OK):
+        raise Problem(f"{program} is missing; run ./surg setup")
+    return program
 
 
 def _forget_moved_tree() -> None:
@@ -105,7 +105,7 @@ def _forget_moved_tree() -> None:
 def _make_fraction(lines: Sequence[str]) -> float | None:
     """How far make is: CMake's rules begin their lines with it."""
     done = (re.match(r"\[\s*(\d+)%\]", line) for line in reversed(lines))
-    return next((int(found.group(1)) / 100 for found in done if found), None)
+    return next((int(match.group(1)) / 100 for match in done if match), None)
 
 
 def failure_text(lines: Sequence[str], log: Path) -> str:

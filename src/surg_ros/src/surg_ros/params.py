@@ -140,12 +140,12 @@ def names(
         items = _items(value) if isinstance(value, str) else value
         if not isinstance(items, list | tuple) or not all(isinstance(each, str) for each in items):
             raise ValueError
-        found = tuple(each for each in (item.strip(" '\"") for item in items) if each)
-        if len(set(found)) != len(found) or not least <= len(found) <= (most or len(found)):
+        chosen = tuple(each for each in (item.strip(" '\"") for item in items) if each)
+        if len(set(chosen)) != len(chosen) or not least <= len(chosen) <= (most or len(chosen)):
             raise ValueError
-        if options is not None and not set(found) <= set(options):
+        if options is not None and not set(chosen) <= set(options):
             raise ValueError
-        return found
+        return chosen
 
     size = f"at least {least} " if least else f"at most {most} " if most is not None else ""
     choice = f" of {', '.join(options)}" if options else ""
@@ -162,10 +162,10 @@ def dictionary() -> Any:
     """A dictionary, or one as JSON; empty by default."""
 
     def convert(value: Any) -> dict[str, Any]:
-        found = json.loads(value) if isinstance(value, str) and value else value or {}
-        if not isinstance(found, dict):
+        parsed = json.loads(value) if isinstance(value, str) and value else value or {}
+        if not isinstance(parsed, dict):
             raise ValueError
-        return found
+        return parsed
 
     return _declare(convert, "a dictionary, or a JSON object", MISSING, dict)
 

@@ -17,13 +17,13 @@ def subscribers(node_uri: str, name: str, topics: Iterable[str]) -> dict[str, se
     Raises:
         OSError: The node does not answer.
     """
-    found: dict[str, set[str]] = {topic: set() for topic in topics}
+    callers: dict[str, set[str]] = {topic: set() for topic in topics}
     with xmlrpc.client.ServerProxy(node_uri) as node:
         connections: Any = node.getBusInfo(name)
     for _, peer, direction, _, topic, connected, *_ in connections[2]:
-        if direction == "o" and connected and topic in found:
-            found[topic].add(str(peer))
-    return found
+        if direction == "o" and connected and topic in callers:
+            callers[topic].add(str(peer))
+    return callers
 
 
 def publishers(master_uri: str, name: str, topic: str) -> set[str]:

@@ -24,8 +24,8 @@ from surg_recording.episode import table_columns
 
 def task_numbers(names: Sequence[str]) -> list[str]:
     """Names of the numbers of a surg_msgs/TaskState, as in a dataset."""
-    found = table_columns.task(names)[len(table_columns.TASK) :]
-    return [name.removeprefix(table_columns.TASK_PREFIX) for name in found]
+    columns = table_columns.task(names)[len(table_columns.TASK) :]
+    return [name.removeprefix(table_columns.TASK_PREFIX) for name in columns]
 
 
 def too_large(height: int, width: int) -> str:

@@ -1,7 +1,6 @@
-"""A step of a policy for one arm, and what ``observation.state`` says of an arm.
+"""One arm's part of a policy's action, and its part of ``observation.state``.
 
-Values only: no ROS, no clock. Vectors are in the arm's trocar frame R
-(docs/reference/conventions.md).
+Values only. Vectors are in the arm's trocar frame R (docs/reference/conventions.md).
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ Array = NDArray[np.float64]
 
 
 def arm_state(view: ArmView) -> list[float]:
-    """What ``observation.state`` says of an arm, in the order of `contract.ARM_STATE`."""
+    """The numbers of ``observation.state`` for one arm, in the order of `contract.ARM_STATE`."""
     return [*view.p_tip, view.roll, view.jaw, *view.p_set, view.roll_set]
 
 
 @dataclass(frozen=True)
 class Target:
-    """Where one arm shall be at a grid time."""
+    """Target of one arm at a grid time."""
 
     p: Array  # tip, (3,) [m]
     roll: float  # [rad]
@@ -32,16 +31,16 @@ class Target:
 
     @classmethod
     def of(cls, row: Array) -> Target:
-        """From the five numbers of an action."""
+        """The target that the five numbers of an action describe."""
         return cls(np.array(row[:3], dtype=np.float64), float(row[3]), float(row[4]))
 
     @property
     def row(self) -> Array:
-        """The five numbers of an action."""
+        """The five numbers of the action."""
         return np.array([*self.p, self.roll, self.jaw])
 
     def toward(self, other: Target, share: float) -> Target:
-        """The target a share of the way to another; the roll goes the shorter way."""
+        """Interpolate to another target, ``share`` from 0 to 1; the roll takes the shorter way."""
         turn = math.remainder(other.roll - self.roll, math.tau)
         return Target(
             self.p + share * (other.p - self.p),
@@ -50,5 +49,5 @@ class Target:
         )
 
     def commands(self) -> ArmCommands:
-        """The commands that stream it."""
+        """Commands that stream this target."""
         return ArmCommands(servo_cp=TipPose(self.p, self.roll), jaw=self.jaw)
