@@ -18,7 +18,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import rosgraph
 import rospy
 from sensor_msgs.msg import Image, Joy
 from std_msgs.msg import Bool
@@ -34,6 +33,7 @@ from surg_policy_bridge.server.server_parameters import Settings
 from surg_policy_client.errors import BadKeys
 from surg_policy_client.keys import server_keys
 from surg_ros.camera_topic import camera_topic
+from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, read
 
 NICE = 5
@@ -143,9 +143,7 @@ class ModelServerNode:
 
 def main() -> int:
     """Run the node; returns the exit code."""
-    if not rosgraph.is_master_online():
-        uri = rosgraph.get_master_uri()
-        print(f"policy: no ROS master at {uri}; start one with './surg up CELL'", file=sys.stderr)
+    if not master_is_online("policy"):
         return 1
     os.nice(NICE)
     with contextlib.suppress(OSError):
