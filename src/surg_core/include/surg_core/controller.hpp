@@ -103,7 +103,7 @@ class Controller {
   /// Requests a state transition, effective at once, from the joint state of the last step. kNone:
   /// done.
   Reason request(StateCommand command);
-  /// Sets the trocar point in B; only in DISABLED or PAUSED (F23).
+  /// Sets the trocar point in B; only in DISABLED or PAUSED (F23), and at rest.
   Reason set_rcm(const Vector3& p_BRcm);
   /// Enters FAULT for an external reason (node: overrun and the like).
   void fault(Reason reason);

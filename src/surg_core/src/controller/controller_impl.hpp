@@ -90,6 +90,8 @@ struct Controller::Impl {
   bool is_moving() const;
   /// Whether the reference (or the last command) is at rest; what remains only holds the position.
   bool reference_at_rest() const;
+  /// Whether the ramp is over and zero is within one cycle's acceleration of the last command.
+  bool may_stop_at_once() const;
   void set_home();
   /// Puts the set-point at rest at the arm's position and drops all targets.
   void start_at_rest();

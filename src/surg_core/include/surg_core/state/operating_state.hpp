@@ -40,7 +40,7 @@ enum class Reason : std::uint8_t {
   kFrameWhileEnabled,  // set_base_frame while ENABLED
   kForce,              // F25 too much force at the tip or on the trocar
   kMasterLost,         // F07 enable and resume without a ROS master
-  kNotAtRest,          // home while the arm is still coming to rest
+  kNotAtRest,          // home, unhome or rcm/set_cp while the arm is still coming to rest
   kLate,               // F03 it answers what the arm said before its last stop
 };
 
