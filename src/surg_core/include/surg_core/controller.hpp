@@ -27,8 +27,10 @@ struct Verdict {
 /// Maximum number of commands per cycle; the node keeps the rest for the next cycle.
 constexpr int kMaxCommands = 64;
 
-/// Latest measurements of arm, tool and sensors.
+/// Latest measurements of arm, tool and sensors, and the time since the last cycle.
 struct Readings {
+  /// [s] since the last cycle on the steady clock; 0: exactly one control period (lock-step).
+  double elapsed = 0;
   bool state_valid = false;  ///< q, qd hold a joint state
   double state_age = 0;      ///< [s] since it was received (0 in lock-step)
   JointVector q, qd;         ///< measured [rad, rad/s]
@@ -77,6 +79,7 @@ struct Outputs {
   double scale = 1;             ///< alpha
   const char* limited_by = "";  ///< static string
   std::uint8_t tier = 0;        ///< 0: on the path, 1: off it, on the pivot; 2: braking
+  double late_share = 0;        ///< of the last 128 cycles, how many were late
   JointVector qd_command;       ///< [rad/s]
   Vector6 twist_command = Vector6::Zero();
 };

@@ -151,6 +151,7 @@ void bind_outputs(py::module_& m) {
   number("jaw_set", &Outputs::jaw_set, "Commanded [rad]; not a number until measured.");
   number("scale", &Outputs::scale, "Uniform factor alpha.");
   number("tier", &Outputs::tier, "0: on the path; 1: off it, on the pivot; 2: braking.");
+  number("late_share", &Outputs::late_share, "Share of late cycles in the recent window.");
   array("p_BTip", &Outputs::p_BTip, "Tip (3,) [m].");
   array("s_B", &Outputs::s_B, "Unit shaft axis (3,), to the tip.");
   array("p_BRcm", &Outputs::p_BRcm, "Trocar point (3,) [m].");
@@ -222,7 +223,7 @@ void check_commands(const Commands& commands, py::ssize_t n) {
 }
 
 Outputs step(Owned& o, const Array& q, const Array& qd, const std::vector<MotionCommand>& commands,
-             double jaw, bool state_valid, double state_age,
+             double jaw, bool state_valid, double state_age, double elapsed,
              const std::optional<Readings>& readings) {
   if (commands.size() > static_cast<std::size_t>(kMaxCommands)) {
     throw py::value_error("commands: at most " + std::to_string(kMaxCommands) + " per cycle, not " +
@@ -231,6 +232,7 @@ Outputs step(Owned& o, const Array& q, const Array& qd, const std::vector<Motion
   static_cast<Readings&>(o.inputs) = readings.value_or(Readings{});
   o.inputs.state_valid = state_valid;
   o.inputs.state_age = state_age;
+  o.inputs.elapsed = elapsed;
   o.inputs.q = to_joints(q, o.dof, "q");
   o.inputs.qd = to_joints(qd, o.dof, "qd");
   o.inputs.jaw = jaw;
@@ -484,9 +486,9 @@ void bind_controller(py::module_& m) {
       .def("step", &step, py::arg("q"), py::arg("qd"),
            py::arg("commands") = std::vector<MotionCommand>(), py::arg("jaw") = 0.0,
            py::arg("state_valid") = true, py::arg("state_age") = 0.0,
-           py::arg("readings") = py::none(),
+           py::arg("elapsed") = 0.0, py::arg("readings") = py::none(),
            "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
-           "jaw [rad]; state_age [s]; readings: of the sensors, where there are any.")
+           "jaw [rad]; state_age [s]; elapsed [s] since the last cycle, 0: one period; readings: of the sensors, where there are any.")
       .def(
           "run", &run, py::arg("q"), py::arg("qd"), py::arg("commands") = Commands(),
           py::arg("jaw") = py::none(),

@@ -162,7 +162,7 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
 namespace {
 
 constexpr char kMagic[] = "SURGBBX";  // eight bytes with its end
-constexpr std::uint32_t kVersion = 1;
+constexpr std::uint32_t kVersion = 2;
 constexpr std::size_t kHead = sizeof kMagic + sizeof kVersion + sizeof(std::uint64_t);
 
 static_assert(sizeof kMagic == 8 && sizeof(double) == 8);
@@ -301,7 +301,7 @@ class Coder {
   void value(Outputs& out);
   void value(ForceSample& f) { (*this)(f.valid, f.f_B); }
   void value(Readings& r) {
-    (*this)(r.state_valid, r.state_age, r.q, r.qd, r.jaw, r.jaw_age, r.tip_force, r.trocar_force,
+    (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.jaw, r.jaw_age, r.tip_force, r.trocar_force,
             r.track_valid, r.track_age, r.p_BTrack, r.v_BTrack);
   }
   void value(BlackBoxStep& s) { (*this)(s.in, s.events, s.n_commands, s.out); }
@@ -345,6 +345,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("scale", out.scale);
   visit("limited_by", out.limited_by);
   visit("tier", out.tier);
+  visit("late_share", out.late_share);
   visit("qd_command", out.qd_command);
   visit("twist_command", out.twist_command);
 }

@@ -210,6 +210,7 @@ class Controller:
         jaw: float = ...,
         state_valid: bool = ...,
         state_age: float = ...,
+        elapsed: float = ...,
         readings: Readings | None = ...,
     ) -> Outputs: ...
     def run(
@@ -402,6 +403,8 @@ class Outputs:
     def scale(self) -> float: ...
     @property
     def tier(self) -> int: ...
+    @property
+    def late_share(self) -> float: ...
     @property
     def p_BTip(self) -> npt.NDArray[np.float64]: ...
     @property
