@@ -143,8 +143,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "holder_is_dropped_in_motion",
         "F26: the arm is free for others while it still moves",
         "include/surg_core/state/gate.hpp",
-        "(resting && silent_ >= kRelease)",
-        "(silent_ >= kRelease)",
+        "silent_ = resting ? silent_ + dt_ : 0;",
+        "silent_ += resting || true ? dt_ : 0;",
     ),
     Mutant(
         "poison_passes",

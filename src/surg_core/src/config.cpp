@@ -40,6 +40,7 @@ constexpr LimitKey kLimitKeys[] = {
     {"roll_velocity", &Limits::roll_velocity, 1e-2, 6.0, "rad/s"},
     {"roll_acceleration", &Limits::roll_acceleration, 0.1, 100.0, "rad/s^2"},
     {"roll_jerk", &Limits::roll_jerk, 1.0, 5000.0, "rad/s^3"},
+    {"roll_max", &Limits::roll_max, 0.5, 6.3, "rad"},
     {"flange_velocity", &Limits::flange_velocity, 1e-3, 0.5, "m/s"},
     {"cone", &Limits::cone, 0.05, 1.3, "rad"},
     {"depth_min", &Limits::depth_min, 0.01, 0.1, "m", Tighter::kLarger},

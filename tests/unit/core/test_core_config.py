@@ -35,6 +35,7 @@ limits:
   roll_velocity: 3.0
   roll_acceleration: 40
   roll_jerk: 800
+  roll_max: 6.2832
   flange_velocity: 0.25
   cone: 1.0
   depth_min: 0.02

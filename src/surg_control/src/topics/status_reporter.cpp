@@ -181,7 +181,12 @@ bool StatusReporter::report_changes(const CycleRecord& record, double now) {
     status(arm_ + ": " + surg::name(out.state) + why);
   } else if (new_reason && !why.empty()) {
     // The state is the same, but the arm is held: a warning, since a command has no effect.
-    warning(surg::name(out.reason), arm_ + ": " + surg::sentence(out.reason), now);
+    std::string text = arm_ + ": " + surg::sentence(out.reason);
+    if (out.reason == surg::Reason::kNotArrived) {
+      text += " (" + millimetres((out.p_goal - out.p_BTip).norm()) + " away from it" +
+              (*out.limited_by == 0 ? "" : std::string(", held by ") + out.limited_by) + ")";
+    }
+    warning(surg::name(out.reason), text, now);
   }
   if (out.homed != homed_) status(arm_ + (out.homed ? ": homed" : ": no longer homed"));
   if (out.warn_rcm) {

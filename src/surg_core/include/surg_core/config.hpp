@@ -42,6 +42,7 @@ struct Limits {
   double roll_velocity;       ///< [rad/s]
   double roll_acceleration;   ///< [rad/s^2]
   double roll_jerk;           ///< [rad/s^3]
+  double roll_max;            ///< [rad] largest roll from home, either way
   double flange_velocity;     ///< [m/s] speed of the flange origin
   double cone;                ///< [rad] largest angle between shaft and home axis
   double depth_min;           ///< [m] below: only axial motion and roll

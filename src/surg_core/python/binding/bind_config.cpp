@@ -66,6 +66,7 @@ constexpr Field<Limits, double> kLimits[] = {
     {"roll_velocity", &Limits::roll_velocity},
     {"roll_acceleration", &Limits::roll_acceleration},
     {"roll_jerk", &Limits::roll_jerk},
+    {"roll_max", &Limits::roll_max},
     {"flange_velocity", &Limits::flange_velocity},
     {"cone", &Limits::cone},
     {"depth_min", &Limits::depth_min},

@@ -54,7 +54,8 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.gate(inputs);
   self.move();
   self.jaw.advance(self.enabled() && !self.tool_lost);
-  self.authority.elapse(self.handler.setpoint().mode() == Setpoint::Mode::kRest, self.enabled());
+  const bool at_rest = self.handler.setpoint().mode() == Setpoint::Mode::kRest;
+  self.authority.elapse(at_rest && !self.handler.busy() && !self.jaw.busy(), self.enabled());
   self.report(inputs);
   return self.out;
 }

@@ -66,6 +66,7 @@ struct Controller::Impl {
   JointVector qd_last;
   double retraced = 0;          // [rad] of the trace
   bool retrace_active = false;  // in the last step; a retrace first waits for rest
+  double retrace_settling = 0;  // [s] at the end of the trace
   // The reference starts at the arm's position, off the pivot by its error, and converges smoothly.
   Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
@@ -155,9 +156,9 @@ struct Controller::Impl {
     archive(operating, authority, trocar, handler, jaw, force);
     arm.serialize(archive);
     follower.serialize(archive);
-    archive(trace, retraced, retrace_active, pivot_offset, pivot_offset_rate, X_BR, state_delay,
-            state_known, state_reason, track_reason, inserted, tool_lost, halted, home_busy,
-            qd_last, out.accepted, out.refused);
+    archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
+            X_BR, state_delay, state_known, state_reason, track_reason, inserted, tool_lost, halted,
+            home_busy, qd_last, out.accepted, out.refused);
   }
 };
 

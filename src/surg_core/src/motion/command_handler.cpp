@@ -1,5 +1,6 @@
 #include "surg_core/motion/command_handler.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "surg_core/law/rcm.hpp"
@@ -12,6 +13,9 @@ namespace {
 constexpr double kArrivedDistance = 5e-4;  // [m]
 constexpr double kArrivedRoll = 0.01;      // [rad]
 constexpr double kArriveWithin = 1.0;      // [s] after the profile's end; then the move is given up
+constexpr double kHeldWithin = 0.75;       // [s] near one place at a limit; then it is given up
+constexpr double kHeldDistance = 1e-4;     // [m] of the set-point that is no progress
+constexpr double kHeldRoll = 1e-3;         // [rad]
 constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
 constexpr double kNotInsertedSlack = 1e-3;  // [m] a tip that rests on depth_min is still inserted
@@ -90,7 +94,7 @@ Reason CommandHandler::accept(const MotionCommand& command) {
   move_active_ = along_shaft || motion == Motion::kMoveCp || motion == Motion::kMoveJp ||
                  motion == Motion::kMoveJr;
   motion_ = motion;
-  settle_time_ = 0;
+  settle_time_ = held_ = 0;
   silent_cycles_ = 0;
   return Reason::kNone;
 }
@@ -113,6 +117,7 @@ Reason CommandHandler::apply(const MotionCommand& command) {
     case Motion::kMoveCp: {
       if (!targets_reachable(command.p)) return Reason::kOutsideWorkspace;
       const double roll = requested_roll(command.p, command.rotation);
+      if (!roll_reachable(roll)) return Reason::kOutsideWorkspace;
       const bool inside =
           setpoint_.move_to(Space::kCartesian, {command.p.x(), command.p.y(), command.p.z(), roll});
       if (!inside) return Reason::kOutsideWorkspace;
@@ -127,6 +132,7 @@ Reason CommandHandler::apply(const MotionCommand& command) {
     case Motion::kMoveJp: {
       const Vector3 p = tip_of(joints);
       if (beyond_quarter_turn(joints) || !targets_reachable(p)) return Reason::kOutsideWorkspace;
+      if (!roll_reachable(joints[3])) return Reason::kOutsideWorkspace;
       if (!setpoint_.move_to(Space::kSpherical, to_array(joints))) return Reason::kOutsideWorkspace;
       set_goal(p, joints[3]);
       joint_goal_ = joints;
@@ -159,6 +165,11 @@ bool CommandHandler::targets_reachable(const Vector3& p_RTip) const {
          !aside_near_trocar(p_RTip, setpoint_.s_R(), limits_.depth_slow);
 }
 
+/// Inside the range, or no farther outside than the set-point is.
+bool CommandHandler::roll_reachable(double roll) const {
+  return std::abs(roll) <= std::max(limits_.roll_max, std::abs(setpoint_.roll()));
+}
+
 /// Absolute roll that a tool orientation in R asks for, continued from the present roll.
 double CommandHandler::requested_roll(const Vector3& p_RTip,
                                       const Eigen::Quaterniond& rotation) const {
@@ -186,6 +197,7 @@ Reason CommandHandler::stream(const MotionCommand& command) {
   if ((!cartesian && beyond_quarter_turn(joints)) || !targets_reachable(p))
     return Reason::kOutsideWorkspace;
   const double requested = cartesian ? requested_roll(p, command.rotation) : joints[3];
+  if (!roll_reachable(requested)) return Reason::kOutsideWorkspace;
   const bool begins = setpoint_.mode() != Setpoint::Mode::kStream || motion_ != command.motion;
   const Vector3 p_last = begins ? setpoint_.p_RTip() : p_goal_;
   const double roll_last = begins ? setpoint_.roll() : roll_goal_;
@@ -229,6 +241,22 @@ Reason CommandHandler::check_arrival(const TipPose& at) {
     return Reason::kNotArrived;
   }
   return Reason::kNone;
+}
+
+Reason CommandHandler::check_progress(bool limited) {
+  const bool driven = retracing_ || setpoint_.mode() == Setpoint::Mode::kProfile;
+  const bool moved = (setpoint_.p_RTip() - p_held_).norm() > kHeldDistance ||
+                     std::abs(setpoint_.roll() - roll_held_) > kHeldRoll;
+  if (!driven || moved) {
+    p_held_ = setpoint_.p_RTip();
+    roll_held_ = setpoint_.roll();
+    held_ = 0;
+  }
+  held_ += dt_;
+  // A slow profile that nothing limits goes on.
+  if (!driven || !limited || held_ <= kHeldWithin) return Reason::kNone;
+  stop();
+  return Reason::kNotArrived;
 }
 
 }  // namespace surg

@@ -9,6 +9,7 @@
 namespace surg {
 namespace {
 
+constexpr double kRollApproach = 5.0;  // [1/s] speed of a roll over what is left of its range
 constexpr double kBridgedGap = 0.004;  // [s] a gap in a fast stream that is still bridged
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
@@ -353,6 +354,10 @@ void Setpoint::advance_velocity(double dt) {
     at_wall_ = true;
     rate[0] = rate[1] = rate[2] = 0;
   }
+  const double roll_room = limits_.roll_max - std::copysign(dofs_[3].x, dofs_[3].x * rate[3]);
+  const double roll_rate = std::min(std::abs(rate[3]), kRollApproach * std::max(roll_room, 0.0));
+  at_wall_ |= roll_rate < std::abs(rate[3]);
+  rate[3] = std::copysign(roll_rate, rate[3]);
   for (int i = 0; i < 4; ++i) {
     const Kinematic& now = dofs_[i];
     // The position error that the filter sees is zero: only the velocity is followed.

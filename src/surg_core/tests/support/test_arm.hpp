@@ -39,6 +39,7 @@ inline Document good_robot() {
                                                 {"roll_velocity", 3},
                                                 {"roll_acceleration", 40},
                                                 {"roll_jerk", 800},
+                                                {"roll_max", 6.2832},
                                                 {"flange_velocity", 0.25},
                                                 {"cone", 1.0472},
                                                 {"depth_min", 0.02},

@@ -34,6 +34,9 @@ class CommandHandler {
   Reason check_timeout();
   /// Call it once per cycle, after the motion. kNotArrived: a move has been given up.
   Reason check_arrival(const TipPose& at);
+  /// Call it once per cycle, after the motion. limited: a limit slowed this cycle. kNotArrived: a
+  /// limit has held the set-point for so long that its target has been given up.
+  Reason check_progress(bool limited);
 
   Setpoint& setpoint() { return setpoint_; }
   const Setpoint& setpoint() const { return setpoint_; }
@@ -51,6 +54,7 @@ class CommandHandler {
   Reason stream(const MotionCommand& command);
   Reason move_along_shaft(Motion motion);
   bool targets_reachable(const Vector3& p_RTip) const;
+  bool roll_reachable(double roll) const;
   double requested_roll(const Vector3& p_RTip, const Eigen::Quaterniond& rotation) const;
   Vector4 present_goal() const;
   void set_goal(const Vector3& p_RTip, double roll);
@@ -69,6 +73,9 @@ class CommandHandler {
   bool stream_blocked_ = false;
   double stream_silence_ = 0;  // [s] since 'hold', or since a servo command was refused for it
   double settle_time_ = 0;     // [s] since the profile of a move ended
+  double held_ = 0;            // [s] that the set-point has been near the place below
+  Vector3 p_held_ = Vector3::Zero();
+  double roll_held_ = 0;
 };
 
 }  // namespace surg
