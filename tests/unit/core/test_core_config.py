@@ -35,7 +35,6 @@ limits:
   roll_velocity: 3.0
   roll_acceleration: 40
   roll_jerk: 800
-  roll_max: 6.2832
   flange_velocity: 0.25
   cone: 1.0
   depth_min: 0.02
@@ -52,6 +51,7 @@ limits:
   trocar_force_warn: 10.0
   trocar_force_fault: 15.0
   joint_margin: 0.1
+  roll_max: 6.2832
 tuning:
   rcm_gain: 40
   tip_gain: 10
@@ -351,7 +351,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
         )
         changed = surg_core.load_robot(folder / ROBOT)
         seen.add(testing.limits_hash(changed, changed.limits))
-    assert len(seen) == len(lines) + 1 == 35
+    assert len(seen) == len(lines) + 1 == 36
     assert all(len(digest) == 16 for digest in seen)
 
 
@@ -359,6 +359,6 @@ def test_limits_are_told_by_name(folder: Path) -> None:
     robot = surg_core.load_robot(folder / ROBOT)
     names = robot.limits.as_dict()
     assert names["tip_jerk"] == 40.0
-    assert len(names) == 25
+    assert len(names) == 26
     assert robot.tuning.as_dict()["rcm_gain"] == 40.0
     assert "tip_jerk=40.0" in repr(robot.limits)
