@@ -2,6 +2,7 @@
 
 #include <std_msgs/String.h>
 
+#include <cmath>
 #include <cstdio>
 
 #include "surg_control/topics/decode.hpp"
@@ -9,7 +10,8 @@
 namespace surg_control {
 namespace {
 
-constexpr double kWarningPeriod = 1.0;  // [s] at least, between two warnings of one key
+constexpr double kWarningPeriod = 1.0;   // [s] at least, between two warnings of one key
+constexpr double kLagTolerance = 0.003;  // [s] between the measured and the stated lag
 
 std_msgs::String text_message(const std::string& text) {
   std_msgs::String message;
@@ -17,11 +19,14 @@ std_msgs::String text_message(const std::string& text) {
   return message;
 }
 
-std::string millimetres(double metres) {
+std::string thousandths(double value, const char* format) {
   char text[32];
-  std::snprintf(text, sizeof text, "%.2f mm", metres * 1e3);
+  std::snprintf(text, sizeof text, format, value * 1e3);
   return text;
 }
+
+std::string millimetres(double metres) { return thousandths(metres, "%.2f mm"); }
+std::string milliseconds(double seconds) { return thousandths(seconds, "%.1f ms"); }
 
 const char* topic_of_answer(const Answer& answer) {
   switch (answer.kind) {
@@ -44,9 +49,11 @@ const char* topic_of_answer(const Answer& answer) {
 }  // namespace
 
 StatusReporter::StatusReporter(ros::NodeHandle& node, const std::string& arm,
-                               const surg::Limits& limits, const SourceTable& sources)
+                               const surg::Limits& limits, double link_lag,
+                               const SourceTable& sources)
     : arm_(arm),
       limits_(limits),
+      link_lag_(link_lag),
       sources_(sources),
       warning_(node.advertise<std_msgs::String>("/" + arm + "/warning", 100)),
       status_(node.advertise<std_msgs::String>("/" + arm + "/status", 100)),
@@ -93,6 +100,7 @@ bool StatusReporter::report(const CycleRecord& record, double now) {
   report_answers(record, now);
   report_ignored(record);
   report_verdicts(record, now);
+  report_lag(record.out.link_lag);
   return report_changes(record, now);
 }
 
@@ -163,6 +171,17 @@ void StatusReporter::report_verdicts(const CycleRecord& record, double now) {
       text += " (held by " + sources_.name(out.source) + ")";
     }
     warning(surg::name(verdict.reason), text, now);
+  }
+}
+
+void StatusReporter::report_lag(double measured) {
+  if (std::isnan(measured)) return;
+  const std::string text = "the robot link lags " + milliseconds(measured) +
+                           " behind its commands; tuning.link_lag is " + milliseconds(link_lag_);
+  if (!lag_reported_) status(arm_ + ": " + text);
+  lag_reported_ = true;
+  if (std::abs(measured - link_lag_) > kLagTolerance) {
+    warning_once("link_lag", arm_ + ": " + text + ": set the measured value in the robot's YAML");
   }
 }
 

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <memory>
 
 #include "surg_core/config.hpp"
@@ -63,6 +64,8 @@ struct Outputs {
   std::array<Verdict, kMaxCommands> verdicts;  ///< one per command of this cycle, in order
   bool warn_force = false;                     ///< load of the trocar above the warn level
   bool warn_rcm = false;                       ///< rcm error above the warn level
+  /// [s] of the link, measured from the motion so far; NaN: not enough motion yet
+  double link_lag = std::numeric_limits<double>::quiet_NaN();
   // geometry, in B
   Pose X_BF = Pose::Identity();
   Vector3 p_BTip = Vector3::Zero(), s_B = Vector3::UnitZ(), p_BRcm = Vector3::Zero();

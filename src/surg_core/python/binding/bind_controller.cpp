@@ -142,6 +142,7 @@ void bind_outputs(py::module_& m) {
   number("refused", &Outputs::refused, "Commands refused since construction.");
   number("warn_rcm", &Outputs::warn_rcm, "RCM deviation above the warning level.");
   number("warn_force", &Outputs::warn_force, "Load of the trocar above the warning level.");
+  number("link_lag", &Outputs::link_lag, "Measured lag of the link [s]; not a number until known.");
   number("roll", &Outputs::roll, "Absolute roll [rad].");
   number("depth", &Outputs::depth, "Insertion [m], positive inside.");
   number("rcm_error", &Outputs::rcm_error, "Kinematic RCM deviation [m].");

@@ -46,7 +46,17 @@ void Controller::Impl::sense(const Inputs& in) {
   trocar_before = trocar;
   if (!stopping_off_pivot()) update_trocar(in);
   arm.sense(in.q, in.qd, trocar);
+  measure_lag(in);
   check_tool_link(in);
+}
+
+void Controller::Impl::measure_lag(const Inputs& in) {
+  if (enabled()) {
+    lag_meter.step(qd_last, in.q, in.state_age, T);
+  } else {
+    lag_meter.interrupt();
+  }
+  out.link_lag = lag_meter.lag();
 }
 
 double Controller::Impl::feedback_scale() const {

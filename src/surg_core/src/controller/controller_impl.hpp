@@ -13,6 +13,7 @@
 #include "surg_core/motion/jaw.hpp"
 #include "surg_core/motion/joint_trace.hpp"
 #include "surg_core/state/gate.hpp"
+#include "surg_core/state/lag_meter.hpp"
 #include "surg_core/state/snapshot.hpp"
 
 namespace surg {
@@ -32,6 +33,8 @@ template <>
 struct IsPlain<JointTrace> : std::true_type {};
 template <>
 struct IsPlain<ForceGuard> : std::true_type {};
+template <>
+struct IsPlain<LagMeter> : std::true_type {};
 
 struct Controller::Impl {
   // Frozen.
@@ -52,6 +55,7 @@ struct Controller::Impl {
   LimitedStep limited;
   ExactFollower follower;
   JointTrace trace;  // the way back
+  LagMeter lag_meter;
 
   Pose X_BR = Pose::Identity();
   double state_delay = 0;                   // [s] recent age of states beyond one period
@@ -104,6 +108,7 @@ struct Controller::Impl {
 
   // Inputs, guards and gate.
   void sense(const Inputs& in);
+  void measure_lag(const Inputs& in);
   /// Factor of the feedback gain in (0, 1] for late states. A loop becomes unstable at a gain times
   /// delay of about 1.5; 0.6 is well damped and must not grow with the age of the states.
   double feedback_scale() const;
@@ -153,7 +158,7 @@ struct Controller::Impl {
   /// Serializes every member that a step reads before writing it; a test finds a missing one.
   template <typename Archive>
   void serialize(Archive& archive) {
-    archive(operating, authority, trocar, handler, jaw, force);
+    archive(operating, authority, trocar, handler, jaw, force, lag_meter);
     arm.serialize(archive);
     follower.serialize(archive);
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,

@@ -324,6 +324,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("refused", out.refused);
   visit("warn_rcm", out.warn_rcm);
   visit("warn_force", out.warn_force);
+  visit("link_lag", out.link_lag);
   visit("X_BF", out.X_BF);
   visit("p_BTip", out.p_BTip);
   visit("s_B", out.s_B);
