@@ -52,7 +52,7 @@ void Controller::Impl::sense(const Inputs& in) {
 
 void Controller::Impl::measure_lag(const Inputs& in) {
   if (enabled()) {
-    lag_meter.step(qd_last, in.q, in.state_age, T);
+    lag_meter.step(qd_last, in.q, in.state_age, in.elapsed > 0 ? in.elapsed : T);
   } else {
     lag_meter.interrupt();
   }
