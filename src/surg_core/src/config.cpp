@@ -74,6 +74,7 @@ constexpr TuningKey kTuningKeys[] = {
     {"posture_gain", &Tuning::posture_gain, 0.0, 10.0, "1/s"},
     {"profiler_duration", &Tuning::profiler_duration, 0.05, 5.0, "s"},
     {"stream_delay", &Tuning::stream_delay, 0.0, 0.1, "s"},
+    {"tremor", &Tuning::tremor, 0.0, 20.0, "Hz"},
     {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
     {"link_timeout", &Tuning::link_timeout, 0.01, 0.2, "s"},
     {"link_lag", &Tuning::link_lag, 0.0, 0.05, "s"},

@@ -37,7 +37,7 @@ double worst_outside(Space space, int count, unsigned seed, double stream_delay 
     do {
       hand = {random.uniform(-0.18, 0.18), random.uniform(-0.18, 0.18), random.uniform(0.02, 0.22)};
     } while (outside_workspace(limits, hand) > -0.02);
-    Setpoint setpoint(limits, 0.5, false, stream_delay);
+    Setpoint setpoint(limits, {0.5, false, stream_delay, 0});
     setpoint.reset(hand, hand.normalized(), 0);
     Vector3 velocity = Vector3::Zero();
     const int spacing = k % 2 == 0 ? 1 : 17;  // ticks: 500 or 30 Hz
@@ -49,7 +49,7 @@ double worst_outside(Space space, int count, unsigned seed, double stream_delay 
         const Dofs cartesian{Kinematic{hand.x(), 0, 0}, Kinematic{hand.y(), 0, 0},
                              Kinematic{hand.z(), 0, 0}, Kinematic{}};
         const Dofs dofs = space == Space::kCartesian ? cartesian : to_spherical(cartesian);
-        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
+        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0});
       }
       setpoint.elapse(T);
       setpoint.advance(T);
@@ -89,7 +89,7 @@ TEST(SetpointStop, TakesItsDecelerationFromTheTipsOwnSpeed) {
   for (int k = 0; k < count; ++k) {
     const double share = k % 2 == 0 ? 1 : random.uniform(0.2, 1);
     const Vector3 v = random.uniform(0.05, 0.24) * direction(random);
-    Setpoint setpoint(limits, 0.5, false);
+    Setpoint setpoint(limits, {});
     setpoint.reset(Vector3(0, 0, 0.12), Vector3::UnitZ(), 0);
     for (int i = 0; i < 75; ++i) {
       setpoint.set_velocity(Space::kCartesian, {v.x(), v.y(), v.z(), 0});
@@ -122,7 +122,7 @@ TEST(SetpointDelay, FollowsItsStreamLaterAndComesToRestAtItsEnd) {
   };
   for (const Space space : {Space::kCartesian, Space::kSpherical}) {
     for (const double D : {0.0, 0.05}) {
-      Setpoint setpoint(workspace(), 0.5, false, D);
+      Setpoint setpoint(workspace(), {0.5, false, D, 0});
       setpoint.reset(hand(0), hand(0).normalized(), 0);
       double worst = 0;
       int k = 1;
@@ -131,7 +131,7 @@ TEST(SetpointDelay, FollowsItsStreamLaterAndComesToRestAtItsEnd) {
         const Dofs cartesian{Kinematic{p.x(), 0, 0}, Kinematic{p.y(), 0, 0}, Kinematic{p.z(), 0, 0},
                              Kinematic{}};
         const Dofs dofs = space == Space::kCartesian ? cartesian : to_spherical(cartesian);
-        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
+        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0});
         setpoint.elapse(T);
         setpoint.advance(T);
         // At the end of the coming cycle; the estimate is one more ahead.

@@ -59,6 +59,7 @@ tuning:
   posture_gain: 1
   profiler_duration: 0.5
   stream_delay: 0.01
+  tremor: 10.0
   servo_timeout: 0.1
   link_timeout: 0.05
   link_lag: 0.008
@@ -351,7 +352,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
         )
         changed = surg_core.load_robot(folder / ROBOT)
         seen.add(testing.limits_hash(changed, changed.limits))
-    assert len(seen) == len(lines) + 1 == 36
+    assert len(seen) == len(lines) + 1 == 37
     assert all(len(digest) == 16 for digest in seen)
 
 

@@ -38,6 +38,8 @@ const char* topic_of_answer(const Answer& answer) {
       return "set_base_frame";
     case CommandItem::Kind::kClaim:
       return "authority/claim";
+    case CommandItem::Kind::kAtWall:
+      return "servo_cp/at_wall";
     case CommandItem::Kind::kTrack:
       return "rcm/track";
     case CommandItem::Kind::kMotion:
@@ -117,6 +119,9 @@ void StatusReporter::report_answers(const CycleRecord& record, double now) {
       status(from + ": trocar point taught");
     } else if (answer.kind == CommandItem::Kind::kSetFrame) {
       status(from + ": commands and measured_cp are in '" + record.frame.name.c_str() + "' now");
+    } else if (answer.kind == CommandItem::Kind::kAtWall) {
+      status(from + ": its servo_cp outside the workspace " +
+             (answer.slide ? "slides along the wall" : "is refused"));
     } else if (answer.kind == CommandItem::Kind::kClaim) {
       status(from + ": it alone commands the arm until the arm leaves ENABLED");
     }
@@ -134,6 +139,8 @@ void StatusReporter::report_refused(const Answer& answer, const CycleRecord& rec
   } else if (answer.kind == CommandItem::Kind::kTrack &&
              answer.reason == surg::Reason::kNoAuthority) {
     why = "another node tracks the trocar: run one tracker only";
+  } else if (answer.kind == CommandItem::Kind::kAtWall) {
+    why = "too many senders slide along the wall; allowed are 16";
   } else if (answer.kind == CommandItem::Kind::kClaim) {
     why += " (held by " + sources_.name(record.out.source) + ")";
   }

@@ -69,7 +69,8 @@ class SmallCell {
           "tip_force_hard: 8.0\n  trocar_force_warn: 10.0\n"
           "  trocar_force_fault: 15.0\n  joint_margin: 0.1\n"
           "tuning:\n  rcm_gain: 20\n  tip_gain: 5\n  roll_gain: 5\n  posture_gain: 1\n"
-          "  profiler_duration: 0.5\n  stream_delay: 0\n  servo_timeout: 0.1\n  link_timeout: "
+          "  profiler_duration: 0.5\n  stream_delay: 0\n  tremor: 0\n  servo_timeout: 0.1\n  "
+          "link_timeout: "
           "0.1\n  link_lag: 0\n");
     write("instrument.yaml",
           "format: surg_instrument/1\nname: tool\nurdf: tool.urdf\nmount_link: mount\n"

@@ -94,6 +94,7 @@ constexpr Field<Tuning, double> kTuning[] = {
     {"posture_gain", &Tuning::posture_gain},
     {"profiler_duration", &Tuning::profiler_duration},
     {"stream_delay", &Tuning::stream_delay},
+    {"tremor", &Tuning::tremor},
     {"servo_timeout", &Tuning::servo_timeout},
     {"link_timeout", &Tuning::link_timeout},
     {"link_lag", &Tuning::link_lag},

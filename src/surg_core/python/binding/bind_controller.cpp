@@ -36,7 +36,8 @@ void bind_command(py::module_& m) {
       .def(
           py::init([](Motion motion, std::uint32_t source, const std::optional<Array>& p,
                       const std::optional<Array>& rotation, double roll_rate,
-                      const std::optional<Array>& joints, double jaw) {
+                      const std::optional<Array>& joints, double jaw, double stamp, double age,
+                      bool slide) {
             MotionCommand command;
             command.motion = motion;
             command.source = source;
@@ -47,15 +48,20 @@ void bind_command(py::module_& m) {
             command.roll_rate = roll_rate;
             if (joints) command.joints = to_vector4(*joints, "joints");
             command.jaw = jaw;
+            command.stamp = stamp;
+            command.age = age;
+            command.slide = slide;
             return command;
           }),
           py::arg("motion"), py::arg("source") = 0, py::arg("p") = py::none(),
           py::arg("rotation") = py::none(), py::arg("roll_rate") = 0.0,
-          py::arg("joints") = py::none(), py::arg("jaw") = 0.0,
+          py::arg("joints") = py::none(), py::arg("jaw") = 0.0, py::arg("stamp") = 0.0,
+          py::arg("age") = 0.0, py::arg("slide") = false,
           "p (3,): position [m] (cp) or tip velocity [m/s] (cv), in the rcm frame; rotation (4,):\n"
           "quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
           "changes;\n"
-          "jaw [rad].")
+          "jaw [rad]; stamp [s] on the sender's clock (0: none); age [s] since it arrived;\n"
+          "slide: a servo_cp target outside the workspace slides along its wall.")
       .def_readonly("motion", &MotionCommand::motion)
       .def_readonly("source", &MotionCommand::source)
       .def_property_readonly("p", [](const MotionCommand& c) { return frozen(from_matrix(c.p)); })
@@ -66,7 +72,10 @@ void bind_command(py::module_& m) {
       .def_readonly("roll_rate", &MotionCommand::roll_rate)
       .def_property_readonly("joints",
                              [](const MotionCommand& c) { return frozen(from_matrix(c.joints)); })
-      .def_readonly("jaw", &MotionCommand::jaw);
+      .def_readonly("jaw", &MotionCommand::jaw)
+      .def_readonly("stamp", &MotionCommand::stamp)
+      .def_readonly("age", &MotionCommand::age)
+      .def_readonly("slide", &MotionCommand::slide);
 
   py::class_<Verdict>(m, "Verdict", "What became of a command; reason NONE: accepted.")
       .def_readonly("reason", &Verdict::reason)
@@ -486,10 +495,11 @@ void bind_controller(py::module_& m) {
           py::arg("source"), "The arm obeys this sender alone until it leaves ENABLED.")
       .def("step", &step, py::arg("q"), py::arg("qd"),
            py::arg("commands") = std::vector<MotionCommand>(), py::arg("jaw") = 0.0,
-           py::arg("state_valid") = true, py::arg("state_age") = 0.0,
-           py::arg("elapsed") = 0.0, py::arg("readings") = py::none(),
+           py::arg("state_valid") = true, py::arg("state_age") = 0.0, py::arg("elapsed") = 0.0,
+           py::arg("readings") = py::none(),
            "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
-           "jaw [rad]; state_age [s]; elapsed [s] since the last cycle, 0: one period; readings: of the sensors, where there are any.")
+           "jaw [rad]; state_age [s]; elapsed [s] since the last cycle, 0: one period; readings: "
+           "of the sensors, where there are any.")
       .def(
           "run", &run, py::arg("q"), py::arg("qd"), py::arg("commands") = Commands(),
           py::arg("jaw") = py::none(),

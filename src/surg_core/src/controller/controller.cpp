@@ -103,6 +103,7 @@ void Controller::Impl::report(const Inputs& in) {
   out.roll = arm.measured().roll;
   out.depth = shaft().depth;
   out.rcm_error = shaft().e.norm();
+  if (handler.sliding() && out.reason == Reason::kNone) out.reason = Reason::kOutsideWorkspace;
   out.p_goal = X_BR * handler.p_goal();
   out.roll_goal = handler.roll_goal();
   out.p_set = X_BR * setpoint.p_RTip();

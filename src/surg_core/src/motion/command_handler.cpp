@@ -18,6 +18,8 @@ constexpr double kHeldDistance = 1e-4;     // [m] of the set-point that is no pr
 constexpr double kHeldRoll = 1e-3;         // [rad]
 constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
+constexpr double kWallMargin = 1e-3;       // [m] inside the workspace slides a stream
+constexpr double kOldest = 0.2;            // [s] no sample waits longer for its cycle
 constexpr double kNotInsertedSlack = 1e-3;  // [m] a tip that rests on depth_min is still inserted
 
 /// Angle of the twist about z in a rotation (swing-twist about the shaft at its target).
@@ -38,13 +40,13 @@ CommandHandler::CommandHandler(const Limits& limits, const Tuning& tuning, doubl
     : limits_(limits),
       timeout_(tuning.servo_timeout),
       dt_(dt),
-      setpoint_(limits, tuning.profiler_duration, paper, tuning.stream_delay) {}
+      setpoint_(limits, {tuning.profiler_duration, paper, tuning.stream_delay, tuning.tremor}) {}
 
 void CommandHandler::start(const TipPose& at) {
   setpoint_.reset(at.p_RTip, at.s_R, at.roll);
   set_goal(at.p_RTip, at.roll);
   joint_goal_ = setpoint_.joints();
-  move_active_ = retracing_ = stream_blocked_ = false;
+  move_active_ = retracing_ = stream_blocked_ = sliding_ = newest_counts_ = false;
   motion_ = Motion::kNone;
 }
 
@@ -193,26 +195,39 @@ Reason CommandHandler::stream(const MotionCommand& command) {
   const bool cartesian = command.motion == Motion::kServoCp;
   Vector4 joints = command.joints;
   if (command.motion == Motion::kServoJr) joints += present_goal();
-  const Vector3 p = cartesian ? command.p : tip_of(joints);
+  const Vector3 hand = cartesian ? command.p : tip_of(joints);
+  const bool slides = command.slide && cartesian && !targets_reachable(hand);
+  const Vector3 p = slides ? nearest_reachable(hand) : hand;
   if ((!cartesian && beyond_quarter_turn(joints)) || !targets_reachable(p))
     return Reason::kOutsideWorkspace;
-  const double requested = cartesian ? requested_roll(p, command.rotation) : joints[3];
-  if (!roll_reachable(requested)) return Reason::kOutsideWorkspace;
+  const double roll = cartesian ? requested_roll(p, command.rotation) : joints[3];
+  if (!roll_reachable(roll)) return Reason::kOutsideWorkspace;
   const bool begins = setpoint_.mode() != Setpoint::Mode::kStream || motion_ != command.motion;
-  const Vector3 p_last = begins ? setpoint_.p_RTip() : p_goal_;
-  const double roll_last = begins ? setpoint_.roll() : roll_goal_;
-  const Reason reason =
-      check_step(limits_, begins, since_pose_, (p - p_last).norm(), requested - roll_last);
+  if (begins) {
+    anchor_ = {setpoint_.p_RTip(), setpoint_.roll()};
+    since_anchor_ = 0;
+  }
+  const double moved = ((begins ? p : hand) - anchor_.p).norm();
+  const Reason reason = check_step(limits_, begins, since_anchor_, moved, roll - anchor_.roll);
   if (reason != Reason::kNone) return reason;
-  set_goal(p, requested);
+  set_goal(p, roll);
   joint_goal_ = joints;
-  since_pose_ = 0;
+  newest_ = {hand, roll};
+  newest_counts_ = true;
+  sliding_ = slides;
+  const double age = command.age >= 0 ? std::min(command.age, kOldest) : 0.0;
   if (cartesian) {
-    setpoint_.add_stream_sample(Space::kCartesian, {p.x(), p.y(), p.z(), requested}, dt_);
+    setpoint_.add_stream_sample(Space::kCartesian, {p.x(), p.y(), p.z(), roll}, age, command.stamp);
   } else {
-    setpoint_.add_stream_sample(Space::kSpherical, to_array(joints), dt_);
+    setpoint_.add_stream_sample(Space::kSpherical, to_array(joints), age, command.stamp);
   }
   return Reason::kNone;
+}
+
+/// The reachable target nearest to p, a little inside the workspace.
+Vector3 CommandHandler::nearest_reachable(const Vector3& p_RTip) const {
+  const Vector3 p = nearest_inside(limits_, p_RTip, kWallMargin);
+  return targets_reachable(p) ? p : Vector3(p.normalized() * limits_.depth_slow);
 }
 
 Reason CommandHandler::check_timeout() {
@@ -222,7 +237,14 @@ Reason CommandHandler::check_timeout() {
   const bool stale = streaming && silent_cycles_ > std::lround(timeout_ / dt_);
   if (stale) setpoint_.stop();
   ++silent_cycles_;
-  since_pose_ += dt_;
+  // All samples of one cycle share the time since the last earlier one: what a sender may move
+  // depends on time, not on its number of messages.
+  if (newest_counts_) {
+    anchor_ = newest_;
+    since_anchor_ = 0;
+    newest_counts_ = false;
+  }
+  since_anchor_ += dt_;
   stream_silence_ += dt_;
   if (stream_silence_ > timeout_) stream_blocked_ = false;
   return stale ? Reason::kStale : Reason::kNone;

@@ -10,7 +10,6 @@ namespace surg {
 namespace {
 
 constexpr double kRollApproach = 5.0;  // [1/s] speed of a roll over what is left of its range
-constexpr double kBridgedGap = 0.004;  // [s] a gap in a fast stream that is still bridged
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
@@ -42,9 +41,11 @@ Dofs to_cartesian(const Dofs& spherical) {
           Kinematic{roll.x, roll.v, 0}};
 }
 
-Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay)
-    : limits_(limits), paper_(paper), base_duration_(profiler_duration) {
-  delays_.fill(StreamDelay(stream_delay));
+Setpoint::Setpoint(const Limits& limits, const Options& options)
+    : limits_(limits),
+      paper_(options.paper),
+      base_duration_(options.profiler_duration),
+      input_(options.stream_delay, options.tremor) {
   profiler_ = Profiler(dof_limits(Space::kCartesian), base_duration_);
 }
 
@@ -78,25 +79,18 @@ void Setpoint::switch_space(Space space) {
   }
 }
 
-void Setpoint::add_stream_sample(Space space, const std::array<double, 4>& target, double T) {
-  const bool first = mode_ != Mode::kStream || space != space_;
-  if (first) {
+void Setpoint::add_stream_sample(Space space, const std::array<double, 4>& target, double age,
+                                 double stamp) {
+  if (mode_ != Mode::kStream || space != space_) {
     axial_ = false;
     switch_space(space);
-    for (int i = 0; i < 4; ++i) delays_[i].reset(dofs_[i]);
     if (paper_) profiler_ = Profiler(dof_limits(space), base_duration_);
     mode_ = Mode::kStream;
-  }
-  for (int i = 0; i < 4; ++i) {
-    if (first) {
-      estimates_[i].reset(target[i]);
-    } else {
-      estimates_[i].update(target[i], std::max(age_, T));
-    }
+    input_.begin(target, dofs_, age, stamp);
+  } else {
+    input_.add(target, age, stamp);
   }
   target_ = target;
-  spacing_ = first ? T : std::max(age_, T);
-  age_ = 0;
 }
 
 void Setpoint::set_velocity(Space space, const std::array<double, 4>& rate) {
@@ -270,20 +264,8 @@ void Setpoint::restrict_step(const Vector3& p_before) {
 }
 
 void Setpoint::elapse(double T) {
-  age_ += T;
   tick_ = T;
-  if (mode_ != Mode::kStream) return;
-  for (int i = 0; i < 4; ++i) {
-    delays_[i].step(overdue() ? target_[i] : estimates_[i].predict(age_).x, T);
-  }
-}
-
-/// An overdue sample is not extrapolated; the tip comes to rest at it.
-bool Setpoint::overdue() const { return age_ > std::max(1.5 * spacing_, kBridgedGap); }
-
-Kinematic Setpoint::stream_target(int dof, double dt) const {
-  if (delays_[dof].works(tick_)) return delays_[dof].predict(dt);
-  return overdue() ? Kinematic{target_[dof], 0, 0} : estimates_[dof].predict(age_ + dt);
+  input_.elapse(T);
 }
 
 void Setpoint::advance_stream(double dt) {
@@ -297,7 +279,8 @@ void Setpoint::advance_stream(double dt) {
   // The tick is taken only if the hardest stop after it ends inside the workspace. Otherwise that
   // stop begins or continues; it was possible before.
   auto next = filters_;
-  for (int i = 0; i < 4; ++i) next[i].step(stream_target(i, dt), dt);
+  const Dofs target = input_.target(dt);
+  for (int i = 0; i < 4; ++i) next[i].step(target[i], dt);
   at_wall_ = stop_leaves_workspace(next);
   for (int i = 0; i < 4; ++i) {
     if (at_wall_ && i < 3) {

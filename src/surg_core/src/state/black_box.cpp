@@ -293,7 +293,8 @@ class Coder {
   }
   void value(BlackBoxLabel& c) { (*this)(c.arm, c.cell, c.written, c.version); }
   void value(MotionCommand& c) {
-    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw);
+    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw, c.stamp, c.age,
+            c.slide);
   }
   void value(BlackBoxEvent& e) {
     (*this)(e.kind, e.state, e.reason, e.answer, e.source, e.p_BRcm, e.command);
@@ -301,8 +302,8 @@ class Coder {
   void value(Outputs& out);
   void value(ForceSample& f) { (*this)(f.valid, f.f_B); }
   void value(Readings& r) {
-    (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.jaw, r.jaw_age, r.tip_force, r.trocar_force,
-            r.track_valid, r.track_age, r.p_BTrack, r.v_BTrack);
+    (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.jaw, r.jaw_age, r.tip_force,
+            r.trocar_force, r.track_valid, r.track_age, r.p_BTrack, r.v_BTrack);
   }
   void value(BlackBoxStep& s) { (*this)(s.in, s.events, s.n_commands, s.out); }
 

@@ -48,6 +48,8 @@ class CommandHandler {
   /// Retracing the joint trace; meanwhile the set-point follows the arm.
   bool retracing() const { return retracing_; }
   void end_retrace() { retracing_ = false; }
+  /// The stream's last sample was outside the workspace; its sender asked to slide along the wall.
+  bool sliding() const { return sliding_ && setpoint_.mode() == Setpoint::Mode::kStream; }
 
  private:
   Reason apply(const MotionCommand& command);
@@ -55,6 +57,7 @@ class CommandHandler {
   Reason move_along_shaft(Motion motion);
   bool targets_reachable(const Vector3& p_RTip) const;
   bool roll_reachable(double roll) const;
+  Vector3 nearest_reachable(const Vector3& p_RTip) const;
   double requested_roll(const Vector3& p_RTip, const Eigen::Quaterniond& rotation) const;
   Vector4 present_goal() const;
   void set_goal(const Vector3& p_RTip, double roll);
@@ -65,8 +68,16 @@ class CommandHandler {
   Vector3 p_goal_ = Vector3::Zero();
   double roll_goal_ = 0;
   Vector4 joint_goal_ = Vector4::Zero();  // of the last accepted target
-  double since_pose_ = 0;                 // [s] since the last accepted stream pose
-  int silent_cycles_ = 0;                 // since the last accepted servo command
+  struct Pose4 {
+    Vector3 p = Vector3::Zero();
+    double roll = 0;
+  };
+  Pose4 newest_;                // accepted stream pose, before it slides along the wall
+  bool newest_counts_ = false;  // it was accepted in this cycle
+  Pose4 anchor_;                // the newest one of an earlier cycle: steps are judged from it
+  double since_anchor_ = 0;     // [s]
+  bool sliding_ = false;
+  int silent_cycles_ = 0;  // since the last accepted servo command
   Motion motion_ = Motion::kNone;
   bool move_active_ = false;  // a move_* is on its way
   bool retracing_ = false;
