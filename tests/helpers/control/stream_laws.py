@@ -27,11 +27,11 @@ PATH_CUTOFF_HZ = 3.0
 """As in the summary of a run: tremor adds length without going anywhere."""
 
 
-def filter_law(limits: testing.DofLimits) -> Law:
+def filter_law(limits: testing.DofLimits, delay: float = 0.0) -> Law:
     """The shipped stream filter behind its estimate."""
 
     def law(t: Array, samples: Array, n: int) -> Array:
-        return testing.stream_filter(t, samples, limits, TICK)[:n]
+        return testing.stream_filter(t, samples, limits, TICK, delay=delay)[:n]
 
     return law
 
