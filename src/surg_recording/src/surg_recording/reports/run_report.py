@@ -243,6 +243,7 @@ def _numbers(result: Mapping[str, Any]) -> str:
     if controller["period_us"]:
         rows.append(("Period", _pair(controller["period_us"], "p50", "p99", "max"), "µs"))
     rows.append(("Overruns", number(controller["overruns"]), ""))
+    rows.append(("Commands refused", number(result["commands_refused"]), ""))
     cells = "".join(
         f"<tr><td>{text(name)}</td><td>{text(value)} {unit}</td></tr>" for name, value, unit in rows
     )

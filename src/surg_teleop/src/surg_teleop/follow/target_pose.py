@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from surg_core import Limits
 from surg_core.arm_view import ArmView, TipPose
 from surg_core.transforms import virtual_tip
 from surg_teleop.follow.hand_mapping import Mapping
@@ -60,6 +61,17 @@ class StepLimits:
     roll_slack: float
     longest: float
     period: float = 0.002
+
+    @classmethod
+    def of(cls, limits: Limits) -> StepLimits:
+        """The steps that an arm with these limits accepts."""
+        return cls(
+            velocity=limits.tip_velocity,
+            slack=limits.step_slack,
+            roll_velocity=limits.roll_velocity,
+            roll_slack=limits.step_roll_slack,
+            longest=limits.step_dt_max,
+        )
 
     def allowed(self, since: float) -> tuple[float, float]:
         """Largest step of the tip [m] and of the roll [rad], a time [s] after the last command."""
