@@ -78,6 +78,9 @@ constexpr TuningKey kTuningKeys[] = {
     {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
     {"link_timeout", &Tuning::link_timeout, 0.01, 0.2, "s"},
     {"link_lag", &Tuning::link_lag, 0.0, 0.05, "s"},
+    {"track_noise", &Tuning::track_noise, 1e-5, 0.001, "m"},
+    {"track_jerk", &Tuning::track_jerk, 0.001, 1.0, "m/s^3"},
+    {"track_timeout", &Tuning::track_timeout, 0.05, 0.5, "s"},
 };
 
 std::string number(double value) {

@@ -25,7 +25,7 @@ CORE = paths.ROOT / "src" / "surg_core"
 ABSENT = {
     # parts of Controller, reachable through step() and run(), whose types own no meaning alone
     "ArmState InstrumentState CommandHandler TipPose Setpoint Space Dofs": "part",
-    "Trocar TrackSample Jaw LagMeter": "part",
+    "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
     "StreamInput StreamEstimate TremorNotch nearest_inside": "part",
     "ForceGuard": "part",
     "OperatingState Conditions Authority": "part",

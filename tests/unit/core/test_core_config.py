@@ -63,6 +63,9 @@ tuning:
   servo_timeout: 0.1
   link_timeout: 0.05
   link_lag: 0.008
+  track_noise: 0.0003
+  track_jerk: 0.02
+  track_timeout: 0.25
 """,
     "grasper.yaml": """\
 format: surg_instrument/1
@@ -352,7 +355,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
         )
         changed = surg_core.load_robot(folder / ROBOT)
         seen.add(testing.limits_hash(changed, changed.limits))
-    assert len(seen) == len(lines) + 1 == 37
+    assert len(seen) == len(lines) + 1 == 40
     assert all(len(digest) == 16 for digest in seen)
 
 

@@ -222,6 +222,9 @@ bool StatusReporter::report_changes(const CycleRecord& record, double now) {
                 ", FAULT from " + millimetres(limits_.rcm_error_fault) + ")",
             now);
   }
+  if (out.warn_track != surg::TrackWarning::kNone) {
+    warning(surg::name(out.warn_track), arm_ + ": " + surg::sentence(out.warn_track), now);
+  }
   state_ = out.state;
   reason_ = out.reason;
   homed_ = out.homed;

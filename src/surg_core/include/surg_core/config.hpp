@@ -73,6 +73,9 @@ struct Tuning {
   double servo_timeout;      ///< [s] F03
   double link_timeout;       ///< [s] F10, free-run
   double link_lag;           ///< [s] from a velocity command to the motion it causes; 0: unknown
+  double track_noise;        ///< [m] rms per axis of a position on rcm/track
+  double track_jerk;         ///< [m/s^3] that a breathing trocar reaches
+  double track_timeout;      ///< [s] without a usable sample on rcm/track; then PAUSED
 };
 
 /// The command interface of a robot link.

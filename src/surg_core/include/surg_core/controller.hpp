@@ -10,6 +10,7 @@
 
 #include "surg_core/config.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/kinematics/trocar.hpp"
 #include "surg_core/law/rcm.hpp"
 #include "surg_core/motion/command.hpp"
 #include "surg_core/state/force_guard.hpp"
@@ -43,7 +44,7 @@ struct Readings {
   bool track_valid = false;            ///< a sample has been received
   double track_age = 0;                ///< [s] since it was taken
   Vector3 p_BTrack = Vector3::Zero();  ///< where the trocar was then
-  Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]
+  Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]; zeros where the tracker measures none
 };
 
 /// Inputs of one cycle.
@@ -66,6 +67,7 @@ struct Outputs {
   bool warn_rcm = false;                       ///< rcm error above the warn level
   /// [s] of the link, measured from the motion so far; NaN: not enough motion yet
   double link_lag = std::numeric_limits<double>::quiet_NaN();
+  TrackWarning warn_track = TrackWarning::kNone;
   // geometry, in B
   Pose X_BF = Pose::Identity();
   Vector3 p_BTip = Vector3::Zero(), s_B = Vector3::UnitZ(), p_BRcm = Vector3::Zero();

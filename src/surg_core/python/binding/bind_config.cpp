@@ -98,6 +98,9 @@ constexpr Field<Tuning, double> kTuning[] = {
     {"servo_timeout", &Tuning::servo_timeout},
     {"link_timeout", &Tuning::link_timeout},
     {"link_lag", &Tuning::link_lag},
+    {"track_noise", &Tuning::track_noise},
+    {"track_jerk", &Tuning::track_jerk},
+    {"track_timeout", &Tuning::track_timeout},
 };
 static_assert(sizeof(Tuning) == sizeof(kTuning) / sizeof(kTuning[0]) * sizeof(double));
 

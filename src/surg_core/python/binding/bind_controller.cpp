@@ -152,6 +152,7 @@ void bind_outputs(py::module_& m) {
   number("warn_rcm", &Outputs::warn_rcm, "RCM deviation above the warning level.");
   number("warn_force", &Outputs::warn_force, "Load of the trocar above the warning level.");
   number("link_lag", &Outputs::link_lag, "Measured lag of the link [s]; not a number until known.");
+  number("warn_track", &Outputs::warn_track, "What is wrong with rcm/track.");
   number("roll", &Outputs::roll, "Absolute roll [rad].");
   number("depth", &Outputs::depth, "Insertion [m], positive inside.");
   number("rcm_error", &Outputs::rcm_error, "Kinematic RCM deviation [m].");
@@ -436,6 +437,11 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("MASTER_LOST", Reason::kMasterLost)
       .value("NOT_AT_REST", Reason::kNotAtRest)
       .value("LATE", Reason::kLate);
+  py::enum_<TrackWarning>(m, "TrackWarning", "What is wrong with rcm/track.")
+      .value("NONE", TrackWarning::kNone)
+      .value("OUTLIER", TrackWarning::kOutlier)
+      .value("DROPOUT", TrackWarning::kDropout)
+      .value("NOISY", TrackWarning::kNoisy);
   py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
       .value("ENABLE", StateCommand::kEnable)
       .value("DISABLE", StateCommand::kDisable)
@@ -443,7 +449,8 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("RESUME", StateCommand::kResume)
       .value("HOME", StateCommand::kHome)
       .value("UNHOME", StateCommand::kUnhome);
-  m.def("sentence", &sentence, py::arg("reason"), "What was wrong and what to do, for people.");
+  m.def("sentence", py::overload_cast<Reason>(&sentence), py::arg("reason"),
+        "What was wrong and what to do, for people.");
   m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
         "Short name, as in FAULT(name).");
   testing.def("state_name", py::overload_cast<State>(&name), py::arg("state"),

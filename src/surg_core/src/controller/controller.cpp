@@ -71,6 +71,8 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       gains{options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain,
             robot_in.tuning.tip_gain, robot_in.tuning.roll_gain},
       authority(options.dt),
+      trocar(
+          {robot_in.tuning.track_noise, robot_in.tuning.track_jerk, robot_in.tuning.track_timeout}),
       arm(chain, {tool.s_F, tool.p_FTip},
           options.law == Law::kExact ? 0.0 : lag_for(robot_in, options), options.dt),
       handler(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
@@ -80,6 +82,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
               options.dt),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
                                              lag_for(robot_in, options), options.dt)),
+      trocar_before(trocar),
       qd_last(JointVector::Zero(chain.dof())) {
   out.qd_command = qd_last;
 }

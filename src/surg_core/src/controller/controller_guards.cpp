@@ -23,6 +23,7 @@ bool finite(const MotionCommand& command) {
 
 void Controller::Impl::sense(const Inputs& in) {
   state_known = false;
+  out.warn_track = TrackWarning::kNone;
   state_reason = Reason::kLinkLost;
   jaw.sense(in.jaw);
   const int n = arm.chain().dof();
@@ -69,6 +70,7 @@ void Controller::Impl::update_trocar(const Inputs& in) {
   if (!track_rcm || !trocar.taught()) return;
   const Reason reason = trocar.track({in.track_valid, in.track_age, in.p_BTrack, in.v_BTrack}, T);
   track_reason = reason;
+  out.warn_track = trocar.warning();
   if (reason == Reason::kTrackStale) {
     pause(reason);
   } else if (reason != Reason::kNone && enabled()) {

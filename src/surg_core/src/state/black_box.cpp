@@ -326,6 +326,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("warn_rcm", out.warn_rcm);
   visit("warn_force", out.warn_force);
   visit("link_lag", out.link_lag);
+  visit("warn_track", out.warn_track);
   visit("X_BF", out.X_BF);
   visit("p_BTip", out.p_BTip);
   visit("s_B", out.s_B);
@@ -438,6 +439,7 @@ std::string shown(double x) {
 std::string shown(const char* text) { return std::string("'") + text + "'"; }
 std::string shown(State state) { return name(state); }
 std::string shown(Reason reason) { return name(reason); }
+std::string shown(TrackWarning warning) { return name(warning); }
 std::string shown(Motion motion) { return "motion " + std::to_string(static_cast<int>(motion)); }
 template <typename Derived>
 std::string shown(const Eigen::MatrixBase<Derived>& matrix) {

@@ -80,8 +80,8 @@ Text text(Reason reason) {
               "shaft, or on rcm/withdraw to come out"};
     case Reason::kTrackStale:
       return {"track_stale",
-              "rcm/track fell silent: the trocar is taken to stand still; publish it again, then "
-              "send 'resume'"};
+              "rcm/track fell silent, or sent nothing but outliers, for tuning.track_timeout: the "
+              "trocar is taken to stand still; check the tracker, then send 'resume'"};
     case Reason::kToolLost:
       return {"tool_lost", "no jaw state from the tool link: the arm holds; check the tool link"};
     case Reason::kUnreachable:

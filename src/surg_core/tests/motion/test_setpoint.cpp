@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "support/test_support.hpp"
@@ -112,6 +113,39 @@ TEST(SetpointStop, TakesItsDecelerationFromTheTipsOwnSpeed) {
     EXPECT_NEAR((setpoint.p_RTip() - from).norm(), speed * speed / (2 * a), speed * T);
   }
   test::report("stops", count);
+}
+
+// A hand that swings far too fast about the trocar: the set-point's yaw and pitch, by finite
+// differences, keep their limits and use them.
+TEST(SetpointLimits, AFastStreamAboutThePivotKeepsThePivotsLimits) {
+  const double T = 0.002;
+  const Limits limits = workspace();
+  for (const int axis : {0, 1}) {
+    Setpoint setpoint(limits, {0.5, false, 0, 0});
+    Dofs start{};
+    start[axis].x = -0.5;
+    start[2].x = 0.12;
+    const Dofs tip = to_cartesian(start);
+    const Vector3 p(tip[0].x, tip[1].x, tip[2].x);
+    setpoint.reset(p, p.normalized(), 0);
+    std::array<double, 4> at;
+    at.fill(setpoint.joints()[axis]);
+    double velocity = 0, acceleration = 0, jerk = 0;
+    for (int k = 1; k <= 1000; ++k) {
+      std::array<double, 4> target{0, 0, 0.12, 0};
+      target[axis] = std::min(-0.5 + 4 * k * T, 0.5);
+      setpoint.add_stream_sample(Space::kSpherical, target);
+      setpoint.elapse(T);
+      setpoint.advance(T);
+      at = {at[1], at[2], at[3], setpoint.joints()[axis]};
+      velocity = std::max(velocity, std::abs(at[3] - at[2]) / T);
+      acceleration = std::max(acceleration, std::abs(at[3] - 2 * at[2] + at[1]) / (T * T));
+      jerk = std::max(jerk, std::abs(at[3] - 3 * at[2] + 3 * at[1] - at[0]) / (T * T * T));
+    }
+    EXPECT_NEAR(velocity / limits.pivot_velocity, 0.975, 0.026);
+    EXPECT_NEAR(acceleration / limits.pivot_acceleration, 0.95, 0.051);
+    EXPECT_NEAR(jerk / limits.pivot_jerk, 0.75, 0.251);
+  }
 }
 
 // A circle, then silence: late by the delay, and at rest at the last sample.

@@ -42,9 +42,11 @@ inline Document good_robot() {
       {"trocar_force_fault", 15}, {"joint_margin", 0.1}};
   for (const auto& [key, value] : limits) v["limits." + key] = value;
   const std::map<std::string, double> tuning = {
-      {"rcm_gain", 20},           {"tip_gain", 10},      {"roll_gain", 10}, {"posture_gain", 1},
-      {"profiler_duration", 0.5}, {"stream_delay", 0.0}, {"tremor", 0.0},   {"servo_timeout", 0.1},
-      {"link_timeout", 0.1},      {"link_lag", 0.0}};
+      {"rcm_gain", 20},       {"tip_gain", 10},           {"roll_gain", 10},
+      {"posture_gain", 1},    {"profiler_duration", 0.5}, {"stream_delay", 0.0},
+      {"tremor", 0.0},        {"servo_timeout", 0.1},     {"link_timeout", 0.1},
+      {"link_lag", 0.0},      {"track_noise", 3e-4},      {"track_jerk", 0.02},
+      {"track_timeout", 0.25}};
   for (const auto& [key, value] : tuning) v["tuning." + key] = value;
   d.lines["limits.cone"] = 42;
   return d;

@@ -32,7 +32,7 @@ enum class Reason : std::uint8_t {
   kNotFollowing,       // the arm stays away from the set-point
   kHeld,               // a stream goes on after 'hold'
   kNotInserted,        // F24 the tip is near or above the trocar: only insert, withdraw, roll
-  kTrackStale,         // rcm/track fell silent
+  kTrackStale,         // rcm/track fell silent, or only outliers came
   kToolLost,           // F31 no jaw state from the tool link
   kUnreachable,        // F20, F21 a limit holds the arm on its way: report, not a state
   kNotArrived,         // a move ended without reaching its target
