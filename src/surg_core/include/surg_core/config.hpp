@@ -131,6 +131,8 @@ struct CellArm {
   Vector3 base_xyz, base_rpy;            ///< X_WB
   std::vector<double> home;              ///< [rad] instead of the robot's; empty: the robot's
   std::map<std::string, double> limits;  ///< tightened limits by name
+  /// "file:line" of the values above, for errors: "home", "limits.cone".
+  std::map<std::string, std::string> where = {};
 };
 
 /// A complete system: arms, machines, network.
@@ -154,6 +156,9 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
 
 /// Returns the robot with the cell's home posture. Throws if the posture does not fit the joints.
 RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file);
+
+/// Throws if an instrument's tip could go deeper than its shaft is long.
+void check_tool(const ToolCalibration& tool, const Limits& limits, const std::string& tool_file);
 
 /// Fingerprint of all values above that affect motion: FNV-1a over the values, as 16 hex digits.
 std::string limits_hash(const RobotConfig& robot, const Limits& limits);

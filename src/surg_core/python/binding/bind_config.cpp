@@ -260,6 +260,8 @@ void bind_config(py::module_& m, py::module_& testing) {
         "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");
   m.def("with_home", &with_home, py::arg("robot"), py::arg("arm"), py::arg("cell_file"),
         "The robot with the cell's home posture put in. Raises ConfigError when it does not fit.");
+  m.def("check_tool", &check_tool, py::arg("tool"), py::arg("limits"), py::arg("tool_file"),
+        "Raises ConfigError when depth_max is not less than the shaft's length from the flange.");
   testing.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),
               "16 hex digits over every value that moves the arm (FNV-1a).");
   m.def(

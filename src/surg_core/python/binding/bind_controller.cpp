@@ -43,7 +43,7 @@ void bind_command(py::module_& m) {
             command.source = source;
             if (p) command.p = to_vector3(*p, "p");
             if (rotation) {
-              command.rotation = Eigen::Quaterniond(to_vector4(*rotation, "rotation"));
+              command.rotation = to_unit_quaternion(*rotation, "rotation");
             }
             command.roll_rate = roll_rate;
             if (joints) command.joints = to_vector4(*joints, "joints");
@@ -58,7 +58,7 @@ void bind_command(py::module_& m) {
           py::arg("joints") = py::none(), py::arg("jaw") = 0.0, py::arg("stamp") = 0.0,
           py::arg("age") = 0.0, py::arg("slide") = false,
           "p (3,): position [m] (cp) or tip velocity [m/s] (cv), in the rcm frame; rotation (4,):\n"
-          "quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
+          "unit quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
           "changes;\n"
           "jaw [rad]; stamp [s] on the sender's clock (0: none); age [s] since it arrived;\n"
           "slide: a servo_cp target outside the workspace slides along its wall.")
