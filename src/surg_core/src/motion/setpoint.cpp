@@ -215,7 +215,6 @@ void Setpoint::advance(double dt) {
   if (!(dt > 0)) return;
   if (tick_ > 0) clock_rate_ = std::min(dt / tick_, 1.0);
   at_wall_ = false;
-  if (mode_ == Mode::kProfile && !push_R_.isZero(0) && v_RTip().dot(push_R_) < 0) stop();
   const Vector3 p_before = p_RTip();
   switch (mode_) {
     case Mode::kRest:
@@ -241,7 +240,10 @@ void Setpoint::advance(double dt) {
   restrict_step(p_before);
 }
 
-void Setpoint::yield_to(const Vector3& push_R) { push_R_ = push_R; }
+void Setpoint::yield_to(const Vector3& push_R) {
+  push_R_ = push_R;
+  if (mode_ == Mode::kProfile && v_RTip().dot(push_R_) < 0) stop();
+}
 
 /// Removes forbidden parts of a step: lateral motion near the trocar, where the shaft would turn
 /// too fast (F24), and motion against a contact force (F25). Profiles are planned clear of both.
@@ -380,7 +382,7 @@ Vector3 Setpoint::v_RTip() const {
 
 Setpoint::TipAndRoll Setpoint::after(double dt) const {
   if (!(dt > 0)) return {p_RTip(), roll()};
-  if (mode_ == Mode::kProfile && push_R_.isZero(0)) {
+  if (mode_ == Mode::kProfile) {
     const auto x = profiler_.position_after(dt);
     return {tip_of(x[0], x[1], x[2]), x[3]};
   }
