@@ -12,7 +12,7 @@ REQUIREMENTS = [f"F{n:02}" for n in range(1, 33)]
 def sources() -> list[Path]:
     """Files that may hold tests."""
     python = (paths.ROOT / "tests").rglob("test_*.py")
-    cpp = (paths.ROOT / "src").glob("*/tests/*.cpp")
+    cpp = (paths.ROOT / "src").glob("*/tests/**/*.cpp")
     return [*python, *cpp]
 
 

@@ -56,7 +56,7 @@ class Workshop:
 
     def programs(self) -> list[str]:
         """Every test program, the fuzz first: it sees most."""
-        names = sorted(path.stem for path in (self.source / "tests").glob("test_*.cpp"))
+        names = sorted(path.stem for path in (self.source / "tests").rglob("test_*.cpp"))
         return ["fuzz_controller", *names]
 
     def killer(self, first: tuple[str, ...]) -> str | None:

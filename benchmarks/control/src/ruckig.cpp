@@ -4,7 +4,7 @@
 
 #include "arm.hpp"
 #include "streams.hpp"
-#include "surg_core/motion/stream.hpp"
+#include "surg_core/motion/stream_estimate.hpp"
 
 namespace bench {
 namespace {
@@ -33,23 +33,28 @@ struct Ruckig : Follower {
       input.current_position[i] = input.target_position[i] = first.x[i];
       input.current_velocity[i] = input.current_acceleration[i] = 0;
       input.target_velocity[i] = input.target_acceleration[i] = 0;
-      estimates[i].reset(first.x[i]);
     }
+    estimate.reset({first.x[0], first.x[1], first.x[2]});
     last = first.t;
+    period = 0;
   }
   const Axes& tick(double t, const Sample& newest, bool fresh) override {
+    if (fresh) {
+      period += (period > 0 ? 0.02 : 1) * (newest.t - last - period);
+      estimate.update({newest.x[0], newest.x[1], newest.x[2]}, newest.t - last, period);
+      last = newest.t;
+    }
+    const auto targets = estimate.predict(t + T - newest.t + lead);
     for (std::size_t i = 0; i < 3; ++i) {
       if (lead < 0) {
         input.target_position[i] = newest.x[i];
         continue;
       }
-      if (fresh) estimates[i].update(newest.x[i], newest.t - last);
-      const surg::Kinematic target = estimates[i].predict(t + T - newest.t + lead);
+      const surg::Kinematic& target = targets[i];
       input.target_position[i] = target.x;
       input.target_velocity[i] =
           moving ? std::clamp(target.v, -limits.velocity, limits.velocity) : 0.0;
     }
-    if (fresh) last = newest.t;
     if (otg.update(input, output) < 0) {
       ++failures;
       input.target_velocity = {0, 0, 0};
@@ -67,8 +72,8 @@ struct Ruckig : Follower {
   surg::DofLimits limits;
   double lead;
   bool moving;
-  double last = 0;
-  std::array<surg::AlphaBeta, 3> estimates;
+  double last = 0, period = 0;
+  surg::StreamEstimate estimate;
   Axes state{};
 };
 

@@ -8,7 +8,7 @@
 
 #include "arm.hpp"
 #include "clock.hpp"
-#include "surg_core/motion/stream.hpp"
+#include "surg_core/motion/stream_input.hpp"
 
 namespace bench {
 namespace {
@@ -27,7 +27,7 @@ std::vector<Value> read_all(const std::string& file) {
   return values;
 }
 
-/// surg_core: alpha-beta estimate and jerk-limited filter.
+/// surg_core: estimate and jerk-limited filter.
 struct Filter : Follower {
   explicit Filter(const surg::DofLimits& limits) {
     name = "filter";
@@ -35,25 +35,30 @@ struct Filter : Follower {
     for (auto& filter : filters) filter = surg::StreamFilter(limits);
   }
   void reset(const Sample& first) override {
-    for (int i = 0; i < 3; ++i) {
-      estimates[i].reset(first.x[i]);
-      filters[i].reset({first.x[i], 0, 0});
-    }
-    last = first.t;
+    for (int i = 0; i < 3; ++i) filters[i].reset({first.x[i], 0, 0});
+    const auto& x = first.x;
+    input = surg::StreamInput();
+    input.begin({x[0], x[1], x[2]}, {}, 0, first.t + 1);  // a stamp of 0 is none
+    begun = false;
   }
   const Axes& tick(double t, const Sample& newest, bool fresh) override {
+    if (begun) input.elapse(T);
+    begun = true;
+    if (fresh) {
+      const auto& x = newest.x;
+      input.add({x[0], x[1], x[2]}, t - newest.t, newest.t + 1);
+    }
+    const auto target = input.target(T);
     for (int i = 0; i < 3; ++i) {
-      if (fresh) estimates[i].update(newest.x[i], newest.t - last);
-      filters[i].step(estimates[i].predict(t + T - newest.t), T);
+      filters[i].step(target[i], T);
       state[i] = filters[i].state();
     }
-    if (fresh) last = newest.t;
     return state;
   }
-  std::array<surg::AlphaBeta, 3> estimates;
+  surg::StreamInput input;
   std::array<surg::StreamFilter, 3> filters;
   Axes state{};
-  double last = 0;
+  bool begun = false;
 };
 
 /// The newest sample, jumps and all.

@@ -279,6 +279,28 @@ TEST(ControlCycle, AClaimKeepsOthersOut) {
   EXPECT_EQ(after.out.verdicts[0].reason, surg::Reason::kNone);
 }
 
+TEST(ControlCycle, ASenderMaySlideAlongTheWallAndOthersAreRefused) {
+  Arm arm;
+  arm.enable();
+  CommandItem wish;
+  wish.kind = Kind::kAtWall;
+  wish.source = 7;
+  wish.slide = true;
+  EXPECT_EQ(arm.step({wish}).answers[0].reason, surg::Reason::kNone);
+  CommandItem pose = Arm::pose(surg::Motion::kServoCp, arm.tip());
+  pose.stamp_ns = 5'000'000'000;
+  arm.step({pose});
+  EXPECT_FALSE(arm.cycle->inputs().commands[0].slide);
+  EXPECT_DOUBLE_EQ(arm.cycle->inputs().commands[0].stamp, 5);
+  EXPECT_EQ(arm.cycle->inputs().commands[0].age, 0);
+  pose.source = 7;
+  arm.step({pose});
+  EXPECT_TRUE(arm.cycle->inputs().commands[0].slide);
+  wish.slide = false;
+  arm.step({wish, pose});
+  EXPECT_FALSE(arm.cycle->inputs().commands[0].slide);
+}
+
 /// F03: a network stalls while a hand streams, and delivers everything when the stall ends.
 TEST(ControlCycle, WhatWasSentBeforeTheStopIsLateAndMovesNothing) {
   Arm arm;

@@ -7,10 +7,12 @@
 #include <cstdint>
 #include <cstdio>
 #include <cstring>
+#include <functional>
 #include <initializer_list>
 #include <limits>
 #include <optional>
 #include <set>
+#include <utility>
 
 namespace surg {
 namespace {
@@ -40,6 +42,7 @@ constexpr LimitKey kLimitKeys[] = {
     {"roll_velocity", &Limits::roll_velocity, 1e-2, 6.0, "rad/s"},
     {"roll_acceleration", &Limits::roll_acceleration, 0.1, 100.0, "rad/s^2"},
     {"roll_jerk", &Limits::roll_jerk, 1.0, 5000.0, "rad/s^3"},
+    {"roll_max", &Limits::roll_max, 0.5, 6.3, "rad"},
     {"flange_velocity", &Limits::flange_velocity, 1e-3, 0.5, "m/s"},
     {"cone", &Limits::cone, 0.05, 1.3, "rad"},
     {"depth_min", &Limits::depth_min, 0.01, 0.1, "m", Tighter::kLarger},
@@ -73,9 +76,13 @@ constexpr TuningKey kTuningKeys[] = {
     {"posture_gain", &Tuning::posture_gain, 0.0, 10.0, "1/s"},
     {"profiler_duration", &Tuning::profiler_duration, 0.05, 5.0, "s"},
     {"stream_delay", &Tuning::stream_delay, 0.0, 0.1, "s"},
+    {"tremor", &Tuning::tremor, 0.0, 20.0, "Hz"},
     {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
     {"link_timeout", &Tuning::link_timeout, 0.01, 0.2, "s"},
     {"link_lag", &Tuning::link_lag, 0.0, 0.05, "s"},
+    {"track_noise", &Tuning::track_noise, 1e-5, 0.001, "m"},
+    {"track_jerk", &Tuning::track_jerk, 0.001, 1.0, "m/s^3"},
+    {"track_timeout", &Tuning::track_timeout, 0.05, 0.5, "s"},
 };
 
 std::string number(double value) {
@@ -123,6 +130,83 @@ bool stays_local(const std::array<int, 4>& a) {
          (a[0] == 169 && a[1] == 254);
 }
 
+/// Where a key is: file, and line where known.
+std::string place(const Document& document, const std::string& key) {
+  const auto line = document.lines.find(key);
+  const bool known = line != document.lines.end();
+  return document.file + (known ? ":" + std::to_string(line->second) : "");
+}
+
+/// A key that is needed and not there.
+class MissingKey : public ConfigError {
+ public:
+  MissingKey(const std::string& what, std::string key) : ConfigError(what), key_(std::move(key)) {}
+  const std::string& key() const { return key_; }
+
+ private:
+  std::string key_;
+};
+
+/// How many letters must be inserted, deleted, replaced or swapped with their neighbour.
+std::size_t edits_between(const std::string& a, const std::string& b) {
+  std::vector<std::size_t> before(b.size() + 1), last(b.size() + 1), row(b.size() + 1);
+  for (std::size_t j = 0; j <= b.size(); ++j) row[j] = j;
+  for (std::size_t i = 1; i <= a.size(); ++i) {
+    before = std::exchange(last, row);
+    row[0] = i;
+    for (std::size_t j = 1; j <= b.size(); ++j) {
+      row[j] = std::min({last[j] + 1, row[j - 1] + 1, last[j - 1] + (a[i - 1] != b[j - 1])});
+      const bool swapped = i > 1 && j > 1 && a[i - 1] == b[j - 2] && a[i - 2] == b[j - 1];
+      if (swapped) row[j] = std::min(row[j], before[j - 2] + 1);
+    }
+  }
+  return row[b.size()];
+}
+
+/// Whether one key may be a misspelling of the other: at most every third letter of a word differs.
+bool alike(const std::string& a, const std::string& b) {
+  const auto last_word = [](const std::string& key) { return key.size() - (key.rfind('.') + 1); };
+  return edits_between(a, b) <= std::max<std::size_t>(std::min(last_word(a), last_word(b)) / 3, 1);
+}
+
+/// The key of a document that is a misspelling of one that is missing in it; empty if there is
+/// none. It is one if it looks like it, and if nothing misses it or minds its value once it is
+/// renamed.
+template <typename Parse>
+std::string misspelling(const Document& document, const std::string& missing, Parse parse) {
+  std::multimap<std::size_t, std::string> nearest_first;
+  for (const auto& [key, value] : document.values) {
+    if (alike(key, missing)) nearest_first.emplace(edits_between(key, missing), key);
+  }
+  for (const auto& [edits, key] : nearest_first) {
+    Document renamed = document;
+    renamed.values[missing] = document.values.at(key);
+    renamed.values.erase(key);
+    try {
+      parse(renamed);
+    } catch (const MissingKey& other) {
+      if (other.key() == key) continue;
+    } catch (const ConfigError& other) {
+      if (std::strstr(other.what(), missing.c_str())) continue;
+    }
+    return key;
+  }
+  return "";
+}
+
+/// Parses a document. Where a key is missing because it is misspelt, the error names both.
+template <typename Parse>
+auto parse_with_hints(const Document& document, Parse parse) {
+  try {
+    return parse(document);
+  } catch (const MissingKey& missing) {
+    const std::string key = misspelling(document, missing.key(), parse);
+    if (key.empty()) throw;
+    throw ConfigError(place(document, key) + ": " + key + ": is not a known key; did you mean " +
+                      missing.key() + "?");
+  }
+}
+
 /// Reads a document key by key, remembers what was asked for, and refuses what was not.
 class Reader {
  public:
@@ -131,10 +215,7 @@ class Reader {
   }
 
   [[noreturn]] void fail(const std::string& key, const std::string& problem) const {
-    std::string where = document_.file;
-    const auto line = document_.lines.find(key);
-    if (line != document_.lines.end()) where += ":" + std::to_string(line->second);
-    throw ConfigError(where + ": " + key + ": " + problem);
+    throw ConfigError(place(document_, key) + ": " + key + ": " + problem);
   }
 
   double real(const std::string& key, double lowest, double highest, const char* unit) {
@@ -215,7 +296,7 @@ class Reader {
   void finish() const {
     for (const auto& [key, value] : document_.values) {
       if (known_.count(key)) continue;
-      std::string near;
+      std::string near, meant;
       for (const auto& candidate : known_) {
         const auto dot = key.rfind('.');
         const std::string section = dot == std::string::npos ? "" : key.substr(0, dot + 1);
@@ -223,7 +304,11 @@ class Reader {
         const std::string known_section =
             known_dot == std::string::npos ? "" : candidate.substr(0, known_dot + 1);
         if (section == known_section) near += (near.empty() ? "" : ", ") + candidate;
+        if (meant.empty() && document_.values.count(candidate) == 0 && alike(key, candidate)) {
+          meant = candidate;
+        }
       }
+      if (!meant.empty()) fail(key, "is not a known key; did you mean " + meant + "?");
       fail(key, "is not a known key" + (near.empty() ? "" : "; known here: " + near));
     }
   }
@@ -237,8 +322,8 @@ class Reader {
       const bool nested =
           std::any_of(document_.values.begin(), document_.values.end(),
                       [&](const auto& item) { return item.first.rfind(key + ".", 0) == 0; });
-      fail(key, nested ? "is a section; " + std::string(wanted) + " is needed"
-                       : "is missing; " + std::string(wanted) + " is needed");
+      if (nested) fail(key, "is a section; " + std::string(wanted) + " is needed");
+      throw MissingKey(document_.file + ": " + key + ": is missing; " + wanted + " is needed", key);
     }
     if (const T* value = std::get_if<T>(&found->second)) return *value;
     fail(key, show(found->second) + " is not " + wanted);
@@ -255,29 +340,46 @@ const LimitKey* find_limit(const std::string& name) {
   return nullptr;
 }
 
-std::string limit_names() {
+std::string not_a_limit(const std::string& name) {
   std::string list;
-  for (const auto& key : kLimitKeys) list += (list.empty() ? "" : ", ") + std::string(key.name);
-  return list;
+  for (const auto& key : kLimitKeys) {
+    if (alike(name, key.name)) return std::string("is not a limit; did you mean ") + key.name + "?";
+    list += (list.empty() ? "" : ", ") + std::string(key.name);
+  }
+  return "is not a limit; known are " + list;
 }
 
-/// Relations that must hold between limits, whoever set them.
-void check_limits(const Limits& limits, const std::string& file) {
-  if (!(limits.depth_min < limits.depth_slow && limits.depth_slow < limits.depth_max)) {
-    throw ConfigError(file + ": limits: depth_min " + number(limits.depth_min) + ", depth_slow " +
-                      number(limits.depth_slow) + ", depth_max " + number(limits.depth_max) +
-                      " m must increase in this order");
-  }
-  if (!(limits.rcm_error_warn < limits.rcm_error_fault)) {
-    throw ConfigError(file + ": limits: rcm_error_warn " + number(limits.rcm_error_warn) +
-                      " m must be below rcm_error_fault " + number(limits.rcm_error_fault) + " m");
-  }
-  if (!(limits.tip_force_soft < limits.tip_force_hard) ||
-      !(limits.trocar_force_warn < limits.trocar_force_fault)) {
-    throw ConfigError(file + ": limits: tip_force_soft " + number(limits.tip_force_soft) +
-                      " N must be below tip_force_hard " + number(limits.tip_force_hard) +
-                      " N, and trocar_force_warn " + number(limits.trocar_force_warn) +
-                      " N below trocar_force_fault " + number(limits.trocar_force_fault) + " N");
+/// File, line where known, and key of an arm's value in its cell.
+std::string place(const CellArm& arm, const std::string& key, const std::string& cell_file) {
+  const auto found = arm.where.find(key);
+  const std::string file = found == arm.where.end() ? cell_file : found->second;
+  return file + ": arms." + arm.name + "." + key;
+}
+
+/// Limits that must increase, whoever set them.
+struct IncreasingLimits {
+  const char *lower, *upper;
+};
+constexpr IncreasingLimits kIncreasingLimits[] = {
+    {"depth_min", "depth_slow"},
+    {"depth_slow", "depth_max"},
+    {"rcm_error_warn", "rcm_error_fault"},
+    {"tip_force_soft", "tip_force_hard"},
+    {"trocar_force_warn", "trocar_force_fault"},
+};
+
+/// where: file, line and key of a limit, by its name; empty if it is stated elsewhere.
+void check_limits(const Limits& limits,
+                  const std::function<std::string(const std::string&)>& where) {
+  for (const auto& [lower, upper] : kIncreasingLimits) {
+    const LimitKey &low = *find_limit(lower), &high = *find_limit(upper);
+    const double least = limits.*low.member, most = limits.*high.member;
+    if (least < most) continue;
+    const std::string below = where(lower), above = where(upper);
+    const std::string at = !below.empty() ? below : above;
+    const std::string other = !below.empty() && !above.empty() ? " (" + above + ")" : "";
+    throw ConfigError(at + ": " + lower + " " + number(least) + " " + low.unit + " must be below " +
+                      upper + " " + number(most) + " " + high.unit + other);
   }
 }
 
@@ -332,9 +434,7 @@ std::vector<std::string> arm_names(const Document& document) {
   return names;
 }
 
-}  // namespace
-
-RobotConfig parse_robot(const Document& document) {
+RobotConfig read_robot(const Document& document) {
   Reader reader(document, "surg_robot/1");
   RobotConfig robot;
   robot.file = document.file;
@@ -382,11 +482,13 @@ RobotConfig parse_robot(const Document& document) {
         reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
   }
   reader.finish();
-  check_limits(robot.limits, document.file);
+  check_limits(robot.limits, [&document](const std::string& limit) {
+    return place(document, "limits." + limit) + ": limits." + limit;
+  });
   return robot;
 }
 
-InstrumentConfig parse_instrument(const Document& document) {
+InstrumentConfig read_instrument(const Document& document) {
   Reader reader(document, "surg_instrument/1");
   InstrumentConfig instrument;
   instrument.file = document.file;
@@ -409,7 +511,7 @@ InstrumentConfig parse_instrument(const Document& document) {
   return instrument;
 }
 
-ToolCalibration parse_tool(const Document& document) {
+ToolCalibration read_tool(const Document& document) {
   Reader reader(document, "surg_tool/1");
   ToolCalibration tool;
   tool.s_F = reader.vector("shaft_axis", 1.0 + 1e-9, "");
@@ -419,6 +521,11 @@ ToolCalibration parse_tool(const Document& document) {
   }
   tool.s_F.normalize();
   tool.p_FTip = reader.vector("tip", 1.0, "m");
+  const double along = tool.s_F.dot(tool.p_FTip);
+  if (!(along > 0)) {
+    reader.fail("shaft_axis", "points away from the tip, which is " + number(along) +
+                                  " m along it; it must point from the flange to the tip");
+  }
   const Evidence evidence = read_evidence(reader);
   tool.residual = evidence.residual;
   tool.condition = evidence.condition;
@@ -428,7 +535,7 @@ ToolCalibration parse_tool(const Document& document) {
   return tool;
 }
 
-TrocarCalibration parse_trocar(const Document& document) {
+TrocarCalibration read_trocar(const Document& document) {
   Reader reader(document, "surg_trocar/1");
   TrocarCalibration trocar;
   trocar.p_BRcm = reader.vector("point", 2.0, "m");
@@ -440,8 +547,6 @@ TrocarCalibration parse_trocar(const Document& document) {
   reader.finish();
   return trocar;
 }
-
-namespace {
 
 constexpr const char* kRoles[] = {"robot", "operator", "endoscope"};
 
@@ -472,9 +577,7 @@ std::map<std::string, std::string> read_machines(Reader& reader, const std::stri
   return machines;
 }
 
-}  // namespace
-
-CellConfig parse_cell(const Document& document) {
+CellConfig read_cell(const Document& document) {
   Reader reader(document, "surg_cell/1");
   CellConfig cell;
   cell.file = document.file;
@@ -500,11 +603,13 @@ CellConfig parse_cell(const Document& document) {
     arm.base_xyz = reader.vector(prefix + "base.xyz", 10.0, "m");
     arm.base_rpy = reader.vector(prefix + "base.rpy", 6.3, "rad");
     if (reader.has(prefix + "home")) arm.home = reader.numbers(prefix + "home");
+    arm.where["home"] = place(document, prefix + "home");
     for (const auto& [key, value] : document.values) {
       if (key.rfind(prefix + "limits.", 0) != 0) continue;
       const std::string limit = key.substr(prefix.size() + std::strlen("limits."));
-      if (!find_limit(limit)) reader.fail(key, "is not a limit; known are " + limit_names());
+      if (!find_limit(limit)) reader.fail(key, not_a_limit(limit));
       arm.limits[limit] = reader.real(key, -kInf, kInf, "");
+      arm.where["limits." + limit] = place(document, key);
     }
     cell.arms.push_back(arm);
   }
@@ -512,12 +617,30 @@ CellConfig parse_cell(const Document& document) {
   return cell;
 }
 
+}  // namespace
+
+RobotConfig parse_robot(const Document& document) { return parse_with_hints(document, read_robot); }
+
+InstrumentConfig parse_instrument(const Document& document) {
+  return parse_with_hints(document, read_instrument);
+}
+
+ToolCalibration parse_tool(const Document& document) {
+  return parse_with_hints(document, read_tool);
+}
+
+TrocarCalibration parse_trocar(const Document& document) {
+  return parse_with_hints(document, read_trocar);
+}
+
+CellConfig parse_cell(const Document& document) { return parse_with_hints(document, read_cell); }
+
 Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file) {
   Limits result = limits;
   for (const auto& [limit, value] : arm.limits) {
-    const std::string where = cell_file + ": arms." + arm.name + ".limits." + limit + ": ";
+    const std::string where = place(arm, "limits." + limit, cell_file) + ": ";
     const LimitKey* key = find_limit(limit);
-    if (!key) throw ConfigError(where + "is not a limit; known are " + limit_names());
+    if (!key) throw ConfigError(where + not_a_limit(limit));
     const double present = limits.*key->member;
     const bool smaller = key->tighter == Tighter::kSmaller;
     const double lowest = smaller ? key->lowest : present;
@@ -530,14 +653,16 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
     }
     result.*key->member = value;
   }
-  check_limits(result, cell_file);
+  check_limits(result, [&](const std::string& limit) {
+    return arm.limits.count(limit) ? place(arm, "limits." + limit, cell_file) : std::string();
+  });
   return result;
 }
 
 RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file) {
   RobotConfig result = robot;
   if (arm.home.empty()) return result;
-  const std::string where = cell_file + ": arms." + arm.name + ".home: ";
+  const std::string where = place(arm, "home", cell_file) + ": ";
   if (arm.home.size() != robot.joint_names.size()) {
     throw ConfigError(where + "has " + std::to_string(arm.home.size()) + " values; " + robot.name +
                       " has " + std::to_string(robot.joint_names.size()) + " joints");
@@ -551,6 +676,16 @@ RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::s
     result.home[i] = arm.home[i];
   }
   return result;
+}
+
+void check_tool(const ToolCalibration& tool, const Limits& limits, const std::string& tool_file) {
+  const double length = tool.s_F.dot(tool.p_FTip);
+  if (limits.depth_max < length) return;
+  throw ConfigError(tool_file + ": tip: is " + number(length) +
+                    " m along the shaft from the flange, and limits.depth_max " +
+                    number(limits.depth_max) +
+                    " m would push the flange into the trocar: tighten depth_max in the cell to "
+                    "less than that, or calibrate the tool again");
 }
 
 std::string limits_hash(const RobotConfig& robot, const Limits& limits) {

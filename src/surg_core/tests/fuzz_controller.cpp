@@ -250,7 +250,9 @@ class Run {
       request(before_.state == State::kPaused ? StateCommand::kResume : StateCommand::kEnable);
     }
     if (idle && dice_.one_in(60)) request(StateCommand::kHome);
-    if (dice_.one_in(400)) request(static_cast<StateCommand>(dice_.integer(0, 5)));
+    const bool in_ramp = idle && before_.qd_command.norm() > 1e-3;
+    if (dice_.one_in(in_ramp ? 8 : 400)) request(static_cast<StateCommand>(dice_.integer(0, 5)));
+    if (in_ramp && dice_.one_in(8)) teach();
     if (dice_.one_in(1500)) {
       controller_.pause(Reason::kOverrun);
       called_ = true;
@@ -639,7 +641,7 @@ class Run {
     if (!(at_.flange_speed <= robot_.limits.flange_velocity * (1 + 1e-6))) {
       return {"flange velocity", text("%.6g m/s", at_.flange_speed)};
     }
-    const bool halt = blind_ || !out.homed || force_halt_;
+    const bool halt = blind_ || force_halt_;
     if (!halt && excess > 1 + 1e-6) {
       figures_.worst_acceleration = std::max(figures_.worst_acceleration, excess);
       const bool stated = out.limited_by[0] != '\0' && out.scale < 1;

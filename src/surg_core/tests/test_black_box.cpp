@@ -253,6 +253,56 @@ TEST(BlackBox, TheReplayNamesTheFirstDifference) {
   EXPECT_THROW(replay(changed), BlackBoxError);
 }
 
+/// Every field of a cycle is recorded and compared: one that is changed is the one that is named.
+TEST(BlackBox, TheReplayComparesEveryFieldOfACycle) {
+  const auto arm = incident(5, Law::kExact);
+  const BlackBoxRecording recording = arm->box().recording(label());
+  const struct {
+    const char* name;
+    void (*change)(Outputs&);
+  } fields[] = {{"state", [](Outputs& o) { o.state = State::kFault; }},
+                {"reason", [](Outputs& o) { o.reason = Reason::kLate; }},
+                {"homed", [](Outputs& o) { o.homed = !o.homed; }},
+                {"busy", [](Outputs& o) { o.busy = !o.busy; }},
+                {"motion", [](Outputs& o) { o.motion = Motion::kJawMoveJp; }},
+                {"source", [](Outputs& o) { o.source += 1; }},
+                {"accepted", [](Outputs& o) { o.accepted += 1; }},
+                {"refused", [](Outputs& o) { o.refused += 1; }},
+                {"warn_rcm", [](Outputs& o) { o.warn_rcm = !o.warn_rcm; }},
+                {"warn_force", [](Outputs& o) { o.warn_force = !o.warn_force; }},
+                {"X_BF", [](Outputs& o) { o.X_BF.translation().x() += 1e-9; }},
+                {"p_BTip", [](Outputs& o) { o.p_BTip.x() += 1e-9; }},
+                {"s_B", [](Outputs& o) { o.s_B.x() += 1e-9; }},
+                {"p_BRcm", [](Outputs& o) { o.p_BRcm.x() += 1e-9; }},
+                {"v_BTip", [](Outputs& o) { o.v_BTip.x() += 1e-9; }},
+                {"roll", [](Outputs& o) { o.roll += 1e-9; }},
+                {"depth", [](Outputs& o) { o.depth += 1e-9; }},
+                {"rcm_error", [](Outputs& o) { o.rcm_error += 1e-9; }},
+                {"virtual_q", [](Outputs& o) { o.virtual_q[0] += 1e-9; }},
+                {"virtual_qd", [](Outputs& o) { o.virtual_qd[0] += 1e-9; }},
+                {"virtual_set", [](Outputs& o) { o.virtual_set[0] += 1e-9; }},
+                {"p_goal", [](Outputs& o) { o.p_goal.x() += 1e-9; }},
+                {"p_set", [](Outputs& o) { o.p_set.x() += 1e-9; }},
+                {"v_set", [](Outputs& o) { o.v_set.x() += 1e-9; }},
+                {"roll_goal", [](Outputs& o) { o.roll_goal += 1e-9; }},
+                {"roll_set", [](Outputs& o) { o.roll_set += 1e-9; }},
+                {"jaw_set", [](Outputs& o) { o.jaw_set += 1; }},
+                {"jaw", [](Outputs& o) { o.jaw += 1; }},
+                {"scale", [](Outputs& o) { o.scale += 1e-9; }},
+                {"limited_by", [](Outputs& o) { o.limited_by = "nothing"; }},
+                {"tier", [](Outputs& o) { o.tier += 1; }},
+                {"qd_command", [](Outputs& o) { o.qd_command[0] += 1e-9; }},
+                {"twist_command", [](Outputs& o) { o.twist_command[0] += 1e-9; }}};
+  for (const auto& field : fields) {
+    BlackBoxRecording changed = recording;
+    field.change(changed.steps[50].out);
+    const auto difference = replay(decode(encode(changed)));
+    ASSERT_TRUE(difference) << field.name;
+    EXPECT_EQ(difference->step, 50U);
+    EXPECT_EQ(difference->field, field.name);
+  }
+}
+
 TEST(BlackBox, ADamagedFileIsRefusedWithWords) {
   const auto arm = incident(6, Law::kVelocity);
   const std::string good = encode(arm->box().recording(label()));

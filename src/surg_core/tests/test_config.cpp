@@ -33,7 +33,7 @@ TEST(Config, EveryKeyIsNeededAndNoneHasADefault) {
     Document d = good_robot();
     d.values.erase(item.first);
     const std::string error = error_of([&] { parse_robot(d); });
-    EXPECT_NE(error.find(item.first), std::string::npos) << item.first << ": " << error;
+    EXPECT_NE(error.find(item.first + ": is missing"), std::string::npos) << error;
     ++n;
   }
   test::report("missing keys", n);
@@ -78,6 +78,108 @@ TEST(Config, RefusesUnknownKeysWrongTypesAndWrongSizes) {
     Document d = good_robot();
     d.values[key] = value;
     EXPECT_NE(error_of([&] { parse_robot(d); }), "") << key;
+  }
+}
+
+/// The key that is there and wrong is named, not only the one that is missing for it.
+TEST(Config, AMisspeltKeyIsNamedWithTheOneThatWasMeant) {
+  const std::map<std::string, std::string> misspelt = {
+      {"limits.tip_velocity", "limits.tip_velocitty"},
+      {"limits.cone", "limits.kone"},
+      {"limits.depth_max", "limit.depth_max"},
+      {"tuning.link_lag", "tuning.lnik_lag"},
+      {"joints.home", "joints.hom"},
+      {"flange_link", "flang_link"},
+      {"name", "nmae"},
+      {"limits.tip_jerk", "limits.Tip_jerk"}};
+  for (const auto& [right, wrong] : misspelt) {
+    Document d = good_robot();
+    d.values[wrong] = d.values[right];
+    d.values.erase(right);
+    d.lines[wrong] = 77;
+    EXPECT_EQ(error_of([&] { parse_robot(d); }),
+              "robot.yaml:77: " + wrong + ": is not a known key; did you mean " + right + "?");
+  }
+  // Beside the right one it is a key too many, and a limit of a cell has no twin that is missing.
+  Document d = good_robot();
+  d.values["limits.tip_velocitty"] = 0.1;
+  EXPECT_NE(error_of([&] { parse_robot(d); }).find("limits.tip_velocitty: is not a known key"),
+            std::string::npos);
+  // Keys that look alike and are both known are not mistaken for each other.
+  Document jaw;
+  jaw.file = "tool.yaml";
+  jaw.values = {{"format", std::string("surg_instrument/1")},
+                {"name", std::string("n")},
+                {"urdf", std::string("u")},
+                {"mount_link", std::string("m")},
+                {"tip_link", std::string("t")},
+                {"jaw.max", 1.0},
+                {"jaw.velocity", 1.0}};
+  EXPECT_NE(error_of([&] { parse_instrument(jaw); }).find("jaw.min: is missing"),
+            std::string::npos);
+}
+
+TEST(Config, AnErrorAcrossTwoLimitsNamesTheLineOfEach) {
+  struct Pair {
+    const char *lower, *upper;
+    double both;
+  };
+  for (const Pair& pair : {Pair{"depth_min", "depth_slow", 0.03},
+                           {"depth_slow", "depth_max", 0.1},
+                           {"rcm_error_warn", "rcm_error_fault", 0.001},
+                           {"tip_force_soft", "tip_force_hard", 5},
+                           {"trocar_force_warn", "trocar_force_fault", 10}}) {
+    Document d = good_robot();
+    const std::string low = std::string("limits.") + pair.lower;
+    const std::string high = std::string("limits.") + pair.upper;
+    d.lines[low] = 31;
+    d.lines[high] = 35;
+    d.values[low] = d.values[high] = pair.both;
+    const std::string error = error_of([&] { parse_robot(d); });
+    EXPECT_NE(error.find("robot.yaml:31: " + low), std::string::npos) << error;
+    EXPECT_NE(error.find("robot.yaml:35: " + high), std::string::npos) << error;
+  }
+  // In a cell the line is that of the limit which the cell states.
+  const Limits limits = parse_robot(good_robot()).limits;
+  CellArm arm;
+  arm.name = "PSM1";
+  arm.limits = {{"depth_min", 0.03}};
+  arm.where = {{"limits.depth_min", "cell.yaml:12"}};
+  EXPECT_NE(error_of([&] {
+              tighten(limits, arm, "cell.yaml");
+            }).find("cell.yaml:12: arms.PSM1.limits.depth_min: depth_min 0.03"),
+            std::string::npos);
+  arm.limits = {{"depth_min", 0.01}};
+  EXPECT_NE(error_of([&] { tighten(limits, arm, "cell.yaml"); }).find("cell.yaml:12: "),
+            std::string::npos);
+}
+
+Document tool_document(const std::vector<double>& axis, const std::vector<double>& tip) {
+  Document d;
+  d.file = "tool.yaml";
+  d.values = {{"format", std::string("surg_tool/1")},
+              {"shaft_axis", axis},
+              {"tip", tip},
+              {"residual", 0.0},
+              {"condition", 1.0},
+              {"n", 10.0},
+              {"date", std::string("2026-01-01")}};
+  return d;
+}
+
+TEST(Config, AShaftPointsToItsTipAndIsLongerThanTheDeepestTarget) {
+  const Limits limits = parse_robot(good_robot()).limits;  // depth_max 0.22
+  const ToolCalibration tool = parse_tool(tool_document({0, 0, 1}, {0.06, 0, 0.3}));
+  EXPECT_EQ(error_of([&] { check_tool(tool, limits, "tool.yaml"); }), "");
+  for (const std::vector<double>& axis : {std::vector<double>{0, 0, -1}, {0, 1, 0}}) {
+    const std::string error = error_of([&] { parse_tool(tool_document(axis, {0.06, 0, 0.3})); });
+    EXPECT_NE(error.find("tool.yaml: shaft_axis: points away"), std::string::npos) << error;
+  }
+  for (const double length : {0.22, 0.1}) {
+    const ToolCalibration stub = parse_tool(tool_document({0, 0, 1}, {0.3, 0, length}));
+    const std::string error = error_of([&] { check_tool(stub, limits, "tool.yaml"); });
+    EXPECT_NE(error.find("tool.yaml: tip: "), std::string::npos) << error;
+    EXPECT_NE(error.find("depth_max 0.22"), std::string::npos) << error;
   }
 }
 

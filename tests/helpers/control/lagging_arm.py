@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 import surg_core
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange
+from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import make_plan
 from surg_teleop.playback.motion_player import Mode, MotionPlayer, Stage
@@ -40,6 +41,11 @@ class Run:
         lag: The lag that was removed [s].
         unscaled: Share of ticks in which no limit slowed the arm.
         limited_by: Which limits did.
+        planned: Length of the plan [s].
+        played: Time of the plan that was reached [s].
+        slowed: By how much longer than planned it took [s].
+        end_error: Distance of the tip from the plan's end [m].
+        first_refusal: Time in the plan [s] and cause; None: nothing was refused.
     """
 
     stage: Stage
@@ -50,6 +56,11 @@ class Run:
     lag: float
     unscaled: float
     limited_by: frozenset[str]
+    planned: float
+    played: float
+    slowed: float
+    end_error: float
+    first_refusal: tuple[float, str] | None
 
 
 class LaggingArm:
@@ -112,6 +123,7 @@ class LaggingArm:
             busy=out.busy,
             reason=surg_core.reason_name(out.reason),
             refused=out.refused,
+            accepted=out.accepted,
             p_BSet=out.p_set,
             p_BTip=out.p_BTip,
             p_BRcm=out.p_BRcm,
@@ -142,7 +154,8 @@ def play(
         1.0,
         duration,
     )
-    operator = MotionPlayer(plan, mode, JawRange(arm.instrument.jaw_min, arm.instrument.jaw_max))
+    jaw = JawRange(arm.instrument.jaw_min, arm.instrument.jaw_max)
+    operator = MotionPlayer(plan, mode, jaw, StepLimits.of(limits))
     plant = LaggingArm(arm, law, feedback_gain)
     rcm_error, tips, times, scales, limited = [], [], [], [], set()
     commands = ArmCommands()
@@ -152,7 +165,7 @@ def play(
         if operator.stage is Stage.PLAY:
             rcm_error.append(out.rcm_error)
             tips.append(view.p_tip)
-            times.append((view.stamp_ns - operator.started_ns) / 1e9)
+            times.append(operator.clock)
             scales.append(out.scale)
             if out.scale < 1.0:
                 limited.add(out.limited_by)
@@ -170,6 +183,11 @@ def play(
         lag=lag,
         unscaled=float(np.mean(np.array(scales) >= 1.0)) if scales else 0.0,
         limited_by=frozenset(limited),
+        planned=plan.duration,
+        played=operator.clock,
+        slowed=operator.slowed_ns / 1e9,
+        end_error=float(np.linalg.norm(view.p_tip - plan.at(plan.duration)[0])),
+        first_refusal=operator.first_refusal,
     )
 
 

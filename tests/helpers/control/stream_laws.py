@@ -27,11 +27,11 @@ PATH_CUTOFF_HZ = 3.0
 """As in the summary of a run: tremor adds length without going anywhere."""
 
 
-def filter_law(limits: testing.DofLimits, feed_forward: bool = True) -> Law:
-    """The shipped stream filter behind its alpha-beta estimate."""
+def filter_law(limits: testing.DofLimits, delay: float = 0.0) -> Law:
+    """The shipped stream filter behind its estimate."""
 
     def law(t: Array, samples: Array, n: int) -> Array:
-        return testing.stream_filter(t, samples, limits, TICK, feed_forward)[:n]
+        return testing.stream_filter(t, samples, limits, TICK, delay=delay)[:n]
 
     return law
 
@@ -132,22 +132,31 @@ def judge(out: Array, motion: CubicSpline, limits: testing.DofLimits) -> Verdict
     )
 
 
-def _violations(p: Array, states: Array | None, limits: testing.DofLimits) -> tuple[int, int, int]:
-    """Ticks and axes beyond each limit: from the law's own states, otherwise from differences.
+def violations(states: Array, limits: testing.DofLimits) -> tuple[int, int, int]:
+    """Ticks and axes beyond each limit, from the states (n, axes, 3) at the ends of the ticks.
 
-    With states the jerk of a tick is constant, and the velocity is checked inside the tick too.
+    The jerk of a tick is constant, and the velocity is checked inside the tick too.
     """
-    if states is None:
-        v, a, j = (np.diff(p, order, axis=0) / TICK**order for order in (1, 2, 3))
-    else:
-        before, after = states[:-1], states[1:]
-        j = (after[:, :, 2] - before[:, :, 2]) / TICK
-        a = states[:, :, 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            turn = -before[:, :, 2] / j
-            peak = before[:, :, 1] - 0.5 * before[:, :, 2] ** 2 / j
-        inside = (turn > 0) & (turn < TICK)
-        v = np.maximum(np.abs(after[:, :, 1]), np.where(inside, np.abs(peak), 0.0))
+    before, after = states[:-1], states[1:]
+    j = (after[:, :, 2] - before[:, :, 2]) / TICK
+    a = states[:, :, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = -before[:, :, 2] / j
+        peak = before[:, :, 1] - 0.5 * before[:, :, 2] ** 2 / j
+    inside = (turn > 0) & (turn < TICK)
+    v = np.maximum(np.abs(after[:, :, 1]), np.where(inside, np.abs(peak), 0.0))
+    return _count(v, a, j, limits)
+
+
+def _violations(p: Array, states: Array | None, limits: testing.DofLimits) -> tuple[int, int, int]:
+    """The same, from differences of the positions where there are no states."""
+    if states is not None:
+        return violations(states, limits)
+    v, a, j = (np.diff(p, order, axis=0) / TICK**order for order in (1, 2, 3))
+    return _count(v, a, j, limits)
+
+
+def _count(v: Array, a: Array, j: Array, limits: testing.DofLimits) -> tuple[int, int, int]:
     counts = [
         int(np.count_nonzero(np.abs(x) > limit * ROUNDING))
         for x, limit in ((v, limits.velocity), (a, limits.acceleration), (j, limits.jerk))

@@ -61,6 +61,8 @@ class Synthetic:
     fault_at: float | None = None
     hold: tuple[float, float] | None = None
     """From, to [s]: the set-point and the arm stand still while the input goes on."""
+    refused_from: float | None = None
+    """From then on [s] the arm refuses every command and holds."""
     constant: bool = False
     disabled_ticks: int = 0
     scaled_ticks: int = 0
@@ -77,6 +79,8 @@ class Synthetic:
     def executed(self, t: float) -> np.ndarray:
         """Executed tip in the rcm frame at time t [m]."""
         t = max(t - self.lag_s, -0.5)
+        if self.refused_from is not None:
+            t = min(t, self.refused_from)
         if self.hold and t > self.hold[0]:
             t = self.hold[0] if t < self.hold[1] else t
         return path(0.0 if self.constant else t)
@@ -100,6 +104,10 @@ def cycle(what: Synthetic, tick: int, command: int) -> SimpleNamespace:
     tip = P_RCM + R_BR @ tip_R
     fault = what.fault_at is not None and t >= what.fault_at
     ns = shown * TICK_NS
+    refusing = 0
+    if what.refused_from is not None and t >= what.refused_from:
+        refusing = 1 + round((t - what.refused_from) * 1e9 / TICK_NS)
+        command = 0
     v = np.full(what.joints, 0.1)
     return SimpleNamespace(
         header=header(ns),
@@ -107,13 +115,13 @@ def cycle(what: Synthetic, tick: int, command: int) -> SimpleNamespace:
         state=3 if fault else (0 if tick <= 50 + what.disabled_ticks and command else 1),
         homed=True,
         busy=False,
-        reason="rcm_error, 2.1 mm" if fault else "",
+        reason="rcm_error, 2.1 mm" if fault else ("stale" if refusing > 50 else ""),
         command=command,
         source="/operator",
         p_goal=list(P_RCM + R_BR @ path(t)),
         roll_goal=0.0,
-        accepted=tick,
-        refused=0,
+        accepted=tick - refusing,
+        refused=refusing,
         q=list(np.sin(t + np.arange(what.joints))),
         qd=list(v),
         p_tip=list(tip),

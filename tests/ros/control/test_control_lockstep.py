@@ -224,6 +224,17 @@ def test_tf_says_what_measured_cp_says(ros_graph: RosGraph, rig: Rig) -> None:
     assert max(spread) < 1e-9
 
 
+def test_a_link_lag_other_than_the_stated_one_is_a_warning(ros_graph: RosGraph, rig: Rig) -> None:
+    start(ros_graph, rig)
+    begin = tip_in_rcm(rig.enable())
+    for k in range(500):  # this rig follows at once; the robot's YAML says 12 ms
+        rig.pose(begin + np.array([0.01 * (1.0 - math.cos(2 * math.pi * k / 500)), 0.0, 0.0]))
+        rig.step()
+    assert rig.arm.robot.tuning.link_lag == 0.012
+    assert "lags 0.0 ms" in rig.wait_text("status", "tuning.link_lag is 12.0 ms")
+    rig.wait_text("warning", "lags 0.0 ms behind its commands; tuning.link_lag is 12.0 ms")
+
+
 def test_twist_link_gets_the_flange_twist(ros_graph: RosGraph, rospy_node: str) -> None:
     rig = Rig(rospy_node, twist=True)
     start(ros_graph, rig, link="twist")

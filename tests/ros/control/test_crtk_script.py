@@ -258,6 +258,36 @@ def ask_for_what_is_not_there(arm: Arm, witness: Witness) -> None:
     assert arm.spatial.newest["measured_cf"].header.stamp.is_zero()
 
 
+def test_a_move_into_a_joint_limit_ends_and_wait_returns(
+    ros_graph: RosGraph, rospy_node: str, witness: Witness
+) -> None:
+    """F20: the Panda's last joint ends before a roll of 4 rad; an ordinary client waits for it."""
+    start_system(ros_graph, CELLS["sim_panda"], "lockstep", [rospy_node.lstrip("/")])
+    clock = LockstepTime(rospy_node, "PSM1")
+    arm = Arm("PSM1", clock)
+    try:
+        arm.check_connections(30.0)
+        ros_graph.wait_for(clock.connected, 20.0, "the clock's connections")
+        arm.sleep(0.02)
+        assert arm.enable(2.0) and arm.home(2.0)
+        home = arm.measured_jp()
+        assert arm.move_jp(home + np.array([0.0, 0.0, 0.0, 4.0])).wait(timeout=30.0)
+        over = clock.tick
+        assert abs(arm.measured_jp()[3] - home[3]) < 3.5
+        ros_graph.wait_for(lambda: over in witness.cycles, 10.0, "the cycle in which it was over")
+        q = np.array([witness.cycles[k].q for k in sorted(witness.cycles) if k <= over])
+        moving = np.abs(np.diff(q, axis=0)).max(axis=1) > 0.01 * TICK
+        stood = (len(moving) - np.flatnonzero(moving)[-1]) * TICK
+        print(f"busy for {stood:.2f} s after standstill")
+        assert stood < 2.0
+        assert any("joint_limit" in text for text in witness.said("without reaching"))
+        assert arm.move_jp(home).wait(timeout=30.0), "and the arm obeys again"
+        assert np.allclose(arm.measured_jp(), home, atol=[0.005, 0.005, 5e-4, 0.011])
+    finally:
+        arm.close()
+        clock.close()
+
+
 def test_a_client_that_was_frozen_does_not_go_on(
     ros_graph: RosGraph, rospy_node: str, witness: Witness
 ) -> None:

@@ -25,7 +25,8 @@ CORE = paths.ROOT / "src" / "surg_core"
 ABSENT = {
     # parts of Controller, reachable through step() and run(), whose types own no meaning alone
     "ArmState InstrumentState CommandHandler TipPose Setpoint Space Dofs": "part",
-    "Trocar TrackSample Jaw": "part",
+    "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
+    "StreamInput StreamEstimate TremorNotch nearest_inside": "part",
     "ForceGuard": "part",
     "OperatingState Conditions Authority": "part",
     "velocity_twist axial_twist paper_twist TwistParts Gains to_spherical to_cartesian": "part",
@@ -38,7 +39,7 @@ ABSENT = {
     "BlackBoxRecording BlackBoxError BlackBoxDifference ControllerSetup": "bytes",
     "encode decode replay": "bytes",
     # value types that Python has as arrays, tuples or arguments
-    "Tool Line UrBranch UrSolutions Value Interval": "arguments",
+    "SampleTime Tool Line UrBranch UrSolutions Value Interval": "arguments",
 }
 """Names of the headers that the module does not have, and why."""
 RENAMED = {

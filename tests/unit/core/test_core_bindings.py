@@ -261,17 +261,22 @@ def test_stream_filter_brakes_within_its_limits() -> None:
     assert stop.distance <= stream.state.x <= stop.distance + 0.25 * 0.002
 
 
-def test_stream_filter_follows_the_estimate() -> None:
-    estimate, stream = testing.AlphaBeta(), testing.StreamFilter(TIP)
-    estimate.reset(0.0)
-    stream.reset(Kinematic())
-    errors = []
-    for k in range(1, 3000):
-        t = 0.002 * k
-        estimate.update(0.03 * math.sin(t), 0.002)
-        stream.step(estimate.predict(0.002), 0.002)
-        errors.append(stream.state.x - 0.03 * math.sin(t + 0.002))
-    assert np.abs(errors[500:]).max() < 2e-4
+def test_a_recorded_stream_is_followed() -> None:
+    t = 0.002 * np.arange(3000)
+    states = testing.stream_filter(t, 0.03 * np.sin(t)[:, None], TIP, stamped=False)
+    # As in the controller, the target is one tick ahead of the end of the cycle.
+    errors = states[500:, 0, 0] - 0.03 * np.sin(t[500:-1] + 0.004)
+    assert np.abs(errors).max() < 2e-4
+
+
+def test_a_stream_clock_takes_the_senders_spacing_and_its_own_offset() -> None:
+    clock = testing.StreamClock(5.0, 1000.0)
+    elapsed = [clock.advance(5.0 + 0.02 * (k // 10), 1000.0 + 0.002 * k) for k in range(1, 2000)]
+    assert clock.stamped
+    np.testing.assert_allclose(elapsed, 0.002, atol=1e-9)
+    assert clock.period == pytest.approx(0.002)
+    # Bursts of 20 ms that begin with their newest sample: the mean delay is -9 ms.
+    assert clock.time == pytest.approx(5.0 + 0.002 * 1999 - 0.009, abs=1e-3)
 
 
 def test_stream_delay_is_late_by_its_delay() -> None:

@@ -51,6 +51,7 @@ limits:
   trocar_force_warn: 10.0
   trocar_force_fault: 15.0
   joint_margin: 0.1
+  roll_max: 6.2832
 tuning:
   rcm_gain: 40
   tip_gain: 10
@@ -58,9 +59,13 @@ tuning:
   posture_gain: 1
   profiler_duration: 0.5
   stream_delay: 0.01
+  tremor: 10.0
   servo_timeout: 0.1
   link_timeout: 0.05
   link_lag: 0.008
+  track_noise: 0.0003
+  track_jerk: 0.02
+  track_timeout: 0.25
 """,
     "grasper.yaml": """\
 format: surg_instrument/1
@@ -350,7 +355,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
         )
         changed = surg_core.load_robot(folder / ROBOT)
         seen.add(testing.limits_hash(changed, changed.limits))
-    assert len(seen) == len(lines) + 1 == 35
+    assert len(seen) == len(lines) + 1 == 40
     assert all(len(digest) == 16 for digest in seen)
 
 
@@ -358,6 +363,6 @@ def test_limits_are_told_by_name(folder: Path) -> None:
     robot = surg_core.load_robot(folder / ROBOT)
     names = robot.limits.as_dict()
     assert names["tip_jerk"] == 40.0
-    assert len(names) == 25
+    assert len(names) == 26
     assert robot.tuning.as_dict()["rcm_gain"] == 40.0
     assert "tip_jerk=40.0" in repr(robot.limits)

@@ -144,14 +144,17 @@ def test_wrong_shapes_raise_before_anything_happens() -> None:
         MotionCommand(Motion.SERVO_CP, p=[0, 0])
     with pytest.raises(ValueError, match=r"rotation: shape \(4,\)"):
         MotionCommand(Motion.SERVO_CP, rotation=np.eye(3))
+    for rotation in ([0.0] * 4, [0.0, 0.0, 0.0, 0.99], [0.0, 0.0, 0.0, 1e308]):
+        with pytest.raises(ValueError, match="unit quaternion"):
+            MotionCommand(Motion.MOVE_CP, p=[0, 0, 0.12], rotation=rotation)
     with pytest.raises(TypeError):
         MotionCommand("servo_cp")  # type: ignore[arg-type]
 
 
 def test_a_command_shows_what_it_holds() -> None:
     command = MotionCommand(
-        Motion.SERVO_JP, source=2, joints=[1, 2, 3, 4], rotation=[0.1, 0.2, 0.3, 0.4], jaw=0.5
+        Motion.SERVO_JP, source=2, joints=[1, 2, 3, 4], rotation=[0.1, 0.5, 0.7, 0.5], jaw=0.5
     )
     np.testing.assert_array_equal(command.joints, [1, 2, 3, 4])
-    np.testing.assert_array_equal(command.rotation, [0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_array_equal(command.rotation, [0.1, 0.5, 0.7, 0.5])
     assert (command.source, command.jaw, int(command.motion)) == (2, 0.5, 2)

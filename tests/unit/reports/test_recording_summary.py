@@ -21,7 +21,7 @@ KEYS = {
     *("robot", "motion", "mode", "law", "link", "duration_s", "scale", "rcm_kinematic_mm"),
     *("rcm_true_mm", "tip_error_mm", "tip_lag_ms", "path_length_mm", "shaft_sweep_deg"),
     *("enabled_fraction", "unscaled_fraction", "smoothness", "controller", "trocar"),
-    *("deterministic", "state_hash", "versions"),
+    *("deterministic", "state_hash", "versions", "commands_refused"),
 }
 
 
@@ -126,6 +126,16 @@ def test_just_inside_a_limit_is_no_reason(tmp_path: Path, what: Synthetic) -> No
     about_tracking = ("tip error", "executed path")
     left = [r for r in got["reasons"] if not r.startswith(about_tracking)]
     assert left == []
+
+
+def test_a_run_that_stopped_half_way_fails_by_that_name(tmp_path: Path) -> None:
+    got = summarise(tmp_path, Synthetic(seconds=4.0, refused_from=1.0))
+    assert not got["ok"]
+    assert got["commands_refused"] == pytest.approx(1600, abs=60)
+    (reason,) = [text for text in got["reasons"] if "of the motion was executed" in text]
+    assert re.match(r"2\d % of the motion", reason)
+    assert f"refused {got['commands_refused']} of " in reason
+    assert re.search(r"first after 0\.[89]\d\d s \(stale\)", reason)
 
 
 def test_the_sweep_is_judged_only_for_a_full_motion(tmp_path: Path) -> None:

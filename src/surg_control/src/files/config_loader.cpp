@@ -184,8 +184,9 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   setup.robot = surg::with_home(surg::parse_robot(load_document(robot_file)), setup.arm, cell_file);
   setup.instrument = surg::parse_instrument(load_document(instrument_file));
   setup.limits = surg::tighten(setup.robot.limits, setup.arm, cell_file);
-  setup.tool =
-      surg::parse_tool(load_document(beside(cell_file, "calibration/tool_" + name + ".yaml")));
+  const std::string tool_file = beside(cell_file, "calibration/tool_" + name + ".yaml");
+  setup.tool = surg::parse_tool(load_document(tool_file));
+  surg::check_tool(setup.tool, setup.limits, tool_file);
   setup.trocar =
       surg::parse_trocar(load_document(beside(cell_file, "calibration/trocar_" + name + ".yaml")));
   setup.robot_urdf = beside(robot_file, setup.robot.urdf);

@@ -48,10 +48,12 @@ surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) 
       return set_frame(item);
     case CommandItem::Kind::kClaim:
       return box_.claim(item.source);
+    case CommandItem::Kind::kAtWall:
+      return set_sliding(item.source, item.slide);
     case CommandItem::Kind::kTrack:
       return take_track(item, now_ns);
     case CommandItem::Kind::kMotion:
-      return take_motion(item);
+      return take_motion(item, now_ns);
   }
   return surg::Reason::kNone;
 }
@@ -76,6 +78,19 @@ surg::Reason ControlCycle::set_frame(const CommandItem& item) {
   return surg::Reason::kNone;
 }
 
+bool ControlCycle::is_sliding(std::uint32_t source) const {
+  return std::find(sliding_.begin(), sliding_.end(), source) != sliding_.end();
+}
+
+surg::Reason ControlCycle::set_sliding(std::uint32_t source, bool slide) {
+  std::replace(sliding_.begin(), sliding_.end(), source, 0U);
+  if (!slide) return surg::Reason::kNone;
+  const auto room = std::find(sliding_.begin(), sliding_.end(), 0U);
+  if (room == sliding_.end()) return surg::Reason::kRefusedTransition;
+  *room = source;
+  return surg::Reason::kNone;
+}
+
 surg::Reason ControlCycle::take_track(const CommandItem& item, std::int64_t now_ns) {
   // Two alternating trackers would shake the pivot (F26).
   if (track_.source != 0 && track_.source != item.source &&
@@ -93,7 +108,7 @@ surg::Reason ControlCycle::take_track(const CommandItem& item, std::int64_t now_
 }
 
 /// Adds a motion to the inputs, converted from the user's frame to R.
-surg::Reason ControlCycle::take_motion(const CommandItem& item) {
+surg::Reason ControlCycle::take_motion(const CommandItem& item, std::int64_t now_ns) {
   if (item.motion.motion != surg::Motion::kHold && stamps_seen_.is_late(item.stamp_ns)) {
     ++record_.refused_by_cycle;
     return surg::Reason::kLate;
@@ -108,6 +123,9 @@ surg::Reason ControlCycle::take_motion(const CommandItem& item) {
   surg::MotionCommand& motion = inputs_.commands[inputs_.n_commands++];
   motion = item.motion;
   motion.source = item.source;
+  motion.stamp = seconds(static_cast<std::int64_t>(item.stamp_ns));
+  motion.age = item.received_ns == 0 ? 0 : seconds(now_ns - item.received_ns);
+  motion.slide = is_sliding(item.source);
   const surg::Pose& X_UR = record_.frame.X_UR;
   if (pose) {
     const ToolPose target = pose_to_rcm(X_UR, {motion.p, motion.rotation});
@@ -164,8 +182,8 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
       if (motion != motions) continue;
       const surg::Reason reason = answer(item, now_ns);
       if (motion && reason == surg::Reason::kNone) continue;  // the controller gives its verdict
-      record_.answers[record_.n_answers++] = {item.kind, item.state, item.motion.motion, reason,
-                                              item.source};
+      record_.answers[record_.n_answers++] = {item.kind, item.state,  item.motion.motion,
+                                              reason,    item.source, item.slide};
     }
   }
   sense(link, now_ns);

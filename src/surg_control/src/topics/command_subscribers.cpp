@@ -69,6 +69,7 @@ void CommandSubscribers::subscribe_others(bool track) {
   subscribe<StringStamped>("state_command", decode_state);
   subscribe<std_msgs::Empty>("authority/claim",
                              [](const std_msgs::Empty&) { return decode_claim(); });
+  subscribe<StringStamped>("servo_cp/at_wall", decode_at_wall);
   subscribe<PoseStamped>("set_base_frame", [rcm, user](const PoseStamped& message) {
     return decode_base_frame(message, rcm, user);
   });

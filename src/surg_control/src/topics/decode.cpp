@@ -139,6 +139,15 @@ Decoded decode_claim() {
   return decoded;
 }
 
+Decoded decode_at_wall(const crtk_msgs::StringStamped& message) {
+  Decoded decoded;
+  decoded.item.kind = CommandItem::Kind::kAtWall;
+  decoded.item.slide = message.string == "slide";
+  if (decoded.item.slide || message.string == "refuse") return decoded;
+  return refused(surg::Reason::kRefusedTransition,
+                 "string is " + quoted(message.string) + "; allowed are slide, refuse");
+}
+
 Decoded decode_state(const crtk_msgs::StringStamped& message) {
   for (const auto& [word, command] : kStateWords) {
     if (message.string != word) continue;

@@ -2,6 +2,7 @@
 
 #include <std_msgs/String.h>
 
+#include <cmath>
 #include <cstdio>
 
 #include "surg_control/topics/decode.hpp"
@@ -9,7 +10,8 @@
 namespace surg_control {
 namespace {
 
-constexpr double kWarningPeriod = 1.0;  // [s] at least, between two warnings of one key
+constexpr double kWarningPeriod = 1.0;   // [s] at least, between two warnings of one key
+constexpr double kLagTolerance = 0.003;  // [s] between the measured and the stated lag
 
 std_msgs::String text_message(const std::string& text) {
   std_msgs::String message;
@@ -17,11 +19,14 @@ std_msgs::String text_message(const std::string& text) {
   return message;
 }
 
-std::string millimetres(double metres) {
+std::string thousandths(double value, const char* format) {
   char text[32];
-  std::snprintf(text, sizeof text, "%.2f mm", metres * 1e3);
+  std::snprintf(text, sizeof text, format, value * 1e3);
   return text;
 }
+
+std::string millimetres(double metres) { return thousandths(metres, "%.2f mm"); }
+std::string milliseconds(double seconds) { return thousandths(seconds, "%.1f ms"); }
 
 const char* topic_of_answer(const Answer& answer) {
   switch (answer.kind) {
@@ -33,6 +38,8 @@ const char* topic_of_answer(const Answer& answer) {
       return "set_base_frame";
     case CommandItem::Kind::kClaim:
       return "authority/claim";
+    case CommandItem::Kind::kAtWall:
+      return "servo_cp/at_wall";
     case CommandItem::Kind::kTrack:
       return "rcm/track";
     case CommandItem::Kind::kMotion:
@@ -44,9 +51,11 @@ const char* topic_of_answer(const Answer& answer) {
 }  // namespace
 
 StatusReporter::StatusReporter(ros::NodeHandle& node, const std::string& arm,
-                               const surg::Limits& limits, const SourceTable& sources)
+                               const surg::Limits& limits, double link_lag,
+                               const SourceTable& sources)
     : arm_(arm),
       limits_(limits),
+      link_lag_(link_lag),
       sources_(sources),
       warning_(node.advertise<std_msgs::String>("/" + arm + "/warning", 100)),
       status_(node.advertise<std_msgs::String>("/" + arm + "/status", 100)),
@@ -93,6 +102,7 @@ bool StatusReporter::report(const CycleRecord& record, double now) {
   report_answers(record, now);
   report_ignored(record);
   report_verdicts(record, now);
+  report_lag(record.out.link_lag);
   return report_changes(record, now);
 }
 
@@ -109,6 +119,9 @@ void StatusReporter::report_answers(const CycleRecord& record, double now) {
       status(from + ": trocar point taught");
     } else if (answer.kind == CommandItem::Kind::kSetFrame) {
       status(from + ": commands and measured_cp are in '" + record.frame.name.c_str() + "' now");
+    } else if (answer.kind == CommandItem::Kind::kAtWall) {
+      status(from + ": its servo_cp outside the workspace " +
+             (answer.slide ? "slides along the wall" : "is refused"));
     } else if (answer.kind == CommandItem::Kind::kClaim) {
       status(from + ": it alone commands the arm until the arm leaves ENABLED");
     }
@@ -126,6 +139,8 @@ void StatusReporter::report_refused(const Answer& answer, const CycleRecord& rec
   } else if (answer.kind == CommandItem::Kind::kTrack &&
              answer.reason == surg::Reason::kNoAuthority) {
     why = "another node tracks the trocar: run one tracker only";
+  } else if (answer.kind == CommandItem::Kind::kAtWall) {
+    why = "too many senders slide along the wall; allowed are 16";
   } else if (answer.kind == CommandItem::Kind::kClaim) {
     why += " (held by " + sources_.name(record.out.source) + ")";
   }
@@ -166,6 +181,17 @@ void StatusReporter::report_verdicts(const CycleRecord& record, double now) {
   }
 }
 
+void StatusReporter::report_lag(double measured) {
+  if (std::isnan(measured)) return;
+  const std::string text = "the robot link lags " + milliseconds(measured) +
+                           " behind its commands; tuning.link_lag is " + milliseconds(link_lag_);
+  if (!lag_reported_) status(arm_ + ": " + text);
+  lag_reported_ = true;
+  if (std::abs(measured - link_lag_) > kLagTolerance) {
+    warning_once("link_lag", arm_ + ": " + text + ": set the measured value in the robot's YAML");
+  }
+}
+
 bool StatusReporter::report_changes(const CycleRecord& record, double now) {
   const surg::Outputs& out = record.out;
   const bool new_state = first_ || out.state != state_;
@@ -181,7 +207,12 @@ bool StatusReporter::report_changes(const CycleRecord& record, double now) {
     status(arm_ + ": " + surg::name(out.state) + why);
   } else if (new_reason && !why.empty()) {
     // The state is the same, but the arm is held: a warning, since a command has no effect.
-    warning(surg::name(out.reason), arm_ + ": " + surg::sentence(out.reason), now);
+    std::string text = arm_ + ": " + surg::sentence(out.reason);
+    if (out.reason == surg::Reason::kNotArrived) {
+      text += " (" + millimetres((out.p_goal - out.p_BTip).norm()) + " away from it" +
+              (*out.limited_by == 0 ? "" : std::string(", held by ") + out.limited_by) + ")";
+    }
+    warning(surg::name(out.reason), text, now);
   }
   if (out.homed != homed_) status(arm_ + (out.homed ? ": homed" : ": no longer homed"));
   if (out.warn_rcm) {
@@ -190,6 +221,9 @@ bool StatusReporter::report_changes(const CycleRecord& record, double now) {
                 " from the trocar point (warning from " + millimetres(limits_.rcm_error_warn) +
                 ", FAULT from " + millimetres(limits_.rcm_error_fault) + ")",
             now);
+  }
+  if (out.warn_track != surg::TrackWarning::kNone) {
+    warning(surg::name(out.warn_track), arm_ + ": " + surg::sentence(out.warn_track), now);
   }
   state_ = out.state;
   reason_ = out.reason;

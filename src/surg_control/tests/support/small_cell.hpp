@@ -62,15 +62,16 @@ class SmallCell {
           "limits:\n  tip_velocity: 0.25\n  tip_acceleration: 2.0\n  tip_jerk: 40.0\n"
           "  pivot_velocity: 1.5\n  pivot_acceleration: 20\n  pivot_jerk: 400\n"
           "  roll_velocity: 3.0\n  roll_acceleration: 40\n  roll_jerk: 800\n"
-          "  flange_velocity: 0.25\n  cone: 1.0471975512\n  depth_min: 0.02\n"
+          "  roll_max: 6.2832\n  flange_velocity: 0.25\n  cone: 1.0471975512\n  depth_min: 0.02\n"
           "  depth_slow: 0.03\n  depth_max: 0.22\n  stop_deceleration: 4.0\n"
           "  step_slack: 0.002\n  step_roll_slack: 0.0349\n  step_dt_max: 0.1\n"
           "  rcm_error_warn: 1e-3\n  rcm_error_fault: 0.002\n  tip_force_soft: 5.0\n  "
           "tip_force_hard: 8.0\n  trocar_force_warn: 10.0\n"
           "  trocar_force_fault: 15.0\n  joint_margin: 0.1\n"
           "tuning:\n  rcm_gain: 20\n  tip_gain: 5\n  roll_gain: 5\n  posture_gain: 1\n"
-          "  profiler_duration: 0.5\n  stream_delay: 0\n  servo_timeout: 0.1\n  link_timeout: "
-          "0.1\n  link_lag: 0\n");
+          "  profiler_duration: 0.5\n  stream_delay: 0\n  tremor: 0\n  servo_timeout: 0.1\n  "
+          "link_timeout: "
+          "0.1\n  link_lag: 0\n  track_noise: 3e-4\n  track_jerk: 0.02\n  track_timeout: 0.25\n");
     write("instrument.yaml",
           "format: surg_instrument/1\nname: tool\nurdf: tool.urdf\nmount_link: mount\n"
           "tip_link: tip\njaw: {min: 0.0, max: 1.0, velocity: 3.0}\n");

@@ -42,6 +42,7 @@ struct Limits {
   double roll_velocity;       ///< [rad/s]
   double roll_acceleration;   ///< [rad/s^2]
   double roll_jerk;           ///< [rad/s^3]
+  double roll_max;            ///< [rad] largest roll from home, either way
   double flange_velocity;     ///< [m/s] speed of the flange origin
   double cone;                ///< [rad] largest angle between shaft and home axis
   double depth_min;           ///< [m] below: only axial motion and roll
@@ -68,9 +69,13 @@ struct Tuning {
   double posture_gain;       ///< [1/s] null-space pull to the home posture (redundant arms)
   double profiler_duration;  ///< [s] the paper's d
   double stream_delay;       ///< [s] a stream is followed that much later, and more gently
+  double tremor;             ///< [Hz] centre of the notch against a hand's tremor; 0: off
   double servo_timeout;      ///< [s] F03
   double link_timeout;       ///< [s] F10, free-run
   double link_lag;           ///< [s] from a velocity command to the motion it causes; 0: unknown
+  double track_noise;        ///< [m] rms per axis of a position on rcm/track
+  double track_jerk;         ///< [m/s^3] that a breathing trocar reaches
+  double track_timeout;      ///< [s] without a usable sample on rcm/track; then PAUSED
 };
 
 /// The command interface of a robot link.
@@ -126,6 +131,8 @@ struct CellArm {
   Vector3 base_xyz, base_rpy;            ///< X_WB
   std::vector<double> home;              ///< [rad] instead of the robot's; empty: the robot's
   std::map<std::string, double> limits;  ///< tightened limits by name
+  /// "file:line" of the values above, for errors: "home", "limits.cone".
+  std::map<std::string, std::string> where = {};
 };
 
 /// A complete system: arms, machines, network.
@@ -149,6 +156,9 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
 
 /// Returns the robot with the cell's home posture. Throws if the posture does not fit the joints.
 RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file);
+
+/// Throws if an instrument's tip could go deeper than its shaft is long.
+void check_tool(const ToolCalibration& tool, const Limits& limits, const std::string& tool_file);
 
 /// Fingerprint of all values above that affect motion: FNV-1a over the values, as 16 hex digits.
 std::string limits_hash(const RobotConfig& robot, const Limits& limits);

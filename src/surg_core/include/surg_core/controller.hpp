@@ -5,10 +5,12 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <memory>
 
 #include "surg_core/config.hpp"
 #include "surg_core/kinematics/kinematics.hpp"
+#include "surg_core/kinematics/trocar.hpp"
 #include "surg_core/law/rcm.hpp"
 #include "surg_core/motion/command.hpp"
 #include "surg_core/state/force_guard.hpp"
@@ -27,8 +29,10 @@ struct Verdict {
 /// Maximum number of commands per cycle; the node keeps the rest for the next cycle.
 constexpr int kMaxCommands = 64;
 
-/// Latest measurements of arm, tool and sensors.
+/// Latest measurements of arm, tool and sensors, and the time since the last cycle.
 struct Readings {
+  /// [s] since the last cycle on the steady clock; 0: exactly one control period (lock-step).
+  double elapsed = 0;
   bool state_valid = false;  ///< q, qd hold a joint state
   double state_age = 0;      ///< [s] since it was received (0 in lock-step)
   JointVector q, qd;         ///< measured [rad, rad/s]
@@ -40,7 +44,7 @@ struct Readings {
   bool track_valid = false;            ///< a sample has been received
   double track_age = 0;                ///< [s] since it was taken
   Vector3 p_BTrack = Vector3::Zero();  ///< where the trocar was then
-  Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]
+  Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]; zeros where the tracker measures none
 };
 
 /// Inputs of one cycle.
@@ -61,6 +65,9 @@ struct Outputs {
   std::array<Verdict, kMaxCommands> verdicts;  ///< one per command of this cycle, in order
   bool warn_force = false;                     ///< load of the trocar above the warn level
   bool warn_rcm = false;                       ///< rcm error above the warn level
+  /// [s] of the link, measured from the motion so far; NaN: not enough motion yet
+  double link_lag = std::numeric_limits<double>::quiet_NaN();
+  TrackWarning warn_track = TrackWarning::kNone;
   // geometry, in B
   Pose X_BF = Pose::Identity();
   Vector3 p_BTip = Vector3::Zero(), s_B = Vector3::UnitZ(), p_BRcm = Vector3::Zero();
@@ -77,6 +84,7 @@ struct Outputs {
   double scale = 1;             ///< alpha
   const char* limited_by = "";  ///< static string
   std::uint8_t tier = 0;        ///< 0: on the path, 1: off it, on the pivot; 2: braking
+  double late_share = 0;        ///< of the last 128 cycles, how many were late
   JointVector qd_command;       ///< [rad/s]
   Vector6 twist_command = Vector6::Zero();
 };
@@ -103,7 +111,7 @@ class Controller {
   /// Requests a state transition, effective at once, from the joint state of the last step. kNone:
   /// done.
   Reason request(StateCommand command);
-  /// Sets the trocar point in B; only in DISABLED or PAUSED (F23).
+  /// Sets the trocar point in B; only in DISABLED or PAUSED (F23), and at rest.
   Reason set_rcm(const Vector3& p_BRcm);
   /// Enters FAULT for an external reason (node: overrun and the like).
   void fault(Reason reason);

@@ -66,6 +66,7 @@ constexpr Field<Limits, double> kLimits[] = {
     {"roll_velocity", &Limits::roll_velocity},
     {"roll_acceleration", &Limits::roll_acceleration},
     {"roll_jerk", &Limits::roll_jerk},
+    {"roll_max", &Limits::roll_max},
     {"flange_velocity", &Limits::flange_velocity},
     {"cone", &Limits::cone},
     {"depth_min", &Limits::depth_min},
@@ -93,9 +94,13 @@ constexpr Field<Tuning, double> kTuning[] = {
     {"posture_gain", &Tuning::posture_gain},
     {"profiler_duration", &Tuning::profiler_duration},
     {"stream_delay", &Tuning::stream_delay},
+    {"tremor", &Tuning::tremor},
     {"servo_timeout", &Tuning::servo_timeout},
     {"link_timeout", &Tuning::link_timeout},
     {"link_lag", &Tuning::link_lag},
+    {"track_noise", &Tuning::track_noise},
+    {"track_jerk", &Tuning::track_jerk},
+    {"track_timeout", &Tuning::track_timeout},
 };
 static_assert(sizeof(Tuning) == sizeof(kTuning) / sizeof(kTuning[0]) * sizeof(double));
 
@@ -255,6 +260,8 @@ void bind_config(py::module_& m, py::module_& testing) {
         "Limits with a cell's values put in. Raises ConfigError when a value would loosen one.");
   m.def("with_home", &with_home, py::arg("robot"), py::arg("arm"), py::arg("cell_file"),
         "The robot with the cell's home posture put in. Raises ConfigError when it does not fit.");
+  m.def("check_tool", &check_tool, py::arg("tool"), py::arg("limits"), py::arg("tool_file"),
+        "Raises ConfigError when depth_max is not less than the shaft's length from the flange.");
   testing.def("limits_hash", &limits_hash, py::arg("robot"), py::arg("limits"),
               "16 hex digits over every value that moves the arm (FNV-1a).");
   m.def(

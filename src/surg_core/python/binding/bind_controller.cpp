@@ -36,26 +36,32 @@ void bind_command(py::module_& m) {
       .def(
           py::init([](Motion motion, std::uint32_t source, const std::optional<Array>& p,
                       const std::optional<Array>& rotation, double roll_rate,
-                      const std::optional<Array>& joints, double jaw) {
+                      const std::optional<Array>& joints, double jaw, double stamp, double age,
+                      bool slide) {
             MotionCommand command;
             command.motion = motion;
             command.source = source;
             if (p) command.p = to_vector3(*p, "p");
             if (rotation) {
-              command.rotation = Eigen::Quaterniond(to_vector4(*rotation, "rotation"));
+              command.rotation = to_unit_quaternion(*rotation, "rotation");
             }
             command.roll_rate = roll_rate;
             if (joints) command.joints = to_vector4(*joints, "joints");
             command.jaw = jaw;
+            command.stamp = stamp;
+            command.age = age;
+            command.slide = slide;
             return command;
           }),
           py::arg("motion"), py::arg("source") = 0, py::arg("p") = py::none(),
           py::arg("rotation") = py::none(), py::arg("roll_rate") = 0.0,
-          py::arg("joints") = py::none(), py::arg("jaw") = 0.0,
+          py::arg("joints") = py::none(), py::arg("jaw") = 0.0, py::arg("stamp") = 0.0,
+          py::arg("age") = 0.0, py::arg("slide") = false,
           "p (3,): position [m] (cp) or tip velocity [m/s] (cv), in the rcm frame; rotation (4,):\n"
-          "quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
+          "unit quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
           "changes;\n"
-          "jaw [rad].")
+          "jaw [rad]; stamp [s] on the sender's clock (0: none); age [s] since it arrived;\n"
+          "slide: a servo_cp target outside the workspace slides along its wall.")
       .def_readonly("motion", &MotionCommand::motion)
       .def_readonly("source", &MotionCommand::source)
       .def_property_readonly("p", [](const MotionCommand& c) { return frozen(from_matrix(c.p)); })
@@ -66,7 +72,10 @@ void bind_command(py::module_& m) {
       .def_readonly("roll_rate", &MotionCommand::roll_rate)
       .def_property_readonly("joints",
                              [](const MotionCommand& c) { return frozen(from_matrix(c.joints)); })
-      .def_readonly("jaw", &MotionCommand::jaw);
+      .def_readonly("jaw", &MotionCommand::jaw)
+      .def_readonly("stamp", &MotionCommand::stamp)
+      .def_readonly("age", &MotionCommand::age)
+      .def_readonly("slide", &MotionCommand::slide);
 
   py::class_<Verdict>(m, "Verdict", "What became of a command; reason NONE: accepted.")
       .def_readonly("reason", &Verdict::reason)
@@ -142,6 +151,8 @@ void bind_outputs(py::module_& m) {
   number("refused", &Outputs::refused, "Commands refused since construction.");
   number("warn_rcm", &Outputs::warn_rcm, "RCM deviation above the warning level.");
   number("warn_force", &Outputs::warn_force, "Load of the trocar above the warning level.");
+  number("link_lag", &Outputs::link_lag, "Measured lag of the link [s]; not a number until known.");
+  number("warn_track", &Outputs::warn_track, "What is wrong with rcm/track.");
   number("roll", &Outputs::roll, "Absolute roll [rad].");
   number("depth", &Outputs::depth, "Insertion [m], positive inside.");
   number("rcm_error", &Outputs::rcm_error, "Kinematic RCM deviation [m].");
@@ -151,6 +162,7 @@ void bind_outputs(py::module_& m) {
   number("jaw_set", &Outputs::jaw_set, "Commanded [rad]; not a number until measured.");
   number("scale", &Outputs::scale, "Uniform factor alpha.");
   number("tier", &Outputs::tier, "0: on the path; 1: off it, on the pivot; 2: braking.");
+  number("late_share", &Outputs::late_share, "Share of late cycles in the recent window.");
   array("p_BTip", &Outputs::p_BTip, "Tip (3,) [m].");
   array("s_B", &Outputs::s_B, "Unit shaft axis (3,), to the tip.");
   array("p_BRcm", &Outputs::p_BRcm, "Trocar point (3,) [m].");
@@ -222,7 +234,7 @@ void check_commands(const Commands& commands, py::ssize_t n) {
 }
 
 Outputs step(Owned& o, const Array& q, const Array& qd, const std::vector<MotionCommand>& commands,
-             double jaw, bool state_valid, double state_age,
+             double jaw, bool state_valid, double state_age, double elapsed,
              const std::optional<Readings>& readings) {
   if (commands.size() > static_cast<std::size_t>(kMaxCommands)) {
     throw py::value_error("commands: at most " + std::to_string(kMaxCommands) + " per cycle, not " +
@@ -231,6 +243,7 @@ Outputs step(Owned& o, const Array& q, const Array& qd, const std::vector<Motion
   static_cast<Readings&>(o.inputs) = readings.value_or(Readings{});
   o.inputs.state_valid = state_valid;
   o.inputs.state_age = state_age;
+  o.inputs.elapsed = elapsed;
   o.inputs.q = to_joints(q, o.dof, "q");
   o.inputs.qd = to_joints(qd, o.dof, "qd");
   o.inputs.jaw = jaw;
@@ -424,6 +437,11 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("MASTER_LOST", Reason::kMasterLost)
       .value("NOT_AT_REST", Reason::kNotAtRest)
       .value("LATE", Reason::kLate);
+  py::enum_<TrackWarning>(m, "TrackWarning", "What is wrong with rcm/track.")
+      .value("NONE", TrackWarning::kNone)
+      .value("OUTLIER", TrackWarning::kOutlier)
+      .value("DROPOUT", TrackWarning::kDropout)
+      .value("NOISY", TrackWarning::kNoisy);
   py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
       .value("ENABLE", StateCommand::kEnable)
       .value("DISABLE", StateCommand::kDisable)
@@ -431,7 +449,8 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("RESUME", StateCommand::kResume)
       .value("HOME", StateCommand::kHome)
       .value("UNHOME", StateCommand::kUnhome);
-  m.def("sentence", &sentence, py::arg("reason"), "What was wrong and what to do, for people.");
+  m.def("sentence", py::overload_cast<Reason>(&sentence), py::arg("reason"),
+        "What was wrong and what to do, for people.");
   m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
         "Short name, as in FAULT(name).");
   testing.def("state_name", py::overload_cast<State>(&name), py::arg("state"),
@@ -483,10 +502,11 @@ void bind_controller(py::module_& m) {
           py::arg("source"), "The arm obeys this sender alone until it leaves ENABLED.")
       .def("step", &step, py::arg("q"), py::arg("qd"),
            py::arg("commands") = std::vector<MotionCommand>(), py::arg("jaw") = 0.0,
-           py::arg("state_valid") = true, py::arg("state_age") = 0.0,
+           py::arg("state_valid") = true, py::arg("state_age") = 0.0, py::arg("elapsed") = 0.0,
            py::arg("readings") = py::none(),
            "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
-           "jaw [rad]; state_age [s]; readings: of the sensors, where there are any.")
+           "jaw [rad]; state_age [s]; elapsed [s] since the last cycle, 0: one period; readings: "
+           "of the sensors, where there are any.")
       .def(
           "run", &run, py::arg("q"), py::arg("qd"), py::arg("commands") = Commands(),
           py::arg("jaw") = py::none(),

@@ -1,5 +1,6 @@
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <cmath>
 #include <optional>
 #include <string>
@@ -11,6 +12,7 @@
 #include "surg_core/motion/profiler.hpp"
 #include "surg_core/motion/quintic.hpp"
 #include "surg_core/motion/stream.hpp"
+#include "surg_core/motion/stream_input.hpp"
 
 namespace surg::python {
 namespace {
@@ -41,46 +43,65 @@ std::pair<double, double> to_pair(const Interval& interval) {
   return {interval.least, interval.greatest};
 }
 
-/// One axis of a recorded stream through estimate and filter; 'states' is n x 3 with a stride.
-void filter_axis(const std::vector<double>& t, const std::vector<double>& x,
-                 const DofLimits& limits, double T, py::ssize_t n, bool feed_forward,
+/// When samples were taken, when they arrived and whether the receiver sees their stamps.
+struct RecordedStream {
+  std::vector<double> t, arrivals;
+  bool stamped;
+};
+
+/// One axis of a recorded stream through input and filter; 'states' is n x 3 with a stride.
+void filter_axis(const RecordedStream& stream, const std::vector<double>& x,
+                 const DofLimits& limits, double T, py::ssize_t n, StreamInput input,
                  double* states, py::ssize_t stride) {
   StreamFilter filter(limits);
-  AlphaBeta estimate;
   filter.reset({x[0], 0, 0});
-  estimate.reset(x[0]);
-  std::size_t last = 0;
+  std::size_t next = 0;
   for (py::ssize_t k = 0; k < n; ++k, states += stride) {
-    const double now = t[0] + static_cast<double>(k) * T;
-    for (; last + 1 < t.size() && t[last + 1] <= now + 1e-9; ++last) {
-      estimate.update(x[last + 1], t[last + 1] - t[last]);
+    const double now = stream.arrivals[0] + static_cast<double>(k) * T;
+    for (; next < x.size() && stream.arrivals[next] <= now + 1e-9; ++next) {
+      const double age = std::max(now - stream.arrivals[next], 0.0);
+      // Stamps of 0 are none.
+      const double stamp = stream.stamped ? stream.t[next] - stream.t[0] + 1 : 0;
+      if (next == 0) {
+        input.begin({x[0]}, {Kinematic{x[0], 0, 0}}, age, stamp);
+      } else {
+        input.add({x[next]}, age, stamp);
+      }
     }
-    Kinematic target = estimate.predict(now + T - t[last]);
-    if (!feed_forward) target.a = 0;
-    filter.step(target, T);
+    input.elapse(T);
+    filter.step(input.target(T)[0], T);
     states[0] = filter.state().x;
     states[1] = filter.state().v;
     states[2] = filter.state().a;
   }
 }
 
+std::vector<double> to_times(const Array& t, const char* name, py::ssize_t rows, bool strictly) {
+  check_shape(t, {rows}, name);
+  std::vector<double> times(t.data(), t.data() + rows);
+  for (py::ssize_t i = 0; i < rows; ++i) {
+    const bool later = i == 0 || times[i] > times[i - 1] || (!strictly && times[i] == times[i - 1]);
+    if (!std::isfinite(times[i]) || !later) {
+      throw py::value_error(std::string(name) + ": must be finite and increase; it does not at " +
+                            "index " + std::to_string(i));
+    }
+  }
+  return times;
+}
+
 Array stream_filter(const Array& t, const Array& samples, const DofLimits& limits, double T,
-                    bool feed_forward) {
+                    const std::optional<Array>& arrivals, bool stamped, double delay,
+                    double tremor) {
   const py::ssize_t rows = samples.ndim() == 2 ? samples.shape(0) : 0;
   const py::ssize_t axes = samples.ndim() == 2 ? samples.shape(1) : 0;
   if (rows < 1 || axes < 1) {
     throw py::value_error("samples: shape " + shape_of(samples) + ", must be (n, axes)");
   }
-  check_shape(t, {rows}, "t");
-  std::vector<double> times(t.data(), t.data() + rows);
-  for (py::ssize_t i = 0; i < rows; ++i) {
-    if (!std::isfinite(times[i]) || (i > 0 && !(times[i] > times[i - 1]))) {
-      throw py::value_error("t: must be finite and increase; it does not at index " +
-                            std::to_string(i));
-    }
-  }
+  RecordedStream stream{to_times(t, "t", rows, true), {}, stamped};
+  stream.arrivals = arrivals ? to_times(*arrivals, "arrivals", rows, false) : stream.t;
   if (!(T > 0)) throw py::value_error("T: must be > 0 [s]");
-  const auto n = static_cast<py::ssize_t>(std::floor((times[rows - 1] - times[0]) / T + 1e-9));
+  const double span = stream.arrivals[rows - 1] - stream.arrivals[0];
+  const auto n = static_cast<py::ssize_t>(std::floor(span / T + 1e-9));
   Array out({n, axes, py::ssize_t{3}});
   double* states = out.mutable_data();
   const double* values = samples.data();
@@ -89,7 +110,7 @@ Array stream_filter(const Array& t, const Array& samples, const DofLimits& limit
     std::vector<double> x(rows);
     for (py::ssize_t axis = 0; axis < axes; ++axis) {
       for (py::ssize_t i = 0; i < rows; ++i) x[i] = values[i * axes + axis];
-      filter_axis(times, x, limits, T, n, feed_forward, states + 3 * axis, 3 * axes);
+      filter_axis(stream, x, limits, T, n, StreamInput(delay, tremor), states + 3 * axis, 3 * axes);
     }
   }
   return out;
@@ -202,13 +223,24 @@ void bind_profiler(py::module_& testing) {
 }
 
 void bind_stream(py::module_& testing) {
-  py::class_<AlphaBeta>(testing, "AlphaBeta", "Fixed-gain estimate of position and velocity.")
-      .def(py::init<>())
-      .def("reset", &AlphaBeta::reset, py::arg("x"), py::arg("v") = 0.0)
-      .def("update", &AlphaBeta::update, py::arg("x"), py::arg("spacing"),
-           "A sample 'spacing' seconds after the last one.")
-      .def("predict", &AlphaBeta::predict, py::arg("age"),
-           "Estimate 'age' seconds after the last sample.");
+  py::class_<StreamClock>(testing, "StreamClock",
+                          "Puts the samples of one sender on the receiver's clock.")
+      .def(py::init([](double arrival, double stamp) {
+             StreamClock clock;
+             clock.reset({arrival, stamp});
+             return clock;
+           }),
+           py::arg("arrival"), py::arg("stamp") = 0.0)
+      .def(
+          "advance",
+          [](StreamClock& clock, double arrival, double stamp) {
+            return clock.advance({arrival, stamp});
+          },
+          py::arg("arrival"), py::arg("stamp") = 0.0,
+          "Takes the next sample; returns the time [s] that passed at the sender.")
+      .def_property_readonly("time", &StreamClock::time, "Of the last sample [s].")
+      .def_property_readonly("period", &StreamClock::period, "Mean spacing at the sender [s].")
+      .def_property_readonly("stamped", &StreamClock::stamped, "Whether the stamps are in use.");
 
   py::class_<StreamDelay>(testing, "StreamDelay",
                           "Bessel low-pass: a stream keeps its shape, later and more gently.")
@@ -234,12 +266,16 @@ void bind_stream(py::module_& testing) {
 
   testing.def(
       "stream_filter", &stream_filter, py::arg("t"), py::arg("samples"), py::arg("limits"),
-      py::arg("T") = 0.002, py::arg("feed_forward") = true,
-      "A recorded stream through AlphaBeta and StreamFilter, one pair per axis.\n\n"
-      "Tick k is at t[0] + k T, sees the samples up to there, and predicts by the age of the\n"
-      "last one. t: (n,) increasing [s]; samples: (n, axes); limits: of every axis;\n"
-      "feed_forward: whether the estimated acceleration is used. Returns (ticks, axes, 3):\n"
-      "position, velocity, acceleration at the end of each tick. Releases the GIL.");
+      py::arg("T") = 0.002, py::arg("arrivals") = std::nullopt, py::arg("stamped") = true,
+      py::arg("delay") = 0.0, py::arg("tremor") = 0.0,
+      "A recorded stream through StreamInput and StreamFilter, as in the controller.\n\n"
+      "Tick k is at arrivals[0] + k T and takes what has arrived by then. t: (n,) increasing [s],\n"
+      "when the samples were taken; samples: (n, axes); limits: of every axis; arrivals: (n,) "
+      "[s],\n"
+      "t where not given; stamped: whether the receiver sees t; delay [s], tremor [Hz]: as in the\n"
+      "robot's file. Returns (ticks, axes, 3): position, velocity, acceleration at the end of "
+      "each\n"
+      "tick. Releases the GIL.");
 }
 
 }  // namespace

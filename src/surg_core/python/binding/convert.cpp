@@ -6,6 +6,8 @@
 namespace surg::python {
 namespace {
 
+constexpr double kUnitTolerance = 1e-3;  // of a quaternion's norm
+
 template <int n>
 Eigen::Matrix<double, n, 1> to_vector(const Array& array, const char* name) {
   check_shape(array, {n}, name);
@@ -36,6 +38,17 @@ void check_shape(const Array& array, std::initializer_list<py::ssize_t> shape, c
 Vector3 to_vector3(const Array& array, const char* name) { return to_vector<3>(array, name); }
 Vector4 to_vector4(const Array& array, const char* name) { return to_vector<4>(array, name); }
 Vector6 to_vector6(const Array& array, const char* name) { return to_vector<6>(array, name); }
+
+Eigen::Quaterniond to_unit_quaternion(const Array& array, const char* name) {
+  const Eigen::Quaterniond q(to_vector4(array, name));
+  // What is not finite passes: the controller answers it with a FAULT.
+  if (!q.coeffs().allFinite()) return q;
+  if (!(std::abs(q.norm() - 1) <= kUnitTolerance)) {
+    throw py::value_error(std::string(name) + ": has norm " + std::to_string(q.norm()) +
+                          "; a unit quaternion x, y, z, w is needed, (0, 0, 0, 1) for no rotation");
+  }
+  return q;
+}
 
 Matrix3 to_matrix3(const Array& array, const char* name) {
   check_shape(array, {3, 3}, name);
@@ -82,7 +95,7 @@ Pose checked_pose(const Eigen::Matrix4d& M, const std::string& name) {
 Pose pose_of_seven(const double* v, const std::string& name) {
   const Eigen::Quaterniond q(v[6], v[3], v[4], v[5]);
   const Vector3 p(v[0], v[1], v[2]);
-  if (!p.allFinite() || !(std::abs(q.norm() - 1.0) < 1e-3)) {
+  if (!p.allFinite() || !(std::abs(q.norm() - 1.0) <= kUnitTolerance)) {
     throw py::value_error(name + ": a finite position and a unit quaternion x, y, z, w are needed");
   }
   Pose X = Pose::Identity();

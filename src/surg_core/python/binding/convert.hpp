@@ -24,6 +24,8 @@ void check_shape(const Array& array, std::initializer_list<py::ssize_t> shape, c
 
 Vector3 to_vector3(const Array& array, const char* name);
 Vector4 to_vector4(const Array& array, const char* name);
+/// Of x, y, z, w. Raises ValueError for a norm other than 1, as the controller node refuses it.
+Eigen::Quaterniond to_unit_quaternion(const Array& array, const char* name);
 Vector6 to_vector6(const Array& array, const char* name);
 Matrix3 to_matrix3(const Array& array, const char* name);
 /// (n,) with n == size.

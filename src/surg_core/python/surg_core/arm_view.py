@@ -35,6 +35,7 @@ class ArmView:
         busy: A move is under way.
         reason: Why the arm is PAUSED, in FAULT or held; empty otherwise.
         refused: Number of commands refused so far.
+        accepted: Number of commands accepted so far.
         p_BTip: (3,) measured tip [m].
         p_BSet: (3,) set-point of the tip [m].
         s_B: (3,) shaft axis, from the flange to the tip.
@@ -66,6 +67,7 @@ class ArmView:
     jaw_set: float = math.nan
     rcm_error: float = 0.0
     p_BRcm: Array = field(default_factory=lambda: np.zeros(3))
+    accepted: int = 0
     R_BR: Array | None = None
     R_WB: Array = field(default_factory=lambda: np.eye(3))
     holder: str = ""
@@ -82,6 +84,7 @@ class ArmView:
             busy=out.busy,
             reason=reason_name(out.reason) if int(out.reason) else "",
             refused=out.refused,
+            accepted=out.accepted,
             p_BTip=np.array(out.p_BTip),
             p_BSet=np.array(out.p_set),
             s_B=np.array(out.s_B),

@@ -27,6 +27,7 @@ from surg_core._core import (
     RobotConfig,
     ToolCalibration,
     TrocarCalibration,
+    check_tool,
     parse_cell,
     parse_instrument,
     parse_robot,
@@ -146,6 +147,10 @@ def load_cell(path: PathLike) -> Cell:
             fixed_transform(instrument_urdf, instrument.mount_link, instrument.tip_link)
         except ConfigError as error:
             raise ConfigError(f"{instrument_file}: urdf: {error}") from error
+        limits = tighten(robot.limits, stated, str(file))
+        tool_file = file.parent / "calibration" / f"tool_{stated.name}.yaml"
+        tool = load_tool(tool_file)
+        check_tool(tool, limits, str(tool_file))
         X_WB = make_pose(stated.base_xyz, stated.base_rpy)
         X_WB.setflags(write=False)
         arms[stated.name] = Arm(
@@ -153,8 +158,8 @@ def load_cell(path: PathLike) -> Cell:
             link=stated.link,
             robot=robot,
             instrument=instrument,
-            limits=tighten(robot.limits, stated, str(file)),
-            tool=load_tool(file.parent / "calibration" / f"tool_{stated.name}.yaml"),
+            limits=limits,
+            tool=tool,
             trocar=load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml"),
             X_WB=X_WB,
             chain=chain,

@@ -5,7 +5,6 @@
 
 from surg_core._core.testing import (
     MAX_JOINTS,
-    AlphaBeta,
     Braking,
     DofLimits,
     ExactFollower,
@@ -22,6 +21,7 @@ from surg_core._core.testing import (
     RcmRows,
     ShaftGoal,
     Step,
+    StreamClock,
     StreamDelay,
     StreamFilter,
     UrInverse,
@@ -48,7 +48,6 @@ from surg_core._core.testing import (
 
 __all__ = [
     "MAX_JOINTS",
-    "AlphaBeta",
     "Braking",
     "DofLimits",
     "ExactFollower",
@@ -65,6 +64,7 @@ __all__ = [
     "RcmRows",
     "ShaftGoal",
     "Step",
+    "StreamClock",
     "StreamDelay",
     "StreamFilter",
     "UrInverse",

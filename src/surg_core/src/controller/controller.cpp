@@ -54,7 +54,8 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.gate(inputs);
   self.move();
   self.jaw.advance(self.enabled() && !self.tool_lost);
-  self.authority.elapse(self.handler.setpoint().mode() == Setpoint::Mode::kRest, self.enabled());
+  const bool at_rest = self.handler.setpoint().mode() == Setpoint::Mode::kRest;
+  self.authority.elapse(at_rest && !self.handler.busy() && !self.jaw.busy(), self.enabled());
   self.report(inputs);
   return self.out;
 }
@@ -70,6 +71,8 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       gains{options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain,
             robot_in.tuning.tip_gain, robot_in.tuning.roll_gain},
       authority(options.dt),
+      trocar(
+          {robot_in.tuning.track_noise, robot_in.tuning.track_jerk, robot_in.tuning.track_timeout}),
       arm(chain, {tool.s_F, tool.p_FTip},
           options.law == Law::kExact ? 0.0 : lag_for(robot_in, options), options.dt),
       handler(limits_in, robot_in.tuning, options.dt, options.law == Law::kPaper),
@@ -79,6 +82,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
               options.dt),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
                                              lag_for(robot_in, options), options.dt)),
+      trocar_before(trocar),
       qd_last(JointVector::Zero(chain.dof())) {
   out.qd_command = qd_last;
 }
@@ -102,6 +106,7 @@ void Controller::Impl::report(const Inputs& in) {
   out.roll = arm.measured().roll;
   out.depth = shaft().depth;
   out.rcm_error = shaft().e.norm();
+  if (handler.sliding() && out.reason == Reason::kNone) out.reason = Reason::kOutsideWorkspace;
   out.p_goal = X_BR * handler.p_goal();
   out.roll_goal = handler.roll_goal();
   out.p_set = X_BR * setpoint.p_RTip();

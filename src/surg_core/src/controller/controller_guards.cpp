@@ -23,6 +23,7 @@ bool finite(const MotionCommand& command) {
 
 void Controller::Impl::sense(const Inputs& in) {
   state_known = false;
+  out.warn_track = TrackWarning::kNone;
   state_reason = Reason::kLinkLost;
   jaw.sense(in.jaw);
   const int n = arm.chain().dof();
@@ -46,7 +47,17 @@ void Controller::Impl::sense(const Inputs& in) {
   trocar_before = trocar;
   if (!stopping_off_pivot()) update_trocar(in);
   arm.sense(in.q, in.qd, trocar);
+  measure_lag(in);
   check_tool_link(in);
+}
+
+void Controller::Impl::measure_lag(const Inputs& in) {
+  if (enabled()) {
+    lag_meter.step(qd_last, in.q, in.state_age, in.elapsed > 0 ? in.elapsed : T);
+  } else {
+    lag_meter.interrupt();
+  }
+  out.link_lag = lag_meter.lag();
 }
 
 double Controller::Impl::feedback_scale() const {
@@ -59,6 +70,7 @@ void Controller::Impl::update_trocar(const Inputs& in) {
   if (!track_rcm || !trocar.taught()) return;
   const Reason reason = trocar.track({in.track_valid, in.track_age, in.p_BTrack, in.v_BTrack}, T);
   track_reason = reason;
+  out.warn_track = trocar.warning();
   if (reason == Reason::kTrackStale) {
     pause(reason);
   } else if (reason != Reason::kNone && enabled()) {

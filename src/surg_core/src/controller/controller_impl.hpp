@@ -13,6 +13,7 @@
 #include "surg_core/motion/jaw.hpp"
 #include "surg_core/motion/joint_trace.hpp"
 #include "surg_core/state/gate.hpp"
+#include "surg_core/state/lag_meter.hpp"
 #include "surg_core/state/snapshot.hpp"
 
 namespace surg {
@@ -32,6 +33,8 @@ template <>
 struct IsPlain<JointTrace> : std::true_type {};
 template <>
 struct IsPlain<ForceGuard> : std::true_type {};
+template <>
+struct IsPlain<LagMeter> : std::true_type {};
 
 struct Controller::Impl {
   // Frozen.
@@ -52,6 +55,7 @@ struct Controller::Impl {
   LimitedStep limited;
   ExactFollower follower;
   JointTrace trace;  // the way back
+  LagMeter lag_meter;
 
   Pose X_BR = Pose::Identity();
   double state_delay = 0;                   // [s] recent age of states beyond one period
@@ -66,6 +70,7 @@ struct Controller::Impl {
   JointVector qd_last;
   double retraced = 0;          // [rad] of the trace
   bool retrace_active = false;  // in the last step; a retrace first waits for rest
+  double retrace_settling = 0;  // [s] at the end of the trace
   // The reference starts at the arm's position, off the pivot by its error, and converges smoothly.
   Vector3 pivot_offset = Vector3::Zero(), pivot_offset_rate = Vector3::Zero();
   Outputs out;
@@ -90,6 +95,8 @@ struct Controller::Impl {
   bool is_moving() const;
   /// Whether the reference (or the last command) is at rest; what remains only holds the position.
   bool reference_at_rest() const;
+  /// Whether the ramp is over and zero is within one cycle's acceleration of the last command.
+  bool may_stop_at_once() const;
   void set_home();
   /// Puts the set-point at rest at the arm's position and drops all targets.
   void start_at_rest();
@@ -101,6 +108,7 @@ struct Controller::Impl {
 
   // Inputs, guards and gate.
   void sense(const Inputs& in);
+  void measure_lag(const Inputs& in);
   /// Factor of the feedback gain in (0, 1] for late states. A loop becomes unstable at a gain times
   /// delay of about 1.5; 0.6 is well damped and must not grow with the age of the states.
   double feedback_scale() const;
@@ -150,12 +158,12 @@ struct Controller::Impl {
   /// Serializes every member that a step reads before writing it; a test finds a missing one.
   template <typename Archive>
   void serialize(Archive& archive) {
-    archive(operating, authority, trocar, handler, jaw, force);
+    archive(operating, authority, trocar, handler, jaw, force, lag_meter);
     arm.serialize(archive);
     follower.serialize(archive);
-    archive(trace, retraced, retrace_active, pivot_offset, pivot_offset_rate, X_BR, state_delay,
-            state_known, state_reason, track_reason, inserted, tool_lost, halted, home_busy,
-            qd_last, out.accepted, out.refused);
+    archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
+            X_BR, state_delay, state_known, state_reason, track_reason, inserted, tool_lost, halted,
+            home_busy, qd_last, out.accepted, out.refused);
   }
 };
 

@@ -13,6 +13,8 @@ constexpr double kPivotOffsetPole = 8;  // [1/s] pole of the convergence to the 
 constexpr double kHorizon = 0.45;       // [s] of look-ahead on the set-point's clock
 constexpr double kRetraceRate = 0.15;   // [rad/s] of the fastest joint
 constexpr double kNegligible = 1e-3;    // [rad, rad/s]
+constexpr double kRetraceSettles =
+    1.0;  // [s] at the trace's beginning; a moving trocar never rests
 
 }  // namespace
 
@@ -43,6 +45,8 @@ void Controller::Impl::move() {
     if (!retrace_active) advance_setpoint(step, next);  // a retrace has moved it already
     if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
     out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
+    const Reason progress = handler.check_progress(step.alpha < 1 || step.tier > 0);
+    if (progress != Reason::kNone) out.reason = progress;
   } else if (!halted) {
     moving = true;
     qd = fading_command();
@@ -149,7 +153,10 @@ Step Controller::Impl::retrace_step(JointVector& qd) {
   const double roll = handler.setpoint().roll();
   handler.setpoint().reset(X_BR.inverse() * (X_BF * arm.tool().p_FTip),
                            X_BR.linear().transpose() * s_B, roll + wrapped(turn - roll));
-  const bool arrived = retraced >= trace.length() && step.qd.cwiseAbs().maxCoeff() < kNegligible;
+  const bool at_end = retraced >= trace.length();
+  retrace_settling = at_end ? retrace_settling + T : 0;
+  const bool arrived =
+      at_end && (step.qd.cwiseAbs().maxCoeff() < kNegligible || retrace_settling > kRetraceSettles);
   if (trace.empty() || arrived) {
     if (retraced < kNegligible) out.reason = Reason::kNoTrace;
     handler.end_retrace();

@@ -47,6 +47,10 @@ Reason Controller::Impl::request(StateCommand command) {
   // A ramp in progress continues: dropping it would change the velocity in one cycle.
   const bool moving = is_moving();
   if (command == StateCommand::kHome && !keep_home && moving) return Reason::kNotAtRest;
+  // Without home nothing may move, so the command would drop to zero at once.
+  if (command == StateCommand::kUnhome && !enabled() && !may_stop_at_once()) {
+    return Reason::kNotAtRest;
+  }
   const Reason reason = operating.request(command, conditions());
   if (reason != Reason::kNone) return reason;
   if (command == StateCommand::kHome) {
@@ -69,6 +73,7 @@ Reason Controller::Impl::set_rcm(const Vector3& p_BRcm) {
   const State state = operating.state();
   if (state != State::kDisabled && state != State::kPaused) return Reason::kRcmWhileEnabled;
   if (!finite(p_BRcm)) return Reason::kNotFinite;
+  if (!may_stop_at_once()) return Reason::kNotAtRest;
   trocar.teach(p_BRcm);
   X_BR.translation() = p_BRcm;
   operating.request(StateCommand::kUnhome, {});  // the rcm frame has changed
@@ -84,6 +89,10 @@ bool Controller::Impl::is_moving() const {
 bool Controller::Impl::reference_at_rest() const {
   const JointVector& qd = law == Law::kExact ? follower.velocity() : qd_last;
   return qd.cwiseAbs().maxCoeff() < kRestVelocity;
+}
+
+bool Controller::Impl::may_stop_at_once() const {
+  return !is_moving() && (qd_last.array().abs() <= T * robot.acceleration.array()).all();
 }
 
 void Controller::Impl::set_home() {

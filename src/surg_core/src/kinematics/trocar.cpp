@@ -5,9 +5,50 @@
 namespace surg {
 namespace {
 
-constexpr double kSmoothing = 0.05;  // [s] of the acceleration: breathing and heart are slower
+constexpr double kFade = 40;     // [1/s] pole with which a sample's correction fades in
+constexpr double kHuge = 1e3;    // [m, m/s] F01: larger values overflow when squared
+constexpr double kUneven = 0.3;  // share of the spacing by which samples may come early or late
+constexpr double kGap = 1.8;     // times the spacing: samples are missing
+constexpr double kSpacingShare = 0.1;  // of a new spacing in the usual one
+constexpr double kDeviations = 3;      // of the estimated velocity that may be noise
+constexpr double kNoisy = 1.5;         // times the stated noise
+
+bool usable(const Vector3& v) { return v.norm() <= kHuge; }  // false for NaN
 
 }  // namespace
+
+const char* name(TrackWarning warning) {
+  switch (warning) {
+    case TrackWarning::kNone:
+      return "none";
+    case TrackWarning::kOutlier:
+      return "track_outlier";
+    case TrackWarning::kDropout:
+      return "track_dropout";
+    case TrackWarning::kNoisy:
+      return "track_noisy";
+  }
+  return "unknown";
+}
+
+const char* sentence(TrackWarning warning) {
+  switch (warning) {
+    case TrackWarning::kNone:
+      return "";
+    case TrackWarning::kOutlier:
+      return "a sample on rcm/track is far from the trocar's motion and was not used: check the "
+             "tracker's line of sight and its markers";
+    case TrackWarning::kDropout:
+      return "samples on rcm/track are missing; the controller bridged the gap: check the "
+             "tracker's line of sight and the network";
+    case TrackWarning::kNoisy:
+      return "the positions on rcm/track are noisier than tuning.track_noise, and the pivot less "
+             "accurate than stated: check the tracker's distance and its markers";
+  }
+  return "";
+}
+
+Trocar::Trocar(const Options& options) : options_(options), filter_(options.noise, options.jerk) {}
 
 void Trocar::teach(const Vector3& p_B) {
   taught_ = true;
@@ -16,42 +57,68 @@ void Trocar::teach(const Vector3& p_B) {
   seen_ = false;
 }
 
+Reason Trocar::lose(Reason reason) {
+  v_.setZero();
+  seen_ = false;
+  return reason;
+}
+
 Reason Trocar::track(const TrackSample& sample, double dt) {
+  warning_ = TrackWarning::kNone;
   if (!sample.valid) return Reason::kNone;
-  if (!sample.p.allFinite() || !sample.v.allFinite() || !(sample.age >= 0)) {
-    v_.setZero();
-    return Reason::kNotFinite;
-  }
-  if (!(sample.age <= kStale)) {
-    v_.setZero();
-    seen_ = false;
-    return Reason::kTrackStale;
-  }
-  if (!(sample.v.norm() <= kSpeed)) {  // before it gets into the acceleration, and stays there
-    v_.setZero();
-    seen_ = false;
-    return Reason::kRcmError;
-  }
-  since_ += dt + age_ - sample.age;  // by how much the time of the sample has moved on
-  age_ = sample.age;
+  if (!usable(sample.p) || !usable(sample.v) || !(sample.age >= 0)) return lose(Reason::kNotFinite);
+  if (!(sample.age <= options_.timeout)) return lose(Reason::kTrackStale);
+  const bool in_range = (sample.p - p_taught_).norm() <= kRange;
+  const double since = since_ + dt + age_ - sample.age;  // by how much the sample's time moved on
+  filtered_ += dt;
+  usable_ += dt;
   if (!seen_) {
-    a_.setZero();
-    v_sample_ = sample.v;
-    since_ = 0;
+    if (!in_range) return lose(Reason::kRcmError);
     seen_ = true;
-  } else if (since_ > 0.5 * dt) {
-    a_ += (1 - std::exp(-since_ / kSmoothing)) * ((sample.v - v_sample_) / since_ - a_);
-    v_sample_ = sample.v;
+    filter_.start(sample.p, sample.v);
+    filtered_ = usable_ = sample.age;
+    lead_.setZero();
+    lead_rate_.setZero();
+    since_ = spacing_ = 0;
+  } else if (since > 0.5 * dt) {
+    take(sample, since);
     since_ = 0;
+  } else {
+    since_ = since;
   }
-  const Vector3 p = sample.p + sample.age * (sample.v + 0.5 * sample.age * a_);
-  if (!((p - p_taught_).norm() <= kRange)) {
-    v_.setZero();
-    return Reason::kRcmError;
+  age_ = sample.age;
+  if (usable_ > options_.timeout) return lose(in_range ? Reason::kTrackStale : Reason::kRcmError);
+  fade(dt);
+  const double fastest = kSpeed + kDeviations * filter_.velocity_deviation();
+  const bool within =
+      (filter_.p(filtered_) - p_taught_).norm() <= kRange && filter_.v(filtered_).norm() <= fastest;
+  return within ? Reason::kNone : lose(Reason::kRcmError);
+}
+
+void Trocar::take(const TrackSample& sample, double since) {
+  const Vector3 p = filter_.p(filtered_), v = filter_.v(filtered_);
+  const bool known = spacing_ > 0;
+  const bool evenly = known && std::abs(since - spacing_) < kUneven * spacing_;
+  if (known && since > kGap * spacing_) warning_ = TrackWarning::kDropout;
+  if (filter_.noise() > kNoisy * options_.noise) warning_ = TrackWarning::kNoisy;
+  if (filter_.add(sample.p, sample.v, filtered_ - sample.age, evenly)) {
+    usable_ = sample.age;
+  } else {
+    warning_ = TrackWarning::kOutlier;
   }
-  p_ = p;
-  v_ = sample.v + sample.age * a_;
-  return Reason::kNone;
+  filtered_ = sample.age;
+  spacing_ = known ? spacing_ + kSpacingShare * (since - spacing_) : since;
+  lead_ += p - filter_.p(filtered_);
+  lead_rate_ += v - filter_.v(filtered_);
+}
+
+void Trocar::fade(double dt) {
+  const Vector3 slope = lead_rate_ + kFade * lead_;
+  const double left = std::exp(-kFade * dt);
+  lead_ = left * (lead_ + dt * slope);
+  lead_rate_ = left * (lead_rate_ - kFade * dt * slope);
+  p_ = filter_.p(filtered_) + lead_;
+  v_ = filter_.v(filtered_) + lead_rate_;
 }
 
 }  // namespace surg

@@ -1,5 +1,6 @@
 #include "surg_core/motion/command_handler.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 #include "surg_core/law/rcm.hpp"
@@ -12,8 +13,13 @@ namespace {
 constexpr double kArrivedDistance = 5e-4;  // [m]
 constexpr double kArrivedRoll = 0.01;      // [rad]
 constexpr double kArriveWithin = 1.0;      // [s] after the profile's end; then the move is given up
+constexpr double kHeldWithin = 0.75;       // [s] near one place at a limit; then it is given up
+constexpr double kHeldDistance = 1e-4;     // [m] of the set-point that is no progress
+constexpr double kHeldRoll = 1e-3;         // [rad]
 constexpr double kAxialSpeed = 0.02;       // [m/s] of insert and withdraw
 constexpr double kClearance = 0.01;        // [m] of the tip above the trocar after withdraw
+constexpr double kWallMargin = 1e-3;       // [m] inside the workspace slides a stream
+constexpr double kOldest = 0.2;            // [s] no sample waits longer for its cycle
 constexpr double kNotInsertedSlack = 1e-3;  // [m] a tip that rests on depth_min is still inserted
 
 /// Angle of the twist about z in a rotation (swing-twist about the shaft at its target).
@@ -34,13 +40,13 @@ CommandHandler::CommandHandler(const Limits& limits, const Tuning& tuning, doubl
     : limits_(limits),
       timeout_(tuning.servo_timeout),
       dt_(dt),
-      setpoint_(limits, tuning.profiler_duration, paper, tuning.stream_delay) {}
+      setpoint_(limits, {tuning.profiler_duration, paper, tuning.stream_delay, tuning.tremor}) {}
 
 void CommandHandler::start(const TipPose& at) {
   setpoint_.reset(at.p_RTip, at.s_R, at.roll);
   set_goal(at.p_RTip, at.roll);
   joint_goal_ = setpoint_.joints();
-  move_active_ = retracing_ = stream_blocked_ = false;
+  move_active_ = retracing_ = stream_blocked_ = sliding_ = newest_counts_ = false;
   motion_ = Motion::kNone;
 }
 
@@ -90,7 +96,7 @@ Reason CommandHandler::accept(const MotionCommand& command) {
   move_active_ = along_shaft || motion == Motion::kMoveCp || motion == Motion::kMoveJp ||
                  motion == Motion::kMoveJr;
   motion_ = motion;
-  settle_time_ = 0;
+  settle_time_ = held_ = 0;
   silent_cycles_ = 0;
   return Reason::kNone;
 }
@@ -113,6 +119,7 @@ Reason CommandHandler::apply(const MotionCommand& command) {
     case Motion::kMoveCp: {
       if (!targets_reachable(command.p)) return Reason::kOutsideWorkspace;
       const double roll = requested_roll(command.p, command.rotation);
+      if (!roll_reachable(roll)) return Reason::kOutsideWorkspace;
       const bool inside =
           setpoint_.move_to(Space::kCartesian, {command.p.x(), command.p.y(), command.p.z(), roll});
       if (!inside) return Reason::kOutsideWorkspace;
@@ -127,6 +134,7 @@ Reason CommandHandler::apply(const MotionCommand& command) {
     case Motion::kMoveJp: {
       const Vector3 p = tip_of(joints);
       if (beyond_quarter_turn(joints) || !targets_reachable(p)) return Reason::kOutsideWorkspace;
+      if (!roll_reachable(joints[3])) return Reason::kOutsideWorkspace;
       if (!setpoint_.move_to(Space::kSpherical, to_array(joints))) return Reason::kOutsideWorkspace;
       set_goal(p, joints[3]);
       joint_goal_ = joints;
@@ -159,6 +167,11 @@ bool CommandHandler::targets_reachable(const Vector3& p_RTip) const {
          !aside_near_trocar(p_RTip, setpoint_.s_R(), limits_.depth_slow);
 }
 
+/// Inside the range, or no farther outside than the set-point is.
+bool CommandHandler::roll_reachable(double roll) const {
+  return std::abs(roll) <= std::max(limits_.roll_max, std::abs(setpoint_.roll()));
+}
+
 /// Absolute roll that a tool orientation in R asks for, continued from the present roll.
 double CommandHandler::requested_roll(const Vector3& p_RTip,
                                       const Eigen::Quaterniond& rotation) const {
@@ -182,25 +195,39 @@ Reason CommandHandler::stream(const MotionCommand& command) {
   const bool cartesian = command.motion == Motion::kServoCp;
   Vector4 joints = command.joints;
   if (command.motion == Motion::kServoJr) joints += present_goal();
-  const Vector3 p = cartesian ? command.p : tip_of(joints);
+  const Vector3 hand = cartesian ? command.p : tip_of(joints);
+  const bool slides = command.slide && cartesian && !targets_reachable(hand);
+  const Vector3 p = slides ? nearest_reachable(hand) : hand;
   if ((!cartesian && beyond_quarter_turn(joints)) || !targets_reachable(p))
     return Reason::kOutsideWorkspace;
-  const double requested = cartesian ? requested_roll(p, command.rotation) : joints[3];
+  const double roll = cartesian ? requested_roll(p, command.rotation) : joints[3];
+  if (!roll_reachable(roll)) return Reason::kOutsideWorkspace;
   const bool begins = setpoint_.mode() != Setpoint::Mode::kStream || motion_ != command.motion;
-  const Vector3 p_last = begins ? setpoint_.p_RTip() : p_goal_;
-  const double roll_last = begins ? setpoint_.roll() : roll_goal_;
-  const Reason reason =
-      check_step(limits_, begins, since_pose_, (p - p_last).norm(), requested - roll_last);
+  if (begins) {
+    anchor_ = {setpoint_.p_RTip(), setpoint_.roll()};
+    since_anchor_ = 0;
+  }
+  const double moved = ((begins ? p : hand) - anchor_.p).norm();
+  const Reason reason = check_step(limits_, begins, since_anchor_, moved, roll - anchor_.roll);
   if (reason != Reason::kNone) return reason;
-  set_goal(p, requested);
+  set_goal(p, roll);
   joint_goal_ = joints;
-  since_pose_ = 0;
+  newest_ = {hand, roll};
+  newest_counts_ = true;
+  sliding_ = slides;
+  const double age = command.age >= 0 ? std::min(command.age, kOldest) : 0.0;
   if (cartesian) {
-    setpoint_.add_stream_sample(Space::kCartesian, {p.x(), p.y(), p.z(), requested}, dt_);
+    setpoint_.add_stream_sample(Space::kCartesian, {p.x(), p.y(), p.z(), roll}, age, command.stamp);
   } else {
-    setpoint_.add_stream_sample(Space::kSpherical, to_array(joints), dt_);
+    setpoint_.add_stream_sample(Space::kSpherical, to_array(joints), age, command.stamp);
   }
   return Reason::kNone;
+}
+
+/// The reachable target nearest to p, a little inside the workspace.
+Vector3 CommandHandler::nearest_reachable(const Vector3& p_RTip) const {
+  const Vector3 p = nearest_inside(limits_, p_RTip, kWallMargin);
+  return targets_reachable(p) ? p : Vector3(p.normalized() * limits_.depth_slow);
 }
 
 Reason CommandHandler::check_timeout() {
@@ -210,7 +237,14 @@ Reason CommandHandler::check_timeout() {
   const bool stale = streaming && silent_cycles_ > std::lround(timeout_ / dt_);
   if (stale) setpoint_.stop();
   ++silent_cycles_;
-  since_pose_ += dt_;
+  // All samples of one cycle share the time since the last earlier one: what a sender may move
+  // depends on time, not on its number of messages.
+  if (newest_counts_) {
+    anchor_ = newest_;
+    since_anchor_ = 0;
+    newest_counts_ = false;
+  }
+  since_anchor_ += dt_;
   stream_silence_ += dt_;
   if (stream_silence_ > timeout_) stream_blocked_ = false;
   return stale ? Reason::kStale : Reason::kNone;
@@ -229,6 +263,22 @@ Reason CommandHandler::check_arrival(const TipPose& at) {
     return Reason::kNotArrived;
   }
   return Reason::kNone;
+}
+
+Reason CommandHandler::check_progress(bool limited) {
+  const bool driven = retracing_ || setpoint_.mode() == Setpoint::Mode::kProfile;
+  const bool moved = (setpoint_.p_RTip() - p_held_).norm() > kHeldDistance ||
+                     std::abs(setpoint_.roll() - roll_held_) > kHeldRoll;
+  if (!driven || moved) {
+    p_held_ = setpoint_.p_RTip();
+    roll_held_ = setpoint_.roll();
+    held_ = 0;
+  }
+  held_ += dt_;
+  // A slow profile that nothing limits goes on.
+  if (!driven || !limited || held_ <= kHeldWithin) return Reason::kNone;
+  stop();
+  return Reason::kNotArrived;
 }
 
 }  // namespace surg

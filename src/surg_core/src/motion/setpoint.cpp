@@ -9,7 +9,7 @@
 namespace surg {
 namespace {
 
-constexpr double kBridgedGap = 0.004;  // [s] a gap in a fast stream that is still bridged
+constexpr double kRollApproach = 5.0;  // [1/s] speed of a roll over what is left of its range
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
@@ -41,9 +41,11 @@ Dofs to_cartesian(const Dofs& spherical) {
           Kinematic{roll.x, roll.v, 0}};
 }
 
-Setpoint::Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay)
-    : limits_(limits), paper_(paper), base_duration_(profiler_duration) {
-  delays_.fill(StreamDelay(stream_delay));
+Setpoint::Setpoint(const Limits& limits, const Options& options)
+    : limits_(limits),
+      paper_(options.paper),
+      base_duration_(options.profiler_duration),
+      input_(options.stream_delay, options.tremor) {
   profiler_ = Profiler(dof_limits(Space::kCartesian), base_duration_);
 }
 
@@ -77,25 +79,18 @@ void Setpoint::switch_space(Space space) {
   }
 }
 
-void Setpoint::add_stream_sample(Space space, const std::array<double, 4>& target, double T) {
-  const bool first = mode_ != Mode::kStream || space != space_;
-  if (first) {
+void Setpoint::add_stream_sample(Space space, const std::array<double, 4>& target, double age,
+                                 double stamp) {
+  if (mode_ != Mode::kStream || space != space_) {
     axial_ = false;
     switch_space(space);
-    for (int i = 0; i < 4; ++i) delays_[i].reset(dofs_[i]);
     if (paper_) profiler_ = Profiler(dof_limits(space), base_duration_);
     mode_ = Mode::kStream;
-  }
-  for (int i = 0; i < 4; ++i) {
-    if (first) {
-      estimates_[i].reset(target[i]);
-    } else {
-      estimates_[i].update(target[i], std::max(age_, T));
-    }
+    input_.begin(target, dofs_, age, stamp);
+  } else {
+    input_.add(target, age, stamp);
   }
   target_ = target;
-  spacing_ = first ? T : std::max(age_, T);
-  age_ = 0;
 }
 
 void Setpoint::set_velocity(Space space, const std::array<double, 4>& rate) {
@@ -220,7 +215,6 @@ void Setpoint::advance(double dt) {
   if (!(dt > 0)) return;
   if (tick_ > 0) clock_rate_ = std::min(dt / tick_, 1.0);
   at_wall_ = false;
-  if (mode_ == Mode::kProfile && !push_R_.isZero(0) && v_RTip().dot(push_R_) < 0) stop();
   const Vector3 p_before = p_RTip();
   switch (mode_) {
     case Mode::kRest:
@@ -246,7 +240,10 @@ void Setpoint::advance(double dt) {
   restrict_step(p_before);
 }
 
-void Setpoint::yield_to(const Vector3& push_R) { push_R_ = push_R; }
+void Setpoint::yield_to(const Vector3& push_R) {
+  push_R_ = push_R;
+  if (mode_ == Mode::kProfile && v_RTip().dot(push_R_) < 0) stop();
+}
 
 /// Removes forbidden parts of a step: lateral motion near the trocar, where the shaft would turn
 /// too fast (F24), and motion against a contact force (F25). Profiles are planned clear of both.
@@ -269,20 +266,8 @@ void Setpoint::restrict_step(const Vector3& p_before) {
 }
 
 void Setpoint::elapse(double T) {
-  age_ += T;
   tick_ = T;
-  if (mode_ != Mode::kStream) return;
-  for (int i = 0; i < 4; ++i) {
-    delays_[i].step(overdue() ? target_[i] : estimates_[i].predict(age_).x, T);
-  }
-}
-
-/// An overdue sample is not extrapolated; the tip comes to rest at it.
-bool Setpoint::overdue() const { return age_ > std::max(1.5 * spacing_, kBridgedGap); }
-
-Kinematic Setpoint::stream_target(int dof, double dt) const {
-  if (delays_[dof].works(tick_)) return delays_[dof].predict(dt);
-  return overdue() ? Kinematic{target_[dof], 0, 0} : estimates_[dof].predict(age_ + dt);
+  input_.elapse(T);
 }
 
 void Setpoint::advance_stream(double dt) {
@@ -296,7 +281,8 @@ void Setpoint::advance_stream(double dt) {
   // The tick is taken only if the hardest stop after it ends inside the workspace. Otherwise that
   // stop begins or continues; it was possible before.
   auto next = filters_;
-  for (int i = 0; i < 4; ++i) next[i].step(stream_target(i, dt), dt);
+  const Dofs target = input_.target(dt);
+  for (int i = 0; i < 4; ++i) next[i].step(target[i], dt);
   at_wall_ = stop_leaves_workspace(next);
   for (int i = 0; i < 4; ++i) {
     if (at_wall_ && i < 3) {
@@ -353,6 +339,10 @@ void Setpoint::advance_velocity(double dt) {
     at_wall_ = true;
     rate[0] = rate[1] = rate[2] = 0;
   }
+  const double roll_room = limits_.roll_max - std::copysign(dofs_[3].x, dofs_[3].x * rate[3]);
+  const double roll_rate = std::min(std::abs(rate[3]), kRollApproach * std::max(roll_room, 0.0));
+  at_wall_ |= roll_rate < std::abs(rate[3]);
+  rate[3] = std::copysign(roll_rate, rate[3]);
   for (int i = 0; i < 4; ++i) {
     const Kinematic& now = dofs_[i];
     // The position error that the filter sees is zero: only the velocity is followed.
@@ -392,7 +382,7 @@ Vector3 Setpoint::v_RTip() const {
 
 Setpoint::TipAndRoll Setpoint::after(double dt) const {
   if (!(dt > 0)) return {p_RTip(), roll()};
-  if (mode_ == Mode::kProfile && push_R_.isZero(0)) {
+  if (mode_ == Mode::kProfile) {
     const auto x = profiler_.position_after(dt);
     return {tip_of(x[0], x[1], x[2]), x[3]};
   }

@@ -7,20 +7,19 @@
 namespace surg {
 namespace {
 
-// Tuned on surgeons' motion: pole [1/s], and the share of acceleration and jerk that the
-// square-root approach counts on (the rest is left for the moving target).
-constexpr double kPole = 60;
-constexpr double kAccelerationShare = 0.3;
-constexpr double kJerkShare = 0.7;
+// Gains of the three nested loops, tuned on synthetic hand motions (docs/results/stream.md), and
+// the share of acceleration and jerk that the square-root approach counts on (the rest is left for
+// the moving target). The gains are lower where ticks are long.
+constexpr double kPositionGain = 90;       // [1/s]
+constexpr double kVelocityGain = 200;      // [1/s]
+constexpr double kAccelerationGain = 600;  // [1/s]
+constexpr double kFastestGain = 0.4;       // of the velocity loop, per tick
+constexpr double kAccelerationShare = 0.25;
+constexpr double kJerkShare = 0.4;
 
-// Alpha-beta gains found best at the two rates that matter, and the spacing they belong to.
-constexpr double kFastSpacing = 0.002, kFastAlpha = 0.612, kFastBeta = 0.279;
-constexpr double kSlowSpacing = 1.0 / 30, kSlowAlpha = 0.852, kSlowBeta = 0.703;
-
-// Time constant of the acceleration estimate [s]. Fed forward it takes the filter's gain at 2 Hz
-// from 1.11 to 1.01: a surgeon's path at 500 Hz came out 4 % too long without it, 0.9 % with it.
-// Only while the errors are small, see 'feed_forward'.
-constexpr double kAccelerationTime = 0.01;
+// [s] a tick may follow that is as long as this: after a late cycle, or where limits have slowed
+// the clock.
+constexpr double kLongestTick = 0.02;
 
 double clamp_to(double value, double bound) { return std::clamp(value, -bound, bound); }
 
@@ -32,32 +31,20 @@ double approach(double e, double g, double l) {
   return std::copysign(std::sqrt(2 * l * (magnitude - 0.5 * l / (g * g))), e);
 }
 
-// The share of the target's acceleration that is fed forward: all of it where both errors are small
-// against the ends of their linear ranges, little beyond. There the square-root approach needs what
-// the limits leave for itself, and an acceleration added on top would have to be taken back later
-// than the jerk limit can: at 40 m/s^3 a surgeon's path overshot by 5.7 mm with all of it always,
-// by 2.8 mm like this.
-double feed_forward(double position_error, double velocity_error, const DofLimits& limits) {
-  const double x =
-      position_error * (kPole * kPole / 9) / (kAccelerationShare * limits.acceleration);
-  const double v = velocity_error * (kPole * kPole) / (kJerkShare * limits.jerk);
-  return 1 / (1 + x * x + v * v);
-}
-
-// The largest jerk over one tick of T from which velocity V can still be kept by ticks whose jerk
-// is at least -J. The lower bound is the mirrored call, with v and a negated.
+// The largest jerk over one tick of T from which velocity V can still be kept by ticks of up to L
+// whose jerk is at least -J. The lower bound is the mirrored call, with v and a negated.
 //
-// Braking a' = (n + r) J T to zero, n ticks of -J and one that ends at a = 0 exactly, adds J T^2
+// Braking a' = (n + r) J L to zero, n ticks of -J and one that ends at a = 0 exactly, adds J L^2
 // (n^2 / 2 + n r + r / 2) to the velocity, and the tick before adds (a + a') T / 2. Both together
-// grow piecewise linearly with a'; at r = 0 they are J T^2 n (n + 1) / 2 more than a T / 2. The
-// ticks matter: with the continuous a'^2 / 2 J the filter would hammer between +J and -J at V.
-double largest_jerk(double v, double a, double V, double J, double T) {
+// grow piecewise linearly with a'; at r = 0 they are J L^2 (n^2 + n T / L) / 2 more than a T / 2.
+// The ticks matter: with the continuous a'^2 / 2 J the filter would hammer between +J and -J at V.
+double largest_jerk(double v, double a, double V, double J, double T, double L) {
   const double spare = V - (v + 0.5 * a * T);  // what is left after a tick that ends at a = 0
   if (spare > -1e-12 * V) {
-    const double c = std::max(spare, 0.0) / (J * T * T);
-    const double n = std::floor(0.5 * (std::sqrt(1 + 8 * c) - 1));
-    const double r = (c - 0.5 * n * (n + 1)) / (n + 1);
-    return ((n + r) * J * T - a) / T;
+    const double c = std::max(spare, 0.0) / (J * L * L), share = T / L;
+    const double n = std::floor(0.5 * (std::sqrt(share * share + 8 * c) - share));
+    const double r = (c - 0.5 * n * (n + share)) / (n + 0.5 * (1 + share));
+    return ((n + r) * J * L - a) / T;
   }
   // Only after a reset to a state that ticks cannot keep: let a change its sign inside the tick,
   // where the peak is v + a^2 / 2|j|; beyond even that, brake as hard as allowed.
@@ -71,39 +58,6 @@ double usable_jerk(const DofLimits& limits, double T) {
 }
 
 }  // namespace
-
-void AlphaBeta::reset(double x, double v) {
-  x_ = x;
-  v_ = v;
-  a_ = 0;
-}
-
-void AlphaBeta::update(double x, double spacing) {
-  if (!(spacing > 0)) {  // a second sample for the same instant: the later one counts
-    x_ = x;
-    return;
-  }
-  double alpha, beta;
-  if (spacing < kFastSpacing) {
-    // Same bandwidth in seconds: two samples delivered back to back do not become a velocity.
-    const double share = spacing / kFastSpacing;
-    alpha = kFastAlpha * share;
-    beta = kFastBeta * share * share;
-  } else {
-    const double share = std::clamp(
-        std::log(spacing / kFastSpacing) / std::log(kSlowSpacing / kFastSpacing), 0.0, 1.0);
-    alpha = kFastAlpha + share * (kSlowAlpha - kFastAlpha);
-    beta = kFastBeta + share * (kSlowBeta - kFastBeta);
-  }
-  const double predicted = x_ + v_ * spacing;
-  const double innovation = x - predicted;
-  x_ = predicted + alpha * innovation;
-  const double dv = beta / spacing * innovation;
-  v_ += dv;
-  a_ += (1 - std::exp(-spacing / kAccelerationTime)) * (dv / spacing - a_);
-}
-
-Kinematic AlphaBeta::predict(double age) const { return {x_ + v_ * age, v_ + a_ * age, a_}; }
 
 void StreamDelay::step(double x, double T) {
   if (!works(T)) return;
@@ -149,18 +103,18 @@ void StreamFilter::step(const Kinematic& target, double T) {
   const double v1 = own.v + T * own.a;
   // A target that is not finite means: come to rest.
   const bool known = std::isfinite(target.x) && std::isfinite(target.v);
+  const double slower = std::min(1.0, kFastestGain / (kVelocityGain * T));
   const double wish =
-      known ? target.v + approach(target.x - x1, kPole / 3, kAccelerationShare * A) : 0.0;
+      known ? target.v + approach(target.x - x1, slower * kPositionGain, kAccelerationShare * A)
+            : 0.0;
   const double vc = clamp_to(wish, V);
-  const double ahead = known && std::isfinite(target.a)
-                           ? target.a * feed_forward(target.x - x1, vc - v1, limits_)
-                           : 0.0;
-  const double ac = clamp_to(ahead + approach(vc - v1, kPole, kJerkShare * J), A);
-  double j = 3 * kPole * (ac - own.a) / (1 + 1.5 * kPole * T);
+  const double ac = clamp_to(approach(vc - v1, slower * kVelocityGain, kJerkShare * J), A);
+  const double gain = slower * kAccelerationGain;
+  double j = gain * (ac - own.a) / (1 + 0.5 * gain * T);
 
-  const double usable = usable_jerk(limits_, T);
-  j = std::min(j, largest_jerk(own.v, own.a, V, usable, T));
-  j = std::max(j, -largest_jerk(-own.v, -own.a, V, usable, T));
+  const double longest = std::max(T, kLongestTick), usable = usable_jerk(limits_, longest);
+  j = std::min(j, largest_jerk(own.v, own.a, V, usable, T, longest));
+  j = std::max(j, -largest_jerk(-own.v, -own.a, V, usable, T, longest));
   integrate(j, T);
 }
 
@@ -175,7 +129,7 @@ void StreamFilter::brake(double T) {
     // side on which the velocity lies once a is gone. While it is still on its way there: full
     // jerk.
     const double side = std::copysign(1.0, v + 0.5 * a * std::abs(a) / J);
-    j = -side * (side * v > 0 ? largest_jerk(-side * v, -side * a, 0, J, T) : J);
+    j = -side * (side * v > 0 ? largest_jerk(-side * v, -side * a, 0, J, T, T) : J);
   }
   integrate(j, T);
 }

@@ -162,7 +162,7 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
 namespace {
 
 constexpr char kMagic[] = "SURGBBX";  // eight bytes with its end
-constexpr std::uint32_t kVersion = 1;
+constexpr std::uint32_t kVersion = 2;
 constexpr std::size_t kHead = sizeof kMagic + sizeof kVersion + sizeof(std::uint64_t);
 
 static_assert(sizeof kMagic == 8 && sizeof(double) == 8);
@@ -293,7 +293,8 @@ class Coder {
   }
   void value(BlackBoxLabel& c) { (*this)(c.arm, c.cell, c.written, c.version); }
   void value(MotionCommand& c) {
-    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw);
+    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw, c.stamp, c.age,
+            c.slide);
   }
   void value(BlackBoxEvent& e) {
     (*this)(e.kind, e.state, e.reason, e.answer, e.source, e.p_BRcm, e.command);
@@ -301,8 +302,8 @@ class Coder {
   void value(Outputs& out);
   void value(ForceSample& f) { (*this)(f.valid, f.f_B); }
   void value(Readings& r) {
-    (*this)(r.state_valid, r.state_age, r.q, r.qd, r.jaw, r.jaw_age, r.tip_force, r.trocar_force,
-            r.track_valid, r.track_age, r.p_BTrack, r.v_BTrack);
+    (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.jaw, r.jaw_age, r.tip_force,
+            r.trocar_force, r.track_valid, r.track_age, r.p_BTrack, r.v_BTrack);
   }
   void value(BlackBoxStep& s) { (*this)(s.in, s.events, s.n_commands, s.out); }
 
@@ -324,6 +325,8 @@ void each_field(Outputs& out, Visit visit) {
   visit("refused", out.refused);
   visit("warn_rcm", out.warn_rcm);
   visit("warn_force", out.warn_force);
+  visit("link_lag", out.link_lag);
+  visit("warn_track", out.warn_track);
   visit("X_BF", out.X_BF);
   visit("p_BTip", out.p_BTip);
   visit("s_B", out.s_B);
@@ -345,6 +348,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("scale", out.scale);
   visit("limited_by", out.limited_by);
   visit("tier", out.tier);
+  visit("late_share", out.late_share);
   visit("qd_command", out.qd_command);
   visit("twist_command", out.twist_command);
 }
@@ -435,6 +439,7 @@ std::string shown(double x) {
 std::string shown(const char* text) { return std::string("'") + text + "'"; }
 std::string shown(State state) { return name(state); }
 std::string shown(Reason reason) { return name(reason); }
+std::string shown(TrackWarning warning) { return name(warning); }
 std::string shown(Motion motion) { return "motion " + std::to_string(static_cast<int>(motion)); }
 template <typename Derived>
 std::string shown(const Eigen::MatrixBase<Derived>& matrix) {

@@ -45,8 +45,8 @@ Text text(Reason reason) {
               "step_roll_slack: start from setpoint_cp, or use move_cp to get there"};
     case Reason::kOutsideWorkspace:
       return {"outside_workspace",
-              "the target is outside the allowed depth or cone: see limits.depth_min, depth_max "
-              "and cone of the robot's YAML"};
+              "the target is outside the allowed depth, cone or roll: see limits.depth_min, "
+              "depth_max, cone and roll_max of the robot's YAML"};
     case Reason::kWrongFrame:
       return {"wrong_frame",
               "frame_id is not the arm's rcm frame: leave it empty or use <arm>_rcm; nothing is "
@@ -80,8 +80,8 @@ Text text(Reason reason) {
               "shaft, or on rcm/withdraw to come out"};
     case Reason::kTrackStale:
       return {"track_stale",
-              "rcm/track fell silent: the trocar is taken to stand still; publish it again, then "
-              "send 'resume'"};
+              "rcm/track fell silent, or sent nothing but outliers, for tuning.track_timeout: the "
+              "trocar is taken to stand still; check the tracker, then send 'resume'"};
     case Reason::kToolLost:
       return {"tool_lost", "no jaw state from the tool link: the arm holds; check the tool link"};
     case Reason::kUnreachable:
@@ -89,7 +89,10 @@ Text text(Reason reason) {
               "the arm cannot follow its target any further without leaving a limit or the trocar: "
               "choose another target, or send 'start' on rcm/retrace to go back the way it came"};
     case Reason::kNotArrived:
-      return {"not_arrived", "the move ended without reaching its target: see limited_by"};
+      return {
+          "not_arrived",
+          "the move ended without reaching its target: choose another target, or send 'start' on "
+          "rcm/retrace to go back the way it came"};
     case Reason::kNoTrace:
       return {"no_trace", "nothing is recorded to go back along"};
     case Reason::kFrameWhileEnabled:

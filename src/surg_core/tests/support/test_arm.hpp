@@ -30,36 +30,23 @@ inline Document good_robot() {
   v["joints.position_max"] = std::vector<double>(6, 6.28);
   v["joints.velocity"] = std::vector<double>(6, 3.0);
   v["joints.acceleration"] = std::vector<double>(6, 15.0);
-  const std::map<std::string, double> limits = {{"tip_velocity", 0.25},
-                                                {"tip_acceleration", 2},
-                                                {"tip_jerk", 40},
-                                                {"pivot_velocity", 1.5},
-                                                {"pivot_acceleration", 16},
-                                                {"pivot_jerk", 330},
-                                                {"roll_velocity", 3},
-                                                {"roll_acceleration", 40},
-                                                {"roll_jerk", 800},
-                                                {"flange_velocity", 0.25},
-                                                {"cone", 1.0472},
-                                                {"depth_min", 0.02},
-                                                {"depth_slow", 0.03},
-                                                {"depth_max", 0.22},
-                                                {"stop_deceleration", 4},
-                                                {"step_slack", 0.002},
-                                                {"step_roll_slack", 0.0349},
-                                                {"step_dt_max", 0.1},
-                                                {"rcm_error_warn", 0.001},
-                                                {"rcm_error_fault", 0.002},
-                                                {"tip_force_soft", 5},
-                                                {"tip_force_hard", 8},
-                                                {"trocar_force_warn", 10},
-                                                {"trocar_force_fault", 15},
-                                                {"joint_margin", 0.1}};
+  const std::map<std::string, double> limits = {
+      {"tip_velocity", 0.25},     {"tip_acceleration", 2},    {"tip_jerk", 40},
+      {"pivot_velocity", 1.5},    {"pivot_acceleration", 16}, {"pivot_jerk", 330},
+      {"roll_velocity", 3},       {"roll_acceleration", 40},  {"roll_jerk", 800},
+      {"roll_max", 6.2832},       {"flange_velocity", 0.25},  {"cone", 1.0472},
+      {"depth_min", 0.02},        {"depth_slow", 0.03},       {"depth_max", 0.22},
+      {"stop_deceleration", 4},   {"step_slack", 0.002},      {"step_roll_slack", 0.0349},
+      {"step_dt_max", 0.1},       {"rcm_error_warn", 0.001},  {"rcm_error_fault", 0.002},
+      {"tip_force_soft", 5},      {"tip_force_hard", 8},      {"trocar_force_warn", 10},
+      {"trocar_force_fault", 15}, {"joint_margin", 0.1}};
   for (const auto& [key, value] : limits) v["limits." + key] = value;
   const std::map<std::string, double> tuning = {
       {"rcm_gain", 20},       {"tip_gain", 10},           {"roll_gain", 10},
       {"posture_gain", 1},    {"profiler_duration", 0.5}, {"stream_delay", 0.0},
-      {"servo_timeout", 0.1}, {"link_timeout", 0.1},      {"link_lag", 0.0}};
+      {"tremor", 0.0},        {"servo_timeout", 0.1},     {"link_timeout", 0.1},
+      {"link_lag", 0.0},      {"track_noise", 3e-4},      {"track_jerk", 0.02},
+      {"track_timeout", 0.25}};
   for (const auto& [key, value] : tuning) v["tuning." + key] = value;
   d.lines["limits.cone"] = 42;
   return d;

@@ -86,6 +86,7 @@ def arm_view(cycle: Cycle, R_WB: Array | None = None, received: float = 0.0) -> 
         busy=cycle.busy,
         reason=cycle.reason,
         refused=cycle.refused,
+        accepted=cycle.accepted,
         p_BTip=np.array(cycle.p_tip),
         p_BSet=np.array(cycle.p_set),
         s_B=np.array(cycle.s),

@@ -2,6 +2,7 @@
 // fills the record. Lock-step, free-run and unit tests use the same code.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <string_view>
@@ -41,7 +42,9 @@ class ControlCycle {
   surg::Reason request(surg::StateCommand command);
   surg::Reason set_frame(const CommandItem& item);
   surg::Reason take_track(const CommandItem& item, std::int64_t now_ns);
-  surg::Reason take_motion(const CommandItem& item);
+  surg::Reason take_motion(const CommandItem& item, std::int64_t now_ns);
+  bool is_sliding(std::uint32_t source) const;
+  surg::Reason set_sliding(std::uint32_t source, bool slide);
   void sense(const LinkState& link, std::int64_t now_ns);
   Eigen::Quaterniond orientation_at(const surg::Vector3& p_B, double roll) const;
 
@@ -50,6 +53,8 @@ class ControlCycle {
   FrameName rcm_frame_;
   bool enabled_ = false;
   Track track_;
+  std::array<std::uint32_t, 16>
+      sliding_{};  // senders whose servo_cp slides along the wall; 0: none
   StampHistory stamps_seen_;
   surg::Inputs inputs_;
   CycleRecord record_;

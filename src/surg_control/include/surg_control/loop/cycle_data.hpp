@@ -17,7 +17,7 @@ constexpr double kTick = 0.002;  ///< [s]
 
 /// One decoded command of any kind. Within one cycle the kinds take effect in the order below.
 struct CommandItem {
-  enum class Kind : std::uint8_t { kState, kSetRcm, kSetFrame, kClaim, kTrack, kMotion };
+  enum class Kind : std::uint8_t { kState, kSetRcm, kSetFrame, kClaim, kAtWall, kTrack, kMotion };
   Kind kind = Kind::kMotion;
   std::uint32_t source = 0;                                 ///< id of the sender in a SourceTable
   surg::StateCommand state = surg::StateCommand::kDisable;  ///< kState
@@ -27,6 +27,7 @@ struct CommandItem {
   std::int64_t received_ns = 0;  ///< kTrack: steady clock; 0: in the cycle that takes it
   FrameName frame;               ///< kMotion: header.frame_id; kSetFrame: name of U
   surg::Pose X_UR = surg::Pose::Identity();  ///< kSetFrame
+  bool slide = false;                        ///< kAtWall
   surg::MotionCommand motion;  ///< kMotion; poses and twists still in 'frame', not in R
   /// servo_cv: the complete angular velocity. The cycle projects it onto the shaft to get
   /// roll_rate.
@@ -57,6 +58,7 @@ struct Answer {
   surg::Motion motion = surg::Motion::kNone;  ///< kMotion: refused before the controller saw it
   surg::Reason reason = surg::Reason::kNone;  ///< kNone: done
   std::uint32_t source = 0;
+  bool slide = false;  ///< kAtWall
 };
 
 /// An accepted command with a part that four degrees of freedom cannot follow.

@@ -37,6 +37,8 @@ Decoded decode_hold();
 Decoded decode_start_stop(const crtk_msgs::StringStamped& message, surg::Motion motion);
 /// authority/claim.
 Decoded decode_claim();
+/// What becomes of the sender's servo_cp outside the workspace: "slide" or "refuse".
+Decoded decode_at_wall(const crtk_msgs::StringStamped& message);
 /// state_command.
 Decoded decode_state(const crtk_msgs::StringStamped& message);
 /// rcm/set_cp in the base frame 'frame': the position is the trocar point.

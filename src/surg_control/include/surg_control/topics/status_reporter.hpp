@@ -18,8 +18,9 @@ namespace surg_control {
 /// error are safe from every thread but the control thread: they lock and allocate.
 class StatusReporter {
  public:
+  /// link_lag [s]: of the robot's YAML; 0: unknown.
   StatusReporter(ros::NodeHandle& node, const std::string& arm, const surg::Limits& limits,
-                 const SourceTable& sources);
+                 double link_lag, const SourceTable& sources);
 
   /// Publishes at most once a second per 'key'; the next text counts the suppressed ones. 'now' [s]
   /// is the steady clock, or the tick's time in lock-step.
@@ -44,9 +45,11 @@ class StatusReporter {
   void report_ignored(const CycleRecord& record);
   void report_verdicts(const CycleRecord& record, double now);
   bool report_changes(const CycleRecord& record, double now);
+  void report_lag(double measured);
 
   std::string arm_;
   surg::Limits limits_;
+  double link_lag_;
   const SourceTable& sources_;
   ros::Publisher warning_, status_, error_;
   std::mutex mutex_;
@@ -57,6 +60,7 @@ class StatusReporter {
   surg::Reason reason_ = surg::Reason::kNone;
   bool homed_ = false, busy_ = false, first_ = true;
   std::uint32_t ignored_reported_ = 0;  // one bit per motion
+  bool lag_reported_ = false;
 };
 
 }  // namespace surg_control

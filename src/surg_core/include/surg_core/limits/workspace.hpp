@@ -14,6 +14,10 @@ double outside_workspace(const Limits& limits, const Vector3& p_RTip);
 /// Whether a tip target in the rcm frame lies within depth_min..depth_max and the cone.
 bool inside_workspace(const Limits& limits, const Vector3& p_RTip);
 
+/// The point nearest to a finite tip position in the rcm frame that lies at least 'margin' [m]
+/// inside the workspace.
+Vector3 nearest_inside(const Limits& limits, const Vector3& p_RTip, double margin);
+
 /// Whether a tip position less than 'depth' [m] from the trocar lies beside the shaft (unit s_R).
 /// There, targets and profiles may only lead along the shaft (F24).
 bool aside_near_trocar(const Vector3& p_RTip, const Vector3& s_R, double depth);

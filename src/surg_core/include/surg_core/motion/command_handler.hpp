@@ -34,6 +34,9 @@ class CommandHandler {
   Reason check_timeout();
   /// Call it once per cycle, after the motion. kNotArrived: a move has been given up.
   Reason check_arrival(const TipPose& at);
+  /// Call it once per cycle, after the motion. limited: a limit slowed this cycle. kNotArrived: a
+  /// limit has held the set-point for so long that its target has been given up.
+  Reason check_progress(bool limited);
 
   Setpoint& setpoint() { return setpoint_; }
   const Setpoint& setpoint() const { return setpoint_; }
@@ -45,12 +48,16 @@ class CommandHandler {
   /// Retracing the joint trace; meanwhile the set-point follows the arm.
   bool retracing() const { return retracing_; }
   void end_retrace() { retracing_ = false; }
+  /// The stream's last sample was outside the workspace; its sender asked to slide along the wall.
+  bool sliding() const { return sliding_ && setpoint_.mode() == Setpoint::Mode::kStream; }
 
  private:
   Reason apply(const MotionCommand& command);
   Reason stream(const MotionCommand& command);
   Reason move_along_shaft(Motion motion);
   bool targets_reachable(const Vector3& p_RTip) const;
+  bool roll_reachable(double roll) const;
+  Vector3 nearest_reachable(const Vector3& p_RTip) const;
   double requested_roll(const Vector3& p_RTip, const Eigen::Quaterniond& rotation) const;
   Vector4 present_goal() const;
   void set_goal(const Vector3& p_RTip, double roll);
@@ -61,14 +68,25 @@ class CommandHandler {
   Vector3 p_goal_ = Vector3::Zero();
   double roll_goal_ = 0;
   Vector4 joint_goal_ = Vector4::Zero();  // of the last accepted target
-  double since_pose_ = 0;                 // [s] since the last accepted stream pose
-  int silent_cycles_ = 0;                 // since the last accepted servo command
+  struct Pose4 {
+    Vector3 p = Vector3::Zero();
+    double roll = 0;
+  };
+  Pose4 newest_;                // accepted stream pose, before it slides along the wall
+  bool newest_counts_ = false;  // it was accepted in this cycle
+  Pose4 anchor_;                // the newest one of an earlier cycle: steps are judged from it
+  double since_anchor_ = 0;     // [s]
+  bool sliding_ = false;
+  int silent_cycles_ = 0;  // since the last accepted servo command
   Motion motion_ = Motion::kNone;
   bool move_active_ = false;  // a move_* is on its way
   bool retracing_ = false;
   bool stream_blocked_ = false;
   double stream_silence_ = 0;  // [s] since 'hold', or since a servo command was refused for it
   double settle_time_ = 0;     // [s] since the profile of a move ended
+  double held_ = 0;            // [s] that the set-point has been near the place below
+  Vector3 p_held_ = Vector3::Zero();
+  double roll_held_ = 0;
 };
 
 }  // namespace surg

@@ -8,6 +8,7 @@
 #include "surg_core/config.hpp"
 #include "surg_core/motion/profiler.hpp"
 #include "surg_core/motion/stream.hpp"
+#include "surg_core/motion/stream_input.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
@@ -26,16 +27,25 @@ class Setpoint {
  public:
   enum class Mode { kRest, kStream, kVelocity, kProfile, kStopping };
 
+  struct Options {
+    double profiler_duration = 0.5;  ///< [s]
+    /// Every stream follows the paper's quintic of fixed duration, re-planned each cycle. The
+    /// options below do nothing then.
+    bool paper = false;
+    double stream_delay = 0;  ///< [s] see StreamDelay
+    double tremor = 0;        ///< [Hz] see TremorNotch; 0: off
+  };
+
   Setpoint() = default;
-  /// paper: every stream follows the paper's quintic of fixed duration, re-planned each cycle.
-  /// stream_delay [s]: delay of streams, see StreamDelay; not used with 'paper'.
-  Setpoint(const Limits& limits, double profiler_duration, bool paper, double stream_delay = 0);
+  Setpoint(const Limits& limits, const Options& options);
 
   /// Resets to rest at a tip position [m] in the rcm frame, with unit shaft direction s_R and roll
   /// [rad].
   void reset(const Vector3& p_RTip, const Vector3& s_R, double roll);
-  /// Takes a sample of a pose stream (servo_cp, servo_jp).
-  void add_stream_sample(Space space, const std::array<double, 4>& target, double T);
+  /// Takes a sample of a pose stream (servo_cp, servo_jp) that arrived 'age' seconds ago, with the
+  /// stamp [s] of its sender (0: none).
+  void add_stream_sample(Space space, const std::array<double, 4>& target, double age = 0,
+                         double stamp = 0);
   /// Takes a velocity to keep (servo_cv, servo_jv).
   void set_velocity(Space space, const std::array<double, 4>& rate);
   /// Moves to a discrete target (interpolate_*, move_*): a quintic to rest there. If its overshoot
@@ -100,8 +110,6 @@ class Setpoint {
   void switch_space(Space space);
   bool plan(Space space, const std::array<double, 4>& target);
   void come_to_rest();
-  bool overdue() const;
-  Kinematic stream_target(int dof, double dt) const;
   void advance_stream(double dt);
   void advance_velocity(double dt);
   void advance_stopping(double dt);
@@ -115,6 +123,7 @@ class Setpoint {
   Limits limits_{};
   bool paper_ = false;
   double base_duration_ = 0.5;
+  StreamInput input_;
   Mode mode_ = Mode::kRest;
   Space space_ = Space::kCartesian;
   Dofs dofs_{};
@@ -123,16 +132,12 @@ class Setpoint {
   Vector3 axis_R_ = Vector3::UnitZ();  ///< while axial
   Vector3 push_R_ = Vector3::Zero();   ///< of the force at the tip
   std::array<StreamFilter, 4> filters_{};
-  std::array<AlphaBeta, 4> estimates_{};
-  std::array<StreamDelay, 4> delays_{};
   std::array<double, 4> rate_{};
   std::array<double, 4> target_{};
   Space target_space_ = Space::kCartesian;
   double tick_ = 0;              ///< the control period [s]
   double clock_rate_ = 1;        ///< the set-point's time per real time in the last advance
   double profile_duration_ = 0;  ///< base duration of the present profile [s]
-  double age_ = 0;               ///< since the last stream sample [s]
-  double spacing_ = 0;           ///< of the last two samples [s]
   Profiler profiler_;
   bool move_after_stop_ = false;  ///< go to target_ once stopped
 };

@@ -1,26 +1,10 @@
 // Filters of command streams: a jerk-limited tracking filter in closed form (no planning, no
-// failure branch), the alpha-beta estimate that feeds it, and an optional delay.
+// failure branch), and an optional delay. stream_input.hpp has what feeds them.
 #pragma once
 
 #include "surg_core/motion/quintic.hpp"
 
 namespace surg {
-
-/// Fixed-gain alpha-beta estimate of position and velocity from samples at a measured spacing, and
-/// the acceleration as its low-passed change.
-class AlphaBeta {
- public:
-  /// Resets to position x and velocity v.
-  void reset(double x, double v = 0);
-  /// A new sample 'spacing' seconds after the last one. Gains follow the spacing (30 Hz: 0.852 /
-  /// 0.703; 500 Hz: 0.612 / 0.279).
-  void update(double x, double spacing);
-  /// Estimate 'age' seconds after the last sample.
-  Kinematic predict(double age) const;
-
- private:
-  double x_ = 0, v_ = 0, a_ = 0;
-};
 
 /// Delay of one axis: a third-order Bessel low-pass. Its group delay is the same for all
 /// frequencies that pass, and its overshoot is below 1 %. A stream keeps its shape and gets less

@@ -25,19 +25,20 @@ class Authority {
     taken(source);
     claimed_ = true;
   }
-  /// Call it once per cycle. resting: the set-point is at rest; enabled: the arm is ENABLED.
+  /// Call it once per cycle. resting: set-point and jaw are at rest and no motion is on its way;
+  /// enabled: the arm is ENABLED.
   void elapse(bool resting, bool enabled) {
-    silent_ += dt_;
+    silent_ = resting ? silent_ + dt_ : 0;
     if (was_enabled_ && !enabled) claimed_ = false;
     was_enabled_ = enabled;
-    if (!claimed_ && (!enabled || (resting && silent_ >= kRelease))) holder_ = 0;
+    if (!claimed_ && (!enabled || silent_ >= kRelease)) holder_ = 0;
   }
   std::uint32_t holder() const { return holder_; }
 
  private:
   static constexpr double kRelease = 0.5;  // [s]
   double dt_;
-  double silent_ = 0;
+  double silent_ = 0;         // [s] at rest without a command
   std::uint32_t holder_ = 0;  // 0: nobody
   bool claimed_ = false;
   bool was_enabled_ = false;

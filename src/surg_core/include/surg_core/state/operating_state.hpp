@@ -32,7 +32,7 @@ enum class Reason : std::uint8_t {
   kNotFollowing,       // the arm stays away from the set-point
   kHeld,               // a stream goes on after 'hold'
   kNotInserted,        // F24 the tip is near or above the trocar: only insert, withdraw, roll
-  kTrackStale,         // rcm/track fell silent
+  kTrackStale,         // rcm/track fell silent, or only outliers came
   kToolLost,           // F31 no jaw state from the tool link
   kUnreachable,        // F20, F21 a limit holds the arm on its way: report, not a state
   kNotArrived,         // a move ended without reaching its target
@@ -40,7 +40,7 @@ enum class Reason : std::uint8_t {
   kFrameWhileEnabled,  // set_base_frame while ENABLED
   kForce,              // F25 too much force at the tip or on the trocar
   kMasterLost,         // F07 enable and resume without a ROS master
-  kNotAtRest,          // home while the arm is still coming to rest
+  kNotAtRest,          // home, unhome or rcm/set_cp while the arm is still coming to rest
   kLate,               // F03 it answers what the arm said before its last stop
 };
 

@@ -163,6 +163,7 @@ def _numbers(result: Mapping[str, Any]) -> str:
         ("Compute time", _levels(controller["compute_us"], "µs", "p50", "p99")),
         ("Period", _levels(controller["period_us"], "µs", "p50", "p99", "max")),
         ("Overruns", controller["overruns"]),
+        ("Commands refused", result["commands_refused"]),
     ]
     return section("All numbers", facts(rows))
 

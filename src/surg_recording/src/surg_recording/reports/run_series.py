@@ -17,6 +17,8 @@ Array = npt.NDArray[np.float64]
 
 HELD_SPEED = 0.5e-3
 """Set-point speed below which the arm counts as standing still [m/s]."""
+CAUSE_WITHIN = 0.5
+"""[s] The first reason that the arm reports this soon after a refusal is taken for its cause."""
 HELD_INPUT = 1e-3
 """Diagonal of the input's bounding box above which a standing arm counts as held [m]."""
 
@@ -167,6 +169,45 @@ def _targets(table: Table, cycle: Table, start: int) -> tuple[Array, Array, str]
     stamp, position = stamp[order], position[order]
     newest = np.append(np.diff(stamp) > 0, True) if len(stamp) else np.zeros(0, dtype=bool)
     return _seconds(stamp[newest], start), position[newest], topic
+
+
+@dataclasses.dataclass(frozen=True)
+class Refusals:
+    """Pose commands that the arm refused while the motion was sent."""
+
+    count: int
+    sent: int
+    first: float
+    """Time of the first refusal from the window's first cycle [s]; NaN: none."""
+    cause: str
+    """What the arm reported then."""
+
+    @property
+    def accepted(self) -> float:
+        """Share of the commands that the arm accepted."""
+        return 1.0 - min(self.count / self.sent, 1.0) if self.sent else 1.0
+
+
+def refusals(episode: Episode, run: Run) -> Refusals:
+    """The refused commands from the run's first cycle to the end of the recording."""
+    cycle = episode.cycle(run.arm)
+    start = int(run.cycle["stamp_ns"][0])
+    cycle = cycle.select(cycle["stamp_ns"] >= start)
+    refused = cycle["refused"].astype(np.int64)
+    rows = np.flatnonzero(np.diff(refused) > 0) + 1
+    if not len(rows):
+        return Refusals(0, 0, float("nan"), "")
+    row = int(rows[0])
+    soon = cycle["stamp_ns"] <= cycle["stamp_ns"][row] + CAUSE_WITHIN * SECOND_NS
+    reported = [str(text) for text in cycle["reason"][soon][row:] if text]
+    count = int(refused[-1] - refused[row - 1])
+    taken = cycle["accepted"].astype(np.int64)
+    return Refusals(
+        count=count,
+        sent=count + int(taken[-1] - taken[0]),
+        first=(int(cycle["stamp_ns"][row]) - start) / SECOND_NS,
+        cause=reported[0] if reported else "no reason reported",
+    )
 
 
 def longest_hold(run: Run) -> tuple[float, float]:

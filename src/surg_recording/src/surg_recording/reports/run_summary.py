@@ -18,7 +18,14 @@ from surg_recording import metrics
 from surg_recording.episode.episode_reader import Episode, Table
 from surg_recording.recording_errors import NoMotionError
 from surg_recording.reports.run_limits import stated_limits
-from surg_recording.reports.run_series import Run, chosen_arm, load, longest_hold
+from surg_recording.reports.run_series import (
+    Refusals,
+    Run,
+    chosen_arm,
+    load,
+    longest_hold,
+    refusals,
+)
 
 Array = npt.NDArray[np.float64]
 
@@ -28,6 +35,8 @@ PATH_CUTOFF_HZ = 3.0
 SMOOTHNESS_PRESETS = ("reference", "paper")
 HELD_S = 2.0
 """Time for which an arm must be held to fail the run [s]."""
+EXECUTED_SHARE = 0.99
+"""Share of the commands that the arm must accept."""
 STILL_PATH = 1e-3
 """Path length below which the tip has not moved [m]."""
 
@@ -58,6 +67,7 @@ def summarise(episode: Episode, arm: str | None = None, run: Run | None = None) 
         "link": info.get("link"),
         "duration_s": None,
         "scale": info.get("scale"),
+        "commands_refused": None,
         **dict.fromkeys(_MEASURED),
         "deterministic": sim.get("deterministic"),
         "state_hash": sim.get("state_hash"),
@@ -70,6 +80,10 @@ def summarise(episode: Episode, arm: str | None = None, run: Run | None = None) 
     }
     if run is None:
         return result
+    refused = refusals(episode, run)
+    result["commands_refused"] = refused.count
+    if not info.get("setting"):
+        reasons += _reasons_of_refusals(refused)
     result.update(_measure(run, lockstep=manifest.get("mode") == "lockstep"))
     result["counts"]["window_cycles"] = len(run.t)
     limits = stated_limits(result, info)
@@ -204,6 +218,16 @@ def _reasons_of_the_recording(episode: Episode, arm: str) -> list[str]:
         when = (int(cycle["stamp_ns"][row]) - int(cycle["stamp_ns"][0])) * 1e-9
         reasons.append(f"FAULT after {when:.3f} s: {cycle['reason'][row] or 'no reason given'}")
     return reasons
+
+
+def _reasons_of_refusals(refused: Refusals) -> list[str]:
+    if refused.accepted >= EXECUTED_SHARE:
+        return []
+    return [
+        f"{100 * refused.accepted:.0f} % of the motion was executed: the arm refused "
+        f"{refused.count} of {refused.sent} commands, first after {refused.first:.3f} s "
+        f"({refused.cause})"
+    ]
 
 
 def _reasons_of_the_motion(run: Run, result: Mapping[str, Any]) -> list[str]:

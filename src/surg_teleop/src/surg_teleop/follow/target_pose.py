@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from surg_core import Limits
 from surg_core.arm_view import ArmView, Array, TipPose
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_core.transforms import virtual_tip
@@ -49,6 +50,17 @@ class StepLimits:
     roll_velocity: float  # [rad/s]
     roll_slack: float  # [rad]
     longest: float  # the step stops growing at this time since the last command [s]
+
+    @classmethod
+    def of(cls, limits: Limits) -> StepLimits:
+        """The steps that an arm with these limits accepts."""
+        return cls(
+            velocity=limits.tip_velocity,
+            slack=limits.step_slack,
+            roll_velocity=limits.roll_velocity,
+            roll_slack=limits.step_roll_slack,
+            longest=limits.step_dt_max,
+        )
 
     def allowed(self, since: float) -> tuple[float, float]:
         """Largest step of the tip [m] and of the roll [rad], a time [s] after the last command."""

@@ -165,6 +165,17 @@ class Plan:
         value = self.motion.gripper_at(min(local, self.motion.duration))
         return None if value is None else value - self._gripper_closed
 
+    def place(self, t: float) -> str:
+        """Where a time [s] since the start is in the recording, for messages."""
+        start, end = self.window
+        if t < start:
+            return "on the way in"
+        if t > end:
+            return "on the way out"
+        local = self._phase_at(t)
+        sample = int(np.argmin(np.abs(self.motion.t - local)))
+        return f"{self.motion.file}: line {self.motion.lines[sample]}"
+
     def _phase(self, t: Array) -> Array:
         """Time within one repetition [s] for times since the start of the plan."""
         window = np.clip(t - self.run_in, 0.0, self.played)

@@ -3,6 +3,10 @@
 CONNECT -> HOME -> ENABLE -> MOVE -> SETTLE -> PLAY -> HOLD -> DONE, or FAILED with a reason. Pure:
 no ROS, no clock. :meth:`MotionPlayer.tick` is called once per control cycle; time is the difference
 of the cycles' stamps, so the same cycles always give the same commands.
+
+The path is never left. Where the motion is faster than the arm's gate allows, its clock slows down.
+While the arm refuses a pose, the clock stands still and the pose is sent again. If the arm refuses
+for longer than the stream lives, the player rests, goes to the refused pose by MOVE and plays on.
 """
 
 from __future__ import annotations
@@ -15,6 +19,7 @@ import numpy as np
 from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, TipPose
 from surg_core.bring_up import BringUp
 from surg_core.contract import SECOND_NS, TICK_NS
+from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_plan import Plan
 
 MOVE_TIMEOUT = 15 * SECOND_NS
@@ -27,6 +32,16 @@ HOLD = SECOND_NS // 2
 """[ns] Time for which the last pose is streamed, so that the arm arrives before the stream ends."""
 START_TOLERANCE = 0.001
 """[m] Half of the controller's tolerance between set-point and first pose of a stream."""
+REFUSED_MAX = SECOND_NS // 5
+"""[ns] Time for which the arm may refuse a pose; then the stream is taken up again from rest."""
+REST = 6 * SECOND_NS // 10
+"""[ns] Silence before that: longer than any ``servo_timeout``, so that a blocked stream is over."""
+PROGRESS = 0.1
+"""[s] A restart that is further on in the motion than this counts as the first one."""
+BISECTIONS = 20
+"""Of the clock's step, where the motion is too fast."""
+RESTARTS = 3
+"""Restarts of the stream without progress; then the motion is given up."""
 JAW_EVERY = 5
 """The jaw is commanded every fifth cycle, at 100 Hz."""
 
@@ -61,20 +76,31 @@ class MotionPlayer:
         reason: Why it has failed; empty otherwise.
         started_ns: Stamp of the start of the stream; 0 before.
         refused: Commands that the arm has refused during the stream.
+        steps: Largest steps that the arm's gate accepts; None: the motion keeps its pace.
+        first_refusal: Time in the plan [s] and cause of the first refused pose; None: none was.
+        slowed_ns: By how much longer than planned the stream has become [ns].
     """
 
     plan: Plan
     mode: Mode
     jaw: JawRange
+    steps: StepLimits | None = None
     stage: Stage = Stage.CONNECT
     reason: str = ""
     started_ns: int = 0
     refused: int = 0
+    first_refusal: tuple[float, str] | None = None
+    slowed_ns: int = 0
     _bring_up: BringUp = field(default_factory=BringUp, repr=False)
     _since: int = field(default=0, repr=False)
     _sent: int = field(default=-1, repr=False)
     _ticks: int = field(default=0, repr=False)
     _refused_before: int = field(default=0, repr=False)
+    _t: float = field(default=0.0, repr=False)
+    _last: ArmView | None = field(default=None, repr=False)
+    _refused_since: int = field(default=0, repr=False)
+    _restarts: int = field(default=0, repr=False)
+    _restarted_at: float = field(default=-1.0, repr=False)
 
     @property
     def done(self) -> bool:
@@ -82,12 +108,17 @@ class MotionPlayer:
         return self.stage in (Stage.DONE, Stage.FAILED)
 
     @property
+    def clock(self) -> float:
+        """Time in the plan [s] that the stream has reached."""
+        return self._t
+
+    @property
     def window_ns(self) -> tuple[int, int]:
         """Stamps of the first and the last command that belong to the recorded motion [ns]."""
         first, last = self.plan.window
         return (
             self.started_ns + round(first * SECOND_NS),
-            self.started_ns + round(last * SECOND_NS),
+            self.started_ns + round(last * SECOND_NS) + self.slowed_ns,
         )
 
     def tick(self, feedback: ArmView) -> ArmCommands:
@@ -139,9 +170,11 @@ class MotionPlayer:
 
     def _move(self, feedback: ArmView, commands: ArmCommands) -> None:
         now = feedback.stamp_ns
-        target, roll = self.plan.at(0.0)
+        target, roll = self.plan.at(self._t)
         away = float(np.linalg.norm(feedback.p_set - target))
-        if self._sent < 0:
+        if self._restarts and now - self._since < REST:
+            pass
+        elif self._sent < 0:
             self._sent = now
             commands.move_cp = TipPose(target, roll)
         elif now - self._sent < MOVE_MIN or feedback.busy:
@@ -159,16 +192,79 @@ class MotionPlayer:
     def _settle(self, feedback: ArmView, commands: ArmCommands) -> None:
         if feedback.stamp_ns - self._since >= SETTLE:
             self._enter(Stage.PLAY, feedback)
-            self.started_ns = commands.stamp_ns
-            self._refused_before = feedback.refused
+            if not self.started_ns:
+                self.started_ns = commands.stamp_ns
+                self._refused_before = feedback.refused
+            self._last = None
+            self.slowed_ns = commands.stamp_ns - self.started_ns - round(self._t * SECOND_NS)
             self._play(feedback, commands)
 
     def _play(self, feedback: ArmView, commands: ArmCommands) -> None:
         self.refused = feedback.refused - self._refused_before
-        t = (commands.stamp_ns - self.started_ns) / SECOND_NS
-        self._stream(t, commands)
-        if t >= self.plan.duration:
+        if self._is_refusing(feedback):
+            self._note_refusal(feedback)
+            if feedback.stamp_ns - self._refused_since > REFUSED_MAX:
+                self._restart(feedback)
+                return
+        else:
+            self._refused_since = feedback.stamp_ns
+            self._advance(commands.stamp_ns)
+        self.slowed_ns = commands.stamp_ns - self.started_ns - round(self._t * SECOND_NS)
+        self._last = feedback
+        self._stream(self._t, commands)
+        if self._t >= self.plan.duration:
             self._enter(Stage.HOLD, feedback)
+
+    def _is_refusing(self, feedback: ArmView) -> bool:
+        """Whether the arm has refused commands since the last cycle and accepted none."""
+        last = self._last
+        return (
+            last is not None
+            and feedback.refused != last.refused
+            and feedback.accepted == last.accepted
+        )
+
+    def _advance(self, stamp_ns: int) -> None:
+        """Moves the motion's clock on, as far as the gate's steps allow."""
+        wanted = (stamp_ns - self.started_ns - self.slowed_ns) / SECOND_NS
+        if self._last is None or self.steps is None:
+            self._t = wanted
+            return
+        since = (stamp_ns - self._last.stamp_ns - TICK_NS) / SECOND_NS
+        allowed, roll_allowed = self.steps.allowed(since)
+        p, roll = self.plan.at(self._t)
+
+        def fits(t: float) -> bool:
+            p_next, roll_next = self.plan.at(t)
+            near = float(np.linalg.norm(p_next - p)) <= allowed
+            return near and abs(roll_next - roll) <= roll_allowed
+
+        low, high = self._t, wanted
+        if not fits(high):
+            for _ in range(BISECTIONS):
+                middle = (low + high) / 2.0
+                low, high = (middle, high) if fits(middle) else (low, middle)
+            wanted = low
+        self._t = wanted
+
+    def _note_refusal(self, feedback: ArmView) -> None:
+        if self.first_refusal is None:
+            self.first_refusal = (self._t, feedback.reason or "step_too_large or outside_workspace")
+
+    def _restart(self, feedback: ArmView) -> None:
+        """Takes the stream up again from rest, at the pose that was refused."""
+        if self._t > self._restarted_at + PROGRESS:
+            self._restarts = 0
+        self._restarts += 1
+        self._restarted_at = self._t
+        if self._restarts > RESTARTS:
+            t, why = self.first_refusal or (self._t, "")
+            self._fail(
+                f"the arm refused the motion {RESTARTS + 1} times at {self._t:.3f} s "
+                f"({self.plan.place(self._t)}); first at {t:.3f} s: {why}"
+            )
+            return
+        self._enter(Stage.MOVE, feedback)
 
     def _hold(self, feedback: ArmView, commands: ArmCommands) -> None:
         self.refused = feedback.refused - self._refused_before

@@ -25,6 +25,7 @@ from surg_ros.arm_port import ArmPort
 from surg_ros.master_check import master_is_online
 from surg_ros.params import ParamError, flag, one_of, path, read, real, text
 from surg_ros.participant import Participant, Seen
+from surg_teleop.follow.target_pose import StepLimits
 from surg_teleop.playback.motion_errors import MotionError
 from surg_teleop.playback.motion_file import read_motion
 from surg_teleop.playback.motion_plan import ConstantMotionError, Plan, make_plan
@@ -143,7 +144,10 @@ def load(parameters: dict[str, object]) -> tuple[MotionPlayer, str, bool]:
         given.duration or None,
     )
     operator = MotionPlayer(
-        plan, Mode(given.mode), JawRange(instrument.jaw_min, instrument.jaw_max)
+        plan,
+        Mode(given.mode),
+        JawRange(instrument.jaw_min, instrument.jaw_max),
+        StepLimits.of(limits),
     )
     return operator, given.arm, given.lockstep
 

@@ -388,7 +388,7 @@ TEST(Surface, AMovingTrocarIsFollowedThoughItsSamplesAreStale) {
 }
 
 /// A tracker that is switched on in the middle of a breath: faster within a cycle than the joints
-/// can be. The tip, which shall stand still, comes back at once.
+/// can be. The pivot must not jump, and the tip stands still.
 TEST(Surface, ATrocarThatSetsOutAtOnceIsCaughtUpWith) {
   Random random(23);
   const int n = family(12, 300);
@@ -415,25 +415,26 @@ TEST(Surface, ATrocarThatSetsOutAtOnceIsCaughtUpWith) {
     ASSERT_EQ(bench.out().tier, 0);
     ASSERT_LT((bench.out().p_BTip - p_BTip).norm(), 2e-4);
   }
-  EXPECT_GT(off_path, 0) << "too slow to tell";
-  EXPECT_LT(worst_tip, 5e-4);
+  EXPECT_EQ(off_path, 0) << "the correction shall fade in";
+  EXPECT_LT(worst_tip, 1e-4);
   std::printf("[   count  ] %d trocars, %ld cycles off the path, tip %.0f um\n", n, off_path,
               worst_tip * 1e6);
 }
 
 TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
   struct Case {
-    Vector3 offset, velocity;
+    Vector3 offset, velocity;  // [m] at once, [m/s] from then on
     double age;
     State state;
     Reason reason;
   };
   const Case cases[] = {
       {{0.0101, 0, 0}, {0, 0, 0}, 0, State::kFault, Reason::kRcmError},
-      {{0, 0, 0}, {0, 0.021, 0}, 0, State::kFault, Reason::kRcmError},
-      {{0, 0, 0}, {0, 1e308, 0}, 0, State::kFault, Reason::kRcmError},
+      {{0, 0, 0}, {0, 0.03, 0}, 0, State::kFault, Reason::kRcmError},
+      {{0, 0, 0}, {0, 1e308, 0}, 0, State::kFault, Reason::kNotFinite},
       {{0, 0, 0}, {0, NAN, 0}, 0, State::kFault, Reason::kNotFinite},
-      {{0, 0, 0}, {0, 0, 0}, 0.101, State::kPaused, Reason::kTrackStale},
+      {{NAN, 0, 0}, {0, 0, 0}, 0, State::kFault, Reason::kNotFinite},
+      {{0, 0, 0}, {0, 0, 0}, 0.251, State::kPaused, Reason::kTrackStale},
       {{0, 0, 0}, {0, 0, 0}, NAN, State::kFault, Reason::kNotFinite},
   };
   for (const Case& c : cases) {
@@ -448,13 +449,17 @@ TEST(Surface, ATrackOutOfItsBoundsFaultsAndASilentOnePauses) {  // F23
       bench.in().v_BTrack = v;
       bench.tick();
     };
-    for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0);
-    track(p_BRcm + c.offset, c.velocity, c.age);
+    for (int i = 0; i < 100; ++i) track(p_BRcm, Vector3::Zero(), 0);
+    ASSERT_EQ(bench.out().state, State::kEnabled);
+    // One sample alone may be an outlier: the offset and the speed have to last.
+    for (int i = 0; i < 140 && bench.out().state == State::kEnabled; ++i) {
+      track(p_BRcm + c.offset + i * kT * c.velocity, c.velocity, c.age);
+    }
     EXPECT_EQ(bench.out().state, c.state);
     EXPECT_EQ(bench.out().reason, c.reason) << name(bench.out().reason);
     EXPECT_TRUE(bench.out().qd_command.allFinite());
     // Good samples count again, whatever came before.
-    for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0.001);
+    for (int i = 0; i < 140; ++i) track(p_BRcm, Vector3::Zero(), 0.001);
     bench.controller().request(StateCommand::kDisable);
     EXPECT_EQ(bench.controller().request(StateCommand::kEnable), Reason::kNone);
     for (int i = 0; i < 5; ++i) track(p_BRcm, Vector3::Zero(), 0.001);

@@ -7,7 +7,7 @@
 
 #include "support/test_support.hpp"
 #include "surg_core/motion/braking.hpp"
-#include "surg_core/motion/stream.hpp"
+#include "surg_core/motion/stream_input.hpp"
 
 namespace surg {
 namespace {
@@ -198,26 +198,25 @@ struct Following {
   double lag_ms, rms_mm;  // rms after the lag is taken out
 };
 
-// Follows a motion that is sampled at 'rate' and known only through the alpha-beta estimate, as in
-// the controller: 500 Hz ticks, targets predicted one tick ahead by the age of the last sample.
+// Follows a motion that is sampled at 'rate' without stamps, as in the controller: 500 Hz ticks,
+// targets predicted one tick ahead.
 Following follow(double rate, const std::function<double(double)>& motion) {
   const double T = 0.002;
   const int ticks = 10000;
   StreamFilter filter(kTip);
-  AlphaBeta estimate;
-  estimate.reset(motion(0));
+  StreamInput input;
+  input.begin({motion(0)}, {Kinematic{motion(0), 0, 0}}, 0, 0);
   filter.reset({motion(0), 0, 0});
-  double last_sample = 0;
   int samples = 0;
   std::vector<double> position(ticks);
   for (int k = 0; k < ticks; ++k) {
     const double t = k * T;
     while ((samples + 1) / rate <= t + 1e-9) {
-      const double stamp = ++samples / rate;
-      estimate.update(motion(stamp), stamp - last_sample);
-      last_sample = stamp;
+      const double taken = ++samples / rate;
+      input.add({motion(taken)}, t - taken, 0);
     }
-    filter.step(estimate.predict(t + T - last_sample), T);
+    filter.step(input.target(T)[0], T);
+    input.elapse(T);
     position[k] = filter.state().x;  // at t + T
   }
   Following best{0, 1e9};
@@ -252,47 +251,6 @@ TEST(StreamFilter, FollowsASinusoidWithTheStatedLag) {
 TEST(StreamFilter, RefusesLimitsThatAreNotPositive) {
   EXPECT_THROW(StreamFilter(DofLimits{0, 1, 1}), std::invalid_argument);
   EXPECT_THROW(StreamFilter(DofLimits{1, NAN, 1}), std::invalid_argument);
-}
-
-TEST(AlphaBeta, FindsAConstantVelocityAtAnySpacing) {
-  for (double spacing : {0.0005, 0.002, 0.005, 0.01, 1.0 / 30, 0.1}) {
-    AlphaBeta estimate;
-    estimate.reset(0);
-    int k = 0;
-    for (; k < 4000; ++k) estimate.update(0.1 * (k + 1) * spacing, spacing);
-    const Kinematic now = estimate.predict(0.01);
-    EXPECT_NEAR(now.v, 0.1, 1e-9) << spacing;
-    EXPECT_NEAR(now.x, 0.1 * (k * spacing + 0.01), 1e-9) << spacing;
-    EXPECT_NEAR(now.a, 0, 1e-9);
-  }
-}
-
-TEST(AlphaBeta, HasTheGainsOfTheTwoRates) {
-  const auto first_step = [](double spacing) {
-    AlphaBeta estimate;
-    estimate.reset(0);
-    estimate.update(1, spacing);  // x = alpha, v = beta / spacing
-    const Kinematic now = estimate.predict(0);
-    return std::pair(now.x, now.v * spacing);
-  };
-  EXPECT_NEAR(first_step(0.002).first, 0.612, 1e-12);
-  EXPECT_NEAR(first_step(0.002).second, 0.279, 1e-12);
-  EXPECT_NEAR(first_step(1.0 / 30).first, 0.852, 1e-12);
-  EXPECT_NEAR(first_step(1.0 / 30).second, 0.703, 1e-12);
-  EXPECT_NEAR(first_step(1.0).first, 0.852, 1e-12);
-  const double between = first_step(0.008).first;
-  EXPECT_GT(between, 0.612);
-  EXPECT_LT(between, 0.852);
-}
-
-TEST(AlphaBeta, BurstsDoNotBecomeVelocity) {
-  AlphaBeta estimate;
-  estimate.reset(0);
-  estimate.update(0.001, 1e-6);  // two samples delivered back to back
-  EXPECT_LT(estimate.predict(0).v, 1e-3);
-  estimate.update(0.002, 0);
-  EXPECT_EQ(estimate.predict(0).x, 0.002);
-  EXPECT_LT(estimate.predict(0).v, 1e-3);
 }
 
 TEST(StreamDelay, DelaysEveryMotionOfAHandByTheSameTime) {
@@ -365,14 +323,15 @@ TEST(StreamDelay, SparesAWeakArmWhatItWouldOvershootBy) {
     filter.reset({0, 0.1, 0});
     StreamDelay delay(D);
     delay.reset({-0.1 * D, 0.1, 0});
-    AlphaBeta estimate;
-    estimate.reset(0, 0.1);
+    StreamInput input;
+    input.begin({0}, {Kinematic{0, 0.1, 0}}, 0, 0);
     double farthest = 0;
     for (int k = 0; k < 1000; ++k) {
       const double hand = std::min(0.1 * (k + 1) * T, 0.1);
-      estimate.update(hand, T);
-      delay.step(estimate.predict(0).x, T);
-      filter.step(delay.works(T) ? delay.predict(T) : estimate.predict(T), T);
+      input.elapse(T);
+      input.add({hand}, 0, 0);
+      delay.step(input.target(0)[0].x, T);
+      filter.step(delay.works(T) ? delay.predict(T) : input.target(T)[0], T);
       farthest = std::max(farthest, filter.state().x);
     }
     return 1e3 * (farthest - 0.1);
@@ -386,12 +345,13 @@ TEST(StreamDelay, SparesAWeakArmWhatItWouldOvershootBy) {
 TEST(Stream, LeavesTheHeapAlone) {
   if (!SURG_HEAP_IS_WATCHED) GTEST_SKIP() << "the heap cannot be watched in this build";
   StreamFilter filter(kTip);
-  AlphaBeta estimate;
+  StreamInput input(0.01, 9.8);
   test::HeapWatch heap;
-  estimate.reset(0);
-  for (int k = 0; k < 100; ++k) {
-    estimate.update(0.001 * k, 0.002);
-    filter.step(estimate.predict(0.002), 0.002);
+  input.begin({0}, {}, 0, 1);
+  for (int k = 1; k < 100; ++k) {
+    input.elapse(0.002);
+    input.add({0.001 * k}, 0, 1 + 0.002 * k);
+    filter.step(input.target(0.002)[0], 0.002);
   }
   EXPECT_EQ(heap.calls(), 0);
 }

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <array>
 #include <cmath>
 
 #include "support/test_support.hpp"
@@ -37,7 +38,7 @@ double worst_outside(Space space, int count, unsigned seed, double stream_delay 
     do {
       hand = {random.uniform(-0.18, 0.18), random.uniform(-0.18, 0.18), random.uniform(0.02, 0.22)};
     } while (outside_workspace(limits, hand) > -0.02);
-    Setpoint setpoint(limits, 0.5, false, stream_delay);
+    Setpoint setpoint(limits, {0.5, false, stream_delay, 0});
     setpoint.reset(hand, hand.normalized(), 0);
     Vector3 velocity = Vector3::Zero();
     const int spacing = k % 2 == 0 ? 1 : 17;  // ticks: 500 or 30 Hz
@@ -49,7 +50,7 @@ double worst_outside(Space space, int count, unsigned seed, double stream_delay 
         const Dofs cartesian{Kinematic{hand.x(), 0, 0}, Kinematic{hand.y(), 0, 0},
                              Kinematic{hand.z(), 0, 0}, Kinematic{}};
         const Dofs dofs = space == Space::kCartesian ? cartesian : to_spherical(cartesian);
-        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
+        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0});
       }
       setpoint.elapse(T);
       setpoint.advance(T);
@@ -89,7 +90,7 @@ TEST(SetpointStop, TakesItsDecelerationFromTheTipsOwnSpeed) {
   for (int k = 0; k < count; ++k) {
     const double share = k % 2 == 0 ? 1 : random.uniform(0.2, 1);
     const Vector3 v = random.uniform(0.05, 0.24) * direction(random);
-    Setpoint setpoint(limits, 0.5, false);
+    Setpoint setpoint(limits, {});
     setpoint.reset(Vector3(0, 0, 0.12), Vector3::UnitZ(), 0);
     for (int i = 0; i < 75; ++i) {
       setpoint.set_velocity(Space::kCartesian, {v.x(), v.y(), v.z(), 0});
@@ -114,6 +115,39 @@ TEST(SetpointStop, TakesItsDecelerationFromTheTipsOwnSpeed) {
   test::report("stops", count);
 }
 
+// A hand that swings far too fast about the trocar: the set-point's yaw and pitch, by finite
+// differences, keep their limits and use them.
+TEST(SetpointLimits, AFastStreamAboutThePivotKeepsThePivotsLimits) {
+  const double T = 0.002;
+  const Limits limits = workspace();
+  for (const int axis : {0, 1}) {
+    Setpoint setpoint(limits, {0.5, false, 0, 0});
+    Dofs start{};
+    start[axis].x = -0.5;
+    start[2].x = 0.12;
+    const Dofs tip = to_cartesian(start);
+    const Vector3 p(tip[0].x, tip[1].x, tip[2].x);
+    setpoint.reset(p, p.normalized(), 0);
+    std::array<double, 4> at;
+    at.fill(setpoint.joints()[axis]);
+    double velocity = 0, acceleration = 0, jerk = 0;
+    for (int k = 1; k <= 1000; ++k) {
+      std::array<double, 4> target{0, 0, 0.12, 0};
+      target[axis] = std::min(-0.5 + 4 * k * T, 0.5);
+      setpoint.add_stream_sample(Space::kSpherical, target);
+      setpoint.elapse(T);
+      setpoint.advance(T);
+      at = {at[1], at[2], at[3], setpoint.joints()[axis]};
+      velocity = std::max(velocity, std::abs(at[3] - at[2]) / T);
+      acceleration = std::max(acceleration, std::abs(at[3] - 2 * at[2] + at[1]) / (T * T));
+      jerk = std::max(jerk, std::abs(at[3] - 3 * at[2] + 3 * at[1] - at[0]) / (T * T * T));
+    }
+    EXPECT_NEAR(velocity / limits.pivot_velocity, 0.975, 0.026);
+    EXPECT_NEAR(acceleration / limits.pivot_acceleration, 0.95, 0.051);
+    EXPECT_NEAR(jerk / limits.pivot_jerk, 0.75, 0.251);
+  }
+}
+
 // A circle, then silence: late by the delay, and at rest at the last sample.
 TEST(SetpointDelay, FollowsItsStreamLaterAndComesToRestAtItsEnd) {
   const double T = 0.002, w = 2 * M_PI * 0.5;
@@ -122,7 +156,7 @@ TEST(SetpointDelay, FollowsItsStreamLaterAndComesToRestAtItsEnd) {
   };
   for (const Space space : {Space::kCartesian, Space::kSpherical}) {
     for (const double D : {0.0, 0.05}) {
-      Setpoint setpoint(workspace(), 0.5, false, D);
+      Setpoint setpoint(workspace(), {0.5, false, D, 0});
       setpoint.reset(hand(0), hand(0).normalized(), 0);
       double worst = 0;
       int k = 1;
@@ -131,7 +165,7 @@ TEST(SetpointDelay, FollowsItsStreamLaterAndComesToRestAtItsEnd) {
         const Dofs cartesian{Kinematic{p.x(), 0, 0}, Kinematic{p.y(), 0, 0}, Kinematic{p.z(), 0, 0},
                              Kinematic{}};
         const Dofs dofs = space == Space::kCartesian ? cartesian : to_spherical(cartesian);
-        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0}, T);
+        setpoint.add_stream_sample(space, {dofs[0].x, dofs[1].x, dofs[2].x, 0});
         setpoint.elapse(T);
         setpoint.advance(T);
         // At the end of the coming cycle; the estimate is one more ahead.

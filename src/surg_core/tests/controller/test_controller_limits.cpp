@@ -122,6 +122,75 @@ TEST(ControllerLimits, TooFastAWishKeepsItsDirection) {
   EXPECT_NEAR(v.z(), 0.5 * v.x(), 0.05 * v.x());
 }
 
+/// x, y, z, roll and yaw, pitch, insertion, roll: each accelerates no harder than its own jerk.
+/// From the plant's measured motion, by differences; joints strong enough not to limit it.
+TEST(ControllerLimits, EveryDegreeOfFreedomKeepsItsOwnJerk) {
+  Document document = test::good_robot();
+  document.values["limits.tip_jerk"] = 20.0;
+  document.values["limits.pivot_jerk"] = 60.0;
+  document.values["limits.roll_jerk"] = 90.0;
+  document.values["joints.acceleration"] = std::vector<double>(6, 50.0);
+  const RobotConfig robot = parse_robot(document);
+  for (const bool spherical : {false, true}) {
+    for (int dof = 0; dof < 4; ++dof) {
+      const bool length = dof < 3 && (!spherical || dof == 2);
+      const double most = dof == 3 ? 90 : length ? 20 : 60;
+      Bench bench({}, 0, 0, 0, &robot);
+      MotionCommand command;
+      command.source = test::kMe;
+      command.motion = spherical ? Motion::kServoJv : Motion::kServoCv;
+      (dof == 3 && !spherical ? command.roll_rate
+       : spherical            ? command.joints[dof]
+                              : command.p[dof]) = length ? 0.04 : 0.3;
+      std::vector<double> x;
+      for (int i = 0; i < 200; ++i) {
+        bench.send(command);
+        const Outputs& out = bench.tick();
+        ASSERT_EQ(out.scale, 1) << out.limited_by;
+        x.push_back(dof == 3 ? out.roll : spherical ? out.virtual_q[dof] : bench.tip_in_R()[dof]);
+      }
+      double jerk = 0;
+      for (std::size_t i = 3; i < x.size(); ++i) {
+        const double third = x[i] - 3 * x[i - 1] + 3 * x[i - 2] - x[i - 3];
+        jerk = std::max(jerk, std::abs(third) / std::pow(test::kT, 3));
+      }
+      EXPECT_LT(jerk, 1.02 * most) << "spherical " << spherical << ", " << dof;
+      EXPECT_GT(jerk, 0.8 * most) << "too gentle to tell";
+    }
+  }
+}
+
+/// Between two samples the joints go straight, and the pivot's curve does not: at full speed its
+/// sagitta would be 0.8 um.
+TEST(ControllerLimits, BetweenSamplesThePivotStaysWithinHalfAMicrometre) {
+  test::Random random(3);
+  RobotConfig robot = parse_robot(test::good_robot());
+  robot.acceleration.setConstant(40);
+  double worst = 0;
+  for (int run = 0; run < test::family(10, 200); ++run) {
+    Bench bench({}, 0, 0, 0, &robot);
+    MotionCommand command;
+    command.source = test::kMe;
+    command.motion = Motion::kServoCv;
+    for (int i = 0; i < 2000; ++i) {
+      if (i % 100 == 0) {
+        for (int k = 0; k < 3; ++k) command.p[k] = random.uniform(-0.25, 0.25);
+        command.roll_rate = random.uniform(-1, 1) > 0 ? 3 : -3;
+      }
+      bench.send(command);
+      const JointVector q = bench.in().q;
+      const Outputs& out = bench.tick();
+      if (out.tier > 0) continue;
+      const Pose X_BF = bench.chain().forward(JointVector(q + 0.5 * test::kT * out.qd_command));
+      const Vector3 s = X_BF.linear() * test::offset_tool().s_F;
+      const Vector3 to = out.p_BRcm - X_BF * test::offset_tool().p_FTip;
+      worst = std::max(worst, (to - s * s.dot(to)).norm());
+    }
+  }
+  EXPECT_LT(worst, 0.5e-6);
+  EXPECT_GT(worst, 0.35e-6) << "too slow to tell";
+}
+
 TEST(ControllerLimits, TheFirstCauseOfAFaultStays) {
   Bench bench;
   bench.controller().fault(Reason::kOverrun);

@@ -1,0 +1,103 @@
+#include "surg_core/motion/stream_clock.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+namespace {
+
+constexpr double kMemory = 1.0;       // [s] over which offset, phase and period are averaged
+constexpr double kStart = 0.2;        // [s] until the rate of arrivals counts as a period
+constexpr double kPause = 0.5;        // [s] without a sample; the stream starts anew
+constexpr double kFarOff = 0.15;      // [s] no transport delays one sample by so much more
+constexpr double kMaxBias = 0.01;     // [s] reached by clocks that differ by 1 % in rate
+constexpr double kProbation = 1.0;    // [s] of good stamps before they are used again
+constexpr double kRoughness = 0.001;  // [s] by which good stamps may be rougher than the arrivals
+constexpr double kRoughest = 0.05;    // [s] a single jump counts for no more
+constexpr double kMissing = 0.6;      // of a period: a sample is missing
+constexpr double kRegular = 0.1;      // of a period: less jitter shows missing samples
+
+double share_of(double time) { return std::min(time / kMemory, 1.0); }
+
+}  // namespace
+
+void StreamClock::reset(const SampleTime& first) {
+  *this = StreamClock{};
+  time_ = stamp_time_ = arrival_ = first.arrival;
+  stamp_ = first.stamp;
+}
+
+double StreamClock::advance(const SampleTime& sample) {
+  const double since = std::max(sample.arrival - arrival_, 0.0);
+  if (since > kPause) {
+    reset(sample);
+    return since;
+  }
+  const double ran = sample.stamp > 0 && stamp_ > 0 ? sample.stamp - stamp_ : 0.0;
+  arrival_ += since;
+  stamp_ = sample.stamp;
+  span_ += since;
+  count_ += 1;
+  wait_ = std::max(since, wait_ - share_of(since) * wait_);
+  const bool trusted = trusted_ || count_ == 1;
+  trusted_ = judge(ran, since);
+  if (trusted_) {
+    period_ += std::max(1 / count_, 0.02) * (ran - period_);
+    time_ = stamp_time_;
+    return ran;
+  }
+  if (trusted) time_ = arrival_ - period_;  // where the stamps have led may be far off
+  return follow_arrivals(since);
+}
+
+/// Follows the stamps, in use or not. Returns whether they are usable.
+bool StreamClock::judge(double ran, double since) {
+  const double share = share_of(since);
+  const auto roughness = [&](double spacing) {
+    return std::min(std::abs(spacing - period_), kRoughest);
+  };
+  rough_stamps_ += share * (roughness(ran) - rough_stamps_);
+  rough_arrivals_ += share * (roughness(since) - rough_arrivals_);
+  stamp_time_ += ran;
+  const double late = arrival_ - stamp_time_;
+  const bool credible = ran > 0 && std::abs(late) < kFarOff;
+  if (credible) {
+    stamp_count_ += 1;
+    stamp_time_ += std::max(1 / (stamp_count_ + 1), share_of(ran)) * late;
+    if (span_ > kMemory) bias_ += share_of(ran) * (late - bias_);
+  } else {
+    stamp_time_ = arrival_;
+    stamp_count_ = 0;
+  }
+  const bool usable =
+      credible && std::abs(bias_) < kMaxBias && rough_stamps_ < rough_arrivals_ + kRoughness;
+  clean_ = usable ? clean_ + since : 0.0;
+  failed_ = !usable || (failed_ && clean_ < kProbation);
+  return !failed_;
+}
+
+/// Takes the samples as equally spaced. Returns the time [s] since the last one.
+double StreamClock::follow_arrivals(double since) {
+  if (span_ < kStart) {
+    period_ = span_ / count_;
+    time_ = arrival_;
+    return since;
+  }
+  double ran = period_, late = arrival_ - time_ - ran;
+  if (std::abs(late) > kFarOff) {
+    time_ = arrival_;
+    return since;
+  }
+  if (jitter_ < kRegular * period_ && late > kMissing * period_) {
+    ran += period_ * std::round(late / period_);
+    late = arrival_ - time_ - ran;
+  }
+  // A second-order loop, critically damped.
+  const double gain = std::min(period_ / std::min(span_, kMemory), 0.5);
+  jitter_ += gain * (std::abs(late) - jitter_);
+  time_ += ran + 2 * gain * late;
+  period_ = std::max(period_ + gain * gain * late, 1e-5);
+  return ran;
+}
+
+}  // namespace surg

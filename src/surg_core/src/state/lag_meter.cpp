@@ -1,0 +1,50 @@
+#include "surg_core/state/lag_meter.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace surg {
+namespace {
+
+constexpr double kHighPass = 1.0;  // [s] time constant; slow drift of q against c is no lag
+constexpr double kMemory = 10.0;   // [s] of motion that the sums remember
+// [rad^2/s] sum of v^2 dt that an estimate needs: 0.1 rad/s of one joint for 0.5 s. The error of a
+// position resolution of 1e-5 rad is then below 0.1 ms.
+constexpr double kEnough = 0.005;
+
+}  // namespace
+
+void LagMeter::restart(int joints) { q_last_ = lead_ = moved_ = JointVector::Zero(joints); }
+
+void LagMeter::step(const JointVector& qd_command, const JointVector& q, double age, double dt) {
+  const bool fresh = running_ && q_last_.size() == q.size();
+  if (!fresh) {
+    restart(static_cast<int>(q.size()));
+    q_last_ = q;
+    running_ = true;
+    return;
+  }
+  const double keep = std::exp(-dt / kHighPass), remember = std::exp(-dt / kMemory);
+  cross_ *= remember;
+  square_ *= remember;
+  for (Eigen::Index i = 0; i < q.size(); ++i) {
+    const double dq = q[i] - q_last_[i];
+    const double lead = keep * (lead_[i] + dt * qd_command[i] - dq);
+    const double moved = keep * (moved_[i] + dq);
+    // Half-way between command and motion, in the middle of the cycle: no bias from curvature.
+    const double v = (moved - moved_[i] + 0.5 * (lead - lead_[i])) / dt;
+    cross_ += (0.5 * (lead + lead_[i]) - age * v) * v * dt;
+    square_ += v * v * dt;
+    lead_[i] = lead;
+    moved_[i] = moved;
+  }
+  q_last_ = q;
+}
+
+double LagMeter::lag() const {
+  if (!(square_ > kEnough)) return std::numeric_limits<double>::quiet_NaN();
+  return std::max(cross_ / square_, 0.0);
+}
+
+}  // namespace surg

@@ -1,0 +1,184 @@
+// A controller in front of an arm that lives in its own time: cycles may come late, commands may be
+// lost, and the link stops the arm by itself when it hears nothing. Judged by the arm's own motion.
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <deque>
+
+#include "controller_bench.hpp"
+#include "surg_core/controller.hpp"
+#include "test_arm.hpp"
+
+namespace surg::test {
+
+/// An arm and its link. The command of a cycle takes effect 'delay' later and through a first-order
+/// lag; without a new command for 'dead_man' the link ramps the arm to rest.
+struct Plant {
+  double delay = 0, lag = 0;   ///< [s]
+  double dead_man = INFINITY;  ///< [s]
+};
+
+class TimedArm {
+ public:
+  static constexpr double kStep = 0.001;  ///< [s]
+
+  TimedArm(const Plant& plant, const JointVector& q, const JointVector& acceleration)
+      : plant_(plant), acceleration_(acceleration), q_(q) {
+    qd_.setZero(q.size());
+    command_ = obeyed_ = qd_;
+    recent_.assign(std::lround(kT / kStep), qd_);
+    pipeline_.assign(std::lround(plant.delay / kStep), qd_);
+  }
+
+  void obey(const JointVector& command) {
+    command_ = command;
+    silent_ = 0;
+  }
+
+  /// One step of the arm's own time.
+  void advance() {
+    silent_ += kStep;
+    JointVector wanted = command_;
+    if (!pipeline_.empty()) {
+      pipeline_.push_back(wanted);
+      wanted = pipeline_.front();
+      pipeline_.pop_front();
+    }
+    stopped_ = silent_ > plant_.dead_man + kStep / 2;
+    if (stopped_) {  // a ramp of its own, inside the arm's acceleration
+      const JointVector most = acceleration_ * kStep;
+      wanted = obeyed_ - obeyed_.cwiseMax(-most).cwiseMin(most);
+    }
+    obeyed_ = wanted;
+    if (plant_.lag > 0) wanted = qd_ + (1 - std::exp(-kStep / plant_.lag)) * (wanted - qd_);
+    q_ += kStep * wanted;
+    qd_ = wanted;
+    recent_.push_back(qd_);
+    const JointVector change = (qd_ - recent_.front()) / kT;
+    recent_.pop_front();
+    worst_ = std::max(worst_, (change.array() / acceleration_.array()).abs().maxCoeff());
+  }
+
+  const JointVector& q() const { return q_; }
+  const JointVector& qd() const { return qd_; }
+  /// Whether the link has stopped listening.
+  bool stopped() const { return stopped_; }
+  /// Largest change of the arm's velocity within one control period, over the acceleration limit.
+  double worst_acceleration() const { return worst_; }
+  void forget() { worst_ = 0; }
+
+ private:
+  Plant plant_;
+  JointVector acceleration_, q_, qd_, command_, obeyed_;
+  std::deque<JointVector> recent_, pipeline_;
+  double silent_ = 0, worst_ = 0;
+  bool stopped_ = false;
+};
+
+class TimedBench {
+ public:
+  explicit TimedBench(Law law = Law::kExact, const Plant& plant = {}, double link_lag = 0,
+                      double rcm_gain = 50)
+      : robot_(robot_with(link_lag, rcm_gain)),
+        chain_(ur5e_chain()),
+        controller_(chain_, robot_, robot_.limits, instrument(), offset_tool(), options(law)),
+        arm_(plant, robot_.home, robot_.acceleration) {
+    const ToolCalibration tool = offset_tool();
+    const Pose X_BF = chain_.forward(arm_.q());
+    p_BRcm_ = X_BF * tool.p_FTip - 0.12 * (X_BF.linear() * tool.s_F);
+    controller_.set_rcm(p_BRcm_);
+    cycle();
+    EXPECT_EQ(controller_.request(StateCommand::kHome), Reason::kNone);
+    EXPECT_EQ(controller_.request(StateCommand::kEnable), Reason::kNone);
+    cycle();
+  }
+
+  /// One cycle, 'period' [s] after the one before. lost: its command does not reach the link.
+  const Outputs& cycle(double period = kT, bool lost = false) {
+    for (int i = 0; i < std::lround(period / TimedArm::kStep); ++i) {
+      arm_.advance();
+      off_pivot_ = deviation();
+      worst_pivot_ = std::max(worst_pivot_, off_pivot_);
+      time_ += TimedArm::kStep;
+    }
+    in_.state_valid = true;
+    in_.q = arm_.q();
+    in_.qd = arm_.qd();
+    (void)period;
+    out_ = &controller_.step(in_);
+    in_.n_commands = 0;
+    if (!lost) arm_.obey(out_->qd_command);
+    return *out_;
+  }
+
+  MotionCommand& send(Motion motion) {
+    MotionCommand& command = in_.commands[in_.n_commands++];
+    command = {};
+    command.motion = motion;
+    command.source = kMe;
+    return command;
+  }
+  void servo_cv(const Vector3& v) { send(Motion::kServoCv).p = v; }
+  void servo_cp(const Vector3& p_RTip) {
+    MotionCommand& command = send(Motion::kServoCp);
+    command.p = p_RTip;
+    const Vector3 s_B = controller_.X_BR().linear() * p_RTip.normalized();
+    command.rotation = controller_.tool_orientation(s_B, 0);
+  }
+  /// Straight on at 'v' [m/s] along x for a while.
+  void in_motion(double v = 0.1, double seconds = 0.3) {
+    for (int i = 0; i < std::lround(seconds / kT); ++i) {
+      servo_cv(Vector3(v, 0, 0));
+      cycle();
+    }
+  }
+
+  /// Distance of the true shaft from the trocar [m].
+  double deviation() const {
+    const Pose X_BF = chain_.forward(arm_.q());
+    const ToolCalibration tool = offset_tool();
+    const Vector3 s = X_BF.linear() * tool.s_F;
+    const Vector3 r = p_BRcm_ - X_BF * tool.p_FTip;
+    return (r - s * s.dot(r)).norm();
+  }
+  double worst_pivot() const { return worst_pivot_; }
+  double time() const { return time_; }
+  void forget() {
+    worst_pivot_ = 0;
+    arm_.forget();
+  }
+
+  Controller& controller() { return controller_; }
+  TimedArm& arm() { return arm_; }
+  Inputs& in() { return in_; }
+  const Outputs& out() const { return *out_; }
+  const RobotConfig& robot() const { return robot_; }
+  const Vector3& p_BRcm() const { return p_BRcm_; }
+
+ private:
+  static RobotConfig robot_with(double link_lag, double rcm_gain) {
+    Document document = good_robot();
+    document.values["tuning.link_lag"] = link_lag;
+    document.values["tuning.rcm_gain"] = rcm_gain;
+    return parse_robot(document);
+  }
+  static Controller::Options options(Law law) {
+    Controller::Options out;
+    out.law = law;
+    return out;
+  }
+
+  RobotConfig robot_;
+  Chain chain_;
+  Controller controller_;
+  TimedArm arm_;
+  Vector3 p_BRcm_;
+  Inputs in_;
+  const Outputs* out_ = nullptr;
+  double worst_pivot_ = 0, off_pivot_ = 0, time_ = 0;
+};
+
+}  // namespace surg::test
