@@ -94,7 +94,7 @@ def test_every_number_of_a_robot_says_why(name: str, tmp_path: Path) -> None:
         match = re.fullmatch(r"  \w+: [-\d.e]+\s*(#.*)?", line)
         if section in ("limits", "tuning") and match:
             assert match.group(1), line
-            assert re.search(r"\b(m|rad|s|1|N)\b", match.group(1)), line
+            assert re.search(r"\b(m|rad|s|1|N|Hz)\b", match.group(1)), line
             checked += 1
     assert checked == 35
 
