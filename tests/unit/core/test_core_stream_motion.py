@@ -63,6 +63,7 @@ truth without any shift [mm]; aligned: rms at that shift. Violations: ticks and 
 / acceleration / jerk. LDLJ: log dimensionless jerk minus the truth's, of the preset `reference`
 (5 Hz) and of all frequencies; negative is rougher than the truth. Path: length below 3 Hz against
 the truth's. The hand itself is beyond these limits at times: then the largest error is the limit's.
+The filter was tuned on the surgeon's recording too, so its rows are not held out.
 
 """
 COLUMNS = (

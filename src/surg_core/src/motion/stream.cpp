@@ -7,9 +7,9 @@
 namespace surg {
 namespace {
 
-// Gains of the three nested loops, tuned on synthetic hand motions (docs/results/stream.md), and
-// the share of acceleration and jerk that the square-root approach counts on (the rest is left for
-// the moving target). The gains are lower where ticks are long.
+// Gains of the three nested loops, tuned on a synthetic and a recorded hand motion
+// (docs/results/stream.md), and the share of acceleration and jerk that the square-root approach
+// counts on (the rest is left for the moving target). The gains are lower where ticks are long.
 constexpr double kPositionGain = 90;       // [1/s]
 constexpr double kVelocityGain = 200;      // [1/s]
 constexpr double kAccelerationGain = 600;  // [1/s]

@@ -6,7 +6,7 @@
 namespace surg {
 namespace {
 
-// Tuned on synthetic hand motions (docs/results/stream.md).
+// Tuned on a synthetic and a recorded hand motion (docs/results/stream.md).
 constexpr double kProcess = 5e11;  // spectral density of the jerk per variance of a sample
 constexpr double kMemory = 0.08;   // [s] time constant of the acceleration
 // At a slow rate more of a hand's motion is beyond prediction and counts as noise: the variance of
