@@ -291,7 +291,7 @@ TEST(ControlCycle, ASenderMaySlideAlongTheWallAndOthersAreRefused) {
   pose.stamp_ns = 5'000'000'000;
   arm.step({pose});
   EXPECT_FALSE(arm.cycle->inputs().commands[0].slide);
-  EXPECT_DOUBLE_EQ(arm.cycle->inputs().commands[0].stamp, 5);
+  EXPECT_EQ(arm.cycle->inputs().commands[0].stamp_ns, 5'000'000'000);
   EXPECT_EQ(arm.cycle->inputs().commands[0].age, 0);
   pose.source = 7;
   arm.step({pose});

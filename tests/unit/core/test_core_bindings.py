@@ -270,8 +270,11 @@ def test_a_recorded_stream_is_followed() -> None:
 
 
 def test_a_stream_clock_takes_the_senders_spacing_and_its_own_offset() -> None:
-    clock = testing.StreamClock(5.0, 1000.0)
-    elapsed = [clock.advance(5.0 + 0.02 * (k // 10), 1000.0 + 0.002 * k) for k in range(1, 2000)]
+    clock = testing.StreamClock(5.0, 1_000_000_000_000)
+    elapsed = [
+        clock.advance(5.0 + 0.02 * (k // 10), 1_000_000_000_000 + 2_000_000 * k)
+        for k in range(1, 2000)
+    ]
     assert clock.stamped
     np.testing.assert_allclose(elapsed, 0.002, atol=1e-9)
     assert clock.period == pytest.approx(0.002)

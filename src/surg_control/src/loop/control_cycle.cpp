@@ -123,7 +123,7 @@ surg::Reason ControlCycle::take_motion(const CommandItem& item, std::int64_t now
   surg::MotionCommand& motion = inputs_.commands[inputs_.n_commands++];
   motion = item.motion;
   motion.source = item.source;
-  motion.stamp = seconds(static_cast<std::int64_t>(item.stamp_ns));
+  motion.stamp_ns = static_cast<std::int64_t>(item.stamp_ns);
   motion.age = item.received_ns == 0 ? 0 : seconds(now_ns - item.received_ns);
   motion.slide = is_sliding(item.source);
   const surg::Pose& X_UR = record_.frame.X_UR;

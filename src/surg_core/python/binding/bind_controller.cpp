@@ -36,8 +36,8 @@ void bind_command(py::module_& m) {
       .def(
           py::init([](Motion motion, std::uint32_t source, const std::optional<Array>& p,
                       const std::optional<Array>& rotation, double roll_rate,
-                      const std::optional<Array>& joints, double jaw, double stamp, double age,
-                      bool slide) {
+                      const std::optional<Array>& joints, double jaw, std::int64_t stamp_ns,
+                      double age, bool slide) {
             MotionCommand command;
             command.motion = motion;
             command.source = source;
@@ -48,19 +48,19 @@ void bind_command(py::module_& m) {
             command.roll_rate = roll_rate;
             if (joints) command.joints = to_vector4(*joints, "joints");
             command.jaw = jaw;
-            command.stamp = stamp;
+            command.stamp_ns = stamp_ns;
             command.age = age;
             command.slide = slide;
             return command;
           }),
           py::arg("motion"), py::arg("source") = 0, py::arg("p") = py::none(),
           py::arg("rotation") = py::none(), py::arg("roll_rate") = 0.0,
-          py::arg("joints") = py::none(), py::arg("jaw") = 0.0, py::arg("stamp") = 0.0,
+          py::arg("joints") = py::none(), py::arg("jaw") = 0.0, py::arg("stamp_ns") = 0,
           py::arg("age") = 0.0, py::arg("slide") = false,
           "p (3,): position [m] (cp) or tip velocity [m/s] (cv), in the rcm frame; rotation (4,):\n"
           "unit quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
           "changes;\n"
-          "jaw [rad]; stamp [s] on the sender's clock (0: none); age [s] since it arrived;\n"
+          "jaw [rad]; stamp_ns on the sender's clock (0: none); age [s] since it arrived;\n"
           "slide: a servo_cp target outside the workspace slides along its wall.")
       .def_readonly("motion", &MotionCommand::motion)
       .def_readonly("source", &MotionCommand::source)
@@ -73,7 +73,7 @@ void bind_command(py::module_& m) {
       .def_property_readonly("joints",
                              [](const MotionCommand& c) { return frozen(from_matrix(c.joints)); })
       .def_readonly("jaw", &MotionCommand::jaw)
-      .def_readonly("stamp", &MotionCommand::stamp)
+      .def_readonly("stamp_ns", &MotionCommand::stamp_ns)
       .def_readonly("age", &MotionCommand::age)
       .def_readonly("slide", &MotionCommand::slide);
 

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <utility>
@@ -61,11 +62,12 @@ void filter_axis(const RecordedStream& stream, const std::vector<double>& x,
     for (; next < x.size() && stream.arrivals[next] <= now + 1e-9; ++next) {
       const double age = std::max(now - stream.arrivals[next], 0.0);
       // Stamps of 0 are none.
-      const double stamp = stream.stamped ? stream.t[next] - stream.t[0] + 1 : 0;
+      const double taken = stream.t[next] - stream.t[0];
+      const std::int64_t stamp_ns = stream.stamped ? 1 + std::llround(1e9 * taken) : 0;
       if (next == 0) {
-        input.begin({x[0]}, {Kinematic{x[0], 0, 0}}, age, stamp);
+        input.begin({x[0]}, {Kinematic{x[0], 0, 0}}, age, stamp_ns);
       } else {
-        input.add({x[next]}, age, stamp);
+        input.add({x[next]}, age, stamp_ns);
       }
     }
     input.elapse(T);
@@ -225,18 +227,18 @@ void bind_profiler(py::module_& testing) {
 void bind_stream(py::module_& testing) {
   py::class_<StreamClock>(testing, "StreamClock",
                           "Puts the samples of one sender on the receiver's clock.")
-      .def(py::init([](double arrival, double stamp) {
+      .def(py::init([](double arrival, std::int64_t stamp_ns) {
              StreamClock clock;
-             clock.reset({arrival, stamp});
+             clock.reset({arrival, stamp_ns});
              return clock;
            }),
-           py::arg("arrival"), py::arg("stamp") = 0.0)
+           py::arg("arrival"), py::arg("stamp_ns") = 0)
       .def(
           "advance",
-          [](StreamClock& clock, double arrival, double stamp) {
-            return clock.advance({arrival, stamp});
+          [](StreamClock& clock, double arrival, std::int64_t stamp_ns) {
+            return clock.advance({arrival, stamp_ns});
           },
-          py::arg("arrival"), py::arg("stamp") = 0.0,
+          py::arg("arrival"), py::arg("stamp_ns") = 0,
           "Takes the next sample; returns the time [s] that passed at the sender.")
       .def_property_readonly("time", &StreamClock::time, "Of the last sample [s].")
       .def_property_readonly("period", &StreamClock::period, "Mean spacing at the sender [s].")

@@ -217,9 +217,10 @@ Reason CommandHandler::stream(const MotionCommand& command) {
   sliding_ = slides;
   const double age = command.age >= 0 ? std::min(command.age, kOldest) : 0.0;
   if (cartesian) {
-    setpoint_.add_stream_sample(Space::kCartesian, {p.x(), p.y(), p.z(), roll}, age, command.stamp);
+    setpoint_.add_stream_sample(Space::kCartesian, {p.x(), p.y(), p.z(), roll}, age,
+                                command.stamp_ns);
   } else {
-    setpoint_.add_stream_sample(Space::kSpherical, to_array(joints), age, command.stamp);
+    setpoint_.add_stream_sample(Space::kSpherical, to_array(joints), age, command.stamp_ns);
   }
   return Reason::kNone;
 }

@@ -80,15 +80,15 @@ void Setpoint::switch_space(Space space) {
 }
 
 void Setpoint::add_stream_sample(Space space, const std::array<double, 4>& target, double age,
-                                 double stamp) {
+                                 std::int64_t stamp_ns) {
   if (mode_ != Mode::kStream || space != space_) {
     axial_ = false;
     switch_space(space);
     if (paper_) profiler_ = Profiler(dof_limits(space), base_duration_);
     mode_ = Mode::kStream;
-    input_.begin(target, dofs_, age, stamp);
+    input_.begin(target, dofs_, age, stamp_ns);
   } else {
-    input_.add(target, age, stamp);
+    input_.add(target, age, stamp_ns);
   }
   target_ = target;
 }

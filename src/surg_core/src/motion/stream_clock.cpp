@@ -24,7 +24,7 @@ double share_of(double time) { return std::min(time / kMemory, 1.0); }
 void StreamClock::reset(const SampleTime& first) {
   *this = StreamClock{};
   time_ = stamp_time_ = arrival_ = first.arrival;
-  stamp_ = first.stamp;
+  stamp_ns_ = first.stamp_ns;
 }
 
 double StreamClock::advance(const SampleTime& sample) {
@@ -33,9 +33,10 @@ double StreamClock::advance(const SampleTime& sample) {
     reset(sample);
     return since;
   }
-  const double ran = sample.stamp > 0 && stamp_ > 0 ? sample.stamp - stamp_ : 0.0;
+  const bool stamped = sample.stamp_ns > 0 && stamp_ns_ > 0;
+  const double ran = stamped ? 1e-9 * static_cast<double>(sample.stamp_ns - stamp_ns_) : 0.0;
   arrival_ += since;
-  stamp_ = sample.stamp;
+  stamp_ns_ = sample.stamp_ns;
   span_ += since;
   count_ += 1;
   wait_ = std::max(since, wait_ - share_of(since) * wait_);

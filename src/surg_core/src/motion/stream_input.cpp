@@ -18,21 +18,21 @@ StreamInput::StreamInput(double delay, double tremor) {
   delays_.fill(StreamDelay(delay));
 }
 
-void StreamInput::begin(const Values& x, const State& from, double age, double stamp) {
+void StreamInput::begin(const Values& x, const State& from, double age, std::int64_t stamp_ns) {
   for (int i = 0; i < kDof; ++i) {
     notches_[i].reset(from[i]);
     delays_[i].reset(from[i]);
   }
   last_ = x;
   arrival_ = now_ - age;
-  clock_.reset({arrival_, stamp});
+  clock_.reset({arrival_, stamp_ns});
   estimate_.reset(x);
 }
 
-void StreamInput::add(const Values& x, double age, double stamp) {
+void StreamInput::add(const Values& x, double age, std::int64_t stamp_ns) {
   last_ = x;
   arrival_ = std::max(arrival_, now_ - age);
-  const double elapsed = clock_.advance({arrival_, stamp});
+  const double elapsed = clock_.advance({arrival_, stamp_ns});
   estimate_.update(x, elapsed, clock_.period());
 }
 

@@ -293,7 +293,7 @@ class Coder {
   }
   void value(BlackBoxLabel& c) { (*this)(c.arm, c.cell, c.written, c.version); }
   void value(MotionCommand& c) {
-    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw, c.stamp, c.age,
+    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw, c.stamp_ns, c.age,
             c.slide);
   }
   void value(BlackBoxEvent& e) {

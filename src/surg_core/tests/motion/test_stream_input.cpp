@@ -23,8 +23,11 @@ struct Sender {
 };
 
 struct Sample {
-  double taken, arrival, stamp;
+  double taken, arrival;
+  std::int64_t stamp_ns;
 };
+
+std::int64_t nanoseconds(double time) { return std::llround(1e9 * time); }
 
 std::vector<Sample> send(const Sender& sender, double seconds, unsigned seed) {
   Random random(seed);
@@ -35,18 +38,18 @@ std::vector<Sample> send(const Sender& sender, double seconds, unsigned seed) {
     double arrival = taken + sender.jitter * random.uniform(0, 1);
     if (sender.burst > 0) arrival = std::ceil(taken / sender.burst - 1e-9) * sender.burst;
     last = std::max(last, arrival);
-    const double stamp = sender.offset + (1 + sender.drift) * taken;
-    out.push_back({taken, last, sender.stamped ? stamp : 0});
+    const std::int64_t stamp_ns = nanoseconds(sender.offset + (1 + sender.drift) * taken);
+    out.push_back({taken, last, sender.stamped ? stamp_ns : 0});
   }
   return out;
 }
 
 // Worst spread [s] of (time by the clock - time taken) once settled: its mean is the delay.
 double spread(StreamClock& clock, const std::vector<Sample>& samples, double settled) {
-  clock.reset({samples[0].arrival, samples[0].stamp});
+  clock.reset({samples[0].arrival, samples[0].stamp_ns});
   double least = 1, greatest = -1;
   for (std::size_t k = 1; k < samples.size(); ++k) {
-    clock.advance({samples[k].arrival, samples[k].stamp});
+    clock.advance({samples[k].arrival, samples[k].stamp_ns});
     if (samples[k].taken < settled) continue;
     least = std::min(least, clock.time() - samples[k].taken);
     greatest = std::max(greatest, clock.time() - samples[k].taken);
@@ -85,10 +88,10 @@ TEST(StreamClock, WithoutStampsTheArrivalsGivePhaseAndPeriod) {
 TEST(StreamClock, StampsThatAreNoTimesAreNotUsed) {
   const auto stamped = [](const std::function<double(int)>& stamp) {
     StreamClock clock;
-    clock.reset({0, stamp(0)});
+    clock.reset({0, nanoseconds(stamp(0))});
     int used = 0;
     for (int k = 1; k < 3000; ++k) {
-      clock.advance({0.002 * k, stamp(k)});
+      clock.advance({0.002 * k, nanoseconds(stamp(k))});
       if (k >= 1500) used += clock.stamped() ? 1 : 0;
     }
     EXPECT_NEAR(clock.time(), 0.002 * 2999, 0.01);
@@ -102,17 +105,16 @@ TEST(StreamClock, StampsThatAreNoTimesAreNotUsed) {
   EXPECT_EQ(stamped([](int k) { return 77 + 0.0021 * k; }), 0);           // 5 % too fast
   EXPECT_EQ(stamped([](int k) { return k == 1200 ? 77.0 : 100 + 0.002 * k; }),
             1299);  // again after a second
-  EXPECT_EQ(stamped([](int k) { return std::nan("") * k; }), 0);
 }
 
 TEST(StreamClock, ADroppedSampleIsMissedWithAndWithoutStamps) {
   for (const bool has_stamps : {true, false}) {
     StreamClock clock;
-    clock.reset({0, has_stamps ? 9.0 : 0.0});
+    clock.reset({0, nanoseconds(has_stamps ? 9.0 : 0.0)});
     double t = 0, elapsed = 0;
     for (int k = 1; k < 120; ++k) {
       t += k == 100 ? 0.1 : 1.0 / 30;  // two samples are missing
-      elapsed = clock.advance({t, has_stamps ? 9 + t : 0});
+      elapsed = clock.advance({t, nanoseconds(has_stamps ? 9 + t : 0)});
       if (k >= 100) {
         ASSERT_NEAR(elapsed, k == 100 ? 0.1 : 1.0 / 30, 2e-4) << k;
       }

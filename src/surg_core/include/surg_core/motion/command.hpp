@@ -38,7 +38,7 @@ struct MotionCommand {
   double roll_rate = 0;                ///< cv: about the shaft [rad/s]
   Vector4 joints = Vector4::Zero();    ///< jp / jv: yaw, pitch, insertion, roll
   double jaw = 0;                      ///< jaw angle [rad]
-  double stamp = 0;                    ///< [s] when it was made, on the sender's clock; 0: unknown
+  std::int64_t stamp_ns = 0;           ///< when it was made, on the sender's clock; 0: unknown
   double age = 0;                      ///< [s] since it arrived
   bool slide = false;  ///< servo_cp: a target outside the workspace slides along its wall
 };

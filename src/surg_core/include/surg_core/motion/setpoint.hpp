@@ -43,9 +43,9 @@ class Setpoint {
   /// [rad].
   void reset(const Vector3& p_RTip, const Vector3& s_R, double roll);
   /// Takes a sample of a pose stream (servo_cp, servo_jp) that arrived 'age' seconds ago, with the
-  /// stamp [s] of its sender (0: none).
+  /// stamp of its sender (0: none).
   void add_stream_sample(Space space, const std::array<double, 4>& target, double age = 0,
-                         double stamp = 0);
+                         std::int64_t stamp_ns = 0);
   /// Takes a velocity to keep (servo_cv, servo_jv).
   void set_velocity(Space space, const std::array<double, 4>& rate);
   /// Moves to a discrete target (interpolate_*, move_*): a quintic to rest there. If its overshoot

@@ -2,12 +2,14 @@
 // come in bursts, and with delays that change.
 #pragma once
 
+#include <cstdint>
+
 namespace surg {
 
 /// What is known about the time of a sample.
 struct SampleTime {
-  double arrival = 0;  ///< [s] on the receiver's clock; never decreases
-  double stamp = 0;    ///< [s] on the sender's clock, whatever its offset; 0: none
+  double arrival = 0;         ///< [s] on the receiver's clock; never decreases
+  std::int64_t stamp_ns = 0;  ///< on the sender's clock, whatever its offset; 0: none
 };
 
 /// Puts the samples of one sender on the receiver's clock: the time at which a sample was taken,
@@ -38,7 +40,8 @@ class StreamClock {
   double follow_arrivals(double since);
 
   double time_ = 0, period_ = 0, wait_ = 0;
-  double arrival_ = 0, stamp_ = 0;
+  double arrival_ = 0;
+  std::int64_t stamp_ns_ = 0;
   double span_ = 0;                               ///< [s] since the first sample
   double count_ = 0;                              ///< samples since the first one
   double stamp_time_ = 0;                         ///< [s] of the last sample, by its stamp

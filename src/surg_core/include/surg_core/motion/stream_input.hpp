@@ -21,10 +21,10 @@ class StreamInput {
   /// delay [s]: see StreamDelay; tremor [Hz]: see TremorNotch. 0: off.
   StreamInput(double delay, double tremor);
 
-  /// Starts a stream with its first sample, which arrived 'age' seconds ago with the stamp [s] of
+  /// Starts a stream with its first sample, which arrived 'age' seconds ago with the stamp of
   /// its sender (0: none). 'from': the present state; notch and delay lead from there.
-  void begin(const Values& x, const State& from, double age, double stamp);
-  void add(const Values& x, double age, double stamp);
+  void begin(const Values& x, const State& from, double age, std::int64_t stamp_ns);
+  void add(const Values& x, double age, std::int64_t stamp_ns);
   /// Advances real time by T, one control period.
   void elapse(double T);
   /// Where the stream is 'ahead' seconds from now. After an overdue sample: at rest at the last

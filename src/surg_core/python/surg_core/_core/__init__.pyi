@@ -357,7 +357,7 @@ class MotionCommand:
         roll_rate: float = ...,
         joints: npt.ArrayLike | None = ...,
         jaw: float = ...,
-        stamp: float = ...,
+        stamp_ns: int = ...,
         age: float = ...,
         slide: bool = ...,
     ) -> None: ...
@@ -376,7 +376,7 @@ class MotionCommand:
     @property
     def jaw(self) -> float: ...
     @property
-    def stamp(self) -> float: ...
+    def stamp_ns(self) -> int: ...
     @property
     def age(self) -> float: ...
     @property

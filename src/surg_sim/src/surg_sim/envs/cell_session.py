@@ -17,7 +17,7 @@ import numpy as np
 
 import surg_core
 from surg_core.arm_view import ArmCommands, ArmView
-from surg_core.contract import GRID
+from surg_core.contract import GRID, TICK_NS
 from surg_sim.physics.assistant_arm import AssistantCommand
 from surg_sim.physics.patient_settings import PatientSetting, find_setting
 from surg_sim.physics.sim_arm import ArmCommand
@@ -160,9 +160,10 @@ class Session:
         return surg_core.Readings(trocar_force=at_trocar, tip_force=at_tip)
 
 
-def decode(commands: ArmCommands) -> list[Command]:
-    """An arm's commands as the controller node makes them of messages."""
+def decode(commands: ArmCommands, tick: int) -> list[Command]:
+    """An arm's commands for a tick as the controller node makes them of messages."""
     motion, kinds = surg_core.MotionCommand, surg_core.Motion
+    stamp_ns = tick * TICK_NS
     decoded: list[Command] = []
     if commands.state is not None:
         decoded.append(getattr(surg_core.StateCommand, commands.state.upper()))
@@ -173,17 +174,19 @@ def decode(commands: ArmCommands) -> list[Command]:
     if commands.servo_cp is not None:
         x, y, z, w = (float(v) for v in commands.servo_cp.q)
         norm = math.sqrt((x * x + z * z) + (y * y + w * w))  # summed as Eigen does in the node
-        rotation = np.array([x, y, z, w]) / norm
-        decoded.append(motion(kinds.SERVO_CP, SOURCE, p=commands.servo_cp.p, rotation=rotation))
+        p, rotation = commands.servo_cp.p, np.array([x, y, z, w]) / norm
+        decoded.append(motion(kinds.SERVO_CP, SOURCE, p=p, rotation=rotation, stamp_ns=stamp_ns))
     return decoded
 
 
-def merge(actions: Sequence[Action]) -> tuple[dict[str, list[Command]], AssistantCommand | None]:
-    """The actions of several senders as ``Session.tick`` takes them, in the senders' order."""
+def merge(
+    actions: Sequence[Action], tick: int
+) -> tuple[dict[str, list[Command]], AssistantCommand | None]:
+    """The actions of several senders for a tick as ``Session.tick`` takes them, in their order."""
     commands: dict[str, list[Command]] = {}
     assistant = None
     for each in actions:
         for arm, action in each.arms.items():
-            commands.setdefault(arm, []).extend(decode(action))
+            commands.setdefault(arm, []).extend(decode(action, tick))
         assistant = each.assistant or assistant
     return commands, assistant

@@ -71,7 +71,7 @@ def run_episode(
     if experts is None:
         experts = session.task.experts(session.cell, seed)
     senders = [experts[name] for name in sorted(experts)]
-    commands, assistant = merge([])
+    commands, assistant = merge([], 0)
     samples: dict[str, list[_Sample]] = {name: [] for name in session.world.arms}
     reward = 0.0
     while True:
@@ -91,7 +91,7 @@ def run_episode(
         if tick.tick % GRID == 0:
             observation = tick.observation()
             actions = [sender.tick(observation) for sender in senders]
-        commands, assistant = merge(actions)
+        commands, assistant = merge(actions, tick.tick + 1)
     return EpisodeReport(
         seed=seed,
         success=tick.verdict.success,
