@@ -26,8 +26,8 @@ def test_master_is_private(ros_graph: RosGraph) -> None:
 def test_children_end_with_their_supervisor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(processes, "INTERRUPT_GRACE_S", 0.3)
-    monkeypatch.setattr(processes, "TERMINATE_GRACE_S", 0.3)
+    quick = [(number, min(grace, 0.3)) for number, grace in processes.STAGES[:-1]]
+    monkeypatch.setattr(processes, "STAGES", (*quick, processes.STAGES[-1]))
     script = "trap '' INT TERM; sleep 600 & wait; sleep 600"
     with Supervisor(dict(os.environ), tmp_path) as supervisor:
         child = supervisor.start("stubborn", ["/bin/sh", "-c", script])
