@@ -201,7 +201,7 @@ def test_f23_a_trocar_that_jumps_in_the_simulator_faults(runs: int, reactions: R
         assert loop.speed() < 1e-3
         assert loop.controller.request(StateCommand.ENABLE) == Reason.RCM_ERROR
     name = "tracked trocar jumps by 3 to 9 mm in the simulator"
-    reactions.add("F23", name, "FAULT(rcm_error)", seen, 0)
+    reactions.add("F23", name, "FAULT(rcm_error)", seen, 2)
     # The wall pushes the shaft a little; an arm that ran after the trocar would go millimetres.
     reactions.add("F23", name, "tip after that", moved, 2.0, "mm")
 

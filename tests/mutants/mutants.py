@@ -283,6 +283,14 @@ MUTANTS: tuple[Mutant, ...] = (
         ("test_track_noise",),
     ),
     one(
+        "track_jump_is_outliers",
+        "a trocar that jumped is taken for outliers until the track times out",
+        "src/kinematics/trocar.cpp",
+        "const bool agrees = outliers_ > 0 && (p - p_outlier_).norm() <= near;",
+        "const bool agrees = outliers_ < 0 && (p - p_outlier_).norm() <= near;",
+        ("test_track_noise",),
+    ),
+    one(
         "track_jumps",
         "every sample jerks the arm by its noise",
         "src/kinematics/trocar.cpp",

@@ -224,15 +224,27 @@ TEST(TrackNoise, OutliersAndDropoutsAreBridgedAndNamed) {
 }
 
 TEST(TrackNoise, ALostTrackPauses) {
-  Tracker silent, leapt;
-  silent.noise = leapt.noise = 1e-4;
-  silent.dead_from = leapt.off_from = 5;
+  Tracker silent;
+  silent.noise = 1e-4;
+  silent.dead_from = 5;
   silent.dead_to = 1e9;
-  for (const Tracker& tracker : {silent, leapt}) {
-    const Figures f = follow(tracker, {}, 6, 5);
-    EXPECT_EQ(f.reason, Reason::kTrackStale) << name(f.reason);
-    EXPECT_GT(f.stopped, 5.2);
-    EXPECT_LT(f.stopped, 5.3);
+  const Figures f = follow(silent, {}, 6, 5);
+  EXPECT_EQ(f.reason, Reason::kTrackStale) << name(f.reason);
+  EXPECT_GT(f.stopped, 5.2);
+  EXPECT_LT(f.stopped, 5.3);
+}
+
+TEST(TrackNoise, F23ATrackThatJumpsFaultsWithItsThirdSample) {
+  for (const double hertz : {25.0, 60.0, 500.0}) {
+    for (const double noise : {0.0, 3e-4}) {
+      Tracker leapt;
+      leapt.hertz = hertz;
+      leapt.noise = noise;
+      leapt.off_from = 5;
+      const Figures f = follow(leapt, {}, 6, 5);
+      EXPECT_EQ(f.reason, Reason::kRcmError) << name(f.reason);
+      EXPECT_NEAR(f.stopped, 5 + 2 / hertz + leapt.latency, 0.0021) << hertz << " " << noise;
+    }
   }
 }
 

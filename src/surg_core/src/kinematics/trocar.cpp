@@ -1,5 +1,6 @@
 #include "surg_core/kinematics/trocar.hpp"
 
+#include <algorithm>
 #include <cmath>
 
 namespace surg {
@@ -12,6 +13,9 @@ constexpr double kGap = 1.8;     // times the spacing: samples are missing
 constexpr double kSpacingShare = 0.1;  // of a new spacing in the usual one
 constexpr double kDeviations = 3;      // of the estimated velocity that may be noise
 constexpr double kNoisy = 1.5;         // times the stated noise
+constexpr double kAgree = 1e-3;        // [m] and
+constexpr double kAgreeNoise = 5;      // times the noise: outliers that see the same point
+constexpr int kJump = 3;               // outliers in a row that see the same point
 
 bool usable(const Vector3& v) { return v.norm() <= kHuge; }  // false for NaN
 
@@ -80,6 +84,7 @@ Reason Trocar::track(const TrackSample& sample, double dt) {
     lead_.setZero();
     lead_rate_.setZero();
     since_ = spacing_ = 0;
+    outliers_ = 0;
   } else if (since > 0.5 * dt) {
     take(sample, since);
     since_ = 0;
@@ -87,6 +92,7 @@ Reason Trocar::track(const TrackSample& sample, double dt) {
     since_ = since;
   }
   age_ = sample.age;
+  if (jumped()) return lose(Reason::kRcmError);
   if (usable_ > options_.timeout) return lose(in_range ? Reason::kTrackStale : Reason::kRcmError);
   fade(dt);
   const double fastest = kSpeed + kDeviations * filter_.velocity_deviation();
@@ -103,14 +109,26 @@ void Trocar::take(const TrackSample& sample, double since) {
   if (filter_.noise() > kNoisy * options_.noise) warning_ = TrackWarning::kNoisy;
   if (filter_.add(sample.p, sample.v, filtered_ - sample.age, evenly)) {
     usable_ = sample.age;
+    outliers_ = 0;
   } else {
     warning_ = TrackWarning::kOutlier;
+    count_outlier(sample.p, since);
   }
   filtered_ = sample.age;
   spacing_ = known ? spacing_ + kSpacingShare * (since - spacing_) : since;
   lead_ += p - filter_.p(filtered_);
   lead_rate_ += v - filter_.v(filtered_);
 }
+
+void Trocar::count_outlier(const Vector3& p, double since) {
+  const double near = std::max(kAgree, kAgreeNoise * filter_.noise()) + kSpeed * since;
+  const bool agrees = outliers_ > 0 && (p - p_outlier_).norm() <= near;
+  outliers_ = agrees ? outliers_ + 1 : 1;
+  p_outlier_ = p;
+}
+
+/// Outliers that agree with one another are none: the trocar, or its marker, is elsewhere.
+bool Trocar::jumped() const { return outliers_ >= kJump; }
 
 void Trocar::fade(double dt) {
   const Vector3 slope = lead_rate_ + kFade * lead_;

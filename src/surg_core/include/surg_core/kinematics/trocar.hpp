@@ -45,7 +45,8 @@ class Trocar {
 
   void teach(const Vector3& p_B);
   /// Takes the newest sample. kNone: taken, or the filter bridges a gap; kTrackStale: lost, the
-  /// pivot stays; kRcmError: out of bounds (F23); kNotFinite. dt: time since the last call [s].
+  /// pivot stays; kRcmError: out of bounds, or it jumped (F23); kNotFinite. dt: time since the last
+  /// call [s].
   Reason track(const TrackSample& sample, double dt);
   /// Of the last call.
   TrackWarning warning() const { return warning_; }
@@ -59,6 +60,8 @@ class Trocar {
  private:
   Reason lose(Reason reason);
   void take(const TrackSample& sample, double since);
+  void count_outlier(const Vector3& p, double since);
+  bool jumped() const;
   void fade(double dt);
 
   Options options_;
@@ -75,6 +78,8 @@ class Trocar {
   double filtered_ = 0;  // [s] since the filter's last prediction
   double usable_ = 0;    // [s] since the last usable sample was taken
   double spacing_ = 0;   // [s] usual time between samples; 0: unknown
+  Vector3 p_outlier_ = Vector3::Zero();
+  int outliers_ = 0;  // in a row, each near the one before
   // What p_ and v_ still differ from the filter; it decays, critically damped.
   Vector3 lead_ = Vector3::Zero(), lead_rate_ = Vector3::Zero();
 };
