@@ -266,7 +266,8 @@ def test_f27_waking_from_a_freeze_is_no_jump(runs: int, reactions: Reactions, ti
         late = [stream() for _ in range(ticks)]
         bench.freeze(ticks)
         bench.jerked = 0.0
-        bench.step(*late)  # what has queued up comes at once
+        # What has queued up comes at once.
+        bench.step(*late, elapsed=(ticks + 1) * TICK)
         for _ in range(100):
             bench.step(stream())
             away.append(1e3 * bench.deviation())

@@ -21,12 +21,13 @@ import numpy as np
 import pytest
 import rospy
 from geometry_msgs.msg import TwistStamped, WrenchStamped
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 import surg_core
 from crtk_msgs.msg import StringStamped
-from helpers.graph import socket_jitter
-from helpers.graph.control_rig import ANSWER_S, CELL, Rig, start, tip_in_rcm
+from helpers.graph import failing_clock, socket_jitter
+from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
 from helpers.graph.ros import RosGraph
 from helpers.results.reactions import Reactions
 from surg_cli.graph.processes import Child
@@ -227,11 +228,13 @@ class System:
         self._thread = threading.Thread(target=self._hand)
         self._thread.start()
 
-    def start_controller(self) -> Child:
+    def start_controller(self, env: dict[str, str] | None = None) -> Child:
         """A new controller; the simulator goes on."""
         before = len(self.cycles)
         params = {"cell": CELL, "mode": "freerun", "arm": "PSM1"}
-        self.controller = self.graph.node("surg_control", "rcm_node", "/PSM1/controller", params)
+        self.controller = self.graph.node(
+            "surg_control", "rcm_node", "/PSM1/controller", params, env=env
+        )
         self.graph.wait_for(lambda: len(self.cycles) > before + 100, 30.0, "cycles")
         return self.controller
 
@@ -295,13 +298,19 @@ class System:
         self._inject.publish(String(fault))
 
     def jumps(self, first: int = 0) -> float:
-        """Largest change of a joint's command from cycle to cycle, over its limit a T."""
+        """Largest change of a joint's command from cycle to cycle, over its limit a T.
+
+        Behind a gap the arm may have been stopped: there the change counts from what was measured.
+        """
         worst = 0.0
         cycles = self.cycles[first:]
         for a, b in itertools.pairwise(cycles):
             halt = b.state == Cycle.FAULT and not np.any(b.qd_command)
             if b.tick == a.tick + 1 and not halt:
-                change = np.abs(np.subtract(b.qd_command, a.qd_command)).max()
+                stopped = a.state != b.state and b.reason == "not_following"
+                taken_up = b.period_us > 10_000 or stopped
+                before = b.qd if taken_up else a.qd_command
+                change = np.abs(np.subtract(b.qd_command, before)).max()
                 worst = max(worst, float(change) / (40.0 * 0.002))
         return worst
 
@@ -411,6 +420,35 @@ def test_f23_an_arm_is_led_home_by_hand(system: System) -> None:
     assert system.cycles[-1].state == Cycle.DISABLED
     print(f"led home from {moved:.3f} rad; {off():.5f} rad are left")
     system.in_motion()
+
+
+def test_f28_an_exception_in_the_control_thread_ends_with_a_zero_command(
+    system: System, reactions: Reactions, tmp_path: Path
+) -> None:
+    commands: list[np.ndarray] = []
+    ear = rospy.Subscriber(
+        "/PSM1/robot/servo_jv",
+        JointState,
+        lambda m: commands.append(np.array(m.velocity)),
+        queue_size=None,
+        tcp_nodelay=True,
+    )
+    system.quiet()
+    system.controller.process.terminate()
+    assert system.controller.process.wait(5) == 0
+    trigger = tmp_path / "now"
+    system.start_controller(failing_clock.environment(trigger))
+    system.in_motion()
+    assert np.any(commands[-1])
+    tick = system.truths[-1][0]
+    trigger.touch()
+    assert system.controller.process.wait(5) == 1
+    assert "the clock failed" in system.controller.log_tail(20)
+    ear.unregister()
+    assert not np.any(commands[-1]), "the last command is zero"
+    name = "an exception in the control thread"
+    still = [system.still_after(tick)]
+    reactions.add("F28", name, "simulated tip at rest", still, BRIDGE_MS + MACHINE_MS, "ms")
 
 
 def test_f28_a_killed_controller(system: System, reactions: Reactions, full: bool) -> None:

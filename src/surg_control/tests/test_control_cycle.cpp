@@ -40,7 +40,7 @@ class Arm {
     now_ns += static_cast<std::int64_t>(kTickNs);
     link.stamp_ns = static_cast<std::uint64_t>(now_ns);
     link.received_ns = link.jaw_received_ns = now_ns;
-    const CycleRecord& record = cycle->run(link, now_ns, items.data(), items.size());
+    const CycleRecord& record = cycle->run(link, now_ns, 0, items.data(), items.size());
     link.qd = record.out.qd_command;
     link.q += link.qd * kTick;
     return record;
@@ -228,11 +228,11 @@ TEST(ControlCycle, AgesAreCountedFromReceipt) {
   EXPECT_EQ(arm.cycle->inputs().jaw_age, 0);
   const std::int64_t later = arm.now_ns + 30'000'000;
   arm.link.jaw_received_ns = later - 7'000'000;
-  arm.cycle->run(arm.link, later, nullptr, 0);
+  arm.cycle->run(arm.link, later, 0, nullptr, 0);
   EXPECT_NEAR(arm.cycle->inputs().state_age, 0.030, 1e-12);
   EXPECT_NEAR(arm.cycle->inputs().jaw_age, 0.007, 1e-12);
   arm.link.jaw_received_ns = 0;
-  arm.cycle->run(arm.link, later, nullptr, 0);
+  arm.cycle->run(arm.link, later, 0, nullptr, 0);
   EXPECT_EQ(arm.cycle->inputs().jaw_age, HUGE_VAL);  // the tool link has never spoken
 }
 

@@ -70,6 +70,24 @@ TEST(Handover, LatestIsNeverTornAndNeverGoesBack) {
   producer.join();
 }
 
+TEST(Handover, ASlotNeverWaitsIsNeverTornAndNeverGoesBack) {
+  constexpr std::uint64_t kCount = 200000;
+  LatestSlot<Pair> slot;
+  Pair pair;
+  EXPECT_FALSE(slot.take(pair));
+  std::thread producer([&slot] {
+    for (std::uint64_t i = 1; i <= kCount; ++i) slot.put({i, 3 * i});
+  });
+  for (std::uint64_t last = 0; last < kCount;) {
+    if (!slot.take(pair)) continue;
+    ASSERT_EQ(pair.b, 3 * pair.a);
+    ASSERT_GT(pair.a, last);
+    last = pair.a;
+  }
+  producer.join();
+  EXPECT_FALSE(slot.take(pair));
+}
+
 TEST(Handover, SourcesKeepTheirNumbers) {
   SourceTable sources;
   const std::uint32_t a = sources.id("/a");

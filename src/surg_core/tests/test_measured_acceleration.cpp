@@ -1,6 +1,7 @@
 // The arm's own acceleration keeps its limit whatever happens to states, cycles and the link. The
 // oracle is the plant's measured motion, not the sequence of commands.
-#include <vector>
+#include <algorithm>
+#include <cstdio>
 
 #include "support/timed_bench.hpp"
 
@@ -79,6 +80,41 @@ TEST(MeasuredAcceleration, UnhomeIsRefusedWhileEnabled) {
   bench.cycle();
   EXPECT_TRUE(bench.out().homed);
   EXPECT_LE(bench.arm().worst_acceleration(), kRounding);
+}
+
+// --- a start ------------------------------------------------------------------------------------
+
+TEST(MeasuredAcceleration, ResumeWhileTheLastCommandFadesContinuesFromIt) {
+  for (const Law law : {Law::kExact, Law::kVelocity}) {
+    for (const int later : {0, 1, 3}) {
+      TimedBench bench(law);
+      bench.in_motion(0.08);
+      bench.arm().forget();
+      ASSERT_EQ(bench.cycle(0.06).reason, Reason::kOverrun);
+      for (int i = 0; i < later; ++i) bench.cycle();
+      ASSERT_GT(bench.out().qd_command.cwiseAbs().maxCoeff(), 0.2);
+      ASSERT_EQ(bench.controller().request(StateCommand::kResume), Reason::kNone);
+      for (int i = 0; i < 200; ++i) bench.cycle();
+      EXPECT_LE(bench.arm().worst_acceleration(), kRounding) << later;
+      EXPECT_EQ(bench.out().state, State::kEnabled);
+    }
+  }
+}
+
+/// A trocar point beside the shaft is approached gently: not as fast as the joints can.
+TEST(MeasuredAcceleration, AStartOffThePivotConvergesSmoothly) {
+  constexpr double kOff = 1.5e-3;  // [m]
+  TimedBench bench(Law::kExact, {}, 0, 15, kOff);
+  double fastest = 0;
+  for (int i = 0; i < 1000; ++i) {
+    const double before = bench.deviation();
+    bench.cycle();
+    fastest = std::max(fastest, (before - bench.deviation()) / kT);
+    ASSERT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
+  }
+  std::printf("the shaft came to its trocar at %.1f mm/s at most\n", 1e3 * fastest);
+  EXPECT_LT(fastest, 8 * kOff);  // [1/s] the pole; critically damped it is 8 / e
+  EXPECT_LT(bench.deviation(), 1e-6);
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 
 #include "support/controller_bench.hpp"
 #include "support/lagging_arm.hpp"
+#include "support/timed_bench.hpp"
 
 namespace surg {
 namespace {
@@ -129,6 +130,28 @@ TEST(StaleState, NeitherShakesTheArmNorMovesItOffThePivot) {
     }
   }
   test::report("runs", runs);
+}
+
+/// States that are late by a constant time: at the full gain the loop would be unstable.
+TEST(StaleState, LateStatesReduceTheFeedbackOfBothLaws) {
+  for (const Law law : {Law::kExact, Law::kVelocity}) {
+    for (const std::size_t late : {15, 30, 40}) {  // up to 80 ms
+      TimedBench bench(law, {0.004, 0.008}, 0.012, 15, 3e-4);
+      bench.delay_states(late);
+      double rest = 0;
+      for (int i = 0; i < 3000; ++i) {
+        const double t = i * kT;
+        if (t < 3) bench.servo_cp(Vector3(0.01 * std::sin(6 * t) * std::min(t, 1.0), 0, 0.12));
+        bench.cycle();
+        if (t > 5) rest = std::max(rest, bench.out().qd_command.cwiseAbs().maxCoeff());
+      }
+      std::printf("law %d, states %zu ms late: pivot %.3f mm, at rest %.5f rad/s\n",
+                  static_cast<int>(law), 2 * late, 1e3 * bench.worst_pivot(), rest);
+      EXPECT_EQ(bench.out().state, State::kEnabled) << name(bench.out().reason);
+      EXPECT_LT(rest, 0.01);
+      EXPECT_LT(bench.worst_pivot(), 1e-3);
+    }
+  }
 }
 
 }  // namespace

@@ -92,7 +92,9 @@ class Bench:
         assert np.all(np.isfinite(command)) and np.all(np.isfinite(self.out.twist_command))
         halt = not command.any()  # zero in the same cycle is no ramp
         if not halt:
-            change = np.abs(command - self._qd) / (np.array(self.robot.acceleration) * TICK)
+            # Behind a gap the arm may have been stopped: what counts is what was measured.
+            before = told["qd"] if faulty.get("elapsed", 0) > 5 * TICK else self._qd
+            change = np.abs(command - before) / (np.array(self.robot.acceleration) * TICK)
             self.jerked = max(self.jerked, float(change.max()))
         self._qd = command
         self.jaw += float(np.clip(self.out.jaw_set - self.jaw, -0.01, 0.01))

@@ -28,7 +28,7 @@ ABSENT = {
     "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
     "StreamInput StreamEstimate TremorNotch nearest_inside": "part",
     "ForceGuard": "part",
-    "OperatingState Conditions Authority": "part",
+    "OperatingState Conditions Authority CycleClock LagMeter": "part",
     "velocity_twist axial_twist paper_twist TwistParts Gains to_spherical to_cartesian": "part",
     "StepRequest PathView Barrier SingularityMeasures": "part",
     "is_servo is_jaw Inputs newton_step wrapped aside_near_trocar"

@@ -170,7 +170,8 @@ Eigen::Quaterniond ControlCycle::orientation_at(const surg::Vector3& p_B, double
 }
 
 const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
-                                     const CommandItem* items, std::size_t count) {
+                                     std::int64_t elapsed_ns, const CommandItem* items,
+                                     std::size_t count) {
   record_.n_answers = 0;
   record_.orientation = record_.angular = {};
   inputs_.n_commands = 0;
@@ -187,6 +188,7 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
     }
   }
   sense(link, now_ns);
+  inputs_.elapsed = seconds(elapsed_ns);
 
   const auto start = std::chrono::steady_clock::now();
   const surg::Outputs& out = box_.step(inputs_);

@@ -2,7 +2,7 @@
 
 #include <std_msgs/String.h>
 
-#include <thread>
+#include <algorithm>
 
 #include "surg_control/loop/exit_request.hpp"
 #include "surg_control/loop/realtime.hpp"
@@ -15,10 +15,11 @@ constexpr std::uint32_t kUnbounded = 0;      // lock-step loses nothing
 constexpr std::uint32_t kCommandQueue = 64;  // free-run: roscpp's own queue per topic
 constexpr std::size_t kCommandRing = 256;    // free-run: waiting for the control thread
 constexpr std::size_t kRecordRing = 512;     // free-run: one second of cycles for the publisher
-constexpr double kLongPeriodUs = 5 * kTick * 1e6;      // F27: an overrun of five periods …
-constexpr int kLongPeriodsAllowed = 3;                 // … more than three times in a row
 constexpr std::int64_t kStopWithinNs = 1'000'000'000;  // the fastest motion stops in 0.2 s
-constexpr std::int64_t kNoTickNs = 250'000'000;        // lock-step: the link has stopped ticking
+/// F10: a simulated link is one process among many on a desktop, without real-time priority. Its
+/// dead-man waits as long.
+constexpr double kSimulatedLinkTimeout = 0.1;    // [s]
+constexpr std::int64_t kNoTickNs = 250'000'000;  // lock-step: the link has stopped ticking
 
 const char* name_of(surg::Law law) {
   switch (law) {
@@ -44,6 +45,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
       records_(options_.lockstep ? 1 : kRecordRing) {
   check_for_arm(options_, setup_);
   sem_init(&records_waiting_, 0, 0);
+  sem_init(&command_waiting_, 0, 0);
   surg::Controller::Options law;
   const bool twist = commands_twist(options_, setup_);
   // A twist link solves for its joints itself, so there is no reference for it to follow.
@@ -51,8 +53,12 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   law.dt = kTick;
   law.feedback_gain = options_.feedback_gain;
   law.track_rcm = options_.track_rcm;
-  const surg::ControllerSetup made{model_.chain,      setup_.robot, setup_.limits,
-                                   setup_.instrument, setup_.tool,  law};
+  surg::ControllerSetup made{model_.chain,      setup_.robot, setup_.limits,
+                             setup_.instrument, setup_.tool,  law};
+  if (setup_.arm.link == "simulator") {
+    double& timeout = made.robot.tuning.link_timeout;
+    timeout = std::max(timeout, kSimulatedLinkTimeout);
+  }
   controller_ = std::make_unique<surg::Controller>(made.chain, made.robot, made.limits,
                                                    made.instrument, made.tool, made.options);
   box_ = std::make_unique<surg::BlackBox>(*controller_, made);
@@ -84,14 +90,17 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
       std::make_unique<BlackBoxWriter>(*box_, options_.black_box, label, *reporter_);
 }
 
-RcmLoop::~RcmLoop() { sem_destroy(&records_waiting_); }
+RcmLoop::~RcmLoop() {
+  sem_destroy(&records_waiting_);
+  sem_destroy(&command_waiting_);
+}
 
 // --- lock-step ---
 
 void RcmLoop::on_tick(const LinkState& state) {
   const std::uint64_t tick = state.stamp_ns / kTickNs;
   if (answered_tick_ != 0 && tick == answered_tick_) {
-    robot_->send(cycle_->record());  // the link lost our answer: repeat it
+    robot_->send(LinkCommand::of(cycle_->record()));  // the link lost our answer: repeat it
     return;
   }
   if (tick < answered_tick_) {
@@ -120,11 +129,11 @@ void RcmLoop::try_step() {
   const auto tick_ns = static_cast<std::int64_t>(robot_tick_ * kTickNs);
   link_.received_ns = link_.jaw_received_ns = tick_ns;
   const std::vector<CommandItem>& items = lockstep_gate_.take();
-  cycle_->run(link_, tick_ns, items.data(), items.size());
+  cycle_->run(link_, tick_ns, 0, items.data(), items.size());
   CycleRecord& record = cycle_->record();
   record.tick = answered_tick_ = robot_tick_;
   record.refused_by_node = refused_by_node_;
-  robot_->send(record);
+  robot_->send(LinkCommand::of(record));
   publishers_->publish_cycle(record);
   publishers_->publish_rest(record, now());
   services_->set_frame(record.frame);
@@ -134,33 +143,47 @@ void RcmLoop::try_step() {
 // --- free-run ---
 
 void RcmLoop::control_thread() {
-  if (options_.realtime) {
-    const std::string refused = become_realtime();
-    if (!refused.empty()) reporter_->warning_once("realtime", arm_ + ": " + refused);
-  }
+  request_realtime(0);
   CycleRecord& record = cycle_->record();
   LinkState link;
   std::vector<CommandItem> items(surg::kMaxCommands);
-  int long_periods = 0;
   Metronome metronome(static_cast<std::int64_t>(kTickNs));
   while (!stop_threads_) {
-    record.period_us = static_cast<double>(metronome.wait()) * 1e-3;
+    const std::int64_t period_ns = metronome.wait();
+    record.period_us = static_cast<double>(period_ns) * 1e-3;
     if (metronome.late()) ++record.overruns;
-    long_periods = record.period_us > kLongPeriodUs ? long_periods + 1 : 0;
-    if (long_periods > kLongPeriodsAllowed) box_->pause(surg::Reason::kOverrun);
     latest_link_.try_get(link);
     std::size_t n = 0;
     while (n < items.size() && commands_.pop(items[n])) ++n;
     disable_if_exiting();
-    cycle_->run(link, steady_ns(), items.data(), n);
+    cycle_->run(link, steady_ns(), period_ns, items.data(), n);
     ++record.tick;
     record.refused_by_node = refused_by_node_;
-    if (record.stamp_ns != 0) robot_->send(record);
+    hand_over(LinkCommand::of(record));
     update_at_rest();
     if (records_.push(record)) {
       sem_post(&records_waiting_);
     } else {
       ++health_.records_lost;
+    }
+  }
+}
+
+/// The control thread's half: it neither waits nor enters roscpp, which locks and allocates.
+void RcmLoop::hand_over(const LinkCommand& command) {
+  newest_command_.put(command);
+  sem_post(&command_waiting_);
+}
+
+void RcmLoop::sender_thread() {
+  request_realtime(1);
+  LinkCommand command;
+  for (;;) {
+    sem_wait(&command_waiting_);
+    if (newest_command_.take(command)) {
+      robot_->send(command);
+    } else if (stop_threads_) {
+      return;
     }
   }
 }
@@ -209,20 +232,44 @@ double RcmLoop::now() const {
                            : static_cast<double>(steady_ns()) * 1e-9;
 }
 
-void RcmLoop::run(const std::atomic<bool>& stop) {
-  reporter_->status(arm_ + ": controller of cell " + setup_.cell_name + " runs in " +
-                    (options_.lockstep ? "lock-step" : "free-run"));
-  std::thread control, publisher;
-  if (!options_.lockstep) {
-    publisher = std::thread(&RcmLoop::publisher_thread, this);
-    control = std::thread(&RcmLoop::control_thread, this);
-  }
-  while (!stop && !exit_requested() && ros::ok()) queue_.callAvailable(ros::WallDuration(0.05));
+/// A thread that ends with a zero command if its body throws.
+std::thread RcmLoop::start(void (RcmLoop::*body)()) {
+  return std::thread([this, body] {
+    try {
+      (this->*body)();
+    } catch (...) {
+      fail();
+    }
+  });
+}
 
+/// Notes the exception in flight. Whoever it hit, the arm is told to stop, and run() ends.
+void RcmLoop::fail() {
+  {
+    const std::lock_guard<std::mutex> lock(failure_mutex_);
+    if (!failure_) failure_ = std::current_exception();
+  }
+  failed_ = true;
+}
+
+void RcmLoop::request_realtime(int below) {
+  if (!options_.realtime) return;
+  const std::string refused = become_realtime(below);
+  if (!refused.empty()) reporter_->warning_once("realtime", arm_ + ": " + refused);
+}
+
+void RcmLoop::serve(const std::atomic<bool>& stop) {
+  while (!stop && !failed_ && !exit_requested() && ros::ok()) {
+    queue_.callAvailable(ros::WallDuration(0.01));
+  }
+}
+
+/// Leaves ENABLED and waits until the command is zero.
+void RcmLoop::come_to_rest() {
   exiting_ = true;
   const std::int64_t begin = steady_ns();
   std::int64_t last_step = begin;
-  for (std::uint64_t last_tick = answered_tick_; !at_rest_ && ros::ok();) {
+  for (std::uint64_t last_tick = answered_tick_; !at_rest_ && !failed_ && ros::ok();) {
     const std::int64_t time = steady_ns();
     if (answered_tick_ != last_tick) last_step = time;
     last_tick = answered_tick_;
@@ -230,13 +277,33 @@ void RcmLoop::run(const std::atomic<bool>& stop) {
     if (options_.lockstep && time - last_step > kNoTickNs) break;
     queue_.callAvailable(ros::WallDuration(0.005));
   }
+}
+
+void RcmLoop::run(const std::atomic<bool>& stop) {
+  reporter_->status(arm_ + ": controller of cell " + setup_.cell_name + " runs in " +
+                    (options_.lockstep ? "lock-step" : "free-run"));
+  std::thread control, sender, publisher;
+  if (!options_.lockstep) {
+    publisher = start(&RcmLoop::publisher_thread);
+    sender = start(&RcmLoop::sender_thread);
+    control = start(&RcmLoop::control_thread);
+  }
+  try {
+    serve(stop);
+    come_to_rest();
+  } catch (...) {
+    fail();
+  }
   stop_threads_ = true;
   if (control.joinable()) control.join();
+  sem_post(&command_waiting_);
   sem_post(&records_waiting_);
+  if (sender.joinable()) sender.join();
   if (publisher.joinable()) publisher.join();
-  robot_->send_zero(cycle_->record());
+  robot_->send(LinkCommand::of(cycle_->record()).at_rest());
   // roscpp sends from its own thread; without a pause the last command would stay in its queue.
   ros::WallDuration(0.05).sleep();
+  if (failure_) std::rethrow_exception(failure_);
 }
 
 }  // namespace surg_control

@@ -36,7 +36,11 @@ class RcmNodelet : public nodelet::Nodelet {
       std::quick_exit(2);
     }
     thread_ = std::thread([this] {
-      loop_->run(stop_);
+      try {
+        loop_->run(stop_);
+      } catch (const std::exception& error) {  // the arm has been told to stop
+        ROS_FATAL("surg_control: stopped by an unexpected error: %s", error.what());
+      }
       release_exit();
     });
   }

@@ -35,13 +35,13 @@ std::int64_t Metronome::wait() {
   return since;
 }
 
-std::string become_realtime() {
+std::string become_realtime(int below) {
   std::string refused;
   if (mlockall(MCL_CURRENT | MCL_FUTURE) != 0) {
     refused = std::string("locked memory (") + std::strerror(errno) + ")";
   }
   sched_param parameters{};
-  parameters.sched_priority = kPriority;
+  parameters.sched_priority = kPriority - below;
   if (const int error = pthread_setschedparam(pthread_self(), SCHED_FIFO, &parameters)) {
     refused +=
         (refused.empty() ? "" : " and ") + std::string("SCHED_FIFO (") + std::strerror(error) + ")";

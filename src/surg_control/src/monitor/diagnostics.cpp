@@ -12,6 +12,7 @@ namespace {
 using diagnostic_msgs::DiagnosticStatus;
 
 constexpr std::uint64_t kDiagnosticsTicks = 500;
+constexpr double kLateShare = 0.05;  // of late cycles, from which the diagnostics warn
 
 diagnostic_msgs::KeyValue entry(const std::string& key, const std::string& value) {
   diagnostic_msgs::KeyValue pair;
@@ -66,7 +67,9 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
   DiagnosticStatus status;
   status.name = arm_ + "/controller";
   status.hardware_id = arm_;
-  const bool warn = out.state == surg::State::kPaused || out.warn_rcm || health_.master_lost;
+  const bool starved = out.late_share > kLateShare;
+  const bool warn =
+      starved || out.state == surg::State::kPaused || out.warn_rcm || health_.master_lost;
   status.level = out.state == surg::State::kFault ? DiagnosticStatus::ERROR
                  : warn                           ? DiagnosticStatus::WARN
                                                   : DiagnosticStatus::OK;
@@ -75,6 +78,7 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
     status.message += std::string("(") + surg::name(out.reason) + ")";
   }
   if (health_.master_lost) status.message += ", master lost";
+  if (starved) status.message += ", cycles are late: free the CPU";
   status.values = {entry("state", surg::name(out.state)),
                    entry("reason", surg::name(out.reason)),
                    flag("homed", out.homed),
@@ -85,6 +89,7 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
                    number("compute_us_p99", percentile(compute_us_, 0.99)),
                    number("compute_us_max", percentile(compute_us_, 1.0)),
                    count("overruns", record.overruns),
+                   number("late_share", out.late_share),
                    count("accepted", out.accepted),
                    count("refused", out.refused + record.refused_by_node + record.refused_by_cycle),
                    number("rcm_error_m", out.rcm_error),

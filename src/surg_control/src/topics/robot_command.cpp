@@ -26,32 +26,26 @@ RobotCommand::RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool tw
   tool_command_.name = {"jaw"};
 }
 
-void RobotCommand::send(const CycleRecord& record) {
-  const ros::Time stamp = to_time(record.stamp_ns);
+void RobotCommand::send(const LinkCommand& command) {
+  if (command.stamp_ns == 0) return;
+  const ros::Time stamp = to_time(command.stamp_ns);
   if (twist_) {
-    const surg::Vector6& twist = record.out.twist_command;
+    const surg::Vector6& twist = command.twist;
     twist_command_.header.stamp = stamp;
     twist_command_.twist.linear = to_vector(twist.head<3>());
     twist_command_.twist.angular = to_vector(twist.tail<3>());
     robot_.publish(twist_command_);
   } else {
-    const surg::JointVector& qd = record.out.qd_command;
+    const surg::JointVector& qd = command.qd;
     joint_command_.header.stamp = stamp;
     joint_command_.velocity.assign(qd.data(), qd.data() + qd.size());
     robot_.publish(joint_command_);
   }
-  if (record.tick % tool_cycles_ != 0) return;
-  if (!std::isfinite(record.out.jaw_set)) return;  // F31: an unknown jaw is not told to move
+  if (command.tick % tool_cycles_ != 0) return;
+  if (!std::isfinite(command.jaw)) return;  // F31: an unknown jaw is not told to move
   tool_command_.header.stamp = stamp;
-  tool_command_.position.assign(1, record.out.jaw_set);
+  tool_command_.position.assign(1, command.jaw);
   tool_.publish(tool_command_);
-}
-
-void RobotCommand::send_zero(CycleRecord last) {
-  if (last.stamp_ns == 0) return;
-  last.out.twist_command.setZero();
-  last.out.qd_command.setZero();
-  send(last);
 }
 
 }  // namespace surg_control

@@ -1,5 +1,6 @@
-// What crosses threads, for ThreadSanitizer: the command ring, the mailbox of the newest state, and
-// the black box between the loop and its writer. A race ends the program with status 66.
+// What crosses threads, for ThreadSanitizer: the command ring, the mailbox of the newest state, the
+// slot of the newest command, and the black box between the loop and its writer. A race ends the
+// program with status 66.
 #include <cstdint>
 #include <cstdio>
 #include <thread>
@@ -57,6 +58,26 @@ bool mailbox() {
   return good;
 }
 
+bool slot() {
+  constexpr std::uint64_t kCount = 30000;
+  surg_control::LatestSlot<Pair> slot;
+  std::thread producer([&slot] {
+    for (std::uint64_t i = 1; i <= kCount; ++i) slot.put({i, 3 * i});
+  });
+  bool good = true;
+  Pair pair;
+  for (std::uint64_t last = 0; last < kCount;) {
+    if (!slot.take(pair)) {
+      std::this_thread::yield();
+      continue;
+    }
+    good = good && pair.b == 3 * pair.a && pair.a > last;
+    last = pair.a;
+  }
+  producer.join();
+  return good;
+}
+
 /// The loop runs into faults again and again; the writer takes every recording out and replays it.
 bool black_box() {
   const surg::RobotConfig robot = surg::parse_robot(surg::test::good_robot());
@@ -105,6 +126,7 @@ int main() {
   };
   check("command ring", ring());
   check("mailbox of the newest state", mailbox());
+  check("slot of the newest command", slot());
   check("black box", black_box());
   return failed;
 }

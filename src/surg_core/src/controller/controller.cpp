@@ -48,16 +48,24 @@ ExactFollower::Options follower_options(const RobotConfig& robot, const Limits& 
 const Outputs& Controller::step(const Inputs& inputs) {
   Impl& self = *impl_;
   self.out.reason = Reason::kNone;
+  self.clock.advance(inputs.elapsed);
+  self.catch_up();
   self.sense(inputs);
-  self.guard_pivot();
+  self.guard_lateness(inputs);
+  self.guard_following(inputs);
+  self.guard_pivot(inputs);
   self.guard_force(inputs);
   self.gate(inputs);
   self.move();
-  self.jaw.advance(self.enabled() && !self.tool_lost);
-  const bool at_rest = self.handler.setpoint().mode() == Setpoint::Mode::kRest;
-  self.authority.elapse(at_rest && !self.handler.busy() && !self.jaw.busy(), self.enabled());
+  self.jaw.advance(self.enabled() && !self.tool_lost, self.clock.periods());
+  self.elapse_authority();
   self.report(inputs);
   return self.out;
+}
+
+void Controller::Impl::elapse_authority() {
+  const bool at_rest = handler.setpoint().mode() == Setpoint::Mode::kRest;
+  authority.elapse(at_rest && !handler.busy() && !jaw.busy(), enabled());
 }
 
 Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Limits& limits_in,
@@ -70,6 +78,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       T(options.dt),
       gains{options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain,
             robot_in.tuning.tip_gain, robot_in.tuning.roll_gain},
+      clock(options.dt),
       authority(options.dt),
       trocar(
           {robot_in.tuning.track_noise, robot_in.tuning.track_jerk, robot_in.tuning.track_timeout}),

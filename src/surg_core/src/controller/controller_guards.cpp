@@ -11,7 +11,9 @@ constexpr double kFollowDistance =
 constexpr double kToolTimeout = 0.2;  // [s] without a jaw state (F31)
 constexpr double kDelayDecay = 0.5;   // [s] time constant of the recent state age
 constexpr double kDampedLoop = 0.6;   // gain times delay of a loop that is well damped
-constexpr double kRoundTrip = 2.0;    // a link with late states also executes late
+constexpr double kVelocitySlack = 0.05;  // [rad/s] measured velocities are noisy
+constexpr int kUnexplained = 5;          // [cycles] of a motion that no command explains
+constexpr double kRoundTrip = 2.0;       // a link with late states also executes late
 
 bool finite(const MotionCommand& command) {
   return surg::finite(command.p) && surg::finite(command.rotation.coeffs()) &&
@@ -20,6 +22,32 @@ bool finite(const MotionCommand& command) {
 }
 
 }  // namespace
+
+void Controller::Impl::catch_up() {
+  catching_up = true;
+  for (int i = 1; i < clock.periods(); ++i) {
+    handler.setpoint().elapse(T, false);
+    arm.record_command(qd_last);
+    JointVector unused = qd_last;
+    // Behind a longer gap the arm takes up nothing where it was left, see guard_lateness.
+    Reason progress = Reason::kNone;
+    const bool follows = clock.periods() <= CycleClock::kCatchUp && follows_setpoint();
+    if (follows && law != Law::kExact && handler.setpoint().mode() == Setpoint::Mode::kStopping) {
+      // The velocity form's ramp has no path to make up for: it goes on as the arm does.
+      Setpoint& setpoint = handler.setpoint();
+      setpoint.resync(setpoint.p_RTip() + T * setpoint.v_RTip(), setpoint.v_RTip());
+    } else if (follows) {
+      const Step step = advance_motion(unused);
+      progress = handler.check_progress(step.alpha < 1 || step.tier > 0);
+    }
+    const Reason timeout = handler.check_timeout(), arrival = handler.check_arrival(tip_pose());
+    for (const Reason reason : {progress, timeout, arrival}) {
+      if (reason != Reason::kNone) out.reason = reason;
+    }
+    elapse_authority();
+  }
+  catching_up = false;
+}
 
 void Controller::Impl::sense(const Inputs& in) {
   state_known = false;
@@ -43,7 +71,8 @@ void Controller::Impl::sense(const Inputs& in) {
   }
   state_known = true;
   state_reason = Reason::kNone;
-  state_delay = std::max(in.state_age - T, state_delay * (1 - T / kDelayDecay));
+  const double kept = std::max(1 - clock.periods() * T / kDelayDecay, 0.0);
+  state_delay = std::max(in.state_age - T, state_delay * kept);
   trocar_before = trocar;
   if (!stopping_off_pivot()) update_trocar(in);
   arm.sense(in.q, in.qd, trocar);
@@ -53,7 +82,7 @@ void Controller::Impl::sense(const Inputs& in) {
 
 void Controller::Impl::measure_lag(const Inputs& in) {
   if (enabled()) {
-    lag_meter.step(qd_last, in.q, in.state_age, in.elapsed > 0 ? in.elapsed : T);
+    lag_meter.step(qd_last, in.q, in.state_age, clock.elapsed());
   } else {
     lag_meter.interrupt();
   }
@@ -61,14 +90,16 @@ void Controller::Impl::measure_lag(const Inputs& in) {
 }
 
 double Controller::Impl::feedback_scale() const {
-  if (state_delay <= 0 || gains.rcm <= 0) return 1;
+  const double delay = std::max(state_delay, 0.0) + 0.5 * std::max(clock.excess(), 0.0);
+  if (delay <= 0 || gains.rcm <= 0) return 1;
   const double fresh = std::max(robot.tuning.link_lag, kDampedLoop / gains.rcm);
-  return fresh / (fresh + kRoundTrip * state_delay);
+  return fresh / (fresh + kRoundTrip * delay);
 }
 
 void Controller::Impl::update_trocar(const Inputs& in) {
   if (!track_rcm || !trocar.taught()) return;
-  const Reason reason = trocar.track({in.track_valid, in.track_age, in.p_BTrack, in.v_BTrack}, T);
+  const Reason reason =
+      trocar.track({in.track_valid, in.track_age, in.p_BTrack, in.v_BTrack}, clock.elapsed());
   track_reason = reason;
   out.warn_track = trocar.warning();
   if (reason == Reason::kTrackStale) {
@@ -85,7 +116,44 @@ void Controller::Impl::check_tool_link(const Inputs& in) {
   if (lost) out.reason = Reason::kToolLost;
 }
 
-void Controller::Impl::guard_pivot() {
+void Controller::Impl::guard_lateness(const Inputs& in) {
+  out.late_share = clock.late_share();
+  const JointVector step = T * robot.acceleration;  // of a command in one cycle
+  const bool commanded_to_move = (qd_last.array().abs() > step.array()).any();
+  if (state_known && clock.gap() && commanded_to_move) {
+    const bool too_long = clock.periods() > CycleClock::kCatchUp;
+    if (too_long || !commanded.explains(in.qd, step, clock.elapsed())) {
+      stop_from_measured(in, Reason::kOverrun);
+    } else {
+      follower.take_up(in.qd);
+      qd_last = in.qd;
+    }
+  }
+  if (clock.overrun()) pause(Reason::kOverrun);
+}
+
+/// The link stops the arm by itself when commands are lost on their way. When they arrive again,
+/// the arm must not be told to go on at full speed.
+void Controller::Impl::guard_following(const Inputs& in) {
+  const bool fresh = state_known && state_delay <= T && !clock.gap();
+  const JointVector slack = (2 * T * robot.acceleration).cwiseMax(kVelocitySlack);
+  const bool moves = (qd_last.array().abs() > slack.array()).any();
+  const bool explained = !fresh || !moves || commanded.explains(in.qd, slack, 0);
+  unexplained = explained ? 0 : unexplained + 1;
+  if (unexplained < kUnexplained) return;
+  unexplained = 0;
+  stop_from_measured(in, Reason::kNotFollowing);
+}
+
+void Controller::Impl::stop_from_measured(const Inputs& in, Reason reason) {
+  pause(reason);
+  handler.start(tip_pose());
+  follower.reset(in.q, in.qd);
+  qd_last = in.qd;
+  fading = true;
+}
+
+void Controller::Impl::guard_pivot(const Inputs& in) {
   out.warn_rcm = trocar.taught() && shaft().e.norm() > limits.rcm_error_warn;
   if (!enabled() || !operating.homed() || !state_known) return;
   if (shaft().depth >= limits.depth_min) inserted = true;
@@ -98,11 +166,12 @@ void Controller::Impl::guard_pivot() {
   }
   // A blocked arm must not jump to its set-point when it is released.
   const double behind = (X_BR * handler.setpoint().p_RTip() - shaft().p_BTip).norm();
-  if (!(behind <= kFollowDistance)) pause(Reason::kNotFollowing);
+  if (!(behind <= kFollowDistance)) stop_from_measured(in, Reason::kNotFollowing);
 }
 
 void Controller::Impl::guard_force(const Inputs& in) {
-  const ForceGuard::Verdict verdict = force.judge(in.tip_force, in.trocar_force, T);
+  const ForceGuard::Verdict verdict =
+      force.judge(in.tip_force, in.trocar_force, T, clock.periods());
   out.warn_force = force.warns();
   if (verdict == ForceGuard::Verdict::kHalt) halt();  // also ends a ramp
   if (!enabled()) return;

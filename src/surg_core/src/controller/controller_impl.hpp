@@ -3,6 +3,7 @@
 // guards, controller_motion.cpp commands and motion.
 #pragma once
 
+#include "controller/command_history.hpp"
 #include "surg_core/controller.hpp"
 #include "surg_core/kinematics/arm_state.hpp"
 #include "surg_core/kinematics/trocar.hpp"
@@ -12,6 +13,7 @@
 #include "surg_core/motion/command_handler.hpp"
 #include "surg_core/motion/jaw.hpp"
 #include "surg_core/motion/joint_trace.hpp"
+#include "surg_core/state/cycle_clock.hpp"
 #include "surg_core/state/gate.hpp"
 #include "surg_core/state/lag_meter.hpp"
 #include "surg_core/state/snapshot.hpp"
@@ -25,6 +27,8 @@ bool finite(const Eigen::MatrixBase<Derived>& v) {
   return (v.array().abs() < kHuge).all();
 }
 
+template <>
+struct IsPlain<CommandHistory> : std::true_type {};
 template <>
 struct IsPlain<Trocar> : std::true_type {};
 template <>
@@ -45,6 +49,8 @@ struct Controller::Impl {
   double T;
   Gains gains;
 
+  CycleClock clock;
+  CommandHistory commanded;
   OperatingState operating;
   Authority authority;
   Trocar trocar;
@@ -65,8 +71,11 @@ struct Controller::Impl {
   Trocar trocar_before;                     // the trocar before this cycle's sample
   bool inserted = false;                    // the trocar lies on the shaft and must stay there
   bool tool_lost = false;
-  bool halted = false;  // commands zero until the next start
+  bool halted = false;       // commands zero until the next start
+  bool fading = false;       // the last command fades without feedback until the next start
+  bool catching_up = false;  // inside a period that has passed without a cycle
   int home_busy = 0;
+  int unexplained = 0;  // [cycles] in a row
   JointVector qd_last;
   double retraced = 0;          // [rad] of the trace
   bool retrace_active = false;  // in the last step; a retrace first waits for rest
@@ -107,8 +116,19 @@ struct Controller::Impl {
   void halt();
 
   // Inputs, guards and gate.
+  /// Set-point, reference and timers go on over the periods that passed without a cycle. The jaw
+  /// does not: its command is a position, which would jump.
+  void catch_up();
+  void elapse_authority();
   void sense(const Inputs& in);
   void measure_lag(const Inputs& in);
+  /// F27: after a gap continues from the arm's measured velocity, or stops if the link has stopped
+  /// the arm meanwhile.
+  void guard_lateness(const Inputs& in);
+  /// Pauses an arm whose joints move otherwise than any recent command.
+  void guard_following(const Inputs& in);
+  /// Brakes from the measured velocity; the motion in progress is over.
+  void stop_from_measured(const Inputs& in, Reason reason);
   /// Factor of the feedback gain in (0, 1] for late states. A loop becomes unstable at a gain times
   /// delay of about 1.5; 0.6 is well damped and must not grow with the age of the states.
   double feedback_scale() const;
@@ -116,7 +136,7 @@ struct Controller::Impl {
   /// F31: without the tool link, arm and jaw hold.
   void check_tool_link(const Inputs& in);
   /// F23: stops an arm that is off the trocar or does not follow.
-  void guard_pivot();
+  void guard_pivot(const Inputs& in);
   /// F25: yields to the force at the tip, pauses, stops or halts.
   void guard_force(const Inputs& in);
   void gate(const Inputs& in);
@@ -124,11 +144,17 @@ struct Controller::Impl {
 
   // Motion: set-point, law, limits, follower.
   void move();
+  /// Whether set-point and arm move through the law.
+  bool follows_setpoint() const;
+  /// One period of the set-point and of the arm behind it.
+  Step advance_motion(JointVector& qd);
   void advance_setpoint(const Step& step, const Setpoint& next);
   void output_command(JointVector qd, bool moving);
   Step next_step(const Setpoint& next, JointVector& qd);
   /// Exact form: the next step of the reference, and the command with which the arm follows it.
   Step exact_step(const Setpoint& next, JointVector& qd);
+  /// Moves the reference by a step and returns the command with which the arm follows it.
+  JointVector follow(const Step& step);
   /// Velocity form and the paper's law, from the measured state predicted for the command.
   Step velocity_step(const Setpoint& next, JointVector& qd) const;
   /// Ends a retrace: the trace continues from the point that was reached.
@@ -158,12 +184,12 @@ struct Controller::Impl {
   /// Serializes every member that a step reads before writing it; a test finds a missing one.
   template <typename Archive>
   void serialize(Archive& archive) {
-    archive(operating, authority, trocar, handler, jaw, force, lag_meter);
+    archive(clock, commanded, operating, authority, trocar, handler, jaw, force, lag_meter);
     arm.serialize(archive);
     follower.serialize(archive);
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
             X_BR, state_delay, state_known, state_reason, track_reason, inserted, tool_lost, halted,
-            home_busy, qd_last, out.accepted, out.refused);
+            fading, home_busy, unexplained, qd_last, out.accepted, out.refused);
   }
 };
 

@@ -31,20 +31,16 @@ void Controller::Impl::move() {
     // The geometry is unknown (F02, F10): a ramp through the law would be blind, also when the
     // state returns.
     halt();
-  } else if (!halted && (enabled() || is_moving())) {
+  } else if (follows_setpoint()) {
     moving = true;
-    setpoint.yield_to(X_BR.linear().transpose() * force.push());
-    Setpoint next = setpoint;
-    next.advance(T);
-    const Step step = next_step(next, qd);
+    const Vector3 p_before = setpoint.p_RTip();
+    const Step step = advance_motion(qd);
     out.scale = step.alpha;
     out.limited_by = step.limited_by;
     out.tier = step.tier;
     if (step.held && enabled()) out.reason = Reason::kUnreachable;
-    const Vector3 p_before = setpoint.p_RTip();
-    if (!retrace_active) advance_setpoint(step, next);  // a retrace has moved it already
     if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
-    out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
+    if (!retrace_active) out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
     const Reason progress = handler.check_progress(step.alpha < 1 || step.tier > 0);
     if (progress != Reason::kNone) out.reason = progress;
   } else if (!halted) {
@@ -52,6 +48,21 @@ void Controller::Impl::move() {
     qd = fading_command();
   }
   output_command(qd, moving);
+}
+
+bool Controller::Impl::follows_setpoint() const {
+  const bool known = state_known && trocar.taught() && operating.homed() && !halted && !fading;
+  return known && (enabled() || is_moving());
+}
+
+Step Controller::Impl::advance_motion(JointVector& qd) {
+  Setpoint& setpoint = handler.setpoint();
+  setpoint.yield_to(X_BR.linear().transpose() * force.push());
+  Setpoint next = setpoint;
+  next.advance(T);
+  const Step step = next_step(next, qd);
+  if (!retrace_active) advance_setpoint(step, next);  // a retrace has moved it already
+  return step;
 }
 
 /// Advances the set-point's clock as far as the arm can follow. 'next' is one whole cycle later.
@@ -82,6 +93,7 @@ void Controller::Impl::output_command(JointVector qd, bool moving) {
   }
   qd_last = qd;
   arm.record_command(qd);
+  commanded.add(qd);
   out.qd_command = qd;
   out.twist_command = twist;
 }
@@ -116,11 +128,27 @@ Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
   request.flange_lead = flange_lead();
   const Home home{arm.s_home(), arm.R_home()};
   const Step step = limited.exact(follower.reference(), follower.velocity(), home, request);
-  qd = follower.advance(T * step.qd, arm.measured().q, arm.measured().J, feedback_scale());
+  qd = follow(step);
   return step;
 }
 
+JointVector Controller::Impl::follow(const Step& step) {
+  const JointVector dq = T * step.qd;
+  if (catching_up) {
+    follower.coast(dq);
+    return qd_last;
+  }
+  return follower.advance(dq, arm.measured().q, arm.measured().J, feedback_scale(), clock.rest());
+}
+
 Step Controller::Impl::velocity_step(const Setpoint& next, JointVector& qd) const {
+  if (catching_up) {  // as far as the last command went
+    Step step;
+    step.qd = qd_last;
+    step.alpha = out.scale;
+    step.tier = out.tier;
+    return step;
+  }
   const TwistParts wished = twist_for(next);
   const auto path = [&](double t) { return goal_at(next, t); };
   StepRequest request;
@@ -145,7 +173,7 @@ Step Controller::Impl::retrace_step(JointVector& qd) {
   const JointVector q = follower.reference();
   const Step step = limited.retrace(q, follower.velocity(), trace, retraced, kRetraceRate,
                                     trocar.p_B(), flange_lead());
-  qd = follower.advance(T * step.qd, arm.measured().q, arm.measured().J, feedback_scale());
+  qd = follow(step);
   retraced += step.alpha * kRetraceRate * T;
   const Pose X_BF = arm.chain().forward(JointVector(q + T * step.qd));
   const Vector3 s_B = X_BF.linear() * arm.tool().s_F;

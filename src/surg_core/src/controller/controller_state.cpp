@@ -15,7 +15,7 @@ constexpr int kHomeBusyCycles = 5;      // so that a client sees an edge of is_b
 
 Conditions Controller::Impl::conditions() const {
   Conditions now;
-  now.state = state_known ? Reason::kNone : state_reason;
+  now.state = !state_known ? state_reason : clock.overrun() ? Reason::kOverrun : Reason::kNone;
   if (trocar.taught()) now.rcm = track_reason;
   if (now.rcm == Reason::kNone &&
       (stopping_off_pivot() || !shaft_through_trocar() || shaft().depth <= -kMaxHeight)) {
@@ -82,7 +82,7 @@ Reason Controller::Impl::set_rcm(const Vector3& p_BRcm) {
 }
 
 bool Controller::Impl::is_moving() const {
-  const bool known = state_known && !halted && operating.homed();
+  const bool known = state_known && !halted && !fading && operating.homed();
   return known && (handler.setpoint().mode() != Setpoint::Mode::kRest || !reference_at_rest());
 }
 
@@ -104,7 +104,7 @@ void Controller::Impl::set_home() {
 
 void Controller::Impl::start_at_rest() {
   handler.start(tip_pose());
-  halted = false;
+  halted = fading = false;
   follower.reset(arm.measured().q, qd_last);
   end_retrace_step();
   const bool moved =

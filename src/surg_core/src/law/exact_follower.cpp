@@ -10,6 +10,7 @@ namespace {
 
 constexpr double kMaxLagRatio = 3;   // estimated over stated lag
 constexpr double kPhiFloor = 0.003;  // [rad/s] regularises the gradient step
+constexpr int kSettling = 50;        // [periods] after a gap before lags are adapted again
 constexpr double kAdaptAbove =
     0.7;  // feedback_scale below which the error may be due to late states
 
@@ -29,16 +30,48 @@ void ExactFollower::reset(const JointVector& q, const JointVector& qd) {
   phi_.setZero(q.size());
   history_.fill({q, JointVector::Zero(q.size())});
   newest_ = 0;
+  rejoins_ = false;
+}
+
+/// The reference's velocity over a step, after which it is in the history.
+JointVector ExactFollower::push_reference(const JointVector& dq) {
+  const JointVector v = dq / options_.T;
+  newest_ = (newest_ + 1) % kHistory;
+  history_[newest_] = {q_ref_, (v - v_last_) / options_.T};
+  return v;
+}
+
+void ExactFollower::coast(const JointVector& dq) {
+  v_last_ = push_reference(dq);
+  q_ref_ += dq;
+  phi_ += options_.T * (delayed_reference().a - options_.gain * phi_);
+  rejoins_ = true;
+}
+
+void ExactFollower::take_up(const JointVector& qd) {
+  qd_last_ = qd;
+  rejoins_ = true;
 }
 
 JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, const Jacobian& J,
-                                   double feedback_scale) {
+                                   double feedback_scale, double since) {
   const double gain = feedback_scale * options_.gain;
-  const JointVector v = dq / options_.T;
-  const JointVector a = (v - v_last_) / options_.T;
-  newest_ = (newest_ + 1) % kHistory;
-  history_[newest_] = {q_ref_, a};
-  const JointVector error = delayed_reference().q - q;
+  const JointVector v = push_reference(dq);
+  const JointVector& a = history_[newest_].a;
+  JointVector late = delayed_reference().q;
+  if (since > 0) {
+    const JointVector next = n_late_ == 0
+                                 ? JointVector(q_ref_ + dq)
+                                 : history_[(newest_ + kHistory - n_late_ + 1) % kHistory].q;
+    late += since / options_.T * (next - late);
+  }
+  const JointVector error = late - q;
+  if (rejoins_) {  // from the last command, all joints by one factor
+    correction_ = qd_last_ - v;
+    rejoins_ = false;
+    settling_ = kSettling;
+  }
+  settling_ = std::max(settling_ - 1, 0);
   JointVector change(q.size());
   bool linear = true;
   for (Eigen::Index i = 0; i < q.size(); ++i) {
@@ -50,7 +83,7 @@ JointVector ExactFollower::advance(const JointVector& dq, const JointVector& q, 
   correction_ += share * change;
   phi_ += options_.T * (delayed_reference().a - gain * phi_);
   // Limits or late states also cause errors; those do not depend on the lags.
-  if (linear && share == 1 && feedback_scale > kAdaptAbove) adapt_lags(error);
+  if (linear && share == 1 && settling_ == 0 && feedback_scale > kAdaptAbove) adapt_lags(error);
   q_ref_ += dq;
   v_last_ = v;
   qd_last_ = within_limits(v + correction_, J);

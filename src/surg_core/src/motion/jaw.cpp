@@ -41,7 +41,7 @@ void Jaw::hold() {
   busy_ = false;
 }
 
-void Jaw::advance(bool may_move) {
+void Jaw::advance(bool may_move, int periods) {
   if (!may_move) return;
   const bool seen = std::isfinite(set_);
   if (seen) {
@@ -49,7 +49,7 @@ void Jaw::advance(bool may_move) {
     set_ += std::clamp(goal_ - set_, -most, most);
   }
   if (!busy_ || (seen && set_ != goal_)) return;
-  settle_ += dt_;
+  settle_ += periods * dt_;
   const bool arrived = std::abs(measured_ - set_) <= kArrived && settle_ > kEdge;
   if (arrived || settle_ > kArriveWithin) busy_ = false;
 }

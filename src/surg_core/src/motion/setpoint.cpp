@@ -265,9 +265,9 @@ void Setpoint::restrict_step(const Vector3& p_before) {
   for (int i = 0; i < 3; ++i) filters_[i].reset(dofs_[i]);
 }
 
-void Setpoint::elapse(double T) {
+void Setpoint::elapse(double T, bool heard) {
   tick_ = T;
-  input_.elapse(T);
+  input_.elapse(T, heard);
 }
 
 void Setpoint::advance_stream(double dt) {

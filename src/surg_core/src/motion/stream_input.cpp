@@ -25,6 +25,7 @@ void StreamInput::begin(const Values& x, const State& from, double age, std::int
   }
   last_ = x;
   arrival_ = now_ - age;
+  unheard_ = 0;
   clock_.reset({arrival_, stamp_ns});
   estimate_.reset(x);
 }
@@ -32,12 +33,14 @@ void StreamInput::begin(const Values& x, const State& from, double age, std::int
 void StreamInput::add(const Values& x, double age, std::int64_t stamp_ns) {
   last_ = x;
   arrival_ = std::max(arrival_, now_ - age);
+  unheard_ = 0;
   const double elapsed = clock_.advance({arrival_, stamp_ns});
   estimate_.update(x, elapsed, clock_.period());
 }
 
-void StreamInput::elapse(double T) {
+void StreamInput::elapse(double T, bool heard) {
   now_ += T;
+  if (!heard) unheard_ += T;
   tick_ = T;
   if (!notches_[0].works() && !delays_[0].works(T)) return;
   const State stream = estimate(0);
@@ -70,7 +73,7 @@ StreamInput::State StreamInput::estimate(double ahead) const {
 
 bool StreamInput::overdue() const {
   const double gap = 1.5 * std::max(clock_.wait(), clock_.period());
-  return now_ - arrival_ > std::clamp(gap, kShortestGap, kLongestGap);
+  return now_ - arrival_ - unheard_ > std::clamp(gap, kShortestGap, kLongestGap);
 }
 
 }  // namespace surg

@@ -10,8 +10,8 @@ ForceGuard::ForceGuard(const Limits& limits)
       warn_(limits.trocar_force_warn),
       fault_(limits.trocar_force_fault) {}
 
-ForceGuard::Verdict ForceGuard::judge(const ForceSample& tip, const ForceSample& trocar,
-                                      double dt) {
+ForceGuard::Verdict ForceGuard::judge(const ForceSample& tip, const ForceSample& trocar, double dt,
+                                      int periods) {
   push_.setZero();
   warns_ = false;
   acceptable_ = false;
@@ -27,7 +27,8 @@ ForceGuard::Verdict ForceGuard::judge(const ForceSample& tip, const ForceSample&
   acceptable_ = true;
   if (force <= soft_) return Verdict::kFree;
   push_ = tip.f_B / force;
-  return ++above_ > std::lround(kPatience / dt) ? Verdict::kPause : Verdict::kYield;
+  above_ += periods;
+  return above_ > std::lround(kPatience / dt) ? Verdict::kPause : Verdict::kYield;
 }
 
 }  // namespace surg

@@ -2,6 +2,7 @@
 // cause of a fault; authority while the arm moves.
 #include "support/controller_bench.hpp"
 #include "support/test_support.hpp"
+#include "surg_core/state/gate.hpp"
 
 namespace surg {
 namespace {
@@ -215,6 +216,18 @@ TEST(ControllerLimits, F26TheArmIsNotFreeWhileItMoves) {
     ASSERT_EQ(bench.out().source, test::kMe);
   }
   EXPECT_GT(refused, 260);
+}
+
+TEST(ControllerLimits, AStreamThatPausedMayNotMakeUpForMoreThanStepDtMax) {
+  const Limits limits = Bench().robot().limits;
+  const double reach = limits.tip_velocity * limits.step_dt_max + limits.step_slack;
+  const double turn = limits.roll_velocity * limits.step_dt_max + limits.step_roll_slack;
+  for (const double since : {limits.step_dt_max, 0.4, 10.0}) {
+    EXPECT_EQ(check_step(limits, false, since, 0.999 * reach, 0), Reason::kNone);
+    EXPECT_EQ(check_step(limits, false, since, 1.001 * reach, 0), Reason::kStepTooLarge);
+    EXPECT_EQ(check_step(limits, false, since, 0, 0.999 * turn), Reason::kNone);
+    EXPECT_EQ(check_step(limits, false, since, 0, 1.001 * turn), Reason::kStepTooLarge);
+  }
 }
 
 }  // namespace

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <deque>
+#include <utility>
 
 #include "controller_bench.hpp"
 #include "surg_core/controller.hpp"
@@ -30,23 +31,21 @@ class TimedArm {
     qd_.setZero(q.size());
     command_ = obeyed_ = qd_;
     recent_.assign(std::lround(kT / kStep), qd_);
-    pipeline_.assign(std::lround(plant.delay / kStep), qd_);
   }
 
-  void obey(const JointVector& command) {
-    command_ = command;
-    silent_ = 0;
-  }
+  /// The link gets it after the delay.
+  void obey(const JointVector& command) { on_its_way_.push_back({plant_.delay, command}); }
 
   /// One step of the arm's own time.
   void advance() {
     silent_ += kStep;
-    JointVector wanted = command_;
-    if (!pipeline_.empty()) {
-      pipeline_.push_back(wanted);
-      wanted = pipeline_.front();
-      pipeline_.pop_front();
+    for (auto& [left, command] : on_its_way_) left -= kStep;
+    while (!on_its_way_.empty() && on_its_way_.front().first < -kStep / 2) {
+      command_ = on_its_way_.front().second;
+      silent_ = 0;
+      on_its_way_.pop_front();
     }
+    JointVector wanted = command_;
     stopped_ = silent_ > plant_.dead_man + kStep / 2;
     if (stopped_) {  // a ramp of its own, inside the arm's acceleration
       const JointVector most = acceleration_ * kStep;
@@ -73,7 +72,8 @@ class TimedArm {
  private:
   Plant plant_;
   JointVector acceleration_, q_, qd_, command_, obeyed_;
-  std::deque<JointVector> recent_, pipeline_;
+  std::deque<JointVector> recent_;
+  std::deque<std::pair<double, JointVector>> on_its_way_;  // [s] until it arrives
   double silent_ = 0, worst_ = 0;
   bool stopped_ = false;
 };
@@ -81,14 +81,15 @@ class TimedArm {
 class TimedBench {
  public:
   explicit TimedBench(Law law = Law::kExact, const Plant& plant = {}, double link_lag = 0,
-                      double rcm_gain = 50)
-      : robot_(robot_with(link_lag, rcm_gain)),
+                      double acceleration = 15, double off_shaft = 0)
+      : robot_(robot_with(link_lag, acceleration)),
         chain_(ur5e_chain()),
         controller_(chain_, robot_, robot_.limits, instrument(), offset_tool(), options(law)),
         arm_(plant, robot_.home, robot_.acceleration) {
     const ToolCalibration tool = offset_tool();
     const Pose X_BF = chain_.forward(arm_.q());
     p_BRcm_ = X_BF * tool.p_FTip - 0.12 * (X_BF.linear() * tool.s_F);
+    p_BRcm_ += off_shaft * X_BF.linear().col(0);
     controller_.set_rcm(p_BRcm_);
     cycle();
     EXPECT_EQ(controller_.request(StateCommand::kHome), Reason::kNone);
@@ -105,9 +106,12 @@ class TimedBench {
       time_ += TimedArm::kStep;
     }
     in_.state_valid = true;
-    in_.q = arm_.q();
-    in_.qd = arm_.qd();
-    (void)period;
+    states_.push_front({arm_.q(), arm_.qd()});
+    if (states_.size() > states_late_ + 1) states_.resize(states_late_ + 1);
+    in_.q = states_.back().first;
+    in_.qd = states_.back().second;
+    in_.state_age = static_cast<double>(states_.size() - 1) * period;
+    in_.elapsed = period;
     out_ = &controller_.step(in_);
     in_.n_commands = 0;
     if (!lost) arm_.obey(out_->qd_command);
@@ -122,12 +126,16 @@ class TimedBench {
     return command;
   }
   void servo_cv(const Vector3& v) { send(Motion::kServoCv).p = v; }
-  void servo_cp(const Vector3& p_RTip) {
+  /// taken: when [s], which its stamp says; before the bench began: it has no stamp.
+  void servo_cp(const Vector3& p_RTip, double taken = -1) {
     MotionCommand& command = send(Motion::kServoCp);
     command.p = p_RTip;
+    command.stamp_ns = taken < 0 ? 0 : 1 + std::llround(1e9 * taken);
     const Vector3 s_B = controller_.X_BR().linear() * p_RTip.normalized();
     command.rotation = controller_.tool_orientation(s_B, 0);
   }
+  /// From now on states take that many cycles to arrive.
+  void delay_states(std::size_t cycles) { states_late_ = cycles; }
   /// Straight on at 'v' [m/s] along x for a while.
   void in_motion(double v = 0.1, double seconds = 0.3) {
     for (int i = 0; i < std::lround(seconds / kT); ++i) {
@@ -159,10 +167,11 @@ class TimedBench {
   const Vector3& p_BRcm() const { return p_BRcm_; }
 
  private:
-  static RobotConfig robot_with(double link_lag, double rcm_gain) {
+  static RobotConfig robot_with(double link_lag, double acceleration) {
     Document document = good_robot();
     document.values["tuning.link_lag"] = link_lag;
-    document.values["tuning.rcm_gain"] = rcm_gain;
+    document.values["tuning.rcm_gain"] = 50.0;  // as shipped
+    document.values["joints.acceleration"] = std::vector<double>(6, acceleration);
     return parse_robot(document);
   }
   static Controller::Options options(Law law) {
@@ -178,6 +187,8 @@ class TimedBench {
   Vector3 p_BRcm_;
   Inputs in_;
   const Outputs* out_ = nullptr;
+  std::deque<std::pair<JointVector, JointVector>> states_;  // the newest first
+  std::size_t states_late_ = 0;
   double worst_pivot_ = 0, off_pivot_ = 0, time_ = 0;
 };
 

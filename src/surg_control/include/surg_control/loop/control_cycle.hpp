@@ -22,10 +22,11 @@ class ControlCycle {
   /// Applies state commands, trocar points, frames, claims and trocar samples first, then steps the
   /// controller with the motion commands in the order given. Takes at most surg::kMaxCommands
   /// items, sorted by kind or not; the caller keeps the rest. 'now_ns': the steady clock, in
-  /// lock-step the tick; ages refer to it. The caller sets tick, timing and refused_by_node of the
+  /// lock-step the tick; ages refer to it. 'elapsed_ns': since the last cycle; 0: one period, as in
+  /// lock-step. The caller sets tick, timing and refused_by_node of the
   /// record.
-  const CycleRecord& run(const LinkState& link, std::int64_t now_ns, const CommandItem* items,
-                         std::size_t count);
+  const CycleRecord& run(const LinkState& link, std::int64_t now_ns, std::int64_t elapsed_ns,
+                         const CommandItem* items, std::size_t count);
 
   CycleRecord& record() { return record_; }
   /// The controller's inputs in the last cycle.

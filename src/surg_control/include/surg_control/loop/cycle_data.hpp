@@ -90,4 +90,25 @@ struct CycleRecord {
   std::uint32_t refused_by_cycle = 0;  ///< motions that the cycle kept from the controller
 };
 
+/// What a cycle tells robot and tool.
+struct LinkCommand {
+  std::uint64_t stamp_ns = 0;  ///< of the joint state used; 0: there was none, nothing is sent
+  std::uint64_t tick = 0;
+  surg::JointVector qd;                         ///< [rad/s]
+  surg::Vector6 twist = surg::Vector6::Zero();  ///< of the flange
+  double jaw = 0;                               ///< [rad]; not finite: unknown
+
+  static LinkCommand of(const CycleRecord& record) {
+    return {record.stamp_ns, record.tick, record.out.qd_command, record.out.twist_command,
+            record.out.jaw_set};
+  }
+  /// Zero velocity; the jaw as it was.
+  LinkCommand at_rest() const {
+    LinkCommand still = *this;
+    still.qd.setZero();
+    still.twist.setZero();
+    return still;
+  }
+};
+
 }  // namespace surg_control

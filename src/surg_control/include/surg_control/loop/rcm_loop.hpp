@@ -11,9 +11,12 @@
 #include <surg_msgs/Ready.h>
 
 #include <atomic>
+#include <exception>
 #include <memory>
+#include <mutex>
 #include <set>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "surg_control/files/model_loader.hpp"
@@ -33,7 +36,8 @@
 namespace surg_control {
 
 /// Lock-step: everything runs in the thread that calls run(). Free-run: run() receives messages,
-/// one thread controls at 500 Hz and publishes the robot command, one publishes everything else.
+/// one thread controls at 500 Hz, one sends its newest command to robot and tool, one publishes
+/// everything else.
 class RcmLoop {
  public:
   /// Reads parameters and files, checks the model, advertises and subscribes. 'private_node' names
@@ -44,7 +48,8 @@ class RcmLoop {
   RcmLoop& operator=(const RcmLoop&) = delete;
 
   /// Runs until 'stop', an exit request or ROS's shutdown. Then it stops the arm through the law,
-  /// commands zero and returns, at most about a second later, whatever the link does.
+  /// commands zero and returns, at most about a second later, whatever the link does. An exception
+  /// in any of its threads also ends with a zero command and is then thrown on.
   void run(const std::atomic<bool>& stop);
 
  private:
@@ -67,7 +72,15 @@ class RcmLoop {
 
   // --- free-run ---
   void control_thread();
+  void sender_thread();
   void publisher_thread();
+  void hand_over(const LinkCommand& command);
+  std::thread start(void (RcmLoop::*body)());
+  void request_realtime(int below);
+
+  void serve(const std::atomic<bool>& stop);
+  void come_to_rest();
+  void fail();
 
   void disable_if_exiting();
   void update_at_rest();
@@ -107,11 +120,17 @@ class RcmLoop {
   SpscRing<CommandItem> commands_;
   SpscRing<CycleRecord> records_;
   sem_t records_waiting_;
+  LatestSlot<LinkCommand> newest_command_;
+  sem_t command_waiting_;
   std::atomic<bool> stop_threads_{false};
 
   std::atomic<bool> exiting_{false};  // asked to end: no commands any more, stop through the law
   bool disabled_for_exit_ = false;    // that has been told to the controller
   std::atomic<bool> at_rest_{false};  // and it commands zero
+
+  std::atomic<bool> failed_{false};
+  std::mutex failure_mutex_;
+  std::exception_ptr failure_;  // the first one
 };
 
 }  // namespace surg_control

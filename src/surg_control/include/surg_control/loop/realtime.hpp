@@ -26,8 +26,9 @@ class Metronome {
   bool late_ = false;
 };
 
-/// Locks the process's memory and gives the calling thread SCHED_FIFO. Returns an empty text, or
+/// Locks the process's memory and gives the calling thread SCHED_FIFO, 'below' steps under the
+/// control thread's priority. Returns an empty text, or
 /// what was refused and how to allow it; the thread then continues without.
-std::string become_realtime();
+std::string become_realtime(int below = 0);
 
 }  // namespace surg_control

@@ -1,6 +1,7 @@
 // Channels between callback, control and publisher thread; the control thread never waits.
 #pragma once
 
+#include <array>
 #include <atomic>
 #include <cstddef>
 #include <mutex>
@@ -60,6 +61,31 @@ class LatestBox {
  private:
   std::mutex mutex_;
   T value_{};
+};
+
+/// The latest value, for a writer that must never wait and never drop it: three slots, of which
+/// writer and reader own one each and swap it with the third.
+template <typename T>
+class LatestSlot {
+ public:
+  void put(const T& value) {
+    slots_[back_] = value;
+    back_ = middle_.exchange(back_ | kFresh, std::memory_order_acq_rel) & kIndex;
+  }
+
+  /// Copies the newest value into 'value'; false if it was taken before.
+  bool take(T& value) {
+    if ((middle_.load(std::memory_order_relaxed) & kFresh) == 0) return false;
+    front_ = middle_.exchange(front_, std::memory_order_acq_rel) & kIndex;
+    value = slots_[front_];
+    return true;
+  }
+
+ private:
+  static constexpr unsigned kFresh = 4, kIndex = 3;
+  std::array<T, 3> slots_{};
+  unsigned back_ = 0, front_ = 1;
+  std::atomic<unsigned> middle_{2};
 };
 
 }  // namespace surg_control

@@ -18,9 +18,8 @@ class RobotCommand {
   /// queues have no end.
   RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist, bool lockstep);
 
-  void send(const CycleRecord& record);
-  /// Zero velocity with the stamp of 'last', the jaw as it was; nothing before there was a state.
-  void send_zero(CycleRecord last);
+  /// One thread at a time. Sends nothing before there was a joint state.
+  void send(const LinkCommand& command);
 
  private:
   bool twist_;

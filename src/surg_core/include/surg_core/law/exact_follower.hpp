@@ -53,15 +53,19 @@ class ExactFollower {
   const JointVector& reference() const { return q_ref_; }
   /// Advances the reference by dq (a step of the law within limits) and returns the command for the
   /// link [rad/s]. q: measured before the step; J: the arm's Jacobian there; feedback_scale: factor
-  /// of the gain, in (0, 1].
+  /// of the gain, in (0, 1]; since [s]: time since the reference was where it is now, less than T.
   JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {},
-                      double feedback_scale = 1);
+                      double feedback_scale = 1, double since = 0);
+  /// Advances the reference by dq over a period that passed without a command.
+  void coast(const JointVector& dq);
+  /// Continues from another last command [rad/s] than the follower gave.
+  void take_up(const JointVector& qd);
   /// Velocity of the reference in the last period [rad/s].
   const JointVector& velocity() const { return v_last_; }
   /// Serializes everything that a step reads (snapshot.hpp).
   template <typename Archive>
   void serialize(Archive& archive) {
-    archive(q_ref_, v_last_, qd_last_, correction_, lag_, phi_, newest_);
+    archive(q_ref_, v_last_, qd_last_, correction_, lag_, phi_, newest_, rejoins_, settling_);
     for (ReferenceSample& sample : history_) archive(sample.q, sample.a);
   }
   /// Delay of the arm behind the reference [s].
@@ -74,6 +78,7 @@ class ExactFollower {
  private:
   double feedback(Eigen::Index i, double error, double gain) const;
   double largest_share(const JointVector& from, const JointVector& change) const;
+  JointVector push_reference(const JointVector& dq);
   JointVector within_limits(JointVector qd, const Jacobian& J) const;
   void adapt_lags(const JointVector& error);
 
@@ -89,6 +94,8 @@ class ExactFollower {
   int n_late_ = 0;
   std::array<ReferenceSample, kHistory> history_;  // of the reference
   int newest_ = 0;
+  bool rejoins_ = false;  // the last command is not the reference's velocity plus the correction
+  int settling_ = 0;      // [periods] until what is left of a gap says nothing about the lags
   JointVector q_ref_, v_last_, qd_last_, correction_, lag_, phi_;
 };
 

@@ -17,8 +17,9 @@ class Jaw {
   void go_to(double angle, bool move);
   /// Holds the present angle: on a stop, pause or fault.
   void hold();
-  /// Advances one period. may_move: the arm is ENABLED and the tool link alive.
-  void advance(bool may_move);
+  /// Advances one period. may_move: the arm is ENABLED and the tool link alive. periods: how many
+  /// have passed; the jaw does not make up for more than one.
+  void advance(bool may_move, int periods = 1);
 
   double setpoint() const { return set_; }  ///< [rad]; not a number until measured
   bool busy() const { return busy_; }

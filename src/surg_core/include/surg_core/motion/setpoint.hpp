@@ -72,8 +72,9 @@ class Setpoint {
   /// longer move against it; a profile that does is stopped (F25).
   void yield_to(const Vector3& push_R);
 
-  /// Advances real time by T: the age of stream samples and their delay.
-  void elapse(double T);
+  /// Advances real time by T: the age of stream samples and their delay. heard: samples could
+  /// arrive; otherwise a stream is not overdue for it.
+  void elapse(double T, bool heard = true);
   /// Advances the set-point by dt <= T of its own clock.
   void advance(double dt);
 

@@ -25,8 +25,9 @@ class StreamInput {
   /// its sender (0: none). 'from': the present state; notch and delay lead from there.
   void begin(const Values& x, const State& from, double age, std::int64_t stamp_ns);
   void add(const Values& x, double age, std::int64_t stamp_ns);
-  /// Advances real time by T, one control period.
-  void elapse(double T);
+  /// Advances real time by T, one control period. heard: samples could arrive; otherwise the
+  /// stream is not overdue for it.
+  void elapse(double T, bool heard = true);
   /// Where the stream is 'ahead' seconds from now. After an overdue sample: at rest at the last
   /// one.
   State target(double ahead) const;
@@ -43,6 +44,7 @@ class StreamInput {
   Values last_{};
   double now_ = 0;      ///< [s] real time from an arbitrary origin
   double arrival_ = 0;  ///< [s] of the last sample
+  double unheard_ = 0;  ///< [s] since the last sample in which none could arrive
   double tick_ = 0;     ///< [s] the control period
 };
 

@@ -22,9 +22,10 @@ class ForceGuard {
   ForceGuard() = default;
   explicit ForceGuard(const Limits& limits);
 
-  /// Call it once per cycle. kYield: above the soft limit; kPause: above it for kPatience; kStop:
-  /// trocar load; kHalt: above the hard limit, or not finite (contact geometry unknown).
-  Verdict judge(const ForceSample& tip, const ForceSample& trocar, double dt);
+  /// Call it once per cycle, 'periods' of dt [s] after the last time. kYield: above the soft limit;
+  /// kPause: above it for kPatience; kStop: trocar load; kHalt: above the hard limit, or not finite
+  /// (contact geometry unknown).
+  Verdict judge(const ForceSample& tip, const ForceSample& trocar, double dt, int periods = 1);
   /// Restarts the time above the soft limit, so that an arm in contact can move away.
   void restart() { above_ = 0; }
   /// Whether the measured forces are below their fault levels.
@@ -37,7 +38,7 @@ class ForceGuard {
 
  private:
   double soft_ = 0, hard_ = 0, warn_ = 0, fault_ = 0;
-  int above_ = 0;                   // cycles since the soft limit was passed
+  int above_ = 0;                   // periods since the soft limit was passed
   Vector3 push_ = Vector3::Zero();  // unit direction of the force on the tip; zero: free
   bool warns_ = false;
   bool acceptable_ = true;

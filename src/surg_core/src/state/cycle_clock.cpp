@@ -1,0 +1,36 @@
+#include "surg_core/state/cycle_clock.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace surg {
+namespace {
+
+constexpr double kExcessTime = 0.5;  // [s] time constant of the average
+constexpr double kRounding = 1e-9;   // [periods]
+
+}  // namespace
+
+void CycleClock::advance(double elapsed) {
+  const double longest = kMostPeriods * period_;
+  elapsed_ = elapsed == 0 ? period_ : elapsed;
+  if (!(elapsed_ <= longest)) elapsed_ = longest;  // also where it is not a number
+  elapsed_ = std::max(elapsed_, 0.0);
+
+  const double length = elapsed_ / period_;
+  // A cycle that comes a little late or early is one period. Only a whole one more is made up for.
+  rest_ = std::max(rest_ + elapsed_ - period_, 0.0);
+  const int missed = static_cast<int>(std::floor(rest_ / period_ + kRounding));
+  rest_ = std::max(rest_ - missed * period_, 0.0);
+  periods_ = 1 + missed;
+
+  const bool late = length > kLate + kRounding;
+  n_late_ += static_cast<int>(late) - late_[at_];
+  late_[at_] = late;
+  at_ = (at_ + 1) % kWindow;
+  in_a_row_ = length > kLong + kRounding ? in_a_row_ + 1 : 0;
+  const double share = std::min(elapsed_ / kExcessTime, 1.0);
+  excess_ += share * (elapsed_ - period_ - excess_);
+}
+
+}  // namespace surg
