@@ -25,6 +25,7 @@ bool finite(const MotionCommand& command) {
 
 void Controller::Impl::catch_up() {
   catching_up = true;
+  handler.setpoint().set_period(std::max(clock.elapsed(), T + 4 * clock.excess()));
   for (int i = 1; i < clock.periods(); ++i) {
     handler.setpoint().elapse(T, false);
     arm.record_command(qd_last);
@@ -32,9 +33,12 @@ void Controller::Impl::catch_up() {
     // Behind a longer gap the arm takes up nothing where it was left, see guard_lateness.
     Reason progress = Reason::kNone;
     const bool follows = clock.periods() <= CycleClock::kCatchUp && follows_setpoint();
-    if (follows && law != Law::kExact && handler.setpoint().mode() == Setpoint::Mode::kStopping) {
+    Setpoint& setpoint = handler.setpoint();
+    if (follows && setpoint.is_reactive() && law == Law::kExact && clock.periods() == 2) {
+      setpoint.coast(T);
+      follower.coast();
+    } else if (follows && law != Law::kExact && setpoint.mode() == Setpoint::Mode::kStopping) {
       // The velocity form's ramp has no path to make up for: it goes on as the arm does.
-      Setpoint& setpoint = handler.setpoint();
       setpoint.resync(setpoint.p_RTip() + T * setpoint.v_RTip(), setpoint.v_RTip());
     } else if (follows) {
       const Step step = advance_motion(unused);

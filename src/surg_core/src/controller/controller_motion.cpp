@@ -135,7 +135,7 @@ Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
 JointVector Controller::Impl::follow(const Step& step) {
   const JointVector dq = T * step.qd;
   if (catching_up) {
-    follower.coast(dq);
+    follower.skip(dq);
     return qd_last;
   }
   return follower.advance(dq, arm.measured().q, arm.measured().J, feedback_scale(), clock.rest());

@@ -41,11 +41,18 @@ JointVector ExactFollower::push_reference(const JointVector& dq) {
   return v;
 }
 
-void ExactFollower::coast(const JointVector& dq) {
+void ExactFollower::skip(const JointVector& dq) {
   v_last_ = push_reference(dq);
   q_ref_ += dq;
   phi_ += options_.T * (delayed_reference().a - options_.gain * phi_);
   rejoins_ = true;
+}
+
+void ExactFollower::coast() {
+  const bool rejoins = rejoins_;
+  skip(options_.T * v_last_);
+  rejoins_ = rejoins;  // the correction goes on as well
+  settling_ = kSettling;
 }
 
 void ExactFollower::take_up(const JointVector& qd) {

@@ -206,6 +206,15 @@ void Setpoint::resync(const Vector3& p_RTip, const Vector3& v_RTip) {
   }
 }
 
+void Setpoint::coast(double dt) {
+  const Vector3 p_before = p_RTip();
+  for (int i = 0; i < 4; ++i) {
+    dofs_[i] = {dofs_[i].x + dt * dofs_[i].v, dofs_[i].v, 0};
+    filters_[i].reset(dofs_[i]);
+  }
+  restrict_step(p_before);
+}
+
 void Setpoint::come_to_rest() {
   mode_ = Mode::kRest;
   if (move_after_stop_ && !plan(target_space_, target_)) mode_ = Mode::kRest;
@@ -282,7 +291,7 @@ void Setpoint::advance_stream(double dt) {
   // stop begins or continues; it was possible before.
   auto next = filters_;
   const Dofs target = input_.target(dt);
-  for (int i = 0; i < 4; ++i) next[i].step(target[i], dt);
+  for (int i = 0; i < 4; ++i) next[i].step(target[i], dt, period_);
   at_wall_ = stop_leaves_workspace(next);
   for (int i = 0; i < 4; ++i) {
     if (at_wall_ && i < 3) {

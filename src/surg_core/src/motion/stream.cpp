@@ -94,7 +94,7 @@ StreamFilter::StreamFilter(const DofLimits& limits) : limits_(limits) {
 
 void StreamFilter::reset(const Kinematic& state) { state_ = state; }
 
-void StreamFilter::step(const Kinematic& target, double T) {
+void StreamFilter::step(const Kinematic& target, double T, double period) {
   if (!(T > 0) || !(limits_.velocity > 0)) return;
   const double V = limits_.velocity, A = limits_.acceleration, J = limits_.jerk;
   const Kinematic& own = state_;
@@ -103,7 +103,7 @@ void StreamFilter::step(const Kinematic& target, double T) {
   const double v1 = own.v + T * own.a;
   // A target that is not finite means: come to rest.
   const bool known = std::isfinite(target.x) && std::isfinite(target.v);
-  const double slower = std::min(1.0, kFastestGain / (kVelocityGain * T));
+  const double slower = std::min(1.0, kFastestGain / (kVelocityGain * std::max(T, period)));
   const double wish =
       known ? target.v + approach(target.x - x1, slower * kPositionGain, kAccelerationShare * A)
             : 0.0;

@@ -126,13 +126,12 @@ class TimedBench {
     return command;
   }
   void servo_cv(const Vector3& v) { send(Motion::kServoCv).p = v; }
-  /// taken: when [s], which its stamp says; before the bench began: it has no stamp.
-  void servo_cp(const Vector3& p_RTip, double taken = -1) {
+  MotionCommand& servo_cp(const Vector3& p_RTip) {
     MotionCommand& command = send(Motion::kServoCp);
     command.p = p_RTip;
-    command.stamp_ns = taken < 0 ? 0 : 1 + std::llround(1e9 * taken);
     const Vector3 s_B = controller_.X_BR().linear() * p_RTip.normalized();
     command.rotation = controller_.tool_orientation(s_B, 0);
+    return command;
   }
   /// From now on states take that many cycles to arrive.
   void delay_states(std::size_t cycles) { states_late_ = cycles; }

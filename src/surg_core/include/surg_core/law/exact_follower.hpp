@@ -57,7 +57,9 @@ class ExactFollower {
   JointVector advance(const JointVector& dq, const JointVector& q, const Jacobian& J = {},
                       double feedback_scale = 1, double since = 0);
   /// Advances the reference by dq over a period that passed without a command.
-  void coast(const JointVector& dq);
+  void skip(const JointVector& dq);
+  /// The same at constant velocity, as the arm moves meanwhile.
+  void coast();
   /// Continues from another last command [rad/s] than the follower gave.
   void take_up(const JointVector& qd);
   /// Velocity of the reference in the last period [rad/s].

@@ -68,6 +68,11 @@ class Setpoint {
   /// harder than the joints can follow would otherwise leave the tip behind.
   void resync(const Vector3& p_RTip, const Vector3& v_RTip);
 
+  /// Whether the motion is planned from cycle to cycle, without a profile.
+  bool is_reactive() const { return mode_ == Mode::kStream || has_no_path(); }
+  /// For such a motion: goes on at constant velocity, as the arm does while no command comes.
+  void coast(double dt);
+
   /// Sets the unit direction of the force on the tip, zero for none. Streams and velocities no
   /// longer move against it; a profile that does is stopped (F25).
   void yield_to(const Vector3& push_R);
@@ -75,6 +80,8 @@ class Setpoint {
   /// Advances real time by T: the age of stream samples and their delay. heard: samples could
   /// arrive; otherwise a stream is not overdue for it.
   void elapse(double T, bool heard = true);
+  /// At which cycles come [s], if they are late: a stream is followed more softly then.
+  void set_period(double period) { period_ = period; }
   /// Advances the set-point by dt <= T of its own clock.
   void advance(double dt);
 
@@ -137,6 +144,7 @@ class Setpoint {
   std::array<double, 4> target_{};
   Space target_space_ = Space::kCartesian;
   double tick_ = 0;              ///< the control period [s]
+  double period_ = 0;            ///< at which late cycles come [s]
   double clock_rate_ = 1;        ///< the set-point's time per real time in the last advance
   double profile_duration_ = 0;  ///< base duration of the present profile [s]
   Profiler profiler_;

@@ -34,8 +34,9 @@ class StreamFilter {
   explicit StreamFilter(const DofLimits& limits);
   void reset(const Kinematic& state);
   /// One tick of T seconds towards a target predicted one tick ahead. Never exceeds the velocity,
-  /// acceleration and jerk limits. Comes to rest if the target is not finite.
-  void step(const Kinematic& target, double T);
+  /// acceleration and jerk limits. Comes to rest if the target is not finite. period [s]: at which
+  /// ticks come, if they are longer than T; then the gains are lower.
+  void step(const Kinematic& target, double T, double period = 0);
   /// One tick of the hardest braking inside the limits, down to standstill. It stops where
   /// Braking::stop predicts, to within |v| T + |a| T^2, because jerk changes only between ticks.
   void brake(double T);
