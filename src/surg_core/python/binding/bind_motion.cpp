@@ -260,7 +260,7 @@ void bind_stream(py::module_& testing) {
       "Follows a stream of targets within velocity, acceleration and jerk limits.")
       .def(py::init<const DofLimits&>(), py::arg("limits"))
       .def("reset", &StreamFilter::reset, py::arg("state"))
-      .def("step", &StreamFilter::step, py::arg("target"), py::arg("T"),
+      .def("step", &StreamFilter::step, py::arg("target"), py::arg("T"), py::arg("period") = 0.0,
            "One tick of T seconds towards a target predicted one tick ahead.")
       .def("brake", &StreamFilter::brake, py::arg("T"),
            "One tick of the hardest braking inside the limits.")
