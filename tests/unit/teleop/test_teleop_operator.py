@@ -12,7 +12,15 @@ from surg_core.arm_view import ArmCommands, ArmState, ArmView, JawRange, TipPose
 from surg_core.contract import SECOND_NS, TICK_NS
 from surg_teleop.playback.motion_file import Motion, read_motion
 from surg_teleop.playback.motion_plan import make_plan
-from surg_teleop.playback.motion_player import HOLD, JAW_EVERY, Mode, MotionPlayer, Stage
+from surg_teleop.playback.motion_player import (
+    HOLD,
+    JAW_EVERY,
+    REST,
+    RESTARTS,
+    Mode,
+    MotionPlayer,
+    Stage,
+)
 from surg_teleop.playback.workspace_fit import Workspace
 
 WORKSPACE = Workspace(depth_min=0.030, depth_max=0.220, cone=1.0472)
@@ -22,7 +30,10 @@ POSES = 20_000 if os.environ.get("SURG_TEST_FULL", "") not in ("", "0") else 1_0
 
 @dataclass
 class FakeArm:
-    """An arm that obeys at once, a few cycles late, or never."""
+    """An arm that obeys at once, a few cycles late, or never.
+
+    It refuses the poses of a stream whose number, counted from 0, is in ``refuses``.
+    """
 
     deaf_to: frozenset[str] = frozenset()
     move_cycles: int = 200
@@ -32,7 +43,11 @@ class FakeArm:
     busy: int = 0
     p: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, 0.12]))
     reason: str = ""
+    refuses: range = range(0)
+    streamed: int = 0
+    refused: int = 0
     received: list[ArmCommands] = field(default_factory=list)
+    accepted: list[np.ndarray] = field(default_factory=list)
 
     def feedback(self) -> ArmView:
         return ArmView(
@@ -41,7 +56,8 @@ class FakeArm:
             homed=self.homed,
             busy=self.busy > 0,
             reason=self.reason,
-            refused=0,
+            refused=self.refused,
+            accepted=len(self.accepted),
             p_BSet=self.p,
             p_BTip=self.p,
             R_BR=np.eye(3),
@@ -59,7 +75,15 @@ class FakeArm:
         if commands.move_cp is not None and "move_cp" not in self.deaf_to:
             self.busy, self.p = self.move_cycles, commands.move_cp.p
         if commands.servo_cp is not None:
-            self.p = commands.servo_cp.p
+            self._stream(commands.servo_cp.p)
+
+    def _stream(self, p: np.ndarray) -> None:
+        self.streamed += 1
+        if self.streamed - 1 in self.refuses:
+            self.refused += 1
+            return
+        self.p = p
+        self.accepted.append(p)
 
 
 def motion(seconds: float = 2.0) -> Motion:
@@ -228,6 +252,49 @@ def test_refused_commands_are_counted_during_the_stream_only() -> None:
         refused = 3 + (arm.tick > 900) * 4
         arm.step(op.tick(replace(arm.feedback(), refused=refused)))
     assert op.refused == 4
+
+
+def assert_every_pose_was_accepted(op: MotionPlayer, arm: FakeArm) -> None:
+    """On the path, without a hole, to its end."""
+    assert op.stage is Stage.DONE, op.reason
+    steps = np.linalg.norm(np.diff(arm.accepted, axis=0), axis=1)
+    fastest = 0.06  # [m/s] of motion()
+    assert steps.max() <= fastest * TICK_NS / SECOND_NS
+    assert np.array_equal(arm.accepted[-1], op.plan.at(op.plan.duration)[0])
+
+
+def test_a_refused_pose_is_sent_again_until_it_is_accepted() -> None:
+    op, arm = operator(), FakeArm(refuses=range(300, 390))
+    stages = play(op, arm)
+    assert stages.count(Stage.MOVE) == 1
+    assert_every_pose_was_accepted(op, arm)
+    sent = [c.servo_cp.p for c in arm.received if c.servo_cp is not None]
+    # The first answer to a refused pose comes a cycle later.
+    assert all(np.array_equal(p, sent[301]) for p in sent[302:390])
+    assert op.refused == 90
+    assert op.slowed_ns == pytest.approx(90 * TICK_NS, abs=2 * TICK_NS)
+    assert op.first_refusal is not None
+    assert op.first_refusal[0] == pytest.approx(0.6, abs=0.005)
+
+
+def test_a_stream_that_was_refused_for_longer_is_taken_up_from_rest() -> None:
+    op, arm = operator(), FakeArm(refuses=range(300, 450))
+    stages = play(op, arm)
+    assert stages.count(Stage.MOVE) == 2  # 0.2 s of refusals end the first stream
+    assert_every_pose_was_accepted(op, arm)
+    moves = [k for k, c in enumerate(arm.received) if c.move_cp is not None]
+    for k in moves[1:]:  # any stream is over before the arm is asked to move
+        silent = arm.received[k - REST // TICK_NS + 1 : k]
+        assert all(c.servo_cp is None for c in silent)
+
+
+def test_a_motion_that_is_refused_for_ever_fails_with_time_and_line() -> None:
+    op, arm = operator(), FakeArm(refuses=range(300, 10**6), reason="outside_workspace")
+    play(op, arm)
+    assert op.stage is Stage.FAILED
+    assert sum(c.move_cp is not None for c in arm.received) == RESTARTS + 1
+    assert op.first_refusal == (pytest.approx(0.6, abs=0.005), "outside_workspace")
+    assert op.plan.place(op.clock) in op.reason
 
 
 def test_tip_pose_is_minimal_rotation_times_roll() -> None:

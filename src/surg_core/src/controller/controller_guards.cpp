@@ -13,6 +13,7 @@ constexpr double kDelayDecay = 0.5;   // [s] time constant of the recent state a
 constexpr double kDampedLoop = 0.6;   // gain times delay of a loop that is well damped
 constexpr double kVelocitySlack = 0.05;  // [rad/s] measured velocities are noisy
 constexpr int kUnexplained = 5;          // [cycles] of a motion that no command explains
+constexpr double kSofter = 4;            // times what the cycles are too long on average
 constexpr double kRoundTrip = 2.0;       // a link with late states also executes late
 
 bool finite(const MotionCommand& command) {
@@ -25,7 +26,7 @@ bool finite(const MotionCommand& command) {
 
 void Controller::Impl::catch_up() {
   catching_up = true;
-  handler.setpoint().set_period(std::max(clock.elapsed(), T + 4 * clock.excess()));
+  handler.setpoint().set_period(std::max(clock.elapsed(), T + kSofter * clock.excess()));
   for (int i = 1; i < clock.periods(); ++i) {
     handler.setpoint().elapse(T, false);
     arm.record_command(qd_last);
