@@ -527,8 +527,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "retrace_frees_the_arm",
         "F26: another node's move is accepted in the middle of the way back",
         "src/controller/controller.cpp",
-        "at_rest && !self.handler.busy() && !self.jaw.busy()",
-        "at_rest && !self.jaw.busy()",
+        "at_rest && !handler.busy() && !jaw.busy()",
+        "at_rest && !jaw.busy()",
         ("test_motion_ends",),
     ),
     one(

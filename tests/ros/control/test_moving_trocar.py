@@ -25,8 +25,8 @@ pytestmark = [pytest.mark.ros, pytest.mark.untimed]
 CELL = paths.ROOT / "cells" / "sim_ur5e"
 STALE = 0.020
 BEGIN = 100  # tick; the trocar moves at its full speed at once
-SETTLED = 150  # ticks in which the track filter has found that speed
-KINDS = {"kinematic": "kinematic", "true": "true", "settled": "true, from 0.3 s on"}
+SETTLED = 225  # ticks in which the track filter has found that speed
+KINDS = {"kinematic": "kinematic", "true": "true", "settled": "true, from 0.45 s on"}
 MOTION = {"fault": "trocar_motion", "amplitude": 0.005, "frequency": 0.25, "axis": [0, 1, 0]}
 
 
