@@ -27,7 +27,7 @@ from std_msgs.msg import String
 import surg_core
 from crtk_msgs.msg import StringStamped
 from helpers.graph import failing_clock, socket_jitter
-from helpers.graph.control_rig import ANSWER_S, CELL, Rig, real_time, start, tip_in_rcm
+from helpers.graph.control_rig import ANSWER_S, CELL, Rig, start, tip_in_rcm
 from helpers.graph.ros import RosGraph
 from helpers.results.reactions import Reactions
 from surg_cli.graph.processes import Child

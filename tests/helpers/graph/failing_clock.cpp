@@ -1,5 +1,6 @@
 // A clock that throws, for processes that must end with a zero command: preloaded into a node, it
-// throws in the thread that waits for an absolute time (the control loop) once FAILING_CLOCK exists.
+// throws in the thread that waits for an absolute time (the control loop) once FAILING_CLOCK
+// exists.
 #include <dlfcn.h>
 #include <time.h>
 #include <unistd.h>

@@ -165,9 +165,7 @@ class SurgEnv(gymnasium.Env[dict[str, Any], Array]):
 
     def _advance(self, action: Action) -> float:
         """Tick to the next grid time or to the end; returns the reward of these ticks."""
-        commands, assistant = merge(
-            [action, *self._partner_actions], self.session.world.tick
-        )
+        commands, assistant = merge([action, *self._partner_actions], self.session.world.tick)
         reward, self._worst = 0.0, dict.fromkeys(self.session.world.arms, 0.0)
         for i in range(GRID):
             self._qpos = self.session.world.data.qpos.copy()  # a tick ends in the next one's state
