@@ -79,6 +79,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       gains{options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain,
             robot_in.tuning.tip_gain, robot_in.tuning.roll_gain},
       clock(options.dt),
+      commanded(robot_in.tuning.link_timeout, options.dt),
       authority(options.dt),
       trocar(
           {robot_in.tuning.track_noise, robot_in.tuning.track_jerk, robot_in.tuning.track_timeout}),
