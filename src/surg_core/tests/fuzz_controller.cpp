@@ -753,21 +753,26 @@ class Run {
     if (error > robot_.limits.rcm_error_fault) {
       return {"pivot", text("ENABLED %.6g m off the trocar", error)};
     }
-    // A point taught beside the shaft is where the arm starts, within the fault level: the error
-    // may only get smaller from there.
-    if (called_ || !had_before_ || before_.state != State::kEnabled) pivot_start_ = error;
-    pivot_start_ *= 1 - kT * 5;
+    // A point taught beside the shaft is where the arm starts, within the fault level. From there
+    // the error gets smaller, critically damped.
+    const auto begin = [&] {
+      pivot_start_ = error;
+      pivot_since_ = 0;
+    };
+    if (called_ || !had_before_ || before_.state != State::kEnabled) begin();
+    pivot_since_ += kT * 5;
+    const auto left = [&] { return pivot_start_ * (1 + pivot_since_) * std::exp(-pivot_since_); };
     // An arm that a limit slows down cannot follow a trocar that moves.
     const bool left_behind = options_.track_rcm && out.scale < 1;
-    if (left_behind) pivot_start_ = std::max(pivot_start_, error);
+    if (left_behind && error > left()) begin();
     late_ago_ = elapsed_ > 1 ? 0 : late_ago_ + elapsed_;
     if (late_ago_ < 1000) {  // test_cycle_time has the bounds
-      pivot_start_ = std::max(pivot_start_, error);
+      if (error > left()) begin();
       return {};
     }
-    const double allowed = kPivot[plant_kind()] + pivot_start_;
+    const double allowed = kPivot[plant_kind()] + left();
     double& worst = figures_.worst_pivot[plant_kind()][options_.track_rcm];
-    worst = std::max(worst, error - pivot_start_);
+    worst = std::max(worst, error - left());
     if (error > allowed) return {"pivot", text("%.6g m, allowed %.6g", error, allowed)};
     return {};
   }
@@ -943,7 +948,8 @@ class Run {
   int blind_for_ = 0, tool_blind_for_ = 0;
   long still_for_ = 0, stop_from_ = -1;
   Vector3 p_stop_ = Vector3::Zero();
-  double stop_bound_ = 0, v_tip_before_ = 0, pivot_start_ = 0, outside_start_ = 0;
+  double stop_bound_ = 0, v_tip_before_ = 0, pivot_start_ = 0, pivot_since_ = 0;
+  double outside_start_ = 0;
 };
 
 struct Arguments {
