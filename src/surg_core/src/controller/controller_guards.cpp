@@ -133,6 +133,10 @@ void Controller::Impl::guard_lateness(const Inputs& in) {
       follower.take_up(in.qd);
       qd_last = in.qd;
     }
+  } else if (state_known && clock.gap()) {  // it creeps as commanded, or the link has stopped it
+    const JointVector none = JointVector::Zero(qd_last.size());
+    qd_last = in.qd.cwiseMax(qd_last.cwiseMin(none)).cwiseMin(qd_last.cwiseMax(none));
+    follower.take_up(qd_last);
   }
   if (clock.overrun()) pause(Reason::kOverrun);
 }
