@@ -2,23 +2,9 @@
 
 from __future__ import annotations
 
-import functools
-import subprocess
-import tempfile
 from pathlib import Path
 
-SOURCE = Path(__file__).with_name("failing_clock.cpp")
-
-
-@functools.cache
-def library() -> str:
-    """The compiled library, built once per test process."""
-    path = Path(tempfile.mkdtemp(prefix="failing_clock_")) / "libfailing_clock.so"
-    subprocess.run(
-        ["c++", "-std=c++17", "-O1", "-shared", "-fPIC", str(SOURCE), "-o", str(path), "-ldl"],
-        check=True,
-    )
-    return str(path)
+from helpers.graph.preload import library
 
 
 def environment(trigger: Path) -> dict[str, str]:
@@ -27,4 +13,4 @@ def environment(trigger: Path) -> dict[str, str]:
     Args:
         trigger: The file.
     """
-    return {"LD_PRELOAD": library(), "FAILING_CLOCK": str(trigger)}
+    return {"LD_PRELOAD": library("failing_clock"), "FAILING_CLOCK": str(trigger)}

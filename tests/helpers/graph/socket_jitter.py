@@ -2,23 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-import subprocess
-import tempfile
-from pathlib import Path
-
-SOURCE = Path(__file__).with_name("socket_jitter.cpp")
-
-
-@functools.cache
-def library() -> str:
-    """The compiled library, built once per test process."""
-    path = Path(tempfile.mkdtemp(prefix="socket_jitter_")) / "libsocket_jitter.so"
-    subprocess.run(
-        ["c++", "-std=c++17", "-O1", "-shared", "-fPIC", str(SOURCE), "-o", str(path), "-ldl"],
-        check=True,
-    )
-    return str(path)
+from helpers.graph.preload import library
 
 
 def environment(milliseconds: float, share: float = 0.25) -> dict[str, str]:
@@ -29,7 +13,7 @@ def environment(milliseconds: float, share: float = 0.25) -> dict[str, str]:
         share: Probability that a call is delayed.
     """
     return {
-        "LD_PRELOAD": library(),
+        "LD_PRELOAD": library("socket_jitter"),
         "SOCKET_JITTER_MS": str(milliseconds),
         "SOCKET_JITTER_SHARE": str(share),
     }
