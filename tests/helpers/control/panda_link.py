@@ -113,10 +113,13 @@ class Link:
         stamp = rospy.Time.from_sec(time.time())
         status = LinkStatus(
             tick=self.tick,
+            condition=LinkStatus.ACTIVE,
             command="cartesian_velocity",
             last_command=self._stamp,
             dead_man=dead_man,
             lockstep=False,
+            speed_scaling=1.0,
+            rate=1,
         )
         tool = JointState(name=["jaw"], position=[self.jaw], velocity=[0.0])
         state = JointState(name=JOINTS, position=self.q.tolist(), velocity=self.qd.tolist())

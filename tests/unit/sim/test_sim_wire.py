@@ -50,15 +50,16 @@ def test_link_status() -> None:
     from surg_msgs.msg import LinkStatus
 
     message = LinkStatus(
-        tick=2**40, command="joint_velocity", dead_man=True, lockstep=False, fault="no state"
-    )
+        tick=2**40, condition=LinkStatus.STOPPED, command="joint_velocity", dead_man=True,
+        lockstep=False, fault="no state", speed_scaling=0.5, rate=1,
+    )  # fmt: skip
     message.header.seq = 2**40 & 0xFFFFFFFF
     message.header.stamp = rospy.Time(*divmod(STAMP_NS, SECOND_NS))
     message.last_command = rospy.Time(3, 4_000_000)
-    data = bridge_messages.pack_link_status(
-        STAMP_NS, 2**40, "joint_velocity", 3_004_000_000, True, False, "no state"
+    says = bridge_messages.LinkSays(
+        LinkStatus.STOPPED, "joint_velocity", 3_004_000_000, True, False, "no state", 0.5
     )
-    assert data == serialised(message)
+    assert says.pack(STAMP_NS, 2**40) == serialised(message)
 
 
 def test_point_velocity() -> None:

@@ -58,9 +58,10 @@ class ArmTopics:
         self, arm: surg_core.Arm, lockstep: bool, track_stale: float, receive: Receiver
     ) -> None:
         self.name: str = arm.name
-        self.command = arm.robot.command.name.lower()
+        self.command = ""  # obeyed; a simulated link takes whichever comes
         self.layout = bridge_messages.JointStateLayout(list(arm.robot.joint_names))
         self.last_command_ns = 0
+        self.said: bridge_messages.LinkSays | None = None  # the last status, without its stamps
         self.arrived: dict[str, LatestValue[Arrival]] = {
             link: LatestValue() for link in ("robot", "tool")
         }

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -46,25 +47,32 @@ class JointStateLayout:
         return b"".join((header(seq, stamp_ns), self._names, *values, b"\0\0\0\0"))
 
 
-def pack_link_status(
-    stamp_ns: int,
-    tick: int,
-    command: str,
-    last_command_ns: int,
-    dead_man: bool,
-    lockstep: bool,
-    fault: str,
-) -> bytes:
-    """A surg_msgs/LinkStatus as bytes."""
-    return b"".join(
-        (
-            header(tick, stamp_ns),
-            struct.pack("<Q", tick),
-            text(command),
-            struct.pack("<2I2B", *divmod(last_command_ns, SECOND_NS), dead_man, lockstep),
-            text(fault),
+@dataclass(frozen=True)
+class LinkSays:
+    """What a link says of itself beside the tick; members as in surg_msgs/LinkStatus."""
+
+    condition: int
+    command: str
+    last_command_ns: int
+    dead_man: bool
+    lockstep: bool
+    fault: str
+    speed_scaling: float = 1.0
+
+    def pack(self, stamp_ns: int, tick: int) -> bytes:
+        """A surg_msgs/LinkStatus as bytes; a simulated arm has no serial number."""
+        return b"".join(
+            (
+                header(tick, stamp_ns),
+                struct.pack("<QB", tick, self.condition),
+                text(self.command),
+                struct.pack("<2I", *divmod(self.last_command_ns, SECOND_NS)),
+                struct.pack("<2B", self.dead_man, self.lockstep),
+                text(self.fault),
+                text(""),
+                struct.pack("<dB", self.speed_scaling, 1),
+            )
         )
-    )
 
 
 def pack_point_velocity(

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import rospy
 from rosgraph_msgs.msg import Clock
 
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_msgs.msg import GroundTruth, Ready, SimSnapshot
+from surg_msgs.msg import GroundTruth, LinkStatus, Ready, SimSnapshot
 from surg_ros.transport.direct_publisher import DirectPublisher, listeners
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.arm_topics_node import ArmTopics
 from surg_sim.nodes.exposure_schedule import ExposureSchedule
 from surg_sim.nodes.fault_injector import Injector
 from surg_sim.nodes.task_topics_node import TaskTopics
+from surg_sim.physics.sim_arm import ArmLink
 from surg_sim.physics.world import World
 
+_STATUS_TICKS = 10
+"""50 Hz."""
 _JAW = bridge_messages.JointStateLayout(["jaw"])
 
 
@@ -85,12 +89,7 @@ class StatePublisher:
             angle, velocity = jaw
             arm.tool.send(_JAW.pack(tick, stamp_ns, np.array([angle]), np.array([velocity])))
         if arm.status.connections and injector.speaks(arm.name):
-            last, stopped = arm.last_command_ns, link.dead_man
-            arm.status.send(
-                bridge_messages.pack_link_status(
-                    stamp_ns, tick, arm.command, last, stopped, self._lockstep, link.fault
-                )
-            )
+            self._publish_status(arm, link, tick, stamp_ns)
         observation = None if arm.track is None else injector.track(arm.name, arm.stale)
         if arm.track is not None and observation is not None:
             observed_tick, *motion = observation
@@ -99,6 +98,21 @@ class StatePublisher:
             arm.track.send(
                 bridge_messages.pack_point_velocity(observed_ns, tick, arm.frame, *motion)
             )
+
+    def _publish_status(self, arm: ArmTopics, link: ArmLink, tick: int, stamp_ns: int) -> None:
+        """The link's status: in lock-step part of every tick, else on change and at 50 Hz."""
+        says = bridge_messages.LinkSays(
+            condition=LinkStatus.ACTIVE,
+            command=arm.command,
+            last_command_ns=arm.last_command_ns,
+            dead_man=link.dead_man,
+            lockstep=self._lockstep,
+            fault=link.fault,
+        )
+        unchanged = replace(says, last_command_ns=0)
+        if self._lockstep or tick % _STATUS_TICKS == 0 or unchanged != arm.said:
+            arm.said = unchanged
+            arm.status.send(says.pack(stamp_ns, tick))
 
     def unconnected(
         self, observers: Sequence[str], ready: set[str], controllers: Mapping[str, set[str]]
