@@ -436,7 +436,10 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("FORCE", Reason::kForce)
       .value("MASTER_LOST", Reason::kMasterLost)
       .value("NOT_AT_REST", Reason::kNotAtRest)
-      .value("LATE", Reason::kLate);
+      .value("LATE", Reason::kLate)
+      .value("NO_ELBOW", Reason::kNoElbow)
+      .value("ELBOW_OUT_OF_REACH", Reason::kElbowOutOfReach)
+      .value("TOOL_WHILE_ENABLED", Reason::kToolWhileEnabled);
   py::enum_<TrackWarning>(m, "TrackWarning", "What is wrong with rcm/track.")
       .value("NONE", TrackWarning::kNone)
       .value("OUTLIER", TrackWarning::kOutlier)

@@ -112,6 +112,17 @@ Text text(Reason reason) {
       return {"late",
               "it answers what the arm said before it stopped, so it was held up on its way: begin "
               "again from the newest setpoint_cp; look at the network or at the sender"};
+    case Reason::kNoElbow:
+      return {"no_elbow",
+              "the elbow cannot be chosen: only an arm of seven joints that takes joint velocities "
+              "and runs the exact form can turn it without moving the tip"};
+    case Reason::kElbowOutOfReach:
+      return {"elbow_out_of_reach",
+              "the elbow cannot turn that far with the tip where it is: ask for an angle nearer to "
+              "elbow/measured_js, or move the tip first"};
+    case Reason::kToolWhileEnabled:
+      return {"tool_while_enabled",
+              "the tool may only be changed while DISABLED: withdraw it, then send 'disable' first"};
   }
   return {"unknown", ""};
 }

@@ -42,6 +42,9 @@ enum class Reason : std::uint8_t {
   kMasterLost,         // F07 enable and resume without a ROS master
   kNotAtRest,          // home, unhome or rcm/set_cp while the arm is still coming to rest
   kLate,               // F03 it answers what the arm said before its last stop
+  kNoElbow,            // elbow/move_jp to an arm without a null space of its own
+  kElbowOutOfReach,    // elbow/move_jp refused, or a report: a limit holds the elbow on its way
+  kToolWhileEnabled,   // tool/mount refused: only DISABLED and at rest
 };
 
 /// One sentence for people: what is wrong and what to do.

@@ -76,6 +76,9 @@ class Reason(enum.Enum):
     MASTER_LOST = 30
     NOT_AT_REST = 31
     LATE = 32
+    NO_ELBOW = 33
+    ELBOW_OUT_OF_REACH = 34
+    TOOL_WHILE_ENABLED = 35
     def __int__(self) -> int: ...
 
 class State(enum.Enum):
