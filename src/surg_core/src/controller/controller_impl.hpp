@@ -148,6 +148,7 @@ struct Controller::Impl {
   bool follows_setpoint() const;
   /// One period of the set-point and of the arm behind it.
   Step advance_motion(JointVector& qd);
+  void yield_return();
   void advance_setpoint(const Step& step, const Setpoint& next);
   void output_command(JointVector qd, bool moving);
   Step next_step(const Setpoint& next, JointVector& qd);

@@ -12,6 +12,7 @@ constexpr double kMaxFlangeLead = 0.5;  // of the flange's speed, so that the re
 constexpr double kPivotOffsetPole = 8;  // [1/s] pole of the convergence to the pivot after a start
 constexpr double kHorizon = 0.45;       // [s] of look-ahead on the set-point's clock
 constexpr double kRetraceRate = 0.15;   // [rad/s] of the fastest joint
+constexpr double kOffPath = 1e-6;       // [m] of the reference's tip beside its set-point
 constexpr double kNegligible = 1e-3;    // [rad, rad/s]
 constexpr double kRetraceSettles =
     1.0;  // [s] at the trace's beginning; a moving trocar never rests
@@ -33,6 +34,8 @@ void Controller::Impl::move() {
     halt();
   } else if (follows_setpoint()) {
     moving = true;
+    setpoint.yield_to(X_BR.linear().transpose() * force.push());
+    if (law == Law::kExact) yield_return();
     const Vector3 p_before = setpoint.p_RTip();
     const Step step = advance_motion(qd);
     out.scale = step.alpha;
@@ -57,12 +60,23 @@ bool Controller::Impl::follows_setpoint() const {
 
 Step Controller::Impl::advance_motion(JointVector& qd) {
   Setpoint& setpoint = handler.setpoint();
-  setpoint.yield_to(X_BR.linear().transpose() * force.push());
   Setpoint next = setpoint;
   next.advance(T);
   const Step step = next_step(next, qd);
   if (!retrace_active) advance_setpoint(step, next);  // a retrace has moved it already
   return step;
+}
+
+/// A reference that a limit moved off its path does not return against a force on the tip (F25).
+/// (Velocity form: see velocity_twist.)
+void Controller::Impl::yield_return() {
+  Setpoint& setpoint = handler.setpoint();
+  const Vector3 push_R = X_BR.linear().transpose() * force.push();
+  if (push_R.isZero(0) || handler.retracing()) return;
+  const Pose X_BF = arm.chain().forward(follower.reference());
+  const Vector3 p_RTip = X_BR.inverse() * (X_BF * arm.tool().p_FTip);
+  const double back = (setpoint.p_RTip() - p_RTip).dot(push_R);
+  if (back < -kOffPath) setpoint.shift(-back * push_R);
 }
 
 /// Advances the set-point's clock as far as the arm can follow. 'next' is one whole cycle later.

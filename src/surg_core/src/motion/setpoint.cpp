@@ -262,16 +262,25 @@ void Setpoint::restrict_step(const Vector3& p_before) {
   const Vector3 s = p_before / depth, moved = p_RTip() - p_before;
   Vector3 step = s * s.dot(moved) + fade * (moved - s * s.dot(moved));
   step -= std::min(0.0, step.dot(push_R_)) * push_R_;
-  const Vector3 p = p_before + step;
+  place_tip(p_before + step);
+}
+
+/// Keeps the velocity.
+void Setpoint::place_tip(const Vector3& p_RTip) {
   if (space_ == Space::kCartesian) {
-    for (int i = 0; i < 3; ++i) dofs_[i].x = p[i];
+    for (int i = 0; i < 3; ++i) dofs_[i].x = p_RTip[i];
   } else {
-    const Eigen::Vector2d angles = shaft_angles(p.normalized());
+    const Eigen::Vector2d angles = shaft_angles(p_RTip.normalized());
     dofs_[0].x = angles[0];
     dofs_[1].x = angles[1];
-    dofs_[2].x = p.norm();
+    dofs_[2].x = p_RTip.norm();
   }
   for (int i = 0; i < 3; ++i) filters_[i].reset(dofs_[i]);
+}
+
+void Setpoint::shift(const Vector3& by_R) {
+  if (mode_ == Mode::kProfile) stop();
+  place_tip(p_RTip() + by_R);
 }
 
 void Setpoint::elapse(double T, bool heard) {

@@ -71,6 +71,40 @@ TEST(ControllerLimits, F25TheTipsFollowUpYieldsInTheVelocityFormToo) {
   }
 }
 
+TEST(ControllerLimits, F25TheWayBackToThePathYieldsInTheExactFormToo) {
+  RobotConfig weak = Bench::robot_with_lag(0);
+  weak.acceleration.setConstant(5);
+  for (const double side : {-1.0, 1.0}) {  // the force stands against the way back, or helps
+    Bench bench({}, 0, 0, 0, &weak);
+    for (int i = 0; i < 650; ++i) {  // too fast for the joints: the tip leaves its path
+      const double t = i * test::kT;
+      bench.servo_cp(Vector3(0.02 * std::sin(10 * t), 0.02 * std::sin(7 * t), 0.12));
+      bench.tick();
+    }
+    for (int i = 0; i < 200; ++i) bench.tick();  // the stream ends, the set-point comes to rest
+    const auto tip_in_R = [&] { return bench.tip_in_R(); };
+    const Vector3 off = bench.controller().X_BR().inverse() * bench.out().p_set - tip_in_R();
+    ASSERT_GT(off.norm(), 3e-4);
+    const Vector3 back = off.normalized();
+    bench.in().tip_force = {true, Vector3(6 * side * (bench.controller().X_BR().linear() * back))};
+    Vector3 last = tip_in_R();
+    double most = -1, fastest_set = 0;  // [m/s] of the way back once braked, of the set-point
+    for (int k = 0; k < 45; ++k) {
+      const Outputs& out = bench.tick();
+      if (k > 10) most = std::max(most, (tip_in_R() - last).dot(back) / test::kT);
+      last = tip_in_R();
+      fastest_set = std::max(fastest_set, out.v_set.norm());
+      ASSERT_EQ(out.state, State::kEnabled);
+    }
+    EXPECT_LT(fastest_set, 1e-6);
+    if (side < 0) {
+      EXPECT_LT(most, 1e-4);
+    } else {
+      EXPECT_GT(most, 1e-3);
+    }
+  }
+}
+
 TEST(ControllerLimits, AWeakArmStartsBackToItsSetPointFromRest) {
   for (const Law law : {Law::kVelocity, Law::kExact}) {
     Controller::Options options;

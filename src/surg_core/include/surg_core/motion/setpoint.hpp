@@ -76,6 +76,8 @@ class Setpoint {
   /// Sets the unit direction of the force on the tip, zero for none. Streams and velocities no
   /// longer move against it; a profile that does is stopped (F25).
   void yield_to(const Vector3& push_R);
+  /// Moves the set-point by by_R [m] at once; a profile is stopped.
+  void shift(const Vector3& by_R);
 
   /// Advances real time by T: the age of stream samples and their delay. heard: samples could
   /// arrive; otherwise a stream is not overdue for it.
@@ -123,6 +125,7 @@ class Setpoint {
   void advance_stopping(double dt);
   bool plan_leaves_workspace() const;
   void restrict_step(const Vector3& p_before);
+  void place_tip(const Vector3& p_RTip);
   bool stop_leaves_workspace(const std::array<StreamFilter, 4>& filters) const;
   bool leaves_workspace(const Vector3& to) const;
   bool farther_outside(const Vector3& p_RTip) const;
