@@ -39,6 +39,7 @@ COMMANDS = {
     "keys": Command("learn", "make_keys", "make key pairs for a model server and its policies"),
     "calibrate": Command("robot", "calibrate", "solve tool and trocar from recorded poses"),
     "check-frames": Command("robot", "check_frames", "compare commanded and observed tip motion"),
+    "robot": Command("robot", "robot", "measure the lag of a running cell's arms"),
     "ptp": Command("robot", "ptp", "synchronise the clocks of two machines", needs_workspace=False),
     "setup": Command("develop", "setup", "install packages and .venv", needs_workspace=False),
     "build": Command("develop", "setup", "set up and build the workspace", needs_workspace=False),

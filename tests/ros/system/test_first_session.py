@@ -218,10 +218,12 @@ def test_the_page_is_done_line_by_line(session: Session) -> None:
     out, inside = (answer for _, answer in steps["Insert"])
     assert out["joints"][2] == pytest.approx(-0.010, abs=1e-3)
     assert inside["joints"][2] == pytest.approx(0.030, abs=1e-3)
-    to_point, to_joints, jaw = (answer for _, answer in steps["Work"])
+    to_point, to_joints, jaw, lag = (answer for _, answer in steps["Work"])
     assert to_point["tip"] == pytest.approx([0.02, 0.0, 0.1], abs=1e-3)
     assert to_joints["joints"] == pytest.approx([0.2, -0.1, 0.11, 0.5], abs=5e-3)
     assert jaw["jaw"] == pytest.approx([0.5], abs=0.02)
+    measured, stated = (float(ms) for ms in re.findall(r"([0-9.]+) ms", lag))
+    assert measured == pytest.approx(stated, abs=3.0)
     out, off = (answer for _, answer in steps["Withdraw"])
     assert out["joints"][2] == pytest.approx(-0.010, abs=1e-3)
     assert out["jaw"] == pytest.approx([0.5], abs=0.02), "the jaw stays as it was"

@@ -40,7 +40,7 @@ def main(options: argparse.Namespace, command: str) -> int:
     _refuse(config, cell, options.arm)
     out = paths.run_folder(options.out)
     out.mkdir(parents=True, exist_ok=True)
-    attached = _running(cell, options.port)
+    attached = running.of_cell(cell, options.port)
     params: dict[str, object] = {"cell": str(cell), "out": str(out / "check_frames.json")}
     if options.arm:
         params["arm"] = options.arm
@@ -74,17 +74,6 @@ def _refuse(config: Any, cell: Path, arm: str | None) -> None:
     if arm not in (None, *others):
         why = "it holds the endoscope" if arm in scopes else "no such arm in the cell"
         raise Problem(f"--arm {arm}: {why}; allowed: {', '.join(others)}", 2)
-
-
-def _running(cell: Path, port: int | None) -> running.System | None:
-    """The running system of the cell, if there is one."""
-    systems = [s for s in running.systems() if port in (None, s.port)]
-    if port is not None and not systems:
-        raise Problem(f"no system of this checkout runs on port {port}; see ./surg status")
-    mine = [s for s in systems if Path(s.cell) == cell and s.command in ("up", "teleop")]
-    if port is not None and not mine:
-        raise Problem(f"the system on port {port} is of {systems[0].cell}, not of {cell}")
-    return mine[0] if mine else None
 
 
 def _attached(attached: running.System, config: Any, params: dict[str, object], out: Path) -> None:

@@ -70,7 +70,8 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   reporter_ = std::make_unique<StatusReporter>(node_, arm_, setup_.limits,
                                                setup_.robot.tuning.link_lag, sources_);
   const ControllerInfo info{options_.lockstep, twist, options_.track_rcm, name_of(law.law),
-                            surg::limits_hash(setup_.robot, setup_.limits)};
+                            surg::limits_hash(setup_.robot, setup_.limits),
+                            setup_.robot.tuning.link_lag};
   publishers_ =
       std::make_unique<StatePublishers>(node_, setup_, model_, info, health_, sources_, *reporter_);
   services_ = std::make_unique<KinematicsServices>(node_, arm_, setup_.limits);

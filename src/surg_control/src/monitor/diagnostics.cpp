@@ -90,6 +90,8 @@ void Diagnostics::publish(const CycleRecord& record, double rate) {
                    number("compute_us_max", percentile(compute_us_, 1.0)),
                    count("overruns", record.overruns),
                    number("late_share", out.late_share),
+                   number("link_lag_s", out.link_lag),
+                   number("link_lag_stated_s", info_.link_lag),
                    count("accepted", out.accepted),
                    count("refused", out.refused + record.refused_by_node + record.refused_by_cycle),
                    number("rcm_error_m", out.rcm_error),

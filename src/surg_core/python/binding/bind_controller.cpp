@@ -397,12 +397,7 @@ void bind_frames(py::class_<Owned>& type) {
 
 }  // namespace
 
-void bind_operating_state(py::module_& m, py::module_& testing) {
-  py::enum_<State>(m, "State", "CRTK operating state; compare with ==, not with is.")
-      .value("DISABLED", State::kDisabled)
-      .value("ENABLED", State::kEnabled)
-      .value("PAUSED", State::kPaused)
-      .value("FAULT", State::kFault);
+void bind_reason(py::module_& m) {
   py::enum_<Reason>(m, "Reason", "Why the arm does not do what was asked.")
       .value("NONE", Reason::kNone)
       .value("NOT_HOMED", Reason::kNotHomed)
@@ -440,6 +435,19 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("NO_ELBOW", Reason::kNoElbow)
       .value("ELBOW_OUT_OF_REACH", Reason::kElbowOutOfReach)
       .value("TOOL_WHILE_ENABLED", Reason::kToolWhileEnabled);
+  m.def("sentence", py::overload_cast<Reason>(&sentence), py::arg("reason"),
+        "What was wrong and what to do, for people.");
+  m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
+        "Short name, as in FAULT(name).");
+}
+
+void bind_operating_state(py::module_& m, py::module_& testing) {
+  bind_reason(m);
+  py::enum_<State>(m, "State", "CRTK operating state; compare with ==, not with is.")
+      .value("DISABLED", State::kDisabled)
+      .value("ENABLED", State::kEnabled)
+      .value("PAUSED", State::kPaused)
+      .value("FAULT", State::kFault);
   py::enum_<TrackWarning>(m, "TrackWarning", "What is wrong with rcm/track.")
       .value("NONE", TrackWarning::kNone)
       .value("OUTLIER", TrackWarning::kOutlier)
@@ -452,10 +460,6 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("RESUME", StateCommand::kResume)
       .value("HOME", StateCommand::kHome)
       .value("UNHOME", StateCommand::kUnhome);
-  m.def("sentence", py::overload_cast<Reason>(&sentence), py::arg("reason"),
-        "What was wrong and what to do, for people.");
-  m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
-        "Short name, as in FAULT(name).");
   testing.def("state_name", py::overload_cast<State>(&name), py::arg("state"),
               "As in CRTK's operating_state.");
 }

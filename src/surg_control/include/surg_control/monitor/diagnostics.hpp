@@ -19,6 +19,7 @@ struct ControllerInfo {
   bool track_rcm;
   std::string law;
   std::string limits_hash;
+  double link_lag;  // as configured [s]
 };
 
 /// Publishes every kDiagnosticsTicks cycles.

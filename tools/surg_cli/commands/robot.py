@@ -1,0 +1,129 @@
+"""`./surg robot CELL lag`: how late each arm of a running cell follows its commands."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import threading
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from surg_cli.graph import running
+from surg_cli.host import cells
+from surg_cli.host.option_types import positive, tcp_port
+from surg_cli.host.terminal import Problem, Progress, say, table, warn
+
+ACTIONS = {"lag": "measure the lag of each arm's link from its motion"}
+TOLERANCE_S = 0.003
+"""Above this difference the controller warns (docs/reference/safety.md)."""
+TIMEOUT_S = 60.0
+LOOK_S = 0.1
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    add = parser.add_argument
+    add("cell", metavar="CELL", help="name in cells/, or a folder; it must be running")
+    add("action", choices=tuple(ACTIONS), help=ACTIONS["lag"])
+    add("--arm", metavar="ARM", help="only this arm (default: every arm)")
+    add("--timeout", type=positive, default=TIMEOUT_S, metavar="S", help="default 60 s")
+    add("--port", type=tcp_port, metavar="P", help="of the ROS master")
+
+
+@dataclass(frozen=True)
+class Lag:
+    """A link's lag [s]: stated in the robot's YAML, and measured (NaN: not enough motion yet)."""
+
+    stated: float
+    measured: float
+
+    @property
+    def differs(self) -> bool:
+        """Whether the two differ by more than the controller tolerates."""
+        return abs(self.measured - self.stated) > TOLERANCE_S
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Measure; exit status 1 if an arm did not move or its lag differs."""
+    folder = cells.find(options.cell)
+    arms = list(cells.load(folder).arms)
+    if options.arm is not None:
+        if options.arm not in arms:
+            raise Problem(f"--arm {options.arm}: no such arm; allowed: {', '.join(arms)}", 2)
+        arms = [options.arm]
+    system = running.of_cell(folder, options.port)
+    if system is None:
+        raise Problem(
+            f"no system of {folder.name} is running. Start it with ./surg up {options.cell}, "
+            "enable the arm, then repeat this command and move the arm"
+        )
+    lags = _measure(system.master_uri, arms, options.timeout)
+    say(table([row(arm, lags.get(arm)) for arm in arms]))
+    for arm in arms:
+        if text := advice(arm, lags.get(arm)):
+            warn(f"surg: {text}")
+    return 1 if any(advice(arm, lags.get(arm)) for arm in arms) else 0
+
+
+def row(arm: str, lag: Lag | None) -> list[str]:
+    """One line of the table."""
+    if lag is None:
+        return [arm, "no diagnostics"]
+    found = "not known" if math.isnan(lag.measured) else f"{1e3 * lag.measured:.1f} ms"
+    return [arm, f"measured {found}", f"link_lag {1e3 * lag.stated:.1f} ms"]
+
+
+def advice(arm: str, lag: Lag | None) -> str:
+    """What to do about a lag; empty: nothing."""
+    if lag is None:
+        return f"{arm}: its controller sent no diagnostics; see ./surg status"
+    if math.isnan(lag.measured):
+        return f"{arm} moved too little: its joints need 0.1 rad/s for about half a second"
+    if lag.differs:
+        return (
+            f"{arm}: set link_lag to {lag.measured:.4f} s. The pivot then follows as exactly as "
+            "the link allows"
+        )
+    return ""
+
+
+def lags_of(statuses: Any) -> dict[str, Lag]:
+    """Arm -> its lag, of the statuses of one diagnostic_msgs/DiagnosticArray."""
+    found = {}
+    for status in statuses:
+        arm, _, node = status.name.partition("/")
+        values = {pair.key: pair.value for pair in status.values}
+        if node == "controller" and "link_lag_s" in values:
+            found[arm] = Lag(float(values["link_lag_stated_s"]), float(values["link_lag_s"]))
+    return found
+
+
+def _measure(uri: str, arms: list[str], timeout_s: float) -> dict[str, Lag]:
+    """Listen until every arm's lag is known, or time is up."""
+    os.environ["ROS_MASTER_URI"] = uri
+    import rospy
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    lags: dict[str, Lag] = {}
+    lock = threading.Lock()
+
+    def heard(message: Any) -> None:
+        with lock:
+            lags.update(lags_of(message.status))
+
+    def missing() -> list[str]:
+        with lock:
+            return [a for a in arms if a not in lags or math.isnan(lags[a].measured)]
+
+    rospy.init_node("surg_robot", anonymous=True, disable_signals=True)
+    rospy.Subscriber("/diagnostics", DiagnosticArray, heard)
+    end = time.monotonic() + timeout_s
+    with Progress("robot lag") as progress:
+        while (still := missing()) and (left := end - time.monotonic()) > 0:
+            progress.update(1 - left / timeout_s, f"move {' and '.join(still)}")
+            time.sleep(LOOK_S)
+    rospy.signal_shutdown("measured")
+    with lock:
+        return dict(lags)
