@@ -83,7 +83,7 @@ class Controller:
         if self.silent:
             return
         if len(self.stamps) == 1:  # the bridge does not wait for those who only listen
-            processes.wait_until(lambda: all(w.get_num_connections() for w in self.watchers), 1.5)
+            processes.wait_until(lambda: all(w.get_num_connections() for w in self.watchers), 8.0)
         tick = stamp_ns // TICK_NS
         self.ready.publish(Ready(tick=tick, participant="op", done=tick >= self.last))
         answer = JointState(velocity=[self.velocity] + [0.0] * 5)
