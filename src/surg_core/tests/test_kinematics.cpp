@@ -129,6 +129,24 @@ TEST(Chain, JacobianIsTheDerivativeOfForward) {
   test::report("random postures", count);
 }
 
+// Oracle: central differences of the Jacobian along the joint motion.
+TEST(Chain, BiasAccelerationIsTheDerivativeOfTheTwist) {
+  Random random(8);
+  for (int trial = 0; trial < 200; ++trial) {
+    const int n = random.integer(1, kMaxJoints);
+    const Chain chain = random_chain(random, n);
+    const JointVector q = random_joints(random, n), qd = random_joints(random, n);
+    Pose X;
+    Jacobian J, before, after;
+    chain.forward(q, X, J);
+    const double h = 1e-5;
+    chain.forward(q - h * qd, X, before);
+    chain.forward(q + h * qd, X, after);
+    const Vector6 change = (after - before) * qd / (2 * h);
+    EXPECT_LT((bias_acceleration(J, qd) - change).norm(), 1e-6 * (1 + change.norm()));
+  }
+}
+
 TEST(Chain, RefusesWhatIsNoChain) {
   const Pose I = Pose::Identity();
   EXPECT_THROW(Chain({}, I), std::invalid_argument);

@@ -212,6 +212,20 @@ void Chain::forward(const JointVector& q, Pose& X_BF, Jacobian& J) const {
   }
 }
 
+Vector6 bias_acceleration(const Jacobian& J, const JointVector& qd) {
+  Vector3 linear = Vector3::Zero(), angular = Vector3::Zero();
+  Vector3 omega = Vector3::Zero();  // of the link before the joint
+  for (Eigen::Index i = 0; i < J.cols(); ++i) {
+    const Vector3 v = qd[i] * J.col(i).head<3>(), turn = qd[i] * J.col(i).tail<3>();
+    linear += Vector3(2 * omega + turn).cross(v);
+    angular += omega.cross(turn);
+    omega += turn;
+  }
+  Vector6 acceleration;
+  acceleration << linear, angular;
+  return acceleration;
+}
+
 InverseVelocity inverse_velocity(const Jacobian& J, const Vector6& twist,
                                  const JointVector& posture) {
   const Eigen::Index n = J.cols();

@@ -28,6 +28,12 @@ double approach_speed(double distance, double a, double margin, double T) {
   return std::min(hardest, std::hypot(gentle, before));
 }
 
+double approach_speed(double most, double distance, double a, double margin, double T) {
+  // More than it takes to brake from 'most' before the margin.
+  if (distance > margin + most * (most / a + 2 * T)) return most;
+  return std::min(most, approach_speed(distance, a, margin, T));
+}
+
 void AlphaRange::keep(double at_0, double rate, double lowest, double highest, const char* low_by,
                       const char* top_by) {
   if (std::abs(rate) < 1e-12) {
@@ -55,10 +61,10 @@ LimitedStep::Box::Box(const JointLimits& limits, double T, const JointVector& q,
   for (Eigen::Index i = 0; i < n; ++i) {
     const double a = limits.acceleration[i], v = limits.velocity[i];
     const double margin = limits.position_margin;
-    const double up = approach_speed(limits.position_max[i] - q[i] - kPositionGuard, a, margin, T);
-    const double down =
-        approach_speed(q[i] - limits.position_min[i] - kPositionGuard, a, margin, T);
-    const double high = std::min(v, up), low = -std::min(v, down);
+    const double to_top = limits.position_max[i] - q[i] - kPositionGuard;
+    const double to_bottom = q[i] - limits.position_min[i] - kPositionGuard;
+    const double high = approach_speed(v, to_top, a, margin, T);
+    const double low = -approach_speed(v, to_bottom, a, margin, T);
     // Shrunk by rounding, so that who divides the difference by T finds it inside.
     const double change = a * T * (1 - 1e-9);
     const double fastest = qd_last[i] + change, slowest = qd_last[i] - change;
@@ -66,9 +72,9 @@ LimitedStep::Box::Box(const JointLimits& limits, double T, const JointVector& q,
     high_[i] = std::clamp(high, slowest, fastest);
     low_[i] = std::clamp(low, slowest, fastest);
     high_by_[i] =
-        fastest <= high ? "joint_acceleration" : (up < v ? "joint_limit" : "joint_velocity");
+        fastest <= high ? "joint_acceleration" : (high < v ? "joint_limit" : "joint_velocity");
     low_by_[i] =
-        slowest >= low ? "joint_acceleration" : (down < v ? "joint_limit" : "joint_velocity");
+        slowest >= low ? "joint_acceleration" : (low > -v ? "joint_limit" : "joint_velocity");
   }
 }
 

@@ -13,6 +13,8 @@ namespace surg {
 /// Inside the margin [rad] the joint approaches gently: an arm with lag would pass a limit if the
 /// joint braked at full deceleration right before it.
 double approach_speed(double distance, double a, double margin, double T);
+/// The same, at most 'most' [rad/s]: no square roots far from the limit.
+double approach_speed(double most, double distance, double a, double margin, double T);
 
 /// The alphas that the joints allow, with the reason for the upper end.
 struct AlphaRange {

@@ -85,6 +85,7 @@ LimitedStep::ExactLaw::ExactLaw(const LimitedStep& self, const Here& here, const
                                 const StepRequest& request)
     : Law(self, here), home_(home), request_(request), still_(JointVector::Zero(here.q.size())) {
   ShaftGoal goal = request.path(0);
+  p_BRcm_ = goal.p_BRcm;
   if (!request.v_BRcm.isZero(0)) {  // the trocar is still where it was
     const Vector3 p_BTip = goal.p_BTip();
     goal.p_BRcm -= self.T_ * request.v_BRcm;

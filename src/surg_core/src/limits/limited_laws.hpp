@@ -98,7 +98,7 @@ class LimitedStep::ExactLaw : public Law {
   Affine affine() const override;
   JointVector finish(double alpha, double beta, const JointVector& qd) const override;
   RcmRows rows(const JointVector& qd) const override { return rows_after(qd, p_BRcm()); }
-  Vector3 p_BRcm() const override { return request_.path(0).p_BRcm; }
+  Vector3 p_BRcm() const override { return p_BRcm_; }
   double horizon() const override { return request_.path ? request_.horizon : 0.0; }
   bool node(double t, const JointVector& guess, double arc, Node& node) const override;
 
@@ -108,6 +108,7 @@ class LimitedStep::ExactLaw : public Law {
 
   const Home& home_;
   const StepRequest& request_;
+  Vector3 p_BRcm_;
   JointVector still_;
   Vector3 off_swing_;  ///< the tip's displacement off its path: of the shaft, as rotation vector
   double off_depth_ = 0, off_roll_ = 0;

@@ -21,6 +21,27 @@ constexpr double kHeld = 0.02;         // alpha below which a still arm counts a
 constexpr double kSagitta = 0.42e-6;   // [m] off the pivot between two samples
 constexpr double kNearSingular = 0.3;  // of a measure: farther away the barrier has no word
 
+/// Lateral vector e'' of the shaft at constant joint velocities qd.
+Vector3 lateral_acceleration(const Jacobian& J, const ShaftState& shaft, const JointVector& qd) {
+  const Vector6 twist = J * qd, bias = bias_acceleration(J, qd);
+  const Vector3 omega = twist.tail<3>(), turning = bias.tail<3>();
+  const Vector3 arm = shaft.p_BTip - shaft.p_BF, d = shaft.depth * shaft.s - shaft.e;
+  const Vector3 v = twist.head<3>() + omega.cross(arm);  // of the tip
+  const Vector3 a = bias.head<3>() + turning.cross(arm) + omega.cross(omega.cross(arm));
+  const Vector3& s = shaft.s;
+  const Vector3 s1 = omega.cross(s), s2 = turning.cross(s) + omega.cross(s1);
+  // e = L s - d with L = s . d and d from the trocar to the tip.
+  const double L1 = s1.dot(d) + s.dot(v), L2 = s2.dot(d) + 2 * s1.dot(v) + s.dot(a);
+  return L2 * s + 2 * L1 * s1 + shaft.depth * s2 - a;
+}
+
+/// Distance within which every joint has the tip [m].
+double reach(const Chain& chain, const Tool& tool) {
+  double sum = chain.X_LF().translation().norm() + tool.p_FTip.norm();
+  for (const Joint& joint : chain.joints()) sum += joint.X_PJ.translation().norm();
+  return sum;
+}
+
 }  // namespace
 
 JointLimits joint_limits(const RobotConfig& robot, const Limits& limits) {
@@ -29,7 +50,12 @@ JointLimits joint_limits(const RobotConfig& robot, const Limits& limits) {
 }
 
 LimitedStep::LimitedStep(const Chain& chain, const Tool& tool, const JointLimits& limits, double T)
-    : chain_(chain), tool_(tool), limits_(limits), barrier_(chain), T_(T) {}
+    : chain_(chain),
+      tool_(tool),
+      limits_(limits),
+      barrier_(chain),
+      reach_(reach(chain, tool)),
+      T_(T) {}
 
 LimitedStep::Here LimitedStep::at(const JointVector& q, const JointVector& qd_last,
                                   double flange_lead) const {
@@ -111,8 +137,15 @@ void LimitedStep::cap_sagitta(const Law& law, const Here& here, const Affine& af
   const double speed = affine.expected(here.qd_last, T_);
   const JointVector half = 0.5 * T_ * speed * affine.qd1;
   const Vector3 p_BRcm = law.p_BRcm();
+  const ShaftState shaft = shaft_state(here.X_BF, tool_, p_BRcm);
+  // An eighth of e'' here, and what its change can add: |e'''| is below (20 reach + 8 |L|) w^3, w
+  // the sum of all joints' motion.
+  const double w = 2 * half.lpNorm<1>();
+  const double bound = lateral_acceleration(here.J, shaft, 2 * half).norm() / 8 +
+                       (20 * reach_ + 8 * std::abs(shaft.depth)) * w * w * w / 16;
+  if (bound < kSagitta) return;
   const auto off = [&](const Pose& X_BF) { return shaft_state(X_BF, tool_, p_BRcm).e; };
-  const Vector3 begin = off(here.X_BF), middle = off(chain_.forward(here.q + half)),
+  const Vector3 begin = shaft.e, middle = off(chain_.forward(here.q + half)),
                 end = off(chain_.forward(here.q + 2 * half));
   const double sagitta = (middle - 0.5 * (end + begin)).norm();
   if (sagitta > kSagitta) {
@@ -148,13 +181,13 @@ void LimitedStep::cap_unseen(const Law& law, const Here& here, const Affine& aff
     deceleration = std::min(deceleration, kPlanAcceleration * limits_.acceleration[i] / speed);
   }
   for (Eigen::Index i = 0; i < n; ++i) {
-    const double speed = affine.qd1[i];
-    if (std::abs(speed) < 1e-9) continue;
-    const double left =
-        speed > 0 ? limits_.position_max[i] - here.q[i] : here.q[i] - limits_.position_min[i];
+    const double speed = std::abs(affine.qd1[i]);
+    if (speed < 1e-9) continue;
+    const double left = affine.qd1[i] > 0 ? limits_.position_max[i] - here.q[i]
+                                          : here.q[i] - limits_.position_min[i];
     const double in =
-        approach_speed(left, deceleration * std::abs(speed), limits_.position_margin, T_);
-    cap.limit(in / std::abs(speed), "joint_limit");
+        approach_speed(speed, left, deceleration * speed, limits_.position_margin, T_);
+    cap.limit(in / speed, "joint_limit");
   }
   Node next;
   if (!law.node(T_, here.q + T_ * affine.tangent, T_ * largest(affine.tangent), next)) return;

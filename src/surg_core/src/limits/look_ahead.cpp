@@ -144,13 +144,9 @@ double LimitedStep::LookAhead::fastest(int i) const {
     const double speed = direction_[i][j];
     const double left =
         speed > 0 ? limits.position_max[j] - at_[i][j] : at_[i][j] - limits.position_min[j];
-    double v = limits.velocity[j];
-    // Farther away the margin has no word: more than it takes to brake.
-    const double a = limits.acceleration[j];
-    if (left < limits.position_margin + v * (v / a + 2 * self_.T_)) {
-      v = std::min(v, approach_speed(left, a, limits.position_margin, self_.T_));
-    }
-    v *= kPlanVelocity / std::max(std::abs(speed), 1e-9);
+    const double v = approach_speed(limits.velocity[j], left, limits.acceleration[j],
+                                    limits.position_margin, self_.T_) *
+                     (kPlanVelocity / std::max(std::abs(speed), 1e-9));
     most = std::min(most, v * v);
   }
   return most;

@@ -53,6 +53,9 @@ class Chain {
   Pose end_ = Pose::Identity();         ///< from the last joint to the flange
 };
 
+/// J_dot qd: the flange's acceleration, linear then angular, at constant joint velocities qd.
+Vector6 bias_acceleration(const Jacobian& J, const JointVector& qd);
+
 /// Joint velocities that give a flange twist: J^-1 for six joints; for more, the pseudo-inverse
 /// plus 'posture' [rad/s] projected into the null space. For fewer than six joints: not supported.
 struct InverseVelocity {

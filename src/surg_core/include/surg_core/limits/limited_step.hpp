@@ -142,6 +142,7 @@ class LimitedStep {
   Tool tool_;
   JointLimits limits_;
   Barrier barrier_;
+  double reach_;  ///< [m]
   double T_;
 };
 
