@@ -604,6 +604,8 @@ CellConfig read_cell(const Document& document) {
     arm.base_rpy = reader.vector(prefix + "base.rpy", 6.3, "rad");
     if (reader.has(prefix + "home")) arm.home = reader.numbers(prefix + "home");
     arm.where["home"] = place(document, prefix + "home");
+    if (reader.has(prefix + "elbow")) arm.elbow = reader.real(prefix + "elbow", -M_PI, M_PI, "rad");
+    arm.where["elbow"] = place(document, prefix + "elbow");
     for (const auto& [key, value] : document.values) {
       if (key.rfind(prefix + "limits.", 0) != 0) continue;
       const std::string limit = key.substr(prefix.size() + std::strlen("limits."));
@@ -661,6 +663,13 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
 
 RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file) {
   RobotConfig result = robot;
+  result.elbow = arm.elbow;
+  if (std::isfinite(arm.elbow) && robot.joint_names.size() != 7) {
+    throw ConfigError(
+        place(arm, "elbow", cell_file) + ": " + robot.name + " has " +
+        std::to_string(robot.joint_names.size()) +
+        " joints; only an arm of seven joints has an elbow to choose: remove the key");
+  }
   if (arm.home.empty()) return result;
   const std::string where = place(arm, "home", cell_file) + ": ";
   if (arm.home.size() != robot.joint_names.size()) {
@@ -701,6 +710,7 @@ std::string limits_hash(const RobotConfig& robot, const Limits& limits) {
                                     &robot.velocity, &robot.acceleration}) {
     for (int i = 0; i < values->size(); ++i) mix((*values)[i]);
   }
+  if (std::isfinite(robot.elbow)) mix(robot.elbow);
   char text[17];
   std::snprintf(text, sizeof text, "%016llx", static_cast<unsigned long long>(hash));
   return text;

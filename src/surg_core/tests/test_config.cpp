@@ -287,6 +287,22 @@ TEST(Config, ArmsComeInTheFilesOrderWithTheirOwnHomes) {
   }
 }
 
+TEST(Config, ElbowNeedsSevenJoints) {
+  const RobotConfig six = parse_robot(good_robot());
+  CellArm arm;
+  arm.name = "PSM1";
+  arm.where["elbow"] = "cell.yaml:7";
+  EXPECT_TRUE(std::isnan(with_home(six, arm, "cell.yaml").elbow));
+  arm.elbow = 0.4;
+  EXPECT_NE(error_of([&] { with_home(six, arm, "cell.yaml"); }).find("arms.PSM1.elbow: ur5e has 6"),
+            std::string::npos);
+  RobotConfig seven = six;
+  seven.joint_names.push_back("g");
+  EXPECT_EQ(with_home(seven, arm, "cell.yaml").elbow, 0.4);
+  EXPECT_NE(limits_hash(seven, seven.limits),
+            limits_hash(with_home(seven, arm, "cell.yaml"), seven.limits));
+}
+
 TEST(Config, HashSeesEveryLimit) {
   const RobotConfig robot = parse_robot(good_robot());
   const std::string before = limits_hash(robot, robot.limits);

@@ -27,7 +27,7 @@ ABSENT = {
     "ArmState InstrumentState CommandHandler TipPose Setpoint Space Dofs": "part",
     "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
     "StreamInput StreamEstimate TremorNotch nearest_inside": "part",
-    "ForceGuard": "part",
+    "ForceGuard ElbowMotion ElbowTurn elbow_turn swivel_angle": "part",
     "OperatingState Conditions Authority CycleClock LagMeter": "part",
     "velocity_twist axial_twist paper_twist TwistParts Gains to_spherical to_cartesian": "part",
     "StepRequest PathView Barrier SingularityMeasures": "part",

@@ -67,8 +67,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
 
   node_.setCallbackQueue(&queue_);
   node_.setParam("/" + arm_ + "/robot_description", model_.urdf);
-  reporter_ = std::make_unique<StatusReporter>(node_, arm_, setup_.limits,
-                                               setup_.robot.tuning.link_lag, sources_);
+  reporter_ = std::make_unique<StatusReporter>(node_, arm_, setup_.robot, setup_.limits, sources_);
   const ControllerInfo info{options_.lockstep, twist, options_.track_rcm, name_of(law.law),
                             surg::limits_hash(setup_.robot, setup_.limits),
                             setup_.robot.tuning.link_lag};

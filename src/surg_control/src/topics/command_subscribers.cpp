@@ -57,6 +57,7 @@ void CommandSubscribers::subscribe_motions() {
       return decode_start_stop(message, motion);
     });
   }
+  subscribe<JointState>(topic_of(Motion::kElbowMoveJp), decode_elbow);
   subscribe<TwistStamped>(topic_of(Motion::kServoCv), decode_twist);
   subscribe<std_msgs::Empty>(topic_of(Motion::kHold),
                              [](const std_msgs::Empty&) { return decode_hold(); });

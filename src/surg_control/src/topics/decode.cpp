@@ -124,6 +124,17 @@ Decoded decode_jaw(const sensor_msgs::JointState& message, surg::Motion motion) 
   return decoded;
 }
 
+Decoded decode_elbow(const sensor_msgs::JointState& message) {
+  if (message.position.size() != 1) {
+    return refused(surg::Reason::kWrongSize, "position has " +
+                                                 std::to_string(message.position.size()) +
+                                                 " values; needed is 1: the elbow's swivel angle");
+  }
+  Decoded decoded = motion_of(surg::Motion::kElbowMoveJp);
+  decoded.item.motion.elbow = message.position[0];
+  return decoded;
+}
+
 Decoded decode_hold() { return motion_of(surg::Motion::kHold); }
 
 Decoded decode_start_stop(const crtk_msgs::StringStamped& message, surg::Motion motion) {
@@ -262,6 +273,8 @@ const char* topic_of(surg::Motion motion) {
       return "rcm/withdraw";
     case surg::Motion::kRetrace:
       return "rcm/retrace";
+    case surg::Motion::kElbowMoveJp:
+      return "elbow/move_jp";
   }
   return "unknown";
 }

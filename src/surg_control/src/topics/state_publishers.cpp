@@ -3,7 +3,10 @@
 #include <crtk_msgs/OperatingState.h>
 #include <tf2_msgs/TFMessage.h>
 
+#include <cmath>
+
 #include "surg_control/topics/messages.hpp"
+#include "surg_core/kinematics/elbow.hpp"
 #include "surg_core/law/rcm.hpp"
 
 namespace surg_control {
@@ -46,6 +49,7 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
       tool_(arm_ + "_tool"),
       rcm_(arm_ + "_rcm"),
       p_FTip_(setup.tool.p_FTip),
+      chain_(model.chain),
       lockstep_(info.lockstep),
       sources_(sources),
       reporter_(reporter),
@@ -63,6 +67,8 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
       setpoint_js_(node, "/" + arm_ + "/setpoint_js"),
       jaw_measured_js_(node, "/" + arm_ + "/jaw/measured_js"),
       jaw_setpoint_js_(node, "/" + arm_ + "/jaw/setpoint_js"),
+      elbow_measured_js_(node, "/" + arm_ + "/elbow/measured_js"),
+      elbow_goal_js_(node, "/" + arm_ + "/elbow/goal_js"),
       measured_cp_(node, "/" + arm_ + "/measured_cp"),
       local_measured_cp_(node, "/" + arm_ + "/local/measured_cp"),
       setpoint_cp_(node, "/" + arm_ + "/setpoint_cp"),
@@ -121,6 +127,21 @@ void StatePublishers::publish_feedback(const CycleRecord& record) {
   publish_tip(record, valid);
   jaw_measured_js_.publish(known, stamp, [&](auto& message) { fill_jaw(message, out.jaw); });
   jaw_setpoint_js_.publish(known, stamp, [&](auto& message) { fill_jaw(message, out.jaw_set); });
+  publish_elbow(record, known);
+}
+
+void StatePublishers::publish_elbow(const CycleRecord& record, bool valid) {
+  const double angle = valid ? surg::swivel_angle(chain_, record.q) : NAN;
+  const double goal = record.out.elbow_goal;
+  const ros::Time stamp = to_time(record.stamp_ns);
+  const auto fill = [](sensor_msgs::JointState& message, double value) {
+    if (message.name.empty()) message.name = {"elbow"};
+    message.position.assign(1, value);
+  };
+  elbow_measured_js_.publish(std::isfinite(angle), stamp,
+                             [&](auto& message) { fill(message, angle); });
+  elbow_goal_js_.publish(valid && std::isfinite(goal), stamp,
+                         [&](auto& message) { fill(message, goal); });
 }
 
 void StatePublishers::publish_tip(const CycleRecord& record, bool valid) {

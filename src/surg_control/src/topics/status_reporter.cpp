@@ -51,11 +51,12 @@ const char* topic_of_answer(const Answer& answer) {
 }  // namespace
 
 StatusReporter::StatusReporter(ros::NodeHandle& node, const std::string& arm,
-                               const surg::Limits& limits, double link_lag,
+                               const surg::RobotConfig& robot, const surg::Limits& limits,
                                const SourceTable& sources)
     : arm_(arm),
       limits_(limits),
-      link_lag_(link_lag),
+      link_lag_(robot.tuning.link_lag),
+      joint_names_(robot.joint_names),
       sources_(sources),
       warning_(node.advertise<std_msgs::String>("/" + arm + "/warning", 100)),
       status_(node.advertise<std_msgs::String>("/" + arm + "/status", 100)),
@@ -176,9 +177,19 @@ void StatusReporter::report_verdicts(const CycleRecord& record, double now) {
                        " refused: " + surg::sentence(verdict.reason);
     if (verdict.reason == surg::Reason::kNoAuthority) {
       text += " (held by " + sources_.name(out.source) + ")";
+    } else if (verdict.reason == surg::Reason::kElbowOutOfReach) {
+      text += what_holds_the_elbow(out.elbow_limit);
     }
     warning(surg::name(verdict.reason), text, now);
   }
+}
+
+std::string StatusReporter::what_holds_the_elbow(int limit) const {
+  if (limit < 0) return "";
+  if (limit >= static_cast<int>(joint_names_.size())) {
+    return " (a singularity or a straight arm is in between)";
+  }
+  return " (joint '" + joint_names_[limit] + "' comes to its limit)";
 }
 
 void StatusReporter::report_lag(double measured) {
@@ -211,6 +222,9 @@ bool StatusReporter::report_changes(const CycleRecord& record, double now) {
     if (out.reason == surg::Reason::kNotArrived) {
       text += " (" + millimetres((out.p_goal - out.p_BTip).norm()) + " away from it" +
               (*out.limited_by == 0 ? "" : std::string(", held by ") + out.limited_by) + ")";
+    }
+    if (out.reason == surg::Reason::kElbowOutOfReach) {
+      text += what_holds_the_elbow(out.elbow_limit);
     }
     warning(surg::name(out.reason), text, now);
   }

@@ -4,6 +4,7 @@
 // range.
 #pragma once
 
+#include <limits>
 #include <map>
 #include <stdexcept>
 #include <string>
@@ -89,6 +90,7 @@ struct RobotConfig {
   JointVector home, position_min, position_max, velocity, acceleration;
   Limits limits;
   Tuning tuning;
+  double elbow = std::numeric_limits<double>::quiet_NaN();  ///< [rad] preferred; NaN: none
 };
 
 /// The cameras in an endoscope's tip: parallel, with the same intrinsics.
@@ -131,6 +133,8 @@ struct CellArm {
   Vector3 base_xyz, base_rpy;            ///< X_WB
   std::vector<double> home;              ///< [rad] instead of the robot's; empty: the robot's
   std::map<std::string, double> limits;  ///< tightened limits by name
+  /// [rad] preferred swivel angle of a seven-joint arm's elbow; NaN: none
+  double elbow = std::numeric_limits<double>::quiet_NaN();
   /// "file:line" of the values above, for errors: "home", "limits.cone".
   std::map<std::string, std::string> where = {};
 };
@@ -154,7 +158,7 @@ CellConfig parse_cell(const Document& document);
 /// Returns the limits with a cell's values applied. Throws if a value would loosen a limit.
 Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell_file);
 
-/// Returns the robot with the cell's home posture. Throws if the posture does not fit the joints.
+/// Returns the robot with the cell's home posture and elbow. Throws if they do not fit the joints.
 RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file);
 
 /// Throws if an instrument's tip could go deeper than its shaft is long.

@@ -80,6 +80,11 @@ struct Outputs {
   Vector3 p_goal = Vector3::Zero(), p_set = Vector3::Zero(), v_set = Vector3::Zero();
   double roll_goal = 0, roll_set = 0;
   double jaw_set = 0, jaw = 0;
+  /// [rad] swivel angle that the elbow shall have; NaN: none
+  double elbow_goal = std::numeric_limits<double>::quiet_NaN();
+  /// Joint whose limit holds the elbow away from its goal or refused its command; the number of
+  /// joints: a singularity or an undefined angle; -1: nothing
+  int elbow_limit = -1;
   // output
   double scale = 1;             ///< alpha
   const char* limited_by = "";  ///< static string

@@ -148,6 +148,7 @@ void bind_robot(py::module_& m) {
           "joint_names",
           [](const RobotConfig& self) { return py::tuple(py::cast(self.joint_names)); })
       .def_property_readonly("home", joints(&RobotConfig::home), "[rad]")
+      .def_readonly("elbow", &RobotConfig::elbow, "Preferred swivel angle [rad]; NaN: none.")
       .def_property_readonly("position_min", joints(&RobotConfig::position_min), "[rad]")
       .def_property_readonly("position_max", joints(&RobotConfig::position_max), "[rad]")
       .def_property_readonly("velocity", joints(&RobotConfig::velocity), "[rad/s]")
@@ -216,6 +217,7 @@ void bind_cell(py::module_& m) {
       .def_property_readonly(
           "home", [](const CellArm& a) { return py::tuple(py::cast(a.home)); },
           "[rad] Instead of the robot's; empty: the robot's.")
+      .def_readonly("elbow", &CellArm::elbow, "Preferred swivel angle [rad]; NaN: none.")
       .def_property_readonly("limits", [](const CellArm& a) { return a.limits; });
 
   py::class_<CellConfig>(m, "CellConfig", "A user's whole system: cell.yaml.")

@@ -28,7 +28,8 @@ void bind_motion_names(py::module_& m) {
       .value("JAW_MOVE_JP", Motion::kJawMoveJp)
       .value("INSERT", Motion::kInsert)
       .value("WITHDRAW", Motion::kWithdraw)
-      .value("RETRACE", Motion::kRetrace);
+      .value("RETRACE", Motion::kRetrace)
+      .value("ELBOW_MOVE_JP", Motion::kElbowMoveJp);
 }
 
 void bind_command(py::module_& m) {
@@ -37,7 +38,7 @@ void bind_command(py::module_& m) {
           py::init([](Motion motion, std::uint32_t source, const std::optional<Array>& p,
                       const std::optional<Array>& rotation, double roll_rate,
                       const std::optional<Array>& joints, double jaw, std::int64_t stamp_ns,
-                      double age, bool slide) {
+                      double age, bool slide, double elbow) {
             MotionCommand command;
             command.motion = motion;
             command.source = source;
@@ -51,17 +52,19 @@ void bind_command(py::module_& m) {
             command.stamp_ns = stamp_ns;
             command.age = age;
             command.slide = slide;
+            command.elbow = elbow;
             return command;
           }),
           py::arg("motion"), py::arg("source") = 0, py::arg("p") = py::none(),
           py::arg("rotation") = py::none(), py::arg("roll_rate") = 0.0,
           py::arg("joints") = py::none(), py::arg("jaw") = 0.0, py::arg("stamp_ns") = 0,
-          py::arg("age") = 0.0, py::arg("slide") = false,
+          py::arg("age") = 0.0, py::arg("slide") = false, py::arg("elbow") = 0.0,
           "p (3,): position [m] (cp) or tip velocity [m/s] (cv), in the rcm frame; rotation (4,):\n"
           "unit quaternion x, y, z, w; joints (4,): yaw, pitch, insertion, roll, their rates or "
           "changes;\n"
           "jaw [rad]; stamp_ns on the sender's clock (0: none); age [s] since it arrived;\n"
-          "slide: a servo_cp target outside the workspace slides along its wall.")
+          "slide: a servo_cp target outside the workspace slides along its wall; elbow: swivel "
+          "angle [rad].")
       .def_readonly("motion", &MotionCommand::motion)
       .def_readonly("source", &MotionCommand::source)
       .def_property_readonly("p", [](const MotionCommand& c) { return frozen(from_matrix(c.p)); })
@@ -75,7 +78,8 @@ void bind_command(py::module_& m) {
       .def_readonly("jaw", &MotionCommand::jaw)
       .def_readonly("stamp_ns", &MotionCommand::stamp_ns)
       .def_readonly("age", &MotionCommand::age)
-      .def_readonly("slide", &MotionCommand::slide);
+      .def_readonly("slide", &MotionCommand::slide)
+      .def_readonly("elbow", &MotionCommand::elbow);
 
   py::class_<Verdict>(m, "Verdict", "What became of a command; reason NONE: accepted.")
       .def_readonly("reason", &Verdict::reason)
@@ -131,6 +135,15 @@ void bind_readings(py::module_& m) {
                              [](const Readings& r) { return frozen(from_matrix(r.v_BTrack)); });
 }
 
+void bind_elbow(py::class_<Outputs>& type) {
+  type.def_readonly("elbow_goal", &Outputs::elbow_goal,
+                    "Swivel angle [rad]; not a number: none is asked for.");
+  type.def_readonly(
+      "elbow_limit", &Outputs::elbow_limit,
+      "Joint that holds the elbow or refused its command; the number of joints: a singularity; "
+      "-1: nothing.");
+}
+
 void bind_outputs(py::module_& m) {
   py::class_<Outputs> type(m, "Outputs",
                            "Everything one cycle decided; vectors in B unless named R.");
@@ -144,7 +157,7 @@ void bind_outputs(py::module_& m) {
   number("state", &Outputs::state, "Operating state.");
   number("reason", &Outputs::reason, "Why PAUSED, FAULT or held.");
   number("homed", &Outputs::homed, "The rcm frame and the zero of roll are known.");
-  number("busy", &Outputs::busy, "A move_*, insert, withdraw, retrace or jaw move is under way.");
+  number("busy", &Outputs::busy, "A move of tip, jaw or elbow is under way.");
   number("motion", &Outputs::motion, "The command obeyed in this cycle.");
   number("source", &Outputs::source, "Its sender.");
   number("accepted", &Outputs::accepted, "Commands taken since construction.");
@@ -160,6 +173,7 @@ void bind_outputs(py::module_& m) {
   number("roll_set", &Outputs::roll_set, "[rad]");
   number("jaw", &Outputs::jaw, "Measured [rad].");
   number("jaw_set", &Outputs::jaw_set, "Commanded [rad]; not a number until measured.");
+  bind_elbow(type);
   number("scale", &Outputs::scale, "Uniform factor alpha.");
   number("tier", &Outputs::tier, "0: on the path; 1: off it, on the pivot; 2: braking.");
   number("late_share", &Outputs::late_share, "Share of late cycles in the recent window.");

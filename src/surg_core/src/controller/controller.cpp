@@ -48,6 +48,7 @@ ExactFollower::Options follower_options(const RobotConfig& robot, const Limits& 
 const Outputs& Controller::step(const Inputs& inputs) {
   Impl& self = *impl_;
   self.out.reason = Reason::kNone;
+  self.out.elbow_limit = ElbowMotion::kNobody;
   self.clock.advance(inputs.elapsed);
   self.catch_up();
   self.sense(inputs);
@@ -92,6 +93,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
               options.dt),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
                                              lag_for(robot_in, options), options.dt)),
+      elbow(chain, step_limits(robot_in, limits_in, options.law), robot_in.elbow, options.dt),
       trocar_before(trocar),
       qd_last(JointVector::Zero(chain.dof())) {
   out.qd_command = qd_last;
@@ -104,7 +106,7 @@ void Controller::Impl::report(const Inputs& in) {
   out.state = operating.state();
   if (out.state != State::kEnabled) out.reason = operating.reason();
   out.homed = operating.homed();
-  out.busy = handler.busy() || jaw.busy() || home_busy > 0;
+  out.busy = handler.busy() || jaw.busy() || elbow.busy() || home_busy > 0;
   home_busy = std::max(0, home_busy - 1);
   out.motion = handler.motion();
   out.source = authority.holder();
@@ -117,6 +119,11 @@ void Controller::Impl::report(const Inputs& in) {
   out.depth = shaft().depth;
   out.rcm_error = shaft().e.norm();
   if (handler.sliding() && out.reason == Reason::kNone) out.reason = Reason::kOutsideWorkspace;
+  out.elbow_goal = elbow.goal();
+  if (enabled() && elbow.limited_by() != ElbowMotion::kNobody) {
+    out.elbow_limit = elbow.limited_by();
+    if (out.reason == Reason::kNone) out.reason = Reason::kElbowOutOfReach;
+  }
   out.p_goal = X_BR * handler.p_goal();
   out.roll_goal = handler.roll_goal();
   out.p_set = X_BR * setpoint.p_RTip();

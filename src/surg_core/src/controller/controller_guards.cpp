@@ -19,7 +19,7 @@ constexpr double kRoundTrip = 2.0;       // a link with late states also execute
 bool finite(const MotionCommand& command) {
   return surg::finite(command.p) && surg::finite(command.rotation.coeffs()) &&
          surg::finite(command.joints) &&
-         surg::finite(Eigen::Vector2d(command.roll_rate, command.jaw));
+         surg::finite(Vector3(command.roll_rate, command.jaw, command.elbow));
 }
 
 }  // namespace
@@ -200,6 +200,7 @@ void Controller::Impl::guard_force(const Inputs& in) {
 
 void Controller::Impl::gate(const Inputs& in) {
   const int n = std::clamp(in.n_commands, 0, kMaxCommands);
+  elbow_asked = false;
   for (int i = 0; i < n; ++i) {
     const MotionCommand& command = in.commands[i];
     const Reason reason = accept(command);
@@ -215,14 +216,19 @@ Reason Controller::Impl::accept(const MotionCommand& command) {
   if (!enabled()) return Reason::kNotEnabled;
   if (command.motion == Motion::kHold) {  // obeyed from anyone
     handler.hold();
+    elbow.hold();
     return Reason::kNone;
   }
   if (!operating.homed()) return Reason::kNotHomed;
-  if (!authority.may_command(command.source)) return Reason::kNoAuthority;
+  const bool turns = command.motion == Motion::kElbowMoveJp;
+  const bool may =
+      turns ? authority.may_turn_elbow(command.source) : authority.may_command(command.source);
+  if (!may) return Reason::kNoAuthority;
   if (!finite(command)) {
     fault(Reason::kNotFinite);
     return Reason::kNotFinite;
   }
+  if (turns) return turn_elbow(command);
   if (tool_lost) return Reason::kToolLost;
   Reason reason = Reason::kNone;
   if (is_jaw(command.motion)) {
@@ -232,6 +238,13 @@ Reason Controller::Impl::accept(const MotionCommand& command) {
   }
   if (reason == Reason::kNone) authority.taken(command.source);
   return reason;
+}
+
+Reason Controller::Impl::turn_elbow(const MotionCommand& command) {
+  if (law != Law::kExact || arm.chain().dof() != 7) return Reason::kNoElbow;
+  if (handler.retracing() || elbow_asked) return Reason::kNotAtRest;
+  elbow_asked = true;
+  return elbow.go_to(command.elbow, follower.reference(), out.elbow_limit);
 }
 
 }  // namespace surg

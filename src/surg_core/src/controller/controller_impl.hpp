@@ -11,6 +11,7 @@
 #include "surg_core/law/twist_law.hpp"
 #include "surg_core/limits/limited_step.hpp"
 #include "surg_core/motion/command_handler.hpp"
+#include "surg_core/motion/elbow_motion.hpp"
 #include "surg_core/motion/jaw.hpp"
 #include "surg_core/motion/joint_trace.hpp"
 #include "surg_core/state/cycle_clock.hpp"
@@ -60,6 +61,7 @@ struct Controller::Impl {
   ForceGuard force;
   LimitedStep limited;
   ExactFollower follower;
+  ElbowMotion elbow;
   JointTrace trace;  // the way back
   LagMeter lag_meter;
 
@@ -71,6 +73,7 @@ struct Controller::Impl {
   Trocar trocar_before;                     // the trocar before this cycle's sample
   bool inserted = false;                    // the trocar lies on the shaft and must stay there
   bool tool_lost = false;
+  bool elbow_asked = false;  // in this cycle; judging a command takes up to 0.3 ms
   bool halted = false;       // commands zero until the next start
   bool fading = false;       // the last command fades without feedback until the next start
   bool catching_up = false;  // inside a period that has passed without a cycle
@@ -141,6 +144,7 @@ struct Controller::Impl {
   void guard_force(const Inputs& in);
   void gate(const Inputs& in);
   Reason accept(const MotionCommand& command);
+  Reason turn_elbow(const MotionCommand& command);
 
   // Motion: set-point, law, limits, follower.
   void move();
@@ -169,6 +173,7 @@ struct Controller::Impl {
   /// [s] of look-ahead; 0 for streams: future samples are unknown, and a wrong prediction would
   /// slow the stream down. Barrier and braking distances limit streams.
   double horizon() const;
+  /// Null-space pull to the home posture [rad/s].
   JointVector posture_at(const JointVector& q) const;
   /// Resets the set-point to the tip's true motion after this step.
   void resync_setpoint(const JointVector& qd);
@@ -188,6 +193,7 @@ struct Controller::Impl {
     archive(clock, commanded, operating, authority, trocar, handler, jaw, force, lag_meter);
     arm.serialize(archive);
     follower.serialize(archive);
+    elbow.serialize(archive);
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
             X_BR, state_delay, state_known, state_reason, track_reason, inserted, tool_lost, halted,
             fading, home_busy, unexplained, qd_last, out.accepted, out.refused);

@@ -138,7 +138,8 @@ Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
   request.path = PathView(path);
   request.horizon = horizon();
   request.v_BRcm = trocar.v_B() + pivot_offset_rate;
-  request.posture = posture_at(follower.reference());
+  request.posture = elbow.has_goal() ? elbow.advance(follower.reference(), enabled())
+                                     : posture_at(follower.reference());
   request.flange_lead = flange_lead();
   const Home home{arm.s_home(), arm.R_home()};
   const Step step = limited.exact(follower.reference(), follower.velocity(), home, request);
@@ -184,6 +185,8 @@ Step Controller::Impl::retrace_step(JointVector& qd) {
   // would overshoot from the measured state of an arm with lag.
   if (!retrace_active && law != Law::kExact) follower.reset(arm.measured().q, qd_last);
   retrace_active = true;
+  elbow.hold();  // where the trace leads it
+  elbow.rest();
   const JointVector q = follower.reference();
   const Step step = limited.retrace(q, follower.velocity(), trace, retraced, kRetraceRate,
                                     trocar.p_B(), flange_lead());

@@ -99,6 +99,7 @@ void Controller::Impl::set_home() {
   arm.set_home();
   X_BR = rcm_frame(shaft().s, trocar.p_BTaught());
   trace.clear();
+  elbow.home();
   start_at_rest();
 }
 
@@ -106,6 +107,7 @@ void Controller::Impl::start_at_rest() {
   handler.start(tip_pose());
   halted = fading = false;
   follower.reset(arm.measured().q, qd_last);
+  elbow.rest();
   end_retrace_step();
   const bool moved =
       !trace.empty() && (trace.at(0) - arm.measured().q).cwiseAbs().maxCoeff() > kSamePosture;
@@ -119,6 +121,7 @@ void Controller::Impl::start_at_rest() {
 void Controller::Impl::stop_motion() {
   handler.stop();
   jaw.hold();
+  if (elbow.commanded()) elbow.hold();
 }
 
 void Controller::Impl::fault(Reason reason) {

@@ -162,7 +162,7 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
 namespace {
 
 constexpr char kMagic[] = "SURGBBX";  // eight bytes with its end
-constexpr std::uint32_t kVersion = 2;
+constexpr std::uint32_t kVersion = 3;
 constexpr std::size_t kHead = sizeof kMagic + sizeof kVersion + sizeof(std::uint64_t);
 
 static_assert(sizeof kMagic == 8 && sizeof(double) == 8);
@@ -282,7 +282,8 @@ class Coder {
   }
   void value(RobotConfig& c) {
     (*this)(c.file, c.name, c.urdf, c.base_link, c.flange_link, c.command, c.joint_names, c.home,
-            c.position_min, c.position_max, c.velocity, c.acceleration, c.limits, c.tuning);
+            c.position_min, c.position_max, c.velocity, c.acceleration, c.limits, c.tuning,
+            c.elbow);
   }
   void value(InstrumentConfig& c) {
     (*this)(c.file, c.name, c.urdf, c.mount_link, c.tip_link, c.jaw_min, c.jaw_max, c.jaw_velocity);
@@ -293,8 +294,8 @@ class Coder {
   }
   void value(BlackBoxLabel& c) { (*this)(c.arm, c.cell, c.written, c.version); }
   void value(MotionCommand& c) {
-    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw, c.stamp_ns, c.age,
-            c.slide);
+    (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw, c.elbow, c.stamp_ns,
+            c.age, c.slide);
   }
   void value(BlackBoxEvent& e) {
     (*this)(e.kind, e.state, e.reason, e.answer, e.source, e.p_BRcm, e.command);
@@ -345,6 +346,8 @@ void each_field(Outputs& out, Visit visit) {
   visit("roll_set", out.roll_set);
   visit("jaw_set", out.jaw_set);
   visit("jaw", out.jaw);
+  visit("elbow_goal", out.elbow_goal);
+  visit("elbow_limit", out.elbow_limit);
   visit("scale", out.scale);
   visit("limited_by", out.limited_by);
   visit("tier", out.tier);

@@ -31,6 +31,8 @@ Decoded decode_twist(const geometry_msgs::TwistStamped& message);
 Decoded decode_joints(const sensor_msgs::JointState& message, surg::Motion motion);
 /// jaw/servo_jp, jaw/move_jp: one position.
 Decoded decode_jaw(const sensor_msgs::JointState& message, surg::Motion motion);
+/// elbow/move_jp: one swivel angle.
+Decoded decode_elbow(const sensor_msgs::JointState& message);
 /// hold.
 Decoded decode_hold();
 /// rcm/insert, rcm/withdraw, rcm/retrace: 'start' means 'motion', 'stop' means hold.

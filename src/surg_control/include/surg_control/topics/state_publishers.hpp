@@ -61,6 +61,7 @@ class StatePublishers {
  private:
   void publish_feedback(const CycleRecord& record);
   void publish_tip(const CycleRecord& record, bool valid);
+  void publish_elbow(const CycleRecord& record, bool valid);
   void publish_rcm(const CycleRecord& record);
   void publish_state(const CycleRecord& record, bool changed);
   void publish_static_tf(const ArmSetup& setup, const Model& model);
@@ -70,13 +71,15 @@ class StatePublishers {
 
   std::string arm_, base_, flange_, tool_, rcm_;
   surg::Vector3 p_FTip_;
+  surg::Chain chain_;
   bool lockstep_;
   const SourceTable& sources_;
   StatusReporter& reporter_;
   Diagnostics diagnostics_;
 
   ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_;
-  Feedback<sensor_msgs::JointState> measured_js_, setpoint_js_, jaw_measured_js_, jaw_setpoint_js_;
+  Feedback<sensor_msgs::JointState> measured_js_, setpoint_js_, jaw_measured_js_, jaw_setpoint_js_,
+      elbow_measured_js_, elbow_goal_js_;
   Feedback<geometry_msgs::PoseStamped> measured_cp_, local_measured_cp_, setpoint_cp_, goal_cp_,
       rcm_measured_cp_;
   Feedback<geometry_msgs::TwistStamped> measured_cv_;

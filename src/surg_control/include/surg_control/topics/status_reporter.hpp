@@ -7,6 +7,7 @@
 #include <map>
 #include <mutex>
 #include <string>
+#include <vector>
 
 #include "surg_control/loop/cycle_data.hpp"
 #include "surg_control/topics/source_table.hpp"
@@ -18,9 +19,9 @@ namespace surg_control {
 /// error are safe from every thread but the control thread: they lock and allocate.
 class StatusReporter {
  public:
-  /// link_lag [s]: of the robot's YAML; 0: unknown.
-  StatusReporter(ros::NodeHandle& node, const std::string& arm, const surg::Limits& limits,
-                 double link_lag, const SourceTable& sources);
+  /// limits: of the robot, tightened by the cell.
+  StatusReporter(ros::NodeHandle& node, const std::string& arm, const surg::RobotConfig& robot,
+                 const surg::Limits& limits, const SourceTable& sources);
 
   /// Publishes at most once a second per 'key'; the next text counts the suppressed ones. 'now' [s]
   /// is the steady clock, or the tick's time in lock-step.
@@ -46,10 +47,12 @@ class StatusReporter {
   void report_verdicts(const CycleRecord& record, double now);
   bool report_changes(const CycleRecord& record, double now);
   void report_lag(double measured);
+  std::string what_holds_the_elbow(int limit) const;
 
   std::string arm_;
   surg::Limits limits_;
   double link_lag_;
+  std::vector<std::string> joint_names_;
   const SourceTable& sources_;
   ros::Publisher warning_, status_, error_;
   std::mutex mutex_;

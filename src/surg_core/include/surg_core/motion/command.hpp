@@ -26,6 +26,7 @@ enum class Motion : std::uint8_t {
   kInsert = 14,    ///< along the shaft into the patient, until depth_slow
   kWithdraw = 15,  ///< along the shaft out of the patient
   kRetrace = 16,   ///< back along the recorded joint trace
+  kElbowMoveJp = 17,
 };
 
 /// One decoded command. Which members count depends on 'motion'.
@@ -38,6 +39,7 @@ struct MotionCommand {
   double roll_rate = 0;                ///< cv: about the shaft [rad/s]
   Vector4 joints = Vector4::Zero();    ///< jp / jv: yaw, pitch, insertion, roll
   double jaw = 0;                      ///< jaw angle [rad]
+  double elbow = 0;                    ///< swivel angle [rad]
   std::int64_t stamp_ns = 0;           ///< when it was made, on the sender's clock; 0: unknown
   double age = 0;                      ///< [s] since it arrived
   bool slide = false;  ///< servo_cp: a target outside the workspace slides along its wall

@@ -16,6 +16,8 @@ class Authority {
  public:
   explicit Authority(double dt) : dt_(dt) {}
   bool may_command(std::uint32_t source) const { return holder_ == 0 || holder_ == source; }
+  /// The elbow moves no tip: anybody may turn it, until somebody claims the arm.
+  bool may_turn_elbow(std::uint32_t source) const { return !claimed_ || holder_ == source; }
   void taken(std::uint32_t source) {
     holder_ = source;
     silent_ = 0;

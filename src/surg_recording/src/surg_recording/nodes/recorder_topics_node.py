@@ -40,6 +40,7 @@ COMMANDS: dict[str, type] = {
     "move_jr": JointState,
     "jaw/servo_jp": JointState,
     "jaw/move_jp": JointState,
+    "elbow/move_jp": JointState,
 }
 """Command topics of an arm that go to ``command_<arm>.csv``."""
 ASSISTANT = ("servo_jp", "jaw/servo_jp")
