@@ -20,6 +20,22 @@ UR5E = (
     (0.0997, 0.0, -PI_2),
     (0.0996, 0.0, 0.0),
 )
+UR3E = (
+    (0.15185, 0.0, PI_2),
+    (0.0, -0.24355, 0.0),
+    (0.0, -0.2132, 0.0),
+    (0.13105, 0.0, PI_2),
+    (0.08535, 0.0, -PI_2),
+    (0.0921, 0.0, 0.0),
+)
+UR10E = (
+    (0.1807, 0.0, PI_2),
+    (0.0, -0.6127, 0.0),
+    (0.0, -0.57155, 0.0),
+    (0.17415, 0.0, PI_2),
+    (0.11985, 0.0, -PI_2),
+    (0.11655, 0.0, 0.0),
+)
 # a [m], d [m], alpha [rad] per joint; modified (Craig) DH.
 PANDA = (
     (0.0, 0.333, 0.0),
@@ -31,12 +47,26 @@ PANDA = (
     (0.088, 0.0, PI_2),
 )
 PANDA_FLANGE = 0.107
+XARM7 = (
+    (0.0, 0.267, 0.0),
+    (0.0, 0.0, -PI_2),
+    (0.0, 0.293, PI_2),
+    (0.0525, 0.0, PI_2),
+    (0.0775, 0.3425, PI_2),
+    (0.0, 0.0, PI_2),
+    (0.076, 0.097, -PI_2),
+)
 
 
 def ur5e(q: Sequence[float]) -> Matrix:
-    """Flange of a UR5e in ROS's base_link, (4, 4): UR's base turned by 180 degrees about z."""
+    """Flange of a UR5e in ROS's base_link, (4, 4)."""
+    return ur(q, UR5E)
+
+
+def ur(q: Sequence[float], table: Sequence[tuple[float, float, float]]) -> Matrix:
+    """Flange of a UR in ROS's base_link, (4, 4): UR's base turned by 180 degrees about z."""
     pose = np.diag([-1.0, -1.0, 1.0, 1.0])
-    for angle, (d, a, alpha) in zip(q, UR5E, strict=True):
+    for angle, (d, a, alpha) in zip(q, table, strict=True):
         ct, st, ca, sa = math.cos(angle), math.sin(angle), math.cos(alpha), math.sin(alpha)
         pose = pose @ np.array(
             [
@@ -50,9 +80,16 @@ def ur5e(q: Sequence[float]) -> Matrix:
 
 
 def panda(q: Sequence[float]) -> Matrix:
-    """Flange of a Panda in its base frame, (4, 4)."""
+    """Flange of a Panda, or of an FR3, in its base frame, (4, 4)."""
+    pose = modified(q, PANDA)
+    pose[:3, 3] += PANDA_FLANGE * pose[:3, 2]
+    return pose
+
+
+def modified(q: Sequence[float], table: Sequence[tuple[float, float, float]]) -> Matrix:
+    """Last frame of a chain of modified (Craig) DH parameters, (4, 4)."""
     pose = np.eye(4)
-    for angle, (a, d, alpha) in zip(q, PANDA, strict=True):
+    for angle, (a, d, alpha) in zip(q, table, strict=True):
         ct, st, ca, sa = math.cos(angle), math.sin(angle), math.cos(alpha), math.sin(alpha)
         pose = pose @ np.array(
             [
@@ -62,5 +99,4 @@ def panda(q: Sequence[float]) -> Matrix:
                 [0.0, 0.0, 0.0, 1.0],
             ]
         )
-    pose[:3, 3] += PANDA_FLANGE * pose[:3, 2]
     return pose

@@ -17,6 +17,8 @@ from surg_description.make_cell import home_pose, make_cell
 DESCRIPTION = paths.ROOT / "src/surg_description"
 GRASPER = DESCRIPTION / "instruments/grasper.yaml"
 ROBOTS = ("ur5e", "panda")
+OTHERS = ("ur3e", "ur10e", "fr3", "xarm7")
+"""Robots without a bundled cell: `./surg demo --robot` makes one."""
 DEPTH = 0.120
 
 
@@ -44,7 +46,7 @@ def test_bundled_cell_is_what_the_generator_writes(name: str, tmp_path: Path) ->
     assert (bundled / arm["instrument"]).resolve() == GRASPER.resolve()
 
 
-@pytest.mark.parametrize("name", [*ROBOTS, "third_arm"])
+@pytest.mark.parametrize("name", [*ROBOTS, *OTHERS, "third_arm"])
 def test_core_reads_the_cell_and_the_shaft_meets_the_trocar(name: str, tmp_path: Path) -> None:
     surg_core = pytest.importorskip("surg_core")
     cell = paths.ROOT / f"cells/sim_{name}"
@@ -61,7 +63,7 @@ def test_core_reads_the_cell_and_the_shaft_meets_the_trocar(name: str, tmp_path:
     assert np.array_equal(arm.tool.s_F, X_FTip[:3, 2])
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", [*ROBOTS, *OTHERS])
 def test_yaml_and_urdf_state_the_same_limits(name: str, tmp_path: Path) -> None:
     import xml.etree.ElementTree as ET
 
@@ -73,6 +75,11 @@ def test_yaml_and_urdf_state_the_same_limits(name: str, tmp_path: Path) -> None:
     for i, joint in enumerate(joints["names"]):
         limit = limits[joint]
         assert limit is not None
+        if name == "fr3":  # tighter on purpose, see the test below
+            assert float(limit.get("lower", "nan")) <= joints["position_min"][i]
+            assert float(limit.get("upper", "nan")) >= joints["position_max"][i]
+            assert float(limit.get("velocity", "nan")) >= joints["velocity"][i]
+            continue
         assert float(limit.get("lower", "nan")) == pytest.approx(
             joints["position_min"][i], abs=1e-4
         )
@@ -83,7 +90,7 @@ def test_yaml_and_urdf_state_the_same_limits(name: str, tmp_path: Path) -> None:
         assert float(limit.get("effort", "0")) > 0
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", [*ROBOTS, *OTHERS])
 def test_every_number_of_a_robot_says_why(name: str, tmp_path: Path) -> None:
     """Each limit and tuning value stands with a comment that holds its unit."""
     section = ""
@@ -99,7 +106,7 @@ def test_every_number_of_a_robot_says_why(name: str, tmp_path: Path) -> None:
     assert checked == 39
 
 
-@pytest.mark.parametrize("name", [*ROBOTS, "third_arm"])
+@pytest.mark.parametrize("name", [*ROBOTS, *OTHERS, "third_arm"])
 def test_home_has_room_to_work(name: str, tmp_path: Path) -> None:
     """Over ±35, ±35, ±30 mm round the home tip and ±57 degrees of roll: far from every limit."""
     result = sweep(robot_yaml(name, tmp_path), GRASPER, DEPTH)
@@ -115,12 +122,44 @@ def test_home_posture_accelerations(tmp_path: Path) -> None:
     """At the tip's own acceleration limit only the Panda's joints may need scaling."""
     shares = {
         name: sweep(robot_yaml(name, tmp_path), GRASPER, DEPTH).acceleration
-        for name in (*ROBOTS, "third_arm")
+        for name in (*ROBOTS, *OTHERS, "third_arm")
     }
     print(shares)
-    assert shares["ur5e"] < 1.0
-    assert shares["third_arm"] < 1.0
-    assert shares["panda"] < 1.4
+    assert shares.pop("panda") < 1.4
+    assert max(shares.values()) < 1.0
+
+
+# Franka's limit of an FR3's joint velocity towards a position limit p, for each joint:
+# min(v, max(0, -offset + sqrt(slope (p + beyond - q)))). Source: rate_limiting.h of libfranka.
+FR3_OFFSET = np.array([0.30, 0.20, 0.20, 0.30, 0.35, 0.35, 0.35])
+FR3_SLOPE = np.array([12.0, 5.17, 7.0, 8.0, 34.0, 11.0, 34.0])
+FR3_UPPER = np.array([2.75010, 1.79180, 2.90650, -0.1458, 2.81010, 4.52050, 3.01960])
+FR3_LOWER = np.array([-2.75010, -1.79180, -2.90650, -3.04810, -2.81010, 0.54092, -3.01960])
+FR3_FASTEST = np.array([2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26])
+
+
+def fr3_allows(left: np.ndarray) -> np.ndarray:
+    """Fastest motion [rad/s] at a distance [rad] to the ends of the formula."""
+    root = np.sqrt(FR3_SLOPE * np.maximum(left, 0))
+    return np.minimum(FR3_FASTEST, np.maximum(0, root - FR3_OFFSET))
+
+
+def test_the_fr3_keeps_the_velocity_limits_of_every_posture(tmp_path: Path) -> None:
+    """A joint that runs at its limit as fast as the core lets it: below Franka's formula."""
+    robot = yaml.safe_load(robot_yaml("fr3", tmp_path).read_text())
+    joints, margin = robot["joints"], robot["limits"]["joint_margin"]
+    low, high, fastest, a = (
+        np.array(joints[key], dtype=float)
+        for key in ("position_min", "position_max", "velocity", "acceleration")
+    )
+    least = np.inf
+    for left in np.linspace(0, 3, 3001):  # [rad] to the YAML's limit
+        before = np.sqrt(2 * 0.8 * a * max(left - margin, 0))
+        speed = np.minimum(fastest, np.hypot(5 * min(left, margin), before))
+        for beyond in (FR3_UPPER - high, low - FR3_LOWER):
+            least = min(least, float((fr3_allows(left + beyond) - speed).min()))
+    print(f"below the formula by {least:.4f} rad/s and more")
+    assert least >= 0
 
 
 def test_home_pose_puts_the_trocar_on_the_shaft() -> None:

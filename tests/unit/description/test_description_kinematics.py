@@ -16,7 +16,14 @@ Matrix = NDArray[np.float64]
 Forward = Callable[[Matrix], Matrix]
 POSTURES = 20_000 if os.environ.get("SURG_TEST_FULL", "") not in ("", "0") else 500
 URDF = paths.ROOT / "src/surg_description/urdf"
-ORACLES: dict[str, Callable[[Matrix], Matrix]] = {"ur5e": dh.ur5e, "panda": dh.panda}
+ORACLES: dict[str, tuple[int, Callable[[Matrix], Matrix]]] = {
+    "ur3e": (6, lambda q: dh.ur(q, dh.UR3E)),
+    "ur5e": (6, dh.ur5e),
+    "ur10e": (6, lambda q: dh.ur(q, dh.UR10E)),
+    "panda": (7, dh.panda),
+    "fr3": (7, dh.panda),
+    "xarm7": (7, lambda q: dh.modified(q, dh.XARM7)),
+}
 
 
 def by_mujoco(urdf: Path) -> Forward:
@@ -79,8 +86,9 @@ def test_forward_kinematics_agree(name: str, way: Callable[[Path], Forward]) -> 
     rng = np.random.default_rng(20261121)
     forward = way(URDF / f"{name}.urdf")
     worst_m = worst_rad = 0.0
-    for q in rng.uniform(-np.pi, np.pi, (POSTURES, 6 if name == "ur5e" else 7)):
-        expected, got = ORACLES[name](q), forward(q)
+    joints, oracle = ORACLES[name]
+    for q in rng.uniform(-np.pi, np.pi, (POSTURES, joints)):
+        expected, got = oracle(q), forward(q)
         worst_m = max(worst_m, float(np.linalg.norm(got[:3, 3] - expected[:3, 3])))
         worst_rad = max(worst_rad, angle(got, expected))
     print(f"{name} {way.__name__}: {POSTURES} postures, {worst_m:.1e} m, {worst_rad:.1e} rad")
@@ -112,7 +120,7 @@ def test_instrument_is_sixty_millimetres_beside_the_flange() -> None:
     assert np.allclose(X[:3, :3], np.eye(3))
 
 
-@pytest.mark.parametrize("name", ["ur5e", "panda", "grasper"])
+@pytest.mark.parametrize("name", [*ORACLES, "grasper"])
 def test_urdf_is_ready_for_mujoco(name: str) -> None:
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_path(str(URDF / f"{name}.urdf"))

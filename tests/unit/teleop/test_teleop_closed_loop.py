@@ -23,9 +23,12 @@ SECONDS = None if os.environ.get("SURG_TEST_FULL", "") not in ("", "0") else 8.0
 
 
 def cell_of(name: str, folder: Path) -> Path:
-    if name != "third_arm":
-        return paths.ROOT / f"cells/sim_{name}"
-    robot = write_third_arm(folder / "third", DESCRIPTION / "robots/ur5e.yaml")
+    bundled = paths.ROOT / f"cells/sim_{name}"
+    if bundled.is_dir():
+        return bundled
+    robot = DESCRIPTION / f"robots/{name}.yaml"
+    if name == "third_arm":
+        robot = write_third_arm(folder / "third", DESCRIPTION / "robots/ur5e.yaml")
     return make_cell(robot, folder / "cell", DESCRIPTION / "instruments/grasper.yaml")
 
 
@@ -38,7 +41,7 @@ def describe(run: Run) -> str:
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-@pytest.mark.parametrize("name", ["ur5e", "panda", "third_arm"])
+@pytest.mark.parametrize("name", ["ur5e", "panda", "ur3e", "ur10e", "fr3", "xarm7", "third_arm"])
 def test_bundled_motion_meets_the_limits(name: str, mode: Mode, tmp_path: Path) -> None:
     run = play(cell_of(name, tmp_path), BUNDLED, mode, SECONDS)
     print(f"{name} {mode.value}: {describe(run)}")

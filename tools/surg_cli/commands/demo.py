@@ -24,7 +24,8 @@ BUNDLED_MOTION = paths.ROOT / "src" / "surg_teleop" / "motions" / "bundled.csv"
 def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
     """Declare the options."""
     add = parser.add_argument
-    add("--robot", default="ur5e", metavar="R", help="ur5e, panda, or the path of a robot's YAML")
+    robots = ", ".join(cells.described_robots())
+    add("--robot", default="ur5e", metavar="R", help=f"{robots}, or the path of a robot's YAML")
     add("--motion", type=Path, metavar="FILE", help="motion CSV (default: the bundled one)")
     add("--scale", type=positive, default=1.0, help="motion scale (default 1)")
     add("--duration", type=positive, metavar="S", help="only the first S seconds of the motion")

@@ -9,6 +9,7 @@ from surg_cli.host import paths
 from surg_cli.host.terminal import Problem
 
 BUNDLED_ROBOTS = {"ur5e": "sim_ur5e", "panda": "sim_panda"}
+ROBOTS = paths.ROOT / "src" / "surg_description" / "robots"
 INSTRUMENT = paths.ROOT / "src" / "surg_description" / "instruments" / "grasper.yaml"
 ARM = "PSM1"
 DEPTH_M = 0.120
@@ -31,7 +32,7 @@ def find(name: str) -> Path:
 
 
 def for_robot(robot: str, folder: Path) -> Path:
-    """The cell for `--robot`: a bundled one, or one made in a folder round a robot's YAML.
+    """The cell for `--robot`: a bundled one, or one made in a folder round a robot.
 
     A made cell has the robot base at the world's origin, the bundled instrument, and the trocar on
     the shaft at home with the tip 120 mm deep.
@@ -42,8 +43,11 @@ def for_robot(robot: str, folder: Path) -> Path:
     if robot in BUNDLED_ROBOTS:
         return find(BUNDLED_ROBOTS[robot])
     path = Path(robot)
-    if path.suffix not in (".yaml", ".yml"):
-        known = ", ".join(BUNDLED_ROBOTS)
+    described = described_robots()
+    if robot in described:
+        path = ROBOTS / f"{robot}.yaml"
+    elif path.suffix not in (".yaml", ".yml"):
+        known = ", ".join(described)
         raise Problem(f"--robot {robot}: neither {known} nor the path of a robot's YAML", 2)
     if not path.is_file():
         raise Problem(f"--robot {robot}: no such file", 2)
@@ -53,6 +57,11 @@ def for_robot(robot: str, folder: Path) -> Path:
         return make_cell(path.resolve(), folder, INSTRUMENT, DEPTH_M, ARM).parent
     except (ValueError, OSError) as error:
         raise Problem(str(error), 2) from error
+
+
+def described_robots() -> list[str]:
+    """Names of the robots that the platform describes."""
+    return sorted(file.stem for file in ROBOTS.glob("*.yaml"))
 
 
 def load(folder: Path) -> Any:
