@@ -154,7 +154,7 @@ def test_an_unknown_cell_names_the_bundled_ones() -> None:
 
 
 def test_an_unknown_robot_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(Problem, match="ur5e, panda"):
+    with pytest.raises(Problem, match="fr3, panda, ur10e, ur3e, ur5e, xarm7"):
         cells.for_robot("kuka", tmp_path)
     with pytest.raises(Problem, match="no such file"):
         cells.for_robot(str(tmp_path / "kuka.yaml"), tmp_path)
