@@ -3,12 +3,15 @@
 import json
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from helpers.graph.surg import start, surg
+from helpers.graph.surg import environment, start, surg
 from surg_cli.graph import master, processes, running
+from surg_cli.host import paths
 
 pytestmark = pytest.mark.ros
 
@@ -121,3 +124,41 @@ def test_running_list_is_plain_json(tmp_path: Path) -> None:
         assert json.loads(system.file.read_text())["command"] == "up"
         process.send_signal(signal.SIGINT)
         process.wait(30)
+
+
+def test_stop_pauses_an_enabled_arm_and_leaves_the_system_up(tmp_path: Path) -> None:
+    port, log = master.free_port(), tmp_path / "up.log"
+    with start(log, "up", "sim_ur5e", "--no-video", "--port", port) as process:
+        wait_for_entry(process.pid, log)
+        assert processes.wait_until(lambda: "is up" in log.read_text(), START_S, 0.1)
+        env = {**environment(), "ROS_MASTER_URI": f"http://localhost:{port}"}
+        env["PYTHONPATH"] = f"{paths.ROOT / 'tests'}:{env['PYTHONPATH']}"
+        client = subprocess.Popen(
+            [sys.executable, "-m", "helpers.graph.session_client", "PSM1"],
+            env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        assert client.stdin is not None and client.stdout is not None
+        for word in ("enable", "home"):
+            command = f'"{{string: {word}}}"'
+            client.stdin.write(
+                f"rostopic pub -1 /PSM1/state_command crtk_msgs/StringStamped {command}\n"
+            )
+            client.stdin.flush()
+            answer = json.loads(client.stdout.readline())
+        assert answer["state"] == "ENABLED", answer
+        done = surg("stop", "--port", port)
+        assert done.returncode == 0, done.stdout + done.stderr
+        assert "PSM1 PAUSED" in done.stdout
+        again = surg("stop", "--port", port)  # an arm at rest is no reason to fail
+        assert again.returncode == 0
+        client.stdin.close()
+        client.wait(20)
+        assert process.poll() is None
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 130
+
+
+def test_stop_without_a_system_says_so() -> None:
+    done = surg("stop", "--port", master.free_port())
+    assert done.returncode == 1
+    assert "no ROS master answers" in done.stderr

@@ -29,6 +29,7 @@ COMMANDS = {
     "teleop": Command("run", "teleop", "operate the phantom from the browser console"),
     "up": Command("run", "up", "bring a cell up and keep it until Ctrl-C"),
     "down": Command("run", "down", "end what `up` started", needs_workspace=False),
+    "stop": Command("run", "stop", "pause every arm of the running systems"),
     "status": Command("run", "status", "list nodes, topic rates and last errors of a system"),
     "record": Command("data", "record", "start, stop and tag a recording of a running system"),
     "recover": Command("data", "recover", "complete recordings that were interrupted"),

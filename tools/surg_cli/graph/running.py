@@ -5,11 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from surg_cli.graph import master, processes
+from surg_cli.graph.watch import PAUSE_SIGNAL
 from surg_cli.host import environment, paths
 from surg_cli.host.terminal import Problem
 
@@ -65,6 +67,9 @@ def announced(
 ) -> Iterator[System]:
     """List this process as the supervisor of a system while the context lasts; yields the entry."""
     pid = os.getpid()
+    signal.signal(
+        PAUSE_SIGNAL, signal.SIG_IGN
+    )  # until a Watch listens, `./surg stop` asks the arms
     system = System(
         port,
         pid,

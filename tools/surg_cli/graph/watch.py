@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections import deque
@@ -10,8 +11,27 @@ from typing import Any, Self
 
 from surg_cli.host.terminal import warn
 
+PAUSE_SIGNAL = signal.SIGUSR1
+"""Makes a supervising process pause every arm of its system (`./surg stop`)."""
+CONNECT_S = 1.0
+"""[s] The arms' controllers connect to a new sender in this time."""
 FAULT_GRACE_S = 1.0
 """[s] An arm in FAULT gets this time to send its error."""
+
+
+def pause_arms(arms: Sequence[str]) -> None:
+    """Tell arms to pause. Nobody is a sender before that: in lock-step senders are declared."""
+    import rospy
+
+    from crtk_msgs.msg import StringStamped
+
+    keys = {"queue_size": 10, "latch": True, "tcp_nodelay": True}
+    told = [rospy.Publisher(f"/{arm}/state_command", StringStamped, **keys) for arm in arms]
+    for publisher in told:
+        publisher.publish(StringStamped(string="pause"))
+    time.sleep(CONNECT_S)  # latched: whoever connects in this time is told
+    for publisher in told:
+        publisher.unregister()
 
 
 class Watch:
@@ -58,6 +78,9 @@ class Watch:
         self._subscribers = [subscribe("/record/recording", Bool, self._on_recording)]
         for topic, kind in self._kinds.items():
             self._subscribers.append(subscribe(topic, kind, self._on_status, topic))
+        self._arms = tuple(arms)
+        if arms and threading.current_thread() is threading.main_thread():
+            signal.signal(PAUSE_SIGNAL, lambda *_: self._begin_pause())
         for arm in arms:
             topic = f"/{arm}/operating_state"
             self._subscribers.append(subscribe(topic, OperatingState, self._on_state, arm))
@@ -72,6 +95,8 @@ class Watch:
         """Leave the graph while its master still answers: without one, leaving takes seconds."""
         import rospy
 
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(PAUSE_SIGNAL, signal.SIG_IGN)
         rospy.signal_shutdown("surg is done")
 
     def begin(self) -> None:
@@ -82,6 +107,14 @@ class Watch:
     def record(self, on: bool) -> None:
         """Tell the recorder to start or to stop; latched, so a late recorder hears it too."""
         self._record_switch.publish(self._bool(on))
+
+    def _begin_pause(self) -> None:
+        threading.Thread(target=pause_arms, args=(self._enabled(),), daemon=True).start()
+
+    def _enabled(self) -> list[str]:
+        """Arms that are ENABLED, or whose state is not known."""
+        with self._lock:
+            return [arm for arm in self._arms if self._states.get(arm, "ENABLED") == "ENABLED"]
 
     @property
     def sim(self) -> Any:

@@ -1,0 +1,86 @@
+"""`./surg stop`: pause every arm, without the console and its web server."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import subprocess
+import sys
+import time
+from typing import Any
+
+from surg_cli.graph import master, running
+from surg_cli.graph.watch import PAUSE_SIGNAL, pause_arms
+from surg_cli.host.option_types import tcp_port
+from surg_cli.host.terminal import Problem, say
+
+STATE_TYPE = "crtk_msgs/OperatingState"
+PATIENCE_S = 0.3
+"""[s] The supervising process has paused the arms by then, or this process does it."""
+TIMEOUT_S = 5.0
+LOOK_S = 0.01
+
+
+def add_arguments(parser: argparse.ArgumentParser, command: str) -> None:
+    """Declare the options."""
+    parser.add_argument("--port", type=tcp_port, metavar="P", help="only the system on this port")
+
+
+def main(options: argparse.Namespace, command: str) -> int:
+    """Pause, then check that every arm has left ENABLED; exit status 1 if one has not."""
+    systems = [s for s in running.systems() if options.port in (None, s.port)]
+    for system in systems:  # its supervising process is connected already: the fastest way
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(system.pid, PAUSE_SIGNAL)
+    uris = list(dict.fromkeys(system.master_uri for system in systems))
+    if not uris and options.port is None:
+        raise Problem("no system of this checkout is running (--port P names another ROS master)")
+    if len(uris) > 1:  # a process belongs to one ROS master
+        ports = [str(s.port) for s in systems]
+        return max(
+            subprocess.run([sys.executable, "-s", "-m", "surg_cli", "stop", "--port", p]).returncode
+            for p in ports
+        )
+    return _confirm(uris[0] if uris else f"http://localhost:{options.port}")
+
+
+def _confirm(uri: str) -> int:
+    """Wait until no arm is ENABLED; tell those that still are."""
+    os.environ["ROS_MASTER_URI"] = uri
+    arms = sorted(
+        topic.split("/")[1]
+        for topic, kind in master.call(uri, "getTopicTypes")
+        if kind == STATE_TYPE and topic.count("/") == 2
+    )
+    if not arms:
+        raise Problem(f"no arm reports an operating state to the ROS master at {uri}")
+    import rospy
+
+    from crtk_msgs.msg import OperatingState
+
+    rospy.init_node("surg_stop", anonymous=True, disable_signals=True)
+    states: dict[str, str] = {}
+
+    def heard(message: Any, arm: str) -> None:
+        states[arm] = message.state
+
+    for arm in arms:
+        rospy.Subscriber(f"/{arm}/operating_state", OperatingState, heard, arm, tcp_nodelay=True)
+    began, told = time.monotonic(), False
+    while (moving := _moving(arms, states)) and time.monotonic() - began < TIMEOUT_S:
+        if not told and time.monotonic() - began > PATIENCE_S:
+            pause_arms(moving)
+            told = True
+        time.sleep(LOOK_S)
+    for arm in arms:
+        say(f"{arm} {states.get(arm, 'silent')}")
+    rospy.signal_shutdown("stopped")
+    if moving := _moving(arms, states):
+        raise Problem(f"{', '.join(moving)} did not pause: press the robot's emergency stop")
+    return 0
+
+
+def _moving(arms: list[str], states: dict[str, str]) -> list[str]:
+    """Arms that are ENABLED, or have not reported yet."""
+    return [arm for arm in arms if states.get(arm, "ENABLED") == "ENABLED"]
