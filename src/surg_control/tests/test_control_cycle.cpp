@@ -34,17 +34,21 @@ class Arm {
     link.q = setup_.robot.home;
     link.qd = surg::JointVector::Zero(link.q.size());
     link.jaw = 0.2;
+    link.condition = surg::RobotCondition::kActive;
   }
 
   const CycleRecord& step(const std::vector<CommandItem>& items = {}) {
     now_ns += static_cast<std::int64_t>(kTickNs);
     link.stamp_ns = static_cast<std::uint64_t>(now_ns);
     link.received_ns = link.jaw_received_ns = now_ns;
+    if (says_its_condition) link.condition_received_ns = now_ns;
     const CycleRecord& record = cycle->run(link, now_ns, 0, items.data(), items.size());
     link.qd = record.out.qd_command;
     link.q += link.qd * kTick;
     return record;
   }
+
+  double link_timeout() const { return setup_.robot.tuning.link_timeout; }
 
   const CycleRecord& enable() {
     step();
@@ -90,6 +94,7 @@ class Arm {
   std::unique_ptr<ControlCycle> cycle;
   LinkState link;
   std::int64_t now_ns = 0;
+  bool says_its_condition = true;
 
  private:
   ArmSetup setup_;
@@ -101,6 +106,30 @@ surg::Pose some_frame() {
   X_UR.linear() = Eigen::AngleAxisd(0.7, surg::Vector3(1, -2, 0.5).normalized()).toRotationMatrix();
   X_UR.translation() = surg::Vector3(0.2, 0.4, -0.1);
   return X_UR;
+}
+
+TEST(ControlCycle, F33ALinkThatNeverSaidItsConditionOrNoLongerDoesIsLost) {
+  Arm silent;
+  silent.says_its_condition = false;
+  silent.step();
+  EXPECT_EQ(silent.step({Arm::state(surg::StateCommand::kEnable)}).answers[0].reason,
+            surg::Reason::kLinkLost);
+  Arm arm;
+  arm.enable();
+  arm.says_its_condition = false;
+  int k = 1;
+  while (arm.step().out.state == surg::State::kEnabled && k < 1000) ++k;
+  EXPECT_EQ(arm.cycle->record().out.reason, surg::Reason::kLinkLost);
+  EXPECT_EQ(k, std::lround(arm.link_timeout() / kTick) + 1);
+}
+
+TEST(ControlCycle, F33AConditionFaultsInItsOwnCycle) {
+  Arm arm;
+  arm.enable();
+  arm.link.condition = surg::RobotCondition::kEstop;
+  const CycleRecord& record = arm.step();
+  EXPECT_EQ(record.out.state, surg::State::kFault);
+  EXPECT_EQ(record.out.reason, surg::Reason::kRobot);
 }
 
 TEST(ControlCycle, ATargetInTheUsersFrameIsTheSameTarget) {

@@ -48,6 +48,7 @@ class Rig:
         tools: Tool commands as they came.
         cycles: Cycle messages as they came.
         texts: Every text of warning, status, error by topic.
+        says: Members of the link's status.
     """
 
     def __init__(self, name: str, twist: bool = False) -> None:
@@ -62,6 +63,7 @@ class Rig:
         self.cycles: queue.Queue[Cycle] = queue.Queue()
         self.texts: dict[str, list[str]] = {}
         self.states: list[OperatingState] = []
+        self.says: dict[str, Any] = {"condition": LinkStatus.ACTIVE}
         self._changed = threading.Condition()
         self._subscribers = [
             self._listen("robot/servo_cv", TwistStamped, self.answers.put)
@@ -135,9 +137,17 @@ class Rig:
         message.position = self.q.tolist()
         message.velocity = self.qd.tolist()
         self.robot.publish(message)
+        self.publish_status(stamp(tick))
         tool = JointState(name=["jaw"], position=[0.2])
         tool.header.stamp = stamp(tick)
         self.tool.publish(tool)
+
+    def publish_status(self, when: rospy.Time, lockstep: bool = True) -> None:
+        """What the link says of the robot: `says` in each of its members."""
+        said = {"lockstep": lockstep, "speed_scaling": 1.0, "rate": 1, **self.says}
+        status = LinkStatus(**said)
+        status.header.stamp = when
+        self.link.publish(status)
 
     def publish_ready(self, tick: int, sent: int | None = None) -> None:
         """All is sent for this tick."""
@@ -248,6 +258,7 @@ def real_time(rig: Rig, ahead_s: float = 0.0) -> Iterator[list[np.ndarray]]:
             message.header.stamp = stamp_now
             message.position, message.velocity = rig.q.tolist(), rig.qd.tolist()
             rig.robot.publish(message)
+            rig.publish_status(stamp_now, lockstep=False)
             tool = JointState(name=["jaw"], position=[0.2])
             tool.header.stamp = stamp_now
             rig.tool.publish(tool)

@@ -22,7 +22,7 @@ one per run, one per cycle, or 1 for the largest of all runs.
 """
 ROWS = (
     *("F01", "F02", "F03", "F10", "F11", "F20", "F21", "F22", "F23", "F24", "F25", "F26"),
-    *("F27", "F28", "F31", "F04", "F05", "F08"),
+    *("F27", "F28", "F31", "F33", "F04", "F05", "F08"),
 )
 """Without one of these the page is not written."""
 

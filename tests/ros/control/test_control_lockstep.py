@@ -283,6 +283,7 @@ def test_sigterm_commands_zero_and_exits_cleanly(ros_graph: RosGraph, rig: Rig) 
 
 
 def test_free_run_keeps_500_hz(ros_graph: RosGraph, rig: Rig) -> None:
+    rig.says["lockstep"] = False
     start(ros_graph, rig, mode="freerun", participants=[])
     stop = threading.Event()
 

@@ -28,10 +28,11 @@ ABSENT = {
     "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
     "StreamInput StreamEstimate TremorNotch nearest_inside": "part",
     "ForceGuard ElbowMotion ElbowTurn elbow_turn swivel_angle": "part",
+    "StandstillGuard": "part",
     "OperatingState Conditions Authority CycleClock LagMeter": "part",
     "velocity_twist axial_twist paper_twist TwistParts Gains to_spherical to_cartesian": "part",
     "StepRequest PathView Barrier SingularityMeasures": "part",
-    "is_servo is_jaw Inputs newton_step wrapped aside_near_trocar"
+    "robot_condition is_servo is_jaw Inputs newton_step wrapped aside_near_trocar"
     " braked_together slowed_flange lateral_fade": "part",
     # plain bytes for the black box, which has a program of its own (rcm_replay)
     "IsPlain SnapshotWriter SnapshotReader": "bytes",

@@ -419,6 +419,8 @@ def test_a_tool_that_is_off_shows_in_the_truth_and_rests(cell: surg_core.Cell) -
         ('{"fault": "wire", "loss": 1.1}', "from 0 to 1"),
         ('{"fault": "wire", "loss": NaN}', "loss is nan"),
         ('{"fault": "wire", "topic": "cycle"}', "robot/measured_js"),
+        ('{"fault": "robot", "condition": "active"}', "stopped"),
+        ('{"fault": "robot", "scaling": 2}', "from 0 to 1"),
         ('{"fault": "trocar_jump"}', "offset is missing"),
         ('{"fault": "trocar_jump", "offset": [0, 0]}', "3 numbers"),
         ('{"fault": "trocar_jump", "offset": ["0", "0", "1"]}', "3 numbers"),

@@ -25,6 +25,11 @@ surg::ForceSample force_of(const MeasuredForce& measured, std::int64_t now_ns) {
 
 double seconds(std::int64_t ns) { return static_cast<double>(ns) * 1e-9; }
 
+/// [s] since something was received; infinite if it never was.
+double age(std::int64_t received_ns, std::int64_t now_ns) {
+  return received_ns == 0 ? std::numeric_limits<double>::infinity() : seconds(now_ns - received_ns);
+}
+
 bool is_pose(surg::Motion motion) {
   return motion == surg::Motion::kServoCp || motion == surg::Motion::kInterpolateCp ||
          motion == surg::Motion::kMoveCp;
@@ -150,9 +155,10 @@ void ControlCycle::sense(const LinkState& link, std::int64_t now_ns) {
   inputs_.state_age = inputs_.state_valid ? seconds(now_ns - link.received_ns) : 0;
   inputs_.q = link.q;
   inputs_.qd = link.qd;
+  inputs_.condition = link.condition;
+  inputs_.condition_age = age(link.condition_received_ns, now_ns);
   inputs_.jaw = link.jaw;
-  inputs_.jaw_age = link.jaw_received_ns == 0 ? std::numeric_limits<double>::infinity()
-                                              : seconds(now_ns - link.jaw_received_ns);
+  inputs_.jaw_age = age(link.jaw_received_ns, now_ns);
   inputs_.tip_force = force_of(link.tip, now_ns);
   inputs_.trocar_force = force_of(link.trocar, now_ns);
   inputs_.track_valid = track_.source != 0;

@@ -48,6 +48,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   sem_init(&command_waiting_, 0, 0);
   surg::Controller::Options law;
   const bool twist = commands_twist(options_, setup_);
+  sends_ = twist ? "cartesian_velocity" : "joint_velocity";
   // A twist link solves for its joints itself, so there is no reference for it to follow.
   law.law = twist && options_.law == surg::Law::kExact ? surg::Law::kVelocity : options_.law;
   law.dt = kTick;
@@ -111,8 +112,9 @@ void RcmLoop::on_tick(const LinkState& state) {
   }
   if (tick == robot_tick_) {
     const std::string missing = lockstep_gate_.missing(tick);
-    reporter_->status(arm_ + ": tick " + std::to_string(tick) + " waits: " +
-                      (missing.empty() ? "tool/measured_js of this tick has not come" : missing));
+    reporter_->status(
+        arm_ + ": tick " + std::to_string(tick) + " waits: " +
+        (missing.empty() ? "tool/measured_js or robot/status of this tick has not come" : missing));
   }
   robot_tick_ = tick;
   link_.stamp_ns = state.stamp_ns;
@@ -123,11 +125,12 @@ void RcmLoop::on_tick(const LinkState& state) {
 
 void RcmLoop::try_step() {
   if (robot_tick_ <= answered_tick_ || tool_tick_ != robot_tick_) return;
+  if (status_tick_ != robot_tick_) return;
   // While exiting, commands are ignored, so there is nothing to wait for.
   if (!exiting_ && !lockstep_gate_.due(robot_tick_)) return;
   disable_if_exiting();
   const auto tick_ns = static_cast<std::int64_t>(robot_tick_ * kTickNs);
-  link_.received_ns = link_.jaw_received_ns = tick_ns;
+  link_.received_ns = link_.jaw_received_ns = link_.condition_received_ns = tick_ns;
   const std::vector<CommandItem>& items = lockstep_gate_.take();
   cycle_->run(link_, tick_ns, 0, items.data(), items.size());
   CycleRecord& record = cycle_->record();

@@ -49,7 +49,8 @@ void RcmLoop::subscribe_link() {
   }
   const boost::function<void(const surg_msgs::LinkStatus::ConstPtr&)> status =
       [this](const auto& message) { on_link_status(*message); };
-  link_status_ = node_.subscribe<surg_msgs::LinkStatus>(prefix + "robot/status", 1, status);
+  subscribers_.push_back(node_.subscribe<surg_msgs::LinkStatus>(
+      prefix + "robot/status", depth, status, ros::VoidConstPtr(), hints));
   if (!options_.lockstep) return;
   const boost::function<void(const surg_msgs::Ready::ConstPtr&)> ready =
       [this](const auto& message) { on_ready(*message); };
@@ -193,14 +194,36 @@ void RcmLoop::on_ready(const surg_msgs::Ready& message) {
   try_step();
 }
 
+/// F33: what the link says of its robot; in lock-step it belongs to the tick of its stamp.
 void RcmLoop::on_link_status(const surg_msgs::LinkStatus& message) {
-  if (static_cast<bool>(message.lockstep) != options_.lockstep) {
+  const bool lockstep = message.lockstep;
+  if (!time_is_checked_ && lockstep != options_.lockstep) {
     reporter_->error(arm_ + ": the robot link keeps time in " +
-                     (message.lockstep ? "lock-step" : "free-run") + " and this controller in " +
+                     (lockstep ? "lock-step" : "free-run") + " and this controller in " +
                      (options_.lockstep ? "lock-step" : "free-run") +
                      ": start both with the same ~mode");
   }
-  link_status_.shutdown();  // a link does not change its mode; 500 messages a second saved
+  time_is_checked_ = true;
+  link_.condition = condition_of(message);
+  if (!options_.lockstep) {
+    link_.condition_received_ns = steady_ns();
+    latest_link_.put(link_);
+    return;
+  }
+  status_tick_ = message.header.stamp.toNSec() / kTickNs;
+  try_step();
+}
+
+surg::RobotCondition RcmLoop::condition_of(const surg_msgs::LinkStatus& message) {
+  const surg::RobotCondition condition = surg::robot_condition(message.condition);
+  if (condition == surg::RobotCondition::kActive && !message.command.empty() &&
+      message.command != sends_) {
+    reporter_->robot_says("the link obeys '" + message.command + "' and the controller sends '" +
+                          sends_ + "': start both alike, by ~link or the robot's YAML");
+    return surg::RobotCondition::kOtherCommand;
+  }
+  reporter_->robot_says(message.fault.empty() ? surg::sentence(condition) : message.fault);
+  return condition;
 }
 
 }  // namespace surg_control

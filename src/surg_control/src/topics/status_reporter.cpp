@@ -99,6 +99,18 @@ void StatusReporter::error(const std::string& text) {
   error_.publish(text_message(text));
 }
 
+void StatusReporter::robot_says(const std::string& sentence) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  if (robot_says_ != sentence) robot_says_ = sentence;
+}
+
+/// The sentence of a reason; of a robot that does not obey, what its link says.
+std::string StatusReporter::explain(surg::Reason reason) {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  const bool says = reason == surg::Reason::kRobot && !robot_says_.empty();
+  return says ? robot_says_ : surg::sentence(reason);
+}
+
 bool StatusReporter::report(const CycleRecord& record, double now) {
   report_answers(record, now);
   report_ignored(record);
@@ -131,7 +143,7 @@ void StatusReporter::report_answers(const CycleRecord& record, double now) {
 
 void StatusReporter::report_refused(const Answer& answer, const CycleRecord& record, double now) {
   const std::string topic = topic_of_answer(answer);
-  std::string why = surg::sentence(answer.reason);
+  std::string why = explain(answer.reason);
   if (answer.reason == surg::Reason::kWrongFrame) {
     why = std::string("frame_id is '") + record.wrong_frame.c_str() + "'; allowed is '" +
           record.frame.name.c_str() +
@@ -211,7 +223,7 @@ bool StatusReporter::report_changes(const CycleRecord& record, double now) {
   const std::string why =
       out.reason == surg::Reason::kNone
           ? ""
-          : std::string("(") + surg::name(out.reason) + "): " + surg::sentence(out.reason);
+          : std::string("(") + surg::name(out.reason) + "): " + explain(out.reason);
   if (out.state == surg::State::kFault && (new_state || new_reason)) {
     error(arm_ + ": FAULT" + why);
   } else if (new_state) {

@@ -15,6 +15,7 @@
 #include "surg_core/motion/command.hpp"
 #include "surg_core/state/force_guard.hpp"
 #include "surg_core/state/operating_state.hpp"
+#include "surg_core/state/robot_condition.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
@@ -36,6 +37,8 @@ struct Readings {
   bool state_valid = false;  ///< q, qd hold a joint state
   double state_age = 0;      ///< [s] since it was received (0 in lock-step)
   JointVector q, qd;         ///< measured [rad, rad/s]
+  RobotCondition condition = RobotCondition::kActive;  ///< F33, as the robot link says
+  double condition_age = 0;  ///< [s] since it was received (0 in lock-step)
   double jaw = 0;            ///< measured jaw [rad]
   double jaw_age = 0;        ///< [s] since it was received (0 in lock-step)
   ForceSample tip_force;     ///< F25, where a sensor exists

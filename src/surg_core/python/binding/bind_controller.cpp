@@ -102,11 +102,14 @@ void bind_readings(py::module_& m) {
                              [](const ForceSample& f) { return frozen(from_matrix(f.f_B)); });
 
   py::class_<Readings>(m, "Readings",
-                       "What tool and sensors said beside the joints; for Controller.step.")
-      .def(py::init([](double jaw_age, const ForceSample& tip_force,
-                       const ForceSample& trocar_force, const std::optional<Array>& p_BTrack,
-                       const std::optional<Array>& v_BTrack, double track_age) {
+                       "What robot, tool and sensors said beside the joints; for Controller.step.")
+      .def(py::init([](RobotCondition condition, double condition_age, double jaw_age,
+                       const ForceSample& tip_force, const ForceSample& trocar_force,
+                       const std::optional<Array>& p_BTrack, const std::optional<Array>& v_BTrack,
+                       double track_age) {
              Readings readings;
+             readings.condition = condition;
+             readings.condition_age = condition_age;
              readings.jaw_age = jaw_age;
              readings.tip_force = tip_force;
              readings.trocar_force = trocar_force;
@@ -116,14 +119,18 @@ void bind_readings(py::module_& m) {
              if (v_BTrack) readings.v_BTrack = to_vector3(*v_BTrack, "v_BTrack");
              return readings;
            }),
-           py::kw_only(), py::arg("jaw_age") = 0.0,
+           py::kw_only(), py::arg_v("condition", RobotCondition::kActive, "RobotCondition.ACTIVE"),
+           py::arg("condition_age") = 0.0, py::arg("jaw_age") = 0.0,
            py::arg_v("tip_force", ForceSample{}, "ForceSample()"),
            py::arg_v("trocar_force", ForceSample{}, "ForceSample()"),
            py::arg("p_BTrack") = py::none(), py::arg("v_BTrack") = py::none(),
            py::arg("track_age") = 0.0,
-           "jaw_age [s]; forces; p_BTrack (3,) [m] and v_BTrack (3,) [m/s]: where a moving trocar "
+           "condition of the robot, condition_age [s]; jaw_age [s]; forces; p_BTrack (3,) [m] and "
+           "v_BTrack (3,) [m/s]: where a moving trocar "
            "was\n"
            "track_age [s] ago (Controller(track_rcm=True)); None: not tracked.")
+      .def_readonly("condition", &Readings::condition)
+      .def_readonly("condition_age", &Readings::condition_age)
       .def_readonly("jaw_age", &Readings::jaw_age)
       .def_readonly("tip_force", &Readings::tip_force)
       .def_readonly("trocar_force", &Readings::trocar_force)
@@ -448,7 +455,8 @@ void bind_reason(py::module_& m) {
       .value("LATE", Reason::kLate)
       .value("NO_ELBOW", Reason::kNoElbow)
       .value("ELBOW_OUT_OF_REACH", Reason::kElbowOutOfReach)
-      .value("TOOL_WHILE_ENABLED", Reason::kToolWhileEnabled);
+      .value("TOOL_WHILE_ENABLED", Reason::kToolWhileEnabled)
+      .value("ROBOT", Reason::kRobot);
   m.def("sentence", py::overload_cast<Reason>(&sentence), py::arg("reason"),
         "What was wrong and what to do, for people.");
   m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
@@ -467,6 +475,18 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("OUTLIER", TrackWarning::kOutlier)
       .value("DROPOUT", TrackWarning::kDropout)
       .value("NOISY", TrackWarning::kNoisy);
+  py::enum_<RobotCondition>(m, "RobotCondition", "Numbered as in surg_msgs/LinkStatus.")
+      .value("OFFLINE", RobotCondition::kOffline)
+      .value("OFF", RobotCondition::kOff)
+      .value("BRAKED", RobotCondition::kBraked)
+      .value("READY", RobotCondition::kReady)
+      .value("ACTIVE", RobotCondition::kActive)
+      .value("GUIDED", RobotCondition::kGuided)
+      .value("SLOWED", RobotCondition::kSlowed)
+      .value("STOPPED", RobotCondition::kStopped)
+      .value("ESTOP", RobotCondition::kEstop)
+      .value("BROKEN", RobotCondition::kBroken)
+      .value("OTHER_COMMAND", RobotCondition::kOtherCommand);
   py::enum_<StateCommand>(m, "StateCommand", "CRTK state commands.")
       .value("ENABLE", StateCommand::kEnable)
       .value("DISABLE", StateCommand::kDisable)
@@ -474,6 +494,8 @@ void bind_operating_state(py::module_& m, py::module_& testing) {
       .value("RESUME", StateCommand::kResume)
       .value("HOME", StateCommand::kHome)
       .value("UNHOME", StateCommand::kUnhome);
+  m.def("condition_sentence", py::overload_cast<RobotCondition>(&sentence), py::arg("condition"),
+        "What is wrong with the robot and what to do, for people; empty for ACTIVE.");
   testing.def("state_name", py::overload_cast<State>(&name), py::arg("state"),
               "As in CRTK's operating_state.");
 }

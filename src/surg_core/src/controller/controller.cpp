@@ -52,6 +52,7 @@ const Outputs& Controller::step(const Inputs& inputs) {
   self.clock.advance(inputs.elapsed);
   self.catch_up();
   self.sense(inputs);
+  self.guard_robot(inputs);
   self.guard_lateness(inputs);
   self.guard_following(inputs);
   self.guard_pivot(inputs);
@@ -94,6 +95,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
                                              lag_for(robot_in, options), options.dt)),
       elbow(chain, step_limits(robot_in, limits_in, options.law), robot_in.elbow, options.dt),
+      standstill(robot_in.tuning.link_timeout),
       trocar_before(trocar),
       qd_last(JointVector::Zero(chain.dof())) {
   out.qd_command = qd_last;

@@ -85,6 +85,25 @@ void Controller::Impl::sense(const Inputs& in) {
   check_tool_link(in);
 }
 
+void Controller::Impl::guard_robot(const Inputs& in) {
+  robot_reason = in.condition == RobotCondition::kActive ? Reason::kNone : Reason::kRobot;
+  if (!state_known) return;  // a lost link halts anyway
+  const bool fresh = in.condition_age <= robot.tuning.link_timeout;
+  if (!fresh || in.condition == RobotCondition::kOffline) {
+    state_known = false;
+    state_reason = Reason::kLinkLost;
+    if (enabled()) fault(Reason::kLinkLost);
+    return;
+  }
+  if (robot_reason == Reason::kNone) return;
+  if (enabled() || operating.state() == State::kPaused) fault(Reason::kRobot);
+  if (halted || in.condition == RobotCondition::kSlowed) return;  // it still obeys a ramp
+  handler.start(tip_pose());
+  halt();
+  follower.reset(in.q);
+  qd_last.setZero();
+}
+
 void Controller::Impl::measure_lag(const Inputs& in) {
   if (enabled()) {
     lag_meter.step(qd_last, in.q, in.state_age, clock.elapsed());
@@ -144,14 +163,31 @@ void Controller::Impl::guard_lateness(const Inputs& in) {
 /// The link stops the arm by itself when commands are lost on their way. When they arrive again,
 /// the arm must not be told to go on at full speed.
 void Controller::Impl::guard_following(const Inputs& in) {
+  const bool unlike = joints_are_unexplained(in), still = stands_still(in);
+  if (unlike || still) stop_from_measured(in, Reason::kNotFollowing);
+}
+
+bool Controller::Impl::joints_are_unexplained(const Inputs& in) {
   const bool fresh = state_known && state_delay <= T && !clock.gap();
   const JointVector slack = (2 * T * robot.acceleration).cwiseMax(kVelocitySlack);
   const bool moves = (qd_last.array().abs() > slack.array()).any();
   const bool explained = !fresh || !moves || commanded.explains(in.qd, slack, 0);
   unexplained = explained ? 0 : unexplained + 1;
-  if (unexplained < kUnexplained) return;
+  if (unexplained < kUnexplained) return false;
   unexplained = 0;
-  stop_from_measured(in, Reason::kNotFollowing);
+  return true;
+}
+
+/// A set-point that waits for its arm never runs away from it, and a slow one does so late.
+bool Controller::Impl::stands_still(const Inputs& in) {
+  if (!enabled() || !state_known || clock.gap()) {
+    standstill.restart();
+    return false;
+  }
+  const double dt = clock.periods() * T;
+  if (!standstill.stands_still(qd_last, in.q, arm.measured().J, dt)) return false;
+  standstill.restart();
+  return true;
 }
 
 void Controller::Impl::stop_from_measured(const Inputs& in, Reason reason) {

@@ -18,6 +18,7 @@
 #include "surg_core/state/gate.hpp"
 #include "surg_core/state/lag_meter.hpp"
 #include "surg_core/state/snapshot.hpp"
+#include "surg_core/state/standstill_guard.hpp"
 
 namespace surg {
 
@@ -40,6 +41,8 @@ template <>
 struct IsPlain<ForceGuard> : std::true_type {};
 template <>
 struct IsPlain<LagMeter> : std::true_type {};
+template <>
+struct IsPlain<StandstillGuard> : std::true_type {};
 
 struct Controller::Impl {
   // Frozen.
@@ -64,11 +67,13 @@ struct Controller::Impl {
   ElbowMotion elbow;
   JointTrace trace;  // the way back
   LagMeter lag_meter;
+  StandstillGuard standstill;
 
   Pose X_BR = Pose::Identity();
   double state_delay = 0;                   // [s] recent age of states beyond one period
   bool state_known = false;                 // the last step had a finite, fresh joint state
   Reason state_reason = Reason::kLinkLost;  // why not
+  Reason robot_reason = Reason::kNone;      // why the robot does not obey
   Reason track_reason = Reason::kNone;      // why the trocar's last sample was not taken
   Trocar trocar_before;                     // the trocar before this cycle's sample
   bool inserted = false;                    // the trocar lies on the shaft and must stay there
@@ -125,11 +130,16 @@ struct Controller::Impl {
   void elapse_authority();
   void sense(const Inputs& in);
   void measure_lag(const Inputs& in);
+  /// F33: a robot that does not obey is told nothing, so that it does not leap when it obeys again.
+  void guard_robot(const Inputs& in);
   /// F27: after a gap continues from the arm's measured velocity, or stops if the link has stopped
   /// the arm meanwhile.
   void guard_lateness(const Inputs& in);
-  /// Pauses an arm whose joints move otherwise than any recent command.
+  /// Pauses an arm whose joints move otherwise than any recent command, or stand still against
+  /// them.
   void guard_following(const Inputs& in);
+  bool joints_are_unexplained(const Inputs& in);
+  bool stands_still(const Inputs& in);
   /// Brakes from the measured velocity; the motion in progress is over.
   void stop_from_measured(const Inputs& in, Reason reason);
   /// Factor of the feedback gain in (0, 1] for late states. A loop becomes unstable at a gain times
@@ -190,13 +200,14 @@ struct Controller::Impl {
   /// Serializes every member that a step reads before writing it; a test finds a missing one.
   template <typename Archive>
   void serialize(Archive& archive) {
-    archive(clock, commanded, operating, authority, trocar, handler, jaw, force, lag_meter);
+    archive(clock, commanded, operating, authority, trocar, handler, jaw, force, lag_meter,
+            standstill);
     arm.serialize(archive);
     follower.serialize(archive);
     elbow.serialize(archive);
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
-            X_BR, state_delay, state_known, state_reason, track_reason, inserted, tool_lost, halted,
-            fading, home_busy, unexplained, qd_last, out.accepted, out.refused);
+            X_BR, state_delay, state_known, state_reason, robot_reason, track_reason, inserted,
+            tool_lost, halted, fading, home_busy, unexplained, qd_last, out.accepted, out.refused);
   }
 };
 

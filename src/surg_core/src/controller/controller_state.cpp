@@ -15,7 +15,10 @@ constexpr int kHomeBusyCycles = 5;      // so that a client sees an edge of is_b
 
 Conditions Controller::Impl::conditions() const {
   Conditions now;
-  now.state = !state_known ? state_reason : clock.overrun() ? Reason::kOverrun : Reason::kNone;
+  now.state = !state_known                    ? state_reason
+              : robot_reason != Reason::kNone ? robot_reason
+              : clock.overrun()               ? Reason::kOverrun
+                                              : Reason::kNone;
   if (trocar.taught()) now.rcm = track_reason;
   if (now.rcm == Reason::kNone &&
       (stopping_off_pivot() || !shaft_through_trocar() || shaft().depth <= -kMaxHeight)) {

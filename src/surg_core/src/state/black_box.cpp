@@ -303,8 +303,9 @@ class Coder {
   void value(Outputs& out);
   void value(ForceSample& f) { (*this)(f.valid, f.f_B); }
   void value(Readings& r) {
-    (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.jaw, r.jaw_age, r.tip_force,
-            r.trocar_force, r.track_valid, r.track_age, r.p_BTrack, r.v_BTrack);
+    (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.condition, r.condition_age, r.jaw,
+            r.jaw_age, r.tip_force, r.trocar_force, r.track_valid, r.track_age, r.p_BTrack,
+            r.v_BTrack);
   }
   void value(BlackBoxStep& s) { (*this)(s.in, s.events, s.n_commands, s.out); }
 

@@ -121,8 +121,14 @@ Text text(Reason reason) {
               "the elbow cannot turn that far with the tip where it is: ask for an angle nearer to "
               "elbow/measured_js, or move the tip first"};
     case Reason::kToolWhileEnabled:
-      return {"tool_while_enabled",
-              "the tool may only be changed while DISABLED: withdraw it, then send 'disable' first"};
+      return {
+          "tool_while_enabled",
+          "the tool may only be changed while DISABLED: withdraw it, then send 'disable' first"};
+    case Reason::kRobot:
+      return {
+          "robot",
+          "the robot does not obey: see robot/status, mend it there, start the robot, then send "
+          "'enable'"};
   }
   return {"unknown", ""};
 }

@@ -46,6 +46,8 @@ struct LinkState {
   std::uint64_t stamp_ns = 0;    ///< header stamp; 0: nothing received yet
   std::int64_t received_ns = 0;  ///< when q, qd came
   surg::JointVector q, qd;
+  surg::RobotCondition condition = surg::RobotCondition::kOffline;  ///< F33
+  std::int64_t condition_received_ns = 0;                 ///< when the link last said it; 0: never
   double jaw = std::numeric_limits<double>::quiet_NaN();  ///< until the tool link has spoken
   std::int64_t jaw_received_ns = 0;                       ///< when jaw came; 0: never
   MeasuredForce tip, trocar;                              ///< F25

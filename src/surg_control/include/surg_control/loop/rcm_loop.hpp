@@ -63,6 +63,7 @@ class RcmLoop {
   void on_tool_state(const sensor_msgs::JointState& message);
   void on_ready(const surg_msgs::Ready& message);
   void on_link_status(const surg_msgs::LinkStatus& message);
+  surg::RobotCondition condition_of(const surg_msgs::LinkStatus& message);
   void report_undeclared(const std::string& caller);
   void note_stamp(const ros::Time& stamp);
 
@@ -107,13 +108,14 @@ class RcmLoop {
   std::unique_ptr<BlackBoxWriter> black_box_writer_;
   ros::Publisher undeclared_;
   std::vector<ros::Subscriber> subscribers_;
-  ros::Subscriber link_status_;
+  std::string sends_;             // "joint_velocity" or "cartesian_velocity"
+  bool time_is_checked_ = false;  // a link does not change its mode
 
   LinkState link_;  // as received; in free-run handed over through latest_link_
   std::atomic<std::uint32_t> refused_by_node_{0};
 
   LockstepGate lockstep_gate_;
-  std::uint64_t robot_tick_ = 0, tool_tick_ = 0, answered_tick_ = 0;
+  std::uint64_t robot_tick_ = 0, tool_tick_ = 0, status_tick_ = 0, answered_tick_ = 0;
   std::set<std::string> undeclared_seen_;
 
   LatestBox<LinkState> latest_link_;

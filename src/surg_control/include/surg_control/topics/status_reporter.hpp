@@ -31,6 +31,9 @@ class StatusReporter {
   void status(const std::string& text);
   void error(const std::string& text);
 
+  /// Notes the link's sentence on its robot, for Reason::kRobot.
+  void robot_says(const std::string& sentence);
+
   /// Reports refusals, ignored parts and changes of state in one cycle. One thread only. Returns
   /// whether operating state, homed or busy changed.
   bool report(const CycleRecord& record, double now);
@@ -46,6 +49,7 @@ class StatusReporter {
   void report_ignored(const CycleRecord& record);
   void report_verdicts(const CycleRecord& record, double now);
   bool report_changes(const CycleRecord& record, double now);
+  std::string explain(surg::Reason reason);
   void report_lag(double measured);
   std::string what_holds_the_elbow(int limit) const;
 
@@ -57,6 +61,7 @@ class StatusReporter {
   ros::Publisher warning_, status_, error_;
   std::mutex mutex_;
   std::map<std::string, LastWarning> last_warnings_;
+  std::string robot_says_;
 
   // The last reported cycle; only report() uses them.
   surg::State state_ = surg::State::kDisabled;

@@ -45,6 +45,7 @@ enum class Reason : std::uint8_t {
   kNoElbow,            // elbow/move_jp to an arm without a null space of its own
   kElbowOutOfReach,    // elbow/move_jp refused, or a report: a limit holds the elbow on its way
   kToolWhileEnabled,   // tool/mount refused: only DISABLED and at rest
+  kRobot,              // F33 the robot is not active: stopped, braked, guided…
 };
 
 /// One sentence for people: what is wrong and what to do.

@@ -80,6 +80,21 @@ class Reason(enum.Enum):
     NO_ELBOW = 33
     ELBOW_OUT_OF_REACH = 34
     TOOL_WHILE_ENABLED = 35
+    ROBOT = 36
+    def __int__(self) -> int: ...
+
+class RobotCondition(enum.Enum):
+    OFFLINE = 0
+    OFF = 1
+    BRAKED = 2
+    READY = 3
+    ACTIVE = 4
+    GUIDED = 5
+    SLOWED = 6
+    STOPPED = 7
+    ESTOP = 8
+    BROKEN = 9
+    OTHER_COMMAND = 10
     def __int__(self) -> int: ...
 
 class State(enum.Enum):
@@ -483,6 +498,8 @@ class Readings:
     def __init__(
         self,
         *,
+        condition: RobotCondition = ...,
+        condition_age: float = ...,
         jaw_age: float = ...,
         tip_force: ForceSample = ...,
         trocar_force: ForceSample = ...,
@@ -490,6 +507,10 @@ class Readings:
         v_BTrack: npt.ArrayLike | None = ...,
         track_age: float = ...,
     ) -> None: ...
+    @property
+    def condition(self) -> RobotCondition: ...
+    @property
+    def condition_age(self) -> float: ...
     @property
     def jaw_age(self) -> float: ...
     @property
@@ -699,6 +720,7 @@ def check_step(
     limits: Limits, begins: bool, since: float, distance: float, roll_distance: float
 ) -> Reason: ...
 def check_tool(tool: ToolCalibration, limits: Limits, tool_file: str) -> None: ...
+def condition_sentence(condition: RobotCondition) -> str: ...
 def inside_workspace(limits: Limits, p_RTip: npt.ArrayLike) -> bool: ...
 def minimal_rotation(a: npt.ArrayLike, b: npt.ArrayLike) -> npt.NDArray[np.float64]: ...
 def outside_workspace(limits: Limits, p_RTip: npt.ArrayLike) -> float: ...

@@ -114,7 +114,7 @@ class Session:
             )
             controller.set_rcm(arm.trocar.p_BRcm)
             self.controllers[name] = controller
-        self._force_readings = dict.fromkeys(self.controllers, surg_core.Readings())
+        self._forces: dict[str, dict[str, surg_core.ForceSample]] = {}
 
     @property
     def hash(self) -> str:
@@ -139,25 +139,30 @@ class Session:
             motions = [item for item in given if isinstance(item, surg_core.MotionCommand)]
             measured = world.state(name)
             out = controller.step(
-                measured.q, measured.qd, motions, measured.jaw, readings=self._force_readings[name]
+                measured.q, measured.qd, motions, measured.jaw, readings=self._readings(name)
             )
             outputs[name] = out
             jaw = out.jaw_set if math.isfinite(out.jaw_set) else None
             answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw)
             if tick % FORCE_TICKS == 0:
-                self._force_readings[name] = self._read_force_sensors(name)
+                self._forces[name] = self._read_force_sensors(name)
         world.step(answers, assistant)
         unstable = trouble(world.data)
         if unstable:
             verdict = Verdict(done=True, reason=unstable, phase=verdict.phase)
         return Tick(tick, outputs, state, verdict)
 
-    def _read_force_sensors(self, arm: str) -> surg_core.Readings:
+    def _readings(self, arm: str) -> surg_core.Readings:
+        """What a robot's link and its force sensors say beside the joints."""
+        condition = self.world.link(arm).condition
+        return surg_core.Readings(condition=condition, **self._forces.get(arm, {}))
+
+    def _read_force_sensors(self, arm: str) -> dict[str, surg_core.ForceSample]:
         """What the force sensors of an arm measure now."""
         at_trocar = surg_core.ForceSample(self.world.truth(arm).trocar_force)
         tip = self.world.tip_force(arm)
         at_tip = surg_core.ForceSample() if tip is None else surg_core.ForceSample(tip)
-        return surg_core.Readings(trocar_force=at_trocar, tip_force=at_tip)
+        return {"trocar_force": at_trocar, "tip_force": at_tip}
 
 
 def decode(commands: ArmCommands, tick: int) -> list[Command]:

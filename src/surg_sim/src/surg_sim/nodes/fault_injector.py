@@ -13,6 +13,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
+import surg_core
 from surg_sim.arrays import Array
 from surg_sim.nodes.faults import (
     Fault,
@@ -20,6 +21,7 @@ from surg_sim.nodes.faults import (
     Freeze,
     Lasting,
     NotFinite,
+    RobotStop,
     ToolLost,
     ToolOff,
     TrackLost,
@@ -174,6 +176,15 @@ class Injector:
         """Whether the robot link sends its status in this tick."""
         return self._lockstep or self._active(Freeze, arm) is None
 
+    def robot(self, arm: str) -> tuple[surg_core.RobotCondition, float]:
+        """The robot's condition and speed scaling in this tick."""
+        stop = self._active(RobotStop, arm)
+        if stop is None:
+            return surg_core.RobotCondition.ACTIVE, 1.0
+        condition = surg_core.RobotCondition.__members__[stop.condition.upper()]
+        slowed = condition == surg_core.RobotCondition.SLOWED
+        return condition, stop.scaling if slowed else 1.0
+
     def jaw(self, arm: str) -> tuple[float, float] | None:
         """Jaw angle [rad] and velocity [rad/s] that leave the tool link; None: nothing does."""
         if self._active(ToolLost, arm) is None:
@@ -199,6 +210,9 @@ class Injector:
         ``arrived`` by arm: stamp of the robot command, and what came for robot and tool.
         """
         self._apply_trocar_faults()
+        for arm in arrived:
+            link = self._world.link(arm)
+            link.condition, link.speed_scaling = self.robot(arm)
         if not self._lasting:
             return {arm: command for arm, (_, command) in arrived.items()}
         return {arm: self._command(arm, *item) for arm, item in arrived.items()}

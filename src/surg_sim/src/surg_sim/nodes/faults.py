@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar
 
+from surg_core import RobotCondition
 from surg_ros.params import ParamError, one_of, read, real, text, vector, whole
 
 WIRES = ("robot/measured_js", "robot/servo_jv", "robot/servo_cv")
@@ -128,6 +129,24 @@ class ToolLost(Lasting):
     kind: ClassVar[str] = "tool_lost"
 
 
+CONDITIONS = tuple(
+    name.lower() for name in RobotCondition.__members__ if name not in ("ACTIVE", "OTHER_COMMAND")
+)
+"""What a simulated robot can be instead of active."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobotStop(Lasting):
+    """The robot stops by itself, or obeys slower (F33); its link says why.
+
+    Afterwards it is active again, as one that a person has unlocked and started.
+    """
+
+    kind: ClassVar[str] = "robot"
+    condition: str = one_of(CONDITIONS, "stopped")
+    scaling: float = real(0.0, 1.0, 0.5)  # of the speed, for "slowed"
+
+
 @dataclass(frozen=True, kw_only=True)
 class ToolOff(Fault):
     """The instrument is mounted with an error (calibration error); at the start only."""
@@ -137,7 +156,7 @@ class ToolOff(Fault):
     axis: float = real(0.0, 0.2, math.radians(0.5))  # turn of the shaft about the tip [rad]
 
 
-_LASTING = (NotFinite, Freeze, Wire, TrackLost, ToolLost)
+_LASTING = (NotFinite, Freeze, Wire, TrackLost, ToolLost, RobotStop)
 _KINDS: tuple[type[Fault], ...] = (*_LASTING, TrocarMotion, TrocarJump, ToolOff)
 KINDS = {kind.kind: kind for kind in _KINDS}
 

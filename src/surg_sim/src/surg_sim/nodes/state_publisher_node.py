@@ -10,8 +10,9 @@ import numpy as np
 import rospy
 from rosgraph_msgs.msg import Clock
 
+import surg_core
 from surg_core.contract import SECOND_NS, TICK_NS
-from surg_msgs.msg import GroundTruth, LinkStatus, Ready, SimSnapshot
+from surg_msgs.msg import GroundTruth, Ready, SimSnapshot
 from surg_ros.transport.direct_publisher import DirectPublisher, listeners
 from surg_sim.nodes import bridge_messages
 from surg_sim.nodes.arm_topics_node import ArmTopics
@@ -101,13 +102,15 @@ class StatePublisher:
 
     def _publish_status(self, arm: ArmTopics, link: ArmLink, tick: int, stamp_ns: int) -> None:
         """The link's status: in lock-step part of every tick, else on change and at 50 Hz."""
+        condition, scaling = self._injector.robot(arm.name)
         says = bridge_messages.LinkSays(
-            condition=LinkStatus.ACTIVE,
+            condition=condition.value,
             command=arm.command,
             last_command_ns=arm.last_command_ns,
             dead_man=link.dead_man,
             lockstep=self._lockstep,
-            fault=link.fault,
+            fault=surg_core.condition_sentence(condition) or link.fault,
+            speed_scaling=scaling,
         )
         unchanged = replace(says, last_command_ns=0)
         if self._lockstep or tick % _STATUS_TICKS == 0 or unchanged != arm.said:

@@ -265,6 +265,10 @@ class ArmLink:
         self._heard = False
         self.dead_man = False
         self.fault = ""
+        self.condition = surg_core.RobotCondition.ACTIVE
+        """Anything else, and the drives bring the arm to rest, whatever arrives."""
+        self.speed_scaling = 1.0
+        """Share of the commanded velocity that the drives follow."""
 
     @property
     def q(self) -> Array:
@@ -291,12 +295,21 @@ class ArmLink:
             self._silent += 1
             if self._heard and self._silent > self._parameters.dead_man:
                 self.dead_man, self._latest = True, self._standstill
+        if not self.obeys:  # nothing of before is executed later
+            self._latest = self._standstill
+            self._pending = deque([self._standstill] * self._parameters.delay)
         self._pending.append(self._latest)
         due = self._pending.popleft()
-        if self.dead_man:
+        if self.dead_man or not self.obeys:
             self._target = self._ramped(self._target)
         else:
-            self._target = self._joint_velocity(due)
+            self._target = self.speed_scaling * self._joint_velocity(due)
+
+    @property
+    def obeys(self) -> bool:
+        """Whether the drives follow commands, at full speed or slowed."""
+        condition = surg_core.RobotCondition
+        return self.condition in (condition.ACTIVE, condition.SLOWED)
 
     def _usable(self, command: ArmCommand) -> bool:
         values, n = (command.velocity, self.dof) if command.twist is None else (command.twist, 6)
