@@ -11,7 +11,7 @@ ARITHMETIC = {
     *("kInf", "kUnknown", "kHuge", "kRound", "kRounding", "kPositionRounding", "kResolution"),
     *("kParallel", "kSingular", "kStraight", "kAtSingular", "kNoDirection", "kSingularRows"),
     *("kOnPivot", "kRowsKept", "kPositionGuard", "kDof", "kMaxJoints", "kHistory", "kVersion"),
-    *("kBlocks", "kBlockEvents", "kPlaces", "kSamples"),
+    *("kBlocks", "kBlockEvents", "kPlaces", "kSamples", "kTerms"),
 }
 
 

@@ -26,6 +26,7 @@ ABSENT = {
     # parts of Controller, reachable through step() and run(), whose types own no meaning alone
     "ArmState InstrumentState CommandHandler TipPose Setpoint Space Dofs": "part",
     "Trocar TrackSample PointKalman NoiseEstimate TrackFilter Jaw LagMeter": "part",
+    "Harmonics RateSearch BreathingFilter": "part",
     "StreamInput StreamEstimate TremorNotch nearest_inside": "part",
     "ForceGuard ElbowMotion ElbowTurn elbow_turn swivel_angle": "part",
     "StandstillGuard": "part",

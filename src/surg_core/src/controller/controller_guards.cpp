@@ -78,7 +78,7 @@ void Controller::Impl::sense(const Inputs& in) {
   state_reason = Reason::kNone;
   const double kept = std::max(1 - clock.periods() * T / kDelayDecay, 0.0);
   state_delay = std::max(in.state_age - T, state_delay * kept);
-  trocar_before = trocar;
+  if (track_rcm) trocar_before = trocar;
   if (!stopping_off_pivot()) update_trocar(in);
   arm.sense(in.q, in.qd, trocar);
   measure_lag(in);
@@ -206,7 +206,7 @@ void Controller::Impl::guard_pivot(const Inputs& in) {
     inserted = false;  // passing through the trocar
   if (!shaft_through_trocar() || (inserted && shaft().depth <= 0)) {
     fault(Reason::kRcmError);
-    trocar = trocar_before;
+    if (track_rcm) trocar = trocar_before;
     return;
   }
   // A blocked arm must not jump to its set-point when it is released.

@@ -75,7 +75,7 @@ struct Controller::Impl {
   Reason state_reason = Reason::kLinkLost;  // why not
   Reason robot_reason = Reason::kNone;      // why the robot does not obey
   Reason track_reason = Reason::kNone;      // why the trocar's last sample was not taken
-  Trocar trocar_before;                     // the trocar before this cycle's sample
+  Trocar trocar_before;                     // before this cycle's sample, if it is tracked
   bool inserted = false;                    // the trocar lies on the shaft and must stay there
   bool tool_lost = false;
   bool elbow_asked = false;  // in this cycle; judging a command takes up to 0.3 ms

@@ -14,7 +14,8 @@ constexpr double kStartAcceleration = 0.02;  // [m/s^2] standard deviations at t
 constexpr double kGate = 5;              // standard deviations; beyond them a sample is an outlier
 constexpr double kLeastGate = 1e-3;      // [m] a pushed trocar leaves the model by as much
 constexpr double kRateGate = 0.005;      // [m/s] the same for a velocity, which is then not used
-constexpr double kMemory = 2;            // [s] in which the two filters are compared
+constexpr double kBeside = 4;            // standard deviations of the step between two samples
+constexpr double kMemory = 2;            // [s] in which the filters are compared
 constexpr int kNoiseMemory = 100;        // samples
 constexpr int kStatedNoise = 3;          // the stated noise counts as much
 constexpr double kThirdDifference = 20;  // variance of a third difference over that of a sample
@@ -67,8 +68,9 @@ void NoiseEstimate::add(const Vector3& sample, bool evenly) {
   n_ = std::min(n_ + 1, 3);
 }
 
-TrackFilter::TrackFilter(double noise, double jerk)
+TrackFilter::TrackFilter(double noise, double jerk, double speed)
     : jerk_(jerk * jerk * kJerkChange),
+      speed_(speed),
       position_noise_(squared(noise), kStatedNoise),
       velocity_noise_(squared(kStartSpeed), 0) {}
 
@@ -76,7 +78,10 @@ void TrackFilter::start(const Vector3& p, const Vector3& v) {
   const Vector3 variances(position_variance(), squared(kStartSpeed), squared(kStartAcceleration));
   positions_.start(p, Vector3::Zero(), variances.asDiagonal());
   both_ = positions_;
-  miss_both_ = miss_positions_ = 0;
+  breathing_.start(p, position_variance());
+  miss_both_ = miss_positions_ = miss_breathing_ = 0;
+  last_ = p;
+  took_last_ = true;
   position_noise_.add(p, false);
   velocity_noise_.add(v, false);
   both_.measure_velocity(v, std::max(velocity_noise_.variance(), squared(kLeastRateNoise)));
@@ -89,21 +94,41 @@ double TrackFilter::position_variance() const {
 bool TrackFilter::add(const Vector3& p, const Vector3& v, double dt, bool evenly) {
   both_.predict(dt, jerk_);
   positions_.predict(dt, jerk_);
+  breathing_.predict(dt);
   const double variance = position_variance();
-  const double rate_variance = std::max(velocity_noise_.variance(), squared(kLeastRateNoise));
-  const double miss = std::min((p - both_.p()).norm(), (p - positions_.p()).norm());
-  const double gate = kGate * std::sqrt(positions_.position_variance() + variance);
-  if (!(miss <= std::max(gate, kLeastGate))) return false;
+  const bool beside =
+      evenly && took_last_ && (p - last_).norm() <= speed_ * dt + kBeside * std::sqrt(2 * variance);
+  took_last_ = beside || expected(p, variance);
+  if (!took_last_) return false;
+  last_ = p;
   position_noise_.add(p, evenly);
   velocity_noise_.add(v, evenly);
-  const double share = 1 - std::exp(-dt / kMemory);
-  miss_both_ += share * ((p - both_.p()).squaredNorm() - miss_both_);
-  miss_positions_ += share * ((p - positions_.p()).squaredNorm() - miss_positions_);
+  compare(p, 1 - std::exp(-dt / kMemory));
+  breathing_.measure(p, variance);
   positions_.measure_position(p, variance);
   both_.measure_position(p, variance);
+  const double rate_variance = std::max(velocity_noise_.variance(), squared(kLeastRateNoise));
   const double rate_gate = kRateGate + kGate * std::sqrt(both_.velocity_variance() + rate_variance);
   if ((v - both_.v()).norm() <= rate_gate) both_.measure_velocity(v, rate_variance);
   return true;
+}
+
+/// Near the prediction of one of the filters.
+bool TrackFilter::expected(const Vector3& p, double variance) const {
+  double miss = std::min((p - both_.p()).norm(), (p - positions_.p()).norm());
+  if (breathing_.settled()) miss = std::min(miss, (p - breathing_.p()).norm());
+  const double gate = kGate * std::sqrt(positions_.position_variance() + variance);
+  return miss <= std::max(gate, kLeastGate);
+}
+
+void TrackFilter::compare(const Vector3& p, double share) {
+  miss_both_ += share * ((p - both_.p()).squaredNorm() - miss_both_);
+  miss_positions_ += share * ((p - positions_.p()).squaredNorm() - miss_positions_);
+  if (breathing_.settled()) {
+    miss_breathing_ += share * ((p - breathing_.p()).squaredNorm() - miss_breathing_);
+  } else {
+    miss_breathing_ = std::min(miss_both_, miss_positions_);
+  }
 }
 
 double TrackFilter::velocity_deviation() const { return std::sqrt(best().velocity_variance()); }

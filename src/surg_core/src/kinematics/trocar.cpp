@@ -52,7 +52,8 @@ const char* sentence(TrackWarning warning) {
   return "";
 }
 
-Trocar::Trocar(const Options& options) : options_(options), filter_(options.noise, options.jerk) {}
+Trocar::Trocar(const Options& options)
+    : options_(options), filter_(options.noise, options.jerk, kSpeed) {}
 
 void Trocar::teach(const Vector3& p_B) {
   taught_ = true;

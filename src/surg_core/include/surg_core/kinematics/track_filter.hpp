@@ -1,6 +1,9 @@
 // Filter for the samples of a tracked point (rcm/track).
 #pragma once
 
+#include <algorithm>
+
+#include "surg_core/kinematics/breathing_filter.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
@@ -50,37 +53,51 @@ class NoiseEstimate {
 
 /// Estimates a point from noisy, irregular samples of its position and velocity.
 ///
-/// Two Kalman filters run side by side: one takes positions and velocities, one positions alone.
-/// The one that has predicted the positions better in the last 2 s gives the estimate, because many
-/// trackers fill in a velocity that is zero or late. The noise of both is measured. A sample far
-/// from its prediction is an outlier and changes nothing.
+/// Three Kalman filters run side by side. Two follow any motion: one takes positions and
+/// velocities, one positions alone, because many trackers fill in a velocity that is zero or late.
+/// The third takes positions and knows that breathing repeats itself. The one that has predicted
+/// the positions best in the last 2 s gives the estimate; the third must have settled, and is
+/// dropped as soon as the motion changes. The noise of positions and velocities is measured. A
+/// sample is an outlier if it is far from the predictions, and farther from the sample before it
+/// than the point can move. An outlier changes nothing.
 class TrackFilter {
  public:
   /// noise: stated noise of a position, rms per axis [m]. jerk: of the point [m/s^3]; the filter
-  /// takes it to change by about this much every 0.1 s.
-  TrackFilter(double noise, double jerk);
+  /// takes it to change by about this much every 0.1 s. speed: largest of the point [m/s].
+  TrackFilter(double noise, double jerk, double speed);
 
   void start(const Vector3& p, const Vector3& v);
   /// Takes a sample that was taken dt after the last one [s]. False: an outlier.
   bool add(const Vector3& p, const Vector3& v, double dt, bool evenly);
 
   /// Position [m] and velocity [m/s] 'ahead' seconds after the last sample.
-  Vector3 p(double ahead) const { return best().p(ahead); }
-  Vector3 v(double ahead) const { return best().v(ahead); }
+  Vector3 p(double ahead) const { return regular() ? breathing_.p(ahead) : best().p(ahead); }
+  Vector3 v(double ahead) const { return regular() ? breathing_.v(ahead) : best().v(ahead); }
   /// Standard deviation of the velocity per axis [m/s].
   double velocity_deviation() const;
   /// Measured noise of the positions, rms per axis [m].
   double noise() const;
+  /// The estimate is that of regular breathing.
+  bool regular() const {
+    return breathing_.settled() && miss_breathing_ < std::min(miss_both_, miss_positions_);
+  }
 
  private:
   bool both_are_better() const { return miss_both_ < miss_positions_; }
   const PointKalman& best() const { return both_are_better() ? both_ : positions_; }
   double position_variance() const;
+  bool expected(const Vector3& p, double variance) const;
+  void compare(const Vector3& p, double share);
 
-  double jerk_;  // [m^2/s^5]
+  double jerk_;   // [m^2/s^5]
+  double speed_;  // [m/s]
   PointKalman both_, positions_;
+  BreathingFilter breathing_;
   NoiseEstimate position_noise_, velocity_noise_;
-  double miss_both_ = 0, miss_positions_ = 0;  // [m^2] low-passed squared prediction errors
+  // [m^2] low-passed squared prediction errors
+  double miss_both_ = 0, miss_positions_ = 0, miss_breathing_ = 0;
+  Vector3 last_ = Vector3::Zero();  // sample that was taken
+  bool took_last_ = false;
 };
 
 }  // namespace surg
