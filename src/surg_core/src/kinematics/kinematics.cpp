@@ -173,9 +173,16 @@ struct Chain::Frames {
 
 Pose Chain::walk(const JointVector& q, Frames& frames) const {
   const int n = dof();
-  Angles angle = Angles::Zero(), s, c;
+  Angles<kMaxJoints> angle = Angles<kMaxJoints>::Zero(), s, c;
   for (int i = 0; i < n; ++i) angle[i] = q[i] + links_[i].turn;
-  sines(angle, s, c);
+  if (n <= 6) {
+    Angles<6> s6, c6;
+    sines<6>(angle.head<6>(), s6, c6);
+    s.head<6>() = s6;
+    c.head<6>() = c6;
+  } else {
+    sines(angle, s, c);
+  }
   for (int i = 0; i < n; ++i) {
     frames.origin[i] = frames.p;
     frames.axis[i] = frames.z;

@@ -8,27 +8,29 @@
 
 namespace surg {
 
-using Angles = Eigen::Array<double, kMaxJoints, 1>;  ///< one number per joint; unused ones: zero
+template <int n>
+using Angles = Eigen::Array<double, n, 1>;  ///< one number per joint; unused ones: zero
 
 /// Sines s and cosines c of 'angle' [rad], to 3e-16 absolute. Each statement works on all joints,
 /// in pairs that share a register.
-inline void sines(const Angles& angle, Angles& s, Angles& c) {
+template <int n>
+void sines(const Angles<n>& angle, Angles<n>& s, Angles<n>& c) {
   if (!(angle.abs().maxCoeff() < 1e3)) {  // the reduction below is for small numbers; NaN too
     s = angle.sin();
     c = angle.cos();
     return;
   }
-  // r = angle - n pi, n the nearest whole number: adding 1.5 * 2^52 rounds to it. Pi is a sum whose
-  // first two terms have 33 bits, so that their products with n are exact.
+  // r = angle - turns pi, turns the nearest whole number: adding 1.5 * 2^52 rounds to it. Pi is a
+  // sum whose first two terms have 33 bits, so that their products with it are exact.
   constexpr double kRound = 6755399441055744.0;
-  const Angles n = (angle * (1 / M_PI) + kRound) - kRound;
-  const Angles r =
-      ((angle - n * 0x1.921fb544p+1) - n * 0x1.0b4611a6p-33) - n * 0x1.3198a2e037073p-68;
-  const Angles odd = n - 2 * ((n * 0.5 + kRound) - kRound);  // 0 or +-1
-  const Angles sign = 1 - 2 * odd * odd;
+  const Angles<n> turns = (angle * (1 / M_PI) + kRound) - kRound;
+  const Angles<n> r = ((angle - turns * 0x1.921fb544p+1) - turns * 0x1.0b4611a6p-33) -
+                      turns * 0x1.3198a2e037073p-68;
+  const Angles<n> odd = turns - 2 * ((turns * 0.5 + kRound) - kRound);  // 0 or +-1
+  const Angles<n> sign = 1 - 2 * odd * odd;
   // Taylor's series for up to a quarter turn: what is left out is below 2e-18 and 1e-19.
-  const Angles z = r * r;
-  Angles p = z * (1.0 / 51090942171709440000.0) - 1.0 / 121645100408832000.0;  // 1/21!, 1/19!
+  const Angles<n> z = r * r;
+  Angles<n> p = z * (1.0 / 51090942171709440000.0) - 1.0 / 121645100408832000.0;  // 1/21!, 1/19!
   p = p * z + 1.0 / 355687428096000.0;
   p = p * z - 1.0 / 1307674368000.0;
   p = p * z + 1.0 / 6227020800.0;

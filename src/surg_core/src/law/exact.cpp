@@ -4,18 +4,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include "kinematics/jacobian_inverse.hpp"
+
 namespace surg {
 namespace {
 
 constexpr double kNoDirection = 1e-9;  // [m] closer than this to the trocar a tip has no direction
 constexpr double kSingularRows = 1e-12;
-
-/// Rotation vector of R to the fifth order of its angle: arcsin's series on the skew part. A Newton
-/// step needs the first; the third keeps longer steps, up to a quarter turn, on their way.
-Vector3 rotation_vector(const Matrix3& R) {
-  const Vector3 sine = 0.5 * Vector3(R(2, 1) - R(1, 2), R(0, 2) - R(2, 0), R(1, 0) - R(0, 1));
-  return (1.0 + sine.squaredNorm() / 6.0) * sine;
-}
 
 }  // namespace
 
@@ -48,10 +43,7 @@ Pose pose_on_pivot(const Home& home, const Tool& tool, const ShaftGoal& goal) {
 
 JointStep newton_step(const Pose& X_BF, const Jacobian& J, const Pose& X_BFGoal,
                       const JointVector& posture) {
-  Vector6 rest;
-  rest.head<3>() = X_BFGoal.translation() - X_BF.translation();
-  rest.tail<3>() = rotation_vector(X_BFGoal.linear() * X_BF.linear().transpose());
-  const InverseVelocity inverse = inverse_velocity(J, rest, posture);
+  const InverseVelocity inverse = inverse_velocity(J, displacement(X_BF, X_BFGoal), posture);
   return {inverse.qd, inverse.conditioning};
 }
 

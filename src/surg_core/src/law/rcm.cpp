@@ -99,11 +99,12 @@ Matrix3 minimal_rotation(const Vector3& a, const Vector3& b) {
   // Opposite directions have no unique minimal rotation; the cone limit keeps the shaft far from
   // there.
   const double d = std::max(1.0 + a.dot(b), 1e-9);
-  const double xy = x * y / d, xz = x * z / d, yz = y * z / d;
+  const double per_d = 1 / d, xd = x * per_d, yd = y * per_d, zd = z * per_d;
+  const double xx = x * xd, yy = y * yd, zz = z * zd, xy = x * yd, xz = x * zd, yz = y * zd;
   Matrix3 R;  // I + [w] + [w]^2 / (1 + a . b), written out: it is asked for at every point ahead
-  R << 1 + (-z * z - y * y) / d, xy - z, xz + y,  //
-      xy + z, 1 + (-z * z - x * x) / d, yz - x,   //
-      xz - y, yz + x, 1 + (-y * y - x * x) / d;
+  R << 1 - zz - yy, xy - z, xz + y,  //
+      xy + z, 1 - zz - xx, yz - x,   //
+      xz - y, yz + x, 1 - yy - xx;
   return R;
 }
 

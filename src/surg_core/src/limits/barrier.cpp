@@ -108,7 +108,7 @@ SingularityMeasures Barrier::measures(const Pose& X_BF, const Jacobian& J) const
   // Wrist centre off the plane through axes 1 and 2: its velocity by joint 1 alone, along axis 2.
   const Vector3 by_1 = moment(J, 0) + z1.cross(Vector3(X_BF.linear() * p_FWrist_));
   const double reach = by_1.dot(z2);
-  m.phi[0] = reach / std::max(std::hypot(reach, d4_), 1e-12);
+  m.phi[0] = reach / std::max(std::sqrt(reach * reach + d4_ * d4_), 1e-12);
   const Vector3 upper = moment(J, 1) - moment(J, 2), lower = moment(J, 2) - moment(J, 3);
   m.phi[1] = upper.cross(lower).dot(z2) / a2_a3_;
   m.phi[2] = axis(J, 3).cross(axis(J, 5)).dot(axis(J, 4));

@@ -3,12 +3,12 @@
 #include <algorithm>
 #include <cmath>
 
-#include "kinematics/jacobian_inverse.hpp"
-
 namespace surg {
 namespace {
 
 constexpr double kOnPivot = 1e-12;      // [m]
+constexpr double kExact = 1e-15;        // [m] left on the pivot: not worth a look
+constexpr double kBent = 0.1;           // of a step, that the arm's own bending may be
 constexpr double kPivotTurns = 0.005;   // [m] deeper than that, a moving trocar turns the shaft
 constexpr double kPostureShare = 0.05;  // of the velocity limits, at most, for the null space
 constexpr double kArcReserve = 2e-3;    // [rad] that a node may always be beside its guess
@@ -52,10 +52,10 @@ bool LimitedStep::Law::pose_node(const JointVector& guess, const Pose& pose, con
   self_.chain_.forward(guess, X, J);
   const Inverse inverse(J);
   if (!inverse.regular()) return false;
-  const auto [rest, further] = inverse.both(displacement(X, pose), displacement(X, later), still);
+  const JointVector rest = inverse(displacement(X, pose), still);
   if (largest(rest) > 0.35 * arc + kArcReserve) return false;
   node.q = guess + rest;
-  node.direction = (further - rest) / kTwistSpacing;
+  node.direction = (inverse(displacement(X, later), still) - rest) / kTwistSpacing;
   node.measures = self_.barrier_.measures(X, J);
   node.flange = (later.translation() - pose.translation()).norm() / kTwistSpacing;
   return true;
@@ -83,7 +83,11 @@ JointVector LimitedStep::Law::gentle(const JointVector& posture) const {
 
 LimitedStep::ExactLaw::ExactLaw(const LimitedStep& self, const Here& here, const Home& home,
                                 const StepRequest& request)
-    : Law(self, here), home_(home), request_(request), still_(JointVector::Zero(here.q.size())) {
+    : Law(self, here),
+      home_(home),
+      request_(request),
+      inverse_(here.J),
+      still_(JointVector::Zero(here.q.size())) {
   ShaftGoal goal = request.path(0);
   p_BRcm_ = goal.p_BRcm;
   if (!request.v_BRcm.isZero(0)) {  // the trocar is still where it was
@@ -115,30 +119,40 @@ LimitedStep::Affine LimitedStep::ExactLaw::affine() const {
   Affine a;
   const JointVector posture = T * gentle(request_.posture);
   const bool pulled = posture.squaredNorm() > 0;
-  const Inverse inverse(here_.J);
   const auto to = [&](double t) { return displacement(here_.X_BF, pose(t, keep_)); };
-  a.regular = inverse.regular();
-  const auto [rest, soon] = inverse.both(to(0), to(kTwistSpacing), posture);
-  a.tangent = (soon - rest) / kTwistSpacing;
+  a.regular = inverse_.regular();
+  const JointVector rest = inverse_(to(0), posture);
+  a.tangent = (inverse_(to(kTwistSpacing), posture) - rest) / kTwistSpacing;
   const double expected = a.expected(here_.qd_last, T);
   a.qd0 = rest / T;
-  a.qd1 = (inverse(to(expected * T), posture) - rest) / (expected * T);
+  a.qd1 = (inverse_(to(expected * T), posture) - rest) / (expected * T);
   a.returning = (returning_ || pulled) && a.regular;
   if (a.returning) {
-    a.back = (rest - inverse(displacement(here_.X_BF, pose(0, 1.0)), still_)) / T;
+    a.back = (rest - inverse_(displacement(here_.X_BF, pose(0, 1.0)), still_)) / T;
   }
   a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
+  a.bias = bias_acceleration(here_.J, a.qd1);
+  a.qdd = inverse_(a.bias, still_);
+  const bool bent = !(T * largest(a.qdd) < kBent * largest(a.qd1));
+  if (bent) a.qdd.setZero();
+  // Redundant arms bend in their null space as well.
+  if (!bent && here_.q.size() == 6) a.secant = expected * T;
   return a;
 }
 
-JointVector LimitedStep::ExactLaw::finish(double alpha, double beta, const JointVector& qd) const {
+JointVector LimitedStep::ExactLaw::finish(const Affine& affine, double alpha, double beta,
+                                          const JointVector& qd) const {
   const double T = self_.T_;
   const double keep = 1 - beta * (1 - keep_);
-  JointVector q = here_.q + T * qd;
+  JointVector q = here_.q + T * (qd - 0.5 * T * alpha * alpha * affine.qdd);
   Pose X;
   Jacobian J;
   self_.chain_.forward(q, X, J);
-  q += Inverse(J)(displacement(X, pose(alpha * T, keep)), still_);
+  const InverseVelocity left = inverse_velocity(J, displacement(X, pose(alpha * T, keep)), still_);
+  q += left.qd;
+  // What Newton's method leaves is of second order.
+  const double moved = left.qd.lpNorm<1>();
+  if (left.conditioning > 0 && 2 * self_.reach_ * moved * moved < kExact) return (q - here_.q) / T;
   // The pivot's own rows: well conditioned even where J is singular.
   for (int pass = 0; pass < 2; ++pass) {
     X = self_.chain_.forward(q);
@@ -180,6 +194,7 @@ LimitedStep::Affine LimitedStep::VelocityLaw::affine() const {
   a.qd0 = inverse(request_.feedback, posture);
   a.qd1 = a.tangent = inverse(request_.forward, none);
   a.moves = a.qd1.cwiseAbs().maxCoeff() > 1e-9;
+  a.bias = bias_acceleration(here_.J, a.qd1);
   // Lateral velocity that the pivot needs; the rest of the feedback may wait.
   Vector6 pivot = Vector6::Zero();
   const Vector3 v = feedback_at_pivot();
@@ -238,10 +253,12 @@ LimitedStep::Affine LimitedStep::RetraceLaw::affine() const {
   a.back = (keep_ - 1) * off_ / T;
   a.returning = true;
   a.moves = back_ < trace_.length();
+  a.bias = bias_acceleration(here_.J, a.qd1);
   return a;
 }
 
-JointVector LimitedStep::RetraceLaw::finish(double alpha, double beta, const JointVector&) const {
+JointVector LimitedStep::RetraceLaw::finish(const Affine&, double alpha, double beta,
+                                            const JointVector&) const {
   const double T = self_.T_;
   const double keep = 1 - beta * (1 - keep_);
   const JointVector on_trace = on_pivot(trace_.at(back_ + alpha * rate_ * T));

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "kinematics/jacobian_inverse.hpp"
 #include "surg_core/limits/barrier.hpp"
 #include "surg_core/limits/limited_step.hpp"
 
@@ -28,6 +29,9 @@ struct LimitedStep::Affine {
   JointVector qd0, qd1;
   JointVector tangent;  ///< d q / d clock at the beginning
   JointVector back;
+  Vector6 bias;            ///< flange's acceleration at constant joint velocities qd1 (J_dot qd1)
+  JointVector qdd;         ///< J^-1 bias, exact form only; zero next to a singularity
+  double secant = 0;       ///< [s] of the clock that qd1 spans; 0: tells no bend
   bool returning = false;  ///< 'back' is not zero
   bool moves = false;      ///< the path is not at rest
   bool regular = true;     ///< J could be inverted
@@ -66,7 +70,8 @@ class LimitedStep::Law {
   virtual Affine affine() const = 0;
   /// The step without linearisation, near the linear one qd. beta: share of the way back to the
   /// path.
-  virtual JointVector finish(double alpha, double beta, const JointVector& qd) const = 0;
+  virtual JointVector finish(const Affine& affine, double alpha, double beta,
+                             const JointVector& qd) const = 0;
   /// Rows of the pivot at the end of a cycle with qd: J qd' = J qd + e puts it on the trocar.
   virtual RcmRows rows(const JointVector& qd) const = 0;
   virtual Vector3 p_BRcm() const = 0;
@@ -96,7 +101,8 @@ class LimitedStep::ExactLaw : public Law {
   ExactLaw(const LimitedStep& self, const Here& here, const Home& home, const StepRequest& request);
 
   Affine affine() const override;
-  JointVector finish(double alpha, double beta, const JointVector& qd) const override;
+  JointVector finish(const Affine& affine, double alpha, double beta,
+                     const JointVector& qd) const override;
   RcmRows rows(const JointVector& qd) const override { return rows_after(qd, p_BRcm()); }
   Vector3 p_BRcm() const override { return p_BRcm_; }
   double horizon() const override { return request_.path ? request_.horizon : 0.0; }
@@ -108,6 +114,7 @@ class LimitedStep::ExactLaw : public Law {
 
   const Home& home_;
   const StepRequest& request_;
+  Inverse inverse_;  ///< of the Jacobian here
   Vector3 p_BRcm_;
   JointVector still_;
   Vector3 off_swing_;  ///< the tip's displacement off its path: of the shaft, as rotation vector
@@ -124,7 +131,9 @@ class LimitedStep::VelocityLaw : public Law {
       : Law(self, here), home_(home), request_(request), rows_(rcm_rows(here.J, here.shaft)) {}
 
   Affine affine() const override;
-  JointVector finish(double, double, const JointVector& qd) const override { return qd; }
+  JointVector finish(const Affine&, double, double, const JointVector& qd) const override {
+    return qd;
+  }
   RcmRows rows(const JointVector& qd) const override;
   Vector3 p_BRcm() const override { return here_.shaft.p_BNear + here_.shaft.e; }
   double horizon() const override { return request_.path ? request_.horizon : 0.0; }
@@ -146,7 +155,7 @@ class LimitedStep::RetraceLaw : public Law {
              double rate, const Vector3& p_BRcm);
 
   Affine affine() const override;
-  JointVector finish(double alpha, double beta, const JointVector&) const override;
+  JointVector finish(const Affine&, double alpha, double beta, const JointVector&) const override;
   RcmRows rows(const JointVector& qd) const override { return rows_after(qd, p_BRcm_); }
   Vector3 p_BRcm() const override { return p_BRcm_; }
   double horizon() const override;

@@ -19,11 +19,16 @@ constexpr double kRoomUsed = 0.9;      // of the way back that the linear pictur
 constexpr double kStill = 1e-4;        // share of a joint's velocity limit that is no motion
 constexpr double kHeld = 0.02;         // alpha below which a still arm counts as held
 constexpr double kSagitta = 0.42e-6;   // [m] off the pivot between two samples
+constexpr double kSlightBend = 0.25;   // of the bend that caps alpha: less needs no node
+constexpr double kLongSecant = 0.9;    // of the cycle: a secant as long shows the path's bend
 constexpr double kNearSingular = 0.3;  // of a measure: farther away the barrier has no word
 
-/// Lateral vector e'' of the shaft at constant joint velocities qd.
-Vector3 lateral_acceleration(const Jacobian& J, const ShaftState& shaft, const JointVector& qd) {
-  const Vector6 twist = J * qd, bias = bias_acceleration(J, qd);
+double flange_speed(const Jacobian& J, const JointVector& qd) {
+  return flange_twist(J, qd).head<3>().norm();
+}
+
+/// Lateral vector e'' of the shaft for the flange's twist and acceleration.
+Vector3 lateral_acceleration(const ShaftState& shaft, const Vector6& twist, const Vector6& bias) {
   const Vector3 omega = twist.tail<3>(), turning = bias.tail<3>();
   const Vector3 arm = shaft.p_BTip - shaft.p_BF, d = shaft.depth * shaft.s - shaft.e;
   const Vector3 v = twist.head<3>() + omega.cross(arm);  // of the tip
@@ -94,7 +99,7 @@ Step LimitedStep::run(const Law& law, const Here& here) const {
   Step step;
   const bool found = on_path(law, affine, box, most, step);
   // On the path the joints may not be able to brake as hard as the flange needs it.
-  const bool too_fast = found && (here.J * step.qd).head<3>().norm() > here.flange_velocity;
+  const bool too_fast = found && flange_speed(here.J, step.qd) > here.flange_velocity;
   if (found && !too_fast) {
     step.held = affine.moves && step.alpha < kHeld && is_still(step.qd);
   } else {
@@ -114,7 +119,7 @@ bool LimitedStep::is_still(const JointVector& qd) const {
 LimitedStep::Cap LimitedStep::cap(const Law& law, const Here& here, const Affine& affine) const {
   Cap cap;
   if (!affine.moves) return cap;
-  const double flange = (here.J * affine.qd1).head<3>().norm();
+  const double flange = flange_speed(here.J, affine.qd1);
   if (flange > here.flange_velocity) {
     cap.limit(here.flange_velocity / flange, "flange_velocity");
   }
@@ -140,9 +145,10 @@ void LimitedStep::cap_sagitta(const Law& law, const Here& here, const Affine& af
   const ShaftState shaft = shaft_state(here.X_BF, tool_, p_BRcm);
   // An eighth of e'' here, and what its change can add: |e'''| is below (20 reach + 8 |L|) w^3, w
   // the sum of all joints' motion.
-  const double w = 2 * half.lpNorm<1>();
-  const double bound = lateral_acceleration(here.J, shaft, 2 * half).norm() / 8 +
-                       (20 * reach_ + 8 * std::abs(shaft.depth)) * w * w * w / 16;
+  const double part = T_ * speed, w = part * affine.qd1.lpNorm<1>();
+  const Vector3 second = lateral_acceleration(shaft, flange_twist(here.J, affine.qd1), affine.bias);
+  const double bound =
+      part * part * second.norm() / 8 + (20 * reach_ + 8 * std::abs(shaft.depth)) * w * w * w / 16;
   if (bound < kSagitta) return;
   const auto off = [&](const Pose& X_BF) { return shaft_state(X_BF, tool_, p_BRcm).e; };
   const Vector3 begin = shaft.e, middle = off(chain_.forward(here.q + half)),
@@ -188,6 +194,12 @@ void LimitedStep::cap_unseen(const Law& law, const Here& here, const Affine& aff
     const double in =
         approach_speed(speed, left, deceleration * speed, limits_.position_margin, T_);
     cap.limit(in / speed, "joint_limit");
+  }
+  if (affine.secant > kLongSecant * T_) {
+    // The path's own bend, less what the arm's makes of it.
+    const JointVector about = 2 / affine.secant * (affine.qd1 - affine.tangent) - affine.qdd;
+    const auto caps = kPlanAcceleration * limits_.acceleration.array();
+    if ((about.array().abs() < kSlightBend * caps).all()) return;
   }
   Node next;
   if (!law.node(T_, here.q + T_ * affine.tangent, T_ * largest(affine.tangent), next)) return;
@@ -237,7 +249,7 @@ bool LimitedStep::on_path(const Law& law, const Affine& affine, const Box& box, 
     if (found && !(next < alpha)) break;
     alpha = next;
     const JointVector linear = qd0 + alpha * affine.qd1;
-    const JointVector qd = law.finish(alpha, beta, box.clamped(linear));
+    const JointVector qd = law.finish(affine, alpha, beta, box.clamped(linear));
     const bool holds = box.holds(qd);
     if (holds) {
       found = true;
