@@ -13,9 +13,10 @@
     failures        {<law>: cycles in which a solver reported no solution}
     what            {<law>: one line}
     panda           the same five for the Panda
-    ratio           {<robot>: {exact, velocity: fastest C++ QP over the form, medians; qp: its
-                    name}}
-    stream          {<law>_<rate>hz: {lag_ms, rms_mm, violations, cost_us, update_us, median_us,
+    ratio           {<robot>: {exact, velocity: fastest C++ QP over the form, medians; qp:
+                    its name; limited_eiquadprog: eiquadprog over 'limited'}}
+    stream          on the second half of the motion; what is tuned is tuned on the first:
+                    {<law>_<rate>hz: {lag_ms, rms_mm, violations, cost_us, update_us, median_us,
                     p99_us, aligned_rms_mm, aligned_p95_mm, aligned_max_mm, what, failures}};
                     cost_us: mean over all ticks but the slowest thousandth, so that ticks without
                     a sample count as well; update_us: median of the ticks with a sample
@@ -51,6 +52,7 @@ SOURCE = Path(__file__).parent / "control"
 BUILD = paths.BUILD / "bench_control"
 PROGRAM = BUILD / "bench_control"
 ROBOTS = ("ur5e", "panda")
+FORMS = ("exact", "velocity")
 
 
 def build(found: libraries.Libraries) -> None:
@@ -143,7 +145,12 @@ def ratios(cycle_us: dict[str, Any]) -> dict[str, Any]:
     fastest = min(programmes, key=lambda name: programmes[name])
     return {
         "qp": fastest,
-        **{f: programmes[fastest] / cycle_us[f]["median"] for f in ("exact", "velocity")},
+        **{f: programmes[fastest] / cycle_us[f]["median"] for f in FORMS},
+        **(
+            {"limited_eiquadprog": programmes["qp_eiquadprog"] / cycle_us["limited"]["median"]}
+            if "qp_eiquadprog" in programmes
+            else {}
+        ),
     }
 
 
@@ -200,14 +207,15 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         result["panda"] = per_robot["panda"]
         result["ratio"] = {robot: ratios(per_robot[robot]["cycle_us"]) for robot in ROBOTS}
         result["stream"] = {}
-        truth = streams.read_motion(options.motion)
+        tuning, truth = streams.halves(streams.read_motion(options.motion))
         for rate in streams.RATES:
-            folder = Path(scratch) / f"{rate}hz"
+            folder, other = (Path(scratch) / f"{rate}hz" / part for part in ("test", "tuning"))
             streams.write(truth, rate, folder)
+            streams.write(tuning, rate, other)
             told = call(
                 "streams",
-                str(folder / "samples"),
-                str(folder / "truth"),
+                str(other),
+                str(folder),
                 *map(str, streams.LIMITS),
                 str(folder),
                 title=f"stream at {rate} Hz",

@@ -28,6 +28,17 @@ def read_motion(file: Path) -> CubicSpline:
     return CubicSpline(table[:, 0] - table[0, 0], table[:, 1:])
 
 
+def halves(motion: CubicSpline) -> tuple[CubicSpline, CubicSpline]:
+    """The first half of a motion, to tune on, and the second, to judge by; each from t = 0."""
+    middle = len(motion.x) // 2
+    at = motion(motion.x)
+
+    def part(rows: slice) -> CubicSpline:
+        return CubicSpline(motion.x[rows] - motion.x[rows][0], at[rows])
+
+    return part(slice(None, middle)), part(slice(middle, None))
+
+
 def write(truth: CubicSpline, rate: int, folder: Path) -> None:
     """`samples` (rows of t, x, y, z) at a rate and `truth` at every tick, raw doubles."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,5 @@
 // bench_control laws ARM PATH            the laws on one path, ideal plant: JSON on standard output
-// bench_control streams SAMPLES TRUTH VELOCITY ACCELERATION JERK OUT   followers of a stream
+// bench_control streams TUNING TEST VELOCITY ACCELERATION JERK OUT   followers of a stream
 // bench_control profiles                 profilers for discrete targets
 //
 // `./surg bench control` writes the files, calls this and prints tables (benchmarks/control/).
@@ -124,7 +124,7 @@ int run(const std::vector<std::string>& words) {
   if (words.size() == 1 && words[0] == "profiles") return profiles();
   std::fprintf(stderr,
                "usage: bench_control laws ARM PATH\n"
-               "       bench_control streams SAMPLES TRUTH VELOCITY ACCELERATION JERK OUT\n"
+               "       bench_control streams TUNING TEST VELOCITY ACCELERATION JERK OUT\n"
                "       bench_control profiles\n");
   return 2;
 }

@@ -27,6 +27,20 @@ std::vector<Value> read_all(const std::string& file) {
   return values;
 }
 
+struct Stream {
+  std::vector<Sample> samples;
+  std::vector<std::array<double, 3>> truth;  ///< at k T
+};
+
+Stream read_stream(const std::string& folder) {
+  Stream stream{read_all<Sample>(folder + "/samples"),
+                read_all<std::array<double, 3>>(folder + "/truth")};
+  if (stream.samples.size() < 2 || stream.truth.size() < 2) {
+    throw std::runtime_error(folder + ": empty stream");
+  }
+  return stream;
+}
+
 /// surg_core: estimate and jerk-limited filter.
 struct Filter : Follower {
   explicit Filter(const surg::DofLimits& limits) {
@@ -101,8 +115,8 @@ struct PaperQuintic : Follower {
 };
 
 /// Root mean square distance to the truth, no shift [m].
-double rms(Follower& follower, const std::vector<Sample>& samples,
-           const std::vector<std::array<double, 3>>& truth) {
+double rms(Follower& follower, const Stream& stream) {
+  const auto& [samples, truth] = stream;
   follower.reset(samples.front());
   double sum = 0;
   std::size_t next = 1, n = 0;
@@ -152,17 +166,15 @@ struct FollowerRun {
 };
 
 #ifdef BENCH_RUCKIG
-// Lead and kind of target are tuned on this very stream: the best that this follower can do.
-void add_best_ruckig(Followers& followers, const surg::DofLimits& limits,
-                     const std::vector<Sample>& samples,
-                     const std::vector<std::array<double, 3>>& truth) {
+// Lead and kind of target are those of least error on another stream.
+void add_best_ruckig(Followers& followers, const surg::DofLimits& limits, const Stream& tuning) {
   double best = INFINITY, lead = 0;
   bool moving = false;
   for (int step = 0; step <= 48; ++step) {
     for (bool with_velocity : {false, true}) {
       Followers trial;
       add_ruckig(trial, limits, 0.0025 * step, with_velocity);
-      const double error = rms(*trial.front(), samples, truth);
+      const double error = rms(*trial.front(), tuning);
       if (error < best) {
         best = error;
         lead = 0.0025 * step;
@@ -197,18 +209,16 @@ void print_runs(const std::vector<FollowerRun>& runs, std::size_t ticks, double 
 
 }  // namespace
 
-int streams(const std::string& samples_file, const std::string& truth_file,
+int streams([[maybe_unused]] const std::string& tuning, const std::string& test,
             const surg::DofLimits& limits, const std::string& out) {
-  const auto samples = read_all<Sample>(samples_file);
-  const auto truth = read_all<std::array<double, 3>>(truth_file);
-  if (samples.size() < 2 || truth.size() < 2) throw std::runtime_error("empty stream");
+  const auto [samples, truth] = read_stream(test);
   Followers followers;
   followers.push_back(std::make_unique<Filter>(limits));
   followers.push_back(std::make_unique<Hold>());
   followers.push_back(std::make_unique<PaperQuintic>(limits));
 #ifdef BENCH_RUCKIG
   add_ruckig(followers, limits, -1, false);
-  add_best_ruckig(followers, limits, samples, truth);
+  add_best_ruckig(followers, limits, read_stream(tuning));
 #endif
   std::vector<FollowerRun> runs;
   for (const auto& follower : followers) {

@@ -43,8 +43,9 @@ class Planner {
 void add_ruckig(Followers& followers, const surg::DofLimits& limits, double lead, bool moving);
 std::unique_ptr<Planner> ruckig_planner(const std::array<surg::DofLimits, 4>& limits);
 
-int streams(const std::string& samples_file, const std::string& truth_file,
-            const surg::DofLimits& limits, const std::string& out);
+/// Follows the stream in folder 'test'; what a follower leaves to tune is tuned on 'tuning'.
+int streams(const std::string& tuning, const std::string& test, const surg::DofLimits& limits,
+            const std::string& out);
 int profiles();
 
 }  // namespace bench
