@@ -78,12 +78,14 @@ constexpr TuningKey kTuningKeys[] = {
     {"stream_delay", &Tuning::stream_delay, 0.0, 0.1, "s"},
     {"tremor", &Tuning::tremor, 0.0, 20.0, "Hz"},
     {"servo_timeout", &Tuning::servo_timeout, 0.02, 0.5, "s"},
-    {"link_timeout", &Tuning::link_timeout, 0.01, 0.2, "s"},
-    {"link_lag", &Tuning::link_lag, 0.0, 0.05, "s"},
     {"track_noise", &Tuning::track_noise, 1e-5, 0.001, "m"},
     {"track_jerk", &Tuning::track_jerk, 0.001, 1.0, "m/s^3"},
     {"track_timeout", &Tuning::track_timeout, 0.05, 0.5, "s"},
 };
+
+/// Keys of a link's YAML. A status comes at 50 Hz: a shorter time-out would miss it.
+constexpr double kLinkTimeout[] = {0.03, 0.2}, kLinkLag[] = {0.0, 0.05},
+                 kLinkAcceleration[] = {0.05, 1.0};
 
 std::string number(double value) {
   char text[32];
@@ -233,6 +235,8 @@ class Reader {
     if (value.empty()) fail(key, "is empty; a non-empty text is needed");
     return value;
   }
+
+  bool flag(const std::string& key) { return get<bool>(key, "true or false"); }
 
   std::string choice(const std::string& key, std::initializer_list<const char*> allowed) {
     const std::string value = get<std::string>(key, "a text");
@@ -386,7 +390,7 @@ void check_limits(const Limits& limits,
 struct Evidence {
   double residual, condition;
   int n;
-  std::string date;
+  std::string date, source;
 };
 
 /// What every calibration file carries beside its value. A bad calibration is refused here.
@@ -396,6 +400,11 @@ Evidence read_evidence(Reader& reader) {
   evidence.condition = reader.real("condition", 1.0, 1e4, "");
   evidence.n = static_cast<int>(reader.real("n", 1, 1e6, "samples"));
   evidence.date = reader.word("date");
+  // A file of before has no source: what has no residual at all was computed.
+  evidence.source = reader.has("source")
+                        ? reader.choice("source", {"measured", "simulated", "computed"})
+                    : evidence.residual > 0 ? "measured"
+                                            : "computed";
   return evidence;
 }
 
@@ -481,11 +490,29 @@ RobotConfig read_robot(const Document& document) {
     robot.tuning.*key.member =
         reader.real(std::string("tuning.") + key.name, key.lowest, key.highest, key.unit);
   }
+  if (reader.has("tuning.link_lag") || reader.has("tuning.link_timeout")) {
+    reader.fail(reader.has("tuning.link_lag") ? "tuning.link_lag" : "tuning.link_timeout",
+                "belongs to the robot's link, not to the robot: delete it here; the simulator has "
+                "its own, another link states it in its YAML");
+  }
   reader.finish();
+  robot = with_link(robot, simulator_link());
   check_limits(robot.limits, [&document](const std::string& limit) {
     return place(document, "limits." + limit) + ": limits." + limit;
   });
   return robot;
+}
+
+LinkConfig read_link(const Document& document) {
+  Reader reader(document, "surg_link/1");
+  LinkConfig link;
+  link.name = reader.word("name");
+  link.link_timeout = reader.real("link_timeout", kLinkTimeout[0], kLinkTimeout[1], "s");
+  link.link_lag = reader.real("link_lag", kLinkLag[0], kLinkLag[1], "s");
+  link.acceleration =
+      reader.real("acceleration", kLinkAcceleration[0], kLinkAcceleration[1], "of the robot's");
+  reader.finish();
+  return link;
 }
 
 InstrumentConfig read_instrument(const Document& document) {
@@ -507,6 +534,10 @@ InstrumentConfig read_instrument(const Document& document) {
     }
   }
   if (reader.has("camera")) instrument.camera = read_camera(reader);
+  if (reader.has("passive")) instrument.passive = reader.flag("passive");
+  if (instrument.passive && reader.has("jaw")) {
+    reader.fail("passive", "true, and there is a 'jaw': nobody drives it; leave 'jaw' out");
+  }
   reader.finish();
   return instrument;
 }
@@ -531,6 +562,7 @@ ToolCalibration read_tool(const Document& document) {
   tool.condition = evidence.condition;
   tool.n = evidence.n;
   tool.date = evidence.date;
+  tool.source = evidence.source;
   reader.finish();
   return tool;
 }
@@ -544,6 +576,7 @@ TrocarCalibration read_trocar(const Document& document) {
   trocar.condition = evidence.condition;
   trocar.n = evidence.n;
   trocar.date = evidence.date;
+  trocar.source = evidence.source;
   reader.finish();
   return trocar;
 }
@@ -599,7 +632,8 @@ CellConfig read_cell(const Document& document) {
     arm.name = name;
     arm.robot = reader.word(prefix + "robot");
     arm.instrument = reader.word(prefix + "instrument");
-    arm.link = reader.choice(prefix + "link", {"simulator"});
+    arm.link = reader.word(prefix + "link");
+    arm.where["link"] = place(document, prefix + "link");
     arm.base_xyz = reader.vector(prefix + "base.xyz", 10.0, "m");
     arm.base_rpy = reader.vector(prefix + "base.rpy", 6.3, "rad");
     if (reader.has(prefix + "home")) arm.home = reader.numbers(prefix + "home");
@@ -622,6 +656,35 @@ CellConfig read_cell(const Document& document) {
 }  // namespace
 
 RobotConfig parse_robot(const Document& document) { return parse_with_hints(document, read_robot); }
+
+LinkConfig parse_link(const Document& document) { return parse_with_hints(document, read_link); }
+
+/// Its time-out is that of one process among many on a desktop, and its dead-man waits as long
+/// (F10). Its lag is 4 ms of delay and 8 ms of the joints' servos (sim_arm.py).
+LinkConfig simulator_link() { return {kSimulator, 0.1, 0.012, 1.0}; }
+
+RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link) {
+  RobotConfig result = robot;
+  result.tuning.link_timeout = link.link_timeout;
+  result.tuning.link_lag = link.link_lag;
+  result.acceleration *= link.acceleration;
+  return result;
+}
+
+std::string link_file(const CellArm& arm) {
+  const std::string yaml = ".yaml";
+  const bool path = arm.link.size() > yaml.size() &&
+                    arm.link.compare(arm.link.size() - yaml.size(), yaml.size(), yaml) == 0;
+  return path ? arm.link
+              : arm.robot.substr(0, arm.robot.rfind('/') + 1) + "../links/" + arm.link + yaml;
+}
+
+std::string unknown_link(const CellArm& arm, const std::string& cell_file,
+                         const std::string& tried) {
+  return place(arm, "link", cell_file) + ": '" + arm.link + "': there is no " + tried +
+         "; allowed: 'simulator', the name of a link that is installed, or the path of a link's "
+         "YAML relative to the cell";
+}
 
 InstrumentConfig parse_instrument(const Document& document) {
   return parse_with_hints(document, read_instrument);
@@ -706,6 +769,8 @@ std::string limits_hash(const RobotConfig& robot, const Limits& limits) {
   };
   for (const auto& key : kLimitKeys) mix(limits.*key.member);
   for (const auto& key : kTuningKeys) mix(robot.tuning.*key.member);
+  mix(robot.tuning.link_timeout);
+  mix(robot.tuning.link_lag);
   for (const JointVector* values : {&robot.home, &robot.position_min, &robot.position_max,
                                     &robot.velocity, &robot.acceleration}) {
     for (int i = 0; i < values->size(); ++i) mix((*values)[i]);

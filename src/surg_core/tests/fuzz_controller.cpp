@@ -104,7 +104,7 @@ Truth truth(const JointVector& q, const JointVector& qd, const ToolCalibration& 
 // ---------------------------------------------------------------------------------
 
 /// The plant of a run: it answers at once; or late, and the controller knows how late, or does not
-/// ('tuning.link_lag' 0: nobody has measured it).
+/// ('link_lag' 0: nobody has measured it).
 enum Plant { kIdeal, kLagKnown, kLagUnknown };
 constexpr const char* kPlants[] = {"ideal plant", "lag known", "lag not known"};
 
@@ -199,10 +199,7 @@ class Run {
   // -------------------------------------------------------------------------------
 
   RobotConfig robot() {
-    Document document = test::good_robot();
-    document.values["tuning.link_lag"] = lagging_ && dice_.one_in(2) ? 0.012 : 0.0;
-    RobotConfig robot = parse_robot(document);
-    return robot;
+    return test::robot_behind(test::good_robot(), lagging_ && dice_.one_in(2) ? 0.012 : 0.0);
   }
 
   ToolCalibration tool() {

@@ -17,7 +17,7 @@ using test::Random;
 constexpr double kT = 0.002;
 
 ControllerSetup setup(Law law) {
-  const RobotConfig robot = parse_robot(test::good_robot());
+  const RobotConfig robot = test::robot_behind(test::good_robot());
   Controller::Options options;
   options.law = law;
   options.track_rcm = true;

@@ -87,7 +87,7 @@ TEST(Config, AMisspeltKeyIsNamedWithTheOneThatWasMeant) {
       {"limits.tip_velocity", "limits.tip_velocitty"},
       {"limits.cone", "limits.kone"},
       {"limits.depth_max", "limit.depth_max"},
-      {"tuning.link_lag", "tuning.lnik_lag"},
+      {"tuning.stream_delay", "tuning.stream_deley"},
       {"joints.home", "joints.hom"},
       {"flange_link", "flang_link"},
       {"name", "nmae"},
@@ -284,6 +284,56 @@ TEST(Config, ArmsComeInTheFilesOrderWithTheirOwnHomes) {
     wrong.home[2] = bad;
     EXPECT_NE(error_of([&] { with_home(robot, wrong, cell.file); }).find("is outside its limits"),
               std::string::npos);
+  }
+}
+
+Document good_link() {
+  Document d;
+  d.file = "bench.yaml";
+  d.values = {{"format", std::string("surg_link/1")},
+              {"name", std::string("bench")},
+              {"link_timeout", 0.04},
+              {"link_lag", 0.0085},
+              {"acceleration", 0.95}};
+  return d;
+}
+
+TEST(Config, ALinkHasItsOwnParametersAndTheRobotHasNoneOfThem) {
+  const RobotConfig robot = parse_robot(good_robot());
+  EXPECT_EQ(robot.tuning.link_timeout, simulator_link().link_timeout);
+  EXPECT_EQ(robot.tuning.link_lag, 0.012);
+  const RobotConfig driven = with_link(robot, parse_link(good_link()));
+  EXPECT_EQ(driven.tuning.link_timeout, 0.04);
+  EXPECT_EQ(driven.tuning.link_lag, 0.0085);
+  EXPECT_EQ(driven.acceleration[0], 0.95 * robot.acceleration[0]);
+  EXPECT_EQ(with_link(robot, simulator_link()).acceleration, robot.acceleration);
+  EXPECT_NE(limits_hash(driven, driven.limits), limits_hash(robot, robot.limits));
+  for (const auto& [key, bad] : std::map<std::string, double>{
+           {"link_timeout", 0.02}, {"link_lag", -0.1}, {"acceleration", 1.1}}) {
+    Document d = good_link();
+    d.values[key] = bad;
+    EXPECT_NE(error_of([&] { parse_link(d); }).find(key + ": "), std::string::npos) << key;
+    d.values.erase(key);
+    EXPECT_NE(error_of([&] { parse_link(d); }).find("missing"), std::string::npos) << key;
+  }
+  Document old = good_robot();
+  old.values["tuning.link_lag"] = 0.012;
+  EXPECT_NE(error_of([&] { parse_robot(old); }).find("belongs to the robot's link"),
+            std::string::npos);
+}
+
+TEST(Config, ALinkIsANameOrAPath) {
+  CellArm arm;
+  arm.name = "PSM1";
+  arm.robot = "../robots/ur5e.yaml";
+  arm.link = "bench";
+  EXPECT_EQ(link_file(arm), "../robots/../links/bench.yaml");
+  arm.link = "links/mine.yaml";
+  EXPECT_EQ(link_file(arm), "links/mine.yaml");
+  const std::string error = unknown_link(arm, "cell.yaml", "/tried/mine.yaml");
+  for (const char* part :
+       {"arms.PSM1.link", "'links/mine.yaml'", "/tried/mine.yaml", "simulator"}) {
+    EXPECT_NE(error.find(part), std::string::npos) << part;
   }
 }
 

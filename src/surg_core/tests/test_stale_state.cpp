@@ -77,9 +77,8 @@ class StarvedLink {
  private:
   static RobotConfig robot() {
     Document document = good_robot();
-    document.values["tuning.link_lag"] = 0.012;
     document.values["tuning.rcm_gain"] = 50.0;  // as shipped
-    return parse_robot(document);
+    return robot_behind(document, 0.012);
   }
   static Controller::Options options(Law law) {
     Controller::Options out;

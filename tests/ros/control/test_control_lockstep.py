@@ -231,8 +231,8 @@ def test_a_link_lag_other_than_the_stated_one_is_a_warning(ros_graph: RosGraph, 
         rig.pose(begin + np.array([0.01 * (1.0 - math.cos(2 * math.pi * k / 500)), 0.0, 0.0]))
         rig.step()
     assert rig.arm.robot.tuning.link_lag == 0.012
-    assert "lags 0.0 ms" in rig.wait_text("status", "tuning.link_lag is 12.0 ms")
-    rig.wait_text("warning", "lags 0.0 ms behind its commands; tuning.link_lag is 12.0 ms")
+    assert "lags 0.0 ms" in rig.wait_text("status", "link_lag is 12.0 ms")
+    rig.wait_text("warning", "lags 0.0 ms behind its commands; link_lag is 12.0 ms")
 
 
 def test_twist_link_gets_the_flange_twist(ros_graph: RosGraph, rospy_node: str) -> None:

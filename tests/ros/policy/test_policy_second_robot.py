@@ -30,10 +30,14 @@ def write_cell(folder: Path) -> Path:
     robot = yaml.safe_load((DESCRIPTION / "robots" / "panda.yaml").read_text("utf-8"))
     robot["urdf"] = str(DESCRIPTION / "urdf" / "panda.urdf")
     robot["command"] = "cartesian_velocity"
-    robot["tuning"]["link_lag"] = 0.004
     written = folder / "panda.yaml"
     written.write_text(yaml.safe_dump(robot, sort_keys=False), "utf-8")
-    return make_cell(written, folder / "cell", DESCRIPTION / "instruments" / "grasper.yaml").parent
+    cell = make_cell(written, folder / "cell", DESCRIPTION / "instruments" / "grasper.yaml")
+    (cell.parent / "own.yaml").write_text(
+        "format: surg_link/1\nname: own\nlink_timeout: 0.1\nlink_lag: 0.004\nacceleration: 1.0\n"
+    )
+    cell.write_text(cell.read_text("utf-8").replace("link: simulator", "link: own.yaml"))
+    return cell.parent
 
 
 def test_the_links_own_kinematics() -> None:

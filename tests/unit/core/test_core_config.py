@@ -61,8 +61,6 @@ tuning:
   stream_delay: 0.01
   tremor: 10.0
   servo_timeout: 0.1
-  link_timeout: 0.05
-  link_lag: 0.008
   track_noise: 0.0003
   track_jerk: 0.02
   track_timeout: 0.25
@@ -355,7 +353,7 @@ def test_limits_hash_changes_with_every_limit(folder: Path) -> None:
         )
         changed = surg_core.load_robot(folder / ROBOT)
         seen.add(testing.limits_hash(changed, changed.limits))
-    assert len(seen) == len(lines) + 1 == 40
+    assert len(seen) == len(lines) + 1 == 38
     assert all(len(digest) == 16 for digest in seen)
 
 

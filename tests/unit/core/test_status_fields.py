@@ -137,7 +137,7 @@ def operator_ends(status: Any) -> bool:
 
 def system_is_up(status: Any) -> bool:
     watch = heard_by_watch({"/sim/status": status}, _states={})
-    plan = SimpleNamespace(arms=(), lockstep=False)
+    plan = SimpleNamespace(arms=(), lockstep=False, simulates=True)
     progress = SimpleNamespace(update=lambda *_: None)
     up._await_arms(plan, watch, waiting_supervisor(), progress)
     return True

@@ -89,6 +89,7 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
     from surg_core import calibration
 
     path = folder / "calibration" / f"{what}_{arm.name}.yaml"
+    origin = "simulated" if arm.link == "simulator" else "measured"
     note = f"Measured: ./surg calibrate {folder.name} {what} --from {source.name}"
     try:
         recording = calibration.read_recording(source, arm.chain, arm.robot.joint_names)
@@ -106,14 +107,14 @@ def solve(folder: Path, arm: Any, what: str, source: Path, date: str, dry_run: b
             moved = 1e3 * np.linalg.norm(solution.tool.p_FTip - before)
             say(f"change {moved:.3f} mm and {angle:.3f} deg from the previous {path.name}")
             if not dry_run:
-                calibration.write_tool(path, solution.tool, note)
+                calibration.write_tool(path, solution.tool, note, origin)
         else:
             point = calibration.solve_trocar(recording, arm.tool, date)
             say(f"trocar {_mm(point.trocar.p_BRcm)} mm in the robot base; {_fit(point.point)}")
             moved = 1e3 * np.linalg.norm(point.trocar.p_BRcm - arm.trocar.p_BRcm)
             say(f"change {moved:.3f} mm from the previous {path.name}")
             if not dry_run:
-                calibration.write_trocar(path, point.trocar, note)
+                calibration.write_trocar(path, point.trocar, note, origin)
     except (calibration.CalibrationError, OSError) as error:
         raise Problem(f"calibrate {what}: {error}; {path} is unchanged", 1) from error
     say("nothing written (--dry-run)" if dry_run else f"written: {path}; restart the system")

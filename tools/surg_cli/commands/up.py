@@ -6,16 +6,16 @@ import argparse
 import datetime
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from surg_cli.graph import follow, join, master, network, processes, roles, running, system
 from surg_cli.graph.system import Plan
 from surg_cli.graph.watch import Watch
 from surg_cli.host import cells, environment, paths
 from surg_cli.host.option_types import tcp_port
-from surg_cli.host.terminal import Problem, Progress, say
+from surg_cli.host.terminal import Problem, Progress, say, warn
 
 READY_TICKS = 100
 """Ticks of the simulator after which every controller has received its link's state."""
@@ -76,6 +76,9 @@ def main(options: argparse.Namespace, command: str) -> int:
     cell = cells.find(options.cell)
     loaded = cells.load(cell)
     arms = tuple(str(name) for name in loaded.arms)
+    simulated = tuple(arm for arm in arms if loaded.arms[arm].link == "simulator")
+    if options.lock_step and simulated != arms:
+        raise Problem("--lock-step needs a cell whose arms are all driven by the simulator", 2)
     link = None
     if options.role is not None:
         if options.lock_step:
@@ -87,8 +90,11 @@ def main(options: argparse.Namespace, command: str) -> int:
     plan = Plan(
         cell=cell,
         arms=arms,
+        simulated=simulated,
         lockstep=options.lock_step,
-        cameras=() if options.no_video else ("left", "right")[: 1 + options.stereo],
+        cameras=()
+        if options.no_video or not simulated
+        else ("left", "right")[: 1 + options.stereo],
         view=options.view,
         law=options.law,
         link=options.link,
@@ -164,6 +170,7 @@ def _keep(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> NoRetur
                 if link is not None:
                     network.refuse_foreign_ports(supervisor.children, link)
                 _greet(plan, port, logs, link)
+                describe_arms(cells.load(plan.cell).arms)
                 follow.keep(watch, supervisor, entry)
 
 
@@ -175,12 +182,31 @@ def _await_arms(
 
     def missing() -> list[str]:
         absent = [arm for arm in plan.arms if arm not in watch.states]
-        if not plan.lockstep and watch.sim.tick < READY_TICKS:
+        if plan.simulates and not plan.lockstep and watch.sim.tick < READY_TICKS:
             absent.append("the simulator")  # "enable" would be refused
         descriptions = [f"/{arm}/robot_description" for arm in plan.arms]
         return absent + [name for name in descriptions if not master.call(uri, "hasParam", name)]
 
     follow.wait_for(missing, supervisor, progress.update)
+
+
+def describe_arms(arms: Mapping[str, Any]) -> None:
+    """Print which arms the simulator does not drive, and what nobody has measured of them."""
+    for name, arm in arms.items():
+        real = arm.link != "simulator"
+        if real:
+            say(
+                f"{name} is driven by '{arm.link}': start its link now. enable is refused until "
+                "its robot/status is ACTIVE."
+            )
+        for what, source in (("tool", arm.tool.source), ("trocar", arm.trocar.source)):
+            if source == "measured":
+                continue
+            text = f"{name}: the calibration of its {what} is {source}, not measured"
+            if real:
+                warn(f"{text}: measure it with ./surg calibrate before you trust the pivot")
+            else:
+                say(f"{text}.")
 
 
 def _greet(plan: Plan, port: int, logs: Path, link: roles.Link | None) -> None:

@@ -59,6 +59,8 @@ class Plan:
     cameras: tuple[str, ...]
     out: Path  # folder of the run
     view: bool = False  # whether the simulator opens its window
+    # arms that the simulator drives; None: all. Without any there is no simulator and no picture
+    simulated: tuple[str, ...] | None = None
     law: str = "ours"  # "ours", "velocity" or "paper"
     link: str | None = None  # "joint", "twist", or None for what the robot's YAML says
     # lateral feedback [1/s], or None for what the robot's YAML says
@@ -82,6 +84,11 @@ class Plan:
     def mode(self) -> str:
         """The word the nodes know the timing by."""
         return "lockstep" if self.lockstep else "freerun"
+
+    @property
+    def simulates(self) -> bool:
+        """Whether the simulator drives an arm."""
+        return self.simulated is None or bool(self.simulated)
 
     @property
     def participants(self) -> list[str]:
@@ -109,7 +116,7 @@ class Plan:
         params: dict[str, object] = {
             "cell": str(self.cell),
             "mode": self.mode,
-            "arms": list(self.arms),
+            "arms": list(self.arms if self.simulated is None else self.simulated),
             "seed": self.seed,
         }
         if self.task:
@@ -157,7 +164,9 @@ def nodes(plan: Plan) -> list[Node]:
         **({"connect_timeout": CAMERA_START_S} if plan.cameras and plan.lockstep else {}),
     }
     prompt = not plan.lockstep  # where time waits, nobody is in a hurry
-    started = [Node("/sim", "surg_sim", "bridge_node.py", params, prompt=prompt)]
+    started = []
+    if plan.simulates:
+        started.append(Node("/sim", "surg_sim", "bridge_node.py", params, prompt=prompt))
     if plan.cameras:
         params = {**plan.scene, "views": list(plan.cameras)}
         started.append(Node(f"/{ENDOSCOPE}", "surg_sim", "endoscope_node.py", params))

@@ -136,6 +136,16 @@ surg::Pose pose_from_xyz_rpy(const surg::Vector3& xyz, const surg::Vector3& rpy)
   return X;
 }
 
+surg::LinkConfig load_link(const surg::CellArm& arm, const std::string& cell_file) {
+  if (arm.link == surg::kSimulator) return surg::simulator_link();
+  const std::string file = beside(cell_file, surg::link_file(arm));
+  std::error_code error;
+  if (!fs::is_regular_file(file, error)) {
+    throw surg::ConfigError(surg::unknown_link(arm, cell_file, file));
+  }
+  return surg::parse_link(load_document(file));
+}
+
 surg::CellArm find_arm(const surg::CellConfig& cell, const std::string& name) {
   std::string known;
   for (const surg::CellArm& arm : cell.arms) {
@@ -182,6 +192,7 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   const std::string robot_file = beside(cell_file, setup.arm.robot);
   const std::string instrument_file = beside(cell_file, setup.arm.instrument);
   setup.robot = surg::with_home(surg::parse_robot(load_document(robot_file)), setup.arm, cell_file);
+  setup.robot = surg::with_link(setup.robot, load_link(setup.arm, cell_file));
   setup.instrument = surg::parse_instrument(load_document(instrument_file));
   setup.limits = surg::tighten(setup.robot.limits, setup.arm, cell_file);
   const std::string tool_file = beside(cell_file, "calibration/tool_" + name + ".yaml");

@@ -16,10 +16,7 @@ constexpr std::uint32_t kCommandQueue = 64;  // free-run: roscpp's own queue per
 constexpr std::size_t kCommandRing = 256;    // free-run: waiting for the control thread
 constexpr std::size_t kRecordRing = 512;     // free-run: one second of cycles for the publisher
 constexpr std::int64_t kStopWithinNs = 1'000'000'000;  // the fastest motion stops in 0.2 s
-/// F10: a simulated link is one process among many on a desktop, without real-time priority. Its
-/// dead-man waits as long.
-constexpr double kSimulatedLinkTimeout = 0.1;    // [s]
-constexpr std::int64_t kNoTickNs = 250'000'000;  // lock-step: the link has stopped ticking
+constexpr std::int64_t kNoTickNs = 250'000'000;        // lock-step: the link has stopped ticking
 
 const char* name_of(surg::Law law) {
   switch (law) {
@@ -56,10 +53,6 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   law.track_rcm = options_.track_rcm;
   surg::ControllerSetup made{model_.chain,      setup_.robot, setup_.limits,
                              setup_.instrument, setup_.tool,  law};
-  if (setup_.arm.link == "simulator") {
-    double& timeout = made.robot.tuning.link_timeout;
-    timeout = std::max(timeout, kSimulatedLinkTimeout);
-  }
   controller_ = std::make_unique<surg::Controller>(made.chain, made.robot, made.limits,
                                                    made.instrument, made.tool, made.options);
   box_ = std::make_unique<surg::BlackBox>(*controller_, made);
@@ -69,7 +62,10 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   node_.setCallbackQueue(&queue_);
   node_.setParam("/" + arm_ + "/robot_description", model_.urdf);
   reporter_ = std::make_unique<StatusReporter>(node_, arm_, setup_.robot, setup_.limits, sources_);
-  const ControllerInfo info{options_.lockstep, twist, options_.track_rcm, name_of(law.law),
+  const ControllerInfo info{options_.lockstep,
+                            twist,
+                            options_.track_rcm,
+                            name_of(law.law),
                             surg::limits_hash(setup_.robot, setup_.limits),
                             setup_.robot.tuning.link_lag};
   publishers_ =
@@ -124,7 +120,8 @@ void RcmLoop::on_tick(const LinkState& state) {
 }
 
 void RcmLoop::try_step() {
-  if (robot_tick_ <= answered_tick_ || tool_tick_ != robot_tick_) return;
+  if (robot_tick_ <= answered_tick_) return;
+  if (tool_tick_ != robot_tick_ && !setup_.instrument.passive) return;
   if (status_tick_ != robot_tick_) return;
   // While exiting, commands are ignored, so there is nothing to wait for.
   if (!exiting_ && !lockstep_gate_.due(robot_tick_)) return;
@@ -285,6 +282,12 @@ void RcmLoop::come_to_rest() {
 void RcmLoop::run(const std::atomic<bool>& stop) {
   reporter_->status(arm_ + ": controller of cell " + setup_.cell_name + " runs in " +
                     (options_.lockstep ? "lock-step" : "free-run"));
+  for (const auto& [what, source] :
+       {std::pair{"tool", &setup_.tool.source}, std::pair{"trocar", &setup_.trocar.source}}) {
+    if (setup_.arm.link == surg::kSimulator || *source == "measured") continue;
+    reporter_->warning_once(what, arm_ + ": the calibration of its " + what + " is " + *source +
+                                      ", not measured: the pivot is only where it was computed");
+  }
   std::thread control, sender, publisher;
   if (!options_.lockstep) {
     publisher = start(&RcmLoop::publisher_thread);

@@ -207,11 +207,11 @@ std::string StatusReporter::what_holds_the_elbow(int limit) const {
 void StatusReporter::report_lag(double measured) {
   if (std::isnan(measured)) return;
   const std::string text = "the robot link lags " + milliseconds(measured) +
-                           " behind its commands; tuning.link_lag is " + milliseconds(link_lag_);
+                           " behind its commands; link_lag is " + milliseconds(link_lag_);
   if (!lag_reported_) status(arm_ + ": " + text);
   lag_reported_ = true;
   if (std::abs(measured - link_lag_) > kLagTolerance) {
-    warning_once("link_lag", arm_ + ": " + text + ": set the measured value in the robot's YAML");
+    warning_once("link_lag", arm_ + ": " + text + ": set the measured value in the link's YAML");
   }
 }
 

@@ -70,8 +70,7 @@ class SmallCell {
           "  trocar_force_fault: 15.0\n  joint_margin: 0.1\n"
           "tuning:\n  rcm_gain: 20\n  tip_gain: 5\n  roll_gain: 5\n  posture_gain: 1\n"
           "  profiler_duration: 0.5\n  stream_delay: 0\n  tremor: 0\n  servo_timeout: 0.1\n  "
-          "link_timeout: "
-          "0.1\n  link_lag: 0\n  track_noise: 3e-4\n  track_jerk: 0.02\n  track_timeout: 0.25\n");
+          "track_noise: 3e-4\n  track_jerk: 0.02\n  track_timeout: 0.25\n");
     write("instrument.yaml",
           "format: surg_instrument/1\nname: tool\nurdf: tool.urdf\nmount_link: mount\n"
           "tip_link: tip\njaw: {min: 0.0, max: 1.0, velocity: 3.0}\n");

@@ -72,7 +72,7 @@ struct Tuning {
   double stream_delay;       ///< [s] a stream is followed that much later, and more gently
   double tremor;             ///< [Hz] centre of the notch against a hand's tremor; 0: off
   double servo_timeout;      ///< [s] F03
-  double link_timeout;       ///< [s] F10, free-run
+  double link_timeout;       ///< [s] F10, free-run; of the link, see LinkConfig
   double link_lag;           ///< [s] from a velocity command to the motion it causes; 0: unknown
   double track_noise;        ///< [m] rms per axis of a position on rcm/track
   double track_jerk;         ///< [m/s^3] that a breathing trocar reaches
@@ -93,6 +93,16 @@ struct RobotConfig {
   double elbow = std::numeric_limits<double>::quiet_NaN();  ///< [rad] preferred; NaN: none
 };
 
+/// A robot link's own parameters: its YAML, or those of the simulator.
+struct LinkConfig {
+  std::string name;
+  double link_timeout, link_lag;  ///< [s] as in Tuning
+  double acceleration;            ///< share of the robot's joint acceleration that it obeys
+};
+
+/// The link that a cell names 'simulator'; it has no file.
+constexpr const char* kSimulator = "simulator";
+
 /// The cameras in an endoscope's tip: parallel, with the same intrinsics.
 struct CameraConfig {
   /// URDF links, optical (x right, y down, z away): left and right, or one. Empty: no endoscope.
@@ -106,6 +116,7 @@ struct InstrumentConfig {
   std::string file, name, urdf, mount_link, tip_link;
   double jaw_min, jaw_max, jaw_velocity;  ///< all 0 without a jaw: it stays 0 whatever is commanded
   CameraConfig camera = {};               ///< no part of the black box: it moves nothing
+  bool passive = false;  ///< no drive and no tool link; the jaw, if there is one, is fixed
 };
 
 /// Calibrated tool: shaft axis and tip in the flange frame F, with the quality of the fit.
@@ -114,6 +125,7 @@ struct ToolCalibration {
   double residual, condition;
   int n;
   std::string date;
+  std::string source = {};  ///< "measured", "simulated" or "computed"
 };
 
 /// Taught trocar point in the robot base frame B.
@@ -122,14 +134,15 @@ struct TrocarCalibration {
   double residual, condition;
   int n;
   std::string date;
+  std::string source = {};  ///< "measured", "simulated" or "computed"
 };
 
 /// One arm of a cell, as cell.yaml states it.
 struct CellArm {
-  std::string name;                      ///< CRTK name, e.g. "PSM1"
-  std::string robot;                     ///< path of the robot YAML, relative to the cell file
-  std::string instrument;                ///< path of the instrument YAML, relative to the cell file
-  std::string link;                      ///< "simulator"
+  std::string name;        ///< CRTK name, e.g. "PSM1"
+  std::string robot;       ///< path of the robot YAML, relative to the cell file
+  std::string instrument;  ///< path of the instrument YAML, relative to the cell file
+  std::string link;        ///< "simulator", or a link's YAML: a name, or a path that ends in .yaml
   Vector3 base_xyz, base_rpy;            ///< X_WB
   std::vector<double> home;              ///< [rad] instead of the robot's; empty: the robot's
   std::map<std::string, double> limits;  ///< tightened limits by name
@@ -149,7 +162,10 @@ struct CellConfig {
   std::vector<CellArm> arms;  ///< in the file's order
 };
 
+/// With the simulator's link; see with_link.
 RobotConfig parse_robot(const Document& document);
+LinkConfig parse_link(const Document& document);
+LinkConfig simulator_link();
 InstrumentConfig parse_instrument(const Document& document);
 ToolCalibration parse_tool(const Document& document);
 TrocarCalibration parse_trocar(const Document& document);
@@ -160,6 +176,16 @@ Limits tighten(const Limits& limits, const CellArm& arm, const std::string& cell
 
 /// Returns the robot with the cell's home posture and elbow. Throws if they do not fit the joints.
 RobotConfig with_home(const RobotConfig& robot, const CellArm& arm, const std::string& cell_file);
+
+/// Returns the robot as this link drives it.
+RobotConfig with_link(const RobotConfig& robot, const LinkConfig& link);
+
+/// Returns the file of a link other than the simulator, relative to the cell's folder if it is a
+/// path and to the folder 'links' beside the robot's folder if it is a name.
+std::string link_file(const CellArm& arm);
+/// The error where that file, looked for as 'tried', does not exist.
+std::string unknown_link(const CellArm& arm, const std::string& cell_file,
+                         const std::string& tried);
 
 /// Throws if an instrument's tip could go deeper than its shaft is long.
 void check_tool(const ToolCalibration& tool, const Limits& limits, const std::string& tool_file);

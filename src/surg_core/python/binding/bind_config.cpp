@@ -157,6 +157,23 @@ void bind_robot(py::module_& m) {
       .def_property_readonly("tuning", [](const RobotConfig& self) { return self.tuning; });
 }
 
+void bind_link(py::module_& m) {
+  py::class_<LinkConfig>(m, "LinkConfig", "A robot link's own parameters.")
+      .def_readonly("name", &LinkConfig::name)
+      .def_readonly("link_timeout", &LinkConfig::link_timeout, "[s]")
+      .def_readonly("link_lag", &LinkConfig::link_lag, "[s]")
+      .def_readonly("acceleration", &LinkConfig::acceleration, "Share of the robot's.");
+  m.def("parse_link", &parse_link, py::arg("document"),
+        "Checks the document against the schema. Raises ConfigError.");
+  m.def("simulator_link", &simulator_link, "The parameters of the simulator's link.");
+  m.def("with_link", &with_link, py::arg("robot"), py::arg("link"),
+        "The robot as a link drives it.");
+  m.def("link_file", &link_file, py::arg("arm"),
+        "File of its link, relative to the cell's folder.");
+  m.def("unknown_link", &unknown_link, py::arg("arm"), py::arg("cell_file"), py::arg("tried"),
+        "The error where that file does not exist.");
+}
+
 void bind_calibrations(py::module_& m) {
   py::class_<CameraConfig>(m, "CameraConfig", "The parallel cameras in an endoscope's tip.")
       .def_property_readonly(
@@ -174,6 +191,7 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("jaw_min", &InstrumentConfig::jaw_min, "Closed.")
       .def_readonly("jaw_max", &InstrumentConfig::jaw_max)
       .def_readonly("jaw_velocity", &InstrumentConfig::jaw_velocity, "[rad/s]; 0: has no jaw.")
+      .def_readonly("passive", &InstrumentConfig::passive, "No drive and no tool link.")
       .def_property_readonly(
           "camera",
           [](const InstrumentConfig& self) -> std::optional<CameraConfig> {
@@ -191,7 +209,8 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("residual", &ToolCalibration::residual, "[m]")
       .def_readonly("condition", &ToolCalibration::condition)
       .def_readonly("n", &ToolCalibration::n)
-      .def_readonly("date", &ToolCalibration::date);
+      .def_readonly("date", &ToolCalibration::date)
+      .def_readonly("source", &ToolCalibration::source, "measured, simulated or computed.");
 
   py::class_<TrocarCalibration>(m, "TrocarCalibration", "Taught trocar point in the robot base.")
       .def_property_readonly(
@@ -200,7 +219,8 @@ void bind_calibrations(py::module_& m) {
       .def_readonly("residual", &TrocarCalibration::residual, "[m]")
       .def_readonly("condition", &TrocarCalibration::condition)
       .def_readonly("n", &TrocarCalibration::n)
-      .def_readonly("date", &TrocarCalibration::date);
+      .def_readonly("date", &TrocarCalibration::date)
+      .def_readonly("source", &TrocarCalibration::source, "measured, simulated or computed.");
 }
 
 void bind_cell(py::module_& m) {
@@ -251,6 +271,7 @@ void bind_config(py::module_& m, py::module_& testing) {
   bind_robot(m);
   bind_calibrations(m);
   bind_cell(m);
+  bind_link(m);
 
   const char* text = "Checks the document against the schema. Raises ConfigError.";
   m.def("parse_robot", &parse_robot, py::arg("document"), text);

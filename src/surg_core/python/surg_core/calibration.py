@@ -238,13 +238,14 @@ def _named(recording: Recording, solve: Callable[[], _Fit]) -> _Fit:
         raise CalibrationError(f"{recording.file}: {error}") from error
 
 
-def write_tool(path: PathLike, tool: ToolCalibration, note: str) -> None:
+def write_tool(path: PathLike, tool: ToolCalibration, note: str, source: str = "measured") -> None:
     """Writes a surg_tool/1 file; the file that was there stays beside it as ``<name>.previous``.
 
     Args:
         path: such as ``calibration/tool_PSM1.yaml``; its folder must exist.
         tool: what to write.
         note: one line for people, put at the top.
+        source: ``measured``, ``simulated`` or ``computed``.
 
     Raises:
         ConfigError: when the schema does not take it (nothing is replaced then).
@@ -254,17 +255,19 @@ def write_tool(path: PathLike, tool: ToolCalibration, note: str) -> None:
         f"# {_one_line(note)}\n"
         "format: surg_tool/1\n"
         f"shaft_axis: {_vector(tool.s_F)}  # unit vector, flange to tip\n"
-        f"tip: {_vector(tool.p_FTip)}  # m\n" + _evidence(tool)
+        f"tip: {_vector(tool.p_FTip)}  # m\n" + _evidence(tool, source)
     )
     _replace(Path(path), text, load_tool)
 
 
-def write_trocar(path: PathLike, trocar: TrocarCalibration, note: str) -> None:
+def write_trocar(
+    path: PathLike, trocar: TrocarCalibration, note: str, source: str = "measured"
+) -> None:
     """Writes a surg_trocar/1 file; as :func:`write_tool`."""
     text = (
         f"# {_one_line(note)}\n"
         "format: surg_trocar/1\n"
-        f"point: {_vector(trocar.p_BRcm)}  # m\n" + _evidence(trocar)
+        f"point: {_vector(trocar.p_BRcm)}  # m\n" + _evidence(trocar, source)
     )
     _replace(Path(path), text, load_trocar)
 
@@ -278,12 +281,13 @@ def _vector(values: FloatArray) -> str:
     return "[" + ", ".join(f"{round(float(value), 12) + 0.0:.12f}" for value in values) + "]"
 
 
-def _evidence(found: _Calibration) -> str:
+def _evidence(found: _Calibration, source: str) -> str:
     return (
         f"residual: {found.residual:.9f}  # m, rms\n"
         f"n: {found.n}\n"
         f"condition: {max(found.condition, 1.0):.4f}\n"
         f'date: "{_one_line(found.date)}"\n'
+        f"source: {source}\n"
     )
 
 

@@ -18,26 +18,36 @@ from types import MappingProxyType
 import yaml  # type: ignore[import]
 
 from surg_core._core import (
+    CellArm,
     CellConfig,
     Chain,
     ConfigError,
     Document,
     InstrumentConfig,
     Limits,
+    LinkConfig,
     RobotConfig,
     ToolCalibration,
     TrocarCalibration,
     check_tool,
+    link_file,
     parse_cell,
     parse_instrument,
+    parse_link,
     parse_robot,
     parse_tool,
     parse_trocar,
+    simulator_link,
     tighten,
+    unknown_link,
     with_home,
+    with_link,
 )
 from surg_core.transforms import FloatArray, make_pose
 from surg_core.urdf import chain_from_urdf, fixed_transform
+
+SIMULATOR = "simulator"
+"""The link of an arm that the simulator drives."""
 
 PathLike = str | os.PathLike[str]
 Value = bool | float | str | list[float] | list[str]
@@ -54,7 +64,8 @@ class Arm:
     Attributes:
         name: CRTK name, for example ``PSM1``.
         link: what moves it, for example ``simulator``.
-        robot: the robot's YAML, with the cell's home posture where it has one.
+        robot: the robot's YAML, with the cell's home posture where it has one, as its link drives
+            it.
         instrument: the instrument's YAML.
         limits: the robot's limits with the cell's tightened ones put in.
         tool: calibrated shaft axis and tip in the flange frame.
@@ -136,6 +147,7 @@ def load_cell(path: PathLike) -> Cell:
         robot_file = _beside(file, stated.robot)
         instrument_file = _beside(file, stated.instrument)
         robot = with_home(load_robot(robot_file), stated, str(file))
+        robot = with_link(robot, _load_link(stated, file))
         instrument = load_instrument(instrument_file)
         urdf = _beside(robot_file, robot.urdf)
         instrument_urdf = _beside(instrument_file, instrument.urdf)
@@ -167,6 +179,15 @@ def load_cell(path: PathLike) -> Cell:
             instrument_urdf=instrument_urdf,
         )
     return Cell(config=config, arms=MappingProxyType(arms), folder=file.parent)
+
+
+def _load_link(arm: CellArm, cell_file: Path) -> LinkConfig:
+    if arm.link == SIMULATOR:
+        return simulator_link()
+    file = _beside(cell_file, link_file(arm))
+    if not file.is_file():
+        raise ConfigError(unknown_link(arm, str(cell_file), str(file)))
+    return parse_link(read_document(file))
 
 
 def _beside(file: Path, name: str) -> Path:

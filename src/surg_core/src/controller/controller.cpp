@@ -77,6 +77,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       limits(limits_in),
       law(options.law),
       track_rcm(options.track_rcm),
+      passive(instrument.passive),
       T(options.dt),
       gains{options.feedback_gain >= 0 ? options.feedback_gain : robot_in.tuning.rcm_gain,
             robot_in.tuning.tip_gain, robot_in.tuning.roll_gain},
@@ -131,7 +132,7 @@ void Controller::Impl::report(const Inputs& in) {
   out.p_set = X_BR * setpoint.p_RTip();
   out.roll_set = setpoint.roll();
   out.jaw_set = jaw.setpoint();
-  out.jaw = in.jaw;
+  out.jaw = passive ? 0.0 : in.jaw;
   out.virtual_set = setpoint.joints();
   report_virtual_joints();
 }

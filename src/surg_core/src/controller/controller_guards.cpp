@@ -58,7 +58,7 @@ void Controller::Impl::sense(const Inputs& in) {
   state_known = false;
   out.warn_track = TrackWarning::kNone;
   state_reason = Reason::kLinkLost;
-  jaw.sense(in.jaw);
+  jaw.sense(passive ? 0.0 : in.jaw);
   const int n = arm.chain().dof();
   if (!in.state_valid) {
     if (enabled()) fault(Reason::kLinkLost);
@@ -134,7 +134,7 @@ void Controller::Impl::update_trocar(const Inputs& in) {
 }
 
 void Controller::Impl::check_tool_link(const Inputs& in) {
-  const bool lost = !(in.jaw_age <= kToolTimeout);
+  const bool lost = !passive && !(in.jaw_age <= kToolTimeout);
   if (lost && !tool_lost && enabled()) stop_motion();
   tool_lost = lost;
   if (lost) out.reason = Reason::kToolLost;

@@ -50,6 +50,7 @@ struct Controller::Impl {
   Limits limits;
   Law law;
   bool track_rcm;
+  bool passive;  // no tool link, and a jaw that stays 0
   double T;
   Gains gains;
 

@@ -250,11 +250,12 @@ ToolCalibration tool_calibration(const TipFit& tip, const AxisFit& axis, const s
           std::max(tip.fit.rms, axis.fit.rms * std::abs(length)),
           std::max(tip.fit.condition, axis.fit.condition),
           tip.fit.n + axis.fit.n,
-          date};
+          date,
+          "measured"};
 }
 
 TrocarCalibration trocar_calibration(const PointFit& point, const std::string& date) {
-  return {point.p_BRcm, point.fit.rms, point.fit.condition, point.fit.n, date};
+  return {point.p_BRcm, point.fit.rms, point.fit.condition, point.fit.n, date, "measured"};
 }
 
 }  // namespace surg

@@ -286,7 +286,8 @@ class Coder {
             c.elbow);
   }
   void value(InstrumentConfig& c) {
-    (*this)(c.file, c.name, c.urdf, c.mount_link, c.tip_link, c.jaw_min, c.jaw_max, c.jaw_velocity);
+    (*this)(c.file, c.name, c.urdf, c.mount_link, c.tip_link, c.jaw_min, c.jaw_max, c.jaw_velocity,
+            c.passive);
   }
   void value(ToolCalibration& c) { (*this)(c.s_F, c.p_FTip, c.residual, c.condition, c.n, c.date); }
   void value(ControllerSetup& c) {

@@ -158,7 +158,7 @@ TEST(Controller, AJointLimitHoldsTheArmAndLetsItGoAgain) {
   for (int joint = 0; joint < 6; ++joint) {
     for (const int side : {-1, 1}) {
       for (const double away : {-1.0, 1.0}) {
-        RobotConfig robot = parse_robot(test::good_robot());
+        RobotConfig robot = test::robot_behind(test::good_robot());
         (side > 0 ? robot.position_max : robot.position_min)[joint] =
             robot.home[joint] + side * 0.03;
         Bench bench({}, 0, 0, 0, &robot);

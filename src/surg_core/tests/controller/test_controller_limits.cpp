@@ -165,7 +165,7 @@ TEST(ControllerLimits, EveryDegreeOfFreedomKeepsItsOwnJerk) {
   document.values["limits.pivot_jerk"] = 60.0;
   document.values["limits.roll_jerk"] = 90.0;
   document.values["joints.acceleration"] = std::vector<double>(6, 50.0);
-  const RobotConfig robot = parse_robot(document);
+  const RobotConfig robot = test::robot_behind(document);
   for (const bool spherical : {false, true}) {
     for (int dof = 0; dof < 4; ++dof) {
       const bool length = dof < 3 && (!spherical || dof == 2);
@@ -199,7 +199,7 @@ TEST(ControllerLimits, EveryDegreeOfFreedomKeepsItsOwnJerk) {
 /// sagitta would be 0.8 um.
 TEST(ControllerLimits, BetweenSamplesThePivotStaysWithinHalfAMicrometre) {
   test::Random random(3);
-  RobotConfig robot = parse_robot(test::good_robot());
+  RobotConfig robot = test::robot_behind(test::good_robot());
   robot.acceleration.setConstant(40);
   double worst = 0;
   for (int run = 0; run < test::family(10, 200); ++run) {

@@ -63,7 +63,7 @@ TEST(ControllerMoves, AMoveWhoseWayPassesTheShallowZoneIsRefused) {
 /// From full speed towards the wall the profile would overshoot it: the tip stops first, and then
 /// it goes where it was told.
 TEST(ControllerMoves, AMoveThatMustStopFirstReachesItsTarget) {
-  RobotConfig robot = parse_robot(good_robot());
+  RobotConfig robot = robot_behind(good_robot());
   robot.acceleration.setConstant(40);
   Bench bench({}, 0, 0, 0, &robot);
   MotionCommand down = command(Motion::kServoCv);
@@ -200,7 +200,7 @@ TEST(ControllerMoves, AnArmThatWasMovedByHandStartsANewTrace) {
 TEST(ControllerMoves, AResumeAtAnyTimeOfTheRampKeepsTheJointsAcceleration) {
   constexpr double kWeak = 0.5;     // [rad/s^2]
   constexpr double kAtRest = 5e-3;  // [rad/s] what the controller takes for rest
-  RobotConfig robot = parse_robot(good_robot());
+  RobotConfig robot = robot_behind(good_robot());
   robot.acceleration.setConstant(kWeak);
   for (const Law law : {Law::kExact, Law::kVelocity}) {
     double worst = 0;

@@ -156,6 +156,38 @@ TEST(Robot, F33UnknownNumbersOnTheWireAreABrokenRobot) {
   }
 }
 
+/// Nobody drives it and nobody says where its jaw is.
+TEST(Robot, APassiveInstrumentNeedsNoToolLink) {
+  for (const bool passive : {false, true}) {
+    RobotBench bench;
+    InstrumentConfig tool = test::instrument();
+    tool.jaw_min = tool.jaw_max = tool.jaw_velocity = 0;
+    tool.passive = passive;
+    Controller controller(bench.chain(), bench.robot(), bench.robot().limits, tool,
+                          test::offset_tool(), {});
+    Inputs in = bench.in();
+    in.jaw = NAN;
+    in.jaw_age = INFINITY;
+    in.q = bench.robot().home;
+    in.qd.setZero();
+    controller.set_rcm(bench.out().p_BRcm);
+    controller.step(in);
+    controller.request(StateCommand::kHome);
+    ASSERT_EQ(controller.request(StateCommand::kEnable), Reason::kNone);
+    in.n_commands = 1;
+    in.commands[0] = MotionCommand{};
+    in.commands[0].motion = Motion::kServoCv;
+    in.commands[0].source = kMe;
+    in.commands[0].p = Vector3(0.01, 0, 0);
+    const Outputs& out = controller.step(in);
+    EXPECT_EQ(out.verdicts[0].reason, passive ? Reason::kNone : Reason::kToolLost);
+    EXPECT_EQ(std::isfinite(out.jaw), passive);
+    if (passive) {
+      EXPECT_EQ(out.jaw_set, 0);
+    }
+  }
+}
+
 // --- an arm that does not move -------------------------------------------------------------------
 
 TEST(Robot, AnArmThatNeverMovesIsNoticedUnderEveryLawAtEverySpeed) {

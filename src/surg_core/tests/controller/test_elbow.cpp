@@ -132,7 +132,7 @@ RobotConfig panda_robot(double preferred = NAN) {
   v["joints.acceleration"] = list(panda_acceleration());
   v["limits.tip_acceleration"] = 0.6;
   v["tuning.rcm_gain"] = 50.0;
-  RobotConfig robot = parse_robot(document);
+  RobotConfig robot = robot_behind(document);
   robot.elbow = preferred;
   return robot;
 }

@@ -106,7 +106,7 @@ Ending end_of(Bench& bench, double longest = 30) {
 
 /// One joint's range ends a little beside home.
 RobotConfig narrow_robot(int joint, int side, double room) {
-  RobotConfig robot = parse_robot(good_robot());
+  RobotConfig robot = robot_behind(good_robot());
   (side > 0 ? robot.position_max : robot.position_min)[joint] = robot.home[joint] + side * room;
   return robot;
 }
@@ -164,7 +164,7 @@ TEST(MotionEnds, F20AMoveIntoAJointLimitEndsWithAReasonWithinTwoSeconds) {
 
 /// A slow profile is no standstill: its first second may go a hundredth of a millimetre.
 TEST(MotionEnds, ASlowMoveThatNothingLimitsIsNotGivenUp) {
-  RobotConfig robot = parse_robot(good_robot());
+  RobotConfig robot = robot_behind(good_robot());
   robot.tuning.profiler_duration = 5;
   Bench bench({}, 0, 0, 0, &robot);
   const Vector3 to = bench.tip_in_R() + Vector3(0.001, 0, 0);
@@ -227,7 +227,7 @@ TEST(MotionEnds, ARetraceThatIsBlockedEndsWithAReason) {
 }
 
 TEST(MotionEnds, RollHasARange) {
-  const double most = parse_robot(good_robot()).limits.roll_max;
+  const double most = robot_behind(good_robot()).limits.roll_max;
   for (const double roll : {1e5, -1e5, most + 0.01, -most - 0.01}) {
     for (const Motion motion :
          {Motion::kMoveJp, Motion::kInterpolateJp, Motion::kServoJp, Motion::kMoveJr}) {
@@ -251,7 +251,7 @@ TEST(MotionEnds, RollHasARange) {
 TEST(MotionEnds, AStreamMayRollBackIntoTheRange) {
   Document document = good_robot();
   document.values["limits.roll_max"] = 1.0;
-  const RobotConfig robot = parse_robot(document);
+  const RobotConfig robot = robot_behind(document);
   Bench bench({}, 0, 0, 0, &robot);
   const auto roll_to = [&](double roll) {
     bench.servo_cp(Vector3(0, 0, 0.12), roll);

@@ -281,7 +281,7 @@ TEST(Wall, AStreamOutsideIsRefusedUnlessItsSenderSlides) {
 }
 
 TEST(Wall, TheNearestPointInsideIsInsideAndNearest) {
-  const Limits limits = parse_robot(test::good_robot()).limits;
+  const Limits limits = test::robot_behind(test::good_robot()).limits;
   Random random(4);
   const int count = test::family(2000, 20000);
   for (int k = 0; k < count; ++k) {

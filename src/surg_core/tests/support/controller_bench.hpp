@@ -67,9 +67,7 @@ class Bench {
   }
 
   static RobotConfig robot_with_lag(double link_lag) {
-    Document document = test::good_robot();
-    document.values["tuning.link_lag"] = link_lag;
-    return parse_robot(document);
+    return test::robot_behind(test::good_robot(), link_lag);
   }
 
   Vector3 tip_in_R() const { return controller_.X_BR().inverse() * out_->p_BTip; }

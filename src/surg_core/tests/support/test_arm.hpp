@@ -42,14 +42,20 @@ inline Document good_robot() {
       {"trocar_force_fault", 15}, {"joint_margin", 0.1}};
   for (const auto& [key, value] : limits) v["limits." + key] = value;
   const std::map<std::string, double> tuning = {
-      {"rcm_gain", 20},       {"tip_gain", 10},           {"roll_gain", 10},
-      {"posture_gain", 1},    {"profiler_duration", 0.5}, {"stream_delay", 0.0},
-      {"tremor", 0.0},        {"servo_timeout", 0.1},     {"link_timeout", 0.1},
-      {"link_lag", 0.0},      {"track_noise", 3e-4},      {"track_jerk", 0.02},
-      {"track_timeout", 0.25}};
+      {"rcm_gain", 20},     {"tip_gain", 10},           {"roll_gain", 10},
+      {"posture_gain", 1},  {"profiler_duration", 0.5}, {"stream_delay", 0.0},
+      {"tremor", 0.0},      {"servo_timeout", 0.1},     {"track_noise", 3e-4},
+      {"track_jerk", 0.02}, {"track_timeout", 0.25}};
   for (const auto& [key, value] : tuning) v["tuning." + key] = value;
   d.lines["limits.cone"] = 42;
   return d;
+}
+
+/// A robot behind a link of this lag [s]; 0: unknown.
+inline RobotConfig robot_behind(const Document& document, double link_lag = 0) {
+  LinkConfig link = simulator_link();
+  link.link_lag = link_lag;
+  return with_link(parse_robot(document), link);
 }
 
 /// Standard DH: joint i + 1 sits behind the DH transform i; d1 .1625, a2 -.425, a3 -.3922, d4

@@ -168,10 +168,9 @@ class TimedBench {
  private:
   static RobotConfig robot_with(double link_lag, double acceleration) {
     Document document = good_robot();
-    document.values["tuning.link_lag"] = link_lag;
     document.values["tuning.rcm_gain"] = 50.0;  // as shipped
     document.values["joints.acceleration"] = std::vector<double>(6, acceleration);
-    return parse_robot(document);
+    return robot_behind(document, link_lag);
   }
   static Controller::Options options(Law law) {
     Controller::Options out;

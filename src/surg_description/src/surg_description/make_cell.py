@@ -194,6 +194,7 @@ def _evidence() -> str:
         "n: 1\n"
         "condition: 1.0\n"
         f'date: "{CALIBRATION_DATE}"\n'
+        "source: computed\n"
     )
 
 
