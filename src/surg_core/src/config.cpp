@@ -424,17 +424,18 @@ CameraConfig read_camera(Reader& reader) {
   return camera;
 }
 
-/// The text between "arms." and the next dot of every key.
-std::vector<std::string> arm_names(const Document& document) {
+/// The text between a prefix such as "arms." and the next dot of every key, in the file's order.
+std::vector<std::string> names_in(const Document& document, const std::string& prefix) {
   std::vector<std::string> names;
   for (const auto& [key, value] : document.values) {
-    if (key.rfind("arms.", 0) != 0) continue;
-    const auto dot = key.find('.', 5);
-    const std::string name = key.substr(5, dot == std::string::npos ? dot : dot - 5);
+    if (key.rfind(prefix, 0) != 0) continue;
+    const auto dot = key.find('.', prefix.size());
+    const auto length = dot == std::string::npos ? dot : dot - prefix.size();
+    const std::string name = key.substr(prefix.size(), length);
     if (names.empty() || names.back() != name) names.push_back(name);  // keys are sorted
   }
-  const auto line = [&document](const std::string& name) {
-    const auto found = document.lines.find("arms." + name);
+  const auto line = [&](const std::string& name) {
+    const auto found = document.lines.find(prefix + name);
     return found == document.lines.end() ? 0 : found->second;
   };
   std::stable_sort(names.begin(), names.end(), [&line](const std::string& a, const std::string& b) {
@@ -581,6 +582,37 @@ TrocarCalibration read_trocar(const Document& document) {
   return trocar;
 }
 
+Fixture read_fixture(Reader& reader, const std::string& key, const std::string& name) {
+  Fixture f;
+  if (name.size() > Fixture::kLongestName) {
+    reader.fail(key, "has " + std::to_string(name.size()) + " characters; allowed are " +
+                         std::to_string(Fixture::kLongestName));
+  }
+  f.set_name(name);
+  f.of_cell = true;
+  const std::string shape = reader.choice(key + ".shape", {"plane", "sphere", "capsule"});
+  const bool stay_in = reader.choice(key + ".side", {"keep_out", "stay_in"}) == "stay_in";
+  f.side = stay_in ? Fixture::Side::kStayIn : Fixture::Side::kKeepOut;
+  const bool shaft = reader.choice(key + ".of", {"tip", "shaft"}) == "shaft";
+  f.of = shaft ? Fixture::Of::kShaft : Fixture::Of::kTip;
+  f.point = reader.vector(key + ".point", Fixture::kFarthest, "m");
+  if (shape == "plane") {
+    f.shape = Fixture::Shape::kPlane;
+    f.axis = reader.vector(key + ".normal", 1.001, "");
+  } else {
+    f.shape = shape == "sphere" ? Fixture::Shape::kSphere : Fixture::Shape::kCapsule;
+    const double least = stay_in ? Fixture::kLeastHollow : Fixture::kLeastRadius;
+    f.radius = reader.real(key + ".radius", least, Fixture::kGreatestRadius, "m");
+    f.axis.setZero();
+    if (shape == "capsule") {
+      f.axis = reader.vector(key + ".end", Fixture::kFarthest, "m") - f.point;
+    }
+  }
+  const std::string problem = check_fixture(f);
+  if (!problem.empty()) reader.fail(key, problem);
+  return f;
+}
+
 constexpr const char* kRoles[] = {"robot", "operator", "endoscope"};
 
 /// The machines of a cell that is spread over several, by role.
@@ -617,7 +649,7 @@ CellConfig read_cell(const Document& document) {
   cell.name = reader.word("name");
   cell.network = reader.choice("network", {"loopback", "isolated"});
   cell.machines = read_machines(reader, cell.network);
-  const std::vector<std::string> names = arm_names(document);
+  const std::vector<std::string> names = names_in(document, "arms.");
   if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
   for (const auto& name : names) {
     const std::string prefix = "arms." + name + ".";
@@ -646,6 +678,14 @@ CellConfig read_cell(const Document& document) {
       if (!find_limit(limit)) reader.fail(key, not_a_limit(limit));
       arm.limits[limit] = reader.real(key, -kInf, kInf, "");
       arm.where["limits." + limit] = place(document, key);
+    }
+    for (const auto& fixture : names_in(document, prefix + "fixtures.")) {
+      const std::string key = prefix + "fixtures." + fixture;
+      if (arm.fixtures.size() == Fixtures::kMost) {
+        reader.fail(key, "is one too many; allowed are " + std::to_string(Fixtures::kMost) +
+                             " fixtures for an arm");
+      }
+      arm.fixtures.push_back(read_fixture(reader, key, fixture));
     }
     cell.arms.push_back(arm);
   }

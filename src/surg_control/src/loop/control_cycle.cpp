@@ -41,6 +41,7 @@ ControlCycle::ControlCycle(const surg::Controller& controller, surg::BlackBox& b
                            std::string_view rcm_frame)
     : controller_(controller), box_(box), rcm_frame_(rcm_frame) {
   record_.frame.name = rcm_frame_;
+  record_.fixtures = controller_.fixtures();
 }
 
 surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) {
@@ -49,6 +50,10 @@ surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) 
       return request(item.state);
     case CommandItem::Kind::kSetRcm:
       return box_.set_rcm(item.p_B);
+    case CommandItem::Kind::kSetFixture:
+      return box_.set_fixture(item.fixture);
+    case CommandItem::Kind::kRemoveFixture:
+      return box_.remove_fixture(item.fixture.title());
     case CommandItem::Kind::kSetFrame:
       return set_frame(item);
     case CommandItem::Kind::kClaim:
@@ -72,6 +77,17 @@ surg::Reason ControlCycle::request(surg::StateCommand command) {
     enabled_ = false;
   }
   return reason;
+}
+
+void ControlCycle::note_fixtures() {
+  for (int i = 0; i < record_.n_answers; ++i) {
+    const Answer& answer = record_.answers[i];
+    const bool about_fixtures = answer.kind == CommandItem::Kind::kSetFixture ||
+                                answer.kind == CommandItem::Kind::kRemoveFixture;
+    if (!about_fixtures || answer.reason != surg::Reason::kNone) continue;
+    record_.fixtures = controller_.fixtures();
+    ++record_.fixtures_version;
+  }
 }
 
 surg::Reason ControlCycle::set_frame(const CommandItem& item) {
@@ -193,6 +209,7 @@ const CycleRecord& ControlCycle::run(const LinkState& link, std::int64_t now_ns,
                                               reason,    item.source, item.slide};
     }
   }
+  note_fixtures();
   sense(link, now_ns);
   inputs_.elapsed = seconds(elapsed_ns);
 

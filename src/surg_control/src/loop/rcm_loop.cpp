@@ -57,6 +57,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
                                                    made.instrument, made.tool, made.options);
   box_ = std::make_unique<surg::BlackBox>(*controller_, made);
   box_->set_rcm(setup_.trocar.p_BRcm);
+  for (const surg::Fixture& fixture : setup_.arm.fixtures) box_->set_fixture(fixture);
   cycle_ = std::make_unique<ControlCycle>(*controller_, *box_, arm_ + "_rcm");
 
   node_.setCallbackQueue(&queue_);

@@ -76,6 +76,12 @@ void CommandSubscribers::subscribe_others(bool track) {
   });
   subscribe<PoseStamped>("rcm/set_cp",
                          [base](const PoseStamped& message) { return decode_rcm(message, base); });
+  subscribe<surg_msgs::Fixture>("fixtures/set", [base](const surg_msgs::Fixture& message) {
+    return decode_fixture(message, base);
+  });
+  subscribe<StringStamped>("fixtures/remove", [](const StringStamped& message) {
+    return decode_fixture_name(message.string);
+  });
   if (!track) return;
   subscribe<surg_msgs::PointVelocityStamped>(
       "rcm/track", [base](const surg_msgs::PointVelocityStamped& message) {

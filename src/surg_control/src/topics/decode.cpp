@@ -10,6 +10,11 @@ namespace {
 
 constexpr double kUnitTolerance = 1e-3;  // of a quaternion's norm
 
+// In the order of surg::Fixture's enumerations.
+constexpr std::array<const char*, 3> kShapes{"plane", "sphere", "capsule"};
+constexpr std::array<const char*, 2> kSides{"keep_out", "stay_in"};
+constexpr std::array<const char*, 2> kParts{"tip", "shaft"};
+
 constexpr std::array<std::pair<const char*, surg::StateCommand>, 6> kStateWords{{
     {"enable", surg::StateCommand::kEnable},
     {"disable", surg::StateCommand::kDisable},
@@ -18,6 +23,16 @@ constexpr std::array<std::pair<const char*, surg::StateCommand>, 6> kStateWords{
     {"home", surg::StateCommand::kHome},
     {"unhome", surg::StateCommand::kUnhome},
 }};
+
+template <typename Word, std::size_t n>
+bool word_to(const std::string& text, const std::array<const char*, n>& words, Word& word) {
+  for (std::size_t i = 0; i < n; ++i) {
+    if (text != words[i]) continue;
+    word = static_cast<Word>(i);
+    return true;
+  }
+  return false;
+}
 
 Decoded refused(surg::Reason reason, std::string detail) {
   Decoded decoded;
@@ -182,6 +197,43 @@ Decoded decode_rcm(const geometry_msgs::PoseStamped& message, const std::string&
   return decoded;
 }
 
+Decoded decode_fixture(const surg_msgs::Fixture& message, const std::string& frame) {
+  const std::string problem = wrong_frame(message.header.frame_id, frame);
+  if (!problem.empty()) return refused(surg::Reason::kWrongFrame, problem);
+  Decoded decoded = decode_fixture_name(message.name);
+  if (decoded.reason != surg::Reason::kNone) return decoded;
+  decoded.item.kind = CommandItem::Kind::kSetFixture;
+  surg::Fixture& fixture = decoded.item.fixture;
+  const bool known = word_to(message.shape, kShapes, fixture.shape) &&
+                     word_to(message.side, kSides, fixture.side) &&
+                     word_to(message.of, kParts, fixture.of);
+  if (!known) {
+    return refused(surg::Reason::kWrongSize,
+                   "shape, side and of are " + quoted(message.shape) + ", " + quoted(message.side) +
+                       ", " + quoted(message.of) +
+                       "; allowed are plane, sphere, capsule; keep_out, stay_in; tip, shaft");
+  }
+  fixture.point = to_eigen(message.point);
+  fixture.axis = fixture.shape == surg::Fixture::Shape::kPlane
+                     ? to_eigen(message.normal)
+                     : surg::Vector3(to_eigen(message.end) - fixture.point);
+  fixture.radius = message.radius;
+  const std::string wrong = surg::check_fixture(fixture);
+  return wrong.empty() ? decoded : refused(surg::Reason::kNotFinite, wrong);
+}
+
+Decoded decode_fixture_name(const std::string& name) {
+  if (name.empty() || name.size() > surg::Fixture::kLongestName) {
+    return refused(surg::Reason::kWrongSize, "name is " + quoted(name) + "; allowed are 1 to " +
+                                                 std::to_string(surg::Fixture::kLongestName) +
+                                                 " letters, digits and _");
+  }
+  Decoded decoded;
+  decoded.item.kind = CommandItem::Kind::kRemoveFixture;
+  decoded.item.fixture.set_name(name);
+  return decoded;
+}
+
 Decoded decode_track(const surg_msgs::PointVelocityStamped& message, const std::string& frame) {
   const std::string problem = wrong_frame(message.header.frame_id, frame);
   if (!problem.empty()) return refused(surg::Reason::kWrongFrame, problem);
@@ -216,6 +268,30 @@ Decoded decode_base_frame(const geometry_msgs::PoseStamped& message, const std::
   decoded.item.X_UR.linear() = q_UR.toRotationMatrix();
   decoded.item.X_UR.translation() = p_UR;
   return decoded;
+}
+
+surg_msgs::Fixture encode_fixture(const surg::Fixture& fixture) {
+  surg_msgs::Fixture message;
+  message.name = fixture.title();
+  message.shape = kShapes[static_cast<std::size_t>(fixture.shape)];
+  message.side = kSides[static_cast<std::size_t>(fixture.side)];
+  message.of = kParts[static_cast<std::size_t>(fixture.of)];
+  const surg::Vector3 &p = fixture.point, &axis = fixture.axis;
+  message.point.x = p.x();
+  message.point.y = p.y();
+  message.point.z = p.z();
+  const bool plane = fixture.shape == surg::Fixture::Shape::kPlane;
+  const surg::Vector3 normal = plane ? axis : surg::Vector3(surg::Vector3::Zero());
+  const surg::Vector3 end = plane ? p : surg::Vector3(p + axis);
+  message.normal.x = normal.x();
+  message.normal.y = normal.y();
+  message.normal.z = normal.z();
+  message.end.x = end.x();
+  message.end.y = end.y();
+  message.end.z = end.z();
+  message.radius = fixture.radius;
+  message.of_cell = static_cast<std::uint8_t>(fixture.of_cell);
+  return message;
 }
 
 std::string decode_state_of_robot(const sensor_msgs::JointState& message,

@@ -1,10 +1,12 @@
 #include "surg_control/topics/state_publishers.hpp"
 
 #include <crtk_msgs/OperatingState.h>
+#include <surg_msgs/Fixtures.h>
 #include <tf2_msgs/TFMessage.h>
 
 #include <cmath>
 
+#include "surg_control/topics/decode.hpp"
 #include "surg_control/topics/messages.hpp"
 #include "surg_core/kinematics/elbow.hpp"
 #include "surg_core/law/rcm.hpp"
@@ -63,6 +65,7 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
       tf_(node.advertise<tf2_msgs::TFMessage>("/tf", 100)),
       tf_static_(node.advertise<tf2_msgs::TFMessage>("/tf_static", 1, true)),
       rcm_limit_(node.advertise<surg_msgs::ScalarStamped>("/" + arm_ + "/rcm/limit", 1, true)),
+      fixtures_(node.advertise<surg_msgs::Fixtures>("/" + arm_ + "/fixtures", 1, true)),
       measured_js_(node, "/" + arm_ + "/measured_js"),
       setpoint_js_(node, "/" + arm_ + "/setpoint_js"),
       jaw_measured_js_(node, "/" + arm_ + "/jaw/measured_js"),
@@ -105,6 +108,7 @@ void StatePublishers::publish_cycle(const CycleRecord& record) {
 
 void StatePublishers::publish_rest(const CycleRecord& record, double now) {
   publish_state(record, reporter_.report(record, now));
+  publish_fixtures(record);
   if (feedback_due(record.tick, lockstep_)) {
     publish_feedback(record);
     publish_rcm(record);
@@ -198,6 +202,19 @@ void StatePublishers::publish_state(const CycleRecord& record, bool changed) {
   message.is_homed = record.out.homed;
   message.is_busy = record.out.busy;
   operating_state_.publish(message);
+}
+
+void StatePublishers::publish_fixtures(const CycleRecord& record) {
+  if (record.fixtures_version == fixtures_version_) return;
+  fixtures_version_ = record.fixtures_version;
+  surg_msgs::Fixtures message;
+  message.header.stamp = lockstep_ ? to_time(record.stamp_ns) : wall_time();
+  message.header.frame_id = base_;
+  for (const surg::Fixture& fixture : record.fixtures) {
+    message.fixtures.push_back(encode_fixture(fixture));
+    message.fixtures.back().header = message.header;
+  }
+  fixtures_.publish(message);
 }
 
 geometry_msgs::TransformStamped StatePublishers::transform(const CycleRecord& record,

@@ -34,6 +34,10 @@ const char* topic_of_answer(const Answer& answer) {
       return word_of(answer.state);
     case CommandItem::Kind::kSetRcm:
       return "rcm/set_cp";
+    case CommandItem::Kind::kSetFixture:
+      return "fixtures/set";
+    case CommandItem::Kind::kRemoveFixture:
+      return "fixtures/remove";
     case CommandItem::Kind::kSetFrame:
       return "set_base_frame";
     case CommandItem::Kind::kClaim:
@@ -132,6 +136,9 @@ void StatusReporter::report_answers(const CycleRecord& record, double now) {
       status(from + ": trocar point taught");
     } else if (answer.kind == CommandItem::Kind::kSetFrame) {
       status(from + ": commands and measured_cp are in '" + record.frame.name.c_str() + "' now");
+    } else if (answer.kind == CommandItem::Kind::kSetFixture ||
+               answer.kind == CommandItem::Kind::kRemoveFixture) {
+      status(from + ": the arm has " + std::to_string(record.fixtures.size()) + " fixtures now");
     } else if (answer.kind == CommandItem::Kind::kAtWall) {
       status(from + ": its servo_cp outside the workspace " +
              (answer.slide ? "slides along the wall" : "is refused"));

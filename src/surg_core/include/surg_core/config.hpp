@@ -11,6 +11,7 @@
 #include <variant>
 #include <vector>
 
+#include "surg_core/limits/fixtures.hpp"
 #include "surg_core/types.hpp"
 
 namespace surg {
@@ -148,6 +149,7 @@ struct CellArm {
   std::map<std::string, double> limits;  ///< tightened limits by name
   /// [rad] preferred swivel angle of a seven-joint arm's elbow; NaN: none
   double elbow = std::numeric_limits<double>::quiet_NaN();
+  std::vector<Fixture> fixtures = {};  ///< virtual fixtures, in the robot's base frame
   /// "file:line" of the values above, for errors: "home", "limits.cone".
   std::map<std::string, std::string> where = {};
 };

@@ -12,6 +12,7 @@
 #include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/kinematics/trocar.hpp"
 #include "surg_core/law/rcm.hpp"
+#include "surg_core/limits/fixtures.hpp"
 #include "surg_core/motion/command.hpp"
 #include "surg_core/state/force_guard.hpp"
 #include "surg_core/state/operating_state.hpp"
@@ -121,6 +122,11 @@ class Controller {
   Reason request(StateCommand command);
   /// Sets the trocar point in B; only in DISABLED or PAUSED (F23), and at rest.
   Reason set_rcm(const Vector3& p_BRcm);
+  /// Adds a region in B, or replaces the one of its name. A region may be added at any time; one
+  /// that exists may be replaced or removed only while not ENABLED, one of the cell never.
+  Reason set_fixture(const Fixture& fixture);
+  Reason remove_fixture(std::string_view name);
+  const Fixtures& fixtures() const;  ///< in B
   /// Enters FAULT for an external reason (node: overrun and the like).
   void fault(Reason reason);
   void pause(Reason reason);

@@ -238,7 +238,10 @@ void bind_cell(py::module_& m) {
           "home", [](const CellArm& a) { return py::tuple(py::cast(a.home)); },
           "[rad] Instead of the robot's; empty: the robot's.")
       .def_readonly("elbow", &CellArm::elbow, "Preferred swivel angle [rad]; NaN: none.")
-      .def_property_readonly("limits", [](const CellArm& a) { return a.limits; });
+      .def_property_readonly("limits", [](const CellArm& a) { return a.limits; })
+      .def_property_readonly(
+          "fixtures", [](const CellArm& a) { return py::tuple(py::cast(a.fixtures)); },
+          "Virtual fixtures, in the robot's base frame.");
 
   py::class_<CellConfig>(m, "CellConfig", "A user's whole system: cell.yaml.")
       .def_readonly("file", &CellConfig::file)

@@ -418,6 +418,25 @@ void bind_frames(py::class_<Owned>& type) {
 
 }  // namespace
 
+void bind_fixture_calls(py::class_<Owned>& type) {
+  type.def(
+          "set_fixture",
+          [](Owned& o, const Fixture& fixture) { return o.controller->set_fixture(fixture); },
+          py::arg("fixture"),
+          "Adds a region in B, at any time, or replaces the one of its name while not ENABLED.")
+      .def(
+          "remove_fixture",
+          [](Owned& o, const std::string& name) { return o.controller->remove_fixture(name); },
+          py::arg("name"), "Only while not ENABLED, and none of the cell.")
+      .def_property_readonly(
+          "fixtures",
+          [](const Owned& o) {
+            const Fixtures& all = o.controller->fixtures();
+            return py::tuple(py::cast(std::vector<Fixture>(all.begin(), all.end())));
+          },
+          "All regions, in B.");
+}
+
 void bind_reason(py::module_& m) {
   py::enum_<Reason>(m, "Reason", "Why the arm does not do what was asked.")
       .value("NONE", Reason::kNone)
@@ -456,7 +475,12 @@ void bind_reason(py::module_& m) {
       .value("NO_ELBOW", Reason::kNoElbow)
       .value("ELBOW_OUT_OF_REACH", Reason::kElbowOutOfReach)
       .value("TOOL_WHILE_ENABLED", Reason::kToolWhileEnabled)
-      .value("ROBOT", Reason::kRobot);
+      .value("ROBOT", Reason::kRobot)
+      .value("FIXTURE", Reason::kFixture)
+      .value("FIXTURE_OF_CELL", Reason::kFixtureOfCell)
+      .value("FIXTURE_WHILE_ENABLED", Reason::kFixtureWhileEnabled)
+      .value("FIXTURES_FULL", Reason::kFixturesFull)
+      .value("NO_FIXTURE", Reason::kNoFixture);
   m.def("sentence", py::overload_cast<Reason>(&sentence), py::arg("reason"),
         "What was wrong and what to do, for people.");
   m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
@@ -557,6 +581,7 @@ void bind_controller(py::module_& m) {
           "commands: (cycle, MotionCommand) in rising order; jaw (n,) [rad]. The same as n calls "
           "of\n"
           "step(). Releases the GIL: the controller must not be used by another thread meanwhile.");
+  bind_fixture_calls(type);
   bind_frames(type);
 }
 

@@ -14,6 +14,7 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_rcm(m, testing);
   binding::bind_motion(testing);
   binding::bind_exact(testing);
+  binding::bind_fixtures(m);
   binding::bind_config(m, testing);
   binding::bind_limits(testing);
   binding::bind_controller(m);

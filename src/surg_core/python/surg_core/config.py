@@ -23,6 +23,7 @@ from surg_core._core import (
     Chain,
     ConfigError,
     Document,
+    Fixture,
     InstrumentConfig,
     Limits,
     LinkConfig,
@@ -69,6 +70,7 @@ class Arm:
         instrument: the instrument's YAML.
         limits: the robot's limits with the cell's tightened ones put in.
         tool: calibrated shaft axis and tip in the flange frame.
+        fixtures: virtual fixtures, in the robot base frame.
         trocar: taught trocar point in the robot base frame.
         X_WB: ``(4, 4)`` robot base in the world, read-only.
         chain: joints from base link to flange link.
@@ -81,6 +83,7 @@ class Arm:
     robot: RobotConfig
     instrument: InstrumentConfig
     limits: Limits
+    fixtures: tuple[Fixture, ...]
     tool: ToolCalibration
     trocar: TrocarCalibration
     X_WB: FloatArray
@@ -171,6 +174,7 @@ def load_cell(path: PathLike) -> Cell:
             robot=robot,
             instrument=instrument,
             limits=limits,
+            fixtures=stated.fixtures,
             tool=tool,
             trocar=load_trocar(file.parent / "calibration" / f"trocar_{stated.name}.yaml"),
             X_WB=X_WB,

@@ -127,6 +127,7 @@ void Controller::Impl::report(const Inputs& in) {
     out.elbow_limit = elbow.limited_by();
     if (out.reason == Reason::kNone) out.reason = Reason::kElbowOutOfReach;
   }
+  if (handler.at_fixture() && out.reason == Reason::kNone) out.reason = Reason::kFixture;
   out.p_goal = X_BR * handler.p_goal();
   out.roll_goal = handler.roll_goal();
   out.p_set = X_BR * setpoint.p_RTip();
@@ -160,6 +161,12 @@ Controller::~Controller() = default;
 Reason Controller::request(StateCommand command) { return impl_->request(command); }
 
 Reason Controller::set_rcm(const Vector3& p_BRcm) { return impl_->set_rcm(p_BRcm); }
+
+Reason Controller::set_fixture(const Fixture& fixture) { return impl_->set_fixture(fixture); }
+
+Reason Controller::remove_fixture(std::string_view name) { return impl_->remove_fixture(name); }
+
+const Fixtures& Controller::fixtures() const { return impl_->fixtures; }
 
 void Controller::fault(Reason reason) { impl_->fault(reason); }
 

@@ -36,7 +36,7 @@ void Controller::Impl::catch_up() {
     const bool follows = clock.periods() <= CycleClock::kCatchUp && follows_setpoint();
     Setpoint& setpoint = handler.setpoint();
     if (follows && setpoint.is_reactive() && law == Law::kExact && clock.periods() == 2) {
-      setpoint.coast(T);
+      setpoint.coast(T, handler.fixtures());
       follower.coast();
     } else if (follows && law != Law::kExact && setpoint.mode() == Setpoint::Mode::kStopping) {
       // The velocity form's ramp has no path to make up for: it goes on as the arm does.

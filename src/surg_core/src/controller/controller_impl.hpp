@@ -43,6 +43,8 @@ template <>
 struct IsPlain<LagMeter> : std::true_type {};
 template <>
 struct IsPlain<StandstillGuard> : std::true_type {};
+template <>
+struct IsPlain<Fixtures> : std::true_type {};
 
 struct Controller::Impl {
   // Frozen.
@@ -69,6 +71,8 @@ struct Controller::Impl {
   JointTrace trace;  // the way back
   LagMeter lag_meter;
   StandstillGuard standstill;
+
+  Fixtures fixtures;  // in B; the handler has them in R
 
   Pose X_BR = Pose::Identity();
   double state_delay = 0;                   // [s] recent age of states beyond one period
@@ -109,6 +113,10 @@ struct Controller::Impl {
   TipPose tip_pose() const;
   Reason request(StateCommand command);
   Reason set_rcm(const Vector3& p_BRcm);
+  Reason set_fixture(const Fixture& fixture);
+  Reason remove_fixture(std::string_view name);
+  /// Hands the regions to the set-point, after they or the rcm frame have changed.
+  void place_fixtures();
   /// Whether the arm moves under this controller.
   bool is_moving() const;
   /// Whether the reference (or the last command) is at rest; what remains only holds the position.
@@ -207,8 +215,9 @@ struct Controller::Impl {
     follower.serialize(archive);
     elbow.serialize(archive);
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
-            X_BR, state_delay, state_known, state_reason, robot_reason, track_reason, inserted,
-            tool_lost, halted, fading, home_busy, unexplained, qd_last, out.accepted, out.refused);
+            fixtures, X_BR, state_delay, state_known, state_reason, robot_reason, track_reason,
+            inserted, tool_lost, halted, fading, home_busy, unexplained, qd_last, out.accepted,
+            out.refused);
   }
 };
 

@@ -43,6 +43,7 @@ void Controller::Impl::move() {
     out.tier = step.tier;
     if (step.held && enabled()) out.reason = Reason::kUnreachable;
     if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
+    if (handler.at_fixture() && step.alpha == 1) out.limited_by = "fixture";
     if (!retrace_active) out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
     const Reason progress = handler.check_progress(step.alpha < 1 || step.tier > 0);
     if (progress != Reason::kNone) out.reason = progress;
@@ -61,7 +62,7 @@ bool Controller::Impl::follows_setpoint() const {
 Step Controller::Impl::advance_motion(JointVector& qd) {
   Setpoint& setpoint = handler.setpoint();
   Setpoint next = setpoint;
-  next.advance(T);
+  next.advance(T, handler.fixtures());
   const Step step = next_step(next, qd);
   if (!retrace_active) advance_setpoint(step, next);  // a retrace has moved it already
   return step;
@@ -87,9 +88,9 @@ void Controller::Impl::advance_setpoint(const Step& step, const Setpoint& next) 
     setpoint = next;
     resync_setpoint(step.qd);
   } else if (step.alpha < kStandstillScale) {
-    setpoint.restart_from_rest();
+    setpoint.restart_from_rest(handler.fixtures());
   } else if (step.alpha < 1) {
-    setpoint.advance(step.alpha * T);
+    setpoint.advance(step.alpha * T, handler.fixtures());
   } else {
     setpoint = next;
   }
@@ -223,7 +224,8 @@ TwistParts Controller::Impl::twist_for(const Setpoint& next) const {
 
 ShaftGoal Controller::Impl::goal_at(const Setpoint& next, double t) const {
   const Setpoint& setpoint = handler.setpoint();
-  const Setpoint::TipAndRoll there = t < T ? setpoint.after(t) : next.predict(t - T);
+  const Setpoint::TipAndRoll there =
+      t < T ? setpoint.after(t, handler.fixtures()) : next.predict(t - T);
   const double arrives = T + (law == Law::kExact ? follower.delay() : 0.0);
   const Vector3 p_BRcm = trocar.p_B() + arrives * trocar.v_B() + pivot_offset;
   const Vector3 p_B = X_BR * there.p_RTip;

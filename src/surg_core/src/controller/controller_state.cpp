@@ -79,10 +79,35 @@ Reason Controller::Impl::set_rcm(const Vector3& p_BRcm) {
   if (!may_stop_at_once()) return Reason::kNotAtRest;
   trocar.teach(p_BRcm);
   X_BR.translation() = p_BRcm;
+  place_fixtures();
   operating.request(StateCommand::kUnhome, {});  // the rcm frame has changed
   if (state_known) arm.update_trocar(trocar);
   return Reason::kNone;
 }
+
+Reason Controller::Impl::set_fixture(const Fixture& fixture) {
+  Fixture checked = fixture;
+  if (!check_fixture(checked).empty()) return Reason::kNotFinite;
+  const Fixture* present = fixtures.find(fixture.title());
+  // A replacement may allow more than what it replaces; one region more never does.
+  if (present != nullptr && present->of_cell) return Reason::kFixtureOfCell;
+  if (present != nullptr && enabled()) return Reason::kFixtureWhileEnabled;
+  if (!fixtures.put(checked)) return Reason::kFixturesFull;
+  place_fixtures();
+  return Reason::kNone;
+}
+
+Reason Controller::Impl::remove_fixture(std::string_view name) {
+  const Fixture* present = fixtures.find(name);
+  if (present == nullptr) return Reason::kNoFixture;
+  if (present->of_cell) return Reason::kFixtureOfCell;
+  if (enabled()) return Reason::kFixtureWhileEnabled;
+  fixtures.remove(name);
+  place_fixtures();
+  return Reason::kNone;
+}
+
+void Controller::Impl::place_fixtures() { handler.set_fixtures(fixtures.in_frame(X_BR.inverse())); }
 
 bool Controller::Impl::is_moving() const {
   const bool known = state_known && !halted && !fading && operating.homed();
@@ -101,6 +126,7 @@ bool Controller::Impl::may_stop_at_once() const {
 void Controller::Impl::set_home() {
   arm.set_home();
   X_BR = rcm_frame(shaft().s, trocar.p_BTaught());
+  place_fixtures();
   trace.clear();
   elbow.home();
   start_at_rest();

@@ -55,6 +55,17 @@ void CommandHandler::stop() {
   move_active_ = retracing_ = false;
 }
 
+void CommandHandler::set_fixtures(const Fixtures& fixtures_R) {
+  fixtures_R_ = fixtures_R;
+  if (!setpoint_.axial() && !setpoint_.way_is_clear(fixtures_R_)) stop();
+}
+
+bool CommandHandler::at_fixture() const {
+  const Setpoint::Mode mode = setpoint_.mode();
+  const bool moving = mode != Setpoint::Mode::kRest && mode != Setpoint::Mode::kProfile;
+  return moving && setpoint_.at_fixture();
+}
+
 void CommandHandler::hold() {
   stop();
   stream_blocked_ = true;
@@ -120,9 +131,9 @@ Reason CommandHandler::apply(const MotionCommand& command) {
       if (!targets_reachable(command.p)) return Reason::kOutsideWorkspace;
       const double roll = requested_roll(command.p, command.rotation);
       if (!roll_reachable(roll)) return Reason::kOutsideWorkspace;
-      const bool inside =
-          setpoint_.move_to(Space::kCartesian, {command.p.x(), command.p.y(), command.p.z(), roll});
-      if (!inside) return Reason::kOutsideWorkspace;
+      const Reason reason =
+          move_to(Space::kCartesian, {command.p.x(), command.p.y(), command.p.z(), roll});
+      if (reason != Reason::kNone) return reason;
       set_goal(command.p, roll);
       joint_goal_ = setpoint_.joints();
       return Reason::kNone;
@@ -135,7 +146,8 @@ Reason CommandHandler::apply(const MotionCommand& command) {
       const Vector3 p = tip_of(joints);
       if (beyond_quarter_turn(joints) || !targets_reachable(p)) return Reason::kOutsideWorkspace;
       if (!roll_reachable(joints[3])) return Reason::kOutsideWorkspace;
-      if (!setpoint_.move_to(Space::kSpherical, to_array(joints))) return Reason::kOutsideWorkspace;
+      const Reason reason = move_to(Space::kSpherical, to_array(joints));
+      if (reason != Reason::kNone) return reason;
       set_goal(p, joints[3]);
       joint_goal_ = joints;
       return Reason::kNone;
@@ -148,7 +160,15 @@ Reason CommandHandler::apply(const MotionCommand& command) {
   }
 }
 
-/// insert, withdraw: straight along the shaft line, from rest.
+Reason CommandHandler::move_to(Space space, const std::array<double, 4>& target) {
+  if (setpoint_.move_to(space, target, fixtures_R_)) return Reason::kNone;
+  Setpoint without = setpoint_;
+  const bool only_fixtures = !fixtures_R_.empty() && without.move_to(space, target);
+  return only_fixtures ? Reason::kFixture : Reason::kOutsideWorkspace;
+}
+
+/// insert, withdraw: straight along the shaft line, from rest. The way out is never blocked by a
+/// fixture.
 Reason CommandHandler::move_along_shaft(Motion motion) {
   if (setpoint_.mode() != Setpoint::Mode::kRest) return Reason::kRefusedTransition;
   const Vector3 s = setpoint_.s_R();
@@ -156,7 +176,10 @@ Reason CommandHandler::move_along_shaft(Motion motion) {
   const double now = s.dot(setpoint_.p_RTip());
   // A move of zero length if the tip is already there, so that a client sees it begin and end.
   const bool already_there = motion == Motion::kInsert ? now > depth : now < depth;
-  setpoint_.move_along(s, already_there ? now : depth, kAxialSpeed);
+  Setpoint moved = setpoint_;
+  moved.move_along(s, already_there ? now : depth, kAxialSpeed);
+  if (motion == Motion::kInsert && !moved.way_is_clear(fixtures_R_)) return Reason::kFixture;
+  setpoint_ = moved;
   set_goal(s * (already_there ? now : depth), setpoint_.roll());
   return Reason::kNone;
 }
@@ -210,7 +233,8 @@ Reason CommandHandler::stream(const MotionCommand& command) {
   const double moved = ((begins ? p : hand) - anchor_.p).norm();
   const Reason reason = check_step(limits_, begins, since_anchor_, moved, roll - anchor_.roll);
   if (reason != Reason::kNone) return reason;
-  set_goal(p, roll);
+  const bool walled = !fixtures_R_.empty();
+  set_goal(walled ? setpoint_.slide(fixtures_R_).target({p, Vector3::Zero()}).p : p, roll);
   joint_goal_ = joints;
   newest_ = {hand, roll};
   newest_counts_ = true;

@@ -9,7 +9,10 @@
 namespace surg {
 namespace {
 
-constexpr double kRollApproach = 5.0;  // [1/s] speed of a roll over what is left of its range
+constexpr double kRollApproach = 5.0;    // [1/s] speed of a roll over what is left of its range
+constexpr double kFixtureBraking = 0.5;  // of the tip's acceleration, before a fixture
+constexpr double kOnWall = 1e-5;         // [m] a profile that begins on a wall may run along it
+constexpr int kWaySamples = 256;         // of a profile between fixtures, at most
 
 Vector3 position(const Dofs& dofs) { return {dofs[0].x, dofs[1].x, dofs[2].x}; }
 Vector3 velocity(const Dofs& dofs) { return {dofs[0].v, dofs[1].v, dofs[2].v}; }
@@ -110,18 +113,18 @@ void Setpoint::set_velocity(Space space, const std::array<double, 4>& rate) {
   for (int i = 0; i < 4; ++i) rate_[i] = factor * rate[i];
 }
 
-bool Setpoint::move_to(Space space, const std::array<double, 4>& target) {
+bool Setpoint::move_to(Space space, const std::array<double, 4>& target, const Fixtures& fixtures) {
   Setpoint direct = *this;
   direct.axial_ = false;
   direct.profile_duration_ = base_duration_;
   Setpoint rested = direct;
-  if (direct.plan(space, target)) {
+  if (direct.plan(space, target, fixtures)) {
     *this = direct;
     return true;
   }
   // From rest the path differs: a line in the space of the profile.
   for (auto& dof : rested.dofs_) dof.v = dof.a = 0;
-  if (!rested.plan(space, target)) return false;
+  if (!rested.plan(space, target, fixtures)) return false;
   axial_ = false;
   profile_duration_ = base_duration_;
   target_ = target;
@@ -137,12 +140,12 @@ void Setpoint::move_along(const Vector3& s_R, double depth, double speed) {
   axis_R_ = s_R;
   // Rest to rest, the quintic's peak velocity is 15/8 of the mean.
   profile_duration_ = std::max(base_duration_, 15.0 / 8.0 * (end - p).norm() / speed);
-  plan(Space::kCartesian, {end.x(), end.y(), end.z(), dofs_[3].x});
+  plan(Space::kCartesian, {end.x(), end.y(), end.z(), dofs_[3].x}, Fixtures::none());
 }
 
-/// Plans a profile and returns whether it stays inside the workspace; mode and profile are set in
-/// any case.
-bool Setpoint::plan(Space space, const std::array<double, 4>& target) {
+/// Plans a profile and returns whether it stays inside the workspace and clear of the fixtures;
+/// mode and profile are set in any case.
+bool Setpoint::plan(Space space, const std::array<double, 4>& target, const Fixtures& fixtures) {
   if (space_ != space) switch_space(space);
   profiler_ = Profiler(dof_limits(space), profile_duration_);
   profiler_.reset(dofs_);
@@ -151,7 +154,24 @@ bool Setpoint::plan(Space space, const std::array<double, 4>& target) {
   target_ = target;
   target_space_ = space;
   move_after_stop_ = false;
-  return axial_ || !plan_leaves_workspace();
+  return axial_ || (!plan_leaves_workspace() && way_is_clear(fixtures));
+}
+
+/// Goes along the profile in steps that cannot reach a fixture.
+bool Setpoint::way_is_clear(const Fixtures& fixtures) const {
+  if (mode_ != Mode::kProfile || fixtures.empty()) return true;
+  const Slide from_here = slide(fixtures);
+  const double tip = std::sqrt(3.0) * limits_.tip_velocity;
+  const double turning = std::sqrt(2.0) * limits_.pivot_velocity * limits_.depth_max;
+  const double fastest = space_ == Space::kCartesian ? tip : tip + turning;
+  const double left = profiler_.duration(), least = left / kWaySamples;
+  for (double t = 0;;) {
+    const auto x = profiler_.position_after(t);
+    const double clearance = from_here.clearance(tip_of(x[0], x[1], x[2]));
+    if (clearance < -kOnWall) return false;
+    if (t >= left) return true;
+    t = std::min(t + std::max(clearance / fastest, least), left);
+  }
 }
 
 /// Samples the profile: a quintic that starts in motion overshoots, and the workspace is not convex
@@ -188,11 +208,11 @@ void Setpoint::stop() {
   mode_ = Mode::kStopping;
 }
 
-void Setpoint::restart_from_rest() {
+void Setpoint::restart_from_rest(const Fixtures& fixtures) {
   for (auto& dof : dofs_) dof.v = dof.a = 0;
   for (int i = 0; i < 4; ++i) filters_[i].reset(dofs_[i]);
-  if (mode_ == Mode::kProfile && !plan(target_space_, target_)) mode_ = Mode::kRest;
-  if (mode_ == Mode::kStopping) come_to_rest();
+  if (mode_ == Mode::kProfile && !plan(target_space_, target_, fixtures)) mode_ = Mode::kRest;
+  if (mode_ == Mode::kStopping) come_to_rest(fixtures);
 }
 
 void Setpoint::resync(const Vector3& p_RTip, const Vector3& v_RTip) {
@@ -206,33 +226,47 @@ void Setpoint::resync(const Vector3& p_RTip, const Vector3& v_RTip) {
   }
 }
 
-void Setpoint::coast(double dt) {
+void Setpoint::coast(double dt, const Fixtures& fixtures) {
   const Vector3 p_before = p_RTip();
+  const Slide from_here = slide(fixtures);
   for (int i = 0; i < 4; ++i) {
     dofs_[i] = {dofs_[i].x + dt * dofs_[i].v, dofs_[i].v, 0};
     filters_[i].reset(dofs_[i]);
   }
   restrict_step(p_before);
+  if (!fixtures.empty()) keep_to(from_here, p_before, dt);
 }
 
-void Setpoint::come_to_rest() {
+void Setpoint::come_to_rest(const Fixtures& fixtures) {
   mode_ = Mode::kRest;
-  if (move_after_stop_ && !plan(target_space_, target_)) mode_ = Mode::kRest;
+  if (move_after_stop_ && !plan(target_space_, target_, fixtures)) mode_ = Mode::kRest;
 }
 
-void Setpoint::advance(double dt) {
+void Setpoint::advance(double dt, const Fixtures& fixtures) {
   if (!(dt > 0)) return;
   if (tick_ > 0) clock_rate_ = std::min(dt / tick_, 1.0);
-  at_wall_ = false;
+  at_wall_ = at_fixture_ = false;
+  if (fixtures.empty() || axial_ || mode_ == Mode::kRest || mode_ == Mode::kProfile) {
+    advance_freely(dt, fixtures);
+    return;
+  }
+  const Vector3 p_before = p_RTip();
+  const Slide from_here = slide(fixtures);
+  advance_freely(dt, fixtures);
+  keep_to(from_here, p_before, dt);
+}
+
+/// Does not enforce the fixtures, but plans with them.
+void Setpoint::advance_freely(double dt, const Fixtures& fixtures) {
   const Vector3 p_before = p_RTip();
   switch (mode_) {
     case Mode::kRest:
       break;
     case Mode::kStream:
-      advance_stream(dt);
+      advance_stream(dt, fixtures);
       break;
     case Mode::kVelocity:
-      advance_velocity(dt);
+      advance_velocity(dt, fixtures);
       break;
     case Mode::kProfile:
       profiler_.advance(dt);
@@ -243,7 +277,7 @@ void Setpoint::advance(double dt) {
       }
       return;
     case Mode::kStopping:
-      advance_stopping(dt);
+      advance_stopping(dt, fixtures);
       break;
   }
   restrict_step(p_before);
@@ -283,12 +317,62 @@ void Setpoint::shift(const Vector3& by_R) {
   place_tip(p_RTip() + by_R);
 }
 
+Slide Setpoint::slide(const Fixtures& fixtures) const {
+  const double brake = std::max(limits_.stop_deceleration, limits_.tip_acceleration);
+  return {fixtures, p_RTip(), fixtures.empty() ? Vector3::Zero() : v_RTip(),
+          kFixtureBraking * limits_.tip_acceleration, brake};
+}
+
+/// Takes what leads into a fixture out of the last step, and out of the velocity and acceleration
+/// with which the next one begins.
+void Setpoint::keep_to(const Slide& slide, const Vector3& p_before, double dt) {
+  if (axial_ || mode_ == Mode::kProfile) return;
+  const Vector3 moved = p_RTip() - p_before, v = v_RTip();
+  const Vector3 step = slide.step(moved, dt), v_kept = slide.velocity(v, step, dt);
+  if (step == moved && v_kept == v) return;
+  at_fixture_ = true;
+  Dofs rates = dofs_;  // the accelerations as if they were velocities: both turn alike
+  for (auto& dof : rates) dof.v = dof.a;
+  const Vector3 a = velocity(space_ == Space::kCartesian ? rates : to_cartesian(rates));
+  place(p_before + step, v_kept, slide.acceleration(a, step, v_kept));
+}
+
+/// Puts the tip to a place, moving; roll stays.
+void Setpoint::place(const Vector3& p, const Vector3& v, const Vector3& a) {
+  Dofs there{}, rates{};
+  for (int i = 0; i < 3; ++i) {
+    there[i] = {p[i], v[i], 0};
+    rates[i] = {p[i], a[i], 0};
+  }
+  if (space_ == Space::kSpherical) {
+    there = to_spherical(there);
+    rates = to_spherical(rates);
+  }
+  for (int i = 0; i < 3; ++i) {
+    dofs_[i] = {there[i].x, there[i].v, rates[i].v};
+    filters_[i].reset(dofs_[i]);
+  }
+}
+
+/// The target of a stream, brought back from behind a fixture.
+Dofs Setpoint::target_clear_of(const Fixtures& fixtures, const Dofs& target) {
+  if (fixtures.empty()) return target;
+  const Dofs there = space_ == Space::kCartesian ? target : to_cartesian(target);
+  const Slide::Target wished{position(there), velocity(there)};
+  const Slide::Target clear = slide(fixtures).target(wished);
+  if (clear.p == wished.p) return target;
+  at_fixture_ = true;
+  Dofs out = there;
+  for (int i = 0; i < 3; ++i) out[i] = {clear.p[i], clear.v[i], 0};
+  return space_ == Space::kCartesian ? out : to_spherical(out);
+}
+
 void Setpoint::elapse(double T, bool heard) {
   tick_ = T;
   input_.elapse(T, heard);
 }
 
-void Setpoint::advance_stream(double dt) {
+void Setpoint::advance_stream(double dt, const Fixtures& fixtures) {
   if (paper_) {
     profiler_.reset(dofs_);
     profiler_.plan_fixed(target_, base_duration_);
@@ -299,7 +383,7 @@ void Setpoint::advance_stream(double dt) {
   // The tick is taken only if the hardest stop after it ends inside the workspace. Otherwise that
   // stop begins or continues; it was possible before.
   auto next = filters_;
-  const Dofs target = input_.target(dt);
+  const Dofs target = target_clear_of(fixtures, input_.target(dt));
   for (int i = 0; i < 4; ++i) next[i].step(target[i], dt, period_);
   at_wall_ = stop_leaves_workspace(next);
   for (int i = 0; i < 4; ++i) {
@@ -338,7 +422,7 @@ bool Setpoint::leaves_workspace(const Vector3& to) const {
   return farther_outside(to) || farther_outside(p + s * s.dot(to - p));
 }
 
-void Setpoint::advance_velocity(double dt) {
+void Setpoint::advance_velocity(double dt, const Fixtures& fixtures) {
   // At the boundary: stop if a stop begun two ticks later would end outside, and do not start if
   // the requested velocity leads farther outside. Motion back inside is never restricted.
   const Vector3 p = p_RTip(), v = v_RTip();
@@ -346,7 +430,7 @@ void Setpoint::advance_velocity(double dt) {
   if (leaves_workspace(p + stop_time * v)) {
     at_wall_ = true;
     stop();
-    advance_stopping(dt);
+    advance_stopping(dt, fixtures);
     return;
   }
   std::array<double, 4> rate = rate_;
@@ -370,7 +454,7 @@ void Setpoint::advance_velocity(double dt) {
   }
 }
 
-void Setpoint::advance_stopping(double dt) {
+void Setpoint::advance_stopping(double dt, const Fixtures& fixtures) {
   const Vector3 v = velocity(dofs_);
   const double speed = v.norm();
   const double slower = std::max(0.0, speed - limits_.stop_deceleration * dt);
@@ -385,7 +469,7 @@ void Setpoint::advance_stopping(double dt) {
   const double roll_next = std::copysign(roll_speed, roll.v);
   roll.x += 0.5 * (roll.v + roll_next) * dt;
   roll = {roll.x, roll_next, 0};
-  if (slower == 0 && roll_speed == 0) come_to_rest();
+  if (slower == 0 && roll_speed == 0) come_to_rest(fixtures);
 }
 
 Vector3 Setpoint::p_RTip() const { return tip_of(dofs_[0].x, dofs_[1].x, dofs_[2].x); }
@@ -398,14 +482,14 @@ Vector3 Setpoint::v_RTip() const {
   return velocity(space_ == Space::kCartesian ? dofs_ : to_cartesian(dofs_));
 }
 
-Setpoint::TipAndRoll Setpoint::after(double dt) const {
+Setpoint::TipAndRoll Setpoint::after(double dt, const Fixtures& fixtures) const {
   if (!(dt > 0)) return {p_RTip(), roll()};
   if (mode_ == Mode::kProfile) {
     const auto x = profiler_.position_after(dt);
     return {tip_of(x[0], x[1], x[2]), x[3]};
   }
   Setpoint there = *this;
-  there.advance(dt);
+  there.advance(dt, fixtures);
   return {there.p_RTip(), there.roll()};
 }
 

@@ -71,6 +71,26 @@ Reason BlackBox::set_rcm(const Vector3& p_BRcm) {
   return answer;
 }
 
+Reason BlackBox::set_fixture(const Fixture& fixture) {
+  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kSetFixture);
+  const Reason answer = controller_.set_fixture(fixture);
+  if (event) {
+    event->fixture = fixture;
+    event->answer = answer;
+  }
+  return answer;
+}
+
+Reason BlackBox::remove_fixture(std::string_view name) {
+  BlackBoxEvent* event = note(BlackBoxEvent::Kind::kRemoveFixture);
+  const Reason answer = controller_.remove_fixture(name);
+  if (event) {
+    event->fixture.set_name(name);
+    event->answer = answer;
+  }
+  return answer;
+}
+
 void BlackBox::fault(Reason reason) {
   BlackBoxEvent* event = note(BlackBoxEvent::Kind::kFault);
   if (event) event->reason = reason;
@@ -298,8 +318,16 @@ class Coder {
     (*this)(c.motion, c.source, c.p, c.rotation, c.roll_rate, c.joints, c.jaw, c.elbow, c.stamp_ns,
             c.age, c.slide);
   }
+  void value(Fixture& f) {
+    bytes(f.name.data(), f.name.size());
+    if (f.name.back() != 0) broken("a fixture's name has no end");
+    (*this)(f.shape, f.side, f.of, f.of_cell, f.point, f.axis, f.radius);
+  }
   void value(BlackBoxEvent& e) {
     (*this)(e.kind, e.state, e.reason, e.answer, e.source, e.p_BRcm, e.command);
+    const bool fixture =
+        e.kind == BlackBoxEvent::Kind::kSetFixture || e.kind == BlackBoxEvent::Kind::kRemoveFixture;
+    if (fixture) (*this)(e.fixture);
   }
   void value(Outputs& out);
   void value(ForceSample& f) { (*this)(f.valid, f.f_B); }
@@ -506,6 +534,10 @@ const char* name(BlackBoxEvent::Kind kind) {
       return "claim";
     case BlackBoxEvent::Kind::kCommand:
       return "command";
+    case BlackBoxEvent::Kind::kSetFixture:
+      return "set_fixture";
+    case BlackBoxEvent::Kind::kRemoveFixture:
+      return "remove_fixture";
   }
   return "unknown";
 }
@@ -525,6 +557,10 @@ Reason call(Controller& controller, const BlackBoxEvent& event) {
       break;
     case BlackBoxEvent::Kind::kClaim:
       return controller.claim(event.source);
+    case BlackBoxEvent::Kind::kSetFixture:
+      return controller.set_fixture(event.fixture);
+    case BlackBoxEvent::Kind::kRemoveFixture:
+      return controller.remove_fixture(event.fixture.title());
     case BlackBoxEvent::Kind::kCommand:
       break;
   }

@@ -108,6 +108,21 @@ Text text(Reason reason) {
     case Reason::kMasterLost:
       return {"master_lost",
               "the ROS master is gone: start it again, then restart every node of the system"};
+    case Reason::kFixture:
+      return {"fixture",
+              "a virtual fixture is in the way: choose a way around it, or remove it with "
+              "fixtures/remove while the arm is not ENABLED"};
+    case Reason::kFixtureOfCell:
+      return {"fixture_of_cell",
+              "the cell states this fixture: change cell.yaml, or choose another name"};
+    case Reason::kFixtureWhileEnabled:
+      return {"fixture_while_enabled",
+              "a fixture may be replaced or removed only while the arm is not ENABLED: send "
+              "'disable' or 'pause' first; a new name may be added at any time"};
+    case Reason::kFixturesFull:
+      return {"fixtures_full", "the arm has 16 fixtures already: remove one first"};
+    case Reason::kNoFixture:
+      return {"no_fixture", "the arm has no fixture of this name: see the topic fixtures"};
     case Reason::kLate:
       return {"late",
               "it answers what the arm said before it stopped, so it was held up on its way: begin "

@@ -42,6 +42,8 @@ class ControlCycle {
   surg::Reason answer(const CommandItem& item, std::int64_t now_ns);
   surg::Reason request(surg::StateCommand command);
   surg::Reason set_frame(const CommandItem& item);
+  /// Copies the controller's fixtures into the record when they have changed.
+  void note_fixtures();
   surg::Reason take_track(const CommandItem& item, std::int64_t now_ns);
   surg::Reason take_motion(const CommandItem& item, std::int64_t now_ns);
   bool is_sliding(std::uint32_t source) const;

@@ -17,7 +17,17 @@ constexpr double kTick = 0.002;  ///< [s]
 
 /// One decoded command of any kind. Within one cycle the kinds take effect in the order below.
 struct CommandItem {
-  enum class Kind : std::uint8_t { kState, kSetRcm, kSetFrame, kClaim, kAtWall, kTrack, kMotion };
+  enum class Kind : std::uint8_t {
+    kState,
+    kSetRcm,
+    kSetFixture,
+    kRemoveFixture,
+    kSetFrame,
+    kClaim,
+    kAtWall,
+    kTrack,
+    kMotion
+  };
   Kind kind = Kind::kMotion;
   std::uint32_t source = 0;                                 ///< id of the sender in a SourceTable
   surg::StateCommand state = surg::StateCommand::kDisable;  ///< kState
@@ -28,6 +38,7 @@ struct CommandItem {
   FrameName frame;               ///< kMotion: header.frame_id; kSetFrame: name of U
   surg::Pose X_UR = surg::Pose::Identity();  ///< kSetFrame
   bool slide = false;                        ///< kAtWall
+  surg::Fixture fixture;                     ///< kSetFixture, in B; kRemoveFixture: its name
   surg::MotionCommand motion;  ///< kMotion; poses and twists still in 'frame', not in R
   /// servo_cv: the complete angular velocity. The cycle projects it onto the shaft to get
   /// roll_rate.
@@ -79,10 +90,12 @@ struct CycleRecord {
   Eigen::Quaterniond q_RTool = Eigen::Quaterniond::Identity();  ///< measured
   Eigen::Quaterniond q_RSet = Eigen::Quaterniond::Identity();
   Eigen::Quaterniond q_RGoal = Eigen::Quaterniond::Identity();
-  BaseFrame frame;        ///< of commands and measured_cp
-  FrameName wrong_frame;  ///< the last frame_id that was refused
-  Ignored orientation;    ///< of a pose: all but the roll about the shaft
-  Ignored angular;        ///< of a twist: all but the part along the shaft
+  BaseFrame frame;                     ///< of commands and measured_cp
+  surg::Fixtures fixtures;             ///< in B
+  std::uint32_t fixtures_version = 0;  ///< counts their changes
+  FrameName wrong_frame;               ///< the last frame_id that was refused
+  Ignored orientation;                 ///< of a pose: all but the roll about the shaft
+  Ignored angular;                     ///< of a twist: all but the part along the shaft
   int n_answers = 0;
   std::array<Answer, surg::kMaxCommands> answers;
   double compute_us = 0;

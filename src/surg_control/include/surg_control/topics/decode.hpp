@@ -6,6 +6,7 @@
 #include <geometry_msgs/PoseStamped.h>
 #include <geometry_msgs/TwistStamped.h>
 #include <sensor_msgs/JointState.h>
+#include <surg_msgs/Fixture.h>
 #include <surg_msgs/PointVelocityStamped.h>
 
 #include <string>
@@ -45,6 +46,12 @@ Decoded decode_at_wall(const crtk_msgs::StringStamped& message);
 Decoded decode_state(const crtk_msgs::StringStamped& message);
 /// rcm/set_cp in the base frame 'frame': the position is the trocar point.
 Decoded decode_rcm(const geometry_msgs::PoseStamped& message, const std::string& frame);
+/// fixtures/set in the base frame 'frame'.
+Decoded decode_fixture(const surg_msgs::Fixture& message, const std::string& frame);
+/// fixtures/remove: a fixture's name.
+Decoded decode_fixture_name(const std::string& name);
+/// The message that says a fixture.
+surg_msgs::Fixture encode_fixture(const surg::Fixture& fixture);
 /// rcm/track in the base frame 'frame'.
 Decoded decode_track(const surg_msgs::PointVelocityStamped& message, const std::string& frame);
 /// set_base_frame: the pose of the rcm frame 'rcm' in the user's frame U, whose name is the

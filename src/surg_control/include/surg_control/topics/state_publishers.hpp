@@ -64,6 +64,7 @@ class StatePublishers {
   void publish_elbow(const CycleRecord& record, bool valid);
   void publish_rcm(const CycleRecord& record);
   void publish_state(const CycleRecord& record, bool changed);
+  void publish_fixtures(const CycleRecord& record);
   void publish_static_tf(const ArmSetup& setup, const Model& model);
   void publish_tf(const CycleRecord& record);
   geometry_msgs::TransformStamped transform(const CycleRecord& record, const std::string& child,
@@ -77,7 +78,8 @@ class StatePublishers {
   StatusReporter& reporter_;
   Diagnostics diagnostics_;
 
-  ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_;
+  ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_, fixtures_;
+  std::int64_t fixtures_version_ = -1;  // published last
   Feedback<sensor_msgs::JointState> measured_js_, setpoint_js_, jaw_measured_js_, jaw_setpoint_js_,
       elbow_measured_js_, elbow_goal_js_;
   Feedback<geometry_msgs::PoseStamped> measured_cp_, local_measured_cp_, setpoint_cp_, goal_cp_,

@@ -26,6 +26,9 @@ class CommandHandler {
   void start(const TipPose& at);
   /// Decelerates and drops all targets.
   void stop();
+  /// The regions from now on, in the rcm frame. A move whose way is no longer clear is stopped.
+  void set_fixtures(const Fixtures& fixtures_R);
+  const Fixtures& fixtures() const { return fixtures_R_; }
   /// 'hold': decelerates, and blocks streams until they pause.
   void hold();
   /// Takes a motion command other than hold and jaw commands. kNone: accepted.
@@ -50,10 +53,13 @@ class CommandHandler {
   void end_retrace() { retracing_ = false; }
   /// The stream's last sample was outside the workspace; its sender asked to slide along the wall.
   bool sliding() const { return sliding_ && setpoint_.mode() == Setpoint::Mode::kStream; }
+  /// A fixture holds the set-point off its command.
+  bool at_fixture() const;
 
  private:
   Reason apply(const MotionCommand& command);
   Reason stream(const MotionCommand& command);
+  Reason move_to(Space space, const std::array<double, 4>& target);
   Reason move_along_shaft(Motion motion);
   bool targets_reachable(const Vector3& p_RTip) const;
   bool roll_reachable(double roll) const;
@@ -64,6 +70,7 @@ class CommandHandler {
 
   Limits limits_;
   double timeout_, dt_;
+  Fixtures fixtures_R_;
   Setpoint setpoint_;
   Vector3 p_goal_ = Vector3::Zero();
   double roll_goal_ = 0;

@@ -1,11 +1,13 @@
 // Set-point of the instrument, driven by the latest kind of command. Four degrees of freedom in the
 // rcm frame: x, y, z, roll (Cartesian) or yaw, pitch, insertion, roll (spherical). A plain value:
-// the controller advances a copy and keeps the one whose step the limits allow.
+// the controller advances a copy and keeps the one whose step the limits allow. Virtual fixtures
+// (in the rcm frame) are arguments, because copies must stay small.
 #pragma once
 
 #include <array>
 
 #include "surg_core/config.hpp"
+#include "surg_core/limits/slide.hpp"
 #include "surg_core/motion/profiler.hpp"
 #include "surg_core/motion/stream.hpp"
 #include "surg_core/motion/stream_input.hpp"
@@ -49,9 +51,10 @@ class Setpoint {
   /// Takes a velocity to keep (servo_cv, servo_jv).
   void set_velocity(Space space, const std::array<double, 4>& rate);
   /// Moves to a discrete target (interpolate_*, move_*): a quintic to rest there. If its overshoot
-  /// from the present motion would leave the workspace, the tip stops first. Returns false and
-  /// changes nothing if the way from rest leaves the workspace as well.
-  bool move_to(Space space, const std::array<double, 4>& target);
+  /// from the present motion would leave the workspace or enter a fixture, the tip stops first.
+  /// Returns false and changes nothing if the way from rest does so as well.
+  bool move_to(Space space, const std::array<double, 4>& target,
+               const Fixtures& fixtures = Fixtures::none());
   /// Moves straight along the shaft to a depth [m], which may lie above the trocar, with at most
   /// 'speed' [m/s]. The workspace is not checked. From rest only.
   void move_along(const Vector3& s_R, double depth, double speed);
@@ -60,7 +63,7 @@ class Setpoint {
 
   /// Restarts from rest at the present position: a limit has stopped the arm, and a velocity kept
   /// in the filter would point at the limit for ever. The target stays.
-  void restart_from_rest();
+  void restart_from_rest(const Fixtures& fixtures = Fixtures::none());
 
   /// Whether the motion (a stop or a velocity) has no path to keep.
   bool has_no_path() const { return mode_ == Mode::kStopping || mode_ == Mode::kVelocity; }
@@ -71,7 +74,7 @@ class Setpoint {
   /// Whether the motion is planned from cycle to cycle, without a profile.
   bool is_reactive() const { return mode_ == Mode::kStream || has_no_path(); }
   /// For such a motion: goes on at constant velocity, as the arm does while no command comes.
-  void coast(double dt);
+  void coast(double dt, const Fixtures& fixtures = Fixtures::none());
 
   /// Sets the unit direction of the force on the tip, zero for none. Streams and velocities no
   /// longer move against it; a profile that does is stopped (F25).
@@ -84,8 +87,12 @@ class Setpoint {
   void elapse(double T, bool heard = true);
   /// At which cycles come [s], if they are late: a stream is followed more softly then.
   void set_period(double period) { period_ = period; }
-  /// Advances the set-point by dt <= T of its own clock.
-  void advance(double dt);
+  /// Advances the set-point by dt <= T of its own clock. Streams, velocities and stops slide along
+  /// the fixtures; a profile is planned clear of them.
+  void advance(double dt, const Fixtures& fixtures = Fixtures::none());
+  /// Whether the rest of the present profile stays clear of the fixtures, or goes no deeper into
+  /// them than the tip is.
+  bool way_is_clear(const Fixtures& fixtures) const;
 
   /// Tip position and roll, as needed by the look-ahead.
   struct TipAndRoll {
@@ -93,7 +100,7 @@ class Setpoint {
     double roll;
   };
   /// The result of advance(dt), without changing the set-point.
-  TipAndRoll after(double dt) const;
+  TipAndRoll after(double dt, const Fixtures& fixtures = Fixtures::none()) const;
   /// Predicted position in t [s] of its own clock: along its profile, or at constant velocity for
   /// streams and velocities. For the look-ahead only.
   TipAndRoll predict(double t) const;
@@ -104,6 +111,10 @@ class Setpoint {
   bool axial() const { return axial_; }
   /// Whether the workspace boundary stopped the last advance.
   bool at_wall() const { return at_wall_; }
+  /// Whether a fixture changed the last advance.
+  bool at_fixture() const { return at_fixture_; }
+  /// How the fixtures limit the tip from here.
+  Slide slide(const Fixtures& fixtures) const;
   Vector3 p_RTip() const;
   Vector3 v_RTip() const;
   /// Unit shaft direction from the trocar to the tip; the last one where the tip is near the trocar
@@ -118,11 +129,15 @@ class Setpoint {
   /// Of four degrees of freedom in the present space.
   Vector3 tip_of(double x, double y, double z) const;
   void switch_space(Space space);
-  bool plan(Space space, const std::array<double, 4>& target);
-  void come_to_rest();
-  void advance_stream(double dt);
-  void advance_velocity(double dt);
-  void advance_stopping(double dt);
+  bool plan(Space space, const std::array<double, 4>& target, const Fixtures& fixtures);
+  void come_to_rest(const Fixtures& fixtures);
+  Dofs target_clear_of(const Fixtures& fixtures, const Dofs& target);
+  void keep_to(const Slide& slide, const Vector3& p_before, double dt);
+  void place(const Vector3& p, const Vector3& v, const Vector3& a);
+  void advance_freely(double dt, const Fixtures& fixtures);
+  void advance_stream(double dt, const Fixtures& fixtures);
+  void advance_velocity(double dt, const Fixtures& fixtures);
+  void advance_stopping(double dt, const Fixtures& fixtures);
   bool plan_leaves_workspace() const;
   void restrict_step(const Vector3& p_before);
   void place_tip(const Vector3& p_RTip);
@@ -140,6 +155,7 @@ class Setpoint {
   Dofs dofs_{};
   bool axial_ = false;
   bool at_wall_ = false;
+  bool at_fixture_ = false;
   Vector3 axis_R_ = Vector3::UnitZ();  ///< while axial
   Vector3 push_R_ = Vector3::Zero();   ///< of the force at the tip
   std::array<StreamFilter, 4> filters_{};

@@ -36,14 +36,24 @@ struct BlackBoxLabel {
 
 /// A call between two steps, or one command within a step.
 struct BlackBoxEvent {
-  enum class Kind : std::uint8_t { kRequest, kSetRcm, kFault, kPause, kClaim, kCommand };
+  enum class Kind : std::uint8_t {
+    kRequest,
+    kSetRcm,
+    kFault,
+    kPause,
+    kClaim,
+    kCommand,
+    kSetFixture,
+    kRemoveFixture
+  };
   Kind kind = Kind::kCommand;
   StateCommand state = StateCommand::kDisable;  ///< kRequest
   Reason reason = Reason::kNone;                ///< kFault, kPause: the argument
-  Reason answer = Reason::kNone;                ///< kRequest, kSetRcm, kClaim: what came back
+  Reason answer = Reason::kNone;                ///< of a call that answers: what came back
   std::uint32_t source = 0;                     ///< kClaim
   Vector3 p_BRcm = Vector3::Zero();             ///< kSetRcm
   MotionCommand command;                        ///< kCommand
+  Fixture fixture;                              ///< kSetFixture; kRemoveFixture: its name
 };
 
 /// Inputs and outputs of one step; its commands are events.
@@ -77,6 +87,8 @@ class BlackBox {
 
   Reason request(StateCommand command);
   Reason set_rcm(const Vector3& p_BRcm);
+  Reason set_fixture(const Fixture& fixture);
+  Reason remove_fixture(std::string_view name);
   void fault(Reason reason);
   void pause(Reason reason);
   Reason claim(std::uint32_t source);

@@ -113,6 +113,8 @@ class Session:
                 arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, law=LAWS[self.law]
             )
             controller.set_rcm(arm.trocar.p_BRcm)
+            for fixture in arm.fixtures:
+                controller.set_fixture(fixture)
             self.controllers[name] = controller
         self._forces: dict[str, dict[str, surg_core.ForceSample]] = {}
 

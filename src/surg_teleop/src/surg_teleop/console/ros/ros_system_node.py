@@ -11,13 +11,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import rospy
 from std_msgs.msg import String
 
 from crtk_msgs.msg import OperatingState
+from surg_core import Fixture
 from surg_core.status_check import Newest, value_name
+from surg_core.transforms import quaternion_xyzw_to_matrix
 from surg_msgs.msg import (
     Cycle,
+    Fixtures,
     HandStatus,
     PolicyStatus,
     RecordStatus,
@@ -30,6 +34,7 @@ from surg_teleop.console.ros.raw_gauges import depth, force, last_double, state_
 from surg_teleop.console.session import operator_messages
 from surg_teleop.console.session.console_orders import Order
 from surg_teleop.console.session.episode_list import Entry, Episodes
+from surg_teleop.console.session.fixture_view import FixtureView, region_of
 from surg_teleop.console.session.page_status import finite
 from surg_teleop.console.session.system_state import (
     Arm,
@@ -78,6 +83,10 @@ class RosSystem:
         }
         self._cycles = {arm: PolledSubscriber(f"/{arm}/cycle", Cycle) for arm in arms}
         keys: dict[str, Any] = {"queue_size": 10, "tcp_nodelay": True}
+        self._driven = arms[0]
+        self._regions: tuple[Fixture, ...] = ()
+        self._cycle = b""
+        rospy.Subscriber(f"/{arms[0]}/fixtures", Fixtures, self._on_fixtures, **keys)
         for topic, kind in kinds.items():
             rospy.Subscriber(topic, kind, self._on_status, topic, **keys)
         for arm in arms:
@@ -105,6 +114,22 @@ class RosSystem:
                 reason=before.reason if message.state == before.state else None,
             )
 
+    def _on_fixtures(self, message: Fixtures) -> None:
+        regions = tuple(map(_region, message.fixtures))
+        with self._lock:
+            self._regions = regions
+
+    def _fixtures(self) -> FixtureView | None:
+        """The driven arm's fixtures beside its newest pose; with the lock held."""
+        if not self._regions or not self._cycle:
+            return None
+        cycle = Cycle()
+        cycle.deserialize(self._cycle)
+        X_BR = np.eye(4)
+        X_BR[:3, :3] = quaternion_xyzw_to_matrix(cycle.q_br)
+        X_BR[:3, 3] = cycle.p_rcm
+        return FixtureView(self._regions, np.array(cycle.p_tip), X_BR)
+
     def _on_warning(self, message: String, arm: str) -> None:
         with self._lock:
             self._arms[arm] = replace(
@@ -126,6 +151,8 @@ class RosSystem:
             messages = polled.fetch()
             if not messages:
                 continue
+            if name == self._driven:
+                self._cycle = messages[-1]
             state, reason = state_and_reason(messages[-1])
             if state == self._arms[name].state:
                 self._arms[name] = replace(self._arms[name], reason=reason)
@@ -155,7 +182,8 @@ class RosSystem:
                     trocar=force(newest.get("trocar", b"")),
                     tip=force(newest.get("tip", b"")),
                 ),
-                _recorder(record) if record else Recorder(),
+                fixtures=self._fixtures(),
+                recorder=_recorder(record) if record else Recorder(),
                 simulated=sim is not None,
                 task=_task(sim) if sim else SimTask(),
                 policy=_policy(policy) if policy else PolicyServer(),
@@ -186,6 +214,17 @@ class RosSystem:
     def live(self) -> None:
         """See `web_server.System`."""
         self._orders.repeat()
+
+
+def _region(message: Any) -> Fixture:
+    places = {
+        name: (vector.x, vector.y, vector.z)
+        for name in ("point", "normal", "end")
+        for vector in [getattr(message, name)]
+    }
+    return region_of(
+        message.name, message.shape, message.side, message.of, radius=message.radius, **places
+    )
 
 
 def _follower(hand: HandStatus) -> Follower:

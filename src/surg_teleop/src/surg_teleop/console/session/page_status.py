@@ -41,6 +41,7 @@ def report(
             for hand in robot.helpers
         ],
         "gauges": {name: finite(value) for name, value in vars(robot.gauges).items()},
+        "fixtures": None if robot.fixtures is None else robot.fixtures.as_json(),
         "limits": dict(limits),
         "scale": finite(robot.follower.scale),
         "teleop": robot.follower.state,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from surg_core import Reason
+from surg_teleop.console.session.fixture_view import FixtureView
 
 
 @dataclass(frozen=True)
@@ -99,6 +100,7 @@ class Robot:
     scope: Follower = Follower()  # the same hand on the endoscope's arm, where one holds it
     helpers: tuple[Follower, ...] = ()  # other hands on other arms
     gauges: Gauges = Gauges()
+    fixtures: FixtureView | None = None  # of the driven arm; None: it has none
     recorder: Recorder = Recorder()
     simulated: bool = False  # whether a simulator moves the arms
     task: SimTask = SimTask()

@@ -1,5 +1,7 @@
 // Shows the console's status on the page; decides nothing.
 
+import { showFixtures } from "./fixtures.js";
+
 const TREND_S = 30;
 const TREND_STEP_S = 0.25; // between two points, each the largest value of its interval
 
@@ -133,6 +135,7 @@ export class View {
     this.trend.draw();
     this.controls(status, mine);
     this.arms(status.arms, status.helpers);
+    showFixtures(status.fixtures);
     write(element("task"), status.task);
     set(element("task"), "hidden", !status.task);
     const trip = link.roundTripMs;
