@@ -21,8 +21,8 @@ surg::BlackBoxRecording incident(const surg_control_test::SmallCell& cell) {
   const surg::ControllerSetup made{load_model(setup.robot, setup.robot_urdf).chain,
                                    setup.robot,
                                    setup.limits,
-                                   setup.instrument,
-                                   setup.tool,
+                                   setup.mounted.instrument,
+                                   setup.mounted.tool,
                                    {}};
   surg::Controller controller(made.chain, made.robot, made.limits, made.instrument, made.tool,
                               made.options);

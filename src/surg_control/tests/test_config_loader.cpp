@@ -31,6 +31,37 @@ void expect_parts(const std::string& text, const std::vector<std::string>& parts
   }
 }
 
+TEST(ConfigLoader, ToolIsReadWithTheChecksOfAStart) {
+  SmallCell cell;
+  const ArmSetup setup = load_arm(cell.cell(), "PSM1");
+  const auto error = [&](const std::string& words) -> std::string {
+    try {
+      load_tool(setup, words);
+    } catch (const surg::ConfigError& refused) {
+      return refused.what();
+    }
+    return "";
+  };
+  EXPECT_EQ(load_tool(setup, "").tool.p_FTip, setup.mounted.tool.p_FTip);
+  cell.write("cell/next.yaml",
+             "format: surg_tool/1\nshaft_axis: [0, 0, 1]\ntip: [0.05, 0, 0.31]\nresidual: 0\n"
+             "n: 1\ncondition: 1\ndate: \"2026-01-01\"\n");
+  const MountedTool next = load_tool(setup, setup.arm.instrument + " next.yaml");
+  EXPECT_EQ(next.tool.p_FTip.z(), 0.31);
+  EXPECT_EQ(next.calibration_file, "next.yaml");
+  cell.write("cell/short.yaml",
+             "format: surg_tool/1\nshaft_axis: [0, 0, 1]\ntip: [0.05, 0, 0.1]\nresidual: 0\n"
+             "n: 1\ncondition: 1\ndate: \"2026-01-01\"\n");
+  expect_parts(error(setup.arm.instrument + " short.yaml"), {"short.yaml", "tip", "depth_max"});
+  cell.write("cell/bad.yaml",
+             "format: surg_tool/1\nshaft_axis: [0, 0, 2]\ntip: [0.05, 0, 0.3]\nresidual: 0\n"
+             "n: 1\ncondition: 1\ndate: \"2026-01-01\"\n");
+  expect_parts(error(setup.arm.instrument + " bad.yaml"), {"bad.yaml:2", "shaft_axis"});
+  expect_parts(error(setup.arm.instrument + " gone.yaml"), {"gone.yaml"});
+  expect_parts(error("other.yaml"), {"other.yaml", "calibration file", "second word"});
+  expect_parts(error("a b c"), {"more than two words"});
+}
+
 TEST(ConfigLoader, FlattensWithLines) {
   SmallCell cell;
   cell.write("x.yaml",
@@ -68,10 +99,10 @@ TEST(ConfigLoader, LoadsWholeArm) {
       EXPECT_EQ(setup.robot.name, "small");
       EXPECT_EQ(setup.limits.tip_velocity, 0.2);  // tightened
       EXPECT_EQ(setup.robot.limits.tip_velocity, 0.25);
-      EXPECT_EQ(setup.tool.p_FTip, surg::Vector3(0.06, 0, 0.3));
+      EXPECT_EQ(setup.mounted.tool.p_FTip, surg::Vector3(0.06, 0, 0.3));
       EXPECT_EQ(setup.trocar.p_BRcm, surg::Vector3(0.5, 0.1, 0.2));
       EXPECT_EQ(setup.robot_urdf, cell.path("robot.urdf"));
-      EXPECT_EQ(setup.instrument_urdf, cell.path("tool.urdf"));
+      EXPECT_EQ(setup.mounted.instrument_urdf, cell.path("tool.urdf"));
       EXPECT_TRUE((setup.X_WB * surg::Vector3::UnitX()).isApprox(surg::Vector3(0.1, 1.2, 0.3)));
     }
   }

@@ -24,8 +24,9 @@ class Arm {
         model_(load_model(setup_.robot, setup_.robot_urdf)) {
     surg::Controller::Options options;
     options.track_rcm = track;
-    const surg::ControllerSetup made{model_.chain,      setup_.robot, setup_.limits,
-                                     setup_.instrument, setup_.tool,  options};
+    const surg::ControllerSetup made{model_.chain,        setup_.robot,
+                                     setup_.limits,       setup_.mounted.instrument,
+                                     setup_.mounted.tool, options};
     controller = std::make_unique<surg::Controller>(made.chain, made.robot, made.limits,
                                                     made.instrument, made.tool, made.options);
     box = std::make_unique<surg::BlackBox>(*controller, made);
@@ -306,6 +307,27 @@ TEST(ControlCycle, AClaimKeepsOthersOut) {
   arm.step({Arm::state(surg::StateCommand::kResume)});
   const CycleRecord& after = arm.step({Arm::pose(surg::Motion::kServoCp, arm.tip())});
   EXPECT_EQ(after.out.verdicts[0].reason, surg::Reason::kNone);
+}
+
+TEST(ControlCycle, AToolIsNamedFromTheCycleInWhichItIsMounted) {
+  Arm arm;
+  arm.enable();
+  MountedTool next = load_arm(std::string(SURG_CELLS) + "/sim_ur5e", "").mounted;
+  next.tool.p_FTip.z() += 0.01;
+  CommandItem mount;
+  mount.kind = Kind::kTool;
+  mount.source = 7;
+  mount.tool = &next;
+  EXPECT_EQ(arm.step({mount}).answers[0].reason, surg::Reason::kToolWhileEnabled);
+  EXPECT_EQ(arm.cycle->record().tool, nullptr);
+  const double depth = arm.cycle->record().out.depth;
+  arm.step({Arm::state(surg::StateCommand::kDisable)});
+  const CycleRecord& changed = arm.step({mount});
+  EXPECT_EQ(changed.answers[0].reason, surg::Reason::kNone);
+  EXPECT_EQ(changed.tool, &next);
+  EXPECT_NEAR(changed.out.depth, depth + 0.01, 1e-6);
+  EXPECT_FALSE(changed.out.homed);
+  EXPECT_EQ(LinkCommand::of(changed).tool, &next);
 }
 
 TEST(ControlCycle, ASenderMaySlideAlongTheWallAndOthersAreRefused) {

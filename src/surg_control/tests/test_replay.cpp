@@ -43,27 +43,27 @@ TEST(Replay, AgreesOrTells) {
   surg_control_test::SmallCell cell;
   const ArmSetup setup = load_arm(cell.cell(), "");
   const surg::Chain chain = load_model(setup.robot, setup.robot_urdf).chain;
-  std::istringstream good(recording(chain, setup.tool, 0));
+  std::istringstream good(recording(chain, setup.mounted.tool, 0));
   std::ostringstream out;
-  const ReplayReport report = replay(good, out, chain, setup.tool);
+  const ReplayReport report = replay(good, out, chain, setup.mounted.tool);
   EXPECT_EQ(report.rows, 50U);
   EXPECT_EQ(report.skipped, 1U);
   EXPECT_LE(report.worst(), 1e-12);
-  std::istringstream wrong(recording(chain, setup.tool, 1e-4));
-  EXPECT_NEAR(replay(wrong, out, chain, setup.tool).tip, 1e-4, 1e-9);
+  std::istringstream wrong(recording(chain, setup.mounted.tool, 1e-4));
+  EXPECT_NEAR(replay(wrong, out, chain, setup.mounted.tool).tip, 1e-4, 1e-9);
 }
 
 TEST(Replay, BrokenFilesAreRefused) {
   surg_control_test::SmallCell cell;
   const ArmSetup setup = load_arm(cell.cell(), "");
   const surg::Chain chain = load_model(setup.robot, setup.robot_urdf).chain;
-  const std::string good = recording(chain, setup.tool, 0);
+  const std::string good = recording(chain, setup.mounted.tool, 0);
   for (const std::string& text :
        {std::string(), std::string("a,b\n1,2\n"), good.substr(0, good.size() / 2), good + "1,2\n",
         good + "1,1,1,x,a,1,1,1,1,1,1,1,1,1,1,1,1,1\n"}) {
     std::istringstream in(text);
     std::ostringstream out;
-    EXPECT_THROW(replay(in, out, chain, setup.tool), ReplayError);
+    EXPECT_THROW(replay(in, out, chain, setup.mounted.tool), ReplayError);
   }
 }
 

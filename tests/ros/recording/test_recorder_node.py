@@ -15,6 +15,7 @@ import pytest
 
 from helpers.graph.ros import RosGraph
 from helpers.graph.statuses import sim_status
+from surg_cli.host import paths
 
 rospy = pytest.importorskip("rospy")
 surg_msgs = pytest.importorskip("surg_msgs.msg")
@@ -23,7 +24,7 @@ from geometry_msgs.msg import PoseStamped  # noqa: E402
 from sensor_msgs.msg import Image  # noqa: E402
 from std_msgs.msg import Bool, String  # noqa: E402
 
-from crtk_msgs.msg import OperatingState  # noqa: E402
+from crtk_msgs.msg import OperatingState, StringStamped  # noqa: E402
 from surg_recording.episode import episode_reader  # noqa: E402
 
 pytestmark = pytest.mark.ros
@@ -215,6 +216,34 @@ def test_start_and_stop_by_topic_make_one_episode_each(
         recorded = episode_reader.read(tmp_path / name)
         assert recorded.complete, recorded.manifest["reason"]
         assert list(recorded.cycle("PSM1")["tick"]) == list(range(1, 51))
+
+
+def test_a_tool_change_ends_the_recording(
+    bench: Bench, ros_graph: RosGraph, tmp_path: Path
+) -> None:
+    cell = paths.ROOT / "cells" / "sim_ur5e"
+    stated = "../../src/surg_description/instruments/grasper.yaml calibration/tool_PSM1.yaml"
+    other = stated.replace("tool_PSM1", "trocar_PSM1")  # whatever it holds: the manifest has it
+    tool = rospy.Publisher("/PSM1/tool/mounted", StringStamped, queue_size=1, latch=True)
+    _start(ros_graph, tmp_path, mode="freerun", cameras=[], autostart=False, cell=str(cell))
+    _until(lambda: bench.recording is False, "the recorder")
+    _until(lambda: tool.get_num_connections() > 0, "the recorder at the tool")
+    tool.publish(StringStamped(string=stated))
+    time.sleep(0.3)
+    found = []
+    for mounted in (other, stated):
+        bench.record.publish(True)
+        _until(lambda: bench.recording is True, "the start")
+        tool.publish(StringStamped(string=mounted))
+        _until(lambda: bench.recording is False, "the end by the tool")
+        _until(lambda: bench.status.finished not in {"", *found}, "the episode")
+        found.append(bench.status.finished)
+    first, second = (episode_reader.read(Path(folder)).manifest for folder in found)
+    assert first["cell"]["arms"]["PSM1"]["mounted"] == stated
+    assert second["cell"]["arms"]["PSM1"]["mounted"] == other
+    assert second["cell"]["arms"]["PSM1"]["tool"]["format"] == "surg_trocar/1"
+    assert any("tool was changed" in warning for warning in first["warnings"]), first["warnings"]
+    tool.unregister()
 
 
 def test_sigterm_finishes_and_kill_is_recovered(

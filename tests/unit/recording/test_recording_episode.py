@@ -311,6 +311,11 @@ def test_a_cell_is_described_with_every_file(tmp_path: Path) -> None:
     assert arm["tool"] == {"tip": [0, 0, 0.3]}
     assert len(found["files"]) == 5
     assert len(found["problems"]) == 1 and "trocar_PSM1" in found["problems"][0]
+    (cell / "next.yaml").write_text("tip: [0, 0, 0.4]\n")
+    other = provenance.describe_cell(cell, {"PSM1": "../i.yaml next.yaml"})["arms"]["PSM1"]
+    assert (other["instrument"], other["tool"]) == ({"name": "i"}, {"tip": [0, 0, 0.4]})
+    assert other["mounted"] == "../i.yaml next.yaml"
+    assert arm["mounted"] == "../i.yaml calibration/tool_PSM1.yaml"
     before = (found["hash"], arm["limits_hash"])
     (tmp_path / "r.yaml").write_text("name: r\nurdf: r.urdf\nlimits: {cone: 1.0, depth_max: 0.1}\n")
     again = provenance.describe_cell(cell / "cell.yaml")

@@ -7,9 +7,11 @@
 #include <charconv>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
 #include <limits>
 #include <optional>
 #include <sstream>
+#include <vector>
 
 namespace surg_control {
 namespace {
@@ -190,22 +192,51 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   const std::string& name = setup.arm.name;
   setup.X_WB = pose_from_xyz_rpy(setup.arm.base_xyz, setup.arm.base_rpy);
   const std::string robot_file = beside(cell_file, setup.arm.robot);
-  const std::string instrument_file = beside(cell_file, setup.arm.instrument);
   setup.robot = surg::with_home(surg::parse_robot(load_document(robot_file)), setup.arm, cell_file);
   setup.robot = surg::with_link(setup.robot, load_link(setup.arm, cell_file));
-  setup.instrument = surg::parse_instrument(load_document(instrument_file));
   setup.limits = surg::tighten(setup.robot.limits, setup.arm, cell_file);
-  const std::string tool_file = beside(cell_file, "calibration/tool_" + name + ".yaml");
-  setup.tool = surg::parse_tool(load_document(tool_file));
-  surg::check_tool(setup.tool, setup.limits, tool_file);
+  setup.mounted = load_tool(setup, "");
   setup.trocar =
       surg::parse_trocar(load_document(beside(cell_file, "calibration/trocar_" + name + ".yaml")));
   setup.robot_urdf = beside(robot_file, setup.robot.urdf);
-  setup.instrument_urdf = beside(instrument_file, setup.instrument.urdf);
-  if (!fs::is_regular_file(setup.instrument_urdf, error)) {
-    refuse(instrument_file, 0, "urdf: " + setup.instrument_urdf + " is not a file");
-  }
   return setup;
+}
+
+MountedTool load_tool(const ArmSetup& setup, const std::string& words) {
+  std::istringstream stream(words);
+  std::vector<std::string> files{std::istream_iterator<std::string>(stream), {}};
+  const std::string of_cell = "calibration/tool_" + setup.arm.name + ".yaml";
+  if (files.size() > 2) {
+    throw surg::ConfigError("'" + words +
+                            "' has more than two words; allowed are an instrument's YAML and its "
+                            "calibration file, relative to the cell's folder");
+  }
+  const std::string& cell_file = setup.cell_file;
+  MountedTool tool;
+  tool.instrument_file = files.empty() ? setup.arm.instrument : files[0];
+  const std::string instrument_file = beside(cell_file, tool.instrument_file);
+  if (files.size() == 1 && instrument_file != beside(cell_file, setup.arm.instrument)) {
+    throw surg::ConfigError("'" + words + "' is not the cell's instrument, to which " + of_cell +
+                            " belongs: name its calibration file as a second word");
+  }
+  tool.calibration_file = files.size() == 2 ? files[1] : of_cell;
+  tool.instrument = surg::parse_instrument(load_document(instrument_file));
+  const MountedTool& first = setup.mounted;
+  if (!first.instrument_file.empty() && tool.instrument.passive != first.instrument.passive) {
+    refuse(instrument_file, 0,
+           "passive: the arm started with an instrument that " +
+               std::string(first.instrument.passive ? "nobody drives" : "a tool link drives") +
+               ", and keeps to that: start it again");
+  }
+  const std::string tool_file = beside(cell_file, tool.calibration_file);
+  tool.tool = surg::parse_tool(load_document(tool_file));
+  surg::check_tool(tool.tool, setup.limits, tool_file);
+  tool.instrument_urdf = beside(instrument_file, tool.instrument.urdf);
+  std::error_code error;
+  if (!fs::is_regular_file(tool.instrument_urdf, error)) {
+    refuse(instrument_file, 0, "urdf: " + tool.instrument_urdf + " is not a file");
+  }
+  return tool;
 }
 
 }  // namespace surg_control

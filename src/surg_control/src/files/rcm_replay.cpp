@@ -120,7 +120,7 @@ int main(int argc, char** argv) {
     std::ofstream out(arguments.out);
     if (!out) wrong("cannot write '" + arguments.out + "'");
     const surg_control::ReplayReport report =
-        surg_control::replay(in, out, model.chain, setup.tool);
+        surg_control::replay(in, out, model.chain, setup.mounted.tool);
     out.flush();
     if (!out) wrong("cannot write all of '" + arguments.out + "': is the disk full?");
     std::printf("%llu cycles recomputed, %llu without a joint state\n",

@@ -48,6 +48,8 @@ surg::Reason ControlCycle::answer(const CommandItem& item, std::int64_t now_ns) 
   switch (item.kind) {
     case CommandItem::Kind::kState:
       return request(item.state);
+    case CommandItem::Kind::kTool:
+      return change_tool(*item.tool);
     case CommandItem::Kind::kSetRcm:
       return box_.set_rcm(item.p_B);
     case CommandItem::Kind::kSetFixture:
@@ -88,6 +90,12 @@ void ControlCycle::note_fixtures() {
     record_.fixtures = controller_.fixtures();
     ++record_.fixtures_version;
   }
+}
+
+surg::Reason ControlCycle::change_tool(const MountedTool& tool) {
+  const surg::Reason reason = box_.change_tool(tool.instrument, tool.tool);
+  if (reason == surg::Reason::kNone) record_.tool = &tool;
+  return reason;
 }
 
 surg::Reason ControlCycle::set_frame(const CommandItem& item) {

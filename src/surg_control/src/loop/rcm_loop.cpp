@@ -51,8 +51,9 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   law.dt = kTick;
   law.feedback_gain = options_.feedback_gain;
   law.track_rcm = options_.track_rcm;
-  surg::ControllerSetup made{model_.chain,      setup_.robot, setup_.limits,
-                             setup_.instrument, setup_.tool,  law};
+  surg::ControllerSetup made{model_.chain,        setup_.robot,
+                             setup_.limits,       setup_.mounted.instrument,
+                             setup_.mounted.tool, law};
   controller_ = std::make_unique<surg::Controller>(made.chain, made.robot, made.limits,
                                                    made.instrument, made.tool, made.options);
   box_ = std::make_unique<surg::BlackBox>(*controller_, made);
@@ -78,6 +79,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   }
   command_subscribers_ = std::make_unique<CommandSubscribers>(
       node_, arm_, options_.track_rcm, options_.lockstep ? kUnbounded : kCommandQueue,
+      [this](const std::string& words) { return read_tool(words); },
       [this](const std::string& topic, const std::string& caller, const ros::Time& stamp,
              Decoded decoded) { on_command(topic, caller, stamp, std::move(decoded)); });
   subscribe_link();
@@ -122,7 +124,7 @@ void RcmLoop::on_tick(const LinkState& state) {
 
 void RcmLoop::try_step() {
   if (robot_tick_ <= answered_tick_) return;
-  if (tool_tick_ != robot_tick_ && !setup_.instrument.passive) return;
+  if (tool_tick_ != robot_tick_ && !setup_.mounted.instrument.passive) return;
   if (status_tick_ != robot_tick_) return;
   // While exiting, commands are ignored, so there is nothing to wait for.
   if (!exiting_ && !lockstep_gate_.due(robot_tick_)) return;
@@ -224,6 +226,7 @@ void RcmLoop::disable_if_exiting() {
 
 void RcmLoop::update_at_rest() {
   const surg::Outputs& out = cycle_->record().out;
+  disabled_ = out.state == surg::State::kDisabled;
   if (disabled_for_exit_ && out.qd_command.isZero(0) && out.twist_command.isZero(0))
     at_rest_ = true;
 }
@@ -284,7 +287,7 @@ void RcmLoop::run(const std::atomic<bool>& stop) {
   reporter_->status(arm_ + ": controller of cell " + setup_.cell_name + " runs in " +
                     (options_.lockstep ? "lock-step" : "free-run"));
   for (const auto& [what, source] :
-       {std::pair{"tool", &setup_.tool.source}, std::pair{"trocar", &setup_.trocar.source}}) {
+       {std::pair{"tool", &setup_.mounted.tool.source}, std::pair{"trocar", &setup_.trocar.source}}) {
     if (setup_.arm.link == surg::kSimulator || *source == "measured") continue;
     reporter_->warning_once(what, arm_ + ": the calibration of its " + what + " is " + *source +
                                       ", not measured: the pivot is only where it was computed");

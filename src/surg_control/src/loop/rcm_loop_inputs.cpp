@@ -104,6 +104,25 @@ void RcmLoop::on_command(const std::string& topic, const std::string& caller,
   if (options_.lockstep) try_step();
 }
 
+/// Reads a tool's files here, not in the control thread; of an enabled arm not at all, since a slow
+/// disk would hold up its joint states. The cycle judges again.
+Decoded RcmLoop::read_tool(const std::string& words) {
+  Decoded decoded;
+  decoded.item.kind = CommandItem::Kind::kTool;
+  if (!disabled_) {
+    decoded.reason = surg::Reason::kToolWhileEnabled;
+    decoded.detail = surg::sentence(decoded.reason);
+    return decoded;
+  }
+  try {
+    decoded.item.tool = &tools_.emplace_back(load_tool(setup_, words));
+  } catch (const surg::ConfigError& error) {
+    decoded.reason = surg::Reason::kRefusedTransition;
+    decoded.detail = std::string(error.what()) + "; the old tool stays mounted";
+  }
+  return decoded;
+}
+
 /// Queues a command for the next cycle; false if there is no room.
 bool RcmLoop::enqueue(const std::string& topic, const std::string& sender, const Decoded& decoded) {
   if (options_.lockstep) return lockstep_gate_.push(sender, topic, decoded.item);

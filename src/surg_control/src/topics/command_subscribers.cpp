@@ -14,10 +14,10 @@ using sensor_msgs::JointState;
 using surg::Motion;
 
 CommandSubscribers::CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool track,
-                                       std::uint32_t queue, Sink sink)
+                                       std::uint32_t queue, ToolReader read_tool, Sink sink)
     : node_(node), arm_(arm), queue_(queue), sink_(std::move(sink)) {
   subscribe_motions();
-  subscribe_others(track);
+  subscribe_others(track, read_tool);
 }
 
 template <typename Message>
@@ -63,7 +63,7 @@ void CommandSubscribers::subscribe_motions() {
                              [](const std_msgs::Empty&) { return decode_hold(); });
 }
 
-void CommandSubscribers::subscribe_others(bool track) {
+void CommandSubscribers::subscribe_others(bool track, const ToolReader& read_tool) {
   const std::string base = arm_ + "_base";
   const std::string rcm = arm_ + "_rcm";
   const std::string user = arm_ + "_user";
@@ -71,6 +71,9 @@ void CommandSubscribers::subscribe_others(bool track) {
   subscribe<std_msgs::Empty>("authority/claim",
                              [](const std_msgs::Empty&) { return decode_claim(); });
   subscribe<StringStamped>("servo_cp/at_wall", decode_at_wall);
+  subscribe<StringStamped>("tool/mount", [read_tool](const StringStamped& message) {
+    return read_tool(message.string);
+  });
   subscribe<PoseStamped>("set_base_frame", [rcm, user](const PoseStamped& message) {
     return decode_base_frame(message, rcm, user);
   });

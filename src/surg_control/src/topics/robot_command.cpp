@@ -13,9 +13,7 @@ constexpr std::uint64_t kJawlessCycles = 5;  // 100 Hz: nothing moves, but its l
 }  // namespace
 
 RobotCommand::RobotCommand(ros::NodeHandle& node, const ArmSetup& setup, bool twist, bool lockstep)
-    : twist_(twist),
-      tool_cycles_(
-          lockstep || setup.instrument.jaw_min < setup.instrument.jaw_max ? 1 : kJawlessCycles) {
+    : twist_(twist), lockstep_(lockstep), at_start_(setup.mounted.instrument) {
   const std::uint32_t queue = lockstep ? 0 : 1;
   const std::string prefix = "/" + setup.arm.name + "/";
   robot_ = twist ? node.advertise<geometry_msgs::TwistStamped>(prefix + "robot/servo_cv", queue)
@@ -41,7 +39,9 @@ void RobotCommand::send(const LinkCommand& command) {
     joint_command_.velocity.assign(qd.data(), qd.data() + qd.size());
     robot_.publish(joint_command_);
   }
-  if (command.tick % tool_cycles_ != 0) return;
+  const surg::InstrumentConfig& mounted = command.tool ? command.tool->instrument : at_start_;
+  const bool every_cycle = lockstep_ || mounted.jaw_min < mounted.jaw_max;
+  if (!every_cycle && command.tick % kJawlessCycles != 0) return;
   if (!std::isfinite(command.jaw)) return;  // F31: an unknown jaw is not told to move
   tool_command_.header.stamp = stamp;
   tool_command_.position.assign(1, command.jaw);

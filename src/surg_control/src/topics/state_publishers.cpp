@@ -1,6 +1,7 @@
 #include "surg_control/topics/state_publishers.hpp"
 
 #include <crtk_msgs/OperatingState.h>
+#include <crtk_msgs/StringStamped.h>
 #include <surg_msgs/Fixtures.h>
 #include <tf2_msgs/TFMessage.h>
 
@@ -50,7 +51,7 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
       flange_(arm_ + "_flange"),
       tool_(arm_ + "_tool"),
       rcm_(arm_ + "_rcm"),
-      p_FTip_(setup.tool.p_FTip),
+      at_start_(setup.mounted),
       chain_(model.chain),
       lockstep_(info.lockstep),
       sources_(sources),
@@ -66,6 +67,8 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
       tf_static_(node.advertise<tf2_msgs::TFMessage>("/tf_static", 1, true)),
       rcm_limit_(node.advertise<surg_msgs::ScalarStamped>("/" + arm_ + "/rcm/limit", 1, true)),
       fixtures_(node.advertise<surg_msgs::Fixtures>("/" + arm_ + "/fixtures", 1, true)),
+      mounted_tool_(
+          node.advertise<crtk_msgs::StringStamped>("/" + arm_ + "/tool/mounted", 1, true)),
       measured_js_(node, "/" + arm_ + "/measured_js"),
       setpoint_js_(node, "/" + arm_ + "/setpoint_js"),
       jaw_measured_js_(node, "/" + arm_ + "/jaw/measured_js"),
@@ -84,6 +87,7 @@ StatePublishers::StatePublishers(ros::NodeHandle& node, const ArmSetup& setup, c
   limit.header.frame_id = base_;
   limit.value = setup.limits.rcm_error_fault;
   rcm_limit_.publish(limit);
+  publish_tool(at_start_);
   publish_static_tf(setup, model);
   publish_state(CycleRecord(), true);
 }
@@ -100,6 +104,13 @@ void StatePublishers::publish_static_tf(const ArmSetup& setup, const Model& mode
   tf_static_.publish(message);
 }
 
+void StatePublishers::publish_tool(const MountedTool& tool) {
+  crtk_msgs::StringStamped message;
+  message.header.stamp = wall_time();
+  message.string = tool.instrument_file + " " + tool.calibration_file;
+  mounted_tool_.publish(message);
+}
+
 void StatePublishers::publish_cycle(const CycleRecord& record) {
   if (record.stamp_ns == 0) return;
   encode_cycle(record, base_, sources_, cycle_message_);
@@ -109,6 +120,8 @@ void StatePublishers::publish_cycle(const CycleRecord& record) {
 void StatePublishers::publish_rest(const CycleRecord& record, double now) {
   publish_state(record, reporter_.report(record, now));
   publish_fixtures(record);
+  if (record.tool != mounted_) publish_tool(*record.tool);
+  mounted_ = record.tool;
   if (feedback_due(record.tick, lockstep_)) {
     publish_feedback(record);
     publish_rcm(record);
@@ -236,7 +249,7 @@ void StatePublishers::publish_tf(const CycleRecord& record) {
   surg::Pose X_FTool = surg::Pose::Identity();
   X_FTool.linear() = record.out.X_BF.linear().transpose() * record.X_BR.linear() *
                      record.q_RTool.toRotationMatrix();
-  X_FTool.translation() = p_FTip_;
+  X_FTool.translation() = (record.tool ? record.tool : &at_start_)->tool.p_FTip;
   tf2_msgs::TFMessage message;
   message.transforms.push_back(transform(record, flange_, record.out.X_BF, base_));
   message.transforms.push_back(transform(record, tool_, X_FTool, flange_));

@@ -32,6 +32,8 @@ const char* topic_of_answer(const Answer& answer) {
   switch (answer.kind) {
     case CommandItem::Kind::kState:
       return word_of(answer.state);
+    case CommandItem::Kind::kTool:
+      return "tool/mount";
     case CommandItem::Kind::kSetRcm:
       return "rcm/set_cp";
     case CommandItem::Kind::kSetFixture:
@@ -132,7 +134,11 @@ void StatusReporter::report_answers(const CycleRecord& record, double now) {
     }
     const std::string from =
         arm_ + ": " + topic_of_answer(answer) + " from " + sources_.name(answer.source);
-    if (answer.kind == CommandItem::Kind::kSetRcm) {
+    if (answer.kind == CommandItem::Kind::kTool && record.tool != nullptr) {
+      const MountedTool& tool = *record.tool;
+      status(from + ": '" + tool.instrument.name + "' is mounted, with " + tool.calibration_file +
+             " of " + tool.tool.date + ": home the arm again");
+    } else if (answer.kind == CommandItem::Kind::kSetRcm) {
       status(from + ": trocar point taught");
     } else if (answer.kind == CommandItem::Kind::kSetFrame) {
       status(from + ": commands and measured_cp are in '" + record.frame.name.c_str() + "' now");

@@ -127,6 +127,9 @@ class Controller {
   Reason set_fixture(const Fixture& fixture);
   Reason remove_fixture(std::string_view name);
   const Fixtures& fixtures() const;  ///< in B
+  /// Changes instrument and calibration; only in DISABLED and at rest. The trocar point stays;
+  /// home, trace and targets do not. Never allocates.
+  Reason change_tool(const InstrumentConfig& instrument, const ToolCalibration& tool);
   /// Enters FAULT for an external reason (node: overrun and the like).
   void fault(Reason reason);
   void pause(Reason reason);

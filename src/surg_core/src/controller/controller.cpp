@@ -168,6 +168,10 @@ Reason Controller::remove_fixture(std::string_view name) { return impl_->remove_
 
 const Fixtures& Controller::fixtures() const { return impl_->fixtures; }
 
+Reason Controller::change_tool(const InstrumentConfig& instrument, const ToolCalibration& tool) {
+  return impl_->change_tool(instrument, tool);
+}
+
 void Controller::fault(Reason reason) { impl_->fault(reason); }
 
 void Controller::pause(Reason reason) { impl_->pause(reason); }

@@ -117,6 +117,7 @@ struct Controller::Impl {
   Reason remove_fixture(std::string_view name);
   /// Hands the regions to the set-point, after they or the rcm frame have changed.
   void place_fixtures();
+  Reason change_tool(const InstrumentConfig& instrument, const ToolCalibration& calibration);
   /// Whether the arm moves under this controller.
   bool is_moving() const;
   /// Whether the reference (or the last command) is at rest; what remains only holds the position.

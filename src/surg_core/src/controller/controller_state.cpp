@@ -109,6 +109,23 @@ Reason Controller::Impl::remove_fixture(std::string_view name) {
 
 void Controller::Impl::place_fixtures() { handler.set_fixtures(fixtures.in_frame(X_BR.inverse())); }
 
+Reason Controller::Impl::change_tool(const InstrumentConfig& instrument,
+                                     const ToolCalibration& calibration) {
+  const bool rests = may_stop_at_once();
+  if (operating.state() != State::kDisabled) return Reason::kToolWhileEnabled;
+  if (!rests) return Reason::kNotAtRest;
+  const Tool tool{calibration.s_F, calibration.p_FTip};
+  operating.request(StateCommand::kUnhome, {});  // home shaft and roll belong to the old tool
+  halt();
+  trace.clear();
+  retraced = 0;
+  arm.mount(tool, trocar);
+  limited.mount(tool);
+  jaw = Jaw(instrument, T);
+  inserted = false;
+  return Reason::kNone;
+}
+
 bool Controller::Impl::is_moving() const {
   const bool known = state_known && !halted && !fading && operating.homed();
   return known && (handler.setpoint().mode() != Setpoint::Mode::kRest || !reference_at_rest());

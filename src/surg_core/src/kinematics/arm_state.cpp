@@ -46,6 +46,14 @@ void ArmState::sense(const JointVector& q, const JointVector& qd, const Trocar& 
   }
 }
 
+void ArmState::mount(const Tool& tool, const Trocar& trocar) {
+  tool_ = tool;
+  homed_ = false;
+  evaluate(measured_.q, trocar.p_B(), measured_);
+  measured_.roll = 0;
+  predicted_ = measured_;
+}
+
 void ArmState::set_home() {
   s_home_ = measured_.shaft.s;
   R_home_ = measured_.X_BF.linear();

@@ -91,6 +91,17 @@ Reason BlackBox::remove_fixture(std::string_view name) {
   return answer;
 }
 
+Reason BlackBox::change_tool(const InstrumentConfig& instrument, const ToolCalibration& tool) {
+  if (frozen() || countdown_ > 0) return Reason::kNotAtRest;
+  const Reason answer = controller_.change_tool(instrument, tool);
+  if (answer != Reason::kNone) return answer;
+  instrument_ = &instrument;
+  tool_ = &tool;
+  present_ = -1;
+  used_ = 0;
+  return Reason::kNone;
+}
+
 void BlackBox::fault(Reason reason) {
   BlackBoxEvent* event = note(BlackBoxEvent::Kind::kFault);
   if (event) event->reason = reason;
@@ -159,6 +170,8 @@ BlackBoxRecording BlackBox::recording(const BlackBoxLabel& label) const {
   BlackBoxRecording recording;
   recording.label = label;
   recording.setup = setup_;
+  if (instrument_) recording.setup.instrument = *instrument_;
+  if (tool_) recording.setup.tool = *tool_;
   int trailing = 0;  // calls behind the last step of the block before
   for (int i = 0; i < used_; ++i) {
     const Block& block = blocks_[(present_ + 1 + kBlocks - used_ + i) % kBlocks];

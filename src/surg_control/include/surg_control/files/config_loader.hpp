@@ -10,6 +10,14 @@
 
 namespace surg_control {
 
+/// An instrument with its calibration, read and checked. Paths are relative to the cell's folder.
+struct MountedTool {
+  std::string instrument_file, calibration_file;
+  surg::InstrumentConfig instrument;
+  surg::ToolCalibration tool;
+  std::string instrument_urdf;  ///< resolved
+};
+
 /// One arm of a cell with all its files read, checked and frozen. Paths are resolved.
 struct ArmSetup {
   std::string cell_name;
@@ -17,13 +25,11 @@ struct ArmSetup {
   std::size_t arms_in_cell = 1;
   surg::CellArm arm;
   surg::RobotConfig robot;
-  surg::InstrumentConfig instrument;
-  surg::ToolCalibration tool;
+  MountedTool mounted;
   surg::TrocarCalibration trocar;
   surg::Limits limits;                       ///< the robot's, tightened by the cell
   surg::Pose X_WB = surg::Pose::Identity();  ///< robot base in the world
   std::string robot_urdf;
-  std::string instrument_urdf;
 };
 
 /// Flattens one YAML file: nested keys joined by '.', each with its 1-based line. Scalars follow
@@ -35,5 +41,11 @@ surg::Document load_document(const std::string& path);
 /// Reads the arm 'arm_name' of a cell (its folder or its cell.yaml); an empty name means the only
 /// arm. Throws surg::ConfigError.
 ArmSetup load_arm(const std::string& cell, const std::string& arm_name);
+
+/// Reads another tool for an arm with the checks of a start. 'words': the instrument's YAML and,
+/// after a blank, its calibration file; both relative to the cell's folder. Without words: what the
+/// cell states. Another instrument than the cell's needs its own calibration file. Throws
+/// surg::ConfigError.
+MountedTool load_tool(const ArmSetup& setup, const std::string& words);
 
 }  // namespace surg_control

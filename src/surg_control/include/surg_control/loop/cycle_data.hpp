@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <limits>
 
+#include "surg_control/files/config_loader.hpp"
 #include "surg_control/topics/base_frame.hpp"
 #include "surg_core/controller.hpp"
 
@@ -19,6 +20,7 @@ constexpr double kTick = 0.002;  ///< [s]
 struct CommandItem {
   enum class Kind : std::uint8_t {
     kState,
+    kTool,
     kSetRcm,
     kSetFixture,
     kRemoveFixture,
@@ -39,6 +41,7 @@ struct CommandItem {
   surg::Pose X_UR = surg::Pose::Identity();  ///< kSetFrame
   bool slide = false;                        ///< kAtWall
   surg::Fixture fixture;                     ///< kSetFixture, in B; kRemoveFixture: its name
+  const MountedTool* tool = nullptr;         ///< kTool; lives as long as the node
   surg::MotionCommand motion;  ///< kMotion; poses and twists still in 'frame', not in R
   /// servo_cv: the complete angular velocity. The cycle projects it onto the shaft to get
   /// roll_rate.
@@ -90,6 +93,7 @@ struct CycleRecord {
   Eigen::Quaterniond q_RTool = Eigen::Quaterniond::Identity();  ///< measured
   Eigen::Quaterniond q_RSet = Eigen::Quaterniond::Identity();
   Eigen::Quaterniond q_RGoal = Eigen::Quaterniond::Identity();
+  const MountedTool* tool = nullptr;   ///< mounted now; null: as at the start
   BaseFrame frame;                     ///< of commands and measured_cp
   surg::Fixtures fixtures;             ///< in B
   std::uint32_t fixtures_version = 0;  ///< counts their changes
@@ -112,10 +116,11 @@ struct LinkCommand {
   surg::JointVector qd;                         ///< [rad/s]
   surg::Vector6 twist = surg::Vector6::Zero();  ///< of the flange
   double jaw = 0;                               ///< [rad]; not finite: unknown
+  const MountedTool* tool = nullptr;            ///< as in CycleRecord
 
   static LinkCommand of(const CycleRecord& record) {
-    return {record.stamp_ns, record.tick, record.out.qd_command, record.out.twist_command,
-            record.out.jaw_set};
+    return {record.stamp_ns,          record.tick,        record.out.qd_command,
+            record.out.twist_command, record.out.jaw_set, record.tool};
   }
   /// Zero velocity; the jaw as it was.
   LinkCommand at_rest() const {

@@ -11,6 +11,7 @@
 #include <surg_msgs/Ready.h>
 
 #include <atomic>
+#include <deque>
 #include <exception>
 #include <memory>
 #include <mutex>
@@ -57,6 +58,7 @@ class RcmLoop {
   void subscribe_link();
   void on_command(const std::string& topic, const std::string& caller, const ros::Time& stamp,
                   Decoded decoded);
+  Decoded read_tool(const std::string& words);
   bool enqueue(const std::string& topic, const std::string& caller, const Decoded& decoded);
   void on_robot_state(const sensor_msgs::JointState& message);
   void on_force(const geometry_msgs::WrenchStamped& message, MeasuredForce LinkState::*which);
@@ -91,6 +93,7 @@ class RcmLoop {
   ArmSetup setup_;
   Model model_;
   std::string arm_;
+  std::deque<MountedTool> tools_;  // every one that was read; cycles and black box point to them
   std::unique_ptr<surg::Controller> controller_;
   std::unique_ptr<surg::BlackBox> box_;
   std::unique_ptr<ControlCycle> cycle_;
@@ -110,6 +113,8 @@ class RcmLoop {
   std::vector<ros::Subscriber> subscribers_;
   std::string sends_;             // "joint_velocity" or "cartesian_velocity"
   bool time_is_checked_ = false;  // a link does not change its mode
+
+  std::atomic<bool> disabled_{true};  // after the last cycle
 
   LinkState link_;  // as received; in free-run handed over through latest_link_
   std::atomic<std::uint32_t> refused_by_node_{0};

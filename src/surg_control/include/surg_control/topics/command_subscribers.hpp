@@ -20,15 +20,18 @@ class CommandSubscribers {
   using Sink = std::function<void(const std::string& topic, const std::string& caller,
                                   const ros::Time& stamp, Decoded decoded)>;
 
+  /// Reads the files of a tool/mount.
+  using ToolReader = std::function<Decoded(const std::string& words)>;
+
   /// 'track': subscribe to rcm/track; 'queue': size of each subscriber's queue, 0 for unbounded.
   CommandSubscribers(ros::NodeHandle& node, const std::string& arm, bool track, std::uint32_t queue,
-                     Sink sink);
+                     ToolReader read_tool, Sink sink);
 
  private:
   template <typename Message>
   void subscribe(const std::string& topic, std::function<Decoded(const Message&)> decode);
   void subscribe_motions();
-  void subscribe_others(bool track);
+  void subscribe_others(bool track, const ToolReader& read_tool);
 
   ros::NodeHandle& node_;
   std::string arm_;

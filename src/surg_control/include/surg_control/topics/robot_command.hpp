@@ -23,7 +23,8 @@ class RobotCommand {
 
  private:
   bool twist_;
-  std::uint64_t tool_cycles_;  // between two messages to the tool
+  bool lockstep_;
+  surg::InstrumentConfig at_start_;
   ros::Publisher robot_, tool_;
   sensor_msgs::JointState joint_command_, tool_command_;
   geometry_msgs::TwistStamped twist_command_;

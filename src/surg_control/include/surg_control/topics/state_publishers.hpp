@@ -61,6 +61,7 @@ class StatePublishers {
  private:
   void publish_feedback(const CycleRecord& record);
   void publish_tip(const CycleRecord& record, bool valid);
+  void publish_tool(const MountedTool& tool);
   void publish_elbow(const CycleRecord& record, bool valid);
   void publish_rcm(const CycleRecord& record);
   void publish_state(const CycleRecord& record, bool changed);
@@ -71,14 +72,16 @@ class StatePublishers {
                                             const surg::Pose& X, const std::string& parent) const;
 
   std::string arm_, base_, flange_, tool_, rcm_;
-  surg::Vector3 p_FTip_;
+  MountedTool at_start_;
+  const MountedTool* mounted_ = nullptr;  // published last
   surg::Chain chain_;
   bool lockstep_;
   const SourceTable& sources_;
   StatusReporter& reporter_;
   Diagnostics diagnostics_;
 
-  ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_, fixtures_;
+  ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_, fixtures_,
+      mounted_tool_;
   std::int64_t fixtures_version_ = -1;  // published last
   Feedback<sensor_msgs::JointState> measured_js_, setpoint_js_, jaw_measured_js_, jaw_setpoint_js_,
       elbow_measured_js_, elbow_goal_js_;

@@ -32,6 +32,8 @@ class ArmState {
   void sense(const JointVector& q, const JointVector& qd, const Trocar& trocar);
   /// Recomputes the measured state for a newly taught trocar.
   void update_trocar(const Trocar& trocar) { evaluate(measured_.q, trocar.p_B(), measured_); }
+  /// Another instrument: the measured state as seen with it.
+  void mount(const Tool& tool, const Trocar& trocar);
   /// Makes the present shaft and orientation the zero of roll.
   void set_home();
   /// Adds a command to the motion that is commanded but not yet measured.

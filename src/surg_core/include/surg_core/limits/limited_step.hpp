@@ -106,6 +106,7 @@ class LimitedStep {
   Step retrace(const JointVector& q, const JointVector& qd_last, const JointTrace& trace,
                double back, double rate, const Vector3& p_BRcm, double flange_lead = 0) const;
 
+  void mount(const Tool& tool) { tool_ = tool; }
   const JointLimits& limits() const { return limits_; }
   const Barrier& barrier() const { return barrier_; }
 

@@ -89,6 +89,9 @@ class BlackBox {
   Reason set_rcm(const Vector3& p_BRcm);
   Reason set_fixture(const Fixture& fixture);
   Reason remove_fixture(std::string_view name);
+  /// The recording begins anew with the new tool; refused with kNotAtRest until the last FAULT has
+  /// been written. Both must outlive the box.
+  Reason change_tool(const InstrumentConfig& instrument, const ToolCalibration& tool);
   void fault(Reason reason);
   void pause(Reason reason);
   Reason claim(std::uint32_t source);
@@ -120,6 +123,8 @@ class BlackBox {
 
   Controller& controller_;
   ControllerSetup setup_;
+  const InstrumentConfig* instrument_ = nullptr;  // mounted instead of the setup's
+  const ToolCalibration* tool_ = nullptr;
   std::vector<Block> blocks_;
   int present_ = -1;   ///< index into blocks_; -1: nothing recorded
   int used_ = 0;       ///< blocks that hold something

@@ -13,6 +13,7 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,19 +24,27 @@ import surg_recording
 _PACKAGES = ("numpy", "scipy", "mujoco", "av", "opencv-python", "surg_core", "surg_recording")
 
 
-def describe_cell(cell: Path) -> dict[str, Any]:
+def describe_cell(cell: Path, mounted: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Everything that a cell (its folder or its ``cell.yaml``) consists of.
+
+    Args:
+        cell: The folder or the file.
+        mounted: Instrument and calibration by arm as on ``tool/mounted``, where they are known:
+            two files relative to the cell's folder. Others have what the cell states.
 
     Returns:
         ``name``, ``folder``, ``files`` {path: SHA-256}, ``hash`` (SHA-256 over those), ``arms``
-        {name: {robot, instrument, tool, trocar, limits, …}} with the contents of the YAML files and
-        the limits as tightened by the cell. ``problems`` lists files that could not be read.
+        {name: {robot, instrument, tool, trocar, mounted, limits, …}} with the contents of the YAML
+        files and the limits as tightened by the cell. ``problems`` lists files that could not be
+        read.
     """
     files = _CellFiles(cell if cell.is_file() else cell / "cell.yaml")
     content = files.load(files.cell_file)
     stated = content.get("arms")
     arms = {
-        str(name): _describe_arm(str(name), arm if isinstance(arm, dict) else {}, files)
+        str(name): _describe_arm(
+            str(name), arm if isinstance(arm, dict) else {}, files, (mounted or {}).get(name, "")
+        )
         for name, arm in (stated if isinstance(stated, dict) else {}).items()
     }
     total = "".join(f"{path}:{digest}\n" for path, digest in sorted(files.hashes.items()))
@@ -88,9 +97,15 @@ class _CellFiles:
         return os.path.relpath(path, self.cell_file.parent.resolve())
 
 
-def _describe_arm(name: str, arm: dict[str, Any], files: _CellFiles) -> dict[str, Any]:
+def _describe_arm(
+    name: str, arm: dict[str, Any], files: _CellFiles, mounted: str
+) -> dict[str, Any]:
     entry: dict[str, Any] = dict(arm)
     folder = files.cell_file.parent
+    calibrations = {key: f"calibration/{key}_{name}.yaml" for key in ("tool", "trocar")}
+    if len(words := mounted.split()) == 2:
+        entry["instrument"], calibrations["tool"] = words
+    entry["mounted"] = f"{entry.get('instrument', '')} {calibrations['tool']}"
     for key in ("robot", "instrument"):
         path = (folder / str(entry.get(key, ""))).resolve()
         part = files.load(path)
@@ -98,8 +113,8 @@ def _describe_arm(name: str, arm: dict[str, Any], files: _CellFiles) -> dict[str
             files.add((path.parent / str(part["urdf"])).resolve())
         entry[f"{key}_file"] = files.relative(path)
         entry[key] = part
-    for key in ("tool", "trocar"):
-        entry[key] = files.load(folder / "calibration" / f"{key}_{name}.yaml")
+    for key, file in calibrations.items():
+        entry[key] = files.load((folder / file).resolve())
     entry["limits"] = {**(entry["robot"].get("limits") or {}), **(entry.get("limits") or {})}
     listed = "".join(f"{key}:{value!r}\n" for key, value in sorted(entry["limits"].items()))
     entry["limits_hash"] = hashlib.sha256(listed.encode()).hexdigest()

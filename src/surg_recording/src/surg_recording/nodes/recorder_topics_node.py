@@ -14,7 +14,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Empty, String
 
-from crtk_msgs.msg import OperatingState
+from crtk_msgs.msg import OperatingState, StringStamped
 from surg_core.status_check import Newest
 from surg_msgs.msg import ClockSync, Cycle, GroundTruth, SimStatus, TaskState
 from surg_recording.episode import table_rows
@@ -54,7 +54,7 @@ CLOCK_TOPIC = "/clock_sync/status"
 
 def own_topics(arms: Sequence[str]) -> list[str]:
     """Topics that have a table of their own."""
-    names = [*COMMANDS, "cycle", "hold", "operating_state", *TEXTS]
+    names = [*COMMANDS, "cycle", "hold", "operating_state", "tool/mounted", *TEXTS]
     return [
         *(f"/{arm}/{name}" for arm in arms for name in names),
         *(f"/assistant/{name}" for name in ASSISTANT),
@@ -97,6 +97,7 @@ class RecorderTopics:
         for name, kind in COMMANDS.items():
             self._subscribe(f"/{arm}/{name}", kind, self._on_command, arm, name)
         self._subscribe(f"/{arm}/hold", Empty, self._on_hold, arm)
+        self._subscribe(f"/{arm}/tool/mounted", StringStamped, self._on_tool, arm)
         self._subscribe(f"/{arm}/operating_state", OperatingState, self._on_operating_state, arm)
         for name in TEXTS:
             self._subscribe(f"/{arm}/{name}", String, self._on_text, f"/{arm}/{name}")
@@ -165,6 +166,14 @@ class RecorderTopics:
             self._state.operating_states[arm] = text
             stamp = table_rows.nanoseconds(message.header.stamp)
             self._state.event(topic, sender(message), text, stamp)
+
+    def _on_tool(self, arm: str, message: StringStamped) -> None:
+        topic = f"/{arm}/tool/mounted"
+        if not self._is_new(topic, message) or message.string == self._state.mounted.get(arm):
+            return
+        self._state.event(topic, sender(message), message.string)
+        # Ending a recording waits for messages in transit, which this thread may have to take.
+        threading.Thread(target=self._switch.tool_mounted, args=(arm, message.string)).start()
 
     def _on_text(self, topic: str, message: String) -> None:
         if self._is_new(topic, message, message.data):

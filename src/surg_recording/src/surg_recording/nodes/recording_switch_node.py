@@ -40,6 +40,7 @@ class RecordingSwitch:
     def __init__(self, state: RecorderState, announce: Callable[[], None]) -> None:
         self._state, self._announce = state, announce
         self._lock = threading.RLock()
+        self._described: dict[str, Any] | None = None  # the cell at the start of the recording
 
     def start(self) -> None:
         """Begin an episode; does nothing while one is being recorded."""
@@ -51,7 +52,7 @@ class RecordingSwitch:
                 **state.facts,
                 "clock": "simulator ticks" if state.lockstep else "wall clock",
                 "started_ns": state.clock.now_ns(),
-                "cell": provenance.describe_cell(settings.cell) if settings.cell else None,
+                "cell": (cell := self._cell()),
                 "parameters": parameters(),
                 "versions": provenance.versions(),
                 "host": provenance.host(),
@@ -69,6 +70,7 @@ class RecordingSwitch:
                 )
                 state.problem = state.finished = None
                 state.started = True
+                self._described = cell
             except EpisodeError as problem:
                 state.problem, state.started = str(problem), False
                 rospy.logerr("recording does not start: %s", problem)
@@ -76,6 +78,28 @@ class RecordingSwitch:
             for arm, text in state.operating_states.items():
                 state.event(f"/{arm}/operating_state", "", text)
             self._announce()
+
+    def _cell(self) -> dict[str, Any] | None:
+        cell = self._state.settings.cell
+        return provenance.describe_cell(cell, self._state.mounted) if cell else None
+
+    def _names_the_tools(self) -> bool:
+        """Whether the cell was described with the tools that are mounted.
+
+        A controller may say what it has after the start of the recording.
+        """
+        arms = (self._described or {}).get("arms", {})
+        known = {name: entry["mounted"] for name, entry in arms.items()}
+        return all(known.get(arm, files) == files for arm, files in self._state.mounted.items())
+
+    def tool_mounted(self, arm: str, files: str) -> None:
+        """Note an arm's tool. A recording has one tool per arm: a change ends it."""
+        with self._lock:
+            recording, before = self._state.recording, self._state.mounted.get(arm)
+            if recording is not None and before is not None:
+                recording.warn(f"{arm}: the tool was changed from {before!r} to {files!r}")
+                self.stop()
+            self._state.mounted[arm] = files
 
     def stop(self) -> None:
         """End the episode: wait for messages in transit, write everything, finish the folder."""
@@ -108,6 +132,7 @@ class RecordingSwitch:
         known = {
             **state.facts,
             "sim": state.sim_outcome,
+            **({} if self._names_the_tools() else {"cell": self._cell()}),
             "stopped_ns": stopped_ns,
             "repeats": duplicates,
         }

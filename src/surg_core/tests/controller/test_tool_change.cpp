@@ -1,0 +1,157 @@
+// Another instrument without a restart: only DISABLED and at rest; what survives it, and what not.
+#include "support/controller_bench.hpp"
+#include "support/test_support.hpp"
+#include "surg_core/state/black_box.hpp"
+
+namespace surg {
+namespace {
+
+using namespace test;
+
+InstrumentConfig other_instrument() { return {"", "hook", "", "", "", -0.2, 0.4, 1.0}; }
+
+/// 8 mm longer and 2 mm aside, its shaft leaning by 0.5 degrees.
+ToolCalibration other_tool() {
+  ToolCalibration tool = offset_tool();
+  tool.p_FTip += Vector3(0.002, 0, 0.008);
+  tool.s_F = Vector3(0.0087, 0, 1).normalized();
+  return tool;
+}
+
+Vector3 tip_of(const Bench& bench, const ToolCalibration& tool, const JointVector& q) {
+  return bench.chain().forward(q) * tool.p_FTip;
+}
+
+TEST(ToolChange, RefusedUnlessDisabledAndAtRest) {
+  Bench bench;
+  const InstrumentConfig instrument = other_instrument();
+  const ToolCalibration tool = other_tool();
+  Controller& controller = bench.controller();
+  const auto change = [&] { return controller.change_tool(instrument, tool); };
+  EXPECT_EQ(change(), Reason::kToolWhileEnabled);
+  controller.request(StateCommand::kPause);
+  EXPECT_EQ(change(), Reason::kToolWhileEnabled);
+  controller.fault(Reason::kForce);
+  EXPECT_EQ(change(), Reason::kToolWhileEnabled);
+  controller.request(StateCommand::kEnable);
+  for (int i = 0; i < 200; ++i) {
+    MotionCommand command;
+    command.motion = Motion::kServoCv;
+    command.source = kMe;
+    command.p = {0.1, 0, 0};
+    bench.send(command);
+    bench.tick();
+  }
+  controller.request(StateCommand::kDisable);
+  EXPECT_EQ(change(), Reason::kNotAtRest);
+  EXPECT_TRUE(bench.tick().homed) << "a refused change leaves everything as it was";
+  // The old tool is still the one that counts.
+  EXPECT_LT((bench.out().p_BTip - tip_of(bench, offset_tool(), bench.in().q)).norm(), 1e-3);
+  for (int i = 0; i < 300; ++i) bench.tick();
+  HeapWatch watch;
+  EXPECT_EQ(change(), Reason::kNone);
+  EXPECT_EQ(watch.calls(), 0);
+  EXPECT_FALSE(bench.tick().homed);
+}
+
+TEST(ToolChange, NewToolIsTheOneThatMovesOnThePivot) {
+  Bench bench;
+  Controller& controller = bench.controller();
+  const InstrumentConfig instrument = other_instrument();
+  const ToolCalibration tool = other_tool();
+  const Vector3 p_BRcm = bench.out().p_BRcm;
+  controller.request(StateCommand::kDisable);
+  for (int i = 0; i < 100; ++i) bench.tick();
+  ASSERT_EQ(controller.change_tool(instrument, tool), Reason::kNone);
+  bench.in().jaw = 0.3;
+  bench.tick();
+  EXPECT_EQ(bench.out().p_BRcm, p_BRcm) << "the trocar point survives";
+  EXPECT_LT((bench.out().p_BTip - tip_of(bench, tool, bench.in().q)).norm(), 1e-12);
+  // The shaft leans beside the old trocar point, so that is taught anew.
+  EXPECT_GT(bench.out().rcm_error, 5e-4);
+  const Pose X_BF = bench.chain().forward(bench.in().q);
+  const Vector3 s = X_BF.linear() * tool.s_F;
+  ASSERT_EQ(controller.set_rcm(X_BF * tool.p_FTip - 0.12 * s), Reason::kNone);
+  bench.tick();
+  ASSERT_EQ(controller.request(StateCommand::kEnable), Reason::kNone);
+  EXPECT_EQ(bench.tick().qd_command.norm(), 0) << "not before home";
+  ASSERT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
+  const Vector3 trocar = bench.out().p_BRcm;
+  MotionCommand move;
+  move.motion = Motion::kMoveJp;
+  move.source = kMe;
+  move.joints = {0.2, -0.15, 0.13, 0.5};
+  bench.send(move);
+  MotionCommand jaw;
+  jaw.motion = Motion::kJawMoveJp;
+  jaw.source = kMe;
+  jaw.jaw = 2.0;
+  bench.send(jaw);
+  double worst = 0;
+  for (int i = 0; i < 2000; ++i) {
+    bench.tick();
+    bench.in().jaw = bench.out().jaw_set;
+    const Pose X = bench.chain().forward(bench.in().q);
+    const Vector3 axis = X.linear() * tool.s_F;
+    worst = std::max(worst, axis.cross(Vector3(trocar - X * tool.p_FTip)).norm());
+  }
+  std::printf("pivot of the new tool %.2e um\n", 1e6 * worst);
+  EXPECT_LT(worst, 1e-11);
+  EXPECT_NEAR(bench.out().virtual_q[0], 0.2, 1e-3);
+  EXPECT_NEAR(bench.out().virtual_q[2], 0.13, 1e-3);
+  EXPECT_EQ(bench.out().jaw_set, 0.4) << "the new jaw's range";
+}
+
+TEST(ToolChange, OldWayBackAndTargetsAreGone) {
+  Bench bench;
+  Controller& controller = bench.controller();
+  MotionCommand aside;
+  aside.motion = Motion::kMoveJp;
+  aside.source = kMe;
+  aside.joints = {0.1, 0, 0.12, 0};
+  bench.send(aside);
+  for (int i = 0; i < 1500; ++i) bench.tick();
+  controller.request(StateCommand::kDisable);
+  for (int i = 0; i < 100; ++i) bench.tick();
+  const InstrumentConfig instrument = other_instrument();
+  const ToolCalibration tool = offset_tool();
+  ASSERT_EQ(controller.change_tool(instrument, tool), Reason::kNone);
+  bench.tick();
+  ASSERT_EQ(controller.request(StateCommand::kEnable), Reason::kNone);
+  ASSERT_EQ(controller.request(StateCommand::kHome), Reason::kNone);
+  const JointVector q = bench.in().q;
+  MotionCommand back;
+  back.motion = Motion::kRetrace;
+  back.source = kMe;
+  bench.send(back);
+  bool no_trace = false;
+  for (int i = 0; i < 500; ++i) no_trace = bench.tick().reason == Reason::kNoTrace || no_trace;
+  EXPECT_TRUE(no_trace);
+  EXPECT_LT((bench.in().q - q).cwiseAbs().maxCoeff(), 1e-3);
+}
+
+TEST(ToolChange, BlackBoxReplaysWithTheToolThatWasMounted) {
+  const RobotConfig robot = parse_robot(good_robot());
+  const ControllerSetup setup{ur5e_chain(), robot, robot.limits, instrument(), offset_tool(), {}};
+  Controller controller(setup.chain, robot, robot.limits, setup.instrument, setup.tool, {});
+  BlackBox box(controller, setup);
+  const InstrumentConfig next = other_instrument();
+  const ToolCalibration tool = other_tool();
+  Inputs in;
+  in.state_valid = true;
+  in.q = robot.home;
+  in.qd = JointVector::Zero(6);
+  for (int i = 0; i < 50; ++i) box.step(in);
+  ASSERT_EQ(box.change_tool(next, tool), Reason::kNone);
+  for (int i = 0; i < 50; ++i) box.step(in);
+  const BlackBoxRecording recording = box.recording({});
+  EXPECT_EQ(recording.steps.size(), 50U);
+  EXPECT_EQ(recording.setup.instrument.name, "hook");
+  EXPECT_EQ(recording.setup.tool.p_FTip, tool.p_FTip);
+  EXPECT_FALSE(replay(decode(encode(recording))));
+  box.trigger();
+  EXPECT_EQ(box.change_tool(next, tool), Reason::kNotAtRest) << "until the recording is written";
+}
+
+}  // namespace
+}  // namespace surg
