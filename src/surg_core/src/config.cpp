@@ -87,6 +87,10 @@ constexpr TuningKey kTuningKeys[] = {
 constexpr double kLinkTimeout[] = {0.03, 0.2}, kLinkLag[] = {0.0, 0.05},
                  kLinkAcceleration[] = {0.05, 1.0};
 
+// Distances that a cell may keep. The guard itself needs the least one (clearance.cpp).
+constexpr double kClosest = 0.005;  // [m]
+constexpr double kFarthest = 0.2;   // [m]
+
 std::string number(double value) {
   char text[32];
   std::snprintf(text, sizeof text, "%.6g", value);
@@ -444,6 +448,39 @@ std::vector<std::string> names_in(const Document& document, const std::string& p
   return names;
 }
 
+/// 'prefix': "capsules.NAME." or an obstacle's.
+Capsule read_capsule(Reader& reader, const std::string& prefix, double farthest, double widest) {
+  Capsule capsule;
+  capsule.a = reader.vector(prefix + "from", farthest, "m");
+  capsule.b = reader.vector(prefix + "to", farthest, "m");
+  capsule.radius = reader.real(prefix + "radius", 0.001, widest, "m");
+  return capsule;
+}
+
+/// The capsules of a robot (joints: their names) or of an instrument (none).
+std::vector<LinkCapsule> read_capsules(Reader& reader, const Document& document,
+                                       const std::vector<std::string>& joints) {
+  std::vector<LinkCapsule> capsules;
+  for (const std::string& name : names_in(document, "capsules.")) {
+    const std::string prefix = "capsules." + name + ".";
+    LinkCapsule capsule{name, -1, read_capsule(reader, prefix, 2.0, 0.5), false};
+    if (joints.empty()) {
+      capsule.shaft = name == "shaft";
+    } else if (reader.has(prefix + "joint")) {
+      const std::string joint = reader.word(prefix + "joint");
+      const auto found = std::find(joints.begin(), joints.end(), joint);
+      if (found == joints.end()) {
+        reader.fail(prefix + "joint", "'" + joint +
+                                          "' is not one of joints.names; leave it out "
+                                          "for a capsule that stands with the base");
+      }
+      capsule.joint = static_cast<int>(found - joints.begin());
+    }
+    capsules.push_back(capsule);
+  }
+  return capsules;
+}
+
 RobotConfig read_robot(const Document& document) {
   Reader reader(document, "surg_robot/1");
   RobotConfig robot;
@@ -496,6 +533,7 @@ RobotConfig read_robot(const Document& document) {
                 "belongs to the robot's link, not to the robot: delete it here; the simulator has "
                 "its own, another link states it in its YAML");
   }
+  robot.capsules = read_capsules(reader, document, robot.joint_names);
   reader.finish();
   robot = with_link(robot, simulator_link());
   check_limits(robot.limits, [&document](const std::string& limit) {
@@ -539,6 +577,7 @@ InstrumentConfig read_instrument(const Document& document) {
   if (instrument.passive && reader.has("jaw")) {
     reader.fail("passive", "true, and there is a 'jaw': nobody drives it; leave 'jaw' out");
   }
+  instrument.capsules = read_capsules(reader, document, {});
   reader.finish();
   return instrument;
 }
@@ -642,6 +681,42 @@ std::map<std::string, std::string> read_machines(Reader& reader, const std::stri
   return machines;
 }
 
+Obstacle read_obstacle(Reader& reader, const std::string& name) {
+  const std::string prefix = "clearance.obstacles." + name + ".";
+  Obstacle obstacle;
+  obstacle.name = name;
+  obstacle.half_space = reader.has(prefix + "normal");
+  if (!obstacle.half_space) {
+    obstacle.capsule = read_capsule(reader, prefix, 10.0, 2.0);
+    return obstacle;
+  }
+  obstacle.space.point = reader.vector(prefix + "point", 10.0, "m");
+  obstacle.space.normal = reader.vector(prefix + "normal", 1.0 + 1e-9, "");
+  if (!(std::abs(obstacle.space.normal.norm() - 1.0) < 1e-6)) {
+    reader.fail(prefix + "normal", "has length " + number(obstacle.space.normal.norm()) +
+                                       "; a unit vector out of the body is needed");
+  }
+  obstacle.space.normal.normalize();
+  return obstacle;
+}
+
+CellClearance read_clearance(Reader& reader, const Document& document) {
+  CellClearance clearance;
+  if (!reader.has("clearance")) return clearance;
+  const auto line = document.lines.find("clearance");
+  clearance.line = line == document.lines.end() ? 1 : line->second;
+  if (reader.has("clearance.distance")) {
+    clearance.distance = reader.real("clearance.distance", kClosest, kFarthest, "m");
+  }
+  if (reader.has("clearance.shafts")) {
+    clearance.shafts = reader.real("clearance.shafts", 0.0, kFarthest, "m");
+  }
+  for (const std::string& name : names_in(document, "clearance.obstacles.")) {
+    clearance.obstacles.push_back(read_obstacle(reader, name));
+  }
+  return clearance;
+}
+
 CellConfig read_cell(const Document& document) {
   Reader reader(document, "surg_cell/1");
   CellConfig cell;
@@ -649,6 +724,7 @@ CellConfig read_cell(const Document& document) {
   cell.name = reader.word("name");
   cell.network = reader.choice("network", {"loopback", "isolated"});
   cell.machines = read_machines(reader, cell.network);
+  cell.clearance = read_clearance(reader, document);
   const std::vector<std::string> names = names_in(document, "arms.");
   if (names.empty()) reader.fail("arms", "is missing; a cell needs at least one arm");
   for (const auto& name : names) {

@@ -290,6 +290,7 @@ TEST(BlackBox, TheReplayComparesEveryFieldOfACycle) {
                 {"jaw", [](Outputs& o) { o.jaw += 1; }},
                 {"scale", [](Outputs& o) { o.scale += 1e-9; }},
                 {"limited_by", [](Outputs& o) { o.limited_by = "nothing"; }},
+                {"clearance", [](Outputs& o) { o.clearance = 0; }},
                 {"tier", [](Outputs& o) { o.tier += 1; }},
                 {"qd_command", [](Outputs& o) { o.qd_command[0] += 1e-9; }},
                 {"twist_command", [](Outputs& o) { o.twist_command[0] += 1e-9; }}};

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from helpers.graph.surg import surg
-from surg_cli.commands import robot
+from surg_cli.commands.arms import robot
 
 
 def status(name: str, **values: str) -> SimpleNamespace:

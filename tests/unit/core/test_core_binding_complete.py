@@ -35,18 +35,21 @@ ABSENT = {
     "StepRequest PathView Barrier SingularityMeasures": "part",
     "robot_condition is_servo is_jaw Inputs newton_step wrapped aside_near_trocar"
     " braked_together slowed_flange lateral_fade": "part",
+    "Gap gaps distance distance_at_least Clearance ClearanceGuard placed": "part",
     # plain bytes for the black box, which has a program of its own (rcm_replay)
     "IsPlain SnapshotWriter SnapshotReader": "bytes",
     "BlackBox BlackBoxEvent BlackBoxStep BlackBoxLabel": "bytes",
     "BlackBoxRecording BlackBoxError BlackBoxDifference ControllerSetup": "bytes",
     "encode decode replay": "bytes",
     # value types that Python has as arrays, tuples or arguments
+    "Capsule HalfSpace": "arguments",
     "SampleTime Tool Line UrBranch UrSolutions Value Interval": "arguments",
 }
 """Names of the headers that the module does not have, and why."""
 RENAMED = {
     "name": ("reason_name", "state_name"),
     "home_of": ("Home",),
+    "arm_shape": ("ArmShape",),
     "Options": ("Controller",),
 }
 

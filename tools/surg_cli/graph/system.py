@@ -176,6 +176,7 @@ def nodes(plan: Plan) -> list[Node]:
             "arm": arm,
             "mode": plan.mode,
             "participants": plan.commanders(arm),
+            "others": [other for other in plan.arms if other != arm],
             "law": plan.law,
         }
         if plan.link is not None:

@@ -187,7 +187,8 @@ ArmSetup load_arm(const std::string& cell, const std::string& arm_name) {
   ArmSetup setup;
   setup.cell_name = config.name;
   setup.cell_file = cell_file;
-  setup.arms_in_cell = config.arms.size();
+  for (const surg::CellArm& arm : config.arms) setup.arms_in_cell.push_back(arm.name);
+  setup.clearance = config.clearance;
   setup.arm = find_arm(config, arm_name);
   const std::string& name = setup.arm.name;
   setup.X_WB = pose_from_xyz_rpy(setup.arm.base_xyz, setup.arm.base_rpy);
@@ -227,6 +228,13 @@ MountedTool load_tool(const ArmSetup& setup, const std::string& words) {
            "passive: the arm started with an instrument that " +
                std::string(first.instrument.passive ? "nobody drives" : "a tool link drives") +
                ", and keeps to that: start it again");
+  }
+  const bool guarded = setup.arms_in_cell.size() > 1 || !setup.clearance.obstacles.empty();
+  if (guarded && !first.instrument_file.empty() && tool.instrument.file != first.instrument.file) {
+    refuse(instrument_file, 0,
+           "another instrument than " + first.instrument_file +
+               ": the clearance guard of this cell knows that one only. Start the system with the "
+               "new one; another calibration of the same instrument may be mounted");
   }
   const std::string tool_file = beside(cell_file, tool.calibration_file);
   tool.tool = surg::parse_tool(load_document(tool_file));

@@ -185,6 +185,11 @@ void ControlCycle::sense(const LinkState& link, std::int64_t now_ns) {
   inputs_.jaw_age = age(link.jaw_received_ns, now_ns);
   inputs_.tip_force = force_of(link.tip, now_ns);
   inputs_.trocar_force = force_of(link.trocar, now_ns);
+  for (std::size_t i = 0; i < link.others.size(); ++i) {
+    const OtherState& other = link.others[i];
+    inputs_.others[i] = {other.received_ns != 0, seconds(now_ns - other.received_ns), other.q,
+                         other.qd};
+  }
   inputs_.track_valid = track_.source != 0;
   inputs_.track_age = inputs_.track_valid ? seconds(now_ns - track_.received_ns) : 0;
   inputs_.p_BTrack = track_.p_B;

@@ -9,9 +9,9 @@
 namespace surg_control {
 namespace {
 
-const std::vector<std::string> kNames{"arm",      "black_box", "cell", "feedback_gain",
-                                      "law",      "link",      "mode", "participants",
-                                      "realtime", "track_rcm"};
+const std::vector<std::string> kNames{"arm",          "black_box", "cell",     "feedback_gain",
+                                      "law",          "link",      "mode",     "others",
+                                      "participants", "realtime",  "track_rcm"};
 
 std::string join(const std::vector<std::string>& words) {
   std::string text;
@@ -115,6 +115,7 @@ Options read_options(const ros::NodeHandle& private_node) {
   options.lockstep =
       read_choice(private_node, "mode", {"lockstep", "freerun"}, "lockstep") == "lockstep";
   options.participants = read_names(private_node, "participants");
+  if (private_node.hasParam("others")) options.others = read_names(private_node, "others");
   const std::string law = read_choice(private_node, "law", {"ours", "velocity", "paper"}, "ours");
   options.law = law == "paper"      ? surg::Law::kPaper
                 : law == "velocity" ? surg::Law::kVelocity

@@ -36,6 +36,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
     : options_(read_options(private_node)),
       setup_(load_arm(options_.cell, options_.arm)),
       model_(load_model(setup_.robot, setup_.robot_urdf)),
+      clearance_(load_clearance(setup_, model_, options_.others)),
       arm_(setup_.arm.name),
       lockstep_gate_(options_.participants),
       commands_(kCommandRing),
@@ -51,11 +52,12 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
   law.dt = kTick;
   law.feedback_gain = options_.feedback_gain;
   law.track_rcm = options_.track_rcm;
-  surg::ControllerSetup made{model_.chain,        setup_.robot,
-                             setup_.limits,       setup_.mounted.instrument,
-                             setup_.mounted.tool, law};
-  controller_ = std::make_unique<surg::Controller>(made.chain, made.robot, made.limits,
-                                                   made.instrument, made.tool, made.options);
+  surg::ControllerSetup made{
+      model_.chain,        setup_.robot, setup_.limits,   setup_.mounted.instrument,
+      setup_.mounted.tool, law,          clearance_.setup};
+  controller_ =
+      std::make_unique<surg::Controller>(made.chain, made.robot, made.limits, made.instrument,
+                                         made.tool, made.options, made.clearance);
   box_ = std::make_unique<surg::BlackBox>(*controller_, made);
   box_->set_rcm(setup_.trocar.p_BRcm);
   for (const surg::Fixture& fixture : setup_.arm.fixtures) box_->set_fixture(fixture);
@@ -82,6 +84,7 @@ RcmLoop::RcmLoop(const ros::NodeHandle& private_node)
       [this](const std::string& words) { return read_tool(words); },
       [this](const std::string& topic, const std::string& caller, const ros::Time& stamp,
              Decoded decoded) { on_command(topic, caller, stamp, std::move(decoded)); });
+  subscribe_others();  // first: the link's ticks wait for them
   subscribe_link();
   monitor_ =
       std::make_unique<SystemMonitor>(private_node, arm_, info.limits_hash, *reporter_, health_);
@@ -111,9 +114,11 @@ void RcmLoop::on_tick(const LinkState& state) {
   }
   if (tick == robot_tick_) {
     const std::string missing = lockstep_gate_.missing(tick);
-    reporter_->status(
-        arm_ + ": tick " + std::to_string(tick) + " waits: " +
-        (missing.empty() ? "tool/measured_js or robot/status of this tick has not come" : missing));
+    reporter_->status(arm_ + ": tick " + std::to_string(tick) + " waits: " +
+                      (missing.empty()
+                           ? "tool/measured_js, robot/status or another arm's robot/measured_js "
+                             "has not come for this tick (~others names the arms that run)"
+                           : missing));
   }
   robot_tick_ = tick;
   link_.stamp_ns = state.stamp_ns;
@@ -126,6 +131,9 @@ void RcmLoop::try_step() {
   if (robot_tick_ <= answered_tick_) return;
   if (tool_tick_ != robot_tick_ && !setup_.mounted.instrument.passive) return;
   if (status_tick_ != robot_tick_) return;
+  for (const std::uint64_t tick : other_ticks_) {
+    if (tick != robot_tick_) return;
+  }
   // While exiting, commands are ignored, so there is nothing to wait for.
   if (!exiting_ && !lockstep_gate_.due(robot_tick_)) return;
   disable_if_exiting();
@@ -286,8 +294,8 @@ void RcmLoop::come_to_rest() {
 void RcmLoop::run(const std::atomic<bool>& stop) {
   reporter_->status(arm_ + ": controller of cell " + setup_.cell_name + " runs in " +
                     (options_.lockstep ? "lock-step" : "free-run"));
-  for (const auto& [what, source] :
-       {std::pair{"tool", &setup_.mounted.tool.source}, std::pair{"trocar", &setup_.trocar.source}}) {
+  for (const auto& [what, source] : {std::pair{"tool", &setup_.mounted.tool.source},
+                                     std::pair{"trocar", &setup_.trocar.source}}) {
     if (setup_.arm.link == surg::kSimulator || *source == "measured") continue;
     reporter_->warning_once(what, arm_ + ": the calibration of its " + what + " is " + *source +
                                       ", not measured: the pivot is only where it was computed");

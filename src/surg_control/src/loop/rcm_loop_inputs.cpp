@@ -58,6 +58,47 @@ void RcmLoop::subscribe_link() {
                                                            ros::VoidConstPtr(), hints));
 }
 
+/// The clearance guard follows the other arms. In lock-step a tick waits for their states too.
+void RcmLoop::subscribe_others() {
+  using sensor_msgs::JointState;
+  if (!clearance_.missing.empty()) {
+    reporter_->warning_once(
+        "no_clearance", arm_ + ": no distance is kept to the other arms: " + clearance_.missing);
+  }
+  const auto hints = ros::TransportHints().tcpNoDelay();
+  const std::uint32_t depth = options_.lockstep ? kUnbounded : 1;
+  const std::size_t n = clearance_.setup.others.size();
+  if (options_.lockstep) other_ticks_.assign(n, 0);
+  for (std::size_t i = 0; i < n; ++i) {
+    const boost::function<void(const JointState::ConstPtr&)> take = [this, i](const auto& message) {
+      on_other_state(*message, i);
+    };
+    const std::string topic = "/" + clearance_.setup.others[i].name + "/robot/measured_js";
+    subscribers_.push_back(
+        node_.subscribe<JointState>(topic, depth, take, ros::VoidConstPtr(), hints));
+  }
+}
+
+void RcmLoop::on_other_state(const sensor_msgs::JointState& message, std::size_t which) {
+  if (message.header.stamp.isZero()) return;  // CRTK: data that is not valid
+  LinkState state;
+  const std::string problem = decode_state_of_robot(message, clearance_.joint_names[which], state);
+  if (!problem.empty()) {
+    reporter_->warning("other_arm_state",
+                       arm_ + ": " + clearance_.setup.others[which].name + ": " + problem, now());
+    return;
+  }
+  OtherState& other = link_.others[which];
+  const std::int64_t stamp_ns = static_cast<std::int64_t>(state.stamp_ns);
+  other = {options_.lockstep ? stamp_ns : steady_ns(), state.q, state.qd};
+  if (!options_.lockstep) {
+    latest_link_.put(link_);
+    return;
+  }
+  other_ticks_[which] = state.stamp_ns / kTickNs;
+  try_step();
+}
+
 /// F09: counts stamps from the future; control does not use stamps as times.
 void RcmLoop::note_stamp(const ros::Time& stamp) {
   if (options_.lockstep) return;  // stamps are ticks

@@ -98,7 +98,7 @@ void StatePublishers::publish_static_tf(const ArmSetup& setup, const Model& mode
   message.transforms.push_back(transform(still, base_, setup.X_WB, "world"));
   // A robot_state_publisher's links hang on the URDF's root. With two arms of one kind they would
   // have the same names, and no tree can hold both.
-  if (!model.root_link.empty() && setup.arms_in_cell == 1) {
+  if (!model.root_link.empty() && setup.arms_in_cell.size() == 1) {
     message.transforms.push_back(transform(still, model.root_link, model.X_BRoot, base_));
   }
   tf_static_.publish(message);

@@ -11,6 +11,7 @@
 #include <variant>
 #include <vector>
 
+#include "surg_core/limits/capsule.hpp"
 #include "surg_core/limits/fixtures.hpp"
 #include "surg_core/types.hpp"
 
@@ -83,6 +84,15 @@ struct Tuning {
 /// The command interface of a robot link.
 enum class Command { kJointVelocity, kCartesianVelocity };
 
+/// A capsule that moves with a link, in the frame behind joint 'joint'; -1: it stands with the
+/// base. Those of an instrument are in the frame of its mount.
+struct LinkCapsule {
+  std::string name;
+  int joint = -1;
+  Capsule shape;
+  bool shaft = false;  ///< the instrument's shaft, which enters the patient
+};
+
 /// One robot: its YAML.
 struct RobotConfig {
   std::string file, name, urdf, base_link, flange_link;
@@ -92,6 +102,9 @@ struct RobotConfig {
   Limits limits;
   Tuning tuning;
   double elbow = std::numeric_limits<double>::quiet_NaN();  ///< [rad] preferred; NaN: none
+  /// Each link lies inside its capsules. Empty: no clearance guard for this robot. No part of the
+  /// black box, which has them in its clearance setup.
+  std::vector<LinkCapsule> capsules = {};
 };
 
 /// A robot link's own parameters: its YAML, or those of the simulator.
@@ -118,6 +131,7 @@ struct InstrumentConfig {
   double jaw_min, jaw_max, jaw_velocity;  ///< all 0 without a jaw: it stays 0 whatever is commanded
   CameraConfig camera = {};               ///< no part of the black box: it moves nothing
   bool passive = false;  ///< no drive and no tool link; the jaw, if there is one, is fixed
+  std::vector<LinkCapsule> capsules = {};  ///< in the mount's frame; 'shaft' enters the patient
 };
 
 /// Calibrated tool: shaft axis and tip in the flange frame F, with the quality of the fit.
@@ -154,6 +168,22 @@ struct CellArm {
   std::map<std::string, std::string> where = {};
 };
 
+/// A fixed body that all arms keep clear of, in the world: a capsule or a half-space.
+struct Obstacle {
+  std::string name;
+  bool half_space = false;
+  Capsule capsule;
+  HalfSpace space;
+};
+
+/// The distances that the arms of a cell keep.
+struct CellClearance {
+  double distance = 0.02;  ///< [m] of an arm to other arms and obstacles
+  double shafts = 0;       ///< [m] between two shafts; 0: they may touch
+  std::vector<Obstacle> obstacles;
+  int line = 0;  ///< of the section in the file; 0: the values above are the defaults
+};
+
 /// A complete system: arms, machines, network.
 struct CellConfig {
   std::string file, name;
@@ -162,6 +192,7 @@ struct CellConfig {
   /// machine.
   std::map<std::string, std::string> machines;
   std::vector<CellArm> arms;  ///< in the file's order
+  CellClearance clearance = {};
 };
 
 /// With the simulator's link; see with_link.

@@ -12,6 +12,7 @@
 #include "surg_core/kinematics/kinematics.hpp"
 #include "surg_core/kinematics/trocar.hpp"
 #include "surg_core/law/rcm.hpp"
+#include "surg_core/limits/clearance.hpp"
 #include "surg_core/limits/fixtures.hpp"
 #include "surg_core/motion/command.hpp"
 #include "surg_core/state/force_guard.hpp"
@@ -49,6 +50,7 @@ struct Readings {
   double track_age = 0;                ///< [s] since it was taken
   Vector3 p_BTrack = Vector3::Zero();  ///< where the trocar was then
   Vector3 v_BTrack = Vector3::Zero();  ///< [m/s]; zeros where the tracker measures none
+  OtherArms others;                    ///< in the order of ClearanceSetup::others
 };
 
 /// Inputs of one cycle.
@@ -93,8 +95,10 @@ struct Outputs {
   double scale = 1;             ///< alpha
   const char* limited_by = "";  ///< static string
   std::uint8_t tier = 0;        ///< 0: on the path, 1: off it, on the pivot; 2: braking
-  double late_share = 0;        ///< of the last 128 cycles, how many were late
-  JointVector qd_command;       ///< [rad/s]
+  /// [m] smallest distance to the other arms and the obstacles; infinite without a guard
+  double clearance = std::numeric_limits<double>::infinity();
+  double late_share = 0;   ///< of the last 128 cycles, how many were late
+  JointVector qd_command;  ///< [rad/s]
   Vector6 twist_command = Vector6::Zero();
 };
 
@@ -114,7 +118,7 @@ class Controller {
   };
   Controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
              const InstrumentConfig& instrument, const ToolCalibration& tool,
-             const Options& options);
+             const Options& options, const ClearanceSetup& clearance = {});
   ~Controller();
 
   /// Requests a state transition, effective at once, from the joint state of the last step. kNone:

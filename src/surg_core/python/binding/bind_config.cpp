@@ -154,7 +154,10 @@ void bind_robot(py::module_& m) {
       .def_property_readonly("velocity", joints(&RobotConfig::velocity), "[rad/s]")
       .def_property_readonly("acceleration", joints(&RobotConfig::acceleration), "[rad/s^2]")
       .def_property_readonly("limits", [](const RobotConfig& self) { return self.limits; })
-      .def_property_readonly("tuning", [](const RobotConfig& self) { return self.tuning; });
+      .def_property_readonly("tuning", [](const RobotConfig& self) { return self.tuning; })
+      .def_property_readonly(
+          "capsules", [](const RobotConfig& self) { return py::tuple(py::cast(self.capsules)); },
+          "Empty: no clearance guard.");
 }
 
 void bind_link(py::module_& m) {
@@ -198,7 +201,10 @@ void bind_calibrations(py::module_& m) {
             if (self.camera.frames.empty()) return std::nullopt;
             return self.camera;
           },
-          "None: not an endoscope.");
+          "None: not an endoscope.")
+      .def_property_readonly("capsules", [](const InstrumentConfig& self) {
+        return py::tuple(py::cast(self.capsules));
+      });
 
   py::class_<ToolCalibration>(m, "ToolCalibration", "Shaft axis and tip in the flange frame.")
       .def_property_readonly(
@@ -250,6 +256,7 @@ void bind_cell(py::module_& m) {
       .def_property_readonly(
           "machines", [](const CellConfig& c) { return c.machines; },
           "IPv4 address on the isolated network by role: robot, operator, endoscope.")
+      .def_readonly("clearance", &CellConfig::clearance)
       .def_property_readonly("arms",
                              [](const CellConfig& c) { return py::tuple(py::cast(c.arms)); });
 }

@@ -182,6 +182,8 @@ void bind_outputs(py::module_& m) {
   number("jaw_set", &Outputs::jaw_set, "Commanded [rad]; not a number until measured.");
   bind_elbow(type);
   number("scale", &Outputs::scale, "Uniform factor alpha.");
+  number("clearance", &Outputs::clearance,
+         "Smallest distance to other arms and obstacles [m]; infinite without a guard.");
   number("tier", &Outputs::tier, "0: on the path; 1: off it, on the pivot; 2: braking.");
   number("late_share", &Outputs::late_share, "Share of late cycles in the recent window.");
   array("p_BTip", &Outputs::p_BTip, "Tip (3,) [m].");
@@ -213,9 +215,24 @@ void bind_outputs(py::module_& m) {
 // The joint count stands beside the controller, so that every array can be checked against it.
 struct Owned {
   int dof;
+  std::vector<int> others;  // joints of the other arms that the controller keeps clear of
   std::unique_ptr<Controller> controller;
   Inputs inputs;
 };
+
+void check_others(const std::vector<OtherArm>& given, const std::vector<int>& known) {
+  if (given.size() > known.size()) {
+    throw py::value_error("others: " + std::to_string(given.size()) +
+                          " arms; the clearance setup " + "has " + std::to_string(known.size()));
+  }
+  for (std::size_t i = 0; i < given.size(); ++i) {
+    if (given[i].q.size() != known[i]) {
+      throw py::value_error("others[" + std::to_string(i) +
+                            "]: " + std::to_string(given[i].q.size()) + " joints instead of " +
+                            std::to_string(known[i]));
+    }
+  }
+}
 
 /// Outputs of many cycles, one row each.
 struct Trajectory {
@@ -254,14 +271,29 @@ void check_commands(const Commands& commands, py::ssize_t n) {
   }
 }
 
+Owned make_controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
+                      const InstrumentConfig& instrument, const ToolCalibration& tool, Law law,
+                      double dt, double feedback_gain, bool track_rcm,
+                      const std::optional<ClearanceSetup>& clearance) {
+  const ClearanceSetup keep = clearance.value_or(ClearanceSetup{});
+  Owned owned{chain.dof(), {}, nullptr, {}};
+  for (const ArmShape& other : keep.others) owned.others.push_back(other.chain.dof());
+  owned.controller =
+      std::make_unique<Controller>(chain, robot, limits, instrument, tool,
+                                   Controller::Options{law, dt, feedback_gain, track_rcm}, keep);
+  return owned;
+}
+
 Outputs step(Owned& o, const Array& q, const Array& qd, const std::vector<MotionCommand>& commands,
              double jaw, bool state_valid, double state_age, double elapsed,
-             const std::optional<Readings>& readings) {
+             const std::optional<Readings>& readings, const std::vector<OtherArm>& others) {
   if (commands.size() > static_cast<std::size_t>(kMaxCommands)) {
     throw py::value_error("commands: at most " + std::to_string(kMaxCommands) + " per cycle, not " +
                           std::to_string(commands.size()));
   }
   static_cast<Readings&>(o.inputs) = readings.value_or(Readings{});
+  check_others(others, o.others);
+  std::copy(others.begin(), others.end(), o.inputs.others.begin());
   o.inputs.state_valid = state_valid;
   o.inputs.state_age = state_age;
   o.inputs.elapsed = elapsed;
@@ -349,7 +381,7 @@ Trajectory run(Owned& o, const Array& q, const Array& qd, const Commands& comman
   {
     const py::gil_scoped_release release;
     std::size_t next = 0;
-    o.inputs = Inputs{};
+    o.inputs = Inputs{};  // other arms are lost
     o.inputs.state_valid = true;
     for (py::ssize_t i = 0; i < n; ++i) {
       o.inputs.q = Eigen::Map<const Eigen::VectorXd>(q_from + i * o.dof, o.dof);
@@ -480,7 +512,8 @@ void bind_reason(py::module_& m) {
       .value("FIXTURE_OF_CELL", Reason::kFixtureOfCell)
       .value("FIXTURE_WHILE_ENABLED", Reason::kFixtureWhileEnabled)
       .value("FIXTURES_FULL", Reason::kFixturesFull)
-      .value("NO_FIXTURE", Reason::kNoFixture);
+      .value("NO_FIXTURE", Reason::kNoFixture)
+      .value("OTHER_ARM_LOST", Reason::kOtherArmLost);
   m.def("sentence", py::overload_cast<Reason>(&sentence), py::arg("reason"),
         "What was wrong and what to do, for people.");
   m.def("reason_name", py::overload_cast<Reason>(&name), py::arg("reason"),
@@ -537,20 +570,12 @@ void bind_controller(py::module_& m) {
       .value("PAPER", Law::kPaper);
 
   py::class_<Owned> type(m, "Controller", "One arm's controller: call step() every dt.");
-  type.def(py::init([](const Chain& chain, const RobotConfig& robot, const Limits& limits,
-                       const InstrumentConfig& instrument, const ToolCalibration& tool, Law law,
-                       double dt, double feedback_gain, bool track_rcm) {
-             return Owned{chain.dof(),
-                          std::make_unique<Controller>(
-                              chain, robot, limits, instrument, tool,
-                              Controller::Options{law, dt, feedback_gain, track_rcm}),
-                          {}};
-           }),
-           py::arg("chain"), py::arg("robot"), py::arg("limits"), py::arg("instrument"),
-           py::arg("tool"), py::arg("law") = Law::kExact, py::arg("dt") = 0.002,
-           py::arg("feedback_gain") = -1.0, py::arg("track_rcm") = false,
+  type.def(py::init(&make_controller), py::arg("chain"), py::arg("robot"), py::arg("limits"),
+           py::arg("instrument"), py::arg("tool"), py::arg("law") = Law::kExact,
+           py::arg("dt") = 0.002, py::arg("feedback_gain") = -1.0, py::arg("track_rcm") = false,
+           py::arg("clearance") = py::none(),
            "dt [s]; feedback_gain [1/s] overrides tuning.rcm_gain when >= 0 (simulator only);\n"
-           "track_rcm: the trocar may move, see Readings.")
+           "track_rcm: the trocar may move, see Readings; clearance: what the arm keeps clear of.")
       .def(
           "request", [](Owned& o, StateCommand command) { return o.controller->request(command); },
           py::arg("command"), "Reason.NONE: done; otherwise why it was refused.")
@@ -567,13 +592,15 @@ void bind_controller(py::module_& m) {
       .def(
           "claim", [](Owned& o, std::uint32_t source) { return o.controller->claim(source); },
           py::arg("source"), "The arm obeys this sender alone until it leaves ENABLED.")
-      .def("step", &step, py::arg("q"), py::arg("qd"),
-           py::arg("commands") = std::vector<MotionCommand>(), py::arg("jaw") = 0.0,
-           py::arg("state_valid") = true, py::arg("state_age") = 0.0, py::arg("elapsed") = 0.0,
-           py::arg("readings") = py::none(),
-           "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
-           "jaw [rad]; state_age [s]; elapsed [s] since the last cycle, 0: one period; readings: "
-           "of the sensors, where there are any.")
+      .def(
+          "step", &step, py::arg("q"), py::arg("qd"),
+          py::arg("commands") = std::vector<MotionCommand>(), py::arg("jaw") = 0.0,
+          py::arg("state_valid") = true, py::arg("state_age") = 0.0, py::arg("elapsed") = 0.0,
+          py::arg("readings") = py::none(), py::arg("others") = std::vector<OtherArm>(),
+          "One cycle from the measured joints q, qd (n,) [rad, rad/s] and this cycle's commands.\n"
+          "jaw [rad]; state_age [s]; elapsed [s] since the last cycle, 0: one period; readings: "
+          "of the sensors, where there are any;\nothers: the other arms of the clearance setup, in "
+          "its order; a missing one is lost.")
       .def(
           "run", &run, py::arg("q"), py::arg("qd"), py::arg("commands") = Commands(),
           py::arg("jaw") = py::none(),

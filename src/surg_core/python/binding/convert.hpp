@@ -79,6 +79,8 @@ void bind_kinematics(py::module_& m, py::module_& testing);
 void bind_rcm(py::module_& m, py::module_& testing);
 void bind_config(py::module_& m, py::module_& testing);
 void bind_operating_state(py::module_& m, py::module_& testing);
+void bind_capsules(py::module_& m);
+void bind_clearance(py::module_& m);
 void bind_controller(py::module_& m);
 void bind_calibration(py::module_& m);
 void bind_motion(py::module_& testing);

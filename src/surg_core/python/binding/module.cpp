@@ -15,8 +15,10 @@ PYBIND11_MODULE(_core, m) {
   binding::bind_motion(testing);
   binding::bind_exact(testing);
   binding::bind_fixtures(m);
+  binding::bind_capsules(m);
   binding::bind_config(m, testing);
   binding::bind_limits(testing);
+  binding::bind_clearance(m);
   binding::bind_controller(m);
   binding::bind_calibration(m);
 }

@@ -11,9 +11,12 @@ import pkgutil
 __path__ = pkgutil.extend_path(__path__, __name__)
 
 from surg_core._core import (
+    ArmShape,
     CalibrationError,
     CellArm,
+    CellClearance,
     Chain,
+    ClearanceSetup,
     ConfigError,
     Controller,
     Fixture,
@@ -21,8 +24,11 @@ from surg_core._core import (
     InstrumentConfig,
     Law,
     Limits,
+    LinkCapsule,
     Motion,
     MotionCommand,
+    Obstacle,
+    OtherArm,
     Outputs,
     Readings,
     Reason,
@@ -49,6 +55,7 @@ from surg_core._core import (
     shaft_state,
     shaft_states,
 )
+from surg_core.clearance import clearance_setup
 from surg_core.config import (
     Arm,
     Cell,
@@ -72,10 +79,13 @@ from surg_core.urdf import chain_from_urdf, fixed_transform
 
 __all__ = [
     "Arm",
+    "ArmShape",
     "CalibrationError",
     "Cell",
     "CellArm",
+    "CellClearance",
     "Chain",
+    "ClearanceSetup",
     "ConfigError",
     "Controller",
     "Fixture",
@@ -83,8 +93,11 @@ __all__ = [
     "InstrumentConfig",
     "Law",
     "Limits",
+    "LinkCapsule",
     "Motion",
     "MotionCommand",
+    "Obstacle",
+    "OtherArm",
     "Outputs",
     "Readings",
     "Reason",
@@ -102,6 +115,7 @@ __all__ = [
     "axis_angle_to_matrix",
     "chain_from_urdf",
     "check_step",
+    "clearance_setup",
     "condition_sentence",
     "fixed_transform",
     "inside_workspace",

@@ -72,7 +72,7 @@ void Controller::Impl::elapse_authority() {
 
 Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Limits& limits_in,
                        const InstrumentConfig& instrument, const ToolCalibration& tool,
-                       const Options& options)
+                       const Options& options, const ClearanceSetup& clearance_in)
     : robot(robot_in),
       limits(limits_in),
       law(options.law),
@@ -93,6 +93,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       force(limits_in),
       limited(chain, {tool.s_F, tool.p_FTip}, step_limits(robot_in, limits_in, options.law),
               options.dt),
+      clearance(clearance_in, robot_in.tuning.link_lag, options.dt),
       follower(chain.dof(), follower_options(robot_in, limits_in, gains.rcm,
                                              lag_for(robot_in, options), options.dt)),
       elbow(chain, step_limits(robot_in, limits_in, options.law), robot_in.elbow, options.dt),
@@ -100,6 +101,7 @@ Controller::Impl::Impl(const Chain& chain, const RobotConfig& robot_in, const Li
       trocar_before(trocar),
       qd_last(JointVector::Zero(chain.dof())) {
   out.qd_command = qd_last;
+  limited.keep_clear(clearance);
 }
 
 void Controller::Impl::report(const Inputs& in) {
@@ -153,8 +155,8 @@ void Controller::Impl::report_virtual_joints() {
 
 Controller::Controller(const Chain& chain, const RobotConfig& robot, const Limits& limits,
                        const InstrumentConfig& instrument, const ToolCalibration& tool,
-                       const Options& options)
-    : impl_(std::make_unique<Impl>(chain, robot, limits, instrument, tool, options)) {}
+                       const Options& options, const ClearanceSetup& clearance)
+    : impl_(std::make_unique<Impl>(chain, robot, limits, instrument, tool, options, clearance)) {}
 
 Controller::~Controller() = default;
 

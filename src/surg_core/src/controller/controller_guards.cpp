@@ -82,6 +82,7 @@ void Controller::Impl::sense(const Inputs& in) {
   if (!stopping_off_pivot()) update_trocar(in);
   arm.sense(in.q, in.qd, trocar);
   measure_lag(in);
+  measure_clearance(in);
   check_tool_link(in);
 }
 
@@ -111,6 +112,12 @@ void Controller::Impl::measure_lag(const Inputs& in) {
     lag_meter.interrupt();
   }
   out.link_lag = lag_meter.lag();
+}
+
+void Controller::Impl::measure_clearance(const Inputs& in) {
+  if (!clearance.active()) return;
+  clearance.sense(in.others);
+  out.clearance = clearance.distance(in.q);
 }
 
 double Controller::Impl::feedback_scale() const {

@@ -66,6 +66,7 @@ struct Controller::Impl {
   Jaw jaw;
   ForceGuard force;
   LimitedStep limited;
+  ClearanceGuard clearance;
   ExactFollower follower;
   ElbowMotion elbow;
   JointTrace trace;  // the way back
@@ -98,7 +99,8 @@ struct Controller::Impl {
   Outputs out;
 
   Impl(const Chain& chain, const RobotConfig& robot_in, const Limits& limits_in,
-       const InstrumentConfig& instrument, const ToolCalibration& tool, const Options& options);
+       const InstrumentConfig& instrument, const ToolCalibration& tool, const Options& options,
+       const ClearanceSetup& clearance_in);
 
   // State and requests.
   bool enabled() const { return operating.state() == State::kEnabled; }
@@ -142,6 +144,7 @@ struct Controller::Impl {
   void measure_lag(const Inputs& in);
   /// F33: a robot that does not obey is told nothing, so that it does not leap when it obeys again.
   void guard_robot(const Inputs& in);
+  void measure_clearance(const Inputs& in);
   /// F27: after a gap continues from the arm's measured velocity, or stops if the link has stopped
   /// the arm meanwhile.
   void guard_lateness(const Inputs& in);
@@ -195,6 +198,9 @@ struct Controller::Impl {
   double horizon() const;
   /// Null-space pull to the home posture [rad/s].
   JointVector posture_at(const JointVector& q) const;
+  /// A wish for the null space at joints q, smaller where it brings the arm to another one: alpha,
+  /// with which the clearance guard slows the arm down, does not scale it.
+  JointVector clear_posture(const JointVector& q, const JointVector& posture) const;
   /// Resets the set-point to the tip's true motion after this step.
   void resync_setpoint(const JointVector& qd);
   /// The last command, decelerated to zero without feedback: a joint that is blocked must not jump
@@ -215,10 +221,11 @@ struct Controller::Impl {
     arm.serialize(archive);
     follower.serialize(archive);
     elbow.serialize(archive);
+    clearance.serialize(archive);
     archive(trace, retraced, retrace_active, retrace_settling, pivot_offset, pivot_offset_rate,
             fixtures, X_BR, state_delay, state_known, state_reason, robot_reason, track_reason,
             inserted, tool_lost, halted, fading, home_busy, unexplained, qd_last, out.accepted,
-            out.refused);
+            out.refused, out.clearance);
   }
 };
 

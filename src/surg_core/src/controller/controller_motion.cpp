@@ -42,6 +42,7 @@ void Controller::Impl::move() {
     out.limited_by = step.limited_by;
     out.tier = step.tier;
     if (step.held && enabled()) out.reason = Reason::kUnreachable;
+    if (step.alpha < 1 && clearance.other_lost()) out.reason = Reason::kOtherArmLost;
     if (setpoint.at_wall() && step.alpha == 1) out.limited_by = "workspace";
     if (handler.at_fixture() && step.alpha == 1) out.limited_by = "fixture";
     if (!retrace_active) out.v_set = X_BR.linear() * (setpoint.p_RTip() - p_before) / T;
@@ -141,6 +142,7 @@ Step Controller::Impl::exact_step(const Setpoint& next, JointVector& qd) {
   request.v_BRcm = trocar.v_B() + pivot_offset_rate;
   request.posture = elbow.has_goal() ? elbow.advance(follower.reference(), enabled())
                                      : posture_at(follower.reference());
+  request.posture = clear_posture(follower.reference(), request.posture);
   request.flange_lead = flange_lead();
   const Home home{arm.s_home(), arm.R_home()};
   const Step step = limited.exact(follower.reference(), follower.velocity(), home, request);
@@ -170,7 +172,7 @@ Step Controller::Impl::velocity_step(const Setpoint& next, JointVector& qd) cons
   StepRequest request;
   request.feedback = wished.feedback;
   request.forward = wished.path;
-  request.posture = posture_at(arm.measured().q);
+  request.posture = clear_posture(arm.measured().q, posture_at(arm.measured().q));
   if (law == Law::kVelocity && gains.rcm > 0) {  // an open loop leaves its path
     request.path = PathView(path);
     request.horizon = horizon();
@@ -240,6 +242,19 @@ double Controller::Impl::horizon() const {
 
 JointVector Controller::Impl::posture_at(const JointVector& q) const {
   return robot.tuning.posture_gain * (robot.home - q);
+}
+
+JointVector Controller::Impl::clear_posture(const JointVector& q,
+                                            const JointVector& posture) const {
+  const double share = clearance.posture_share(out.clearance);
+  if (!(share < 1) || posture.size() != q.size()) return posture;
+  constexpr double kAhead = 0.01;  // [s]
+  Pose X_BF;
+  Jacobian J;
+  arm.chain().forward(q, X_BF, J);
+  const JointVector qd = inverse_velocity(J, Vector6::Zero(), posture).qd;
+  const bool closes = clearance.distance(q + kAhead * qd) < clearance.distance(q);
+  return closes ? JointVector(share * posture) : posture;
 }
 
 void Controller::Impl::resync_setpoint(const JointVector& qd) {

@@ -123,6 +123,9 @@ LimitedStep::Cap LimitedStep::cap(const Law& law, const Here& here, const Affine
   if (flange > here.flange_velocity) {
     cap.limit(here.flange_velocity / flange, "flange_velocity");
   }
+  if (clearance_ && clearance_->active()) {
+    cap.limit(clearance_->cap(here.q, affine.qd0, affine.qd1, limits_.acceleration), "clearance");
+  }
   cap_sagitta(law, here, affine, cap);
   if (law.has_barrier()) cap_approach(here, affine, cap);
   if (!affine.regular) return cap;

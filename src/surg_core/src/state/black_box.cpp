@@ -323,8 +323,22 @@ class Coder {
             c.passive);
   }
   void value(ToolCalibration& c) { (*this)(c.s_F, c.p_FTip, c.residual, c.condition, c.n, c.date); }
+  void value(Capsule& c) { (*this)(c.a, c.b, c.radius); }
+  void value(LinkCapsule& c) { (*this)(c.name, c.joint, c.shape, c.shaft); }
+  void value(ArmShape& c) { (*this)(c.name, c.chain, c.X_WB, c.capsules); }
+  void value(Obstacle& c) {
+    (*this)(c.name, c.half_space, c.capsule, c.space.point, c.space.normal);
+  }
+  void value(ClearanceSetup& c) {
+    bool guarded = c.active();
+    value(guarded);
+    if (!guarded) return;
+    (*this)(c.distance, c.shafts, c.own, c.others, c.obstacles);
+    if (c.others.size() > kMaxOtherArms) broken("too many arms");
+  }
+  void value(OtherArm& c) { (*this)(c.valid, c.age, c.q, c.qd); }
   void value(ControllerSetup& c) {
-    (*this)(c.chain, c.robot, c.limits, c.instrument, c.tool, c.options);
+    (*this)(c.chain, c.robot, c.limits, c.instrument, c.tool, c.options, c.clearance);
   }
   void value(BlackBoxLabel& c) { (*this)(c.arm, c.cell, c.written, c.version); }
   void value(MotionCommand& c) {
@@ -348,6 +362,7 @@ class Coder {
     (*this)(r.elapsed, r.state_valid, r.state_age, r.q, r.qd, r.condition, r.condition_age, r.jaw,
             r.jaw_age, r.tip_force, r.trocar_force, r.track_valid, r.track_age, r.p_BTrack,
             r.v_BTrack);
+    for (OtherArm& other : r.others) value(other);
   }
   void value(BlackBoxStep& s) { (*this)(s.in, s.events, s.n_commands, s.out); }
 
@@ -395,6 +410,7 @@ void each_field(Outputs& out, Visit visit) {
   visit("limited_by", out.limited_by);
   visit("tier", out.tier);
   visit("late_share", out.late_share);
+  visit("clearance", out.clearance);
   visit("qd_command", out.qd_command);
   visit("twist_command", out.twist_command);
 }
@@ -585,7 +601,7 @@ Reason call(Controller& controller, const BlackBoxEvent& event) {
 std::optional<BlackBoxDifference> replay(const BlackBoxRecording& recording) {
   const ControllerSetup& setup = recording.setup;
   Controller controller(setup.chain, setup.robot, setup.limits, setup.instrument, setup.tool,
-                        setup.options);
+                        setup.options, setup.clearance);
   if (!controller.restore(recording.image.data(), recording.image.size())) {
     throw BlackBoxError("its controller's memory (" + std::to_string(recording.image.size()) +
                         " bytes) is laid out otherwise than this program's (" +

@@ -144,6 +144,10 @@ Text text(Reason reason) {
           "robot",
           "the robot does not obey: see robot/status, mend it there, start the robot, then send "
           "'enable'"};
+    case Reason::kOtherArmLost:
+      return {"other_arm_lost",
+              "no fresh joint state of another arm of the cell: the arm moves only away from where "
+              "that arm was last seen; check its link, or name the arms that run in ~others"};
   }
   return {"unknown", ""};
 }

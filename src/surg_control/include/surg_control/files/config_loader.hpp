@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <string>
+#include <vector>
 
 #include "surg_core/config.hpp"
 #include "surg_core/types.hpp"
@@ -22,7 +23,8 @@ struct MountedTool {
 struct ArmSetup {
   std::string cell_name;
   std::string cell_file;
-  std::size_t arms_in_cell = 1;
+  std::vector<std::string> arms_in_cell;
+  surg::CellClearance clearance;
   surg::CellArm arm;
   surg::RobotConfig robot;
   MountedTool mounted;

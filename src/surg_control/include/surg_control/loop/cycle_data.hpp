@@ -54,6 +54,12 @@ struct MeasuredForce {
   std::int64_t received_ns = 0;               ///< 0: no sensor has spoken yet
 };
 
+/// Latest joint state of another arm of the cell.
+struct OtherState {
+  std::int64_t received_ns = 0;  ///< 0: none yet
+  surg::JointVector q, qd;
+};
+
 /// Latest data of the robot link and the tool link. Times are on the steady clock, in lock-step of
 /// the tick.
 struct LinkState {
@@ -65,6 +71,7 @@ struct LinkState {
   double jaw = std::numeric_limits<double>::quiet_NaN();  ///< until the tool link has spoken
   std::int64_t jaw_received_ns = 0;                       ///< when jaw came; 0: never
   MeasuredForce tip, trocar;                              ///< F25
+  std::array<OtherState, surg::kMaxOtherArms> others;     ///< in the order of the clearance setup
 };
 
 /// Result of a command that the controller does not judge as a motion.

@@ -3,6 +3,7 @@
 
 #include <ros/ros.h>
 
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -17,12 +18,14 @@ struct Options {
   std::string arm;                        ///< ~arm: CRTK name; empty: the cell's only arm
   bool lockstep = true;                   ///< ~mode: lockstep (default) or freerun
   std::vector<std::string> participants;  ///< ~participants: commanders to wait for, lock-step only
-  surg::Law law = surg::Law::kExact;      ///< ~law: ours, velocity or paper; twist links: velocity
-  std::string link;           ///< ~link: joint or twist; empty: as the robot's YAML says
-  double feedback_gain = -1;  ///< ~feedback_gain [1/s]; negative: as the robot's YAML says
-  std::string black_box;      ///< ~black_box: folder for black boxes; default: ROS's log folder
-  bool track_rcm = false;     ///< ~track_rcm: the trocar moves; somebody publishes rcm/track
-  bool realtime = false;      ///< ~realtime: SCHED_FIFO and locked memory, free-run only
+  /// ~others: arms of the cell that run beside this one, to keep clear of; absent: all of them.
+  std::optional<std::vector<std::string>> others;
+  surg::Law law = surg::Law::kExact;  ///< ~law: ours, velocity or paper; twist links: velocity
+  std::string link;                   ///< ~link: joint or twist; empty: as the robot's YAML says
+  double feedback_gain = -1;          ///< ~feedback_gain [1/s]; negative: as the robot's YAML says
+  std::string black_box;   ///< ~black_box: folder for black boxes; default: ROS's log folder
+  bool track_rcm = false;  ///< ~track_rcm: the trocar moves; somebody publishes rcm/track
+  bool realtime = false;   ///< ~realtime: SCHED_FIFO and locked memory, free-run only
 };
 
 /// Reads the private parameters. Throws surg::ConfigError for an unknown name or a wrong value.

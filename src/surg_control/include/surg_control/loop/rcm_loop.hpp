@@ -20,6 +20,7 @@
 #include <thread>
 #include <vector>
 
+#include "surg_control/files/clearance_loader.hpp"
 #include "surg_control/files/model_loader.hpp"
 #include "surg_control/loop/control_cycle.hpp"
 #include "surg_control/loop/lockstep_gate.hpp"
@@ -62,6 +63,8 @@ class RcmLoop {
   bool enqueue(const std::string& topic, const std::string& caller, const Decoded& decoded);
   void on_robot_state(const sensor_msgs::JointState& message);
   void on_force(const geometry_msgs::WrenchStamped& message, MeasuredForce LinkState::*which);
+  void subscribe_others();
+  void on_other_state(const sensor_msgs::JointState& message, std::size_t which);
   void on_tool_state(const sensor_msgs::JointState& message);
   void on_ready(const surg_msgs::Ready& message);
   void on_link_status(const surg_msgs::LinkStatus& message);
@@ -92,6 +95,7 @@ class RcmLoop {
   Options options_;
   ArmSetup setup_;
   Model model_;
+  ClearanceFiles clearance_;
   std::string arm_;
   std::deque<MountedTool> tools_;  // every one that was read; cycles and black box point to them
   std::unique_ptr<surg::Controller> controller_;
@@ -121,6 +125,7 @@ class RcmLoop {
 
   LockstepGate lockstep_gate_;
   std::uint64_t robot_tick_ = 0, tool_tick_ = 0, status_tick_ = 0, answered_tick_ = 0;
+  std::vector<std::uint64_t> other_ticks_;
   std::set<std::string> undeclared_seen_;
 
   LatestBox<LinkState> latest_link_;

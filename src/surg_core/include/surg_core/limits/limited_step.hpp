@@ -18,6 +18,7 @@
 #include "surg_core/law/exact.hpp"
 #include "surg_core/law/rcm.hpp"
 #include "surg_core/limits/barrier.hpp"
+#include "surg_core/limits/clearance.hpp"
 #include "surg_core/motion/joint_trace.hpp"
 #include "surg_core/types.hpp"
 
@@ -86,6 +87,8 @@ struct Step {
 class LimitedStep {
  public:
   LimitedStep(const Chain& chain, const Tool& tool, const JointLimits& limits, double T);
+  /// Keeps the distances of 'guard', which must outlive the step.
+  void keep_clear(const ClearanceGuard& guard) { clearance_ = &guard; }
 
   /// Exact form: joints of the next pose on the constraint (exact.hpp), from an exactly known state
   /// (a virtual reference). If a limit has moved the tip off its path, the tip returns gradually
@@ -145,6 +148,7 @@ class LimitedStep {
   Barrier barrier_;
   double reach_;  ///< [m]
   double T_;
+  const ClearanceGuard* clearance_ = nullptr;
 };
 
 }  // namespace surg

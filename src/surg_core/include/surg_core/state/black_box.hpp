@@ -25,6 +25,7 @@ struct ControllerSetup {
   InstrumentConfig instrument;
   ToolCalibration tool;
   Controller::Options options;
+  ClearanceSetup clearance = {};
 };
 
 /// Origin of a recording, for people. Replay does not read it.

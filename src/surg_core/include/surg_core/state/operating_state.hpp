@@ -51,6 +51,7 @@ enum class Reason : std::uint8_t {
   kFixtureWhileEnabled,  // a fixture may be replaced or removed only while not ENABLED
   kFixturesFull,         // no room for another fixture
   kNoFixture,            // no fixture of this name
+  kOtherArmLost,         // the clearance guard has no fresh joint state of another arm
 };
 
 /// One sentence for people: what is wrong and what to do.

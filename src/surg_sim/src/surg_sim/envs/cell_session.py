@@ -96,6 +96,10 @@ class Session:
         self.setting = find_setting(setting) if isinstance(setting, str) else setting
         self.law = law
         self.world = World(self.cell, seed, looks, setting=self.setting, task=self.task)
+        self._clearance = {
+            name: surg_core.clearance_setup(self.cell, name, self.world.arms)
+            for name in self.world.arms
+        }
         self.seed = seed
         self._begin()
 
@@ -110,8 +114,9 @@ class Session:
         for name in self.world.arms:
             arm = self.cell.arms[name]
             controller = surg_core.Controller(
-                arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, law=LAWS[self.law]
-            )
+                arm.chain, arm.robot, arm.limits, arm.instrument, arm.tool, law=LAWS[self.law],
+                clearance=self._clearance[name],
+            )  # fmt: skip
             controller.set_rcm(arm.trocar.p_BRcm)
             for fixture in arm.fixtures:
                 controller.set_fixture(fixture)
@@ -141,8 +146,9 @@ class Session:
             motions = [item for item in given if isinstance(item, surg_core.MotionCommand)]
             measured = world.state(name)
             out = controller.step(
-                measured.q, measured.qd, motions, measured.jaw, readings=self._readings(name)
-            )
+                measured.q, measured.qd, motions, measured.jaw,
+                readings=self._readings(name), others=self._others(name),
+            )  # fmt: skip
             outputs[name] = out
             jaw = out.jaw_set if math.isfinite(out.jaw_set) else None
             answers[name] = ArmCommand(velocity=out.qd_command, jaw=jaw)
@@ -158,6 +164,12 @@ class Session:
         """What a robot's link and its force sensors say beside the joints."""
         condition = self.world.link(arm).condition
         return surg_core.Readings(condition=condition, **self._forces.get(arm, {}))
+
+    def _others(self, name: str) -> list[surg_core.OtherArm]:
+        """Where the arms are that an arm keeps clear of."""
+        setup = self._clearance[name]
+        states = [self.world.state(other.name) for other in (setup.others if setup else ())]
+        return [surg_core.OtherArm(state.q, state.qd) for state in states]
 
     def _read_force_sensors(self, arm: str) -> dict[str, surg_core.ForceSample]:
         """What the force sensors of an arm measure now."""

@@ -1,0 +1,1 @@
+"""Commands about single arms: what they reach, how they follow."""
