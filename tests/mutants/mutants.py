@@ -766,8 +766,8 @@ MUTANTS: tuple[Mutant, ...] = (
         "black_box_forgets_a_member",
         "an incident cannot be replayed",
         "src/controller/controller_impl.hpp",
-        "qd_last, out.accepted, out.refused);",
-        "out.accepted, out.refused);",
+        "unexplained, qd_last, out.accepted,",
+        "unexplained, out.accepted,",
         ("test_black_box",),
     ),
     one(

@@ -413,7 +413,7 @@ TEST(Fixtures, TheNearestPointInHalfSpacesFulfilsItsOptimality) {
   long active = 0;
   const int n = test::family(20000, 1000000);
   for (int i = 0; i < n; ++i) {
-    std::array<HalfSpace, 6> spaces;
+    std::array<Constraint, 6> spaces;
     const int count = random.integer(1, 6);
     for (int k = 0; k < count; ++k) spaces[k] = {direction(random), -random.uniform(0, 0.3)};
     const Vector3 x0 = direction(random);

@@ -183,6 +183,7 @@ def console_state(status: Any) -> Robot:
         _peak=0.0,
         _fast={},
         _cycles={},
+        _regions=(),
     )
     return made.robot()
 

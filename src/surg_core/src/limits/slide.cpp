@@ -13,7 +13,7 @@ constexpr int kPasses = 3;               // of linearisation on curved walls
 constexpr int kTargetPasses = 8;         // of projection onto one wall after the other
 
 using Walls = std::array<Wall, Fixtures::kMost>;
-using Spaces = std::array<HalfSpace, Fixtures::kMost>;
+using Spaces = std::array<Constraint, Fixtures::kMost>;
 
 /// Speed at which a wall may be approached from a distance: one from which 'a' still stops there.
 double approach_speed(double distance, double a) {
@@ -22,13 +22,13 @@ double approach_speed(double distance, double a) {
   return distance <= near ? kApproachGain * distance : std::sqrt(2 * a * (distance - near / 2));
 }
 
-bool holds(const HalfSpace& space, const Vector3& x) {
+bool holds(const Constraint& space, const Vector3& x) {
   return space.n.dot(x) >= space.least - kInside;
 }
 
 /// On the line in which two planes meet, inside the half-spaces before them.
-bool nearest_on_line(const HalfSpace* spaces, int i, int j, const Vector3& x0, Vector3& x) {
-  const HalfSpace &one = spaces[i], &other = spaces[j];
+bool nearest_on_line(const Constraint* spaces, int i, int j, const Vector3& x0, Vector3& x) {
+  const Constraint &one = spaces[i], &other = spaces[j];
   const Vector3 u = one.n.cross(other.n);
   const double squared = u.squaredNorm(), both = one.n.dot(other.n);
   if (squared < 1e-10) return false;
@@ -50,8 +50,8 @@ bool nearest_on_line(const HalfSpace* spaces, int i, int j, const Vector3& x0, V
   return true;
 }
 
-bool nearest_on_plane(const HalfSpace* spaces, int i, const Vector3& x0, Vector3& x) {
-  const HalfSpace& plane = spaces[i];
+bool nearest_on_plane(const Constraint* spaces, int i, const Vector3& x0, Vector3& x) {
+  const Constraint& plane = spaces[i];
   x = x0 + (plane.least - plane.n.dot(x0)) * plane.n;
   for (int j = 0; j < i; ++j) {
     if (!holds(spaces[j], x) && !nearest_on_line(spaces, i, j, x0, x)) return false;
@@ -61,7 +61,7 @@ bool nearest_on_plane(const HalfSpace* spaces, int i, const Vector3& x0, Vector3
 
 }  // namespace
 
-bool nearest_in(const HalfSpace* spaces, int count, const Vector3& x0, Vector3& x) {
+bool nearest_in(const Constraint* spaces, int count, const Vector3& x0, Vector3& x) {
   Vector3 best = x0;
   for (int i = 0; i < count; ++i) {
     if (!holds(spaces[i], best) && !nearest_on_plane(spaces, i, x0, best)) return false;

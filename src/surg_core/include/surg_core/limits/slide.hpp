@@ -10,14 +10,14 @@
 namespace surg {
 
 /// n . x >= least, with a unit vector n.
-struct HalfSpace {
+struct Constraint {
   Vector3 n;
   double least;
 };
 
 /// The point nearest to x0 in the intersection of 'count' half-spaces. Exact: Seidel's incremental
 /// method. Returns false, and leaves x alone, if the half-spaces have no common point.
-bool nearest_in(const HalfSpace* spaces, int count, const Vector3& x0, Vector3& x);
+bool nearest_in(const Constraint* spaces, int count, const Vector3& x0, Vector3& x);
 
 /// Limits a tip motion from one point by the walls of all fixtures. All in one frame.
 class Slide {
