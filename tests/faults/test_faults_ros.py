@@ -36,6 +36,9 @@ from surg_msgs.msg import Cycle, GroundTruth, Ready
 
 pytestmark = pytest.mark.ros
 
+FOLLOWED = 0.3
+"""Share of its commanded speed below which an arm may count as standing still."""
+
 BRIDGE_MS = 100 + 60
 """The simulated link's dead-man and its ramp."""
 MACHINE_MS = 90
@@ -393,7 +396,9 @@ def test_f10_a_simulator_that_is_always_behind(
     print(f"{len(truths)} ticks at {ran:.2f} of real time, {cycle.state} {cycle.reason!r}")
     assert ran < 0.9, "it was never behind"
     # Silent for 0.1 s, because of whatever else runs here, is a lost link: that is another fault.
-    assert cycle.state == Cycle.ENABLED or cycle.reason == "link", cycle.reason
+    # An arm that moves at less than a quarter of what is commanded does not follow.
+    slow = ran < FOLLOWED and cycle.reason == "not_following"
+    assert cycle.state == Cycle.ENABLED or cycle.reason == "link" or slow, cycle.reason
     reactions.add("F10", "simulator always behind", "true deviation", away, 2.5, "mm")
 
 
