@@ -80,8 +80,7 @@ class StatePublishers {
   StatusReporter& reporter_;
   Diagnostics diagnostics_;
 
-  ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_, fixtures_,
-      mounted_tool_;
+  ros::Publisher cycle_, operating_state_, tf_, tf_static_, rcm_limit_, fixtures_, mounted_tool_;
   std::int64_t fixtures_version_ = -1;  // published last
   Feedback<sensor_msgs::JointState> measured_js_, setpoint_js_, jaw_measured_js_, jaw_setpoint_js_,
       elbow_measured_js_, elbow_goal_js_;
