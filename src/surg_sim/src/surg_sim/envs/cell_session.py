@@ -12,6 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -163,7 +164,8 @@ class Session:
     def _readings(self, arm: str) -> surg_core.Readings:
         """What a robot's link and its force sensors say beside the joints."""
         condition = self.world.link(arm).condition
-        return surg_core.Readings(condition=condition, **self._forces.get(arm, {}))
+        said: dict[str, Any] = {"condition": condition, **self._forces.get(arm, {})}
+        return surg_core.Readings(**said)
 
     def _others(self, name: str) -> list[surg_core.OtherArm]:
         """Where the arms are that an arm keeps clear of."""
