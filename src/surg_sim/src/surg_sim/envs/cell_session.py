@@ -164,8 +164,8 @@ class Session:
     def _readings(self, arm: str) -> surg_core.Readings:
         """What a robot's link and its force sensors say beside the joints."""
         condition = self.world.link(arm).condition
-        said: dict[str, Any] = {"condition": condition, **self._forces.get(arm, {})}
-        return surg_core.Readings(**said)
+        said: dict[str, Any] = dict(self._forces.get(arm, {}))
+        return surg_core.Readings(condition=condition, **said)
 
     def _others(self, name: str) -> list[surg_core.OtherArm]:
         """Where the arms are that an arm keeps clear of."""
