@@ -164,7 +164,7 @@ class Session:
     def _readings(self, arm: str) -> surg_core.Readings:
         """What a robot's link and its force sensors say beside the joints."""
         condition = self.world.link(arm).condition
-        said: dict[str, Any] = dict(self._forces.get(arm, {}))
+        said: Mapping[str, Any] = self._forces.get(arm) or {}
         return surg_core.Readings(condition=condition, **said)
 
     def _others(self, name: str) -> list[surg_core.OtherArm]:
