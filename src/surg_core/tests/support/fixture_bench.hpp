@@ -147,7 +147,6 @@ class FixtureBench {
   static RobotConfig robot_of(bool panda) {
     Document d = good_robot();
     d.values["tuning.rcm_gain"] = 50.0;
-    d.values["tuning.link_lag"] = 0.01;
     d.values["limits.tip_jerk"] = 100.0;
     const JointVector home = panda ? panda_home() : ur5e_home();
     d.values["joints.home"] = std::vector<double>(home.data(), home.data() + home.size());
@@ -166,7 +165,7 @@ class FixtureBench {
       d.values["limits.roll_jerk"] = 250.0;
       d.values["tuning.stream_delay"] = 0.018;
     }
-    return parse_robot(d);
+    return robot_behind(d, 0.01);
   }
 
   RobotConfig robot_;
