@@ -84,8 +84,8 @@ bool black_box() {
   const surg::ControllerSetup setup{
       surg::test::ur5e_chain(),  robot, robot.limits, surg::test::instrument(),
       surg::test::offset_tool(), {}};
-  surg::Controller controller(setup.chain, setup.robot, setup.limits, setup.instrument,
-                              setup.tool, setup.options);
+  surg::Controller controller(setup.chain, setup.robot, setup.limits, setup.instrument, setup.tool,
+                              setup.options);
   surg::BlackBox box(controller, setup);
   constexpr int kIncidents = 5;
   std::atomic<bool> done{false};
