@@ -102,7 +102,7 @@ MUTANTS: tuple[Mutant, ...] = (
         "an_old_condition_is_believed",
         "a link that no longer says the robot's condition counts as a healthy one",
         "src/controller/controller_guards.cpp",
-        "const bool fresh = in.condition_age <= robot.tuning.link_timeout;",
+        "const bool fresh = in.condition_age <= robot.tuning.link_timeout + kStatusPeriods;",
         "const bool fresh = true;",
         ("test_controller_robot",),
     ),

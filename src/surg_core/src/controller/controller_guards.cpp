@@ -14,6 +14,7 @@ constexpr double kDampedLoop = 0.6;   // gain times delay of a loop that is well
 constexpr double kVelocitySlack = 0.05;  // [rad/s] measured velocities are noisy
 constexpr int kUnexplained = 5;          // [cycles] of a motion that no command explains
 constexpr double kSofter = 4;            // times what the cycles are too long on average
+constexpr double kStatusPeriods = 0.04;  // [s] two periods of robot/status: joint states end first
 constexpr double kRoundTrip = 2.0;       // a link with late states also executes late
 
 bool finite(const MotionCommand& command) {
@@ -89,7 +90,7 @@ void Controller::Impl::sense(const Inputs& in) {
 void Controller::Impl::guard_robot(const Inputs& in) {
   robot_reason = in.condition == RobotCondition::kActive ? Reason::kNone : Reason::kRobot;
   if (!state_known) return;  // a lost link halts anyway
-  const bool fresh = in.condition_age <= robot.tuning.link_timeout;
+  const bool fresh = in.condition_age <= robot.tuning.link_timeout + kStatusPeriods;
   if (!fresh || in.condition == RobotCondition::kOffline) {
     state_known = false;
     state_reason = Reason::kLinkLost;

@@ -134,7 +134,7 @@ TEST(Robot, F33AnOldConditionIsALostLink) {
   for (const bool says_so : {false, true}) {
     RobotBench bench;
     for (int i = 0; i < 100; ++i) bench.stream(0.012);
-    bench.in().condition_age = bench.robot().tuning.link_timeout;
+    bench.in().condition_age = bench.robot().tuning.link_timeout + 0.04;  // two periods of 50 Hz
     EXPECT_EQ(bench.stream(0.012).state, State::kEnabled);
     if (says_so) {
       bench.in().condition = RobotCondition::kOffline;
